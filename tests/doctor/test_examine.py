@@ -135,7 +135,7 @@ def settled(result):
     return examine(result.robot, result.log, names) if names else result
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 @pytest.mark.parametrize("fault", [f for f in log_faults.FAULTS if f not in NOT_MENDED])
 def test_once_mended_written_and_read_again_the_doctor_is_silent(fault, tmp_path):
     robot, log = clean("3r", 0)
@@ -153,7 +153,7 @@ def test_once_mended_written_and_read_again_the_doctor_is_silent(fault, tmp_path
     assert again.silent, alarms(again)
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 @pytest.mark.parametrize("name", ["kuka_lwr4", "ur10e"])
 @pytest.mark.parametrize("fault", SHOWN)
 def test_every_fault_on_arms_of_six_and_seven_joints(fault, name):

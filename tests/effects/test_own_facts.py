@@ -136,12 +136,11 @@ def test_contacts_around_one() -> None:
 
 
 def test_attributes_of_a_joint_in_either_format() -> None:
-    assert ViscousFriction(0).attributes([0.2], mjcf=False) == {"damping": 0.2}
-    assert ViscousFriction(0).attributes([-0.2], mjcf=True) is None
-    assert CoulombFriction(0, smoothing=0.1).attributes([0.2], mjcf=True) is None
-    assert RotorInertia(0).attributes([0.2], mjcf=False) is None
-    assert RotorInertia(0).attributes([0.2], mjcf=True) == {"armature": 0.2}
+    assert ViscousFriction(0).attributes([0.2]) == {"damping": 0.2}
+    assert ViscousFriction(0).attributes([-0.2]) is None
+    assert CoulombFriction(0, smoothing=0.1).attributes([0.2]) is None
+    assert RotorInertia(0).attributes([0.2]) == {"armature": 0.2}
     spring = {"stiffness": 2.0, "offset": -0.5}
-    assert JointSpring(0).attributes([2.0, -0.5], mjcf=True) == spring
-    assert JointSpring(0, curvature=1.0).attributes([2.0, -0.5], mjcf=True) is None
-    assert StribeckFriction(0).attributes([0.2], mjcf=True) is None
+    assert JointSpring(0).attributes([2.0, -0.5]) == spring
+    assert JointSpring(0, curvature=1.0).attributes([2.0, -0.5]) is None
+    assert StribeckFriction(0).attributes([0.2]) is None

@@ -72,7 +72,7 @@ def by_default(name: str, seed: int) -> Identification:
     return identify(load_robot(name), honest(name, seed, rate), settings=settings)
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 @pytest.mark.parametrize(
     ("name", "seed"), [("3r", 0), ("3r", 1), ("3r_friction", 0), ("kuka_lwr4_friction", 0)]
 )

@@ -16,19 +16,21 @@ if TYPE_CHECKING:
     from torchid.export.projection import Target
     from torchid.gap.diagnosis import Diagnosis
 
-Simulated = Literal["mjcf", "urdf", "mujoco", "mjlab", "gazebo"]
-"""What a corrected file can be for; the last three read one of the first two."""
+Simulated = Literal["mjcf", "urdf", "drake", "mujoco", "mjlab", "isaaclab", "gazebo"]
+"""What a corrected file can be for; the last four read one of the first two."""
 
-_READ: dict[str, "Target"] = {"mujoco": "mjcf", "mjlab": "mjcf", "gazebo": "urdf"}
+_READ: dict[Simulated, "Target"] = {
+    "mjcf": "mjcf", "urdf": "urdf", "drake": "drake", "mujoco": "mjcf", "mjlab": "mjcf",
+    "isaaclab": "mjcf", "gazebo": "urdf",
+}  # fmt: skip
 
 
 def file_format(asked: Simulated) -> "Target":
-    """mjcf or urdf, once it is known that something here can run it."""
+    """mjcf, urdf or drake, once it is known that something here can run it."""
     from torchid.export.correct import require_engine
 
-    to = _READ.get(asked, "mjcf" if asked == "mjcf" else "urdf")
-    require_engine(to)
-    return to
+    require_engine(_READ[asked])
+    return _READ[asked]
 
 
 @command

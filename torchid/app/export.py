@@ -17,7 +17,7 @@ from torchid.errors import TorchidError
 def export_command(
     *,
     result: Annotated[str, typer.Argument(metavar="RESULT")],
-    to: Literal["urdf", "mjcf", "yaml", "csv", "c", "isaaclab", "mjlab"] | None = None,
+    to: Literal["urdf", "mjcf", "drake", "yaml", "csv", "c", "isaaclab", "mjlab"] | None = None,
     robot: opt.RobotOption = None,
     chosen: Annotated[str | None, typer.Option("--set", metavar="ID")] = None,
     name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
@@ -91,7 +91,7 @@ def export_command(
         )  # fmt: skip
         output.give(done, f"export_{to}.json", export_shown, seed=seed)
         return
-    if to != "mjcf" and to != "urdf":
+    if to != "mjcf" and to != "urdf" and to != "drake":
         raise TorchidError(
             "only files of simulators are refitted to a log.", got=to, available=get_args(Target)
         )

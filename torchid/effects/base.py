@@ -208,9 +208,9 @@ class Effect(ABC):
         of the present motion."""
         return None
 
-    def attributes(self, values: Sequence[float], mjcf: bool) -> dict[str, float] | None:
-        """What it adds to its joint's damping, friction, armature, stiffness and offset in a URDF,
-        or in an MJCF; None where the format has no attribute for it.
+    def attributes(self, values: Sequence[float]) -> dict[str, float] | None:
+        """What it adds to its joint's damping, friction, armature, stiffness and offset in a
+        simulator's file; None where no format has an attribute for it.
 
         A negative damping, friction or armature, which physics forbids and simulators refuse or
         destabilise on, is none.

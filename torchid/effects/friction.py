@@ -37,7 +37,7 @@ class ViscousFriction(JointEffect):
         """The equation as C."""
         return add(self.joint, f"{number(values[0])} * dq[{self.joint}]")
 
-    def attributes(self, values: Sequence[float], mjcf: bool) -> dict[str, float] | None:
+    def attributes(self, values: Sequence[float]) -> dict[str, float] | None:
         """Damping."""
         return {"damping": values[0]} if values[0] >= 0 else None
 
@@ -83,7 +83,7 @@ class CoulombFriction(JointEffect):
         direction = f"sign({speed})" if self.smoothing == 0 else smooth
         return add(self.joint, f"{number(values[0])} * {direction}")
 
-    def attributes(self, values: Sequence[float], mjcf: bool) -> dict[str, float] | None:
+    def attributes(self, values: Sequence[float]) -> dict[str, float] | None:
         """Dry friction, where it is not smoothed."""
         known = self.smoothing == 0 and values[0] >= 0
         return {"friction": values[0]} if known else None

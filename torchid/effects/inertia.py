@@ -136,6 +136,6 @@ class RotorInertia(JointEffect):
         """The equation as C."""
         return add(self.joint, f"{number(values[0])} * ddq[{self.joint}]")
 
-    def attributes(self, values: Sequence[float], mjcf: bool) -> dict[str, float] | None:
-        """Armature, of an MJCF."""
-        return {"armature": values[0]} if mjcf and values[0] >= 0 else None
+    def attributes(self, values: Sequence[float]) -> dict[str, float] | None:
+        """Armature."""
+        return {"armature": values[0]} if values[0] >= 0 else None

@@ -96,9 +96,9 @@ class JointSpring(JointEffect):
         sine, cosine = ("sin", "cos") if self.curvature > 0 else ("sinh", "cosh")
         return add(self.joint, f"{k} / {w} * {sine}({w} * {q}) + {c0} * {cosine}({w} * {q})")
 
-    def attributes(self, values: Sequence[float], mjcf: bool) -> dict[str, float] | None:
-        """Stiffness of a straight spring that pulls back, of an MJCF."""
-        known = mjcf and self.curvature == 0 and values[0] > 0
+    def attributes(self, values: Sequence[float]) -> dict[str, float] | None:
+        """Stiffness of a straight spring that pulls back."""
+        known = self.curvature == 0 and values[0] > 0
         return {"stiffness": values[0], "offset": values[1]} if known else None
 
 

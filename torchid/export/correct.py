@@ -24,7 +24,7 @@ from torchid.export.dynamics import Dynamics
 from torchid.export.export import SUFFIXES, Export, export_dynamics, stem_of
 from torchid.export.projection import PRICE, Projection, Projector, Target
 from torchid.export.record import CorrectionRecord, correction_record
-from torchid.export.replay import InMujoco, simulator
+from torchid.export.replay import InDrake, InMujoco, simulator
 from torchid.export.write_xml import xml_of
 from torchid.extraction.entropic import SPREAD
 from torchid.feasibility.margins import inertia_eigenvalues
@@ -61,7 +61,8 @@ class Forward:
         starts: number of simulations.
         nominal, full: (n,) RMS error [rad; m] of the robot as given and of the diagnosed one, by
             torchid; None where no trajectory is as long.
-        engine: (n,) of the file; None where MuJoCo is not installed, or refuses a URDF.
+        engine: (n,) of the file; None where MuJoCo (Drake, for its files) is not installed, or
+            refuses it.
     """
 
     horizon: float
@@ -164,7 +165,9 @@ def require_engine(to: Target) -> None:
     """Raise MissingExtraError unless an engine that runs such files is installed."""
     from importlib.util import find_spec
 
-    if find_spec("mujoco") is None and (to == "mjcf" or find_spec("pinocchio") is None):
+    if to == "drake" and find_spec("pydrake") is None:
+        raise MissingExtraError("pydrake", "drake", "Checking a corrected MJCF in Drake on the log")
+    if find_spec("mujoco") is None and (to != "urdf" or find_spec("pinocchio") is None):
         raise MissingExtraError("mujoco", "mjcf", f"Checking a corrected {to} on the log")
 
 
@@ -253,7 +256,7 @@ def correct(
         engines = []
         for k, one in enumerate(fitted):
             path = whole.with_stem(f"fold_{k}")
-            engines.append(simulator(path, _in_file(one, path, original)))
+            engines.append(simulator(path, _in_file(one, path, original, to), to))
         split = folds if by_folds else None
         own = traces(on.samples, split, [Model.of(one) for one in fitted], engines, data.band)
         models = [AtRunTime.of(one) for one in running]
@@ -278,8 +281,8 @@ def correct(
         )
         _require_better(judged)
         if settings.rollout:
-            inside = _in_file(projection.robot, whole, original)
-            forward = _forward(inside, whole, before, full, on, settings, data.silent)
+            inside = _in_file(projection.robot, whole, original, to)
+            forward = _forward(inside, whole, to, before, full, on, settings, data.silent)
             judged = replace(judged, forward=forward)
     beside = [f"{one.effect.name}{_places(one.joints)}" for one in projection.kept]
     stem = f"{stem_of(robot)}_corrected" if name is None else name
@@ -322,9 +325,9 @@ def _require_better(judged: Judged) -> None:
         )
 
 
-def _in_file(robot: Robot, path: Path, original: Robot | None) -> Robot:
+def _in_file(robot: Robot, path: Path, original: Robot | None, to: Target) -> Robot:
     """Write a robot's file, and the robot as it is in it."""
-    written, file, _, _ = xml_of(robot, path, original)
+    written, file, _, _ = xml_of(robot, path, original, to)
     path.write_bytes(file.to_bytes())
     return written
 
@@ -342,6 +345,7 @@ def _percent(shown: Sequence[Trace], torques: Sequence[Float[Tensor, "T n"]]) ->
 def _forward(
     robot: Robot,
     path: Path,
+    to: Target,
     before: Robot,
     full: Robot | Diagnosis,
     on: Data,
@@ -361,7 +365,8 @@ def _forward(
     windows = windows_of(on.segments, starts, max(horizons))
     positions = None
     with suppress(TorchidError):  # not installed, or it refuses a URDF that Pinocchio reads
-        positions = InMujoco(path, robot).positions(windows)
+        runs = InDrake if to == "drake" else InMujoco
+        positions = runs(path, robot).positions(windows)
     out = []
     for row in replayed.horizons:
         step = max(1, round(row.horizon_s / windows.dt))
@@ -408,7 +413,8 @@ def _warnings(
             "leave, and no others would cost much less"
         )
     if any(one.starts and one.engine is None for one in judged.forward):
-        said.append("MuJoCo is missing or refuses the file: it was not simulated forwards")
+        engine = "Drake" if projection.to == "drake" else "MuJoCo"
+        said.append(f"{engine} is missing or refuses the file: it was not simulated forwards")
     if nominal.parameters is not None:
         inertias = inertia_eigenvalues(projection.robot.require_parameters("a correction"))
         ratio = inertias / inertia_eigenvalues(nominal.parameters).clamp(min=1e-12)

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 from torchid.errors import TorchidError
 from torchid.export.checks import Comparison
 from torchid.export.dynamics import Dynamics, described, nearest_representative, states
+from torchid.export.joint_dynamics import Target
 from torchid.export.record import ExportRecord, export_record
 from torchid.export.results import Exportable, dynamics_of
 from torchid.export.write_actuator import Package, write_actuator
@@ -21,8 +22,9 @@ from torchid.feasibility.sets import nominal_set
 from torchid.results.record import Result
 from torchid.robot.model import Robot
 
-Format = Literal["urdf", "mjcf", "yaml", "csv", "c", "isaaclab", "mjlab"]
-SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "yaml": ".yaml", "csv": ".csv", "c": ".c"}
+Format = Literal["urdf", "mjcf", "drake", "yaml", "csv", "c", "isaaclab", "mjlab"]
+SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "drake": ".xml"}
+SUFFIXES |= {"yaml": ".yaml", "csv": ".csv", "c": ".c"}
 SUFFIXES |= {to: f"_actuator_{to}.py" for to in get_args(Package)}
 
 
@@ -100,14 +102,15 @@ def export_dynamics(
     Args:
         result: what to write: an identification, one set of parameters, a robot, or what the
             functions of `torchid.export.results` read from files.
-        to: format. yaml, urdf and mjcf need physical parameters: of base parameters those nearest
-            to the robot's own that have exactly them. isaaclab and mjlab are actuator classes that
+        to: format; drake is an MJCF with what Drake reads of one. All but csv, c and actuators need
+            physical parameters: of base parameters those nearest to the robot's own that have
+            exactly them. isaaclab and mjlab are actuator classes that
             add the effects at run time.
         folder: made if need be.
         name: of the file, without suffix; the robot's own by default.
         nominal: the robot that the result belongs to, with its own parameters.
-        original: for urdf and mjcf: the robot whose file a copy is edited of, the nominal one
-            by default. If its file is of another format, a new one is written.
+        original: for urdf, mjcf and drake: the robot whose file a copy is edited of, the nominal
+            one by default. If its file is of another format, a new one is written.
         geometry: group of bounds, or `none`, of the check (see `check_sets`).
         force: write infeasible parameters, too.
         seed: of the states of the comparison.
@@ -137,7 +140,8 @@ def export_dynamics(
             f"the export would take the place of the original '{path}'.",
             hint="another `name=...`, or another folder",
         )
-    same_format = to in ("urdf", "mjcf") and Path(model.source).suffix.lower() == SUFFIXES[to]
+    xml = to in get_args(Target)
+    same_format = xml and Path(model.source).suffix.lower() == SUFFIXES[to]
     edited = model if same_format else None
     actuator = to == "isaaclab" or to == "mjlab"
     physical = not actuator and (dynamics.base is None or to not in ("csv", "c"))
@@ -160,7 +164,7 @@ def export_dynamics(
     elif to == "isaaclab" or to == "mjlab":
         draft, comparisons = write_actuator(dynamics, to, folder, name, motion)
     else:
-        draft, comparisons = write_xml(dynamics, written, path, edited, motion)
+        draft, comparisons = write_xml(dynamics, written, path, edited, motion, to)
     in_file, beside, left_out = (
         tuple(described(effect, values, dynamics.robot) for effect, values in pairs)
         for pairs in (draft.in_file, draft.beside, draft.left_out)

@@ -1,9 +1,22 @@
-"""Which effects a format knows: joint attributes of URDF and MJCF, and what is left beside them."""
+"""Which effects a format knows: attributes of its joints, and what is left beside them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
+from torchid.effects.base import Effect
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.robot.model import Robot
+
+Target = Literal["mjcf", "urdf", "drake"]
+"""Files of simulators: Drake reads part of an MJCF."""
+
+SAID: dict[Target, frozenset[str]] = {
+    "mjcf": frozenset({"damping", "friction", "armature", "stiffness", "offset"}),
+    "urdf": frozenset({"damping", "friction"}),
+    "drake": frozenset({"damping", "armature"}),
+}
+"""Fields of `JointDynamics` that a format has; of Drake what its 1.51 takes from an MJCF."""
 
 
 @dataclass(frozen=True)
@@ -13,8 +26,8 @@ class JointDynamics:
     Attributes:
         damping: viscous friction Fv [N m s/rad; N s/m].
         friction: Coulomb friction Fc [N m; N]; `frictionloss` in MJCF.
-        armature: rotor inertia Ia [kg m^2; kg]; MJCF only.
-        stiffness: of a straight spring, k [N m/rad; N/m]; MJCF only.
+        armature: rotor inertia Ia [kg m^2; kg].
+        stiffness: of a straight spring, k [N m/rad; N/m].
         offset: torque of that spring at q = 0, c0 = -k springref [N m; N].
     """
 
@@ -30,12 +43,18 @@ class JointDynamics:
         return -self.offset / self.stiffness if self.stiffness else 0.0
 
 
-def split(robot: Robot, *, mjcf: bool) -> tuple[tuple[JointDynamics, ...], tuple[Valued, ...]]:
+def attributes_in(to: Target, effect: Effect, values: Sequence[float]) -> dict[str, float] | None:
+    """What an effect adds to its joint's fields in a format; None where it has no field there."""
+    added = effect.attributes(values)
+    return added if added is not None and SAID[to].issuperset(added) else None
+
+
+def split(robot: Robot, to: Target) -> tuple[tuple[JointDynamics, ...], tuple[Valued, ...]]:
     """Attributes of the n joints, and the effects that are not among them."""
     joints = [JointDynamics() for _ in range(robot.n)]
     rest: list[Valued] = []
     for effect, values in nominal_effects(robot):
-        added = effect.attributes(values, mjcf)
+        added = attributes_in(to, effect, values)
         if added is None:
             rest.append((effect, values))
             continue

@@ -7,7 +7,6 @@ by how far follows from the fit itself: its torque is given to the fit as if it 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import torch
 
@@ -18,6 +17,7 @@ from torchid.effects.inertia import BodyEffect, RotorInertia
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.effects.spring import JointSpring
 from torchid.export.dynamics import records
+from torchid.export.joint_dynamics import Target, attributes_in
 from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, response, room_of
 from torchid.gap.data import Data
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
@@ -27,13 +27,12 @@ from torchid.simulation.open_loop import runs, undone
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Tensor
 
-Target = Literal["mjcf", "urdf"]
-
 FIELDS: dict[Target, tuple[type[Effect], ...]] = {
     "mjcf": (ViscousFriction, CoulombFriction, RotorInertia),
     "urdf": (ViscousFriction, CoulombFriction),
+    "drake": (ViscousFriction, RotorInertia),
 }
-"""What a file says of every joint."""
+"""What a file says of every joint; an MJCF says springs, too, where they are."""
 
 WORDS = {
     "viscous_friction": "damping",
@@ -128,7 +127,7 @@ class Projector:
             for effect, values in nominal_effects(nominal)
             if effect.joints
             and silent.issuperset(effect.joints)
-            and effect.attributes(values, to == "mjcf") is not None
+            and attributes_in(to, effect, values) is not None
         ]
         self._settle(model.effects)
 
@@ -228,7 +227,7 @@ class Projector:
     def _has_field(self, effect: Effect, values: Sequence[float]) -> bool:
         """Whether the file says this effect as it is."""
         own = [*self.fields, *(given for given, _ in self.given)]
-        known = effect.attributes(values, self.to == "mjcf") is not None
+        known = attributes_in(self.to, effect, values) is not None
         return known and any(f.identity == effect.identity for f in own)
 
     def _robot(self, fields: Sequence[Effect], found: NearBodies) -> Robot:

@@ -535,7 +535,7 @@ def _values(
     beside: dict[str, tuple[str, Tensor]] = {}
     for d, pairs in enumerate(every.effects):
         for effect, values in pairs:
-            added = effect.attributes(values, True)
+            added = effect.attributes(values)
             if added is not None:
                 for key, value in added.items():
                     fields[key][d, effect.joints[0]] += value

@@ -160,7 +160,7 @@ def write_actuator(
     # What the actuator adds, what the simulator has fields for, and what nobody does.
     places: dict[str, list[Valued]] = {"in_file": [], "beside": [], "left_out": []}
     for effect, values in nominal_effects(robot):
-        field = effect.attributes(values, True) is not None
+        field = effect.attributes(values) is not None
         place = "beside" if field else "left_out" if effect.name in ignored else "in_file"
         places[place].append((effect, values))
     if not places["in_file"]:

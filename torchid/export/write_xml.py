@@ -9,10 +9,10 @@ from torchid.effects.registry import Valued, nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.checks import Comparison, compared
 from torchid.export.dynamics import Dynamics, described, folded, records, robot_torque
-from torchid.export.engines import check_mujoco, check_pinocchio
-from torchid.export.joint_dynamics import JointDynamics, split
+from torchid.export.engines import check_drake, check_mujoco, check_pinocchio
+from torchid.export.joint_dynamics import JointDynamics, Target, split
 from torchid.export.keeping import Draft, kept, staged
-from torchid.export.mjcf import edited_mjcf, new_mjcf
+from torchid.export.mjcf import add_motors, edited_mjcf, new_mjcf
 from torchid.export.urdf import edited_urdf, in_joint_frames, new_urdf
 from torchid.export.xml_tree import XmlFile, set_head
 from torchid.robot.library import load_robot
@@ -24,9 +24,14 @@ SAME_FRAMES = 1e-9
 
 
 def write_xml(
-    dynamics: Dynamics, written: Robot, path: Path, original: Robot | None, motion: Motion
+    dynamics: Dynamics,
+    written: Robot,
+    path: Path,
+    original: Robot | None,
+    motion: Motion,
+    to: Target,
 ) -> tuple[Draft, tuple[Comparison, ...]]:
-    """Write, reload with torchid, Pinocchio and MuJoCo, compare, and keep.
+    """Write, reload with torchid, Pinocchio, MuJoCo and, for Drake, with that, compare, and keep.
 
     Args:
         dynamics: the result, whose torque counts.
@@ -34,9 +39,10 @@ def write_xml(
         path: .urdf or .xml (MJCF).
         original: the robot whose file a copy is edited of.
         motion: states of the comparison.
+        to: format.
     """
     mjcf = path.suffix == ".xml"
-    robot, file, joints, rest = xml_of(written, path, original)
+    robot, file, joints, rest = xml_of(written, path, original, to)
     known = tuple(pair for pair in nominal_effects(robot) if pair not in rest)
     if original is None and not mjcf:
         rest = in_joint_frames(rest, robot)
@@ -57,12 +63,13 @@ def write_xml(
         torque = robot_torque(_read_back(main, path, original), motion)
         reader, what = f"torchid {__version__}", "torque with all effects"
         own = compared(reader, what, motion, dynamics.torque(motion), torque)
-        engines = [check(main, robot, joints, motion) for check in (check_pinocchio, check_mujoco)]
+        checks = [check_pinocchio, check_mujoco, *([check_drake] if to == "drake" else [])]
+        engines = [check(main, robot, joints, motion) for check in checks]
         return draft, kept([own, *engines])
 
 
 def xml_of(
-    written: Robot, path: Path, original: Robot | None
+    written: Robot, path: Path, original: Robot | None, to: Target
 ) -> tuple[Robot, XmlFile, tuple[JointDynamics, ...], tuple[Valued, ...]]:
     """The robot with its bodies put together and named as in the file, the file's content, the
     joints' attributes in it, and the effects that are not.
@@ -71,6 +78,7 @@ def xml_of(
         written: physical parameters and effects.
         path: .urdf or .xml (MJCF), for references to meshes.
         original: the robot whose file a copy is edited of.
+        to: format.
 
     Raises:
         TorchidError: parameters that are not in the original's frames, or have no place in it.
@@ -79,7 +87,7 @@ def xml_of(
     if original is not None:
         _require_same_frames(robot, original)
         robot = replace(robot, joint_names=original.joint_names, link_names=original.link_names)
-    joints, rest = split(robot, mjcf=mjcf)
+    joints, rest = split(robot, to)
     if original is None:
         file = new_mjcf(robot, joints) if mjcf else new_urdf(robot, joints)
     elif mjcf:
@@ -87,6 +95,8 @@ def xml_of(
         file = edited_mjcf(Path(original.source), robot, joints, turned, path.parent)
     else:
         file = edited_urdf(Path(original.source), original.tip, robot, joints, path.parent)
+    if to == "drake":
+        add_motors(file, robot, joints)
     return robot, file, joints, rest
 
 

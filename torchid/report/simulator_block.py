@@ -2,7 +2,7 @@
 
 from xml.sax.saxutils import quoteattr
 
-from torchid.export.joint_dynamics import split
+from torchid.export.joint_dynamics import Target, split
 from torchid.export.mjcf import ATTRIBUTES
 from torchid.report.table import listed
 from torchid.robot.model import Robot
@@ -20,11 +20,12 @@ def simulator_block(robot: Robot) -> str:
     <joint name="joint_1"
     """
     lines = []
-    for mjcf in (True, False):
-        joints, rest = split(robot, mjcf=mjcf)
+    formats: tuple[Target, ...] = ("mjcf", "urdf")
+    for to in formats:
+        mjcf = to == "mjcf"
+        joints, rest = split(robot, to)
         angles = ', of a file with <compiler angle="radian"/>' if mjcf else ""
-        kind = "MJCF" if mjcf else "URDF"
-        lines.append(f"<!-- {kind}: into the joint of the same name{angles} -->")
+        lines.append(f"<!-- {to.upper()}: into the joint of the same name{angles} -->")
         for name, own in zip(robot.joint_names, joints, strict=True):
             if mjcf:
                 given = {key: getattr(own, attribute) for key, attribute in ATTRIBUTES.items()}

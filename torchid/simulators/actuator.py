@@ -65,7 +65,7 @@ class EffectTorque:
             )
         self.joints = [robot.joint_names.index(n) for n in own]
         pairs = nominal_effects(robot)
-        held = [(e, v) for e, v in pairs if fields or e.attributes(v, True) is None]
+        held = [(e, v) for e, v in pairs if fields or e.attributes(v) is None]
         used = [(e, v) for e, v in held if self._adds(e)]
         self.ignored = tuple(dict.fromkeys(e.name for e, v in held if (e, v) not in used))
         self._resting = resting

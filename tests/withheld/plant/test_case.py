@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.marks import some
 from tests.withheld.plant.conftest import SHORT, quiet, short
 from torchid.errors import TorchidError
 from torchid.log.columns import log_from_columns
@@ -104,8 +105,7 @@ def test_what_diverges_is_said(tmp_path, monkeypatch):
         simulate_case(spec)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", range(20))
+@pytest.mark.parametrize("number", some(range(20), 4))
 def test_whole_cases(number):
     spec = draw_case(9, number)
     case = simulate_case(spec)
