@@ -1,9 +1,13 @@
 """The page of a diagnosis of commands and positions: where, which, how far, in mrad."""
 
+from dataclasses import replace
+
 import pytest
+import torch
 
 from tests.position.diagnosed import diagnosis, finding
 from tests.report.page.reading import parsed, rows_of, text_of
+from torchid.position.diagnosis import Accuracy
 from torchid.report.page.document import origin, render
 from torchid.report.position import nominal_table, position_page, position_tables, position_verdict
 from torchid.report.position_figures import figures, joint_figure, worst_joints, worst_place
@@ -86,3 +90,14 @@ def test_nominal_beside_found(found):
     assert first["servo"] == "STS3215"
     assert first["values"] == {"kp": 17.8}
     assert first["register_units"]["acceleration"] == pytest.approx(0.1534, abs=1e-4)
+
+
+def test_a_plain_servo_that_is_enough_hides_what_is_small():
+    made = diagnosis()
+    tiny = Accuracy(torch.tensor([0.1, 0.1, torch.nan]), torch.tensor([0.1, 0.1, torch.nan]))
+    enough = replace(made, plain_servo=tiny, answered=tiny)
+    assert enough.status == "no_gap"
+    low, high = (float(x) for x in enough.unseen[:2].sort().values)
+    assert 0.1 < low < high
+    assert f"less than {low:.1f} to {high:.1f} mrad" in position_verdict(enough)
+    assert enough.record.where.joints[0].unseen_mrad == pytest.approx(float(enough.unseen[0]))

@@ -127,11 +127,16 @@ class PositionDiagnosis(Result):
     def closed(self) -> float:
         """Share of what the plain servos leave, in squares and but for what calls for no cause,
         that the answered model takes away; NaN where they leave nothing."""
-        floor = (1e3 * self.data.slight / self.data.scale).square()
+        floor = self.unseen.square()
         plain, answered = (way.windows.square() for way in (self.plain_servo, self.answered))
         gap = (plain > GAP * floor) & ~self.still
         left = (answered - floor)[gap].clamp(min=0).sum() / (plain - floor)[gap].sum()
         return 1.0 - float(left)
+
+    @property
+    def unseen(self) -> Float[Tensor, " n"]:
+        """RMS errors of joints beside refitted plain servos that call for no cause [mrad]."""
+        return 1e3 * self.data.slight / self.data.scale
 
     @property
     def status(self) -> str:

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 
 class JointRecord(Part, frozen=True, kw_only=True):
-    """One joint: errors of whole motions [mrad of the log's unit], and its gain [N m/rad]."""
+    """One joint: errors of whole motions [mrad of the log's unit], its gain [N m/rad], and what is
+    too little to look for a cause (missing in files of older versions)."""
 
     joint: Joint
     commanded_mrad: Real
@@ -24,6 +25,7 @@ class JointRecord(Part, frozen=True, kw_only=True):
     kp_ci95: Ends
     ratio_only: bool
     never_moves: bool
+    unseen_mrad: Real = math.nan
 
 
 class RegimeRecord(Part, frozen=True, kw_only=True):
@@ -162,6 +164,7 @@ def position_record(result: "PositionDiagnosis") -> PositionRecord:
             kp_ci95=(float(intervals[j, 0]), float(intervals[j, 1])),
             ratio_only=bool(result.ratio_only[j]),
             never_moves=bool(result.still[j]),
+            unseen_mrad=float(result.unseen[j]),
         )
         for j in range(result.servos.n)
     )

@@ -47,7 +47,14 @@ def position_verdict(result: PositionDiagnosis) -> str:
         whole, windows = result.held_out
         said += f" Held-out logs: {whole:.1f} mrad, in windows of 2 s {windows:.1f} mrad."
     if not names:
-        return f"{said} {_STATUS[result.status]}"
+        said = f"{said} {_STATUS[result.status]}"
+        if result.status == "no_gap":
+            low, high = (float(x) for x in result.unseen[~result.still].aminmax())
+            said += (
+                f" What moves a joint by less than {low:.1f} to {high:.1f} mrad beside a refitted "
+                "plain servo would not be seen."
+            )
+        return said
     said += f" What closes it: {', '.join(names)}."
     return said if result.status == "explained" else f"{said} {_STATUS[result.status]}"
 
