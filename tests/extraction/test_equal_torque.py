@@ -156,6 +156,7 @@ def test_pinocchio_finds_the_same_torque(name: str) -> None:
         assert relative(PinocchioOracle(one).inverse_dynamics(*motion), expected) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_each_set_violates_exactly_what_was_asked_for(name: str) -> None:
     case, found = setting(name), family(name)

@@ -38,6 +38,7 @@ def test_the_unit_that_changes_is_named(fleet, tmp_path) -> None:
     assert load(tmp_path / "watch.json").plain() == found.plain()
 
 
+@pytest.mark.slow
 def test_a_temperature_that_went_along_takes_the_blame(fleet) -> None:
     """Warm since the change: what both explain is no one's, and no alarm."""
     warm = [

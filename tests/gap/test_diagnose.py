@@ -225,6 +225,7 @@ def test_a_robot_without_parameters_is_fitted_first():
     assert max(abs(left["viscous_friction", j]) for j in range(3)) < 0.02
 
 
+@pytest.mark.slow
 def test_the_model_that_was_fitted_has_its_background():
     fitted = {(e.name, e.joints[0]) for e, _ in nominal_effects(case("unknown").robot)}
     assert fitted == {("viscous_friction", j) for j in range(3)}

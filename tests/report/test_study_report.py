@@ -44,6 +44,9 @@ def tiny(name: str, scenarios: tuple[str, ...]) -> Study:
     )
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def study() -> Study:
     return tiny("3r", ("p_1", "p_4", "p_9"))
@@ -66,7 +69,6 @@ def text_of(study: Study) -> str:
     return console.export_text()
 
 
-@pytest.mark.slow
 def test_every_file_is_there_and_figures_are_png(study, written):
     names = {path.name for path in written}
     assert {"study.md", "sets.json", "all_sets.json"} < names
@@ -217,7 +219,6 @@ def test_an_impossible_certificate_has_a_report(study):
             d.draw()
 
 
-@pytest.mark.slow
 def test_a_study_without_feasible_sets_has_a_report(without_feasible):
     assert not any(s.feasible for s in without_feasible.scenarios)
     figures = drawings(without_feasible)

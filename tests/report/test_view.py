@@ -68,6 +68,7 @@ def test_parts_add_up_and_are_the_planted_ones(found):
             assert mask.dtype == torch.bool
 
 
+@pytest.mark.slow
 def test_regimes_are_where_the_motion_says(found):
     """Low speed: below 15 % of the speed that 1 % of all instants exceed."""
     speed = torch.cat([t.motion.dq[t.valid] for t in found.traces]).abs()
@@ -79,6 +80,7 @@ def test_regimes_are_where_the_motion_says(found):
         assert float((mask == own)[trace.valid].double().mean()) > 0.97
 
 
+@pytest.mark.slow
 def test_an_mcap_is_read_back_by_its_own_reader(found, tmp_path):
     reader = pytest.importorskip("mcap.reader")
     path = tmp_path / "gap.mcap"
@@ -107,6 +109,7 @@ def test_an_mcap_is_read_back_by_its_own_reader(found, tmp_path):
                 assert told_of.keys() == data["effects"].keys()
 
 
+@pytest.mark.slow
 def test_an_rrd_has_the_same(found, tmp_path):
     pytest.importorskip("rerun")
     path = tmp_path / "gap.rrd"
@@ -115,6 +118,7 @@ def test_an_rrd_has_the_same(found, tmp_path):
     assert path.stat().st_size > 100_000
 
 
+@pytest.mark.slow
 def test_other_files_and_missing_packages(found, tmp_path, monkeypatch):
     with pytest.raises(TorchidError, match=r"\.mcap or FILE\.rrd"):
         write_view(found, tmp_path / "gap.bag")

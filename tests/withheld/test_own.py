@@ -36,6 +36,7 @@ def test_what_was_accepted_is_found_again_and_closes_as_much(found):
     assert found.whole
 
 
+@pytest.mark.slow
 def test_without_the_right_name_nothing_is_found_again(found):
     """The corrected model knows the friction; searched over others, another name is none."""
     settings = replace(QUICK, effects=("torque_offset",))
@@ -48,6 +49,7 @@ def test_without_the_right_name_nothing_is_found_again(found):
     assert missed.as_much is False
 
 
+@pytest.mark.slow
 def test_a_planted_effect_has_the_size_that_is_told(found):
     log = logged(REAL, (3, 4, 3), 5)
     kind = own.plantable("coulomb_friction")
@@ -75,6 +77,7 @@ def test_the_smallest_size_is_sought_from_both_sides(from_level, tried, monkeypa
     assert set(tried) <= set(LEVELS)
 
 
+@pytest.mark.slow
 def test_the_record_is_json_with_joints_from_one(found):
     data = found.plain()
     assert json.loads(json.dumps(data)) == data
