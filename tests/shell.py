@@ -70,9 +70,9 @@ def shell(folder: Path) -> Iterator[Shell]:
 
 
 def _serve(address: str) -> None:
-    from torchid.app import set_threads
+    from torchid.app import set_environment
 
-    set_threads(())
+    set_environment(())
     import torchid
     import torchid.app.commands
 

@@ -48,11 +48,11 @@ def test_launchers_run_one_thread_by_default(launcher):
     [([], "1"), (["--threads", "3"], "3"), (["--threads=2"], "2"), (["--threads", "x"], "1")],
 )
 def test_threads_are_set_before_torch_loads(monkeypatch, arguments, expected):
-    from torchid.app import set_threads
+    from torchid.app import set_environment
 
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
-    set_threads(["identify", "3r", *arguments])
+    set_environment(["identify", "3r", *arguments])
     import os
 
     assert os.environ["OMP_NUM_THREADS"] == expected

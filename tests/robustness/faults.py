@@ -430,9 +430,9 @@ def _mount(*arguments: str) -> bool:
 
 def loaded() -> None:
     """What all commands import, here, so that each fork has it."""
-    from torchid.app import set_threads
+    from torchid.app import set_environment
 
-    set_threads(())
+    set_environment(())
     import matplotlib.pyplot
     import torch
 

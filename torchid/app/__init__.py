@@ -13,10 +13,11 @@ from contextlib import suppress
 _ONE_EACH = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def set_threads(arguments: Sequence[str]) -> None:
-    """Set the thread variables from `--threads N` in the arguments, one thread if absent.
+def set_environment(arguments: Sequence[str]) -> None:
+    """Set the variables that libraries read when they are loaded.
 
-    Variables the user has set stay, unless `--threads` is given.
+    Threads are `--threads N` of the arguments, one if absent; what the user has set stays, unless
+    `--threads` is given.
     """
     asked = None
     for k, argument in enumerate(arguments):
@@ -28,6 +29,8 @@ def set_threads(arguments: Sequence[str]) -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     # Arrow's own pool keeps what is freed, which for a large log is as much memory again.
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
+    # Commands draw into files only, whatever windows the user's other programs draw in.
+    os.environ["MPLBACKEND"] = "agg"
     for name in _ONE_EACH:
         if asked is not None:
             os.environ[name] = asked
@@ -53,7 +56,7 @@ def main() -> None:
     """Entry point of `torchid` and of cli.py."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, leave)
-    set_threads(sys.argv[1:])
+    set_environment(sys.argv[1:])
     try:
         from torchid.app.commands import run
     except Exception as error:  # too little memory for a library, or one that is not whole
