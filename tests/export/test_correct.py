@@ -84,7 +84,7 @@ def logs(full: Robot) -> tuple[Log, Log]:
 @pytest.fixture(scope="module")
 def done(full, logs, tmp_path_factory) -> Correction:
     folder = tmp_path_factory.mktemp("corrected")
-    return correct(arm("3r"), full, logs[0], "mjcf", folder, held_out=logs[1], with_effects=True)
+    return correct(arm("3r"), full, logs[0], "mjcf", folder, held_out=logs[1], with_effects="mjlab")
 
 
 def test_fields_and_bodies_that_the_file_can_say_are_found(tmp_path):
@@ -124,6 +124,15 @@ def test_the_claim_is_what_the_engine_says(done):
     for one in judged.forward:
         assert one.engine is not None
         assert float(one.engine.norm()) < 0.5 * float(one.nominal.norm())
+
+
+def test_an_actuator_adds_what_the_file_cannot_say(done):
+    file, beside, actuator = done.exports
+    assert [one.format for one in done.exports] == ["mjcf", "mjcf", "mjlab"]
+    assert actuator.files[0].suffix == ".py"
+    # The same effects: in the sidecar for MuJoCo, at run time for mjlab.
+    assert set(actuator.in_file) | set(actuator.left_out) == set(beside.beside)
+    assert actuator.in_file
 
 
 def test_a_file_with_its_effects_has_the_full_models_error(done):

@@ -14,6 +14,7 @@ from torchid.gap.settings import GapSettings
 if TYPE_CHECKING:
     from torchid.export.correct import Correction
     from torchid.export.projection import Target
+    from torchid.export.write_actuator import Package
     from torchid.gap.diagnosis import Diagnosis
 
 Simulated = Literal["mjcf", "urdf", "drake", "mujoco", "mjlab", "isaaclab", "gazebo"]
@@ -61,7 +62,7 @@ def correct_command(
         name: Of the file, without suffix; the robot's name and `_corrected`.
         with_effects: Also write NAME_effects, fitted together with the effects that the format has
             no field for; they lie in its sidecar, and torchid.simulators.mujoco adds them at run
-            time.
+            time. For isaaclab and mjlab, an actuator class that does so, too.
         effects: Effects to search over, comma-separated; `all` for the whole library.
         background: Effects that are part of the simulator already, on every joint; fitted with the
             base parameters where the robot has no parameters.
@@ -81,7 +82,10 @@ def correct_command(
     with output.progress("reading") as progress:
         result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
     keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
-    done = corrected_by(output, found, result, log, apart, kind, name, keep, settings, with_effects)
+    beside: bool | Package = with_effects
+    if with_effects and (to == "isaaclab" or to == "mjlab"):
+        beside = to
+    done = corrected_by(output, found, result, log, apart, kind, name, keep, settings, beside)
     output.verdict(verdict(result))
     output.tell(correction_shown(done))
 
@@ -96,7 +100,7 @@ def corrected_by(
     name: str | None,
     keep: list[Path],
     settings: GapSettings,
-    with_effects: bool = False,
+    with_effects: "bool | Package" = False,
 ) -> "Correction":
     """Refit, check and write a file to the output's folder.
 

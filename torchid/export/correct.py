@@ -25,6 +25,7 @@ from torchid.export.export import SUFFIXES, Export, export_dynamics, stem_of
 from torchid.export.projection import PRICE, Projection, Projector, Target
 from torchid.export.record import CorrectionRecord, correction_record
 from torchid.export.replay import InDrake, InMujoco, simulator
+from torchid.export.write_actuator import Package, adds_any
 from torchid.export.write_xml import xml_of
 from torchid.extraction.entropic import SPREAD
 from torchid.feasibility.margins import inertia_eigenvalues
@@ -181,7 +182,7 @@ def correct(
     *,
     held_out: Log | None = None,
     settings: GapSettings | None = None,
-    with_effects: bool = False,
+    with_effects: bool | Package = False,
     keep: Sequence[Path] = (),
 ) -> Correction:
     """Write a robot as a simulator's file can say it, refitted to the log's torque.
@@ -198,7 +199,8 @@ def correct(
         settings: of the diagnosis, of which cut-off, band, folds and `rollout` count here: without
             the last nothing is simulated forwards.
         with_effects: write a second file, `_effects` after its name, fitted together with the
-            effects that have no field: they lie in its sidecar, and are added at run time.
+            effects that have no field: they lie in its sidecar, and are added at run time. With a
+            package's name that package's actuator class is written, too, where it adds any.
         keep: files that are never overwritten.
 
     Raises:
@@ -287,7 +289,7 @@ def correct(
     beside = [f"{one.effect.name}{_places(one.joints)}" for one in projection.kept]
     stem = f"{stem_of(robot)}_corrected" if name is None else name
 
-    def write(one: Robot, stem: str, title: str) -> Export:
+    def write(one: Robot, stem: str, title: str, to: Target | Package = to) -> Export:
         return export_dynamics(
             Dynamics(one, "robot", title),
             to,
@@ -304,11 +306,10 @@ def correct(
     files = [write(projection.robot, stem, title)]
     if with_effects:
         every = torch.ones(len(data.samples), dtype=torch.bool)
-        files.append(
-            write(
-                projector.with_effects(every), f"{stem}_effects", f"{words}, with effects beside it"
-            )
-        )
+        beside_it, title = projector.with_effects(every), f"{words}, with effects beside it"
+        files.append(write(beside_it, f"{stem}_effects", title))
+        if with_effects is not True and adds_any(beside_it):
+            files.append(write(beside_it, stem, title, with_effects))
     return Correction(
         robot, projection, judged, tuple(files), _warnings(projection, judged, robot, data.silent)
     )

@@ -18,6 +18,7 @@ from torchid.export.dynamics import Dynamics, robot_torque
 from torchid.export.keeping import Draft, kept, staged
 from torchid.export.write_plain import READER, Written
 from torchid.robot.library import load_robot
+from torchid.robot.model import Robot
 from torchid.robot.writer import robot_yaml
 from torchid.simulators.actuator import EffectTorque
 
@@ -135,6 +136,22 @@ def actuators(stiffness, damping, effort_limit):
 '''
 
 
+def adds_any(robot: Robot) -> bool:
+    """Whether an actuator adds any effect of a robot's."""
+    return bool(_places(robot)["in_file"])
+
+
+def _places(robot: Robot) -> dict[str, list[Valued]]:
+    """What an actuator adds, what the simulator has fields for, and what nobody does."""
+    ignored = EffectTorque(robot).ignored
+    places: dict[str, list[Valued]] = {"in_file": [], "beside": [], "left_out": []}
+    for effect, values in nominal_effects(robot):
+        field = effect.attributes(values) is not None
+        place = "beside" if field else "left_out" if effect.name in ignored else "in_file"
+        places[place].append((effect, values))
+    return places
+
+
 def write_actuator(
     dynamics: Dynamics, package: Package, folder: Path, name: str, motion: Motion
 ) -> Written:
@@ -156,13 +173,7 @@ def write_actuator(
         TorchidError: a robot of whose effects none can be added, or files that cannot be written.
     """
     robot = replace(dynamics.robot, bounds={})
-    ignored = EffectTorque(robot).ignored
-    # What the actuator adds, what the simulator has fields for, and what nobody does.
-    places: dict[str, list[Valued]] = {"in_file": [], "beside": [], "left_out": []}
-    for effect, values in nominal_effects(robot):
-        field = effect.attributes(values) is not None
-        place = "beside" if field else "left_out" if effect.name in ignored else "in_file"
-        places[place].append((effect, values))
+    places = _places(robot)
     if not places["in_file"]:
         raise TorchidError(
             f"'{robot.name}' has no effect that an actuator adds.",
@@ -170,6 +181,7 @@ def write_actuator(
             hint="damping, frictionloss and armature are in what `torchid export --to mjcf` writes",
         )
     lines = [f"- {e.name} ({', '.join(e.coefficient_names())})" for e, _ in places["in_file"]]
+    ignored = dict.fromkeys(effect.name for effect, _ in places["left_out"])
     lines += [f"and not: {', '.join(ignored)}."] if ignored else []
     source, yaml = f"{name}_actuator_{package}.py", f"{name}_effects.yaml"
     text = (_HEAD + (_ISAACLAB if package == "isaaclab" else _MJLAB)).format(
