@@ -127,7 +127,7 @@ def test_the_claim_is_what_the_engine_says(done):
 
 
 def test_an_actuator_adds_what_the_file_cannot_say(done):
-    file, beside, actuator = done.exports
+    _, beside, actuator = done.exports
     assert [one.format for one in done.exports] == ["mjcf", "mjcf", "mjlab"]
     assert actuator.files[0].suffix == ".py"
     # The same effects: in the sidecar for MuJoCo, at run time for mjlab.
