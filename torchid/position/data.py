@@ -60,7 +60,7 @@ class PositionData:
         tracks: commands.
         q: (T, n) measured positions [rad].
         dq: (T, n) their rate, 0 where the joint is at rest [rad/s].
-        body: the rigid body near the measured motion.
+        body: the rigid body near the measured motion, halfway from each row to the next.
         strength: (n,) torques of each joint beside those of a small servo, where a fit starts [1].
         link: whose points may touch a plane, counted from 0.
         set_points: those found last, beside the profiles that they are of.
@@ -283,7 +283,7 @@ def prepare(robot: Robot, log: Log) -> PositionData:
         )
     dq = rates(q, tracks)
     link = _outermost(robot)
-    body = body_near(robot, q, dq, link)
+    body = body_near(robot, q, dq, link).midway(tracks.last)
     strength = _strength(body, tracks.u - q)
     return PositionData(robot, log, scale, tracks, q, dq, body, strength, link)
 

@@ -32,9 +32,9 @@ DAMPINGS = (0.0, 1.0, 10.0, 100.0)
 LONGEST = 0.7
 """Longest step of a logarithm [1]."""
 NOISE = 0.003
-"""Position error that a prior is weighed against [rad]: of two counts of a small servo."""
+"""Largest position error that a prior is weighed against [rad]: of two counts of a small servo."""
 HARDLY = 2e-3
-"""Share of the loss below which another iteration is not worth its time [1]."""
+"""Share of a joint's loss below which another iteration is not worth its time [1]."""
 _PRIOR = {
     "kp": 0.5, "armature": 0.5, "delay": 0.02, "offset": 0.2, "stiction": 0.1, "motor_share": 0.3,
     "load_share": 0.3, "dead_zone": 0.003, "stop_low": 0.05, "stop_high": 0.05, "scale": 0.05,
@@ -169,10 +169,21 @@ def weights(residual: Tensor, windows: Windows) -> Tensor:
     return LARGE / residual.abs().clamp(min=LARGE) * windows.weight[:, None]
 
 
-def prior_precision(names: tuple[str, ...]) -> Float[Tensor, " K"]:
-    """Of the searched coordinates, in units of a squared position error."""
+def prior_precision(names: tuple[str, ...], square: Float[Tensor, " n"]) -> Float[Tensor, "n K"]:
+    """Of the searched coordinates, in units of a squared position error.
+
+    Args:
+        names: of the K parameters.
+        square: mean square error of each joint [rad^2], which a prior is weighed against.
+    """
     deviation = torch.tensor([_PRIOR.get(n, LOOSE) for n in names], dtype=torch.float64)
-    return TOGETHER * (NOISE / deviation) ** 2
+    return TOGETHER * square.clamp(max=NOISE**2)[:, None] / deviation**2
+
+
+def mean_square(residual: Tensor, w: Tensor, windows: Windows) -> Float[Tensor, " n"]:
+    """Of each joint [rad^2], with Huber's weights (L, W, n)."""
+    rows = float((windows.length * windows.weight).sum())
+    return (residual.square() * w).sum((0, 1)) / rows
 
 
 def fit(
@@ -195,7 +206,7 @@ def fit(
         plane: whether to search the plane's numbers too.
         profiles: whether to search profiles too, in the last iteration: to find new set-points
             takes longer than all the rest.
-        iterations: of Gauss-Newton, at most; they end where the loss hardly falls.
+        iterations: of Gauss-Newton, at most; they end where no joint's loss falls much.
     """
     origin, damping = searched(servos), torch.full((servos.n,), 1e-3, dtype=torch.float64)
     plane_damping = 1e-2
@@ -204,14 +215,15 @@ def fit(
         names = tuple(name for name in free if (profiles and last) or name not in PROFILE)
         at = torch.tensor([INDEX[name] for name in names])
         mask = torch.stack([free[name] for name in names], 1)
-        begun, precision = origin[:, at], prior_precision(names)
+        begun = origin[:, at]
         logs = torch.tensor([PARAMETERS[i].kind == "log" for i in at.tolist()])
         s = sensitivities(data, servos, names, windows, plane=plane)
         w = weights(s.residual, windows)
+        precision = prior_precision(names, mean_square(s.residual, w, windows))
         here = searched(servos)
         a = (s.slope * w.sqrt()[..., None]).flatten(0, 1).transpose(0, 1)
         b = (s.residual * w.sqrt()).flatten(0, 1).T
-        gram = a.transpose(1, 2) @ a + torch.diag(precision)
+        gram = a.transpose(1, 2) @ a + torch.diag_embed(precision)
         away = (here[:, at] - begun).nan_to_num(nan=0.0)
         pull = (a * b[..., None]).sum(1) + precision * away
         # What is not free has a unit equation of its own, with the answer 0.
@@ -239,7 +251,7 @@ def fit(
         servos = replace(servos, joint=joint, plane=batch.plane[better].clone())
         factors = torch.tensor([8.0, 0.1, *DAMPINGS[1:]], dtype=torch.float64)
         damping = (damping * factors[best]).clamp(1e-6, 1e3)
-        gain = 1 - float(cost.amin(1).sum() / cost[:, 0].sum())
+        gain = float((1 - cost.amin(1) / cost[:, 0].clamp(min=1e-300)).max())
         plane_damping = max(1e-6, plane_damping * float(factors[better]))
         if gain < HARDLY and not (profiles and not last):
             break

@@ -16,6 +16,7 @@ from torchid.position.data import SMALL, PositionData
 from torchid.position.fit import (
     TOGETHER,
     huber,
+    mean_square,
     prior_precision,
     sensitivities,
     weights,
@@ -51,13 +52,13 @@ class Equations:
     def deviations(self) -> Float[Tensor, "n K"]:
         """Half of the 95 % intervals (n, K) over that of a normal variable; of logarithms where
         parameters are searched so."""
-        to, prior = self._to_values(), torch.diag(prior_precision(self.names))
+        to, prior = self._to_values(), torch.diag_embed(prior_precision(self.names, self.square))
         out = torch.zeros_like(self.mask, dtype=self.gram.dtype)
         for j, on in enumerate(self.mask):
             if not bool(on.any()):
                 continue
             # The prior is one block more, which pulls nowhere.
-            grams = torch.cat([self.gram[:, j], prior[None]])[:, on][:, :, on]
+            grams = torch.cat([self.gram[:, j], prior[j][None]])[:, on][:, :, on]
             pulls = self.pull[:, j, on] - self.pull[:, j, on].mean(0)
             pulls = torch.cat([pulls, torch.zeros_like(pulls[:1])])
             noise = TOGETHER * float(self.square[j])
@@ -101,8 +102,7 @@ def equations(
     pull = torch.zeros(*shape, len(names), dtype=a.dtype)
     pull.index_add_(0, windows.motion, torch.einsum("lwnk,lwn->wnk", a, b))
     mask = torch.stack([free[name] for name in names], 1)
-    rows = float((windows.length * windows.weight).sum())
-    return Equations(servos, names, mask, gram, pull, b.square().sum((0, 1)) / rows)
+    return Equations(servos, names, mask, gram, pull, mean_square(s.residual, w, windows))
 
 
 def folds_of(motions: int, count: int = FOLDS) -> Int[Tensor, " m"]:

@@ -22,6 +22,9 @@ from torchid.typing import Bool
 
 SMOOTH = ("kd", "stiction", "stribeck_speed", "motor_share", "load_share")
 """What has a slope everywhere, beside the core."""
+PLAIN = 30
+"""Most iterations of the plain servo, from which all else begins: joints that feel each other
+settle slowly."""
 TAKEN = 0.03
 """Share of a joint's loss that a size of an effect without slope must take away to be tried [1]."""
 ALIKE = 1.5
@@ -59,7 +62,7 @@ def plain(data: PositionData, windows: Windows) -> Found:
     """The core alone: a servo as simulators have it, fitted to the motions."""
     n = data.robot.n
     free = {name: torch.ones(n, dtype=torch.bool) for name in CORE}
-    servos = fit(data, _start(data, CORE), free, windows, iterations=8)
+    servos = fit(data, _start(data, CORE), free, windows, iterations=PLAIN)
     return Found(servos, free, False)
 
 

@@ -3,6 +3,7 @@
 Nothing of the measured motion is used but the starts.
 """
 
+from dataclasses import replace
 from functools import partial
 
 from torch import Tensor
@@ -43,7 +44,7 @@ def replayed(
     """
     batch = servos
     if servos.joint.ndim == 2:
-        batch = Servos(servos.joint[None], servos.plane[None], servos.link, servos.repeated)
+        batch = replace(servos, joint=servos.joint[None], plane=servos.plane[None])
     link = servos.link % robot.n if bool((servos.plane[..., 4] > 0).any()) else None
     body = partial(body_at, robot, link=link)
     out = rollout(batch, body, tracks, windows, q, dq, longest_step=longest_step)[..., 0]

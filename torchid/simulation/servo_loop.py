@@ -35,6 +35,9 @@ STEP = 0.005
 """Longest step, and longest time for which the rigid body is what it is in its middle [s]."""
 SWEEPS = 30
 """Most solutions of a step where one set is run."""
+COUPLED = 3
+"""The same where many sets are, while a joint has more coupling than inertia; else one: the
+accelerations of the step before are then near enough, and time counts."""
 STOP_STIFFNESS, STOP_SHARE = 200.0, 10.0
 """Of an end stop: so much [N m/rad], and no less than so many times the servo's gain [1]."""
 CONTACT_DAMPING = 20.0
@@ -77,6 +80,14 @@ class Body:
         """It at some of the instants."""
         fields = (getattr(self, field.name) for field in dataclasses.fields(self))
         return Body(*(None if x is None else x[rows] for x in fields))  # type: ignore[arg-type]
+
+    def midway(self, last: Int[Tensor, " m"]) -> "Body":
+        """It between each instant and the next one, for steps from one to the other; at the last
+        instants of motions as it is there."""
+        after = torch.arange(1, len(self.q) + 1)
+        after[last] = last
+        fields = [getattr(self, field.name) for field in dataclasses.fields(self)]
+        return Body(*(None if x is None else (x + x[after]) / 2 for x in fields))  # type: ignore[arg-type]
 
 
 def body_near(
@@ -305,7 +316,8 @@ def rollout(
 
     Args:
         servos: (P, n, K) for P sets on every window, or (W, 1, n, K) for one set a window.
-        body: of all rows of the tracks; or what gives it at positions and velocities, where P is 1.
+        body: halfway from each row of the tracks to the next (`Body.midway`); or what gives it at
+            positions and velocities, where P is 1.
         tracks: the commands.
         windows: W stretches of them.
         q, dq: state at the first row of each window [rad, rad/s].
@@ -351,7 +363,7 @@ def rollout(
             # A body that is not known beforehand is evaluated in each part of a sample, and the
             # steps are solved for their own accelerations.
             1 if known else math.ceil(tracks.dt / STEP - 1e-9),
-            1 if known else SWEEPS,
+            (COUPLED, 1) if known else (SWEEPS, SWEEPS),
         )
         shape = (len(some), servos.n, sets)
         state = _State(*(x[some][..., None].expand(shape).clone() for x in (q, dq)))
@@ -394,11 +406,11 @@ class _Run:
         dt: float,
         longest_step: float,
         parts: int,
-        sweeps: int,
+        sweeps: tuple[int, int],
     ):
         self.table, self.plane, self.points, self.owner = table, plane, points, owner
         self.begin, self.dt, self.longest_step = begin, dt, longest_step
-        self.parts, self.sweeps = parts, sweeps
+        self.parts, self.sweeps, self.least = parts, *sweeps
         each = math.ceil(dt / parts / longest_step - 1e-9)
         steps = parts * each
         self.h = dt / steps
@@ -437,7 +449,7 @@ class _Run:
             self.dt,
             self.longest_step,
             self.parts,
-            self.sweeps,
+            (self.sweeps, self.least),
         )
 
     def knots(self, rows: Tensor) -> list[Tensor]:
@@ -505,7 +517,7 @@ class _Run:
             if self.clips:
                 soft = lean + p["damping"] if more is None else lean + p["damping"] + more
             a = state.a
-            for _ in range(self.sweeps):
+            for _ in range(self.sweeps if heavy else self.least):
                 free = rest - off @ a
                 if heavy:
                     free = free + lacking * a
@@ -519,7 +531,7 @@ class _Run:
                 v = torch.where(w == 0, 0.0, (w - (1 - THETA) * state.v) / THETA)
                 before, a = a, (v - state.v) / h
                 # Until the accelerations are those of this step.
-                if self.sweeps > 1 and float((a - before).abs().max()) * h * h < _SETTLED:
+                if self.least > 1 and float((a - before).abs().max()) * h * h < _SETTLED:
                     break
             state.q, state.v, state.a = torch.add(state.q, w, alpha=h), v, a
 
