@@ -11,6 +11,7 @@ import hashlib
 import time
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -86,6 +87,9 @@ def save(path: Path, now: Progress, problem: Problem, settings: SearchSettings) 
         TorchidError: the file cannot be written.
     """
     arrays = now.state.to_arrays()
+    # Another search of the same folder may have ended, and taken the folder away.
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path, "wb") as stream:
         np.savez(
             stream,
