@@ -43,7 +43,7 @@ UNITS = {
     "counts of an encoder, 4096 a turn": 4096 / (2 * math.pi),
 }
 """What one radian is in units that commands are sent in."""
-SLIGHT = 0.02
+SLIGHT = 0.01
 """Share of the distance between command and position below which nothing is looked for [1]."""
 NEAR = 1.5
 """Factor within which a ratio is that of two units; none of them are nearer to each other."""
