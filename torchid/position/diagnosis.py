@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
+import torch
+
 from torchid.position.data import PositionData
 from torchid.position.model import ServoArm
 from torchid.position.nominal import NominalServo
@@ -129,7 +131,9 @@ class PositionDiagnosis(Result):
         that the answered model takes away; NaN where they leave nothing."""
         floor = self.unseen.square()
         plain, answered = (way.windows.square() for way in (self.plain_servo, self.answered))
-        gap = (plain > GAP * floor) & ~self.still
+        # What windows leave alone is their starts', whose velocities are those of a few samples.
+        both = torch.minimum(plain, self.plain_servo.whole.square())
+        gap = (both > GAP * floor) & ~self.still
         left = (answered - floor)[gap].clamp(min=0).sum() / (plain - floor)[gap].sum()
         return 1.0 - float(left)
 
