@@ -6,7 +6,7 @@ import torch
 from tests.position.planted import DT, planted, robot, true_servos
 from torchid.errors import LogError
 from torchid.position.data import prepare
-from torchid.position.fit import errors, fit, moved, searched, sensitivities
+from torchid.position.fit import errors, fit, loss, moved, searched, sensitivities
 from torchid.position.judge import equations, motion_losses, value_interval
 from torchid.position.search import plain
 from torchid.simulation.servo import INDEX, Servos
@@ -75,7 +75,13 @@ def test_a_fit_moves_only_what_is_free(found):
     off.joint[:, INDEX["kp"]] *= 1.1
     after = fit(data, off, free, windows, iterations=3)
     assert float(after.of("kp")[1]) == pytest.approx(float(off.of("kp")[1]))
-    assert torch.allclose(after.of("kp")[::2], model.servos.of("kp")[::2], rtol=0.02)
+    # Without a load the motions hardly tell kp, but they are followed as well again.
+    left = [
+        loss(errors(data, Servos(s.joint[None], s.plane[None]), windows), windows)[::2, 0]
+        for s in (model.servos, off, after)
+    ]
+    assert bool((left[1] > 1.02 * left[0]).all())
+    assert bool((left[2] < 1.01 * left[0]).all())
     # Torques keep their shares of kp, all else stays as it is.
     others = [INDEX[name] for name in ("damping", "delay", "coulomb", "offset")]
     a, b = (searched(s)[:, others] for s in (after, off))

@@ -15,16 +15,15 @@ from torch import Tensor
 
 from torchid.position.data import PositionData
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PositionEffect
-from torchid.position.fit import errors, fit, loss
+from torchid.position.fit import errors, fit, huber, loss
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import PROFILE, Windows
 from torchid.typing import Bool
 
 SMOOTH = ("kd", "stiction", "stribeck_speed", "motor_share", "load_share")
 """What has a slope everywhere, beside the core."""
-PLAIN = 30
-"""Most iterations of the plain servo, from which all else begins: joints that feel each other
-settle slowly."""
+NEAR = 10.0
+"""Times the loss that calls for no cause within which a plain servo is fitted to the end [1]."""
 TAKEN = 0.03
 """Share of a joint's loss that a size of an effect without slope must take away to be tried [1]."""
 ALIKE = 1.5
@@ -62,7 +61,12 @@ def plain(data: PositionData, windows: Windows) -> Found:
     """The core alone: a servo as simulators have it, fitted to the motions."""
     n = data.robot.n
     free = {name: torch.ones(n, dtype=torch.bool) for name in CORE}
-    servos = fit(data, _start(data, CORE), free, windows, iterations=PLAIN)
+    servos = fit(data, _start(data, CORE), free, windows, iterations=8)
+    # Joints that feel each other settle slowly. Where much is left it is no plain servo, whose
+    # numbers would only be driven away from where another model may begin.
+    near = _one(data, Found(servos, free, False), windows) < NEAR * slight(data, windows)
+    rest = {name: on & near for name, on in free.items()}
+    servos = fit(data, servos, rest, windows, iterations=25)
     return Found(servos, free, False)
 
 
@@ -280,9 +284,11 @@ def alone(data: PositionData, simple: Found, windows: Windows) -> tuple[Found, T
     if bool((before <= least).all()):
         return simple, before <= least, {}
     tried: dict[str, Found] = {}
+    calm = _calm(data, simple, windows, before > NEAR * least)
     for effect in EFFECTS:
         if effect.name not in KEPT:
-            tried[effect.name] = _beside(data, simple, windows, effect)
+            limit = bool(effect.parameters) and effect.parameters[0] in _SIZES
+            tried[effect.name] = _beside(data, calm if limit else simple, windows, effect)
     cost = {name: _one(data, model, windows) for name, model in tried.items()}
     # Limits of set-points are brought to where they are best, where that can matter.
     for name in ("set_point_profile", "set_point_speed"):
@@ -328,6 +334,23 @@ def alone(data: PositionData, simple: Found, windows: Windows) -> tuple[Found, T
         now = Found(servos, free, now.plane)
         cost_now = _one(data, now, windows)
     return now, cost_now <= least, rivals
+
+
+def _calm(data: PositionData, simple: Found, windows: Windows, far: Bool[Tensor, " n"]) -> Found:
+    """Plain servos as the calmer half of the windows tells them, on the joints where much is left.
+
+    What acts beyond a limit does nothing there; beside numbers that have made up for it, it would
+    not be found.
+    """
+    servos, begun = simple.servos, _start(data, CORE)
+    free = {name: on & far for name, on in simple.free.items()}
+    for _ in range(2 if bool(far.any()) else 0):
+        error = errors(data, _batch(servos, 1), windows)[..., 0]
+        own = huber(error)[:, far] / windows.length[:, None]
+        calm = (own / own.mean(0)).sum(1).argsort()[: max(1, len(own) // 2)]
+        joint = torch.where(far[:, None], begun.joint, servos.joint)
+        servos = fit(data, replace(servos, joint=joint), free, windows.some(calm), iterations=8)
+    return replace(simple, servos=servos)
 
 
 def _one(data: PositionData, model: Found, windows: Windows) -> Tensor:
