@@ -318,6 +318,14 @@ def test_a_write_that_fails_leaves_the_old_file(
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_folder_that_does_not_exist(tmp_path: Path) -> None:
+def test_a_folder_that_is_gone_is_made_again(tmp_path: Path) -> None:
+    """Another search of it may have ended, and taken it away."""
+    place = tmp_path / "none" / "search.npz"
+    killed_at(1, place)
+    assert place.exists()
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "none").write_text("a file")
     with pytest.raises(TorchidError, match="cannot be written"):
         extract(problem_of("3r"), SETTINGS, checkpoint=tmp_path / "none" / "search.npz")

@@ -123,6 +123,7 @@ def is_friction(found: Diagnosis) -> None:
     assert worst.joint == 1
 
 
+@pytest.mark.slow
 def test_the_least_worthwhile_size_is_the_users():
     """A friction of half a per cent of the joint's torque, well above the noise of its mean."""
     small = replace(ROBOT, effects=({"effect": "coulomb_friction", "joint": 2, "Fc": 0.025},))
@@ -171,6 +172,7 @@ def test_the_largest_regime_is_on_the_joint_with_friction():
     assert largest is None or largest.joint == 1
 
 
+@pytest.mark.slow
 def test_the_corrected_model_has_no_gap():
     corrected = case("coulomb").corrected
     ((effect, values),) = nominal_effects(corrected)
@@ -182,6 +184,7 @@ def test_the_corrected_model_has_no_gap():
     assert nominal_effects(again.corrected) == nominal_effects(corrected)
 
 
+@pytest.mark.slow
 def test_coarse_encoders_are_no_gap():
     """Positions in steps of 0.2 degrees, differentiated twice, are no torque that the arm lacks."""
     log, step = logged(ROBOT, (0, 1, 2)), 4e-3
@@ -344,6 +347,7 @@ KEYS = {
 STATUSES = {"no_gap", "parametric_only", "explained", "detected_unexplained", "not_testable"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", marked(*CASES))
 def test_records_keep_the_contract(name):
     written = json.loads(json.dumps(case(name).plain(), allow_nan=False))

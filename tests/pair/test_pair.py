@@ -124,6 +124,7 @@ def test_gravity_friction_and_rotors_that_the_simulator_lacks():
         assert found.faults[0].side == "simulator"
 
 
+@pytest.mark.slow
 def test_an_effect_of_one_side_is_named_with_its_side():
     robot = load_robot("3r")
     with_it, without = log(("Fc",)), log(noise=1e-4)

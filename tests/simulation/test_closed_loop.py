@@ -186,6 +186,7 @@ def test_another_rate_is_the_same_motion() -> None:
     assert float((fast.q[::10] - slow.q).abs().max()) < 2e-5
 
 
+@pytest.mark.slow
 def test_a_rollout_of_the_logged_torque_is_the_logged_motion() -> None:
     robot = bare("3r")
     law = [

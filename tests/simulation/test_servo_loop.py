@@ -232,6 +232,7 @@ def test_windows_cover_every_row_once():
     assert rows == list(range(3 * 430))
 
 
+@pytest.mark.slow
 def test_sets_in_a_batch_do_not_disturb_each_other():
     robot, tracks = arm("3r"), sines(3, 100, 2, seed=4)
     a, b = drawn(3, 1), drawn(3, 2)

@@ -104,6 +104,7 @@ def test_what_no_session_tells_is_nothing_and_disturbs_nothing() -> None:
     assert part.units.tolist() == [6, 0, 5]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("units", "sessions"), [(1, 1), (1, 3), (2, 1), (5, 1)])
 def test_small_fleets_say_what_they_cannot_tell(units, sessions) -> None:
     found = pooled(drawn(0, 3, units, sessions, 1.0, 0.3, 0.3))

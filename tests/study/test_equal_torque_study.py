@@ -127,6 +127,7 @@ def test_at_rest_the_error_is_the_weight_of_the_carried_mass(name: str) -> None:
         torch.testing.assert_close(found.carried[:, joint], mass[:, joint:].sum(-1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_errors_against_other_truths_are_those_of_the_wrenches(name: str) -> None:
     found = drawn(name)

@@ -190,6 +190,7 @@ def test_same_seed_same_answer():
     assert where(traces, floor(), 3, band=20.0) == where(traces, floor(), 3, band=20.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("correlation", "runs"),
     [
