@@ -15,7 +15,7 @@ from torchid.effects.inertia import RotorInertia
 from torchid.effects.phase import TimeDelay
 from torchid.effects.registry import EVENTS, KINDS, experiment
 from torchid.effects.spring import JointSpring
-from torchid.effects.transient import Contact
+from torchid.effects.transient import Contact, Saturation
 
 every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 
@@ -144,3 +144,10 @@ def test_attributes_of_a_joint_in_either_format() -> None:
     assert JointSpring(0).attributes([2.0, -0.5]) == spring
     assert JointSpring(0, curvature=1.0).attributes([2.0, -0.5]) is None
     assert StribeckFriction(0).attributes([0.2]) is None
+
+
+def test_a_size_that_is_zero_but_for_rounding_can_be_read_back() -> None:
+    """What is fitted at its bound may lie below it by rounding, which no reader takes."""
+    record = Saturation(0, limit=160.0).record([-1.8e-15])
+    assert record["clip"] == 0.0
+    assert Saturation(0, limit=160.0).record([-0.5])["clip"] == -0.5

@@ -15,14 +15,16 @@ from torchid.effects.registry import nominal_others, on_every_joint
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, folded, nearest_representative, robot_torque, states
 from torchid.export.export import export_dynamics, require_feasible
-from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
+from torchid.export.results import base_dynamics, carried, load, robot_dynamics, set_dynamics
 from torchid.export.tables import read_values
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, nominal_set, sets_record
 from torchid.identification.base_parameters import base_parameters, nominal_values
 from torchid.identification.validation import model_torque
+from torchid.position.model import ServoArm
 from torchid.robot.inertia import InertialParameters
-from torchid.robot.library import named_robot
+from torchid.robot.library import load_robot, named_robot
+from torchid.simulation.servo import Servos
 
 EFFECTS = ("viscous_friction", "rotor_inertia")
 
@@ -299,3 +301,15 @@ def test_what_is_not_reproduced_is_not_kept(tmp_path, monkeypatch):
         exported(with_other(arm("3r")), "yaml", tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["out.yaml"]
     assert (tmp_path / "out.yaml").read_text() == "old"
+
+
+def test_servos_are_exported_as_far_as_joints_have_fields(tmp_path):
+    servos = Servos.neutral(3, kp=260.0, damping=22.0, armature=0.8, coulomb=1.5, delay=0.02)
+    ServoArm(load_robot("3r"), servos, torch.ones(3, dtype=torch.float64)).write(
+        tmp_path / "a.yaml"
+    )
+    found = carried(str(tmp_path / "a.yaml"), None, None, None, None).dynamics
+    sizes = {(e["effect"], e["joint"]) for e in found.robot.effects}
+    names = ("viscous_friction", "coulomb_friction", "rotor_inertia")
+    assert sizes == {(name, j) for name in names for j in (1, 2, 3)}
+    assert "of the servos kp, delay are not in it" in found.warnings[0]

@@ -252,7 +252,17 @@ class RejoinTime(Repair):
             step = t[rows].diff()
             usual = step[step > 0].median()
             mine = [k - rows.start for k in self.steps if rows.start <= k < rows.stop - 1]
+            late = usual - step
             step[mine] = usual
+            # Where stamps stood still and the clock then caught up, the step after them is shorter
+            # by as much: all later stamps were right.
+            for last in [k for k in mine if k + 1 not in mine and k + 1 < len(step)]:
+                first = last
+                while first - 1 in mine:
+                    first -= 1
+                caught_up = step[last + 1] - late[first : last + 1].sum()
+                if usual / 2 < caught_up < step[last + 1]:
+                    step[last + 1] = caught_up
             t[rows] = torch.cat([t[rows][:1], t[rows][0] + step.cumsum(0)])
         return log.replace(t=t)
 

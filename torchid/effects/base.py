@@ -47,6 +47,8 @@ Family = Literal[
 ]
 """What effects of one family have in common is their signature in the torque."""
 
+_ROUNDING = 1e-9
+"""Of the largest size of a coefficient [1]."""
 PLACES = ("joint", "source_joint")
 """Fields of effects that are joints: from 0 in Python, from 1 in files."""
 
@@ -222,7 +224,10 @@ class Effect(ABC):
         out: dict[str, Any] = {"effect": self.name}
         own = {f.name: getattr(self, f.name) for f in fields(self)}
         out |= {place: own.pop(place) + 1 for place in PLACES if place in own}
-        out |= {c.name: float(v) for c, v in zip(self.coefficients, values, strict=True)}
+        for c, v in zip(self.coefficients, values, strict=True):
+            # A solution at a bound of zero may lie below it by rounding, which no reader takes.
+            rounding = c.non_negative and -_ROUNDING * c.largest < v < 0
+            out[c.name] = 0.0 if rounding else float(v)
         return out | own
 
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from torchid.effects.friction import CoulombFriction, ViscousFriction
+from torchid.effects.inertia import RotorInertia
 from torchid.effects.registry import Valued, nominal_effects, nominal_others
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, described, of_base, records
@@ -22,9 +24,11 @@ from torchid.gap.settings import GapSettings
 from torchid.identification.result import Identification
 from torchid.identification.values import identified_base, read_base
 from torchid.json_data import read_json
+from torchid.position.model import ServoArm
 from torchid.results.files import read
 from torchid.robot.library import is_robot, load_both, load_robot, named_robot
 from torchid.robot.model import Robot
+from torchid.simulation.servo import PARAMETERS
 
 Exportable = Dynamics | Identification | ParameterSets | Robot
 IDENTIFICATION = "torchid.identification/1"
@@ -70,7 +74,9 @@ def carried(
     """
     if is_robot(result):
         nominal, original = load_both(result, robot, tip)
-        return Carried(robot_dynamics(nominal), nominal, original)
+        servos = ServoArm.of_file(result)
+        found = robot_dynamics(nominal) if servos is None else servo_dynamics(servos)
+        return Carried(found, nominal, original)
     path = Path(result)
     data = load(path)
     if CORRECTED in data:
@@ -238,6 +244,34 @@ def robot_dynamics(robot: Robot) -> Dynamics:
     robot.require_parameters("an export")
     nominal_effects(robot)
     return Dynamics(robot, "robot", f"the parameters of {Path(robot.source).name or robot.name}")
+
+
+def servo_dynamics(arm: ServoArm) -> Dynamics:
+    """A robot with what its servos are beside their control: damping, dry friction, armature.
+
+    Raises:
+        RobotError: it has no parameters.
+    """
+    own = robot_dynamics(arm.robot)
+    kinds = {"damping": ViscousFriction, "coulomb": CoulombFriction, "armature": RotorInertia}
+    pairs = [
+        (kind(j), [value])
+        for name, kind in kinds.items()
+        for j, value in enumerate(arm.servos.of(name).tolist())
+        if value > 0
+    ]
+    others = [
+        p.name
+        for p in PARAMETERS
+        if p.name not in kinds and bool((arm.servos.of(p.name) != p.neutral).any())
+    ]
+    others += ["plane"] if float(arm.servos.plane[4]) > 0 else []
+    robot = replace(arm.robot, effects=(*arm.robot.effects, *records(pairs)))
+    said = (
+        f"of the servos {', '.join(others)} are not in it: damping, dry friction and armature are; "
+        "`torchid simulate --replay` moves all of the model"
+    )
+    return replace(own, robot=robot, warnings=(*own.warnings, *([said] if others else [])))
 
 
 def _beside(

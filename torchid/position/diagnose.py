@@ -26,7 +26,7 @@ from torchid.position.judge import (
     value_interval,
 )
 from torchid.position.model import accuracy
-from torchid.position.search import Found, Rivals, alone, full, plain, slight
+from torchid.position.search import Found, Rivals, alone, full, plain, shared, slight
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
 from torchid.simulation.servo_loop import Windows, windows_of
@@ -164,6 +164,7 @@ def _answer(
     found, explained, alike = alone(data, simple, few)
     if not bool(explained.all()):
         found = _no_worse(data, found, _no_worse(data, simple, full(data, few, say), few), few)
+        found = shared(data, found, few)
     say("what each effect is worth")
     worth, rivals, found = _needed(data, found, few)
     rivals = {at: names for at, names in alike.items() if bool(explained[at[1]])} | rivals

@@ -101,6 +101,14 @@ class ServoArm:
             )
         return cls(robot, servos, torch.tensor(scale, dtype=torch.float64))
 
+    @classmethod
+    def of_file(cls, name: str | Path) -> "ServoArm | None":
+        """The same of whatever names a robot; None where that has no servos of a fit."""
+        path = Path(name)
+        if path.suffix.lower() not in (".yaml", ".yml") or not path.is_file():
+            return None
+        return cls.read(path) if isinstance(parsed_yaml(path).get(KEY), dict) else None
+
     def write(self, path: str | Path) -> None:
         """The robot's yaml with its servos, whole or not at all.
 

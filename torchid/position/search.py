@@ -353,6 +353,42 @@ def _calm(data: PositionData, simple: Found, windows: Windows, far: Bool[Tensor,
     return replace(simple, servos=servos)
 
 
+def shared(data: PositionData, now: Found, windows: Windows) -> Found:
+    """What more than half of the joints have, tried on the others at the size that is usual there:
+    the servos of an arm are mostly of one make."""
+    for effect in EFFECTS:
+        on = torch.zeros(data.robot.n, dtype=torch.bool)
+        for name in effect.parameters:
+            on |= now.free.get(name, on)
+        if effect.name in KEPT or 2 * int(on.sum()) <= len(on) or bool(on.all()):
+            continue
+        before, begun = _one(data, now, windows), _start(data, CORE)
+        # The others begin where a search does: their numbers have made up for what they lack.
+        joint = torch.where(on[:, None], now.servos.joint, begun.joint)
+        for name in effect.parameters:
+            k, unit = INDEX[name], torch.ones_like(joint)
+            if name in TORQUES:  # beside kp
+                unit = joint[:, INDEX["kp"], None]
+            joint[~on, k] = (joint[on, k] / unit[on, 0]).median() * unit[~on, 0]
+        free = {name: there & ~on for name, there in now.free.items()}
+        free |= dict.fromkeys((*CORE, *effect.parameters), ~on)
+        profiles = any(name in PROFILE for name in effect.parameters)
+        servos = replace(now.servos, joint=joint)
+        servos = fit(data, servos, free, windows, iterations=6)
+        servos = fit(data, servos, free, windows, profiles=profiles, iterations=1)
+        after = _one(data, replace(now, servos=servos), windows)
+        gain = before - after
+        better = ~on & (gain > TAKEN * before) & (gain > least_loss(data, windows))
+        if not bool(better.any()):
+            continue
+        joint = torch.where(better[:, None], servos.joint, now.servos.joint)
+        free = dict(now.free)
+        for name in (*CORE, *effect.parameters):
+            free[name] = free.get(name, torch.zeros_like(on)) | better
+        now = replace(now, servos=replace(now.servos, joint=joint), free=free)
+    return now
+
+
 def _one(data: PositionData, model: Found, windows: Windows) -> Tensor:
     """(n,) losses of a model."""
     return _tried(data, _batch(model.servos, 1), windows)[:, 0]
