@@ -474,8 +474,10 @@ def _beyond(found: Explanation) -> str:
     shares = 1 - (more.losses / fit.losses.clamp(min=1e-300)).sqrt()
     joints = shares.nonzero().flatten().tolist()
     said = ", ".join(f"joint {j + 1} {100 * float(shares[j]):.1f} %" for j in joints)
+    count = len(found.unworthy)
+    are = "term has evidence but is" if count == 1 else "terms have evidence but are"
     return (
-        f"{len(found.unworthy)} more terms have evidence but are not worth a name"
+        f"{count} more {are} not worth a name"
         + (f"; together they would lower the error of {said}" if said else "")
         + ": `worthwhile=...`, `worthwhile_torque=...`"
     )

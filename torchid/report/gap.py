@@ -164,7 +164,7 @@ def closed_words(diagnosis: Diagnosis) -> str:
     """The share of the gap that is closed, with its interval."""
     far = diagnosis.how_far
     if far.closed is None or far.closed_ci95 is None:
-        return "the gap may be noise"
+        return "the gap may be noise" if diagnosis.status == "no_gap" else "nothing of it"
     return f"{percent(far.closed)} {interval(far.closed_ci95)}"
 
 
