@@ -151,3 +151,4 @@ def test_a_size_that_is_zero_but_for_rounding_can_be_read_back() -> None:
     record = Saturation(0, limit=160.0).record([-1.8e-15])
     assert record["clip"] == 0.0
     assert Saturation(0, limit=160.0).record([-0.5])["clip"] == -0.5
+    assert ViscousFriction(0).record([-0.5])["Fv"] == -0.5

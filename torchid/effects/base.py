@@ -16,6 +16,7 @@ delay, a wave number, ...). Its columns X are torque per unit coefficient. There
   needs the robot, and may act on all joints.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -225,9 +226,10 @@ class Effect(ABC):
         own = {f.name: getattr(self, f.name) for f in fields(self)}
         out |= {place: own.pop(place) + 1 for place in PLACES if place in own}
         for c, v in zip(self.coefficients, values, strict=True):
-            # A solution at a bound of zero may lie below it by rounding, which no reader takes.
-            rounding = c.non_negative and -_ROUNDING * c.largest < v < 0
-            out[c.name] = 0.0 if rounding else float(v)
+            # A solution at a bound of zero may lie below it by rounding, which no reader takes;
+            # where there is no largest size, readers take any sign.
+            bound = c.non_negative and c.largest < math.inf
+            out[c.name] = 0.0 if bound and -_ROUNDING * c.largest < v < 0 else float(v)
         return out | own
 
 
