@@ -33,3 +33,11 @@ def test_parts_of_an_error_are_short() -> None:
     for got in (loop, bomb, 10**5000, {"a": bomb}, ["x" * 10_000] * 100):
         assert len(str(TorchidError("no.", got=got, expected=bomb))) < 10_000
     assert str(TorchidError("no.", got=[1.5, "a"])) == "no.\n  got: [1.5, 'a']"
+
+
+def test_the_nearest_of_many_choices_are_told():
+    kinds = ["viscous_friction", "coulomb_friction", "backlash", "payload", "rotor_inertia"]
+    error = TorchidError("unknown effect 'coulomb'.", got="coulomb_fricton", available=kinds)
+    assert "  nearest: coulomb_friction, viscous_friction" in str(error).splitlines()
+    assert "nearest" not in str(TorchidError("unknown effect.", got="sand", available=kinds))
+    assert "nearest" not in str(TorchidError("no.", got="bachlash", available=kinds[:3]))

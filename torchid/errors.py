@@ -8,10 +8,14 @@ import re
 import reprlib
 import unicodedata
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 
 LARGEST = 1e21
 """Size of numbers that nothing measured or built has in any unit, not even time in nanoseconds:
 beyond it, products of a few of them are none any more."""
+
+FEW = 4
+"""Choices of which the nearest need not be told."""
 
 _BEGINNING = reprlib.Repr()
 _BEGINNING.maxlevel, _BEGINNING.maxlist, _BEGINNING.maxtuple, _BEGINNING.maxdict = 4, 40, 40, 40
@@ -85,10 +89,21 @@ class TorchidError(Exception):
         if self.expected is not None:
             parts.append(f"  expected: {_brief(self.expected)}")
         if self.available is not None:
-            parts.append(f"  available: {', '.join(str(a) for a in self.available)}")
+            choices = [str(a) for a in self.available]
+            near = self._nearest(choices) if len(choices) > FEW else []
+            parts += [f"  nearest: {', '.join(near)}"] if near else []
+            parts.append(f"  available: {', '.join(choices)}")
         if self.hint is not None:
             parts.append(f"  hint: {self.hint}")
         return visible("\n".join(parts))
+
+    def _nearest(self, choices: list[str]) -> list[str]:
+        """Those of the choices that what was got, or a name in the problem, may have meant."""
+        named = re.search(r"'([^']+)'", self.problem)
+        word = (self.got if isinstance(self.got, str) else named[1] if named else "")[:100]
+        within = [c for c in choices if len(word) > 3 and word in c][:2]
+        near = get_close_matches(word, choices, n=2, cutoff=0.7)
+        return list(dict.fromkeys([*within, *near]))
 
 
 class RobotError(TorchidError):

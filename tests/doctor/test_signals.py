@@ -1,5 +1,7 @@
 """Faults that need no dynamics to be seen: clock, units, velocities, torque by itself."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ from torchid.doctor.examine import signal_checks
 from torchid.doctor.repair import repaired
 from torchid.log.filtering import low_passed
 from torchid.log.model import Log
+from torchid.robot.model import JointType
 
 SEEN = (
     "q in degrees", "q and dq in degrees", "q in encoder counts", "dq in deg/s", "dq in rpm",
@@ -176,3 +179,19 @@ def test_steps_of_very_different_length_are_not_fine():
     found = named(at(log, t))
     assert found["stamps"].verdict == "doubtful"
     assert found["stamps"].estimate > 2
+
+
+@pytest.mark.parametrize("also_velocity", [False, True])
+def test_millimetres_of_a_sliding_joint(also_velocity):
+    robot, log = clean("3r", 0)
+    assert log.dq is not None
+    sliding = replace(robot, joint_types=(JointType.PRISMATIC, *robot.joint_types[1:]))
+    scale = torch.tensor([1000.0, 1.0, 1.0], dtype=log.q.dtype)
+    wrong = log.replace(q=log.q * scale, dq=log.dq * scale if also_velocity else log.dq)
+    checks, mended = signal_checks(sliding, wrong)
+    (found,) = [c for c in checks if c.verdict != "fine"]
+    assert (found.name, found.joints) == ("position unit", (0,))
+    assert "millimetres" in found.evidence
+    assert torch.allclose(mended.q, log.q)
+    assert mended.dq is not None
+    assert torch.allclose(mended.dq, log.dq)

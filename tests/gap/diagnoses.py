@@ -145,16 +145,16 @@ def diagnosis(status: Status = "explained", **changes: object) -> Diagnosis:
     ]
     regimes = [
         RegimeGap(1, "velocity_reversal", 0.64, (0.55, 0.71), 0.002),
-        RegimeGap(1, "low_speed", 0.2, (-0.01, 0.35), 0.03),
+        RegimeGap(1, "low_speed", 0.2, (0.02, 0.35), 0.03),
         RegimeGap(
             2,
             "transient",
             0.4,
-            (0.0, 0.6),
+            (0.1, 0.6),
             0.01,
             (Window("run1", 12.25, 12.75), Window("run2", 1.0, 1.25)),
         ),
-        RegimeGap(0, "slow_drift", 0.1, (-0.1, 0.3), 0.6),
+        RegimeGap(0, "slow_drift", 0.1, (-0.1, 0.3), 0.02),
     ]
     made = Diagnosis(
         robot=robot,

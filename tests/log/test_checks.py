@@ -124,11 +124,21 @@ def test_joints_that_turn_far() -> None:
 
 def test_a_sliding_joint_has_no_degrees() -> None:
     log = uniform()
-    far = log.replace(q=log.q * DEGREES, dq=log.dq)
-    with pytest.raises(LogError, match="q2"):
-        check(far, prismatic=[True, False])
+    log = log.replace(q=log.q * 5 / log.q.abs().amax(0))
+    scaled = torch.tensor([1.0, DEGREES], dtype=torch.float64)
+    with pytest.raises(LogError, match="q2 looks like degrees"):
+        check(log.replace(q=log.q * scaled), prismatic=[True, False])
     with pytest.raises(LogError, match="every measured velocity"):  # not degrees: the clock
+        check(log.replace(dq=log.dq / 2), prismatic=[True, True])
+
+
+def test_a_sliding_joint_in_millimetres() -> None:
+    log = uniform()
+    far = log.replace(q=log.q * 1000, dq=log.dq * 1000)
+    with pytest.raises(LogError, match="q1 looks like millimetres"):
         check(far, prismatic=[True, True])
+    limits = torch.tensor([[-2000.0, 2000.0]] * 2, dtype=torch.float64)
+    check(far.replace(q=far.q / 20, dq=far.dq / 20), prismatic=[True, True], position_limits=limits)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])

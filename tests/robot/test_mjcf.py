@@ -250,7 +250,7 @@ def two_arms(tmp_path: Path, second: str = "<joint name='k'/>") -> Path:
 def test_branching_lists_the_tips(tmp_path):
     with pytest.raises(RobotError, match="branches") as raised:
         read_mjcf(two_arms(tmp_path))
-    assert raised.value.available == ["a", "b"]
+    assert raised.value.available == ["a (1 joint)", "b (1 joint)"]
     robot = read_mjcf(two_arms(tmp_path), tip="b")
     assert robot.joint_names == ("k",)
     assert robot.warnings == ()

@@ -281,7 +281,7 @@ def gripper(tmp_path: Path) -> Path:
 def test_branching_lists_the_tips(tmp_path):
     with pytest.raises(RobotError, match="branches") as raised:
         read_urdf(gripper(tmp_path))
-    assert raised.value.available == ["pad", "right"]
+    assert raised.value.available == ["pad (2 joints)", "right (2 joints)"]
     assert "'hand'" in raised.value.hint
 
 

@@ -46,6 +46,7 @@ def init(
         force: Replace the project file that is there.
     """
     from torchid.project.guess import guess
+    from torchid.report.table import count
 
     if to.exists() and not force:
         raise TorchidError(f"'{to}' is there already.", hint="--force replaces it; or edit it")
@@ -61,7 +62,7 @@ def init(
     output.put(to, lambda path: write_text(path, found.text(path, out, gains)))
     read(to)
     output.say(
-        f"robot: {found.name}, {n} joints",
+        f"robot: {found.name}, {count(n, 'joint')}",
         f"logs: {', '.join(map(str, found.logs)) or 'none'}",
         f"held out: {', '.join(map(str, found.held_out)) or 'none'}",
     )

@@ -6,7 +6,8 @@ import numpy as np
 import torch
 
 from torchid.doctor.check import Check
-from torchid.log.checks import FOLLOWS, velocity_agreement
+from torchid.doctor.repair import Scale
+from torchid.log.checks import own_units
 from torchid.log.model import Log
 from torchid.robot.model import joint_list
 
@@ -14,8 +15,6 @@ LATEST_S = 0.5
 """Longest lag that is looked for [s]."""
 EVEN = 0.1
 """A joint whose motion per command differs from 1 by more is in another unit, or held back [1]."""
-OTHER_UNIT = 0.2
-"""A measured velocity that differs from the rate of q by more tells q's unit [1]."""
 MOVES = 0.02
 """A command that varies by less moves nothing [rad or m]."""
 
@@ -35,7 +34,8 @@ def check_commands(log: Log) -> Check:
     evidence = f"positions follow the commands late by {said}"
     if odd:
         shares = ", ".join(f"{g:.2f}" for k, g in zip(joints, gains, strict=True) if k in odd)
-        evidence += f"; {joint_list(odd)} makes {shares} of its command"
+        make = f"makes {shares} of its" if len(odd) == 1 else f"make {shares} of their"
+        evidence += f"; {joint_list(odd)} {make} command"
     return Check(
         "commands",
         "doubtful" if odd else "fine",
@@ -69,26 +69,19 @@ def _follow(log: Log, k: int, step: float) -> tuple[float, float]:
 
 def check_channel_units(log: Log) -> Check:
     """Positions whose measured velocities are in another unit: a fraction of a range."""
-    odd = [
-        a
-        for a in velocity_agreement(log)
-        if a.correlation > FOLLOWS and abs(a.ratio * a.correlation - 1) > OTHER_UNIT
-    ]
     if log.dq is None:
         return Check("channel units", "cannot tell", "no velocity is measured to compare with")
+    odd = own_units(log)
     if not odd:
-        return Check("channel units", "fine", "every dq is the rate of its q")
-    factors = [a.ratio * a.correlation for a in odd]
+        return Check("channel units", "fine", "no q and u are in a unit of their own")
     said = ", ".join(
-        f"dq{a.joint + 1} is {f:.3g} times the rate of q{a.joint + 1}"
-        for a, f in zip(odd, factors, strict=True)
+        f"dq{k + 1} is {factor:.3g} times the rate of q{k + 1}" for k, factor in odd.items()
     )
     return Check(
         "channel units",
         "doubtful",
         f"{said}: that joint's q and u are in another unit, such as a fraction of its range",
-        joints=tuple(a.joint for a in odd),
-        estimate=tuple(factors),
+        joints=tuple(odd),
+        estimate=tuple(odd.values()),
         unit="1",
-        fix="multiply q and u by that factor; `gap` on commands does so by itself",
-    )
+    ).mended_by(Scale(("q", "u"), tuple(odd.get(k, 1.0) for k in range(log.n))))

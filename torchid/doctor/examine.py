@@ -209,12 +209,14 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
     add(check_stamps(now))
     add(check_dropouts(now))
     add(check_position_unit(robot, now))
+    if now.u is not None:
+        # Before the velocities, which would be taken for what is wrong.
+        add(check_channel_units(now))
     add(check_velocity(now, fixes))
     add(check_standstill(now))
     add(check_torque(now))
     if now.u is not None:
         add(check_commands(now))
-        add(check_channel_units(now))
     if torque_or_current(now) is not None:
         add(check_saturation(now))
         add(check_resolution(now))

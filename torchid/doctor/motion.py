@@ -9,8 +9,10 @@ from torchid.doctor.repair import Repair, Scale, Unwrap
 from torchid.log.checks import (
     DEGREES,
     FOLLOWS,
+    MILLIMETRES,
     STILL,
     largest_angle,
+    largest_slide,
     near,
     position_jumps,
     velocity_agreement,
@@ -31,11 +33,15 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
     evidence: list[str] = []
     unknown: list[int] = []
     for k, kind in enumerate(robot.joint_types):
-        if kind is JointType.PRISMATIC:
-            continue
         q = log.q[:, k]
         low, high = float(q.min()), float(q.max())
         limits = robot.limits.position
+        if kind is JointType.PRISMATIC:
+            far = max(-low, high) > largest_slide(None if limits is None else limits[k])
+            if far or (k in ratio and near(ratio[k], 1.0 / MILLIMETRES)):
+                factors[k] = 1.0 / MILLIMETRES
+                evidence.append(f"q{k + 1} {low:.4g} to {high:.4g}: millimetres")
+            continue
         far = max(-low, high) > largest_angle(None if limits is None else limits[k])
         degrees = k in ratio and near(ratio[k], 1.0 / DEGREES)
         if not (far or degrees):
@@ -55,12 +61,13 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
             why = f", dq{k + 1} is 1/{1 / ratio[k]:.1f} of its derivative" if degrees else ""
             evidence.append(f"q{k + 1} {low:.4g} to {high:.4g}: degrees{why}")
     # Where most joints are in degrees, the others are too: they only stayed near zero.
-    in_degrees = sum(f == 1.0 / DEGREES for f in factors)
-    if len(factors) <= 2 * in_degrees < 2 * len(factors):
+    rotary = [k for k, kind in enumerate(robot.joint_types) if kind is not JointType.PRISMATIC]
+    in_degrees = sum(factors[k] == 1.0 / DEGREES for k in rotary)
+    if len(rotary) <= 2 * in_degrees < 2 * len(rotary):
         clear = [a.joint for a in velocity_agreement(log) if near(a.ratio, 1.0)]
-        factors = [
-            1.0 / DEGREES if f == 1.0 and k not in clear else f for k, f in enumerate(factors)
-        ]
+        for k in rotary:
+            if factors[k] == 1.0 and k not in clear:
+                factors[k] = 1.0 / DEGREES
     if not evidence:
         size = float(log.q.abs().max())
         return Check("position unit", "fine", f"rad (or m): |q| up to {size:.3g}", estimate=1.0)
@@ -80,7 +87,7 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
         "; ".join(evidence[:3]) + (f"; and {len(evidence) - 3} more" if len(evidence) > 3 else ""),
         joints=joints,
         estimate=tuple(1.0 / factors[k] for k in joints),
-        unit="per rad",
+        unit="per rad" if all(k in rotary for k in joints) else "per rad, per m",
         fix=ask if unknown else None,
     ).mended_by(*repairs)
 

@@ -1,6 +1,5 @@
 """Is dq the derivative of q: of this joint, with this sign, size and timing?"""
 
-import math
 from collections.abc import Collection
 
 import numpy as np
@@ -9,13 +8,12 @@ from scipy.optimize import linear_sum_assignment
 
 from torchid.doctor.check import Check, Choice, among
 from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
-from torchid.log.checks import DEGREES, FOLLOWS, MOVING, near, velocity_agreement
+from torchid.log.checks import FOLLOWS, MOVING, named_ratio, velocity_agreement
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import resample, sampling_rate
 from torchid.robot.model import joint_list
 
-RPM = 30.0 / math.pi
 LATE_S = 0.015
 """Lag of dq behind the derivative of q that is worth mending [s], and"""
 LATE_SHARE = 0.05
@@ -119,15 +117,15 @@ def _velocity_factors(log: Log, said: list[str], joints: list[int]) -> list[floa
         scaled = not 0.8 < a.ratio < 1.25
         if sign < 0 or scaled:
             odd.append(a)
-            factors[a.joint] = sign / _named_ratio(a.ratio)[0] if scaled else sign
+            factors[a.joint] = sign / named_ratio(a.ratio)[0] if scaled else sign
     if not odd:
         return factors
     ratios = [a.ratio for a in odd]
     alike = len(odd) == len(records) and max(ratios) < 1.05 * min(ratios)
-    if alike and _named_ratio(ratios[0])[1] is None and all(a.correlation > 0 for a in odd):
+    if alike and named_ratio(ratios[0])[1] is None and all(a.correlation > 0 for a in odd):
         return float(np.median(ratios))
     for a in odd:
-        _ratio, name = _named_ratio(a.ratio)
+        _ratio, name = named_ratio(a.ratio)
         minus = "-" if a.correlation < 0 else ""
         unit = f", {name}" if name else ""
         said.append(f"dq{a.joint + 1} is {minus}{a.ratio:.4g} times the derivative{unit}")
@@ -138,14 +136,6 @@ def _velocity_factors(log: Log, said: list[str], joints: list[int]) -> list[floa
         for k in rest:
             factors[k] = abs(factors[odd[0].joint])
     return factors
-
-
-def _named_ratio(ratio: float) -> tuple[float, str | None]:
-    """The exact ratio of a known unit, if this is one."""
-    for factor, name in ((DEGREES, "deg/s"), (RPM, "rpm"), (1e3, "mrad/s"), (1.0, "rad/s")):
-        if near(ratio, factor):
-            return factor, name
-    return ratio, None
 
 
 def _wrong_rate(ratio: float, n: int) -> tuple[Check, list[Choice]]:

@@ -10,6 +10,7 @@ from torchid.errors import TorchidError
 from torchid.export.checks import Comparison
 from torchid.export.dynamics import Dynamics, described, nearest_representative, states
 from torchid.export.joint_dynamics import Target
+from torchid.export.nearest import nearest_bodies
 from torchid.export.record import ExportRecord, export_record
 from torchid.export.results import Exportable, dynamics_of
 from torchid.export.write_actuator import Package, write_actuator
@@ -104,8 +105,8 @@ def export_dynamics(
             functions of `torchid.export.results` read from files.
         to: format; drake is an MJCF with what Drake reads of one. All but csv, c and actuators need
             physical parameters: of base parameters those nearest to the robot's own that have
-            exactly them. isaaclab and mjlab are actuator classes that
-            add the effects at run time.
+            exactly them, or, where no bodies do, the nearest bodies that nearly do. isaaclab and
+            mjlab are actuator classes that add the effects at run time.
         folder: made if need be.
         name: of the file, without suffix; the robot's own by default.
         nominal: the robot that the result belongs to, with its own parameters.
@@ -151,6 +152,10 @@ def export_dynamics(
     found = None
     if physical:
         found = check_sets(written, nominal_set(written), geometry=geometry)
+        if not force and dynamics.base is not None and not bool(found.feasibility.feasible[0]):
+            dynamics = nearest_bodies(dynamics, nominal, geometry)
+            written = dynamics.robot
+            found = check_sets(written, nominal_set(written), geometry=geometry)
         if not force:
             require_feasible(dynamics, found)
     folder.mkdir(parents=True, exist_ok=True)
@@ -201,9 +206,8 @@ def require_feasible(dynamics: Dynamics, found: Check) -> None:
         return
     if dynamics.kind == "base parameters":
         hint = (
-            "many sets have these base parameters, and the one nearest to the robot's own is no "
-            "body's: `torchid extract ROBOT RESULT --out DIR` finds feasible ones, of which "
-            "`torchid export DIR/extraction.json` takes the best; the formats csv and c need none"
+            "the bodies nearest to the robot's own keep not all conditions: `torchid extract` with "
+            "other bounds may; the formats csv and c need none"
         )
     else:
         hint = (

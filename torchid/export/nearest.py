@@ -1,15 +1,46 @@
-"""The feasible sets nearest in torque to infeasible ones, as a file and a part of a record."""
+"""Feasible parameters near to infeasible ones: of base parameters the bodies nearest to the robot's
+own, and of sets those nearest in torque, as a file and a part of a record."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from torchid.effects.registry import Valued
-from torchid.export.dynamics import described
+from torchid.export.dynamics import Dynamics, described
+from torchid.export.results import of_set
 from torchid.extraction.convex.nearest import NearestSets, nearest_feasible
+from torchid.extraction.from_identification import problem_of
+from torchid.extraction.near import near_set
 from torchid.feasibility.record import Check
 from torchid.feasibility.sets import sets_record
 from torchid.json_data import plain
+from torchid.robot.model import Robot
+
+
+def nearest_bodies(dynamics: Dynamics, robot: Robot, geometry: str | None) -> Dynamics:
+    """Bodies that have identified base parameters nearly: those nearest to the robot's own, or to
+    typical ones, in the entropic metric (`torchid.extraction.near`).
+
+    Args:
+        dynamics: of base parameters.
+        robot: that was identified.
+        geometry: group of bounds of the centres of mass, as for `check_sets`.
+
+    Raises:
+        TorchidError: effects or bounds that such a search does not take.
+    """
+    assert dynamics.base is not None
+    problem, _ = problem_of(robot, dynamics.base, geometry=geometry)
+    found = near_set(problem)
+    one = of_set(robot, found.sets, dynamics.title)
+    note = (
+        "the parameters nearest to the robot's own that have exactly the identified base "
+        "parameters are no bodies: these are bodies, whose torque is up to "
+        f"{100 * float(found.torque.max()):.2g} % from the identified one; "
+        "`torchid extract` finds others"
+    )
+    return replace(one, kind=dynamics.kind, warnings=(*one.warnings, note))
 
 
 def nearest_sets(

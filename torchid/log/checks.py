@@ -21,6 +21,10 @@ SLOW_STEP_S = 0.5  # no arm's dynamics are logged with longer steps
 JUMP = 0.05  # a step of a position below this is never called a jump [rad or m]
 FOLLOWS = 0.95  # correlation above which dq is the velocity, up to its unit
 DEGREES = 180.0 / math.pi
+MILLIMETRES = 1000.0
+RPM = 30.0 / math.pi
+OTHER_UNIT = 0.2
+"""A measured velocity that differs from the rate of q by more tells q's unit [1]."""
 TIME_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
 
@@ -60,7 +64,7 @@ def check_log(
         )
     _check_finite(log)
     check_increasing(log)
-    _check_positions_in_radians(log, position_limits, slides)
+    _check_position_units(log, position_limits, slides)
     agreement = velocity_agreement(log)
     # Refuse time in milli-, micro- or nanoseconds, or counted in samples.
     step = max(float(log.t[rows].diff().median()) for rows in log.slices())
@@ -140,12 +144,19 @@ def check_increasing(log: Log) -> None:
         )
 
 
-def _check_positions_in_radians(log: Log, limits: Tensor | None, slides: Sequence[bool]) -> None:
+def _check_position_units(log: Log, limits: Tensor | None, slides: Sequence[bool]) -> None:
     for k, slide in enumerate(slides):
-        if slide:
-            continue
         low, high = float(log.q[:, k].min()), float(log.q[:, k].max())
-        limit = largest_angle(None if limits is None else limits[k])
+        own = None if limits is None else limits[k]
+        limit = largest_slide(own) if slide else largest_angle(own)
+        if max(-low, high) > limit and slide:
+            raise LogError(
+                f"{log.label}: q{k + 1} looks like millimetres.",
+                got=f"{low:.4g} to {high:.4g}",
+                expected=f"metres, at most {limit:.3g} for this prismatic joint",
+                hint=f"divide q{k + 1} by 1000; if the joint does slide that far, say so in the "
+                "robot's position limits",
+            )
         if max(-low, high) > limit:
             raise LogError(
                 f"{log.label}: q{k + 1} looks like degrees.",
@@ -162,6 +173,13 @@ def largest_angle(limits: Tensor | None) -> float:
         return 4.0 * math.pi
     # A joint without end (infinite limits) may wind up, but hardly more than eight turns.
     return min(max(2.0 * math.pi, 2.0 * float(limits.abs().max())), 16.0 * math.pi)
+
+
+def largest_slide(limits: Tensor | None) -> float:
+    """The largest |q| of a prismatic joint that is taken for metres."""
+    if limits is None or torch.isnan(limits).any():
+        return 10.0
+    return min(max(1.0, 10.0 * float(limits.abs().max())), 100.0)
 
 
 @dataclass(frozen=True)
@@ -238,6 +256,31 @@ def _check_velocity_unit(log: Log, agreement: Sequence[Agreement], slides: Seque
                 expected="rad",
                 hint=f"multiply q{a.joint + 1} by pi/180",
             )
+
+
+def named_ratio(ratio: float) -> tuple[float, str | None]:
+    """The exact ratio of a known unit, if this is one."""
+    for factor, name in ((DEGREES, "deg/s"), (RPM, "rpm"), (1e3, "mrad/s"), (1.0, "rad/s")):
+        if near(ratio, factor):
+            return factor, name
+    return ratio, None
+
+
+def own_units(log: Log) -> dict[int, float]:
+    """Joints whose q, and command, are in a unit of their own such as a fraction of a range, by
+    the measured velocities: radians (or metres) per unit. Velocities that are in a known unit, or
+    in another one on all joints alike, say nothing of q."""
+    found = [a for a in velocity_agreement(log) if a.correlation > FOLLOWS]
+    # The least-squares slope: velocities late or coarse make the ratio too large.
+    slopes = {a.joint: a.ratio * a.correlation for a in found}
+    odd = {
+        a.joint: slopes[a.joint]
+        for a in found
+        if abs(slopes[a.joint] - 1) > OTHER_UNIT and named_ratio(a.ratio)[1] is None
+    }
+    if 1 < len(odd) == len(slopes) and near(max(odd.values()), min(odd.values())):
+        return {}
+    return odd
 
 
 def near(ratio: float, factor: float) -> bool:

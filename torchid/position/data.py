@@ -6,14 +6,7 @@ from dataclasses import dataclass, field
 import torch
 
 from torchid.errors import LogError, RobotError
-from torchid.log.checks import (
-    DEGREES,
-    FOLLOWS,
-    SLOW_STEP_S,
-    check_increasing,
-    largest_angle,
-    velocity_agreement,
-)
+from torchid.log.checks import DEGREES, SLOW_STEP_S, check_increasing, largest_angle, own_units
 from torchid.log.model import Log
 from torchid.robot.model import JointType, Robot
 from torchid.simulation.servo import INDEX, PARAMETERS
@@ -22,8 +15,6 @@ from torchid.typing import Float, Tensor
 
 UNEVEN = 0.5
 """A step that differs from the median by more than this share of it is no jitter [1]."""
-OTHER_UNIT = 0.2
-"""A measured velocity that differs from the position's by more than this tells its unit [1]."""
 STILL = 0.02
 """Slower than this a start is at rest: one count of a small servo's encoder in 0.1 s [rad/s]."""
 SMALL = PARAMETERS[INDEX["kp"]].start
@@ -207,10 +198,8 @@ def _check_same_unit(log: Log, u: Float[Tensor, "T n"]) -> None:
 def scale_of(log: Log) -> Float[Tensor, " n"]:
     """(n,) radians per unit of q, where the log's own velocities are in another unit than q."""
     scale = torch.ones(log.n, dtype=torch.float64)
-    for a in velocity_agreement(log):
-        if a.correlation > FOLLOWS and abs(a.ratio - 1) > OTHER_UNIT:
-            # The least-squares slope: velocities late or coarse make the ratio too large.
-            scale[a.joint] = a.ratio * a.correlation
+    for joint, factor in own_units(log).items():
+        scale[joint] = factor
     return scale
 
 

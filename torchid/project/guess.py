@@ -189,7 +189,9 @@ def _robot(asked: str | None, tip: str | None, choose: Choose | None) -> tuple[s
     name = asked or (choose("robots", fit) if choose and len(fit) > 1 else fit[0])
     found = robots[name]
     if isinstance(found, RobotError) and name in branching and found.available and choose:
-        tip = choose("it branches; last links of its chains", [str(t) for t in found.available])
+        tips = [str(tip) for tip in found.available]
+        question = f"it branches; last links of its chains are {', '.join(tips)}"
+        tip = choose(question, [tip.rsplit(" (", 1)[0] for tip in tips])
         found = loaded(name)
     if isinstance(found, RobotError):
         raise found

@@ -10,6 +10,7 @@ from torchid.extraction.convex.nearest import NearestSets
 from torchid.feasibility.margins import LINK_CONDITIONS
 from torchid.feasibility.record import Check, excess_percent
 from torchid.report.table import Cell, Shown, Table, cells, joint_numbers, listed
+from torchid.robot.model import JointType
 
 NEAR = 0.05
 """Degree below which a condition is shown as near its boundary."""
@@ -168,7 +169,8 @@ def _coefficient_table(check: Check, k: int) -> Table:
     rows: dict[str, list[Cell]] = {}
     named = [(c, effect.joint) for effect in check.sets.effects for c in effect.coefficients]
     for e, (c, joint) in enumerate(named):
-        name = f"{c.name} [{c.unit}]"
+        slides = check.robot.joint_types[joint] is JointType.PRISMATIC
+        name = f"{c.name} [{c.unit_for(slides)}]"
         row = rows.setdefault(name, [name, *["-"] * n])
         degree = float(found.coefficient_degrees[k, e])
         value = f"{float(check.sets.coefficients[k, e]):.4g}"

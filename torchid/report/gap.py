@@ -96,6 +96,8 @@ def which_table(diagnosis: Diagnosis) -> Table:
     rows = []
     for f in diagnosis.findings:
         values = words.coefficients(f, diagnosis.robot)
+        if words.corrects(f, diagnosis.robot):
+            values = [f"change of {value}" for value in values]
         values = [*values[:_MOST_NUMBERS], *(["..."] if len(values) > _MOST_NUMBERS else [])]
         if f.effect.shapes:
             values.append(f"({', '.join(words.shapes(f, diagnosis.robot))})")
@@ -127,7 +129,10 @@ def meaning_table(diagnosis: Diagnosis) -> Table:
         same = [f for f in diagnosis.findings if f.effect.name == name]
         kind = same[0].effect
         notes = [f"{words.joints_words(f.located)}: {note}" for f in same for note in f.notes]
-        rows.append((words.effect_words(name), "\n".join([kind.meaning, *notes]), kind.remedy))
+        remedy = kind.remedy
+        if any(words.corrects(f, diagnosis.robot) for f in same):
+            remedy += " Where the model has it, the value is a change of the model's."
+        rows.append((words.effect_words(name), "\n".join([kind.meaning, *notes]), remedy))
     if diagnosis.parametric:
         rows.append(("inertial parameters", INERTIA_MEANING, INERTIA_REMEDY))
     columns = ("effect", "what it means", "what to do")

@@ -10,7 +10,7 @@ import torch
 from torchid.gap.diagnosis import Diagnosis, Trace
 from torchid.gap.record import OFTEN, Regime
 from torchid.report.colours import AFTER, BEFORE, BLUE, GREY, INK
-from torchid.report.gap_words import CLEAR, regime_words
+from torchid.report.gap_words import CLEAR, clear_regimes, regime_words
 from torchid.report.panels import Figure, Figures, finish, new_figure, panel, ruled, styled
 from torchid.report.table import joint_unit, percent, torque_unit
 from torchid.statistics.jackknife import student_quantile
@@ -63,7 +63,7 @@ def map_figure(diagnosis: Diagnosis) -> Figure:
             if r is None:
                 continue
             # A number where the excess is clear, else a dot.
-            if r.p < CLEAR and r.excess > 0:
+            if r in clear_regimes(diagnosis, j):
                 clear[y, x] = r.excess
                 text = percent(r.excess).replace(" ", "\u2009")
                 style = {"fontsize": _SMALL, "color": INK, "fontweight": "bold"}
@@ -112,12 +112,10 @@ def bar_figure(diagnosis: Diagnosis) -> Figure:
         linewidth=0, label="noise, from lowest to highest estimate",
     )  # fmt: skip
     top = float(max(before.max(), after.max(), high.max()))
-    for x, b, a in zip(place, before, after, strict=True):
-        if b > 0 and top > 0:
-            change = 100 * (a - b) / b
-            text = f"{change:+.0f}\u2009%" if abs(change) >= 0.5 else "no change"
-            text = text.replace("-", "\u2212")
-            axes.text(x, max(a, b) + 0.02 * top, text, ha="center", fontsize=_SMALL, color=INK)
+    for bars, heights in ((place - 0.2, before), (place + 0.2, after)):
+        for x, height in zip(bars, heights, strict=True):
+            text = f"{height:.3g}"
+            axes.text(x, height + 0.02 * top, text, ha="center", fontsize=_SMALL, color=INK)
     axes.set_xticks(place, [f"joint {j + 1}" for j in range(n)])
     axes.set(xlim=(-0.6, n - 0.4), ylim=(0, 1.12 * top if top > 0 else 1.0))
     axes.grid(axis="x", visible=False)

@@ -41,8 +41,13 @@ def regime_words(name: str) -> str:
 
 
 def clear_regimes(diagnosis: Diagnosis, joint: int) -> list[RegimeGap]:
-    """What holds more than its share of a joint's gap beyond chance, the most first."""
-    found = [r for r in diagnosis.regimes if r.joint == joint and r.p < CLEAR and r.excess > 0]
+    """What holds more than its share of a joint's gap beyond chance, the most first; nothing on a
+    joint whose gap is below all noise."""
+    gap = next(g for g in diagnosis.joints if g.joint == joint)
+    if gap.gap_rms <= gap.noise_floor_rms[0]:
+        return []
+    # Against chance, and in other samples of the log's blocks as well.
+    found = [r for r in diagnosis.regimes if r.joint == joint and r.p < CLEAR and r.ci95[0] > 0]
     return sorted(found, key=lambda r: -r.excess)
 
 
@@ -60,7 +65,9 @@ def measure(value: float, std: float | None, unit: str) -> str:
         return f"{value:.4g} {unit}".rstrip()
     exponent = math.floor(math.log10(std))
     decimals = (1 if std / 10**exponent < 1.95 else 0) - exponent
-    if decimals < 0 or decimals > 6:
+    if -6 <= decimals < 0:
+        return f"{round(value, decimals):.0f} ± {round(std, decimals):.0f} {unit}".rstrip()
+    if abs(decimals) > 6:
         return f"{value:.4g} ± {std:.1g} {unit}".rstrip()
     return f"{value:.{decimals}f} ± {std:.{decimals}f} {unit}".rstrip()
 
@@ -79,6 +86,15 @@ def coefficients(finding: Finding, robot: Robot) -> list[str]:
         f"{c.name} = {measure(value, std, _shown(c.unit, located, robot))}"
         for c, value, std in zip(finding.effect.coefficients, finding.values, spread, strict=False)
     ]
+
+
+def corrects(finding: Finding, robot: Robot) -> bool:
+    """Whether the model has this effect at this place already, so that values are changes of it."""
+    joints = [j + 1 for j in finding.located]
+    return any(
+        r.get("effect") == finding.effect.name and (not joints or r.get("joint") in joints)
+        for r in robot.effects
+    )
 
 
 def shapes(finding: Finding, robot: Robot) -> list[str]:
@@ -200,16 +216,10 @@ def _causes(d: Diagnosis) -> str:
     if len(d.findings) == 1:
         f = d.findings[0]
         place, inner = joints_words(f.located), _inner([f], d.robot)
-        # The model may have this effect at this place already.
-        joints = [j + 1 for j in f.located]
-        known = any(
-            r.get("effect") == f.effect.name and (not joints or r.get("joint") in joints)
-            for r in d.robot.effects
-        )
         return listed(
             [
                 f"the model's {effect_words(f.effect.name)} of {place} is off{inner}"
-                if known
+                if corrects(f, d.robot)
                 else f"{place} has {with_article(f.effect.name)} that the model lacks{inner}",
                 *inertia,
             ]

@@ -40,7 +40,7 @@ def headline(seen: Overview) -> str:
     rates = sorted({f"{t.rate:.4g}" for t in seen.timing if t.rate is not None}, key=float)
     at = f", {' to '.join(dict.fromkeys((rates[0], rates[-1])))} Hz" if rates else ""
     return (
-        f"{', '.join(kinds) or 'log'}: {log.n} joints, {trajectories}, {seconds:.4g} s, "
+        f"{', '.join(kinds) or 'log'}: {count(log.n, 'joint')}, {trajectories}, {seconds:.4g} s, "
         f"{log.samples} samples{at}"
     )
 

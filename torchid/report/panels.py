@@ -24,6 +24,7 @@ Figures = Mapping[str, Callable[..., Figure | None]]
 
 MOST_POINTS = 1000
 """Of a curve."""
+_LETTER, _WIDEST = 0.082, 12.0  # of a title [inches], and of a figure that is widened for it
 
 
 @dataclass(frozen=True)
@@ -194,8 +195,8 @@ def finish(
     columns: int = 4,
     keys: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Figure:
-    """Title at the left; below all panels one legend of what the given ones hold, each name once,
-    and of `keys`, names of lines with their styles."""
+    """Title at the left, for which the figure is made wide enough; below all panels one legend of
+    what the given ones hold, each name once, and of `keys`, names of lines with their styles."""
     from matplotlib.lines import Line2D
 
     handles: dict[str, Any] = {}
@@ -208,6 +209,7 @@ def finish(
             frameon=False, fontsize=8,
         )  # fmt: skip
     figure.suptitle(title, fontsize=11, color=INK, x=0.01, ha="left")
+    figure.set_figwidth(max(figure.get_figwidth(), min(_LETTER * len(title), _WIDEST)))
     return figure
 
 

@@ -121,7 +121,9 @@ def which_figure(result: PositionDiagnosis) -> Figure:
         )  # fmt: skip
     axes.set(yticks=[], ylim=(len(shown) - 0.4, -0.6), xlabel="error in windows of 2 s [mrad]")
     axes.set_xlim(0, 1.25 * max(f.error_without for f in shown))
-    return finish(figure, "what closes it: each effect left out in turn", axes)
+    many = len(result.findings)
+    most = f" (the {len(shown)} largest of {many})" if many > len(shown) else ""
+    return finish(figure, f"what closes it: each effect left out in turn{most}", axes)
 
 
 def error_figure(record: PositionRecord) -> Figure:
@@ -169,7 +171,7 @@ def replay_figure(result: Replay, log: int = 0) -> Figure:
     samples = thin(torch.arange(real.samples))
     alone = real.trajectory_count == 1
     t, x = (thin(real.t - real.t[0]), "time [s]") if alone else (samples, "sample")
-    return joint_lines(title, "position [rad]", t, curves, x)[0]
+    return joint_lines(title, "position [rad or m]", t, curves, x)[0]
 
 
 def worst_place(result: PositionDiagnosis, joint: int) -> slice:

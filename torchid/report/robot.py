@@ -16,8 +16,13 @@ from torchid.report.table import Shown, Table, cells, count, filled, joint_numbe
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
 
-_LIMITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "torque": "N m"}
-"""Limits of a joint, and their units where it turns."""
+_LIMITS = {
+    "position": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "acceleration": ("rad/s²", "m/s²"),
+    "torque": ("N m", "N"),
+}
+"""Limits of a joint, and their units where it turns and where it slides."""
 
 
 def robot_record(robot: Robot) -> dict[str, Any]:
@@ -76,8 +81,13 @@ def robot_tables(robot: Robot) -> list[Table]:
         limits = (_interval(_limit(getattr(robot.limits, name), i)) for name in _LIMITS)
         kind = "prismatic" if robot.joint_types[i] is JointType.PRISMATIC else "revolute"
         rows.append((str(i + 1), robot.joint_names[i], kind, *limits))
-    columns = ("", "joint", "type", *(f"{name} [{unit}]" for name, unit in _LIMITS.items()))
-    joints = Table(f"{robot.name}: {robot.n} joints", columns, rows, words=columns)
+    slides = [kind is JointType.PRISMATIC for kind in robot.joint_types]
+    units = {
+        name: both[0] if not any(slides) else both[1] if all(slides) else " or ".join(both)
+        for name, both in _LIMITS.items()
+    }
+    columns = ("", "joint", "type", *(f"{name} [{unit}]" for name, unit in units.items()))
+    joints = Table(f"{robot.name}: {count(robot.n, 'joint')}", columns, rows, words=columns)
     p = robot.parameters
     if p is None:
         return [joints]

@@ -166,6 +166,8 @@ def percent(value: float) -> str:
     """A fraction in percent; with a decimal where it would be taken for none or all."""
     if not math.isfinite(value):
         return "-"
+    if 1 - 5e-4 < value < 1:
+        return "> 99.9 %"
     near = min(abs(value), abs(1 - value))
     return f"{100 * value:.1f} %" if 5e-4 <= near < 5e-3 else f"{100 * value:.0f} %"
 

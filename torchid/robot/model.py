@@ -158,7 +158,8 @@ class Robot:
 
     def __repr__(self) -> str:
         known = "without parameters" if self.parameters is None else "with parameters"
-        return f"Robot('{self.name}', {self.n} joints, {known}, {len(self.effects)} effects)"
+        joints = "1 joint" if self.n == 1 else f"{self.n} joints"
+        return f"Robot('{self.name}', {joints}, {known}, {len(self.effects)} effects)"
 
     @property
     def n(self) -> int:

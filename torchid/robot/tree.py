@@ -173,6 +173,16 @@ class Tree:
                     waiting.append(joint.child)
         return Group(poses)
 
+    def joints_to(self, link: str) -> list[TreeJoint]:
+        """Movable joints between the root and a link."""
+        out = []
+        while link in self.above:
+            joint = self.above[link]
+            if joint.movable:
+                out.append(joint)
+            link = joint.parent
+        return out[::-1]
+
     def leaving(self, group: Group) -> list[TreeJoint]:
         """Movable joints from a group to others, in file order."""
         return [joint for joint in self.joints if joint.movable and joint.parent in group.poses]
@@ -217,16 +227,20 @@ def _only_tip(tree: Tree, root: str) -> tuple[str, tuple[str, ...]]:
 
 
 def _branching(tree: Tree, leaving: list[TreeJoint], has_chain: bool) -> RobotError:
+    """Ends of chains, and links before which they branch again, each with its number of joints."""
+    before = leaving[0].parent
     tips: list[str] = []
     waiting = [joint.child for joint in reversed(leaving)]
     while waiting:
         group = tree.group(waiting.pop())
         onward = [joint.child for joint in reversed(tree.leaving(group))]
         waiting.extend(onward)
-        if not onward:
-            ends = tree.ends(group)
-            tips.append(ends[0] if len(ends) == 1 else group.link)
-    before = leaving[0].parent
+        if len(onward) == 1:
+            continue
+        ends = [] if onward else tree.ends(group)
+        tip = ends[0] if len(ends) == 1 else group.link
+        joints = len(tree.joints_to(tip))
+        tips.append(f"{tip} ({joints} joint{'s' * (joints > 1)})")
     return RobotError(
         f"{tree.source}: the robot branches into several moving chains at '{before}' "
         f"(joints {', '.join(repr(joint.name) for joint in leaving)}).",
@@ -241,13 +255,7 @@ def _chain_to(tree: Tree, root: str, tip: str) -> Chain:
         raise RobotError(
             f"{tree.source}: there is no link to be the tip.", got=tip, available=list(tree.links)
         )
-    joints, link = [], tip
-    while link != root:
-        joint = tree.above[link]
-        if joint.movable:
-            joints.append(joint)
-        link = joint.parent
-    joints.reverse()
+    joints = tree.joints_to(tip)
     if not joints:
         raise RobotError(
             f"{tree.source}: no joint can move between the root '{root}' and the tip '{tip}'."
