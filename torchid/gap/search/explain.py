@@ -26,6 +26,7 @@ from torchid.gap.search.evidence import (
     Fitted,
     Question,
     apart,
+    common_names,
     fit_terms,
     residual,
     rows_of,
@@ -142,9 +143,36 @@ def explained(
         moved = [at_estimate(t, v) for t, v in pairs]
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
         extra += [e for t in start for e in t.effects if e.linearised and len(t.effects) == 1]
-    fit = settled(question, fit.terms, fit)
-    solution = solved(given, fit.terms, fit.values(), data, wanted, block, fit.effective)
-    return Explanation(question, fitted(question), fit, tuple(left), solution)
+    while True:
+        fit = settled(question, fit.terms, fit)
+        solution = solved(given, fit.terms, fit.values(), data, wanted, block, fit.effective)
+        gone = vanished(question, solution)
+        if not gone:
+            return Explanation(question, fitted(question), fit, tuple(left), solution)
+        # The search ends without what vanished at the model found.
+        question = replace(question, barred=question.barred | {t.key for t in gone})
+        rest = [t for t in fit.terms[len(question.fixed) :] if t.key not in question.barred]
+        fit = allowed(question, fit_terms(question, rest, fit.effective, fit.weight))
+        fit, left = exchanged(question, folds, fit, left)
+
+
+def vanished(question: Question, solution: Solution) -> list[Term]:
+    """Causes that make less torque at the corrected model than is worth a name, whatever they made
+    at the model that their columns were taken at: no error falls by more than the torque that is
+    added to a model. What most joints have may be small on one of them."""
+    rows = question.normal.rows.clamp(min=1.0)
+    least = question.least(solution.left.square().sum(1) / rows)
+    common = common_names(solution.terms, question.joints)
+    columns = solution.a.split([len(v) for v in solution.values])
+    gone = []
+    for term, values, a in list(zip(solution.terms, solution.values, columns, strict=True))[
+        len(question.fixed) :
+    ]:
+        torque = (torch.tensordot(values, a, 1).square().sum(1) / rows).sqrt()
+        small = bool((torque < least).all()) and term.name not in common
+        if small and not question.shows(term):
+            gone.append(term)
+    return gone
 
 
 def settled(question: Question, terms: Sequence[Term], fit: Fitted) -> Fitted:
