@@ -303,15 +303,14 @@ def test_a_sinusoid_is_eq_5_2():
 # --- design
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "factor"), [("3r", 2.0), ("kuka_lwr4", 2.0)])
-def test_the_design_improves_the_condition_number(name, factor):
+@pytest.mark.parametrize("name", some(["3r", "kuka_lwr4"], 1))
+def test_the_design_improves_the_condition_number(name):
     robot = load_robot(name)
     calls = []
     designed = optimise_trajectory(
         robot, seed=0, restarts=4, iterations=60, progress=lambda k, n: calls.append((k, n))
     )
-    assert designed.condition_after < designed.start_condition / factor
+    assert designed.condition_after < designed.start_condition / 2
     assert designed.condition_after < min(designed.condition_before)
     assert calls == [(k, 60) for k in range(1, 61)]
     motion = designed.trajectory.sample(10_000).motion

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from tests.marks import some
 from tests.position.diagnosed import diagnosis, finding
 from tests.position.planted import COUNT, planted, robot, true_servos
 from torchid.position.data import prepare
@@ -18,15 +19,14 @@ from torchid.results.files import load
 from torchid.simulation.servo_loop import Windows
 
 CAUSES = {
-    "set_point_profile": {"acceleration": (2, 4.0)},
     "stribeck_friction": {"stiction": (2, 4.0), "stribeck_speed": (2, 0.02)},
+    "set_point_profile": {"acceleration": (2, 4.0)},
     "end_stop": {"stop_high": (3, 0.25)},
     "derivative_gain": {"kd": (2, 25.0)},
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cause", [*CAUSES, None])
+@pytest.mark.parametrize("cause", some([None, *CAUSES], 2))
 def test_a_planted_cause_is_named(cause, tmp_path):
     extra = CAUSES[cause] if cause else {}
     servos = true_servos(3, **extra)
