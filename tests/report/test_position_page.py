@@ -101,3 +101,22 @@ def test_a_plain_servo_that_is_enough_hides_what_is_small():
     assert 0.1 < low < high
     assert f"less than {low:.1f} to {high:.1f} mrad" in position_verdict(enough)
     assert enough.record.where.joints[0].unseen_mrad == pytest.approx(float(enough.unseen[0]))
+
+
+def test_where_an_answer_is_worse_than_a_plain_servo_is_said():
+    found = diagnosis(finding("end_stop", 2, 14.0, 6.0, stop_high=0.4))
+    assert "worse" not in position_verdict(found)
+    before, after = (torch.tensor(x).double() for x in ((9.0, 14.0, 2.0), (60.0, 6.0, 9.0)))
+    regimes = {"holding": (before, after), "low_speed": (before, after.flip(0))}
+    changed = replace(found, regimes=regimes)
+    said = position_verdict(changed)
+    assert "worse than a plain servo on joint 1 (holding), 9.0 -> 60.0 mrad" in said
+    joint = replace(changed, answered=replace(found.answered, whole=after))
+    assert "worse than a plain servo on joint 1, 9.0 -> 60.0 mrad." in position_verdict(joint)
+
+
+def test_a_size_whose_interval_holds_nothing_is_not_determined():
+    one = finding("end_stop", 2, 14.0, 6.0, stop_high=0.4)
+    unsure = replace(one, sizes=(replace(one.sizes[0], interval=(-0.1, 0.9)),))
+    texts = [str(c) for row in position_tables(diagnosis(unsure))[2].rows for c in row]
+    assert any("not determined" in text for text in texts)

@@ -144,8 +144,10 @@ def meaning_table(diagnosis: Diagnosis) -> Table:
 def how_far_table(diagnosis: Diagnosis) -> Table:
     """RMS per joint before and after, beside the noise."""
     far, floor = diagnosis.how_far, diagnosis.floor
+    units = {joint_unit(diagnosis.robot, j) for j in range(diagnosis.robot.n)}
     rows = [
-        (name, *cells(level), f"{float(level.norm()):.3g}")
+        # Newtons and newton metres have no sum.
+        (name, *cells(level), f"{float(level.norm()):.3g}" if len(units) == 1 else "-")
         for name, level in (
             ("as given", far.rms_before), ("corrected", far.rms_after),
             ("noise, at least", floor.low), ("noise, at most", floor.high),

@@ -26,6 +26,8 @@ def shown(result: PositionDiagnosis) -> Shown:
     )
 
 
+MOST_WORSE = 3
+"""Places where an answer is worse than a plain servo that are named."""
 _STATUS = {
     "no_gap": "Nothing beside a plain servo is needed.",
     "detected_unexplained": "A gap is left that no effect closes.",
@@ -56,7 +58,30 @@ def position_verdict(result: PositionDiagnosis) -> str:
             )
         return said
     said += f" What closes it: {', '.join(names)}."
+    worse = [f"{place}, {_change(before, after)} mrad" for place, before, after in _worse(result)]
+    if worse:
+        more = " and elsewhere" if len(worse) > MOST_WORSE else ""
+        said += f" It is worse than a plain servo on {'; '.join(worse[:MOST_WORSE])}{more}."
     return said if result.status == "explained" else f"{said} {_STATUS[result.status]}"
+
+
+def _worse(result: PositionDiagnosis) -> list[tuple[str, Tensor, Tensor]]:
+    """Joints, or regimes of them, whose error is larger by more than would be seen: where, the
+    plain servo's error, and the answer's [mrad]."""
+
+    def larger(before: Tensor, after: Tensor) -> list[int]:
+        seen = (after - before > result.unseen) & ~result.still
+        return [int(j) for j in seen.nonzero().flatten()]
+
+    before, after = result.plain_servo.whole, result.answered.whole
+    joints = larger(before, after)
+    rows = [(f"joint {j + 1}", before[j], after[j]) for j in joints]
+    return rows + [
+        (f"joint {j + 1} ({regime_words(name)})", before[j], after[j])
+        for name, (before, after) in result.regimes.items()
+        for j in larger(before, after)
+        if j not in joints
+    ]
 
 
 def position_tables(result: PositionDiagnosis) -> list[Table]:
@@ -287,4 +312,5 @@ def _size(size: Size) -> str:
     low, high = size.interval
     if math.isnan(low):
         return f"{size.name} {size.value:.3g}{unit}"
-    return f"{size.name} {size.value:.3g} [{low:.3g}, {high:.3g}]{unit}"
+    unsure = ", not determined" if low <= 0 <= high else ""
+    return f"{size.name} {size.value:.3g} [{low:.3g}, {high:.3g}]{unit}{unsure}"
