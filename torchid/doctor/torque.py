@@ -100,15 +100,16 @@ def _pile(x: np.ndarray) -> tuple[float, float]:
     others = x[~at]
     if len(starts) >= RUN and len(np.unique(others)) > DISTINCT * len(others):
         return float(at.mean()), level  # only its largest value ever comes back
+    # Torque that comes at a lower rate holds every value for as long, its largest too.
     longest = int((ends - starts).max())
+    if longest < RUN * len(x) / (1 + int((np.diff(x) != 0).sum())):
+        return 0.0, level
     # The band just below the level, as wide as the signal's own resolution or a fiftieth of it.
     width = max(_resolution(x), 0.02 * spread)
     below = ((x < level) & ~at & (x >= level - 1.5 * width)).sum()
-    # Torque that comes at a lower rate holds every value for as long, its largest too.
-    usual = len(x) / (1 + int((np.diff(x) != 0).sum()))
     # A value that is held at rest is not clipped: it is met at a slope.
     steep = _arrives_steeply(x, starts, ends)
-    if longest < RUN * usual or at.sum() < 3 * max(1, below) or not steep:
+    if at.sum() < 3 * max(1, below) or not steep:
         return 0.0, level
     return float(at.mean()), level
 
