@@ -2,9 +2,11 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import torchid
 from tests.golden.documents import DOCUMENTS, SLOW, Bench
 from tests.golden.shapes import losses, shape
 from tests.withheld.fakes import plant
@@ -14,6 +16,10 @@ __all__ = ["plant"]
 
 STORED = Path(__file__).parent / "schemas"
 AGAIN = "meant so? python -m tests.golden.write schemas"
+
+
+NO_RESULTS = ("effects", "excite", "log_show", "robot", "simulate")
+"""Documents of commands that say what there is, or what they wrote."""
 
 
 @pytest.fixture(autouse=True)
@@ -34,13 +40,27 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in DOCUMENTS]
 )
-def test_documents_have_what_they_had(name, bench, plant, types_unchecked) -> None:
+def test_documents_have_what_they_had(name, bench, plant, types_unchecked, tmp_path) -> None:
     document = DOCUMENTS[name](bench)
+    if name not in NO_RESULTS:
+        are_read_back(document, tmp_path)
     if name.startswith("gap_") and name != "gap_rollout":
         assert document["status"] == name.removeprefix("gap_")
     stored = json.loads((STORED / f"{name}.json").read_text())
     found = losses(stored, shape(document))
     assert not found, "\n".join([*found, AGAIN])
+
+
+def are_read_back(document: dict[str, Any], folder: Path) -> None:
+    """A result is read as it was written, and shows itself."""
+    (folder / "given.json").write_text(json.dumps(document))
+    found = torchid.load(folder / "given.json")
+    assert found.schema == document["schema"]
+    found.save(folder / "again.json")
+    assert json.loads((folder / "again.json").read_text()) == document
+    assert len(repr(found).splitlines()) == 1
+    assert len(found.to_frame()) == len(found.table)
+    assert found._repr_html_().startswith("<p>")
 
 
 def test_every_document_has_a_golden_file() -> None:

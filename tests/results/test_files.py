@@ -1,4 +1,5 @@
-"""Every command's result is read back, and from then on is worth as much as what was computed."""
+"""Results are read back, and from then on are worth as much as what was computed; that of every
+command is read back where its document is compared (tests/golden)."""
 
 import json
 from dataclasses import dataclass
@@ -9,46 +10,12 @@ import pytest
 import torchid
 from tests.arms import arm
 from tests.compare.records import identification
-from tests.golden.documents import DOCUMENTS, SLOW, Bench
-from tests.withheld.fakes import plant
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.gap.record import GapRecord, GapSettingsRecord
 from torchid.gap.settings import GapSettings
 from torchid.identification.record import SettingsRecord
 from torchid.identification.settings import Settings
 from torchid.results.files import RECORDS
-
-__all__ = ["plant"]
-
-NO_RESULTS = ("effects", "excite", "log_show", "robot", "simulate")
-"""Documents of commands that say what there is, or what they wrote."""
-
-
-@pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    return Bench(tmp_path_factory.mktemp("results"))
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n
-        for n in DOCUMENTS
-        if n not in NO_RESULTS
-    ],
-)
-def test_results_are_read_back_as_they_were_written(
-    name, bench, plant, types_unchecked, tmp_path
-) -> None:
-    document = DOCUMENTS[name](bench)
-    (tmp_path / "given.json").write_text(json.dumps(document))
-    found = torchid.load(tmp_path / "given.json")
-    assert found.schema == document["schema"]
-    found.save(tmp_path / "again.json")
-    assert json.loads((tmp_path / "again.json").read_text()) == document
-    assert len(repr(found).splitlines()) == 1
-    assert len(found.to_frame()) == len(found.table)
-    assert found._repr_html_().startswith("<p>")
 
 
 def test_every_schema_has_a_record() -> None:
