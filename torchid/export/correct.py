@@ -36,7 +36,7 @@ from torchid.gap.settings import GapSettings
 from torchid.gap.validate.folds import make_folds, traces
 from torchid.log.model import Log
 from torchid.results.record import Result
-from torchid.robot.model import Robot
+from torchid.robot.model import Robot, joint_list
 from torchid.simulation.loads import changes_measurement
 from torchid.simulation.open_loop import true_torque
 from torchid.simulation.shooting import starts_of, windows_of
@@ -398,7 +398,7 @@ def _warnings(
     said = []
     if silent:
         said.append(
-            f"joint {', '.join(str(j + 1) for j in silent)}: the measured torque holds no signal, "
+            f"{joint_list(silent)}: the measured torque holds no signal, "
             "so the file keeps the friction of the robot as given, and nothing is judged there"
         )
     if not projection.believable:

@@ -34,7 +34,7 @@ from torchid.effects.phase import JointElasticity
 from torchid.errors import LogError
 from torchid.identification.identify import prepared
 from torchid.log.model import Log
-from torchid.robot.model import Robot
+from torchid.robot.model import Robot, joint_list
 from torchid.typing import Bool, Float, Int, Tensor
 
 SHORTEST = 4 * EDGE
@@ -102,11 +102,10 @@ class Data:
         if not bool(silent.any()):
             return self
         joints = tuple(silent.nonzero().flatten().tolist())
-        names = ", ".join(str(j + 1) for j in joints)
         said = (
-            f"joint {names}: neither the model nor any rigid body with friction foretells the "
-            "measured torque better than its mean does, so nothing is told there; all of its gap "
-            "counts as noise"
+            f"{joint_list(joints)}: neither the model nor any rigid body with friction foretells "
+            "the measured torque better than its mean does, so nothing is told there; all of the "
+            "gap there counts as noise"
         )
         keep = self.keep & ~silent.unsqueeze(1)
         return replace(self, keep=keep, silent=joints, warnings=(*self.warnings, said))
@@ -184,8 +183,7 @@ def prepare(
         )
     said = [*warnings, *(w for m in measured for w in m.warnings)]
     if still:
-        names = ", ".join(str(j + 1) for j in still)
-        said.append(f"joint {names} never moves: its friction and inertia cannot be told")
+        said.append(f"at rest in all of the log: {joint_list(still)}, of which nothing can be told")
     if highest < CUTOFF:
         said.append(
             f"above {highest:.2g} Hz noise of the positions, twice differentiated, is more than "

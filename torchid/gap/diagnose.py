@@ -36,7 +36,7 @@ from torchid.identification.base_parameters import base_parameters
 from torchid.identification.identify import refuse_repeated
 from torchid.log.model import Log
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
-from torchid.robot.model import Robot
+from torchid.robot.model import Robot, joint_list
 from torchid.simulation.two_models import rollouts
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_length, block_numbers
@@ -462,8 +462,8 @@ def warnings_of(
     # Joints on which the corrected model is worse.
     worse = checked.far.rms_after > checked.far.rms_before
     if found.terms and bool(worse.any()):
-        joints = ", ".join(str(j + 1) for j in worse.nonzero().flatten().tolist())
-        out.append(f"on data that was not fitted the corrected model is worse on joint {joints}")
+        joints = joint_list(worse.nonzero().flatten().tolist())
+        out.append(f"on data that was not fitted the corrected model is worse on {joints}")
     return out + needs_trust(found)
 
 
