@@ -5,12 +5,25 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tests.gap.problems import SIMPLE, measured, named, question_of, term, two_folds
-from torchid.effects.friction import CoulombFriction, ViscousFriction
+from tests.gap.motions import ROBOT
+from tests.gap.problems import (
+    SIMPLE,
+    measured,
+    named,
+    question_of,
+    term,
+    two_folds,
+    wanted_of,
+)
+from torchid.design.columns import Columns, Model
+from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.periodic import Cogging
+from torchid.effects.transient import Saturation
 from torchid.gap.search.climb import climbed, fitted, moves, worthy
 from torchid.gap.search.evidence import apart, offers
-from torchid.gap.search.explain import refined, resumed
+from torchid.gap.search.explain import refined, resumed, vanished
+from torchid.gap.search.solve import solved
+from torchid.gap.search.terms import Term
 
 
 def test_what_is_barred_is_not_offered() -> None:
@@ -62,3 +75,27 @@ def test_a_shape_between_those_of_the_grid_is_found_before_its_cause_is(between:
     with_it, without = apart(again, fitted(again, [own]), fitted(again, [near]))
     assert with_it.evidence > without.evidence
     assert torch.isfinite(torch.tensor(with_it.evidence))
+
+
+def test_what_makes_no_torque_at_the_corrected_model_vanishes() -> None:
+    """A clip that the torque of the model as given would meet, and that of the corrected one, whose
+    offset takes it away from there, does not."""
+    quiet = measured([(TorqueOffset(1), [-60.0])])
+    reached = max(float(s.tau[:, 1].abs().max()) for s in quiet.segments)
+    clip, offset = Saturation(1, limit=1.02 * reached), TorqueOffset(1)
+    data = measured([(offset, [-60.0]), (CoulombFriction(0), [0.8])])
+    names = ("torque_offset", "coulomb_friction", "saturation")
+    question = question_of(data, names, extra=[clip])
+    blocks = torch.arange(len(data.samples)) // 100
+
+    def told(*terms: Term) -> list[tuple[str, int | None]]:
+        fit = fitted(question, terms)
+        columns = Columns(Model(ROBOT, ()), data.samples)
+        solution = solved(columns, fit.terms, fit.values(), data, wanted_of(names), blocks)
+        return [(t.name, t.place) for t in vanished(question, solution)]
+
+    friction = term(question, "coulomb_friction", 0)
+    clipped = next(t for t in question.candidates.terms if t.effects == (clip,))
+    assert bool(clipped.at.numel())  # the model as given would meet it
+    assert told(term(question, "torque_offset", 1), friction, clipped) == [("saturation", 1)]
+    assert told(term(question, "torque_offset", 1), friction) == []
