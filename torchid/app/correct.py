@@ -1,37 +1,18 @@
 """`torchid correct`: from logs to a corrected file of the simulator, in one call."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.output import Computed, Output
+from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
 from torchid.gap.settings import GapSettings
 
-if TYPE_CHECKING:
-    from torchid.export.correct import Correction
-    from torchid.export.projection import Target
-    from torchid.export.write_actuator import Package
-    from torchid.gap.diagnosis import Diagnosis
-
 Simulated = Literal["mjcf", "urdf", "drake", "mujoco", "mjlab", "isaaclab", "gazebo"]
 """What a corrected file can be for; the last four read one of the first two."""
-
-_READ: dict[Simulated, "Target"] = {
-    "mjcf": "mjcf", "urdf": "urdf", "drake": "drake", "mujoco": "mjcf", "mjlab": "mjcf",
-    "isaaclab": "mjcf", "gazebo": "urdf",
-}  # fmt: skip
-
-
-def file_format(asked: Simulated) -> "Target":
-    """mjcf, urdf or drake, once it is known that something here can run it."""
-    from torchid.export.correct import require_engine
-
-    require_engine(_READ[asked])
-    return _READ[asked]
 
 
 @command
@@ -71,6 +52,7 @@ def correct_command(
         gain_std: How well the scale of each joint's torque is known, one standard deviation as a
             share of it.
     """
+    from torchid.export.correct import file_format
     from torchid.export.export import require_name
     from torchid.report.gap_words import verdict
     from torchid.report.robot import correction_shown
@@ -82,36 +64,11 @@ def correct_command(
     with output.progress("reading") as progress:
         result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
     keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
-    beside: bool | Package = with_effects
-    if with_effects and (to == "isaaclab" or to == "mjlab"):
-        beside = to
-    done = corrected_by(output, found, result, log, apart, kind, name, keep, settings, beside)
-    output.verdict(verdict(result))
-    output.tell(correction_shown(done))
-
-
-def corrected_by(
-    output: Output,
-    robot: "torchid.Robot",
-    full: "torchid.Robot | Diagnosis",
-    log: "torchid.Log",
-    held_out: "torchid.Log | None",
-    to: "Target",
-    name: str | None,
-    keep: list[Path],
-    settings: GapSettings,
-    with_effects: "bool | Package" = False,
-) -> "Correction":
-    """Refit, check and write a file to the output's folder.
-
-    Args:
-        output: of the command.
-        robot, full, log, held_out, to, name, keep, settings, with_effects: see
-            `torchid.export.correct.correct`.
-    """
     done = torchid.correct(
-        robot, full, log, to, output.out or Path(), name, held_out=held_out, settings=settings,
-        with_effects=with_effects, keep=keep,
+        found, result, log, kind, output.out or Path(), name, held_out=apart, settings=settings,
+        with_effects=with_effects and (to if to == "isaaclab" or to == "mjlab" else True),
+        keep=keep,
     )  # fmt: skip
-    output.write_json(done.plain(), "correction.json")
-    return done
+    said = output.keep(done, "correction.json", correction_shown)
+    output.verdict(verdict(result))
+    output.tell(said)

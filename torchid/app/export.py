@@ -7,7 +7,6 @@ import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.correct import corrected_by
 from torchid.app.output import Computed, Output
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
@@ -97,10 +96,11 @@ def export_command(
         )
     read = reading.read(log, found.original)
     apart = reading.read(held_out, found.original) if held_out else None
-    made = corrected_by(
-        output, found.original, found.dynamics.robot, read, apart, to, name, keep, found.settings
-    )
-    output.tell(correction_shown(made))
+    made = torchid.correct(
+        found.original, found.dynamics.robot, read, to, output.out or Path(), name,
+        held_out=apart, settings=found.settings, keep=keep,
+    )  # fmt: skip
+    output.give(made, "correction.json", correction_shown)
 
 
 def _randomised(
