@@ -9,7 +9,7 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.faults import resumable
-from torchid.app.output import Computed, stage
+from torchid.app.output import Computed
 from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, SearchSettings
@@ -108,6 +108,7 @@ def extract_command(
     from torchid.extraction.found import descended
     from torchid.feasibility.derived_bounds import NONE, WIDE
     from torchid.feasibility.sets import sets_record
+    from torchid.parallel.workers import stage
     from torchid.report.extraction import loss_notes, shown
 
     if resume and output.out is None:
@@ -145,7 +146,7 @@ def extract_command(
         with resumable(checkpoint), output.progress() as progress:
             found = torchid.extract(
                 problem, settings, checkpoint=checkpoint, resume=resume, keep=True,
-                device=opt.device(device_name), report=stage(progress, "stages"),
+                device=device_name, report=stage(progress, "stages"),
             ).found  # fmt: skip
     notes = (*notes, *found.warnings, *loss_notes(found, values))
     found = replace(found, proof=proven, warnings=notes)
@@ -172,6 +173,7 @@ def atlas_command(
     Args:
         level: Of the confidence region of identified base parameters.
     """
+    from torchid.parallel.workers import stage
     from torchid.report.extraction import atlas_shown
 
     problem, found, notes = sought.problem(arm, "two-step")

@@ -9,7 +9,7 @@ import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.correct import Simulated
+from torchid.app.export import Simulated
 from torchid.app.output import Output, Reported
 from torchid.app.project import current
 from torchid.app.signature import command

@@ -8,13 +8,10 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.output import Computed, Printed, worded
-from torchid.app.project import ProjectCommand, group
+from torchid.app.project import group
 from torchid.app.signature import command
 
-log_app = group("log", "What a log is, before anything is computed from it.")
 
-
-@log_app.command("doctor", cls=ProjectCommand)
 @command
 def doctor_command(
     *,
@@ -62,7 +59,6 @@ def doctor_command(
         output.say(f'or read the log with --columns "{flag}"')
 
 
-@log_app.command("show", cls=ProjectCommand)
 @command
 def show_command(
     *,
@@ -122,3 +118,7 @@ def show_command(
     if out is not None:
         gained = "" if log is seen.log else ", with torque: current times the drive gains"
         output.say(f"{log.samples} samples{gained}")
+
+
+_ALL = doctor_command, show_command
+log_app = group("log", "What a log is, before anything is computed from it.", _ALL)

@@ -19,12 +19,10 @@ from rich.text import Text
 from torchid.app import begun
 from torchid.app.signature import PLACE, WRITTEN, Fields
 from torchid.errors import TorchidError, visible
-from torchid.files import probe, write_text
+from torchid.files import make_folder, write_text
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from torchid.report.page.document import InputFile, Origin, Page
     from torchid.report.table import Shown
 
@@ -67,24 +65,11 @@ class Output:
             MissingExtraError: a page is asked for, and what makes it is not installed.
         """
         if self.out is not None:
-            try:
-                self.out.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise TorchidError(
-                    f"the output folder '{self.out}' cannot be made: {error.strerror or error}."
-                ) from error
-            probe(self.out)
+            make_folder(self.out)
         if self.report is not None:
-            if self.report.suffix.lower() not in (".html", ".htm"):
-                raise TorchidError(
-                    "--report writes an HTML page.",
-                    got=self.report,
-                    expected="FILE.html",
-                    hint="a browser prints it as PDF",
-                )
-            from torchid.report.page.document import require_templates
+            from torchid.report.page.document import require_page
 
-            require_templates()
+            require_page(self.report)
         import torch
 
         begun()
@@ -93,12 +78,7 @@ class Output:
         logging.basicConfig(level=level, format="%(message)s")
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: "TracebackType | None",
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Say which files there are, unless the command failed.
 
         Raises:
@@ -275,18 +255,11 @@ class Output:
             yield lambda stage, done, total: over("" if done == total > 0 else stage)
             over("")
             return
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
-        from rich.progress import Progress as Bars
+        from rich import progress as bar
 
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-        times = (TimeElapsedColumn(), TextColumn("left:"), TimeRemainingColumn())
-        with Bars(*columns, *times, console=console, transient=True) as bars:
+        words = bar.TextColumn("{task.description}"), bar.BarColumn(), bar.MofNCompleteColumn()
+        times = bar.TimeElapsedColumn(), bar.TextColumn("left:"), bar.TimeRemainingColumn()
+        with bar.Progress(*words, *times, console=console, transient=True) as bars:
             task, running = bars.add_task(escape(visible(first)), total=None), first
 
             def report(stage: str, done: int, total: int) -> None:
@@ -355,10 +328,3 @@ def of(progress: Progress | None, name: str) -> Progress | None:
     if progress is None:
         return None
     return lambda stage, done, total: progress(f"{name}: {stage}", done, total)
-
-
-def stage(progress: Progress | None, name: str) -> Callable[[int, int], None] | None:
-    """A callback (done, total) of one stage."""
-    if progress is None:
-        return None
-    return lambda done, total: progress(name, done, total)

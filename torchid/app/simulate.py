@@ -117,7 +117,7 @@ def simulate_command(
         log = torchid.simulate(
             found, motion, effects=effects, noise=model, closed_loop=moves, rate=rate,
             controller=controller, seed=seed,
-            device="cpu" if moves else opt.device(device_name),
+            device="cpu" if moves else device_name,
         )  # fmt: skip
     output.put(target, partial(torchid.write_log, log))
     assert log.tau is not None

@@ -1,15 +1,17 @@
-"""`torchid study`: the report's studies as one command."""
+"""`torchid study` and `torchid demo`: the report's studies as one command, and the main job on its
+robots in under a minute."""
 
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from torchid.app import options as opt
 from torchid.app.faults import resumable
-from torchid.app.output import Reported, of
-from torchid.app.signature import Switch, command
+from torchid.app.output import Output, Reported, of
+from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, Schedule
 from torchid.json_data import write_json
@@ -69,7 +71,6 @@ def study_command(
     for given in names:
         settings = load_study(given).quick() if quick else load_study(given)
         every.append(replace(settings, search=replace(settings.search, **changed)))
-    where = opt.device(device_name)
     studies, records = [], []
     for given, settings in zip(names, every, strict=True):
         folder, own = None if out is None else out / settings.name, output
@@ -89,7 +90,7 @@ def study_command(
                 settings,
                 checkpoints=checkpoints,
                 resume=resume,
-                device=where,
+                device=device_name,
                 report=of(progress, settings.name),
             )
         records.append(found.plain())
@@ -114,3 +115,26 @@ def study_command(
         output.tell(page.shown(found))
         if out is not None:
             output.say(f"results of {found.settings.name} are in {out / found.settings.name}")
+
+
+@command
+def demo_command(
+    *,
+    seed: opt.Seed = 0,
+    output: Annotated[Output, Fields("json_file", "quiet", "threads", out=Path("demo"))],
+    device_name: opt.Device = "cpu",
+) -> None:
+    """Identify the report's 3R and KUKA LWR IV+ from synthetic logs, and compare with the truth.
+
+    Example: `torchid demo --out demo`
+
+    Args:
+        out: Folder for results.
+    """
+    from torchid.report.demo import shown
+    from torchid.study.demo import demo_record, kuka_demo, paper_demo
+
+    paper = paper_demo()
+    with output.progress() as progress:
+        kuka = kuka_demo(seed, device_name, progress)
+    output.give(demo_record(paper, kuka), "demo.json", lambda _: shown(paper, kuka))

@@ -11,13 +11,11 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Printed
-from torchid.app.project import ProjectCommand, group
+from torchid.app.project import group
 from torchid.app.signature import PLACE, WRITTEN, Fields, Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.withheld.settings import PLANTED
-
-withheld_app = group("withheld", "Check the diagnosis on data whose cause was withheld from it.")
 
 SetArgument = Annotated[
     Path,
@@ -62,7 +60,6 @@ def _joints(text: str) -> list[int] | None:
     return [int(part) - 1 for part in parts]
 
 
-@withheld_app.command("make")
 @command
 def make_command(
     *,
@@ -101,7 +98,6 @@ def make_command(
     output.say(f"SHA-256 of the keys: {made.keys_sha256}")
 
 
-@withheld_app.command("run")
 @command
 def run_command(
     *,
@@ -132,7 +128,6 @@ def run_command(
     output.warn(tuple(f"{case}: {error}" for case, error in failed.items()))
 
 
-@withheld_app.command("score")
 @command
 def score_command(
     *,
@@ -179,7 +174,6 @@ def score_command(
     output.tell(said)
 
 
-@withheld_app.command("leave-out")
 @command
 def leave_out_command(
     *,
@@ -214,7 +208,6 @@ def leave_out_command(
     output.say(leave_out_headline(result))
 
 
-@withheld_app.command("own", cls=ProjectCommand)
 @command
 def own_command(
     *,
@@ -249,3 +242,9 @@ def own_command(
             jobs=workers.count, progress=progress,
         )  # fmt: skip
     output.give(result, "own.json", own_shown, seed=settings.seed)
+
+
+_ALL = make_command, run_command, score_command, leave_out_command, own_command
+withheld_app = group(
+    "withheld", "Check the diagnosis on data whose cause was withheld from it.", _ALL
+)

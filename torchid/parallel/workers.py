@@ -32,6 +32,8 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 
 Progress = Callable[[str, int, int], None]
+"""Takes stage, done, total; a total of 0 where it is not known."""
+
 Workers = int | str | Executor
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -41,6 +43,11 @@ RETRIES = 2
 
 PATIENCE = 20
 """Time in which a dask scheduler must answer [s]."""
+
+
+def stage(progress: Progress | None, name: str) -> Callable[[int, int], None] | None:
+    """A callback (done, total) of one stage."""
+    return None if progress is None else lambda done, total: progress(name, done, total)
 
 
 class RefusedError(TorchidError):
