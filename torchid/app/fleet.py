@@ -73,7 +73,7 @@ class Engine:
     ) -> "tuple[FleetModel, tuple[FleetLog, ...], Workers, Store | None]":
         """What logs are reduced to, the logs, who reduces them, and where answers are kept: None
         for this run only."""
-        from torchid.fleet.manifest import fleet_logs, read_manifest
+        from torchid.fleet.manifest import logs_of
         from torchid.fleet.model import FleetModel
         from torchid.parallel.store import Store
 
@@ -85,12 +85,7 @@ class Engine:
                 "what several machines compute needs a place that all of them see.",
                 expected="--store DIR|URL, or --out DIR",
             )
-        if (units.manifest is None) is (not units.logs):
-            raise TorchidError(
-                "the logs of a fleet are needed.", expected="LOG..., or --manifest FILE"
-            )
-        found = units.manifest
-        logs = fleet_logs(units.logs or []) if found is None else read_manifest(found)
+        logs = logs_of(units.logs or (), units.manifest)
         robot, gain = units.load(), units.gain
         gains = None if gain is None else tuple(opt.numbers("--gain", gain, robot.n))
         model = FleetModel(robot, settings, units.request(robot.joint_names), gains)

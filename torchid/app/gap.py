@@ -54,11 +54,7 @@ class _Asked:
 
 @command
 def gap_command(
-    *,
-    trials: _Trials,
-    settings: Annotated[GapSettings, opt.GAP],
-    asked: _Asked,
-    output: Reported,
+    *, trials: _Trials, settings: Annotated[GapSettings, opt.GAP], asked: _Asked, output: Reported
 ) -> None:
     """Find where a simulator's torque and the arm's disagree, which unmodelled effects cause it,
     and how far the gap shrinks with them.
@@ -140,12 +136,7 @@ def gap_command(
         output.tell(one)
 
 
-def _pair(
-    output: Output,
-    trials: _Trials,
-    asked: _Asked,
-    settings: GapSettings,
-) -> None:
+def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings) -> None:
     """A simulator's logs against the arm's."""
     from torchid.log.readers import open_logs
     from torchid.report.pair import shown
@@ -157,22 +148,18 @@ def _pair(
             expected="--simulated SIM --real REAL",
         )
     own = current().logs
-    others = [
-        name
-        for name, given in (
-            ("LOG", trials.logs and not own),
-            ("--held-out", trials.held_out and not current().held_out),
-            ("--save-model", asked.save_model),
-            ("--for", asked.for_),
-            ("--view", asked.view),
-            ("--report", output.report),
-        )
-        if given
-    ]
-    if others:
+    others = {
+        "LOG": trials.logs and not own,
+        "--held-out": trials.held_out and not current().held_out,
+        "--save-model": asked.save_model,
+        "--for": asked.for_,
+        "--view": asked.view,
+        "--report": output.report,
+    }
+    if any(others.values()):
         raise TorchidError(
             "--simulated and --real take the logs' place, and go without these.",
-            got=", ".join(others),
+            got=", ".join(name for name, given in others.items() if given),
         )
     robot = trials.load() if trials.robot else None
     names = () if robot is None else robot.joint_names

@@ -41,10 +41,7 @@ def identify_command(
     settings: Annotated[
         Settings,
         Fields(
-            "rows",
-            "basis",
-            "covariance",
-            "signs",
+            "rows basis covariance signs",
             effects=Annotated[
                 tuple[str, ...],
                 typer.Option(metavar="NAME[:joint=J,SHAPE=V],.."),
@@ -109,8 +106,7 @@ def payload_command(
     settings: Annotated[
         Settings,
         Fields(
-            "signs",
-            "rows",
+            "signs rows",
             effects=opt.FittedEffects,
             cutoff=opt.FilterCutoff,
             method=opt.Method,

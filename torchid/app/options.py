@@ -288,12 +288,13 @@ def limited(
     robot: "torchid.Robot", velocity: str | None, acceleration: str | None
 ) -> "torchid.Robot":
     """The robot with velocity or acceleration limits from the command line."""
-    changed = {}
-    for name, text in (("velocity", velocity), ("acceleration", acceleration)):
-        if text is None:
-            continue
-        values = numbers(f"--max-{name}", text, robot.n)
+    given = {"velocity": velocity, "acceleration": acceleration}
+    asked = {
+        name: numbers(f"--max-{name}", text, robot.n)
+        for name, text in given.items()
+        if text is not None
+    }
+    for name, values in asked.items():
         if not min(values) > 0:
-            raise TorchidError(f"--max-{name} must be positive.", got=text)
-        changed[name] = values
-    return robot.with_limits(**changed)
+            raise TorchidError(f"--max-{name} must be positive.", got=given[name])
+    return robot.with_limits(**asked)

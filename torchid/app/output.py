@@ -23,11 +23,9 @@ from torchid.files import make_folder, write_text
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
+    from torchid.parallel.workers import Progress
     from torchid.report.page.document import InputFile, Origin, Page
     from torchid.report.table import Shown
-
-Progress = Callable[[str, int, int], None]
-"""Takes stage, done, total; a total of 0 where it is not known."""
 
 
 @dataclass(frozen=True)
@@ -167,26 +165,28 @@ class Output:
                 if (figure := draw()) is not None:
                     self.put(self.out / f"{picture}.png", partial(save, figure))
         if shown.page is not None:
-            self.write_page(shown.page, files=files, seeds={"seed": seed}, settings=settings or {})
+            about = {"seeds": {"seed": seed}, "settings": settings or {}}
+            self.write_page(shown.page, self.report, files=files, **about)
         return shown
 
     def write_page(
         self,
         build: "Callable[[Origin], Page]",
+        file: Path | None,
         *,
         files: "Sequence[InputFile]",
         seeds: Mapping[str, object],
         settings: Mapping[str, object],
     ) -> None:
         """Write the page that `build` makes of the result's origin, if one is asked for."""
-        if self.report is None:
+        if file is None:
             return
         from torchid.report.page.document import origin, write_page
 
         made = origin(
             arguments=sys.argv, started=self.started, seeds=seeds, settings=settings, files=files
         )
-        self.put(self.report, partial(write_page, build(made)))
+        self.put(file, partial(write_page, build(made)))
 
     def hashed(self, named: Sequence[tuple[str, str, Path]]) -> "tuple[InputFile, ...]":
         """Sizes and hashes of inputs (role, name to show, path), before they are used; nothing if
@@ -228,7 +228,7 @@ class Output:
             self.say(worded("! ", "yellow") + worded(warning))
 
     @contextmanager
-    def progress(self, first: str = "") -> Iterator[Progress | None]:
+    def progress(self, first: str = "") -> "Iterator[Progress | None]":
         """A callback (stage, done, total) that draws one bar on standard error: what is running,
         how much is left; where that is no terminal, one line a stage, when it is over, with the
         seconds that it took. None, and nothing is said, with --quiet.
@@ -321,10 +321,3 @@ class _Console(Console):
     def on_broken_pipe(self) -> None:
         with suppress(SystemExit):
             super().on_broken_pipe()
-
-
-def of(progress: Progress | None, name: str) -> Progress | None:
-    """A callback whose stages are those of one of several things, with its name before them."""
-    if progress is None:
-        return None
-    return lambda stage, done, total: progress(f"{name}: {stage}", done, total)

@@ -10,7 +10,7 @@ import typer
 
 from torchid.app import options as opt
 from torchid.app.faults import resumable
-from torchid.app.output import Output, Reported, of
+from torchid.app.output import Output, Reported
 from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, Schedule
@@ -58,6 +58,7 @@ def study_command(
         figures: Draw the figures into --out.
     """
     out = output.out
+    from torchid.parallel.workers import of
     from torchid.report.study import page
     from torchid.robot.library import robot_file
     from torchid.study.settings import load_study, study_file, study_names
@@ -73,48 +74,40 @@ def study_command(
         every.append(replace(settings, search=replace(settings.search, **changed)))
     studies, records = [], []
     for given, settings in zip(names, every, strict=True):
-        folder, own = None if out is None else out / settings.name, output
-        if name == "all":
+        folder, file = None if out is None else out / settings.name, output.report
+        if name == "all" and file is not None:
             # Each study has a page of its own: report_3r.html beside report.html.
-            file = output.report
-            file = file and file.with_name(f"{file.stem}_{settings.name}{file.suffix}")
-            own = replace(output, report=file)
+            file = file.with_name(f"{file.stem}_{settings.name}{file.suffix}")
         robot_entry = ("robot", settings.robot, robot_file(settings.robot))
-        files = own.hashed([("study", given, study_file(given)), robot_entry])
+        files = output.hashed([("study", given, study_file(given)), robot_entry])
         checkpoints = None
         if folder is not None:
             checkpoints = folder / _CHECKPOINTS
             checkpoints.mkdir(parents=True, exist_ok=True)
-        with resumable(checkpoints), own.progress() as progress:
+        with resumable(checkpoints), output.progress() as progress:
+            told = of(progress, settings.name)
             found = run_study(
-                settings,
-                checkpoints=checkpoints,
-                resume=resume,
-                device=device_name,
-                report=of(progress, settings.name),
+                settings, checkpoints=checkpoints, resume=resume, device=device_name, report=told
             )
         records.append(found.plain())
         if folder is not None:
             write_json(records[-1], folder / "study.json")
             if figures:
                 page.write_study(found, folder)
-        build = partial(page.study_page, found)
-        own.write_page(build, files=files, **page.seeds_and_settings(found))
-        if own is not output:
-            output.written.extend(own.written)
+        about = page.seeds_and_settings(found)
+        output.write_page(partial(page.study_page, found), file, files=files, **about)
         studies.append(found)
     output.write_json(
         records[0] if name != "all" else {"schema": "torchid.studies/1", "studies": records},
         "study.json",
     )
     # Not sooner: of several studies, the first ones need not be searched again.
-    for settings in every:
-        if out is not None:
-            remove_checkpoints(settings, out / settings.name / _CHECKPOINTS)
     for found in studies:
         output.tell(page.shown(found))
         if out is not None:
-            output.say(f"results of {found.settings.name} are in {out / found.settings.name}")
+            folder = out / found.settings.name
+            remove_checkpoints(found.settings, folder / _CHECKPOINTS)
+            output.say(f"results of {found.settings.name} are in {folder}")
 
 
 @command

@@ -1,6 +1,5 @@
 """`torchid withheld`: check the diagnosis on data whose cause was withheld from it."""
 
-import os
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,9 +44,9 @@ class Workers:
     @property
     def count(self) -> int:
         """Of processes; all cores that this one may use, by default."""
-        if self.jobs is None and hasattr(os, "sched_getaffinity"):
-            return len(os.sched_getaffinity(0))
-        return self.jobs or os.cpu_count() or 1
+        from torchid.parallel.workers import cores
+
+        return self.jobs or cores()
 
 
 def _joints(text: str) -> list[int] | None:

@@ -73,10 +73,6 @@ def wrenches_command(
         output.give(data, "wrenches.json", lambda _: equal_torque.shown(study))
         return
     given = read_all_sets(sets, robot)
-    if reference is not None and reference not in given.ids:
-        raise TorchidError(
-            "--reference names none of the sets.", got=reference, available=given.ids[:20]
-        )
     found = torchid.compare_wrenches(
         robot, given, reference, motion=motion, geometry=geometry, total_mass=total_mass,
         resamples=resamples, seed=seed,
