@@ -69,8 +69,7 @@ def export_command(
     """
     from torchid.export.projection import Target
     from torchid.export.results import carried, diagnosis
-    from torchid.report.randomisation import randomisation_shown
-    from torchid.report.robot import correction_shown, export_shown
+    from torchid.report.robot import correction_shown, export_shown, randomisation_shown
 
     if randomise is not None:
         if to is not None:

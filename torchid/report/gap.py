@@ -12,7 +12,7 @@ from torchid.report import gap_figures
 from torchid.report import gap_words as words
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Picture
-from torchid.report.simulator_block import simulator_block
+from torchid.report.robot import simulator_block
 from torchid.report.table import (
     Shown,
     Table,

@@ -30,7 +30,7 @@ from torchid.report import (
     given_sets,
     identification,
     log,
-    position_figures,
+    position,
     withheld,
 )
 from torchid.report import gap_figures as gap
@@ -95,9 +95,9 @@ def kinds(result: Result) -> Figures:
         case GapRecord():
             return _gap(_diagnosis(result))
         case PositionRecord():
-            return {"how_far": partial(position_figures.error_figure, result)}
+            return {"how_far": partial(position.error_figure, result)}
         case Replay():
-            return {"positions": partial(position_figures.replay_figure, result)}
+            return {"positions": partial(position.replay_figure, result)}
         case Identification():
             return _identification(result)
         case IdentificationRecord():
@@ -112,11 +112,11 @@ def kinds(result: Result) -> Figures:
             return extraction.figures(result)
         case PositionDiagnosis():
             return {
-                "where": partial(position_figures.where_figure, result),
-                "which": partial(position_figures.which_figure, result),
+                "where": partial(position.where_figure, result),
+                "which": partial(position.which_figure, result),
                 **kinds(result.record),
-                "joint": lambda joint=None: position_figures.joint_figure(
-                    result, position_figures.worst_joints(result)[0] if joint is None else joint
+                "joint": lambda joint=None: position.joint_figure(
+                    result, position.worst_joints(result)[0] if joint is None else joint
                 ),
             }
         case Examination():
