@@ -22,6 +22,7 @@ from torchid.report.panels import (
     shaded_map,
     side_bars,
     styled,
+    worst_stretch,
 )
 from torchid.report.table import joint_unit, percent, torque_unit
 from torchid.statistics.jackknife import student_quantile
@@ -182,13 +183,10 @@ def torque_figure(diagnosis: Diagnosis, joint: int | None = None) -> Figure:
     joint = worst_joints(diagnosis)[0] if joint is None else joint
     trace, rows, most = diagnosis.traces[0], slice(0, len(diagnosis.traces[0].valid)), -1.0
     for own in diagnosis.traces:
-        length = min(len(own.valid), max(2, round(_SHORTEST * own.rate)))
-        squared = (own.measured - own.before)[:, joint].square() * own.valid
-        sums = np.concatenate([[0.0], squared.cumsum(0).numpy()])
-        windows = sums[length:] - sums[:-length]
-        start = int(windows.argmax())
-        if windows[start] / length > most:
-            trace, rows, most = own, slice(start, start + length), windows[start] / length
+        squares = (own.measured - own.before)[:, joint].square() * own.valid
+        stretch, mean = worst_stretch(squares, max(2, round(_SHORTEST * own.rate)))
+        if mean > most:
+            trace, rows, most = own, stretch, mean
     step = max(1, (rows.stop - rows.start) // _MOST_POINTS)
     pick = slice(rows.start, rows.stop, step)
     t = np.arange(rows.start, rows.stop, step) / trace.rate
@@ -224,9 +222,10 @@ _SCATTER = 1500
 _FEWEST = 3  # blocks in a bin that is drawn
 
 
-def joint_figure(diagnosis: Diagnosis, joint: int) -> Figure:
-    """Binned means of the gap against velocity, position, acceleration, load and time, over a light
-    scatter, and its spectrum over the noise."""
+def joint_figure(diagnosis: Diagnosis, joint: int | None = None) -> Figure:
+    """Binned means of the gap of a joint (from 0; the worst, if None) against velocity, position,
+    acceleration, load and time, over a light scatter, and its spectrum over the noise."""
+    joint = worst_joints(diagnosis)[0] if joint is None else joint
     unit = joint_unit(diagnosis.robot, joint)
     length = "m" if unit == "N" else "rad"
     s = samples(diagnosis.traces, joint)

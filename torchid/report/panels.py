@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 
 from torchid.files import atomic_write
 from torchid.report.colours import BLUE, GREY, GRID, INK
@@ -283,6 +284,15 @@ def headroom(axes: Any, share: float = 0.25) -> None:
     """Room above the curves for a note."""
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + share * (high - low))
+
+
+def worst_stretch(squares: Tensor, size: int) -> tuple[slice, float]:
+    """The `size` neighbouring values, or all of fewer, with the largest mean, and that mean."""
+    size = min(size, len(squares))
+    sums = squares.cumsum(0)
+    sums = sums[size - 1 :] - torch.cat([sums.new_zeros(1), sums[: len(sums) - size]])
+    start = int(sums.argmax())
+    return slice(start, start + size), float(sums[start]) / size
 
 
 def thin(signal: Tensor) -> np.ndarray:

@@ -28,6 +28,7 @@ from torchid.report.panels import (
     shaded_map,
     side_bars,
     thin,
+    worst_stretch,
 )
 from torchid.report.table import Shown, Table
 
@@ -447,19 +448,16 @@ def worst_place(result: PositionDiagnosis, joint: int) -> slice:
     length = max(2, round(SHOWN_S / data.tracks.dt))
     best, chosen = -1.0, slice(0, 0)
     for a, b in zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True):
-        square = result.errors[0][a : b + 1, joint].square()
-        size = min(length, len(square))
-        sums = square.cumsum(0)
-        sums = sums[size - 1 :] - torch.cat([sums.new_zeros(1), sums[: len(sums) - size]])
-        k = int(sums.argmax())
-        if float(sums[k]) / size > best:
-            best, chosen = float(sums[k]) / size, slice(a + k, a + k + size)
+        rows, mean = worst_stretch(result.errors[0][a : b + 1, joint].square(), length)
+        if mean > best:
+            best, chosen = mean, slice(a + rows.start, a + rows.stop)
     return chosen
 
 
-def joint_figure(result: PositionDiagnosis, joint: int) -> Figure:
-    """One joint where a plain servo errs most: command, measured and simulated positions, and both
-    models' errors below."""
+def joint_figure(result: PositionDiagnosis, joint: int | None = None) -> Figure:
+    """One joint (from 0; the worst, if None) where a plain servo errs most: command, measured and
+    simulated positions, and both models' errors below."""
+    joint = worst_joints(result)[0] if joint is None else joint
     rows = worst_place(result, joint)
     log, (plain, answered) = result.data.log, result.errors
     t = log.t[rows].numpy()
