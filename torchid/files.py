@@ -80,6 +80,21 @@ def require_writable(path: Path, what: str) -> None:
         raise TorchidError(f"{what}: '{path}' is no name of a file.", got=error) from error
 
 
+def make_folder(folder: Path) -> None:
+    """A folder that results can be written to.
+
+    Raises:
+        TorchidError: it cannot be made, or takes no file.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TorchidError(
+            f"the output folder '{folder}' cannot be made: {error.strerror or error}."
+        ) from error
+    probe(folder)
+
+
 def probe(folder: Path) -> None:
     """A file really written and removed: permission bits say nothing to root or of a full disk.
 

@@ -48,6 +48,23 @@ def _floats(array: np.ndarray) -> np.ndarray:
     return array.astype(np.float64)
 
 
+def usable_device(name: str) -> str:
+    """A device that exists and has float64.
+
+    Raises:
+        TorchidError: no such device.
+    """
+    try:
+        torch.zeros(1, dtype=torch.float64, device=name)
+    except (RuntimeError, AssertionError, TypeError) as error:
+        raise TorchidError(
+            f"device '{name}' cannot be used.",
+            got=str(error).splitlines()[0],
+            available=["cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count()))],
+        ) from error
+    return name
+
+
 def joint_signals(n: int, **signals: Numbers) -> list[Tensor]:
     """Signals (..., n) of one robot as tensors of one dtype, the widest, on one device.
 

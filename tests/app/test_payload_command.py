@@ -8,7 +8,7 @@ import torch
 import typer
 from typer.testing import CliRunner
 
-from torchid.app.payload import payload_command
+from torchid.app.identify import payload_command
 from torchid.errors import TorchidError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log

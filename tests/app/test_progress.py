@@ -8,7 +8,8 @@ import sys
 
 import pytest
 
-from torchid.app.output import Output, stage
+from torchid.app.output import Output
+from torchid.parallel.workers import stage
 
 PROGRAM = """
 import sys, time

@@ -9,8 +9,16 @@ from tests.position.diagnosed import diagnosis, finding
 from tests.report.page.reading import parsed, rows_of, text_of
 from torchid.position.diagnosis import Accuracy
 from torchid.report.page.document import origin, render
-from torchid.report.position import nominal_table, position_page, position_tables, position_verdict
-from torchid.report.position_figures import figures, joint_figure, worst_joints, worst_place
+from torchid.report.position import (
+    figures,
+    joint_figure,
+    nominal_table,
+    position_page,
+    position_tables,
+    position_verdict,
+    worst_joints,
+    worst_place,
+)
 
 PROFILE = finding("set_point_profile", 2, 14.0, 6.5, acceleration=39.0)
 PLANE = finding("plane_contact", None, 8.0, 6.0)

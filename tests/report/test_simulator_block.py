@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from lxml import etree
 
-from torchid.report.simulator_block import simulator_block
+from torchid.report.robot import simulator_block
 from torchid.robot.library import load_robot
 
 EFFECTS = (

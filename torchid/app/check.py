@@ -71,8 +71,8 @@ def check_command(
     if nearest is not None:
         with output.progress("the nearest feasible sets"):
             repaired = nearest_sets(check, asked.others, nearest, data, seed)
-    if repaired is not None and nearest is not None and bool(repaired.feasible.any()):
-        output.written.append(nearest)
+        if repaired is not None and bool(repaired.feasible.any()):
+            output.written.append(nearest)
     output.give(data, "feasibility.json", lambda _: shown(check, repaired, data["warnings"]))
     findings = findings_lines(check)
     if findings:

@@ -8,24 +8,21 @@ import typer
 from torchid import __version__
 from torchid.app.check import check_command
 from torchid.app.compare import compare_command
-from torchid.app.correct import correct_command
-from torchid.app.demo import demo_command
 from torchid.app.excite import excite_command
-from torchid.app.export import export_command
+from torchid.app.export import correct_command, export_command
 from torchid.app.extract import atlas_command, extract_command
 from torchid.app.faults import flush, print_plainly, report
 from torchid.app.fleet import fleet_app
 from torchid.app.gap import gap_command
-from torchid.app.identify import identify_command
+from torchid.app.identify import identify_command, payload_command
 from torchid.app.init import init_command
 from torchid.app.log import log_app
 from torchid.app.output import in_options
-from torchid.app.payload import payload_command
-from torchid.app.project import ProjectCommand
+from torchid.app.project import add
 from torchid.app.show import effects_command, robot_command
 from torchid.app.signature import Debug, Option
 from torchid.app.simulate import simulate_command
-from torchid.app.study import study_command
+from torchid.app.study import demo_command, study_command
 from torchid.app.withheld import withheld_app
 from torchid.app.wrenches import wrenches_command
 
@@ -44,8 +41,7 @@ for _one in (
     if isinstance(_one, typer.Typer):
         app.add_typer(_one, name=_one.info.name)
     else:
-        name = _one.__name__.removesuffix("_command")
-        app.command(name, cls=ProjectCommand)(_one)
+        add(app, _one)
 
 
 def options_of_all() -> dict[str, list[Option]]:

@@ -1,4 +1,5 @@
-"""`torchid export`: a result's dynamics in the formats of other programs."""
+"""`torchid export`: a result's dynamics in the formats of other programs; `torchid correct`: from
+logs to a corrected file of the simulator, in one call."""
 
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -7,10 +8,13 @@ import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.correct import corrected_by
-from torchid.app.output import Computed, Output
+from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
+from torchid.gap.settings import GapSettings
+
+Simulated = Literal["mjcf", "urdf", "drake", "mujoco", "mjlab", "isaaclab", "gazebo"]
+"""What a corrected file can be for; the last four read one of the first two."""
 
 
 @command
@@ -63,19 +67,27 @@ def export_command(
         draws: How many robots --randomise draws.
         geometry: Bounds of the centres of mass that count in the check, as for `torchid check`.
     """
+    from torchid.export.projection import Target
+    from torchid.export.results import carried, diagnosis
+    from torchid.report.robot import correction_shown, export_shown, randomisation_shown
+
     if randomise is not None:
         if to is not None:
             raise TorchidError("--randomise writes ranges for all simulators.", got=f"--to {to}")
-        _randomised(output, result, robot, tip, randomise, spread or [], draws, seed, name)
+        given = None if robot is None else torchid.load_robot(robot, tip=tip)
+        ranges = torchid.randomise(
+            diagnosis(Path(result)), randomise, robot=given, spread=spread or [], draws=draws,
+            seed=seed,
+        )  # fmt: skip
+        files = [str(file) for file in ranges.write(output.out or Path(), name)]
+        plain = {**ranges.plain(), "files": files}
+        told = randomisation_shown(ranges, files)
+        output.give(plain, "randomisation.json", lambda _: told, seed=seed)
         return
     if to is None:
         raise TorchidError(
             "there is nothing to write.", expected="--to FORMAT or --randomise LEVEL"
         )
-    from torchid.export.projection import Target
-    from torchid.export.results import carried
-    from torchid.report.robot import correction_shown, export_shown
-
     found = carried(result, robot, tip, chosen, geometry)
     keep = [Path(file) for file in (result, robot, *(log or ()), *(held_out or ())) if file]
     if log is None:
@@ -97,32 +109,67 @@ def export_command(
         )
     read = reading.read(log, found.original)
     apart = reading.read(held_out, found.original) if held_out else None
-    made = corrected_by(
-        output, found.original, found.dynamics.robot, read, apart, to, name, keep, found.settings
-    )
-    output.tell(correction_shown(made))
+    made = torchid.correct(
+        found.original, found.dynamics.robot, read, to, output.out or Path(), name,
+        held_out=apart, settings=found.settings, keep=keep,
+    )  # fmt: skip
+    output.give(made, "correction.json", correction_shown)
 
 
-def _randomised(
-    output: Output,
-    result: str,
-    robot: str | None,
-    tip: str | None,
-    level: float,
-    spread: list[Path],
-    draws: int,
-    seed: int,
-    name: str | None,
+@command
+def correct_command(
+    *,
+    trials: opt.Trials,
+    to: Simulated,
+    name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
+    with_effects: Switch = False,
+    settings: Annotated[
+        GapSettings,
+        opt.GAP.only("effects background parameters held_out_fraction gain_std seed"),
+    ],
+    output: Computed,
 ) -> None:
-    """Draw robots of a diagnosis, write and tell their ranges."""
-    from torchid.export.results import diagnosis
-    from torchid.report.randomisation import randomisation_shown
+    """Correct a simulator's file by logs of the real arm.
 
-    given = None if robot is None else torchid.load_robot(robot, tip=tip)
-    done = torchid.randomise(
-        diagnosis(Path(result)), level, robot=given, spread=spread, draws=draws, seed=seed
-    )
-    files = [str(file) for file in done.write(output.out or Path(), name)]
-    shown = randomisation_shown(done, files)
-    plain = {**done.plain(), "files": files}
-    output.give(plain, "randomisation.json", lambda _: shown, seed=seed)
+    What it lacks is found and refitted to what the file can say, with bodies near to the nominal
+    ones; the file is run in its engine on the log, and written. Without --out, it is written to the
+    present folder.
+
+    Example: `torchid correct arm.xml run1.parquet run2.parquet --held-out run3.parquet --to mjcf
+    --out corrected`
+
+    Args:
+        to: Format to write (mjcf, urdf), or a simulator that reads one of them: a copy of ROBOT
+            where it is of that format, else a new file of its kinematics, without shapes.
+        name: Of the file, without suffix; the robot's name and `_corrected`.
+        with_effects: Also write NAME_effects, fitted together with the effects that the format has
+            no field for; they lie in its sidecar, and torchid.simulators.mujoco adds them at run
+            time. For isaaclab and mjlab, an actuator class that does so, too.
+        effects: Effects to search over, comma-separated; `all` for the whole library.
+        background: Effects that are part of the simulator already, on every joint; fitted with the
+            base parameters where the robot has no parameters.
+        parameters: The robot's inertial parameters: right, to be refitted first, or one possible
+            cause among the effects.
+        gain_std: How well the scale of each joint's torque is known, one standard deviation as a
+            share of it.
+    """
+    from torchid.export.correct import file_format
+    from torchid.export.export import require_name
+    from torchid.report.gap_words import verdict
+    from torchid.report.robot import correction_shown
+
+    kind = file_format(to)
+    if name is not None:
+        require_name(name)
+    found, log, apart, _ = trials.open(output, settings.held_out_fraction)
+    with output.progress("reading") as progress:
+        result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
+    keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
+    done = torchid.correct(
+        found, result, log, kind, output.out or Path(), name, held_out=apart, settings=settings,
+        with_effects=with_effects and (to if to == "isaaclab" or to == "mjlab" else True),
+        keep=keep,
+    )  # fmt: skip
+    said = output.keep(done, "correction.json", correction_shown)
+    output.verdict(verdict(result))
+    output.tell(said)

@@ -9,7 +9,7 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.faults import resumable
-from torchid.app.output import Computed, stage
+from torchid.app.output import Computed
 from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, SearchSettings
@@ -103,9 +103,7 @@ def extract_command(
         search_anyway: Also where no point of the bounds can be feasible.
         resume: Continue from the checkpoint in --out.
     """
-    from torchid.extraction.convex.certificate import certificate_where_possible
-    from torchid.extraction.extract import require_possible
-    from torchid.extraction.found import descended
+    from torchid.extraction.methods import found_by
     from torchid.feasibility.derived_bounds import NONE, WIDE
     from torchid.feasibility.sets import sets_record
     from torchid.report.extraction import loss_notes, shown
@@ -115,44 +113,27 @@ def extract_command(
     problem, values, notes = sought.problem(arm, loss)
     # Where nothing bounds the bodies but their links' size, a search would answer any of them.
     method = method or ("near" if problem.bounds.name in (WIDE, NONE) else "cma-es")
-    if settings.penalty == "full" and not search_anyway:
-        require_possible(problem)
-    checkpoint = None if output.out is None else output.out / "checkpoint.npz"
-    proven = None
-    if certificate or method == "sdp":
-        with output.progress("the certificate"):
-            proven, told = certificate_where_possible(problem)
-        notes = (*notes, *told)
-    if method == "sdp":
-        with output.progress("the best set"):
-            found = torchid.best_set(problem, proof=proven, search_anyway=search_anyway)
-    elif method == "near":
-        with output.progress("the nearest bodies"):
-            found = torchid.near_set(problem, proof=proven)
-    elif method == "log-cholesky":
-        with output.progress("descending"):
-            found = descended(problem, runs=settings.runs, seed=settings.seed)
-    else:
-        if checkpoint is not None and checkpoint.exists() != resume:
-            output.warn(
-                [
-                    f"there is no checkpoint in {output.out}: the search starts anew"
-                    if resume
-                    else f"{output.out} held the checkpoint of an interrupted search, which starts "
-                    "anew: --resume would have continued it"
-                ]
-            )
-        with resumable(checkpoint), output.progress() as progress:
-            found = torchid.extract(
-                problem, settings, checkpoint=checkpoint, resume=resume, keep=True,
-                device=opt.device(device_name), report=stage(progress, "stages"),
-            ).found  # fmt: skip
-    notes = (*notes, *found.warnings, *loss_notes(found, values))
-    found = replace(found, proof=proven, warnings=notes)
+    folder = output.out if method == "cma-es" else None
+    checkpoint = folder and folder / "checkpoint.npz"
+    if checkpoint is not None and checkpoint.exists() != resume:
+        anew = (
+            f"there is no checkpoint in {folder}: the search starts anew"
+            if resume
+            else f"{folder} held the checkpoint of an interrupted search, which starts anew: "
+            "--resume would have continued it"
+        )
+        output.warn([anew])
+    with resumable(checkpoint), output.progress() as progress:
+        found = found_by(
+            method, problem, settings, certificate=certificate, search_anyway=search_anyway,
+            checkpoint=checkpoint, resume=resume, device=device_name, progress=progress,
+        )  # fmt: skip
+    told = (*notes, *found.warnings, *loss_notes(found, values))
+    found = replace(found, warnings=told)
     output.put(output.out and output.out / "sets.json", sets_record(found.sets, problem.robot).save)
     said = output.keep(found, "extraction.json", shown)
     # Not sooner: what was searched for is not lost where the disk is full.
-    if found.search is not None and checkpoint is not None:
+    if checkpoint is not None:
         checkpoint.unlink(missing_ok=True)
     output.tell(said)
 
@@ -172,6 +153,7 @@ def atlas_command(
     Args:
         level: Of the confidence region of identified base parameters.
     """
+    from torchid.parallel.workers import stage
     from torchid.report.extraction import atlas_shown
 
     problem, found, notes = sought.problem(arm, "two-step")

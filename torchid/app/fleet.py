@@ -8,7 +8,7 @@ import typer
 
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Reported
-from torchid.app.project import ProjectCommand, group
+from torchid.app.project import group
 from torchid.app.signature import Fields, Parsed, command
 from torchid.errors import TorchidError
 from torchid.fleet.settings import FleetSettings
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from torchid.fleet.tasks import LogAnswer
     from torchid.parallel.store import Store
     from torchid.parallel.workers import Workers
-
-fleet_app = group("fleet", "Many units of one robot type: the type, its spread, the odd ones.")
 
 
 def _part(text: str) -> tuple[int, int]:
@@ -75,7 +73,7 @@ class Engine:
     ) -> "tuple[FleetModel, tuple[FleetLog, ...], Workers, Store | None]":
         """What logs are reduced to, the logs, who reduces them, and where answers are kept: None
         for this run only."""
-        from torchid.fleet.manifest import fleet_logs, read_manifest
+        from torchid.fleet.manifest import logs_of
         from torchid.fleet.model import FleetModel
         from torchid.parallel.store import Store
 
@@ -87,12 +85,7 @@ class Engine:
                 "what several machines compute needs a place that all of them see.",
                 expected="--store DIR|URL, or --out DIR",
             )
-        if (units.manifest is None) is (not units.logs):
-            raise TorchidError(
-                "the logs of a fleet are needed.", expected="LOG..., or --manifest FILE"
-            )
-        found = units.manifest
-        logs = fleet_logs(units.logs or []) if found is None else read_manifest(found)
+        logs = logs_of(units.logs or (), units.manifest)
         robot, gain = units.load(), units.gain
         gains = None if gain is None else tuple(opt.numbers("--gain", gain, robot.n))
         model = FleetModel(robot, settings, units.request(robot.joint_names), gains)
@@ -109,7 +102,6 @@ Reduction = Annotated[
 ]
 
 
-@fleet_app.command("identify", cls=ProjectCommand)
 @command
 def identify_command(
     *, units: Units, settings: Reduction, engine: Engine, seed: opt.Seed = 0, output: Kept
@@ -144,7 +136,6 @@ def identify_command(
     output.give(found.record, "fleet.json", shown, seed=seed)
 
 
-@fleet_app.command("gap", cls=ProjectCommand)
 @command
 def gap_command(
     *,
@@ -188,7 +179,6 @@ def gap_command(
     )
 
 
-@fleet_app.command("watch", cls=ProjectCommand)
 @command
 def watch_command(
     *,
@@ -234,3 +224,9 @@ def _say_part(output: Output, part: "tuple[LogAnswer, ...]", array: tuple[int, i
         "same command without --array pools all parts"
     )
     output.warn(f"{a.log.path}: {a.evidence[-1]}" for a in refused)
+
+
+_ALL = identify_command, gap_command, watch_command
+fleet_app = group(
+    "fleet", "Many units of one robot type: the type, its spread, the odd ones.", _ALL
+)

@@ -9,7 +9,7 @@ import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.correct import Simulated, corrected_by, file_format
+from torchid.app.export import Simulated
 from torchid.app.output import Output, Reported
 from torchid.app.project import current
 from torchid.app.signature import command
@@ -28,18 +28,33 @@ class _Trials(opt.Trials):
     logs: Annotated[list[Path] | None, opt.LOGS] = None  # type: ignore[assignment]
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """What is asked for besides.
+
+    Attributes:
+        save_model: Write the corrected robot, with its effects, as a .yaml.
+        view: Write torques, effects and regimes over time for a viewer: .mcap for Foxglove and
+            PlotJuggler (extra `view`), .rrd for Rerun (extra `rerun`).
+        servo: What the servos are said to be, shown beside what is found of logs of commands:
+            STS3215, `XL330-M288 gain=400`, `kp=12 clip=unknown`; one, or one a joint with commas.
+        for_: Write a corrected file for this format or simulator to --out, as `torchid correct`
+            does.
+        simulated: Log of the simulator, of the same commands as --real. May be given several times.
+        real: Log of the arm, one for each of --simulated.
+    """
+
+    save_model: opt.Written = None
+    view: opt.Written = None
+    servo: Annotated[str | None, typer.Option(metavar="NAME[ KEY=VALUE]..")] = None
+    for_: Annotated[Simulated | None, typer.Option("--for")] = None
+    simulated: opt.LogFiles = None
+    real: opt.LogFiles = None
+
+
 @command
 def gap_command(
-    *,
-    trials: _Trials,
-    settings: Annotated[GapSettings, opt.GAP],
-    save_model: opt.Written = None,
-    view: opt.Written = None,
-    servo: Annotated[str | None, typer.Option(metavar="NAME[ KEY=VALUE]..")] = None,
-    for_: Annotated[Simulated | None, typer.Option("--for")] = None,
-    simulated: opt.LogFiles = None,
-    real: opt.LogFiles = None,
-    output: Reported,
+    *, trials: _Trials, settings: Annotated[GapSettings, opt.GAP], asked: _Asked, output: Reported
 ) -> None:
     """Find where a simulator's torque and the arm's disagree, which unmodelled effects cause it,
     and how far the gap shrinks with them.
@@ -70,103 +85,81 @@ def gap_command(
         gain_std: How well the scale of each joint's torque is known, one standard deviation as a
             share of it: ± holds it. By default 0.05 for currents times --gain, else 0.
         rollout: Simulate short motions with the model before and after.
-        save_model: Write the corrected robot, with its effects, as a .yaml.
-        view: Write torques, effects and regimes over time for a viewer: .mcap for Foxglove and
-            PlotJuggler (extra `view`), .rrd for Rerun (extra `rerun`).
-        servo: What the servos are said to be, shown beside what is found of logs of commands:
-            STS3215, `XL330-M288 gain=400`, `kp=12 clip=unknown`; one, or one a joint with commas.
-        for_: Write a corrected file for this format or simulator to --out, as `torchid correct`
-            does.
-        simulated: Log of the simulator, of the same commands as --real. May be given several times.
-        real: Log of the arm, one for each of --simulated.
     """
-    if view is not None:
-        from torchid.report.view import require_viewer
+    from torchid.export.correct import file_format
+    from torchid.report.gap import shown
+    from torchid.report.robot import correction_shown
+    from torchid.report.view import require_viewer
 
-        require_viewer(view)
-    if simulated or real:
-        _pair(output, trials, simulated, real, settings, save_model, for_, view)
+    if asked.view is not None:
+        require_viewer(asked.view)
+    if asked.simulated or asked.real:
+        _pair(output, trials, asked, settings)
         return
     for name, given in (("ROBOT", trials.robot), ("LOG...", trials.logs)):
         if not given:
             raise typer.BadParameter(f"Missing argument '{name}'.")
-    if for_ is not None and output.out is None:
+    if asked.for_ is not None and output.out is None:
         raise TorchidError("--for writes a file, and needs --out DIR.")
-    kind = None if for_ is None else file_format(for_)
+    kind = None if asked.for_ is None else file_format(asked.for_)
     found, log, apart, files = trials.open(output, settings.held_out_fraction)
     torque = log.tau is not None and bool(log.tau.any())
     current = log.tau is None and log.current is not None and found.drive_gain is not None
     if log.u is not None and not torque and not current:
-        if view is not None:
+        if asked.view is not None:
             raise TorchidError("--view shows torques; these logs have commands and positions.")
-        _positions(output, found, log, apart, save_model, settings, files, servo)
+        _positions(output, found, log, apart, asked, settings, files)
         return
-    if servo is not None:
+    if asked.servo is not None:
         raise TorchidError("--servo is for logs of commands and positions; these have torques.")
-
-    from torchid.report.gap import shown
-    from torchid.report.robot import correction_shown
-
     with output.progress("reading") as progress:
         result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
-    asked = {k: v for k, v in result.plain()["settings"].items() if k not in ("seed", "only")}
-    asked["effects"] = asked["effects"] or "all"
-    asked |= {"band of the report [Hz]": result.band, "cut-off [Hz]": result.cutoff}
+    used = {k: v for k, v in result.plain()["settings"].items() if k not in ("seed", "only")}
+    used["effects"] = used["effects"] or "all"
+    used |= {"band of the report [Hz]": result.band, "cut-off [Hz]": result.cutoff}
     # The worst joints of an earlier run may have been others.
     said = output.keep(
         result, "gap.json", shown, seed=settings.seed, old=["gap_joint_*.png"], files=files,
-        settings=asked,
+        settings=used,
     )  # fmt: skip
-    output.put(save_model, partial(torchid.write_robot, result.corrected))
-    output.put(view, partial(torchid.write_view, result))
-    done = None
-    if kind is not None:
+    output.put(asked.save_model, partial(torchid.write_robot, result.corrected))
+    output.put(asked.view, partial(torchid.write_view, result))
+    told = [said]
+    if kind is not None and output.out is not None:
         keep = [Path(trials.robot), *(trials.logs or ()), *(trials.held_out or ())]
-        beside = replace(output, json_file=None)
-        done = corrected_by(beside, found, result, log, apart, kind, None, keep, settings)
-        output.written.extend(beside.written)
-    output.tell(said)
-    if done is not None:
-        output.tell(correction_shown(done))
+        done = torchid.correct(
+            found, result, log, kind, output.out, held_out=apart, settings=settings, keep=keep
+        )
+        output.put(output.out / "correction.json", done.save)
+        told.append(correction_shown(done))
+    for one in told:
+        output.tell(one)
 
 
-def _pair(
-    output: Output,
-    trials: _Trials,
-    simulated: list[Path] | None,
-    real: list[Path] | None,
-    settings: GapSettings,
-    save_model: Path | None,
-    for_: str | None,
-    view: Path | None,
-) -> None:
+def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings) -> None:
     """A simulator's logs against the arm's."""
     from torchid.log.readers import open_logs
     from torchid.report.pair import shown
 
-    if not simulated or not real:
+    if not asked.simulated or not asked.real:
         raise TorchidError(
             "a simulator's log is held against the arm's.",
-            got="--real alone" if real else "--simulated alone",
+            got="--real alone" if asked.real else "--simulated alone",
             expected="--simulated SIM --real REAL",
         )
     own = current().logs
-    others = [
-        name
-        for name, given in (
-            ("LOG", trials.logs and not own),
-            ("--held-out", trials.held_out and not current().held_out),
-            ("--save-model", save_model),
-            ("--for", for_),
-            ("--view", view),
-            ("--report", output.report),
-        )
-        if given
-    ]
-    if others:
+    others = {
+        "LOG": trials.logs and not own,
+        "--held-out": trials.held_out and not current().held_out,
+        "--save-model": asked.save_model,
+        "--for": asked.for_,
+        "--view": asked.view,
+        "--report": output.report,
+    }
+    if any(others.values()):
         raise TorchidError(
             "--simulated and --real take the logs' place, and go without these.",
-            got=", ".join(others),
+            got=", ".join(name for name, given in others.items() if given),
         )
     robot = trials.load() if trials.robot else None
     names = () if robot is None else robot.joint_names
@@ -176,8 +169,8 @@ def _pair(
         return torchid.Log.concatenate([trials.with_torque(log, log.n) for _, log in opened])
 
     with output.progress("reading") as progress:
-        logs = read(simulated), read(real)
-        result = torchid.compare_pair(*logs, robot, settings=settings, progress=progress)
+        simulated, real = read(asked.simulated), read(asked.real)
+        result = torchid.compare_pair(simulated, real, robot, settings=settings, progress=progress)
     output.give(result, "pair.json", shown, seed=settings.seed)
 
 
@@ -186,10 +179,9 @@ def _positions(
     robot: "torchid.Robot",
     log: "torchid.Log",
     apart: "torchid.Log | None",
-    save_model: Path | None,
+    asked: _Asked,
     settings: GapSettings,
     files: "tuple[InputFile, ...]",
-    servo: str | None,
 ) -> None:
     """The diagnosis of logs that have commands and no torques."""
     from torchid.position.nominal import nominal_servos
@@ -205,13 +197,13 @@ def _positions(
             got=", ".join(f"--{name.replace('_', '-')}" for name in changed),
             expected="of the options on how to search, none",
         )
-    nominal = nominal_servos(robot, servo)
+    nominal = nominal_servos(robot, asked.servo)
     with output.progress("reading") as progress:
         result = torchid.diagnose_positions(robot, log, held_out=apart, progress=progress)
     result = replace(result, nominal=nominal)
     said = output.keep(
         result, "gap.json", shown, seed=settings.seed, old=["gap_joint_*.png", "which.png"],
-        files=files, settings={"servo": servo or "not said"},
+        files=files, settings={"servo": asked.servo or "not said"},
     )  # fmt: skip
-    output.put(save_model, result.corrected.write)
+    output.put(asked.save_model, result.corrected.write)
     output.tell(said)

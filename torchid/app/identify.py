@@ -1,12 +1,14 @@
-"""`torchid identify`: base parameters from logs."""
+"""`torchid identify`, `torchid payload`: base parameters from logs, and what the last link
+carries."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.output import Reported
+from torchid.app.output import Computed, Reported
 from torchid.app.signature import Fields, Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.identification.settings import Settings
@@ -39,10 +41,7 @@ def identify_command(
     settings: Annotated[
         Settings,
         Fields(
-            "rows",
-            "basis",
-            "covariance",
-            "signs",
+            "rows basis covariance signs",
             effects=Annotated[
                 tuple[str, ...],
                 typer.Option(metavar="NAME[:joint=J,SHAPE=V],.."),
@@ -87,9 +86,8 @@ def identify_command(
 
     found, log, apart, files = trials.open(output, settings.held_out_fraction)
     with output.progress("reading") as progress:
-        where = opt.device(device_name)
         result = torchid.identify(
-            found, log, held_out=apart, settings=settings, device=where, progress=progress
+            found, log, held_out=apart, settings=settings, device=device_name, progress=progress
         )
     told = result.plain()["settings"] | {"cut-off used [Hz]": result.cutoff}
     # Trajectories of an earlier run may have had other names.
@@ -97,3 +95,48 @@ def identify_command(
     output.give(
         result, "identification.json", shown, seed=seed, old=old, files=files, settings=told
     )
+
+
+@command
+def payload_command(
+    *,
+    arm: opt.ArmAndLogs,
+    loaded: Annotated[list[Path], typer.Option(metavar="LOG")],
+    model: Literal["general", "symmetric", "point_mass"] = "general",
+    settings: Annotated[
+        Settings,
+        Fields(
+            "signs rows",
+            effects=opt.FittedEffects,
+            cutoff=opt.FilterCutoff,
+            method=opt.Method,
+        ),
+    ],
+    seed: opt.Seed = 0,
+    output: Computed,
+    device_name: opt.Device = "cpu",
+) -> None:
+    """Estimate mass, centre of mass and inertia of what the last link carries.
+
+    LOG... are without the payload, --loaded with it, best on the same trajectories.
+
+    Example: `torchid payload panda.yaml empty1.parquet empty2.parquet --loaded full1.parquet
+    --loaded full2.parquet --out result`
+
+    Args:
+        loaded: Logs with the payload. May be given several times.
+        model: All ten parameters; symmetric about the tool's z axis; a point mass.
+        cutoff: Cut-off of the zero-phase filter; `auto` chooses it on the logs without payload.
+        rows: Rows fitted. At rest friction can hold any torque, and so part of a payload's.
+        signs: Coefficients physics forbids to be negative: hold at zero, or leave.
+    """
+    from torchid.report.identification import payload_shown
+
+    found = arm.load()
+    empty, full = arm.read(arm.logs, found), arm.read(loaded, found)
+    with output.progress() as progress:
+        carried = torchid.payload(
+            found, empty, full, model=model, settings=settings, device=device_name,
+            progress=progress,
+        )  # fmt: skip
+    output.give(carried, "payload.json", payload_shown, seed=seed)

@@ -8,13 +8,10 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.output import Computed, Printed, worded
-from torchid.app.project import ProjectCommand, group
+from torchid.app.project import group
 from torchid.app.signature import command
 
-log_app = group("log", "What a log is, before anything is computed from it.")
 
-
-@log_app.command("doctor", cls=ProjectCommand)
 @command
 def doctor_command(
     *,
@@ -35,10 +32,8 @@ def doctor_command(
         fix: Of fixes that are equally good, the one to take, by the name that is said. May be
             given several times; without it --apply takes none of them.
     """
-    from torchid.doctor.flag import columns_flag
+    from torchid.doctor.flag import flag_for
     from torchid.doctor.record import record
-    from torchid.log.readers import open_log
-    from torchid.log.table import Request
     from torchid.report.log import doctor_shown
 
     found = arm.load()
@@ -47,11 +42,7 @@ def doctor_command(
         result = torchid.examine(found, log, fix or ())
     output.put(apply, lambda path: torchid.write_log(result.mended(), path))
     # The fixes as --columns, where the logs have columns of our names.
-    flag = None
-    if result.repairs and not (arm.columns or arm.topic):
-        read = [open_log(log, Request())[0] for log in arm.logs]
-        own = [set() if table is None else set(table.columns) for table in read]
-        flag = columns_flag(result.repairs, found.n, set.intersection(*own))
+    flag = None if arm.columns or arm.topic else flag_for(result.repairs, found.n, arm.logs)
     output.give(record(result, flag), "doctor.json", lambda _: doctor_shown(result), seed=seed)
     if apply is not None:
         count = len(result.repairs)
@@ -62,7 +53,6 @@ def doctor_command(
         output.say(f'or read the log with --columns "{flag}"')
 
 
-@log_app.command("show", cls=ProjectCommand)
 @command
 def show_command(
     *,
@@ -85,8 +75,7 @@ def show_command(
     """
     from torchid.design.repeats import repeated_motion
     from torchid.log.overview import look_at, overview_record
-    from torchid.log.ros import topics_of
-    from torchid.report.log import headline, log_tables, repeats_table, topics_table
+    from torchid.report.log import shown
     from torchid.robot.model import JointType
 
     checked: dict[str, Any] = {}
@@ -107,18 +96,13 @@ def show_command(
         log = log if found.drive_gain is None else log.with_torque(found.drive_gain)
     output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
     output.put(out, partial(torchid.write_log, log))
-    output.verdict(headline(seen))
-    for table in seen.tables:
-        if table is not None and table.topic is not None:
-            output.say(topics_table(topics_of(table.path), table.topic))
-    output.say(*log_tables(seen))
-    if repeats:
-        output.say(repeats_table(repeats))
-    if seen.unused:
-        output.say(f"not used: {', '.join(seen.unused[:40])}")
-    output.warn(seen.warnings)
+    output.tell(shown(seen, repeats))
     if seen.problem is not None:
         output.say(worded("this log cannot be used as it is: ", "red") + worded(seen.problem))
     if out is not None:
         gained = "" if log is seen.log else ", with torque: current times the drive gains"
         output.say(f"{log.samples} samples{gained}")
+
+
+_ALL = doctor_command, show_command
+log_app = group("log", "What a log is, before anything is computed from it.", _ALL)

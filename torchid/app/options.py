@@ -102,9 +102,20 @@ def cutoff_hz(text: str) -> float | Literal["auto"] | None:
     return None if text == "none" else auto_hz(text, "a frequency in Hz, `auto` or `none`")
 
 
+def device(text: str) -> str:
+    """The --device option."""
+    from torchid.tensors import usable_device
+
+    return usable_device(text)
+
+
 _SEED = typer.Option("--seed", min=0, max=LARGEST_SEED, help="Seed of everything random.")
 Seed = Annotated[int, _SEED]
-Device = Annotated[str, typer.Option("--device", help="Where tensors live: cpu, cuda, cuda:1, ...")]
+Device = Annotated[
+    str,
+    typer.Option("--device", help="Where tensors live: cpu, cuda, cuda:1, ..."),
+    Parsed(device, "cpu"),
+]
 Tip = Annotated[
     str | None, typer.Option(metavar="LINK", help="URDF, MJCF: last link of the chain.")
 ]
@@ -157,13 +168,7 @@ Method = Annotated[
     Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
 ]
 Velocities = Annotated[str | None, typer.Option(metavar="V|V1,V2,..")]
-Accelerations = Annotated[
-    str | None,
-    typer.Option(
-        metavar="A|A1,A2,..",
-        help="Acceleration limits, in place of the robot's (a URDF has none).",
-    ),
-]
+Accelerations = Annotated[str | None, typer.Option(metavar="A|A1,A2,..")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -283,27 +288,13 @@ def limited(
     robot: "torchid.Robot", velocity: str | None, acceleration: str | None
 ) -> "torchid.Robot":
     """The robot with velocity or acceleration limits from the command line."""
-    changed = {}
-    for name, text in (("velocity", velocity), ("acceleration", acceleration)):
-        if text is None:
-            continue
-        values = numbers(f"--max-{name}", text, robot.n)
+    given = {"velocity": velocity, "acceleration": acceleration}
+    asked = {
+        name: numbers(f"--max-{name}", text, robot.n)
+        for name, text in given.items()
+        if text is not None
+    }
+    for name, values in asked.items():
         if not min(values) > 0:
-            raise TorchidError(f"--max-{name} must be positive.", got=text)
-        changed[name] = values
-    return robot.with_limits(**changed)
-
-
-def device(name: str) -> str:
-    """A device that exists and has float64, or a TorchidError."""
-    import torch
-
-    try:
-        torch.zeros(1, dtype=torch.float64, device=name)
-    except (RuntimeError, AssertionError, TypeError) as error:
-        raise TorchidError(
-            f"device '{name}' cannot be used.",
-            got=str(error).splitlines()[0],
-            available=["cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count()))],
-        ) from error
-    return name
+            raise TorchidError(f"--max-{name} must be positive.", got=given[name])
+    return robot.with_limits(**asked)

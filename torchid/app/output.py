@@ -19,17 +19,13 @@ from rich.text import Text
 from torchid.app import begun
 from torchid.app.signature import PLACE, WRITTEN, Fields
 from torchid.errors import TorchidError, visible
-from torchid.files import probe, write_text
+from torchid.files import make_folder, write_text
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
+    from torchid.parallel.workers import Progress
     from torchid.report.page.document import InputFile, Origin, Page
     from torchid.report.table import Shown
-
-Progress = Callable[[str, int, int], None]
-"""Takes stage, done, total; a total of 0 where it is not known."""
 
 
 @dataclass(frozen=True)
@@ -67,24 +63,11 @@ class Output:
             MissingExtraError: a page is asked for, and what makes it is not installed.
         """
         if self.out is not None:
-            try:
-                self.out.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise TorchidError(
-                    f"the output folder '{self.out}' cannot be made: {error.strerror or error}."
-                ) from error
-            probe(self.out)
+            make_folder(self.out)
         if self.report is not None:
-            if self.report.suffix.lower() not in (".html", ".htm"):
-                raise TorchidError(
-                    "--report writes an HTML page.",
-                    got=self.report,
-                    expected="FILE.html",
-                    hint="a browser prints it as PDF",
-                )
-            from torchid.report.page.document import require_templates
+            from torchid.report.page.document import require_page
 
-            require_templates()
+            require_page(self.report)
         import torch
 
         begun()
@@ -93,12 +76,7 @@ class Output:
         logging.basicConfig(level=level, format="%(message)s")
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: "TracebackType | None",
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Say which files there are, unless the command failed.
 
         Raises:
@@ -187,26 +165,28 @@ class Output:
                 if (figure := draw()) is not None:
                     self.put(self.out / f"{picture}.png", partial(save, figure))
         if shown.page is not None:
-            self.write_page(shown.page, files=files, seeds={"seed": seed}, settings=settings or {})
+            about = {"seeds": {"seed": seed}, "settings": settings or {}}
+            self.write_page(shown.page, self.report, files=files, **about)
         return shown
 
     def write_page(
         self,
         build: "Callable[[Origin], Page]",
+        file: Path | None,
         *,
         files: "Sequence[InputFile]",
         seeds: Mapping[str, object],
         settings: Mapping[str, object],
     ) -> None:
         """Write the page that `build` makes of the result's origin, if one is asked for."""
-        if self.report is None:
+        if file is None:
             return
         from torchid.report.page.document import origin, write_page
 
         made = origin(
             arguments=sys.argv, started=self.started, seeds=seeds, settings=settings, files=files
         )
-        self.put(self.report, partial(write_page, build(made)))
+        self.put(file, partial(write_page, build(made)))
 
     def hashed(self, named: Sequence[tuple[str, str, Path]]) -> "tuple[InputFile, ...]":
         """Sizes and hashes of inputs (role, name to show, path), before they are used; nothing if
@@ -248,7 +228,7 @@ class Output:
             self.say(worded("! ", "yellow") + worded(warning))
 
     @contextmanager
-    def progress(self, first: str = "") -> Iterator[Progress | None]:
+    def progress(self, first: str = "") -> "Iterator[Progress | None]":
         """A callback (stage, done, total) that draws one bar on standard error: what is running,
         how much is left; where that is no terminal, one line a stage, when it is over, with the
         seconds that it took. None, and nothing is said, with --quiet.
@@ -275,18 +255,11 @@ class Output:
             yield lambda stage, done, total: over("" if done == total > 0 else stage)
             over("")
             return
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
-        from rich.progress import Progress as Bars
+        from rich import progress as bar
 
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-        times = (TimeElapsedColumn(), TextColumn("left:"), TimeRemainingColumn())
-        with Bars(*columns, *times, console=console, transient=True) as bars:
+        words = bar.TextColumn("{task.description}"), bar.BarColumn(), bar.MofNCompleteColumn()
+        times = bar.TimeElapsedColumn(), bar.TextColumn("left:"), bar.TimeRemainingColumn()
+        with bar.Progress(*words, *times, console=console, transient=True) as bars:
             task, running = bars.add_task(escape(visible(first)), total=None), first
 
             def report(stage: str, done: int, total: int) -> None:
@@ -348,17 +321,3 @@ class _Console(Console):
     def on_broken_pipe(self) -> None:
         with suppress(SystemExit):
             super().on_broken_pipe()
-
-
-def of(progress: Progress | None, name: str) -> Progress | None:
-    """A callback whose stages are those of one of several things, with its name before them."""
-    if progress is None:
-        return None
-    return lambda stage, done, total: progress(f"{name}: {stage}", done, total)
-
-
-def stage(progress: Progress | None, name: str) -> Callable[[int, int], None] | None:
-    """A callback (done, total) of one stage."""
-    if progress is None:
-        return None
-    return lambda done, total: progress(name, done, total)

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import replace
@@ -31,9 +31,18 @@ def read(file: Path) -> Project:
     return read_project(file, _commands())
 
 
-def group(name: str, about: str) -> typer.Typer:
-    """A group of commands, without any yet."""
-    return typer.Typer(name=name, no_args_is_help=True, help=about)
+def group(name: str, about: str, commands: Sequence[Callable[..., None]]) -> typer.Typer:
+    """A group of commands."""
+    made = typer.Typer(name=name, no_args_is_help=True, help=about)
+    for one in commands:
+        add(made, one)
+    return made
+
+
+def add(to: typer.Typer, one: Callable[..., None]) -> None:
+    """A command by the name of its function: `leave_out_command` is `leave-out`."""
+    name = one.__name__.removesuffix("_command").replace("_", "-")
+    to.command(name, cls=ProjectCommand)(one)
 
 
 class ProjectCommand(TyperCommand):

@@ -1,10 +1,9 @@
 """`torchid simulate`: a synthetic log along a trajectory."""
 
-import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -14,9 +13,6 @@ from torchid.app.output import Computed, Output
 from torchid.app.signature import PLACE, Switch, command
 from torchid.errors import TorchidError
 from torchid.files import require_no_input, require_writable
-
-if TYPE_CHECKING:
-    from torchid.excitation.synthetic import NoiseModel
 
 
 @command
@@ -90,24 +86,20 @@ def simulate_command(
     if to is not None:
         require_writable(to, "--to")
     from torchid.effects.written import effect_written
+    from torchid.excitation.synthetic import noise_model, simulation_record
     from torchid.simulation.controller import Controller
 
     target = to or (output.out and output.out / "log.parquet")
     if target is None:
         raise TorchidError("nowhere to write the log.", expected="--to FILE or --out DIR")
-    model: "NoiseModel" = None
-    if noise == "paper":
-        model = torchid.PaperNoise(snr_db=snr)
-    elif noise == "honest":
-        if not 0 <= encoder_bits <= 40:
-            raise TorchidError("--encoder-bits lies between 0 and 40.", got=encoder_bits)
-        model = torchid.HonestNoise(
-            encoder_step=0.0 if encoder_bits == 0 else 2 * math.pi / 2**encoder_bits,
-            torque_relative=torque_noise,
-            colour_hz=colour,
-            include_velocity=velocity_noise is not None,
-            velocity_relative=velocity_noise or 0.0,
-        )
+    model = noise_model(
+        noise,
+        snr=snr,
+        torque_noise=torque_noise,
+        encoder_bits=encoder_bits,
+        colour=colour,
+        velocity_noise=velocity_noise,
+    )
     found = arm.load()
     effects = [effect_written(text, found, "--effect") for text in effect or []]
     moves = closed_loop or bool(effects)
@@ -116,26 +108,11 @@ def simulate_command(
         controller = Controller(control_frequency) if moves else None
         log = torchid.simulate(
             found, motion, effects=effects, noise=model, closed_loop=moves, rate=rate,
-            controller=controller, seed=seed,
-            device="cpu" if moves else opt.device(device_name),
+            controller=controller, seed=seed, device=device_name,
         )  # fmt: skip
     output.put(target, partial(torchid.write_log, log))
-    assert log.tau is not None
-    output.write_json(
-        {
-            "schema": "torchid.simulation/1",
-            "robot": found.name,
-            "file": target.name,
-            "noise": noise,
-            "closed_loop": moves,
-            "effects": [one.record(values) for one, values in effects],
-            "seed": seed,
-            "samples": log.samples,
-            "trajectories": list(log.names),
-            "torque_rms": log.tau.square().mean(0).sqrt().tolist(),
-        },
-        "simulation.json",
-    )
+    asked = {"file": target.name, "noise": noise, "closed_loop": moves, "seed": seed}
+    output.write_json(simulation_record(found, log, effects, **asked), "simulation.json")
     output.warn(log.warnings)
     output.say(f"{log.samples} samples of {log.trajectory_count} trajectories")
 

@@ -1,15 +1,17 @@
-"""`torchid study`: the report's studies as one command."""
+"""`torchid study` and `torchid demo`: the report's studies as one command, and the main job on its
+robots in under a minute."""
 
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from torchid.app import options as opt
 from torchid.app.faults import resumable
-from torchid.app.output import Reported, of
-from torchid.app.signature import Switch, command
+from torchid.app.output import Output, Reported
+from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, Schedule
 from torchid.json_data import write_json
@@ -56,6 +58,7 @@ def study_command(
         figures: Draw the figures into --out.
     """
     out = output.out
+    from torchid.parallel.workers import of
     from torchid.report.study import page
     from torchid.robot.library import robot_file
     from torchid.study.settings import load_study, study_file, study_names
@@ -69,48 +72,62 @@ def study_command(
     for given in names:
         settings = load_study(given).quick() if quick else load_study(given)
         every.append(replace(settings, search=replace(settings.search, **changed)))
-    where = opt.device(device_name)
     studies, records = [], []
     for given, settings in zip(names, every, strict=True):
-        folder, own = None if out is None else out / settings.name, output
-        if name == "all":
+        folder, file = None if out is None else out / settings.name, output.report
+        if name == "all" and file is not None:
             # Each study has a page of its own: report_3r.html beside report.html.
-            file = output.report
-            file = file and file.with_name(f"{file.stem}_{settings.name}{file.suffix}")
-            own = replace(output, report=file)
+            file = file.with_name(f"{file.stem}_{settings.name}{file.suffix}")
         robot_entry = ("robot", settings.robot, robot_file(settings.robot))
-        files = own.hashed([("study", given, study_file(given)), robot_entry])
+        files = output.hashed([("study", given, study_file(given)), robot_entry])
         checkpoints = None
         if folder is not None:
             checkpoints = folder / _CHECKPOINTS
             checkpoints.mkdir(parents=True, exist_ok=True)
-        with resumable(checkpoints), own.progress() as progress:
+        with resumable(checkpoints), output.progress() as progress:
+            told = of(progress, settings.name)
             found = run_study(
-                settings,
-                checkpoints=checkpoints,
-                resume=resume,
-                device=where,
-                report=of(progress, settings.name),
+                settings, checkpoints=checkpoints, resume=resume, device=device_name, report=told
             )
         records.append(found.plain())
         if folder is not None:
             write_json(records[-1], folder / "study.json")
             if figures:
                 page.write_study(found, folder)
-        build = partial(page.study_page, found)
-        own.write_page(build, files=files, **page.seeds_and_settings(found))
-        if own is not output:
-            output.written.extend(own.written)
+        about = page.seeds_and_settings(found)
+        output.write_page(partial(page.study_page, found), file, files=files, **about)
         studies.append(found)
     output.write_json(
         records[0] if name != "all" else {"schema": "torchid.studies/1", "studies": records},
         "study.json",
     )
     # Not sooner: of several studies, the first ones need not be searched again.
-    for settings in every:
-        if out is not None:
-            remove_checkpoints(settings, out / settings.name / _CHECKPOINTS)
     for found in studies:
         output.tell(page.shown(found))
         if out is not None:
-            output.say(f"results of {found.settings.name} are in {out / found.settings.name}")
+            folder = out / found.settings.name
+            remove_checkpoints(found.settings, folder / _CHECKPOINTS)
+            output.say(f"results of {found.settings.name} are in {folder}")
+
+
+@command
+def demo_command(
+    *,
+    seed: opt.Seed = 0,
+    output: Annotated[Output, Fields("json_file", "quiet", "threads", out=Path("demo"))],
+    device_name: opt.Device = "cpu",
+) -> None:
+    """Identify the report's 3R and KUKA LWR IV+ from synthetic logs, and compare with the truth.
+
+    Example: `torchid demo --out demo`
+
+    Args:
+        out: Folder for results.
+    """
+    from torchid.report.demo import shown
+    from torchid.study.demo import demo_record, kuka_demo, paper_demo
+
+    paper = paper_demo()
+    with output.progress() as progress:
+        kuka = kuka_demo(seed, device_name, progress)
+    output.give(demo_record(paper, kuka), "demo.json", lambda _: shown(paper, kuka))

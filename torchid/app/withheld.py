@@ -1,6 +1,5 @@
 """`torchid withheld`: check the diagnosis on data whose cause was withheld from it."""
 
-import os
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +10,11 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Printed
-from torchid.app.project import ProjectCommand, group
+from torchid.app.project import group
 from torchid.app.signature import PLACE, WRITTEN, Fields, Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.withheld.settings import PLANTED
-
-withheld_app = group("withheld", "Check the diagnosis on data whose cause was withheld from it.")
 
 SetArgument = Annotated[
     Path,
@@ -47,9 +44,9 @@ class Workers:
     @property
     def count(self) -> int:
         """Of processes; all cores that this one may use, by default."""
-        if self.jobs is None and hasattr(os, "sched_getaffinity"):
-            return len(os.sched_getaffinity(0))
-        return self.jobs or os.cpu_count() or 1
+        from torchid.parallel.workers import cores
+
+        return self.jobs or cores()
 
 
 def _joints(text: str) -> list[int] | None:
@@ -62,7 +59,6 @@ def _joints(text: str) -> list[int] | None:
     return [int(part) - 1 for part in parts]
 
 
-@withheld_app.command("make")
 @command
 def make_command(
     *,
@@ -101,7 +97,6 @@ def make_command(
     output.say(f"SHA-256 of the keys: {made.keys_sha256}")
 
 
-@withheld_app.command("run")
 @command
 def run_command(
     *,
@@ -132,7 +127,6 @@ def run_command(
     output.warn(tuple(f"{case}: {error}" for case, error in failed.items()))
 
 
-@withheld_app.command("score")
 @command
 def score_command(
     *,
@@ -179,7 +173,6 @@ def score_command(
     output.tell(said)
 
 
-@withheld_app.command("leave-out")
 @command
 def leave_out_command(
     *,
@@ -214,7 +207,6 @@ def leave_out_command(
     output.say(leave_out_headline(result))
 
 
-@withheld_app.command("own", cls=ProjectCommand)
 @command
 def own_command(
     *,
@@ -249,3 +241,9 @@ def own_command(
             jobs=workers.count, progress=progress,
         )  # fmt: skip
     output.give(result, "own.json", own_shown, seed=settings.seed)
+
+
+_ALL = make_command, run_command, score_command, leave_out_command, own_command
+withheld_app = group(
+    "withheld", "Check the diagnosis on data whose cause was withheld from it.", _ALL
+)

@@ -41,6 +41,7 @@ def wrenches_command(
         per_kind: Sets of each kind of violation.
         reference: With --sets: compare with this set, not with the nominal one.
         trajectory: Motion to compare on. Default: a sinusoid within the robot's limits.
+        max_acceleration: Acceleration limits, in place of the robot's (a URDF has none).
         geometry: Bounds whose CoM boxes are the links' geometry. Default: normal_corrected, or
             normal.
         total_mass: Interval of the total mass [kg]. Default: the robot's, or 0.9 to 1.25 times the
@@ -72,10 +73,6 @@ def wrenches_command(
         output.give(data, "wrenches.json", lambda _: equal_torque.shown(study))
         return
     given = read_all_sets(sets, robot)
-    if reference is not None and reference not in given.ids:
-        raise TorchidError(
-            "--reference names none of the sets.", got=reference, available=given.ids[:20]
-        )
     found = torchid.compare_wrenches(
         robot, given, reference, motion=motion, geometry=geometry, total_mass=total_mass,
         resamples=resamples, seed=seed,

@@ -2,14 +2,26 @@
 
 import math
 from collections.abc import Collection, Sequence
+from pathlib import Path
 
 from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
 from torchid.log.columns import PREFIXES
+from torchid.log.readers import open_log
+from torchid.log.table import Request
 from torchid.log.units import UNITS
 
 SAYABLE = (Scale, Reorder, ScaleTime, DropSignal)
 """Repairs that the option can say; the others change rows."""
 _EXACT = 1e-12
+
+
+def flag_for(repairs: Sequence[Repair], n: int, files: Sequence[Path]) -> str | None:
+    """`columns_flag` for logs that are read without it."""
+    if not repairs:
+        return None
+    tables = [open_log(file, Request())[0] for file in files]
+    own = [set() if table is None else set(table.columns) for table in tables]
+    return columns_flag(repairs, n, set.intersection(*own))
 
 
 def columns_flag(repairs: Sequence[Repair], n: int, columns: Collection[str]) -> str | None:

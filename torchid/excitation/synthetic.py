@@ -9,7 +9,7 @@ motion, the encoder counts in steps, accelerations are not measured and torques 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -74,6 +74,7 @@ __all__ = [
 ]
 
 NoiseModel = PaperNoise | HonestNoise | None
+Noise = Literal["none", "paper", "honest"]
 HONEST = HonestNoise()
 
 
@@ -147,6 +148,66 @@ def simulate(
     if noise is None:
         return sensed_log(robot, log, sensed)
     return measured_log(robot, log, sensed, Sensors(noise), seed)
+
+
+def noise_model(
+    kind: Noise,
+    *,
+    snr: float,
+    torque_noise: float,
+    encoder_bits: int,
+    colour: float | None,
+    velocity_noise: float | None,
+) -> NoiseModel:
+    """Noise by its name.
+
+    Args:
+        kind: `none`; `paper`, of `snr` [dB] alone; or `honest`, of all the others.
+        snr: signal-to-noise ratio [dB].
+        torque_noise: share of each joint's RMS torque.
+        encoder_bits: counts a turn, as a power of 2; 0 for exact.
+        colour: [Hz] low-pass of the torque noise; white if None.
+        velocity_noise: share of each joint's RMS velocity; velocities are not measured if None.
+
+    Raises:
+        TorchidError: a number out of range.
+    """
+    if kind == "none":
+        return None
+    if kind == "paper":
+        return PaperNoise(snr_db=snr)
+    if not 0 <= encoder_bits <= 40:
+        raise TorchidError("`encoder_bits=...` lies between 0 and 40.", got=encoder_bits)
+    return HonestNoise(
+        encoder_step=0.0 if encoder_bits == 0 else 2 * math.pi / 2**encoder_bits,
+        torque_relative=torque_noise,
+        colour_hz=colour,
+        include_velocity=velocity_noise is not None,
+        velocity_relative=velocity_noise or 0.0,
+    )
+
+
+def simulation_record(
+    robot: Robot, log: Log, effects: Sequence[Valued], **asked: object
+) -> dict[str, Any]:
+    """The schema torchid.simulation/1.
+
+    Args:
+        robot: that moved.
+        log: with torque.
+        effects: that the nominal robot lacks.
+        asked: file, noise, closed_loop and seed.
+    """
+    assert log.tau is not None
+    return {
+        "schema": "torchid.simulation/1",
+        "robot": robot.name,
+        **asked,
+        "effects": [effect.record(values) for effect, values in effects],
+        "samples": log.samples,
+        "trajectories": list(log.names),
+        "torque_rms": log.tau.square().mean(0).sqrt().tolist(),
+    }
 
 
 def synthetic_log(

@@ -52,6 +52,12 @@ CLAIMED = 1.15
 NO_BETTER = 1.02
 """Mean error over that of the nominal robot from which a file is refused."""
 
+_FILES: dict[str, Target] = {
+    "mjcf": "mjcf", "urdf": "urdf", "drake": "drake", "mujoco": "mjcf", "mjlab": "mjcf",
+    "isaaclab": "mjcf", "gazebo": "urdf",
+}  # fmt: skip
+"""Of formats, and of simulators that read one of them."""
+
 
 @dataclass(frozen=True, eq=False)
 class Forward:
@@ -162,14 +168,20 @@ class AtRunTime:
         return torch.linalg.solve(self.gain, true.T).T
 
 
-def require_engine(to: Target) -> None:
-    """Raise MissingExtraError unless an engine that runs such files is installed."""
+def file_format(asked: str) -> Target:
+    """mjcf, urdf or drake: what a format's or simulator's files are.
+
+    Raises:
+        MissingExtraError: no engine that runs such files is installed.
+    """
     from importlib.util import find_spec
 
+    to = _FILES[asked]
     if to == "drake" and find_spec("pydrake") is None:
         raise MissingExtraError("pydrake", "drake", "Checking a corrected MJCF in Drake on the log")
     if find_spec("mujoco") is None and (to != "urdf" or find_spec("pinocchio") is None):
         raise MissingExtraError("mujoco", "mjcf", f"Checking a corrected {to} on the log")
+    return to
 
 
 def correct(
@@ -219,7 +231,7 @@ def correct(
     >>> bool(done.judged.engine.mean() < 0.3 * done.judged.nominal.mean())
     True
     """
-    require_engine(to)
+    file_format(to)
     settings = settings or GapSettings()
     diagnosis = full if isinstance(full, Diagnosis) else None
     corrected = full.corrected if isinstance(full, Diagnosis) else full

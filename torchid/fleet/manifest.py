@@ -33,6 +33,17 @@ class FleetLog:
     path: str
 
 
+def logs_of(paths: Sequence[str | Path], manifest: str | Path | None) -> tuple[FleetLog, ...]:
+    """Logs by their paths, or those of a manifest.
+
+    Raises:
+        TorchidError: neither or both, or as `fleet_logs` and `read_manifest` raise.
+    """
+    if (manifest is None) is (not paths):
+        raise TorchidError("the logs of a fleet are needed.", expected="LOG..., or `manifest=...`")
+    return fleet_logs(paths) if manifest is None else read_manifest(manifest)
+
+
 def fleet_logs(paths: Sequence[str | Path]) -> tuple[FleetLog, ...]:
     """Logs whose unit is the folder that they lie in and whose session is their own name; a folder
     that is no log stands for the logs in it, and in the folders in it.

@@ -1,7 +1,7 @@
 """From a robot and its logs to base parameters: the whole job as one call."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -28,6 +28,7 @@ from torchid.identification.validation import errors, model_torque, predict
 from torchid.log.checks import check_log
 from torchid.log.model import Log
 from torchid.log.sampling import resample
+from torchid.parallel.workers import Progress, stage
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Bool, Float, Tensor
 
@@ -41,8 +42,6 @@ BEYOND_LIMIT = 5.0
 
 LOAD_FITS = 2
 """Fits from which effects of the torque take their torque, before the last one."""
-
-Progress = Callable[[str, int, int], None]
 
 
 def identify(
@@ -102,12 +101,12 @@ def identify(
     training = _training(robot, _on(log, device), [a.effect for a in asked if a.plain], settings)
     choice: CutoffChoice | None = None
     if settings.cutoff == "auto":
-        choice = choose_cutoff(training, _stage(progress, "choosing the cut-off"))
+        choice = choose_cutoff(training, stage(progress, "choosing the cut-off"))
         cutoff = choice.cutoff
     else:
         cutoff = settings.cutoff
     if settings.reversal == "auto":
-        report = _stage(progress, "choosing the reversal speed")
+        report = stage(progress, "choosing the reversal speed")
         reversal = choose_reversal(training, cutoff, report)
     else:
         reversal = settings.reversal * fast_speed(measurements(training.log, cutoff)).cpu()
@@ -355,10 +354,6 @@ def _on(log: Log, device: torch.device | str) -> Log:
     return log.replace(t=log.t.to(device), trajectory=log.trajectory.to(device), **moved)
 
 
-def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
-    return None if progress is None else (lambda done, total: progress(stage, done, total))
-
-
 @dataclass(frozen=True)
 class _Estimate:
     fit: Fit
@@ -376,7 +371,7 @@ def _estimate(
         training.layout,
         moving_only=training.moving_only,
         compiled=settings.compiled,
-        progress=_stage(progress, "filtering"),
+        progress=stage(progress, "filtering"),
     )
 
     def without(dropped: Tensor) -> _Estimate:

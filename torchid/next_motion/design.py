@@ -1,6 +1,5 @@
 """The next motion for a result: what it leaves in doubt, settled by driving."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,13 +17,13 @@ from torchid.identification.values import prior_of
 from torchid.next_motion.ambiguity import open_questions
 from torchid.next_motion.rivals import rivals
 from torchid.next_motion.separating_motion import Separation, design_separation
+from torchid.parallel.workers import Progress, stage
 from torchid.results.files import read
 from torchid.robot.model import Robot
 
 EVALUATIONS = 75
 """Trajectories that the search for a separating motion tries a restart."""
 
-Progress = Callable[[str, int, int], None]
 Asking = GapRecord | IdentificationRecord
 
 
@@ -99,15 +98,12 @@ def excite_for(
     if robot is None:
         raise TorchidError(f"'{source}' does not record its robot: `robot=...`.")
 
-    def told(stage: str) -> Callable[[int, int], None] | None:
-        return None if progress is None else lambda done, total: progress(stage, done, total)
-
     if isinstance(record, IdentificationRecord):
         prior = prior_of(record, robot, source)
         return design_for(
             robot, prior, seed=seed, goal=goal or "a_optimal", restarts=restarts, usage=usage,
             harmonics=harmonics, duration=duration, clearance=clearance,
-            progress=told("designing"),
+            progress=stage(progress, "designing"),
         )  # fmt: skip
     if goal is not None:
         raise TorchidError("for a gap diagnosis motions are designed to separate.", got=goal)
@@ -115,10 +111,11 @@ def excite_for(
     limits = corrected_torque_limits(found.setting.robot, found.setting.given, usage=usage)
     plain = optimise_trajectory(
         robot, seed=seed, restarts=restarts, torque=limits, usage=usage, harmonics=harmonics,
-        duration=duration, clearance=clearance, progress=told("a plain motion to compare with"),
+        duration=duration, clearance=clearance,
+        progress=stage(progress, "a plain motion to compare with"),
     ).trajectory  # fmt: skip
     made = design_separation(
         found.setting, rivals(found, plain), plain, seed=seed, usage=usage, clearance=clearance,
-        evaluations=EVALUATIONS * restarts, progress=told("separating"),
+        evaluations=EVALUATIONS * restarts, progress=stage(progress, "separating"),
     )  # fmt: skip
     return replace(made, kind=found.kind, notes=found.notes)

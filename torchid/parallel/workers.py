@@ -32,6 +32,8 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 
 Progress = Callable[[str, int, int], None]
+"""Takes stage, done, total; a total of 0 where it is not known."""
+
 Workers = int | str | Executor
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -41,6 +43,25 @@ RETRIES = 2
 
 PATIENCE = 20
 """Time in which a dask scheduler must answer [s]."""
+
+
+def cores() -> int:
+    """That this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def stage(progress: Progress | None, name: str) -> Callable[[int, int], None] | None:
+    """A callback (done, total) of one stage."""
+    return None if progress is None else lambda done, total: progress(name, done, total)
+
+
+def of(progress: Progress | None, name: str) -> Progress | None:
+    """A callback whose stages are those of one of several things, with its name before them."""
+    if progress is None:
+        return None
+    return lambda stage, done, total: progress(f"{name}: {stage}", done, total)
 
 
 class RefusedError(TorchidError):

@@ -12,7 +12,7 @@ from torchid.report import gap_figures
 from torchid.report import gap_words as words
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Picture
-from torchid.report.simulator_block import simulator_block
+from torchid.report.robot import simulator_block
 from torchid.report.table import (
     Shown,
     Table,
@@ -67,7 +67,7 @@ def where_table(diagnosis: Diagnosis) -> Table:
     for gap in diagnosis.joints:
         said = []
         for r in words.clear_regimes(diagnosis, gap.joint)[:_MOST_REGIMES]:
-            text = f"{words.regime_words(r.regime)} {percent(r.excess)} {interval(r.ci95)}"
+            text = words.excess_words(r)
             if r.times:
                 starts: dict[str, list[str]] = {}
                 for window in r.times[:_MOST_REGIMES]:

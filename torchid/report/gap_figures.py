@@ -9,9 +9,21 @@ import torch
 
 from torchid.gap.diagnosis import Diagnosis, Trace
 from torchid.gap.record import OFTEN, Regime
-from torchid.report.colours import AFTER, BEFORE, BLUE, GREY, INK
+from torchid.report.colours import AFTER, BEFORE, GREY, INK
 from torchid.report.gap_words import CLEAR, clear_regimes, regime_words
-from torchid.report.panels import Figure, Figures, finish, new_figure, panel, ruled, styled
+from torchid.report.panels import (
+    SMALL,
+    Figure,
+    Figures,
+    finish,
+    new_figure,
+    panel,
+    ruled,
+    shaded_map,
+    side_bars,
+    styled,
+    worst_stretch,
+)
 from torchid.report.table import joint_unit, percent, torque_unit
 from torchid.statistics.jackknife import student_quantile
 
@@ -21,7 +33,6 @@ WORST = 3
 MOST_PLANTED = 5
 """Findings whose planting is shown, the largest ones."""
 
-_SMALL = 8
 _MOST_POINTS = 4000
 _SHORTEST = 12.0
 """Seconds of a trajectory shown in the torque overlay, at most."""
@@ -49,8 +60,6 @@ def worst_joints(diagnosis: Diagnosis, most: int = WORST) -> list[int]:
 def map_figure(diagnosis: Diagnosis) -> Figure:
     """Joints x regimes: excess as colour and number where clear, faint elsewhere; the joint's
     share of the gap beside it."""
-    from matplotlib.colors import LinearSegmentedColormap
-
     regimes = get_args(Regime)
     joints = [gap.joint for gap in diagnosis.joints]
     found = {(r.joint, r.regime): r for r in diagnosis.regimes}
@@ -66,34 +75,21 @@ def map_figure(diagnosis: Diagnosis) -> Figure:
             if r in clear_regimes(diagnosis, j):
                 clear[y, x] = r.excess
                 text = percent(r.excess).replace(" ", "\u2009")
-                style = {"fontsize": _SMALL, "color": INK, "fontweight": "bold"}
+                style = {"fontsize": SMALL, "color": INK, "fontweight": "bold"}
             else:
                 text, style = "·", {"fontsize": 12, "color": GREY}
             axes.text(x, y, text, ha="center", va="center", **style)
-    # Blue over whatever ground the figure has, so light that ink on it can be read.
-    shades = LinearSegmentedColormap.from_list("shades", [(BLUE, 0.0), (BLUE, 0.6)])
-    image = axes.imshow(clear, cmap=shades, vmin=0, vmax=1, aspect="auto")
-    axes.set_xticks(range(len(regimes)), [regime_words(r).replace(" ", "\n") for r in regimes])
-    axes.set_yticks(range(len(joints)), [f"joint {j + 1}" for j in joints])
-    ruled(axes, len(joints), len(regimes), 2)
-    bar = figure.colorbar(image, ax=axes, pad=0.015, aspect=18)
-    bar.outline.set_visible(False)
-    bar.set_label("share of the joint's gap beyond\nthe regime's share of time", fontsize=_SMALL)
+    label = "share of the joint's gap beyond\nthe regime's share of time"
+    names = [f"joint {j + 1}" for j in joints]
+    bar = shaded_map(axes, clear, [regime_words(r) for r in regimes], names, label, 1.0)
     bar.ax.yaxis.set_major_formatter(lambda v, _: f"{100 * v:.0f} %")
-    bar.ax.tick_params(labelsize=_SMALL, length=0)
-    styled(bars)
-    bars.barh(range(len(joints)), [gap.share for gap in diagnosis.joints], color=BEFORE, height=0.6)
-    for y, gap in enumerate(diagnosis.joints):
-        bars.text(gap.share + 0.03, y, percent(gap.share), va="center", fontsize=_SMALL, color=INK)
-    bars.set(xlim=(0, 1.3), xticks=[])
-    bars.tick_params(which="both", length=0, labelleft=False)
-    bars.grid(False)
-    bars.spines["bottom"].set_visible(False)
-    bars.set_title("share of the gap", fontsize=_SMALL, color=INK, loc="left")
+    shares = [gap.share for gap in diagnosis.joints]
+    words = [f" {percent(share)}" for share in shares]
+    side_bars(bars, shares, words, BEFORE, "share of the gap", 1.3)
     axes.set_title(
         f"numbers: excess where p < {CLEAR:g}, corrected over all cells; "
         "dots: nothing beyond chance",
-        fontsize=_SMALL, color=INK, loc="left",
+        fontsize=SMALL, color=INK, loc="left",
     )  # fmt: skip
     return finish(figure, f"{diagnosis.robot.name}: where the gap lies")
 
@@ -115,7 +111,7 @@ def bar_figure(diagnosis: Diagnosis) -> Figure:
     for bars, heights in ((place - 0.2, before), (place + 0.2, after)):
         for x, height in zip(bars, heights, strict=True):
             text = f"{height:.3g}"
-            axes.text(x, height + 0.02 * top, text, ha="center", fontsize=_SMALL, color=INK)
+            axes.text(x, height + 0.02 * top, text, ha="center", fontsize=SMALL, color=INK)
     axes.set_xticks(place, [f"joint {j + 1}" for j in range(n)])
     axes.set(xlim=(-0.6, n - 0.4), ylim=(0, 1.12 * top if top > 0 else 1.0))
     axes.grid(axis="x", visible=False)
@@ -158,7 +154,7 @@ def planted_figure(diagnosis: Diagnosis) -> Figure:
         for (y, x), share in np.ndenumerate(shares):
             if share >= 0.005:
                 text = f"{100 * share:.0f}"
-                table.text(x, y, text, ha="center", va="center", fontsize=_SMALL, color=INK)
+                table.text(x, y, text, ha="center", va="center", fontsize=SMALL, color=INK)
         told = [*words, "none"]
         table.set_xticks(range(len(told)), [w.replace(" ", "\n") for w in told])
         table.set_yticks(range(len(words)), words)
@@ -167,7 +163,7 @@ def planted_figure(diagnosis: Diagnosis) -> Figure:
         table.set_title(
             f"{words[0]}{f', joint {where}' if where else ''}: told (across) where planted (down), "
             "% of draws",
-            fontsize=_SMALL, color=INK, loc="left",
+            fontsize=SMALL, color=INK, loc="left",
         )  # fmt: skip
         styled(curve)
         sizes, found = np.array(planted.found).T
@@ -176,7 +172,7 @@ def planted_figure(diagnosis: Diagnosis) -> Figure:
         curve.set_xticks(sizes, ["1" if s == 1 else f"1/{1 / s:.0f}" for s in sizes])
         if planted.smallest is not None:
             said = f"told in {100 * OFTEN:.0f} % of draws from {planted.smallest:.2g} of it on"
-            curve.set_title(said, fontsize=_SMALL, color=INK, loc="left")
+            curve.set_title(said, fontsize=SMALL, color=INK, loc="left")
         curve.set(ylim=(-4, 104), xlabel="size, as a share of the one found", ylabel="told [%]")
     return finish(figure, f"{diagnosis.robot.name}: what this log would show")
 
@@ -187,13 +183,10 @@ def torque_figure(diagnosis: Diagnosis, joint: int | None = None) -> Figure:
     joint = worst_joints(diagnosis)[0] if joint is None else joint
     trace, rows, most = diagnosis.traces[0], slice(0, len(diagnosis.traces[0].valid)), -1.0
     for own in diagnosis.traces:
-        length = min(len(own.valid), max(2, round(_SHORTEST * own.rate)))
-        squared = (own.measured - own.before)[:, joint].square() * own.valid
-        sums = np.concatenate([[0.0], squared.cumsum(0).numpy()])
-        windows = sums[length:] - sums[:-length]
-        start = int(windows.argmax())
-        if windows[start] / length > most:
-            trace, rows, most = own, slice(start, start + length), windows[start] / length
+        squares = (own.measured - own.before)[:, joint].square() * own.valid
+        stretch, mean = worst_stretch(squares, max(2, round(_SHORTEST * own.rate)))
+        if mean > most:
+            trace, rows, most = own, stretch, mean
     step = max(1, (rows.stop - rows.start) // _MOST_POINTS)
     pick = slice(rows.start, rows.stop, step)
     t = np.arange(rows.start, rows.stop, step) / trace.rate
@@ -229,9 +222,10 @@ _SCATTER = 1500
 _FEWEST = 3  # blocks in a bin that is drawn
 
 
-def joint_figure(diagnosis: Diagnosis, joint: int) -> Figure:
-    """Binned means of the gap against velocity, position, acceleration, load and time, over a light
-    scatter, and its spectrum over the noise."""
+def joint_figure(diagnosis: Diagnosis, joint: int | None = None) -> Figure:
+    """Binned means of the gap of a joint (from 0; the worst, if None) against velocity, position,
+    acceleration, load and time, over a light scatter, and its spectrum over the noise."""
+    joint = worst_joints(diagnosis)[0] if joint is None else joint
     unit = joint_unit(diagnosis.robot, joint)
     length = "m" if unit == "N" else "rad"
     s = samples(diagnosis.traces, joint)

@@ -40,6 +40,11 @@ def regime_words(name: str) -> str:
     return name.replace("_", " ")
 
 
+def excess_words(one: RegimeGap) -> str:
+    """`low speed 40 % [35, 45]`."""
+    return f"{regime_words(one.regime)} {percent(one.excess)} {interval(one.ci95)}"
+
+
 def clear_regimes(diagnosis: Diagnosis, joint: int) -> list[RegimeGap]:
     """What holds more than its share of a joint's gap beyond chance, the most first; nothing on a
     joint whose gap is below all noise."""

@@ -229,6 +229,16 @@ def torque_figure(
     return finish(figure, title, *grid[0])
 
 
+def run_figure(result: Identification, run: Prediction, held_out: bool) -> Figure:
+    """The torque of one trajectory of the result."""
+    units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
+    return torque_figure(run, units, f"{run.name} ({_data(held_out)})", result.settings.rows)
+
+
+def _data(held_out: bool) -> str:
+    return "held-out data" if held_out else "fitted data"
+
+
 def parameter_figure(result: IdentificationRecord) -> Figure:
     """Each estimated parameter's 95 % interval relative to its value: what the log determines."""
     std = result.covariance.diagonal().clamp(min=0).sqrt()
@@ -374,18 +384,16 @@ def _to_digits(value: float, std: float) -> str:
 def _pictures(result: Identification) -> list[Picture]:
     held = bool(result.held_out_predictions)
     shown = result.held_out_predictions if held else result.fit_predictions
-    words = "held-out data" if held else "fitted data"
-    units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
     out = []
     for k, p in enumerate(shown[:MOST_TRAJECTORIES], start=1):
         place = f" (trajectory {k} of {len(shown)})" if len(shown) > 1 else ""
         out.append(
             Picture(
                 f"torque_{k}",
-                f"Measured and predicted torque of every joint in {p.name}, {words}{place}."
+                f"Measured and predicted torque of every joint in {p.name}, {_data(held)}{place}."
                 f"{_RESIDUAL if k == 1 else ''}",
                 f"Measured and predicted torque over time in {p.name}, and their difference.",
-                partial(torque_figure, p, units, f"{p.name} ({words})", result.settings.rows),
+                partial(run_figure, result, p, held),
             )
         )
     poor = f"{len(poor_names(result))} of {len(result.base)}"
@@ -485,16 +493,12 @@ def _payload_cells(estimate: Estimate, k: int) -> tuple[str, str]:
 def figures(result: Identification) -> Figures:
     """How well each parameter is known, and torques of every trajectory: what draws each figure, by
     the names of their files."""
-    units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
     drawn: dict[str, Callable[[], Figure | None]] = {
         "parameters": partial(parameter_figure, result.record)
     }
-    for kind, words, predictions in (
-        ("fit", "fitted data", result.fit_predictions),
-        ("held_out", "held-out data", result.held_out_predictions),
-    ):
-        for prediction in predictions:
-            name = "".join(c if c.isalnum() or c in "-_." else "_" for c in prediction.name)
-            title, rows = f"{prediction.name} ({words})", result.settings.rows
-            drawn[f"{kind}_{name}"] = partial(torque_figure, prediction, units, title, rows)
+    runs = {"fit": result.fit_predictions, "held_out": result.held_out_predictions}
+    for kind, predictions in runs.items():
+        for run in predictions:
+            name = "".join(c if c.isalnum() or c in "-_." else "_" for c in run.name)
+            drawn[f"{kind}_{name}"] = partial(run_figure, result, run, kind == "held_out")
     return drawn

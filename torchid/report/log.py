@@ -13,7 +13,7 @@ from torchid.doctor.examine import Examination
 from torchid.doctor.record import conclusion
 from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.overview import Overview
-from torchid.log.ros import Topic
+from torchid.log.ros import Topic, topics_of
 from torchid.report.colours import BLUE, ORANGE, RED
 from torchid.report.panels import Figure, finish, joint_rows, thin
 from torchid.report.table import Cell, Shown, Table, count, filled, joint_unit
@@ -30,6 +30,30 @@ _CONSEQUENCES = {
     "ql": "",
     "u": "",
 }
+
+
+def shown(seen: Overview, repeats: Sequence[Repeat]) -> Shown:
+    """All that there is to see of a log, but why it cannot be used.
+
+    Args:
+        seen: of the log.
+        repeats: of its motion.
+    """
+    unused = ", ".join(seen.unused[:_SHOWN])
+    return Shown(
+        verdict=headline(seen),
+        parts=[
+            *(
+                topics_table(topics_of(table.path), table.topic)
+                for table in seen.tables
+                if table is not None and table.topic is not None
+            ),
+            *log_tables(seen),
+            *([repeats_table(repeats)] if repeats else []),
+            *([f"not used: {unused}"] if unused else []),
+        ],
+        warnings=seen.warnings,
+    )
 
 
 def headline(seen: Overview) -> str:

@@ -3,11 +3,10 @@
 import math
 from collections.abc import Mapping
 
-from torchid.gap.record import RegimeGap
 from torchid.pair.pair import PairDiagnosis
 from torchid.pair.record import Fault, OneSided, WherePair
-from torchid.report.gap_words import CLEAR, effect_words, joints_words, measure, regime_words
-from torchid.report.table import Shown, Table, filled, interval, listed, percent
+from torchid.report.gap_words import CLEAR, effect_words, excess_words, joints_words, measure
+from torchid.report.table import Shown, Table, filled, listed, percent
 
 _MOST_REGIMES = 3
 
@@ -87,7 +86,7 @@ def _where(where: WherePair, what: str, unit: str) -> Table:
         rows.append(
             (
                 str(one.joint + 1), f"{scale * one.rms:.3g}", noise, f"{one.relative_percent:.3g}",
-                ", ".join(map(_regime, own[:_MOST_REGIMES])) or "-",
+                ", ".join(map(excess_words, own[:_MOST_REGIMES])) or "-",
             )
         )  # fmt: skip
     regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"
@@ -97,7 +96,3 @@ def _where(where: WherePair, what: str, unit: str) -> Table:
         rows,
         words=(regimes,),
     )
-
-
-def _regime(one: RegimeGap) -> str:
-    return f"{regime_words(one.regime)} {percent(one.excess)} {interval(one.ci95)}"

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 
 from torchid.files import atomic_write
-from torchid.report.colours import GREY, GRID, INK
+from torchid.report.colours import BLUE, GREY, GRID, INK
 from torchid.report.table import printable
 from torchid.typing import Tensor
 
@@ -24,6 +25,8 @@ Figures = Mapping[str, Callable[..., Figure | None]]
 
 MOST_POINTS = 1000
 """Of a curve."""
+SMALL = 8
+"""Size of words beside marks and bars."""
 _LETTER, _WIDEST = 0.082, 12.0  # of a title [inches], and of a figure that is widened for it
 
 
@@ -223,6 +226,52 @@ def ruled(axes: Any, rows: int, columns: int, width: float) -> None:
     axes.spines[:].set_visible(False)
 
 
+def shaded_map(
+    axes: Any,
+    shades: np.ndarray,
+    columns: Sequence[str],
+    rows: Sequence[str],
+    label: str,
+    most: float | None = None,
+) -> Any:
+    """A map of rows and columns; blue over whatever ground the figure has, so light that ink on it
+    can be read.
+
+    Args:
+        axes: of the map.
+        shades: (rows, columns) from 0 on.
+        columns, rows: their names.
+        label: of the bar of colours, which is returned.
+        most: with the deepest blue; the largest if None.
+    """
+    from matplotlib.colors import LinearSegmentedColormap
+
+    blue = LinearSegmentedColormap.from_list("shades", [(BLUE, 0.0), (BLUE, 0.6)])
+    image = axes.imshow(shades, cmap=blue, vmin=0, vmax=most, aspect="auto")
+    axes.set_xticks(range(len(columns)), [name.replace(" ", "\n") for name in columns])
+    axes.set_yticks(range(len(rows)), rows)
+    ruled(axes, len(rows), len(columns), 2)
+    bar = axes.figure.colorbar(image, ax=axes, pad=0.015, aspect=18)
+    bar.outline.set_visible(False)
+    bar.set_label(label, fontsize=SMALL)
+    bar.ax.tick_params(labelsize=SMALL, length=0)
+    return bar
+
+
+def side_bars(
+    axes: Any, values: Sequence[float], words: Sequence[str], colour: str, title: str, right: float
+) -> None:
+    """Bars beside the rows of a map, with words at their ends, up to `right`."""
+    styled(axes).barh(range(len(values)), values, color=colour, height=0.6)
+    for y, (value, said) in enumerate(zip(values, words, strict=True)):
+        axes.text(value, y, said, va="center", fontsize=SMALL, color=INK)
+    axes.set(xlim=(0, right), xticks=[])
+    axes.tick_params(which="both", length=0, labelleft=False)
+    axes.grid(False)
+    axes.spines["bottom"].set_visible(False)
+    axes.set_title(title, fontsize=SMALL, color=INK, loc="left")
+
+
 def note(axes: Any, text: str) -> None:
     """A few words in the upper right corner of a panel."""
     axes.text(
@@ -235,6 +284,15 @@ def headroom(axes: Any, share: float = 0.25) -> None:
     """Room above the curves for a note."""
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + share * (high - low))
+
+
+def worst_stretch(squares: Tensor, size: int) -> tuple[slice, float]:
+    """The `size` neighbouring values, or all of fewer, with the largest mean, and that mean."""
+    size = min(size, len(squares))
+    sums = squares.cumsum(0)
+    sums = sums[size - 1 :] - torch.cat([sums.new_zeros(1), sums[: len(sums) - size]])
+    start = int(sums.argmax())
+    return slice(start, start + size), float(sums[start]) / size
 
 
 def thin(signal: Tensor) -> np.ndarray:

@@ -30,13 +30,12 @@ from torchid.report import (
     given_sets,
     identification,
     log,
-    position_figures,
+    position,
     withheld,
 )
 from torchid.report import gap_figures as gap
 from torchid.report.panels import Figure, Figures
 from torchid.report.study.page import drawings
-from torchid.report.table import joint_unit
 from torchid.results.record import Result
 from torchid.study.equal_torque.given_sets import GivenSets
 from torchid.study.equal_torque.study import EqualTorqueStudy
@@ -95,9 +94,9 @@ def kinds(result: Result) -> Figures:
         case GapRecord():
             return _gap(_diagnosis(result))
         case PositionRecord():
-            return {"how_far": partial(position_figures.error_figure, result)}
+            return {"how_far": partial(position.error_figure, result)}
         case Replay():
-            return {"positions": partial(position_figures.replay_figure, result)}
+            return {"positions": partial(position.replay_figure, result)}
         case Identification():
             return _identification(result)
         case IdentificationRecord():
@@ -112,12 +111,10 @@ def kinds(result: Result) -> Figures:
             return extraction.figures(result)
         case PositionDiagnosis():
             return {
-                "where": partial(position_figures.where_figure, result),
-                "which": partial(position_figures.which_figure, result),
+                "where": partial(position.where_figure, result),
+                "which": partial(position.which_figure, result),
                 **kinds(result.record),
-                "joint": lambda joint=None: position_figures.joint_figure(
-                    result, position_figures.worst_joints(result)[0] if joint is None else joint
-                ),
+                "joint": partial(position.joint_figure, result),
             }
         case Examination():
             return {"torque": partial(log.torque_figure, result)}
@@ -141,9 +138,8 @@ def _gap(found: Diagnosis) -> Figures:
         "budget": partial(gap.budget_figure, found),
     }
     if found.traces:
-        worst = gap.worst_joints(found)[0]
-        drawn["gap"] = lambda joint=worst: gap.joint_figure(found, joint)
-        drawn["torque"] = lambda joint=worst: gap.torque_figure(found, joint)
+        drawn["gap"] = partial(gap.joint_figure, found)
+        drawn["torque"] = partial(gap.torque_figure, found)
     if any(f.planted for f in found.findings):
         drawn["planted"] = partial(gap.planted_figure, found)
     return drawn
@@ -183,17 +179,14 @@ def _diagnosis(record: GapRecord) -> Diagnosis:
 
 def _identification(result: Identification) -> Figures:
     runs = (*result.held_out_predictions, *result.fit_predictions)
-    units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
 
     def torque(trajectory: int = 0) -> Figure:
         if not 0 <= trajectory < len(runs):
             raise TorchidError(
                 "there is no such trajectory.", got=trajectory, expected=f"0..{len(runs) - 1}"
             )
-        shown = runs[trajectory]
         held_out = trajectory < len(result.held_out_predictions)
-        title = f"{shown.name} ({'held-out' if held_out else 'fitted'} data)"
-        return identification.torque_figure(shown, units, title, result.settings.rows)
+        return identification.run_figure(result, runs[trajectory], held_out)
 
     return {
         "parameters": partial(identification.parameter_figure, result.record),

@@ -1,18 +1,43 @@
-"""A diagnosis of commands and positions for people: the verdict, tables, and a page."""
+"""A diagnosis of commands and positions for people: the verdict, tables, figures, and a page."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
+import numpy as np
+import torch
 from torch import Tensor
 
+from torchid.errors import TorchidError
 from torchid.position.diagnosis import PositionDiagnosis, PositionFinding, Size
+from torchid.position.model import Replay
 from torchid.position.nominal import unit_of
-from torchid.report import position_figures
+from torchid.position.record import PositionRecord
+from torchid.report.colours import AFTER, BEFORE, GREY, INK
 from torchid.report.gap_words import effect_words, regime_words
 from torchid.report.page.document import Origin, Page
-from torchid.report.panels import Picture
+from torchid.report.panels import (
+    SMALL,
+    Figure,
+    Figures,
+    Picture,
+    finish,
+    joint_lines,
+    new_figure,
+    panel,
+    shaded_map,
+    side_bars,
+    thin,
+    worst_stretch,
+)
 from torchid.report.table import Shown, Table
+
+WORST = 3
+"""Joints that get a figure of their own."""
+MOST_FINDINGS = 16
+"""That are drawn, those that close most."""
+SHOWN_S = 8.0
+"""Of a motion in a joint's figure [s]."""
 
 
 def shown(result: PositionDiagnosis) -> Shown:
@@ -21,7 +46,7 @@ def shown(result: PositionDiagnosis) -> Shown:
         verdict=position_verdict(result),
         parts=position_tables(result),
         warnings=result.warnings,
-        figures=position_figures.figures(result),
+        figures=figures(result),
         page=partial(position_page, result),
     )
 
@@ -204,7 +229,7 @@ def meaning_table(result: PositionDiagnosis) -> Table:
 def position_page(result: PositionDiagnosis, origin: Origin) -> Page:
     """The page of a diagnosis."""
     r, names = result, result.data.robot.joint_names
-    order = position_figures.worst_joints(r)
+    order = worst_joints(r)
     left = int(r.answered.whole.nan_to_num().argmax())
     tables = position_tables(r)
     if r.findings:
@@ -253,7 +278,7 @@ def _pictures(r: PositionDiagnosis, order: list[int]) -> list[Picture]:
             f"{regime_words(regime)}: {_mrad(before[worst])}, {_mrad(after[worst])} with what was "
             "found.",
             f"Map of joints and regimes. Plain servo and answer [mrad]: {each}.",
-            partial(position_figures.where_figure, r),
+            partial(where_figure, r),
         )
     ]
     if r.findings:
@@ -264,7 +289,7 @@ def _pictures(r: PositionDiagnosis, order: list[int]) -> list[Picture]:
                 "Which effects close it: the error when one is left out and all others are fitted "
                 "again, and with it. A short bar is a cause that others can nearly replace.",
                 f"Effects by what they close; most: {_sentence(first, names)}",
-                partial(position_figures.which_figure, r),
+                partial(which_figure, r),
             )
         )
     out.append(
@@ -272,7 +297,7 @@ def _pictures(r: PositionDiagnosis, order: list[int]) -> list[Picture]:
             "how_far",
             "How far, joint by joint, on motions that took no part in the fit that foretells them.",
             f"Bars of errors of a plain servo and of the answer [mrad]: {each}.",
-            partial(position_figures.error_figure, r.record),
+            partial(error_figure, r.record),
         )
     )
     return out + [
@@ -282,7 +307,7 @@ def _pictures(r: PositionDiagnosis, order: list[int]) -> list[Picture]:
             f"{_mrad(r.plain_servo.whole[j])} over all motions, {_mrad(r.answered.whole[j])} with "
             "what was found.",
             f"Command, measured and simulated positions of joint {j + 1} over time.",
-            partial(position_figures.joint_figure, r, j),
+            partial(joint_figure, r, j),
         )
         for j in order
     ]
@@ -314,3 +339,167 @@ def _size(size: Size) -> str:
         return f"{size.name} {size.value:.3g}{unit}"
     unsure = ", not determined" if low <= 0 <= high else ""
     return f"{size.name} {size.value:.3g} [{low:.3g}, {high:.3g}]{unit}{unsure}"
+
+
+def figures(result: PositionDiagnosis) -> Figures:
+    """What draws each figure, by the names of their files."""
+    out: dict[str, Callable[[], Figure | None]] = {
+        "where": partial(where_figure, result),
+        "how_far": partial(error_figure, result.record),
+    }
+    if result.findings:
+        out["which"] = partial(which_figure, result)
+    return out | {
+        f"gap_joint_{j + 1}": partial(joint_figure, result, j) for j in worst_joints(result)
+    }
+
+
+def worst_joints(result: PositionDiagnosis, most: int = WORST) -> list[int]:
+    """Joints on which a plain servo is worst, those that never move left out."""
+    order = result.plain_servo.whole.nan_to_num().argsort(descending=True).tolist()
+    return [j for j in order if not result.still[j]][:most]
+
+
+def labels(result: PositionDiagnosis) -> list[str]:
+    """Joints by number and name."""
+    return [f"{j + 1} {name}" for j, name in enumerate(result.data.robot.joint_names)]
+
+
+def where_figure(result: PositionDiagnosis) -> Figure:
+    """Joints x what the command does: the plain servo's error as colour, and what the answer leaves
+    of it; beside it the joints' errors of the command alone."""
+    names, n = list(result.regimes), result.servos.n
+    before, after = (
+        torch.stack([result.regimes[name][k] for name in names], 1).numpy() for k in (0, 1)
+    )
+    figure = new_figure(9.0, 2.0 + 0.42 * n)
+    axes, bars = figure.subplots(1, 2, width_ratios=(3, 1), sharey=True)
+    regimes = [regime_words(name) for name in names]
+    shaded_map(axes, np.nan_to_num(before), regimes, labels(result), "plain servo [mrad]")
+    for y in range(n):
+        for x in range(len(names)):
+            text = f"{before[y, x]:.1f} \u2192 {after[y, x]:.1f}"
+            text = "-" if np.isnan(before[y, x]) else text
+            axes.text(x, y, text, ha="center", va="center", fontsize=SMALL, color=INK)
+    said = result.commanded.whole.nan_to_num().tolist()
+    words = [
+        " never moves" if still else f" {value:.1f}"
+        for value, still in zip(said, result.still.tolist(), strict=True)
+    ]
+    title = "command less position [mrad]"
+    side_bars(bars, said, words, GREY, title, 1.35 * max(*said, 1e-9))
+    axes.set_title(
+        "error of whole motions left out [mrad]: a plain servo \u2192 with what was found",
+        fontsize=SMALL, color=INK, loc="left",
+    )  # fmt: skip
+    return finish(figure, f"{result.data.robot.name}: where command and position part")
+
+
+def which_figure(result: PositionDiagnosis) -> Figure:
+    """Effects: the error when each is left out and all others are fitted again, and with it."""
+    shown = result.findings[:MOST_FINDINGS]
+    figure, axes = panel(8.0, 1.6 + 0.3 * len(shown))
+    names = result.data.robot.joint_names
+    for y, f in enumerate(shown):
+        axes.plot([f.error_with, f.error_without], [y, y], color=GREY, linewidth=2, zorder=1)
+        axes.scatter([f.error_without], [y], color=BEFORE, s=28, label="without it", zorder=2)
+        axes.scatter([f.error_with], [y], color=AFTER, s=28, label="with it", zorder=2)
+        place = "arm" if f.joint is None else names[f.joint - 1]
+        axes.text(
+            f.error_without, y, f"  {f.error_without - f.error_with:.1f} mrad",
+            va="center", fontsize=SMALL, color=INK,
+        )  # fmt: skip
+        axes.text(
+            -0.01, y, f"{effect_words(f.effect)}, {place}", ha="right", va="center",
+            fontsize=SMALL, color=INK, transform=axes.get_yaxis_transform(),
+        )  # fmt: skip
+    axes.set(yticks=[], ylim=(len(shown) - 0.4, -0.6), xlabel="error in windows of 2 s [mrad]")
+    axes.set_xlim(0, 1.25 * max(f.error_without for f in shown))
+    many = len(result.findings)
+    most = f" (the {len(shown)} largest of {many})" if many > len(shown) else ""
+    return finish(figure, f"what closes it: each effect left out in turn{most}", axes)
+
+
+def error_figure(record: PositionRecord) -> Figure:
+    """RMS errors of motions left out, joint by joint: command alone, plain servo, answer."""
+    joints = record.where.joints
+    figure, axes = panel(2.4 + 1.0 * len(joints), 4.0)
+    place = np.arange(len(joints))
+    ways = (
+        ("the command alone", GREY, [j.commanded_mrad for j in joints]),
+        ("a plain servo", BEFORE, [j.plain_mrad for j in joints]),
+        ("with what was found", AFTER, [j.answered_mrad for j in joints]),
+    )
+    for k, (name, colour, errors) in enumerate(ways):
+        axes.bar(place + 0.27 * (k - 1), errors, 0.25, color=colour, label=name)
+        for x, error in zip(place, errors, strict=True):
+            if math.isnan(error):
+                continue
+            axes.text(
+                x + 0.27 * (k - 1), error, f"{error:.1f}", ha="center", va="bottom", fontsize=7,
+                color=INK,
+            )  # fmt: skip
+    axes.set_xticks(place, [f"joint {j.joint + 1}" for j in joints])
+    axes.set_ylabel("RMS error of whole motions left out [mrad]")
+    axes.grid(False, axis="x")
+    return finish(figure, "how far: motions that the model has not seen", axes)
+
+
+def replay_figure(result: Replay, log: int = 0) -> Figure:
+    """Command, measured and simulated position of every joint over one log's time.
+
+    Raises:
+        TorchidError: no such log.
+    """
+    if not 0 <= log < len(result.measured):
+        raise TorchidError("there is no such log.", got=log, expected=f"0..{len(result.files) - 1}")
+    real, far = result.measured[log], result.simulated[log]
+    assert real.u is not None
+    curves = {
+        "commanded": (thin(real.u), {"color": GREY, "linewidth": 1.0}),
+        "measured": (thin(real.q), {"color": INK, "linewidth": 2.0}),
+        "simulated": (thin(far.q), {"color": AFTER, "linewidth": 1.0}),
+    }
+    title = f"{result.files[log] or result.robot}: {float(result.error[log].mean()):.1f} mrad RMS"
+    # Motions one after the other, each from its own beginning.
+    samples = thin(torch.arange(real.samples))
+    alone = real.trajectory_count == 1
+    t, x = (thin(real.t - real.t[0]), "time [s]") if alone else (samples, "sample")
+    return joint_lines(title, "position [rad or m]", t, curves, x)[0]
+
+
+def worst_place(result: PositionDiagnosis, joint: int) -> slice:
+    """Rows of `SHOWN_S` of the motion left out in which the plain servo errs most on a joint."""
+    data = result.data
+    length = max(2, round(SHOWN_S / data.tracks.dt))
+    best, chosen = -1.0, slice(0, 0)
+    for a, b in zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True):
+        rows, mean = worst_stretch(result.errors[0][a : b + 1, joint].square(), length)
+        if mean > best:
+            best, chosen = mean, slice(a + rows.start, a + rows.stop)
+    return chosen
+
+
+def joint_figure(result: PositionDiagnosis, joint: int | None = None) -> Figure:
+    """One joint (from 0; the worst, if None) where a plain servo errs most: command, measured and
+    simulated positions, and both models' errors below."""
+    joint = worst_joints(result)[0] if joint is None else joint
+    rows = worst_place(result, joint)
+    log, (plain, answered) = result.data.log, result.errors
+    t = log.t[rows].numpy()
+    q = log.q[rows, joint]
+    figure, (above, below) = panel(9.0, 4.8, 2, 1, sharex=True, height_ratios=(2, 1))
+    if log.u is not None:
+        above.plot(t, log.u[rows, joint].numpy(), color=GREY, linewidth=1, label="command")
+    above.plot(t, q.numpy(), color=INK, linewidth=1.4, label="measured")
+    for error, colour, name in (
+        (plain[rows, joint], BEFORE, "a plain servo"),
+        (answered[rows, joint], AFTER, "with what was found"),
+    ):
+        above.plot(t, (q + error).numpy(), color=colour, linewidth=1, label=name)
+        below.plot(t, 1e3 * error.numpy(), color=colour, linewidth=1)
+    below.axhline(0, color=INK, linewidth=0.6)
+    above.set_ylabel("position [rad or m]")
+    below.set(ylabel="simulated less\nmeasured [mrad]", xlabel="time [s]")
+    motion = log.names[int(log.trajectory[rows.start])]
+    return finish(figure, f"joint {labels(result)[joint]} in {motion}, which was left out", above)

@@ -1,18 +1,23 @@
-"""A robot as tables and as plain data, what was exported of it, and what a corrected file of it is
-worth."""
+"""A robot as tables and as plain data, what was exported of it, what a corrected file of it is
+worth, how wide to randomise it, and its joints as text for a simulator's file."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import torch
 from rich.text import Text
 
 from torchid.export.correct import Correction
 from torchid.export.export import Export
+from torchid.export.joint_dynamics import Target, split
+from torchid.export.mjcf import ATTRIBUTES
 from torchid.export.projection import Kept
+from torchid.export.randomise import Randomisation
 from torchid.feasibility.margins import inertia_eigenvalues
 from torchid.json_data import picked, plain
-from torchid.report.table import Shown, Table, cells, count, filled, joint_numbers
+from torchid.report.table import Shown, Table, cells, count, filled, joint_numbers, listed
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
 
@@ -249,3 +254,79 @@ def _bodies(robot: Robot, nominal: Robot) -> Table:
         "", "link", "mass [kg]", "over nominal", "centre moved [mm]", "inertias over nominal"
     )  # fmt: skip
     return Table("bodies in the file", columns, rows, words=("link",))
+
+
+def randomisation_shown(done: Randomisation, files: Sequence[str]) -> Shown:
+    """What is shown of drawn robots, whose ranges these files hold."""
+    return Shown(
+        verdict=randomisation_headline(done),
+        parts=randomisation_tables(done),
+        warnings=done.warnings,
+        last=f"written: {', '.join(files)}",
+    )
+
+
+def randomisation_headline(done: Randomisation) -> str:
+    """What was drawn, in one sentence."""
+    others = sum(one.draws for one in done.explanations[1:])
+    beside = f", {others} of them of explanations that the log cannot tell apart" if others else ""
+    return (
+        f"{len(done)} draws of '{done.robot.name}'{beside}; {len(done.ranges)} fields differ, and "
+        f"{100 * done.level:g} % of the draws lie within each range."
+    )
+
+
+def randomisation_tables(done: Randomisation) -> list[Table]:
+    """Ranges with their reasons, and the torque that stays unexplained."""
+    names = done.robot.joint_names
+    return [
+        Table(
+            "ranges",
+            ("field", "of", "low", "high", "unit", "why"),
+            [
+                (r.field, r.name, f"{r.low:.4g}", f"{r.high:.4g}", r.unit, r.why)
+                for r in done.ranges
+            ],
+            words=("field", "of", "unit", "why"),
+        ),
+        Table(
+            "torque that stays unexplained",
+            ("joint", "low", "high", "why"),
+            [(names[b.joint], f"{b.low:.3g}", f"{b.high:.3g}", b.why) for b in done.residual],
+            words=("joint", "why"),
+        ),
+    ]
+
+
+def simulator_block(robot: Robot) -> str:
+    """Attributes of the joints for MJCF and URDF; what a format has no field for is named in a
+    comment, and `torchid export` puts it beside the file.
+
+    Args:
+        robot: corrected.
+
+    >>> from torchid import load_robot
+    >>> print(simulator_block(load_robot("3r_friction")).splitlines()[1].split(" damping")[0])
+    <joint name="joint_1"
+    """
+    lines = []
+    formats: tuple[Target, ...] = ("mjcf", "urdf")
+    for to in formats:
+        mjcf = to == "mjcf"
+        joints, rest = split(robot, to)
+        angles = ', of a file with <compiler angle="radian"/>' if mjcf else ""
+        lines.append(f"<!-- {to.upper()}: into the joint of the same name{angles} -->")
+        for name, own in zip(robot.joint_names, joints, strict=True):
+            if mjcf:
+                given = {key: getattr(own, attribute) for key, attribute in ATTRIBUTES.items()}
+                given |= {"springref": own.rest} if own.stiffness else {}
+                said = "".join(f' {key}="{value:.6g}"' for key, value in given.items() if value)
+                line = f"<joint name={quoteattr(name)}{said}/>"
+            else:
+                said = f'damping="{own.damping:.6g}" friction="{own.friction:.6g}"'
+                line = f"<joint name={quoteattr(name)}> <dynamics {said}/> </joint>"
+            lines.append(line)
+        # A double hyphen would end a comment.
+        left = listed(list(dict.fromkeys(effect.name for effect, _ in rest))).replace("--", "-")
+        lines += [f"<!-- no field for: {left} -->"] if rest else []
+    return "\n".join(lines)

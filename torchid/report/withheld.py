@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from torchid.report.colours import BLUE, GREY, INK, ORANGE
-from torchid.report.panels import Figure, Figures, finish, new_figure, ruled, styled, tiles
+from torchid.report.panels import SMALL, Figure, Figures, finish, new_figure, panel, ruled, tiles
 from torchid.report.table import Shown, Table, filled, pipe_table
 from torchid.withheld.own import LEVELS, OwnCheck, Planted
 
@@ -406,7 +406,6 @@ def _joints(joints: Sequence[int]) -> str:
     return " ".join(str(j + 1) for j in joints) or "arm"
 
 
-_SMALL = 8
 _COLUMNS = 3
 _TICKS = (0.1, 0.3, 1, 3, 10, 30, 100)
 
@@ -428,8 +427,7 @@ def figures(summary: Mapping[str, Any]) -> Figures:
 
 def reliability_figure(curve: Sequence[Mapping[str, Any]]) -> Figure:
     """Shares of right names over the probability that was given, with 95 % intervals."""
-    figure = new_figure(4.2, 3.4)
-    axes = styled(figure.add_subplot())
+    figure, axes = panel(4.2, 3.4)
     axes.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, label="as often as said")
     x, y = ([100 * point[name] for point in curve] for name in ("mean", "share"))
     ends = np.array([[100 * e for e in point["ci95"]] for point in curve]).T
@@ -438,8 +436,8 @@ def reliability_figure(curve: Sequence[Mapping[str, Any]]) -> Figure:
         capsize=2, label="names (95 %)",
     )  # fmt: skip
     axes.set(xlim=(-2, 102), ylim=(-2, 102))
-    axes.set_xlabel("how sure it was said to be [%]", fontsize=_SMALL, color=INK)
-    axes.set_ylabel("right [%]", fontsize=_SMALL, color=INK)
+    axes.set_xlabel("how sure it was said to be [%]", fontsize=SMALL, color=INK)
+    axes.set_ylabel("right [%]", fontsize=SMALL, color=INK)
     return finish(figure, "How sure, and how often right", axes)
 
 
@@ -465,7 +463,7 @@ def confusion_figure(inside: Matrix, outside: Matrix) -> Figure:
         for x, column in enumerate(columns):
             if table[y, x]:
                 axes.text(
-                    x, y, f"{table[y, x]:.0f}", ha="center", va="center", fontsize=_SMALL,
+                    x, y, f"{table[y, x]:.0f}", ha="center", va="center", fontsize=SMALL,
                     color="white" if shares[y, x] > 0.55 else INK,
                 )  # fmt: skip
             if row == column:
@@ -479,10 +477,10 @@ def confusion_figure(inside: Matrix, outside: Matrix) -> Figure:
         axes.axhline(len(inside) - 0.5, color=INK, linewidth=1.0)
         axes.text(
             len(columns) - 0.4, len(inside) + 0.5 * len(outside) - 0.5, "outside\nthe library",
-            fontsize=_SMALL, color=INK, va="center",
+            fontsize=SMALL, color=INK, va="center",
         )  # fmt: skip
-    axes.set_xlabel("named first", fontsize=_SMALL, color=INK)
-    axes.set_ylabel("planted", fontsize=_SMALL, color=INK)
+    axes.set_xlabel("named first", fontsize=SMALL, color=INK)
+    axes.set_ylabel("planted", fontsize=SMALL, color=INK)
     return finish(figure, "What was planted and what was named first (number of cases)")
 
 
@@ -491,14 +489,17 @@ def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figur
     intervals."""
     columns = min(_COLUMNS, len(curves))
     names, width = [_words(name) for name in curves], max(4.4, 3.2 * columns)
-    across: dict[str, Any] = {
-        "x": "size / noise",
-        "y": "cases [%]",
-        "loc": "left",
-        "sharex": True,
-        "sharey": True,
-    }
-    figure, grid = tiles(names, columns, width, (2.2, 1.3), **across)
+    figure, grid = tiles(
+        names,
+        columns,
+        width,
+        (2.2, 1.3),
+        "size / noise",
+        "cases [%]",
+        "left",
+        sharex=True,
+        sharey=True,
+    )
     levels = sorted({point["level"] for points in curves.values() for point in points})
     low, high = 0.8 * levels[0], 1.25 * levels[-1]
     ticks = [x for x in _TICKS if low <= x <= high]

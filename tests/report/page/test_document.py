@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 
@@ -14,7 +15,7 @@ from tests.report.test_gap_page import SHORT, made
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.report.gap import gap_page
 from torchid.report.page import document as rendering
-from torchid.report.page.document import input_files, render, require_templates, write_page
+from torchid.report.page.document import input_files, render, require_page, write_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
@@ -26,9 +27,9 @@ def page():
 
 def test_without_jinja2(page, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "jinja2", None)
-    for attempt in (require_templates, lambda: write_page(page, tmp_path / "page.html")):
+    for attempt in (require_page, partial(write_page, page)):
         with pytest.raises(MissingExtraError, match=r"pip install 'torchid\[report\]'"):
-            attempt()
+            attempt(tmp_path / "page.html")
     assert not list(tmp_path.iterdir())
 
 

@@ -108,12 +108,20 @@ class Page:
     block: str = ""
 
 
-def require_templates() -> None:
+def require_page(file: Path) -> None:
     """See before any work whether a page can be made.
 
     Raises:
+        TorchidError: the file is no .html.
         MissingExtraError: Jinja2 is not installed.
     """
+    if file.suffix.lower() not in (".html", ".htm"):
+        raise TorchidError(
+            "`report=...` writes an HTML page.",
+            got=file,
+            expected="FILE.html",
+            hint="a browser prints it as PDF",
+        )
     _environment()
 
 

@@ -9,10 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from torchid.errors import TorchidError
 from torchid.extraction.cma.search import default_population
 from torchid.feasibility.sets import joined, sets_record
-from torchid.files import write_text
+from torchid.files import make_folder, write_text
 from torchid.report.page.document import Origin, Page, versions
 from torchid.report.panels import Picture, save_small
 from torchid.report.study import facts
@@ -303,12 +302,7 @@ def write_study(study: Study, folder: Path) -> list[Path]:
     Raises:
         TorchidError: the folder cannot be written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise TorchidError(
-            f"the folder '{folder}' cannot be made: {error.strerror or error}."
-        ) from error
+    make_folder(folder)
     figures = drawings(study)
     every = [
         replace(s.extraction.sets, ids=tuple(f"{s.scenario.id}/{k}" for k in s.extraction.sets.ids))

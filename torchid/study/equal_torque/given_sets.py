@@ -108,7 +108,7 @@ def compare_wrenches(
     elif isinstance(reference, str):
         if reference not in sets.ids:
             raise TorchidError(
-                "the reference is none of the sets.", got=reference, available=sets.ids[:20]
+                "`reference=...` names none of the sets.", got=reference, available=sets.ids[:20]
             )
         reference = sets.part([sets.ids.index(reference)])
     if motion is None:
