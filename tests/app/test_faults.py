@@ -125,7 +125,7 @@ def test_what_is_kept_can_be_resumed(tmp_path, files, said) -> None:
 
 
 def test_an_interrupted_search_says_how_to_go_on(command, tmp_path, monkeypatch) -> None:
-    from torchid.extraction import extract as room
+    from torchid.extraction import methods as room
 
     def stopped(problem, settings, *, checkpoint, **_):
         checkpoint.write_bytes(b"as far as it came")

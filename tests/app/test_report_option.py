@@ -101,8 +101,8 @@ def test_study(command, tmp_path):
 def test_all_studies_have_pages_of_their_own(command, tmp_path, monkeypatch):
     asked = []
 
-    def write(output, build, *, files, **_):
-        asked.append((build(None), output.report.name, files[0].sha256))
+    def write(output, build, file, *, files, **_):
+        asked.append((build(None), file.name, files[0].sha256))
 
     def run(settings, **_):
         return SimpleNamespace(settings=settings, plain=dict)
