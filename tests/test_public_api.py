@@ -17,7 +17,7 @@ import torch
 
 import torchid
 from tests.documents import ROOT
-from torchid.app import excite as excite_command
+from torchid.next_motion.settings import MotionSettings
 from torchid.robot.model import Robot
 
 NAMES = [name for name in torchid.__all__ if name != "__version__"]
@@ -150,7 +150,7 @@ def test_arrays_and_lists_are_taken_for_tensors(
 
 def test_defaults_of_the_commands_are_those_of_the_functions() -> None:
     """Where a command must not import the function to know them."""
-    asked = excite_command.Motion()
+    asked = MotionSettings()
     for name, parameter in inspect.signature(torchid.excite).parameters.items():
         if name in ("duration", "harmonics", "restarts", "usage", "seed", "effects"):
             assert parameter.default == getattr(asked, name), name
