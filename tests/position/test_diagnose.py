@@ -23,6 +23,7 @@ CAUSES = {
     "set_point_profile": {"acceleration": (2, 4.0)},
     "end_stop": {"stop_high": (3, 0.25)},
     "derivative_gain": {"kd": (2, 25.0)},
+    "command_gain": {"scale": (2, 0.9)},
 }
 
 
@@ -45,6 +46,9 @@ def test_a_planted_cause_is_named(cause, tmp_path):
         assert {j for _, j in named} == {joint}
         assert result.status == "explained"
         assert float(result.answered.whole[joint - 1]) < float(result.plain_servo.whole[joint - 1])
+        # A spring on the joint, beside a weaker servo, makes the torque of a gain below 1.
+        twins = [f for f in result.findings if "joint_spring" in f.ambiguous_with]
+        assert [f.effect for f in twins] == ([cause] if cause == "command_gain" else [])
     # Its answer can be read by people and programs.
     result.save(tmp_path / "gap.json")
     again = load(tmp_path / "gap.json")

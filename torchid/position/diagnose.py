@@ -398,6 +398,8 @@ def _findings(
                 sizes.append(Size(key, p.unit, value, spread))
             ends = float(without[j]), float(with_it[j])
             others = rivals.get((name, j), ())
+            below = sizes and sizes[0].value < PARAMETERS[INDEX[effect.parameters[0]]].neutral
+            others += (effect.twin,) if effect.twin and below else ()
             out.append(
                 PositionFinding(
                     name, effect.family, j + 1, tuple(sizes), *ends, others,

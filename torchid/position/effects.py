@@ -18,6 +18,8 @@ class PositionEffect:
             size first.
         meaning: one sentence.
         remedy: what a simulator needs for it.
+        twin: a cause that is not looked for, because beside a free kp this one's torque is exactly
+            its own where the first parameter is below its neutral value.
     """
 
     name: str
@@ -25,6 +27,7 @@ class PositionEffect:
     parameters: tuple[str, ...]
     meaning: str
     remedy: str
+    twin: str = ""
 
     def neutral(self) -> dict[str, float]:
         """Values of its parameters without effect."""
@@ -47,7 +50,9 @@ EFFECTS = (
     ),
     PositionEffect(
         "command_gain", "command", ("scale",),
-        "the command is multiplied by a factor", "scale the command",
+        "the command is multiplied by a factor; below 1, a spring on the joint does the same: "
+        "kp (u - q) - k q = (kp + k) (g u - q), g = kp / (kp + k)", "scale the command",
+        twin="joint_spring",
     ),
     PositionEffect(
         "derivative_gain", "servo", ("kd",),
