@@ -32,7 +32,7 @@ from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
 from torchid.simulation.servo_loop import Windows, windows_of
 
 WINDOW_S = 2.0
-STAGES = 13
+STAGES = 15
 """That are told as progress."""
 MOST = 250
 """Windows that a search looks at [1]: more do not change what it finds, only how long it takes."""
@@ -398,8 +398,9 @@ def _findings(
                 sizes.append(Size(key, p.unit, value, spread))
             ends = float(without[j]), float(with_it[j])
             others = rivals.get((name, j), ())
-            below = sizes and sizes[0].value < PARAMETERS[INDEX[effect.parameters[0]]].neutral
-            others += (effect.twin,) if effect.twin and below else ()
+            neutral = PARAMETERS[INDEX[effect.parameters[0]]].neutral
+            if effect.twin and (not effect.twin_below or (sizes and sizes[0].value < neutral)):
+                others += (effect.twin,)
             out.append(
                 PositionFinding(
                     name, effect.family, j + 1, tuple(sizes), *ends, others,

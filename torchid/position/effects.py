@@ -18,8 +18,9 @@ class PositionEffect:
             size first.
         meaning: one sentence.
         remedy: what a simulator needs for it.
-        twin: a cause that is not looked for, because beside a free kp this one's torque is exactly
-            its own where the first parameter is below its neutral value.
+        twin: a cause that is not looked for, because no log of commands and positions tells it from
+            this one.
+        twin_below: whether that is so only where the first parameter is below its neutral value.
     """
 
     name: str
@@ -28,6 +29,7 @@ class PositionEffect:
     meaning: str
     remedy: str
     twin: str = ""
+    twin_below: bool = False
 
     def neutral(self) -> dict[str, float]:
         """Values of its parameters without effect."""
@@ -37,7 +39,8 @@ class PositionEffect:
 EFFECTS = (
     PositionEffect(
         "command_delay", "command", ("delay",),
-        "the command takes effect late", "hold commands back by as much",
+        "the command takes effect late; positions that are read late look the same",
+        "hold commands back by as much", twin="late_positions",
     ),
     PositionEffect(
         "set_point_profile", "command", ("acceleration",),
@@ -49,15 +52,24 @@ EFFECTS = (
         "the set-point's speed is limited", "limit the command's rate",
     ),
     PositionEffect(
+        "command_filter", "command", ("lag",),
+        "the command passes a filter of first order", "filter the command",
+    ),
+    PositionEffect(
         "command_gain", "command", ("scale",),
         "the command is multiplied by a factor; below 1, a spring on the joint does the same: "
         "kp (u - q) - k q = (kp + k) (g u - q), g = kp / (kp + k)", "scale the command",
-        twin="joint_spring",
+        twin="joint_spring", twin_below=True,
     ),
     PositionEffect(
         "derivative_gain", "servo", ("kd",),
         "the servo answers to the rate of the error, the command's included",
         "feed the command's rate to the controller, not only the joint's",
+    ),
+    PositionEffect(
+        "integral_action", "servo", ("integral",),
+        "the servo's torque grows as long as a position error lasts",
+        "sum the position error up in the controller",
     ),
     PositionEffect(
         "saturation", "servo", ("clip",),

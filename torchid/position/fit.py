@@ -37,10 +37,11 @@ HARDLY = 2e-3
 """Share of a joint's loss below which another iteration is not worth its time [1]."""
 _PRIOR = {
     "kp": 0.5, "armature": 0.5, "delay": 0.02, "offset": 0.2, "stiction": 0.1, "motor_share": 0.3,
-    "load_share": 0.3, "dead_zone": 0.003, "stop_low": 0.05, "stop_high": 0.05, "scale": 0.05,
+    "load_share": 0.3, "lag": 0.05, "dead_zone": 0.003, "stop_low": 0.05, "stop_high": 0.05,
+    "scale": 0.05,
 }  # fmt: skip
 """Standard deviations of the other priors, torques beside those of a small servo."""
-_STEP = {"delay": 1e-3, "dead_zone": 5e-4, "scale": 2e-3}
+_STEP = {"delay": 1e-3, "lag": 1e-3, "dead_zone": 5e-4, "scale": 2e-3}
 _PLANE_STEP = torch.tensor([3e-3, 3e-3, 3e-3, 2e-3, 1e2], dtype=torch.float64)
 
 
@@ -115,6 +116,7 @@ def errors(data: PositionData, servos: Servos, windows: Windows) -> Float[Tensor
         windows,
         *data.start(windows),
         points=known[1],
+        measured=data.q,
         owner=owner.reshape(-1, 1, 1) if each else owner,
     )
     rows = windows.start + torch.arange(len(q))[:, None]

@@ -242,7 +242,8 @@ def _replayed(
     windows = windows_of(tracks, seconds)
     q = torch.cat([log.q for log in logs]) * arm.scale
     start = _velocities(q, tracks, windows)
-    found = replayed(arm.robot, arm.servos, tracks, windows, q[windows.start], start)
+    begun = q[windows.start], start
+    found = replayed(arm.robot, arm.servos, tracks, windows, *begun, measured=q)
     return found.split([log.samples for log in logs])
 
 

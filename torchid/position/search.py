@@ -89,7 +89,8 @@ def full(data: PositionData, windows: Windows, say: Callable[[str], None] | None
     now = _scanned(data, _with_profile(data, now, windows), windows)
     for what, names in (
         ("stops", ("stop_low", "stop_high")), ("plane", ()), ("clip", ("clip",)),
-        ("speed", ("speed",)), ("dead zone", ("dead_zone",)), ("scale of commands", ("scale",)),
+        ("speed", ("speed",)), ("filter", ("lag",)), ("integral action", ("integral",)),
+        ("dead zone", ("dead_zone",)), ("scale of commands", ("scale",)),
     ):  # fmt: skip
         say(what)
         if not names:
@@ -198,10 +199,10 @@ def _with_profile(data: PositionData, now: Found, windows: Windows) -> Found:
 
 
 def _scanned(data: PositionData, now: Found, windows: Windows) -> Found:
-    """With limits of acceleration and speed where simulations are best, farther and nearer about
-    where they are: motions that chase their commands have a loss with many small valleys, over
+    """With profiles and filters where simulations are best, farther and nearer about where they
+    are: motions that chase their commands have a loss with many small valleys, over
     which no slope leads."""
-    for name, factors in itertools.product(("acceleration", "speed"), _SCANS):
+    for name, factors in itertools.product(("acceleration", "speed", "lag"), _SCANS):
         if name not in now.free:
             continue
         joints = now.free[name]
@@ -253,6 +254,9 @@ _SIZES: dict[str, Callable[[PositionData, Servos], Tensor]] = {
     "speed": lambda data, servos: (
         _shares(0.4, 0.55, 0.7, 0.85, 1.0) * data.dq.abs().quantile(0.9999, 0).clamp(min=0.1)
     ),
+    # Beside kp, in 1/s.
+    "integral": lambda data, servos: _shares(0.1, 0.5, 2.0) * servos.of("kp"),
+    "lag": lambda data, servos: _shares(0.02, 0.05, 0.1).expand(-1, servos.n),
     "dead_zone": lambda data, servos: _shares(0.0015, 0.004).expand(-1, servos.n),
     "scale": lambda data, servos: _shares(0.9, 0.97, 1.03, 1.1).expand(-1, servos.n),
 }
@@ -290,8 +294,8 @@ def alone(data: PositionData, simple: Found, windows: Windows) -> tuple[Found, T
             limit = bool(effect.parameters) and effect.parameters[0] in _SIZES
             tried[effect.name] = _beside(data, calm if limit else simple, windows, effect)
     cost = {name: _one(data, model, windows) for name, model in tried.items()}
-    # Limits of set-points are brought to where they are best, where that can matter.
-    for name in ("set_point_profile", "set_point_speed"):
+    # What makes set-points is brought to where they are best, where that can matter.
+    for name in ("set_point_profile", "set_point_speed", "command_filter"):
         best = torch.stack(list(cost.values())).amin(0)
         open_ = (best > least) | (cost[name] < ALIKE * best)
         if bool((open_ & (before > least) & (cost[name] < 0.7 * before)).any()):

@@ -1,6 +1,6 @@
 """A log's commands given to a model of its servos: where the arm would have gone.
 
-Nothing of the measured motion is used but the starts.
+Nothing of the measured motion is used but the starts, and what led to them.
 """
 
 from dataclasses import replace
@@ -26,6 +26,7 @@ def replayed(
     q: Float[Tensor, "W n"],
     dq: Float[Tensor, "W n"],
     *,
+    measured: Float[Tensor, "T n"] | None = None,
     longest_step: float = STEP,
 ) -> Float[Tensor, "T n"]:
     """Positions (T, n) at all rows of the tracks, which the windows cover [rad].
@@ -36,6 +37,7 @@ def replayed(
         tracks: the commands.
         windows: stretches that each begin at q, dq.
         q, dq: states at the windows' first rows [rad, rad/s].
+        measured: positions until then, for servos with integral action; see `rollout`.
         longest_step: of the integration [s].
 
     Raises:
@@ -47,7 +49,9 @@ def replayed(
         batch = replace(servos, joint=servos.joint[None], plane=servos.plane[None])
     link = servos.link % robot.n if bool((servos.plane[..., 4] > 0).any()) else None
     body = partial(body_at, robot, link=link)
-    out = rollout(batch, body, tracks, windows, q, dq, longest_step=longest_step)[..., 0]
+    out = rollout(
+        batch, body, tracks, windows, q, dq, measured=measured, longest_step=longest_step
+    )[..., 0]
     motion = tracks.u.clone()
     for w, (a, length) in enumerate(
         zip(windows.start.tolist(), windows.length.tolist(), strict=True)

@@ -2,11 +2,12 @@
 
 A servo turns a commanded position into a torque, and only the joint's position answers:
 
-    J ddq + M(q) ddq + h(q, dq) = clip(kp z(x - q) + kd (dx - dq)) - b dq - friction + rest
+    J ddq + M(q) ddq + h(q, dq) = clip(kp e + ki int e dt + kd (dx - dq)) - b dq - friction + rest
 
-x is the set-point: the command, late by a delay, through a profile of limited acceleration and
-speed. z has a dead zone. The friction holds a joint at rest with anything up to its dry part
-(Coulomb, more at rest, and shares of the motor's and of the external torque).
+e = z(x - q). x is the set-point: the command, late by a delay, through a profile of limited
+acceleration and speed and a filter of first order. z has a dead zone. The friction holds a joint at
+rest with anything up to its dry part (Coulomb, more at rest, and shares of the motor's and of the
+external torque).
 """
 
 from collections.abc import Mapping
@@ -45,6 +46,7 @@ _INF = float("inf")
 PARAMETERS = (
     ServoParameter("kp", "N m/rad", "torque a position error makes", 0.0, 15.0),
     ServoParameter("kd", "N m s/rad", "torque a rate of the position error makes", 0.0, 0.3),
+    ServoParameter("integral", "N m/(rad s)", "torque a lasting error adds a second", 0.0, 15.0),
     ServoParameter("damping", "N m s/rad", "viscous friction and back-EMF", 0.0, 0.6),
     ServoParameter("armature", "kg m^2", "inertia of the rotor, reflected", 0.0, 0.03),
     ServoParameter("delay", "s", "from the command's stamp to its effect", 0.0, 0.02, "positive"),
@@ -56,6 +58,7 @@ PARAMETERS = (
     ServoParameter("load_share", "1", "friction per external torque", 0.0, 0.1, "positive"),
     ServoParameter("acceleration", "rad/s^2", "limit of the set-point", _INF, 40.0),
     ServoParameter("speed", "rad/s", "limit of the set-point", _INF, 3.0),
+    ServoParameter("lag", "s", "time constant of a filter on the set-point", 0.0, 0.05, "positive"),
     ServoParameter("clip", "N m", "largest servo torque", _INF, 5.0),
     ServoParameter("dead_zone", "rad", "position error without torque", 0.0, 0.003, "positive"),
     ServoParameter("stop_low", "rad", "end stop", -_INF, -3.0, "real"),

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.signal import lfilter
 from torch import Tensor
 
 from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
@@ -42,7 +43,7 @@ STOP_STIFFNESS, STOP_SHARE = 200.0, 10.0
 """Of an end stop: so much [N m/rad], and no less than so many times the servo's gain [1]."""
 CONTACT_DAMPING = 20.0
 """Of the plane [N s/m]."""
-PROFILE = ("scale", "acceleration", "speed")
+PROFILE = ("scale", "acceleration", "speed", "lag")
 _TOGETHER = 4000
 _NUMBERS = 64000
 _STRETCH, _EARLY = 200, 25
@@ -209,9 +210,10 @@ def windows_of(tracks: Tracks, seconds: float | None) -> Windows:
 
 
 def set_points(
-    profile: Float[Tensor, "S n 3"], tracks: Tracks, *, repeated: bool
+    profile: Float[Tensor, "S n 4"], tracks: Tracks, *, repeated: bool
 ) -> Float[Tensor, "n S T"]:
-    """Commands through each servo's scale and its profile of limited acceleration and speed.
+    """Commands through each servo's scale, its profile of limited acceleration and speed, and its
+    filter.
 
     Within a sample the goal stands still, and the set-point goes there as fast as the limits let
     it come to rest: at full acceleration, then at the limit of speed, then at full deceleration.
@@ -219,12 +221,31 @@ def set_points(
     equals the one before is the set-point itself.
 
     Args:
-        profile: scale, limit of acceleration and of speed (`PROFILE`) of S sets.
+        profile: scale, limit of acceleration and of speed, lag (`PROFILE`) of S sets.
         tracks: m motions.
         repeated: as in `Servos`.
     """
-    scale, a, top = profile.permute(2, 1, 0).unsqueeze(-1)
-    u = tracks.u.T[:, None] * scale
+    scale, a, top, lag = profile.permute(2, 1, 0).unsqueeze(-1)
+    x = _limited(tracks.u.T[:, None] * scale, a, top, tracks, repeated=repeated)
+    slow = (lag[..., 0] > 0).nonzero().tolist()
+    if not slow:
+        return x
+    out = x.clone()
+    for low, high in zip(tracks.first.tolist(), tracks.last.tolist(), strict=True):
+        rate = np.diff(x[..., low : high + 1].numpy(), prepend=x[..., low, None]) / tracks.dt
+        for j, s in slow:
+            # How far behind the filter is, exactly for goals along straight lines.
+            seconds = float(lag[j, s])
+            keep = math.exp(-tracks.dt / seconds)
+            behind = lfilter([seconds * (1 - keep)], [1, -keep], rate[j, s])
+            out[j, s, low : high + 1] -= torch.from_numpy(behind)
+    return out
+
+
+def _limited(
+    u: Float[Tensor, "n S T"], a: Tensor, top: Tensor, tracks: Tracks, *, repeated: bool
+) -> Float[Tensor, "n S T"]:
+    """Commands through profiles with limits (n, S, 1) of acceleration and of speed."""
     bound = (a.isfinite() | top.isfinite()).flatten(1).any(1)
     if not bool(bound.any()):
         return u
@@ -273,7 +294,7 @@ def set_points(
     return out
 
 
-def profiles_of(servos: Servos) -> Float[Tensor, "S n 3"]:
+def profiles_of(servos: Servos) -> Float[Tensor, "S n 4"]:
     """What makes the set-points of every set of servos."""
     return servos.joint[..., [INDEX[name] for name in PROFILE]].flatten(0, -3)
 
@@ -310,6 +331,7 @@ def rollout(
     *,
     points: Float[Tensor, "n S T"] | None = None,
     owner: Int[Tensor, " ..."] | None = None,
+    measured: Float[Tensor, "T n"] | None = None,
     longest_step: float = STEP,
 ) -> Float[Tensor, "L W n P"]:
     """Positions of arms that start at q, dq and are given the commands of a log.
@@ -323,6 +345,8 @@ def rollout(
         q, dq: state at the first row of each window [rad, rad/s].
         points: set-points, if known.
         owner: (P,) or (W, 1, 1): which row of them each set has (default: 0, 1, ...).
+        measured: positions, whose errors until a window begins are what an integrating servo has
+            summed by then; without them it begins where the arm would stand still [rad].
         longest_step: of the integration [s].
 
     Returns:
@@ -367,6 +391,8 @@ def rollout(
         )
         shape = (len(some), servos.n, sets)
         state = _State(*(x[some][..., None].expand(shape).clone() for x in (q, dq)))
+        if run.active["integral"]:
+            state.i = run.summed(body, tracks.first[windows.motion[some]], start, q[some], measured)
         out[0, some] = state.q
         for k in range(1, int(length[0])):
             live = int((length > k).sum())
@@ -378,11 +404,12 @@ def rollout(
 
 
 class _State:
-    """Positions, velocities and accelerations (W, n, P)."""
+    """Positions, velocities, accelerations and torques of integral action (W, n, P)."""
 
-    def __init__(self, q: Tensor, v: Tensor, a: Tensor | None = None):
+    def __init__(self, q: Tensor, v: Tensor, a: Tensor | None = None, i: Tensor | None = None):
         self.q, self.v = q, v
         self.a = torch.zeros_like(q) if a is None else a
+        self.i = torch.zeros_like(q) if i is None else i
 
     def soon(self, wait: float) -> tuple[Float[Tensor, "W n"], Float[Tensor, "W n"]]:
         """Positions and velocities of the first set, a little later."""
@@ -390,7 +417,7 @@ class _State:
         return (self.q + (self.v + v) * (wait / 2))[..., 0], v[..., 0]
 
     def first_of(self, live: int) -> "_State":
-        return _State(self.q[:live], self.v[:live], self.a[:live])
+        return _State(self.q[:live], self.v[:live], self.a[:live], self.i[:live])
 
 
 class _Run:
@@ -432,8 +459,10 @@ class _Run:
         self.shares = [shares[k : k + each] for k in range(0, steps, each)]
         self.active = {
             name: bool((p[name] != neutral).any())
-            for name, neutral in (("dead_zone", 0.0), ("stiction", 0.0), ("motor_share", 0.0))
-        }
+            for name, neutral in (
+                ("dead_zone", 0.0), ("stiction", 0.0), ("motor_share", 0.0), ("integral", 0.0)
+            )
+        }  # fmt: skip
         self.clips = bool(p["clip"].isfinite().any())
         self.stops = bool(p["stop_low"].isfinite().any() | p["stop_high"].isfinite().any())
         self.touches = bool((plane[4] > 0).any())
@@ -457,6 +486,39 @@ class _Run:
         at = rows[:, None, None] - self.whole - 1
         first = self.begin[:, None, None]
         return [self.flat.take(self.rows + torch.maximum(at + k, first)) for k in range(3)]
+
+    def summed(
+        self,
+        body: Body | BodyAt,
+        first: Tensor,
+        rows: Tensor,
+        q: Tensor,
+        measured: Tensor | None,
+    ) -> Tensor:
+        """(W, n, P) torque of integral action at rows of motions that began at rows `first`, at
+        rest: there the servo bore the load."""
+        p, began = self.p, q if measured is None else measured[first]
+        at = body.at(first) if isinstance(body, Body) else body(began, torch.zeros_like(began))
+        begin = first[:, None, None]
+        x = self.flat.take(self.rows + begin)
+        held = at.bias[..., None] - p["offset"] - p["kp"] * (x - began[..., None])
+        held = torch.where(p["integral"] > 0, held, 0.0)
+        if measured is None:
+            return held
+
+        # Sums over time of the set-points, late as they are, and of what was measured.
+        def until(series: Tensor) -> Tensor:
+            middle = (series[..., 1:] + series[..., :-1]) / 2
+            return torch.nn.functional.pad(middle.cumsum(-1), (1, 0))
+
+        behind = torch.minimum(p["delay"] / self.dt, (rows - first)[:, None, None].to(q))
+        late = rows[:, None, None] - behind
+        before = late.floor().to(torch.int64)
+        sums = until(self.points).reshape(-1)
+        low, high = (sums.take(self.rows + torch.maximum(k, begin)) for k in (before, before + 1))
+        goals = torch.lerp(low, high, late - before) - sums.take(self.rows + begin) + behind * x
+        way = until(measured.T).T
+        return held + p["integral"] * self.dt * (goals - (way[rows] - way[first])[..., None])
 
     def sample(self, state: _State, body: Body | BodyAt, rows: Tensor) -> None:
         """Step a state from one sample to the next."""
@@ -503,6 +565,8 @@ class _Run:
             if self.active["dead_zone"]:
                 e = e - e.clamp(-p["dead_zone"], p["dead_zone"])
             drive = torch.addcmul(p["kp"] * e, p["kd"], dx)
+            if self.active["integral"]:
+                drive = drive + state.i
             rest, outer, more = p["offset"] - load, load, None
             if arm is not None:
                 push, more = self._contact(state, arm)
@@ -533,6 +597,10 @@ class _Run:
                 # Until the accelerations are those of this step.
                 if self.least > 1 and float((a - before).abs().max()) * h * h < _SETTLED:
                     break
+            if self.active["integral"]:
+                state.i = torch.addcmul(state.i, p["integral"] * h, e - (THETA * h) * w)
+                if self.clips:  # what the servo cannot give is not summed
+                    state.i = state.i.clamp(-p["clip"], p["clip"])
             state.q, state.v, state.a = torch.add(state.q, w, alpha=h), v, a
 
     def _dry(self, state: _State, drive: Tensor, outer: Tensor) -> Tensor:
