@@ -4,8 +4,8 @@ Read from top to bottom: `diagnose_positions` is the pipeline.
 """
 
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import count
 
 import torch
@@ -15,7 +15,7 @@ from torchid.log.checks import STILL
 from torchid.log.model import Log
 from torchid.position.data import PositionData, missing_commands, prepare
 from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
-from torchid.position.effects import BY_NAME, EFFECTS, KEPT, PositionEffect
+from torchid.position.effects import BY_NAME, EFFECTS, KEPT, PAYLOAD, PositionEffect
 from torchid.position.fit import NOISE, TOGETHER, errors, fit
 from torchid.position.judge import (
     Equations,
@@ -26,13 +26,15 @@ from torchid.position.judge import (
     value_interval,
 )
 from torchid.position.model import accuracy
-from torchid.position.search import Found, Rivals, alone, full, plain, shared, slight
+from torchid.position.payload import Loaded, with_load
+from torchid.position.search import ALIKE, Found, Rivals, alone, full, plain, shared, slight
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
 from torchid.simulation.servo_loop import Windows, windows_of
+from torchid.statistics.proportion import HALF_95
 
 WINDOW_S = 2.0
-STAGES = 15
+STAGES = 16
 """That are told as progress."""
 MOST = 250
 """Windows that a search looks at [1]: more do not change what it finds, only how long it takes."""
@@ -89,12 +91,12 @@ def diagnose_positions(
     simple = plain(data, _some(windows, MOST))
     telling = _telling(data, simple, windows)
     few, more = _some(windows, MOST, telling), _some(windows, 3 * MOST, telling)
-    found, worth, rivals = _answer(data, simple, few, more, say)
-    servos = found.servos
+    given, answered = data, _answer(data, simple, few, more, say)
+    data, found, servos = answered.data, answered.found, answered.found.servos
     say("how far it goes")
     known = equations(data, servos, found.free, more)
-    ways, errors_of = _accuracies(data, simple, found, windows, few)
-    findings = _findings(data, found, known, worth, rivals)
+    ways, errors_of = _accuracies(((given, simple), (data, found)), windows, few)
+    findings = _findings(answered, known)
     still = _still(data)
     deviation = known.deviations()[:, known.names.index("kp")]
     interval = [
@@ -148,8 +150,26 @@ def answer(robot: Robot, log: Log) -> tuple[PositionData, Found]:
     simple = plain(data, _some(windows, MOST))
     telling = _telling(data, simple, windows)
     few, more = _some(windows, MOST, telling), _some(windows, 3 * MOST, telling)
-    found, _, _ = _answer(data, simple, few, more, lambda _: None)
-    return data, found
+    answered = _answer(data, simple, few, more, lambda _: None)
+    return answered.data, answered.found
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """What the search found.
+
+    Attributes:
+        data: the motions, of the robot with the load if it carries one.
+        found: the servos.
+        worth, rivals: of effects.
+        load: with losses (n,) without and with it, and what does as well in its place.
+    """
+
+    data: PositionData
+    found: Found
+    worth: "Worth"
+    rivals: Rivals
+    load: "tuple[Loaded, Tensor, Tensor, tuple[str, ...]] | None"
 
 
 def _answer(
@@ -158,18 +178,46 @@ def _answer(
     few: Windows,
     more: Windows,
     say: Callable[[str], None],
-) -> "tuple[Found, Worth, Rivals]":
+) -> _Answer:
     """What the search finds in few windows and each effect is worth there, fitted to more."""
     say("one effect at a time")
     found, explained, alike = alone(data, simple, few)
+    say("a load")
+    load, others = None, tuple[str, ...]()
+    if bool((_losses(data, simple.servos, few).sum(0) > slight(data, few)).any()):
+        load = with_load(data, simple, few)
+    if load is not None:
+        # One cause of what all joints show, where no more is needed, comes before several.
+        heavy, known, names = alone(load.data, load.found, few)
+        with_it, without = (
+            float(_losses(*model, few).sum())
+            for model in ((load.data, heavy.servos), (data, found.servos))
+        )
+        if bool(known.all()) and (with_it < without or not bool(explained.all())):
+            if bool(explained.all()) and without < ALIKE * with_it:
+                named = (e for e in EFFECTS if e.name not in KEPT)
+                others = tuple(e.name for e in named if bool(_present(found, e).any()))
+            load, explained, alike = replace(load, found=heavy), known, names
+        else:
+            load = None
     if not bool(explained.all()):
         found = _no_worse(data, found, _no_worse(data, simple, full(data, few, say), few), few)
         found = shared(data, found, few)
+        load = with_load(data, found, few)
     say("what each effect is worth")
+    gain = None
+    if load is not None:
+        before = _losses(data, found.servos, few)
+        after = _losses(load.data, load.found.servos, few)
+        total = (before - after).sum(1, keepdim=True)
+        needed = float(total.sum()) > WORTHWHILE * float(before.sum()) and bool(_sure(total))
+        gain = (load, before.sum(0), after.sum(0), others) if needed else None
+    if gain is not None:
+        data, found = gain[0].data, gain[0].found
     worth, rivals, found = _needed(data, found, few)
     rivals = {at: names for at, names in alike.items() if bool(explained[at[1]])} | rivals
     servos = fit(data, found.servos, found.free, more, plane=found.plane, iterations=2)
-    return replace(found, servos=servos), worth, rivals
+    return _Answer(data, replace(found, servos=servos), worth, rivals, gain)
 
 
 def _no_worse(data: PositionData, simple: Found, found: Found, windows: Windows) -> Found:
@@ -362,13 +410,28 @@ def _returned(
     return shown, stood, now
 
 
-def _findings(
-    data: PositionData, found: Found, known: Equations, worth: Worth, rivals: Rivals
-) -> tuple[PositionFinding, ...]:
+def _findings(answered: _Answer, known: Equations) -> tuple[PositionFinding, ...]:
+    data, found, rivals = answered.data, answered.found, answered.rivals
     deviation = known.deviations()
     looked = float(data.tracks.u.shape[0])
     out = []
-    for name, losses in worth.items():
+    if answered.load is not None:
+        load, light, heavy, others = answered.load
+        values = [load.mass, *load.com.tolist()]
+        body = tuple(
+            Size(key, unit, v, (v - HALF_95 * float(s), v + HALF_95 * float(s)))
+            for key, unit, v, s in zip(
+                ("mass", "x", "y", "z"), ("kg", "m", "m", "m"), values, load.std, strict=True
+            )
+        )
+        far, near = (1e3 * float((x.mean() / looked).sqrt()) for x in (light, heavy))
+        out.append(
+            PositionFinding(
+                PAYLOAD.name, PAYLOAD.family, None, body, far, near, others,
+                PAYLOAD.meaning, PAYLOAD.remedy,
+            )
+        )  # fmt: skip
+    for name, losses in answered.worth.items():
         effect = BY_NAME[name]
         # Errors in the log's unit: of the joint, or of all of them.
         without, with_it = (1e3 * (x / looked).sqrt() / data.scale for x in losses)
@@ -418,24 +481,25 @@ def _ratio_only(known: Equations) -> Tensor:
 
 
 def _accuracies(
-    data: PositionData, simple: Found, found: Found, windows: Windows, few: Windows
+    models: Sequence[tuple[PositionData, Found]], windows: Windows, few: Windows
 ) -> tuple[list[Accuracy], tuple[Tensor, Tensor]]:
     """How near the command, a plain servo and the answered model come; both models are fitted
     without the fold that they are judged on. With the whole-motion errors (T, n) of the models."""
+    data = models[0][0]
     folds = folds_of(len(data.tracks.first))
     commanded = (data.tracks.u - data.q) / data.scale
     errors_of: dict[str, list[Tensor]] = {"whole": [], "windows": []}
-    for model in (simple, found):
+    for body, model in models:
         servos = {}
         for fold in folds.unique().tolist():
             rest = torch.nonzero(folds[few.motion] != fold).flatten()
             others = few.some(rest)
             servos[fold] = fit(
-                data, model.servos, model.free, others, plane=model.plane, iterations=2
+                body, model.servos, model.free, others, plane=model.plane, iterations=2
             )
         for name, some in (("whole", windows_of(data.tracks, None)), ("windows", windows)):
             apart = each_window(servos, folds[some.motion])
-            error = errors(data, apart, some)[..., 0]
+            error = errors(body, apart, some)[..., 0]
             errors_of[name].append(_on_rows(data, error, some) / data.scale)
     pairs = zip(*errors_of.values(), strict=True)
     still = _still(data)

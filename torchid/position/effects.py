@@ -104,6 +104,11 @@ EFFECTS = (
         "a point of the arm touches a plane", "a floor at that height",
     ),
 )  # fmt: skip
+PAYLOAD = PositionEffect(
+    "payload", "inertia", (),
+    "the arm carries a body that its model does not have", "add the body to the last link",
+)  # fmt: skip
+"""Beside `EFFECTS`: not a servo's, but the robot's."""
 BY_NAME = {effect.name: effect for effect in EFFECTS}
 KEPT = ("command_delay", "torque_offset")
 """What is part of every model, named or not."""

@@ -142,6 +142,9 @@ def _grown(
     values = _SIZES[name](data, now.servos)
     sets = _batch(now.servos, 1 + len(values))
     sets.joint[1:, :, INDEX[name]] = values
+    if name == "lag":  # which servos without a filter have taken for delay
+        late = sets.joint[1:, :, INDEX["delay"]]
+        late.copy_((late - values).clamp(min=0))
     cost = _tried(data, sets, windows)
     best = cost[:, 1:].argmin(1)
     gain = cost[:, 0] - cost[:, 1:].amin(1)
@@ -150,8 +153,8 @@ def _grown(
         joints = torch.ones_like(joints)
     if not bool(joints.any()):
         return now
-    chosen = now.servos.joint.clone()
-    chosen[joints, INDEX[name]] = values[best, torch.arange(len(joints))][joints]
+    own = sets.joint[1 + best, torch.arange(len(joints))]
+    chosen = torch.where(joints[:, None], own, now.servos.joint)
     free = {**now.free, name: now.free.get(name, torch.zeros_like(joints)) | joints}
     servos = fit(
         data,

@@ -1,0 +1,229 @@
+"""A load that the robot's model does not have: a body of unknown mass at the last link but the jaw.
+
+Every joint feels it through gravity and inertia, in a pattern that gains and offsets of single
+joints can follow in part only. Its torques are linear in its mass and its first moments; they are
+taken about a point in front of the link, and fitted together with all servos: what the servos can
+do in its place is projected out joint by joint (the Schur complement of their normal equations).
+"""
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+
+from torchid.position.data import PositionData
+from torchid.position.fit import (
+    HARDLY,
+    LONGEST,
+    NOISE,
+    TOGETHER,
+    errors,
+    fit,
+    loss,
+    mean_square,
+    moved,
+    prior_precision,
+    searched,
+    sensitivities,
+    weights,
+)
+from torchid.position.search import Found
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import Robot
+from torchid.simulation.servo import INDEX, PARAMETERS, Servos
+from torchid.simulation.servo_loop import PROFILE, Body, Windows, body_near
+from torchid.statistics.jackknife import jackknife
+from torchid.statistics.proportion import HALF_95
+from torchid.typing import Float
+
+OUTWARDS = 3.0
+"""Distance of a load from the joint beside that of the link's own centre of mass [1]."""
+ITERATIONS = 6
+SHARES = (1.0, 0.5, 0.2, 0.05)
+"""Of a Gauss-Newton step, until one lowers the loss."""
+WORTH = 0.02
+"""Share of all joints' loss that a load must promise to take away to be fitted [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """Motions of an arm with a load, and servos fitted to them.
+
+    Attributes:
+        data: the motions, of the robot with the load.
+        found: the servos.
+        mass: of the load [kg].
+        com: (3,) its centre of mass in the link's frame [m].
+        std: (4,) half of the 95 % intervals of both, over that of a normal variable.
+    """
+
+    data: PositionData
+    found: Found
+    mass: float
+    com: Float[Tensor, "3"]
+    std: Float[Tensor, "4"]
+
+
+def point_of(data: PositionData) -> Float[Tensor, "3"]:
+    """Where a load is looked for [m, link's frame]."""
+    com = data.robot.require_parameters("a load").com[data.link].to(torch.float64)
+    tool = data.robot.tool[:3, 3].to(torch.float64)
+    last = data.link == data.robot.n - 1
+    return tool if last and float(tool.norm()) > float(com.norm()) else OUTWARDS * com
+
+
+class _Load:
+    """The rigid body's torques per mass and first moments of a load, in the rows of windows."""
+
+    def __init__(self, data: PositionData, windows: Windows):
+        self.data, self.point = data, point_of(data)
+        length = windows.length.tolist()
+        self.rows = torch.cat(
+            [torch.arange(a, a + n) for a, n in zip(windows.start.tolist(), length, strict=True)]
+        )
+        self.last = windows.length.cumsum(0) - 1
+        own = data.robot.require_parameters("a load")
+        x, y, z = self.point.tolist()
+        per_mass = [1, x, y, z, y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
+        unit = torch.eye(10, dtype=torch.float64)
+        self.plain = self._near(own.pi)
+        self.per = []
+        for column in (torch.tensor(per_mass, dtype=torch.float64), unit[1], unit[2], unit[3]):
+            pi = own.pi.clone()
+            pi[data.link] += column.to(pi)
+            self.per.append(self._near(pi))
+
+    def _near(self, pi: Tensor) -> Body:
+        robot = self.data.robot.with_parameters(InertialParameters(pi))
+        q, dq = self.data.q[self.rows], self.data.dq[self.rows]
+        return body_near(robot, q, dq, self.data.link).midway(self.last)
+
+    def carrying(self, x: Float[Tensor, "4"]) -> PositionData:
+        """The motions with a load of mass and first moments x about the point, in those rows."""
+        out = {}
+        for field in fields(Body):
+            now, plain = getattr(self.data.body, field.name), getattr(self.plain, field.name)
+            if plain is None or field.name in ("q", "height", "slope"):
+                out[field.name] = now
+                continue
+            change = sum(
+                size * (getattr(body, field.name) - plain)
+                for size, body in zip(x.tolist(), self.per, strict=True)
+            )
+            out[field.name] = now.clone()
+            out[field.name][self.rows] = plain + change
+        return replace(self.data, body=Body(**out))
+
+
+def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | None:
+    """The arm with a load that takes error away beside all servos; None where none does.
+
+    Args:
+        data: motions.
+        found: servos, fitted without a load.
+        windows: to fit to.
+    """
+    load, x = _Load(data, windows), torch.zeros(4, dtype=torch.float64)
+    names = tuple(name for name in found.free if name not in PROFILE)
+    mask = torch.stack([found.free[name] for name in names], 1)
+    at = torch.tensor([INDEX[name] for name in names])
+    logs = torch.tensor([PARAMETERS[k].kind == "log" for k in at.tolist()])
+    # What the link itself weighs, at the point: steps and priors are shares of that.
+    mass = float(data.robot.require_parameters("a load").mass[data.link])
+    size = mass * torch.cat([x.new_ones(1), load.point.norm().clamp(min=1e-3).expand(3)])
+    spread = size * torch.tensor([3.0, 0.5, 0.5, 0.5])
+    servos = found.servos
+    for iteration in range(ITERATIONS):
+        carried = load.carrying(x)
+        s = sensitivities(carried, servos, names, windows)
+        w = weights(s.residual, windows)
+        square = mean_square(s.residual, w, windows)
+        slopes = []
+        for k in range(4):
+            there = x.clone()
+            there[k] += 0.02 * size[k]
+            error = errors(load.carrying(there), _one(servos), windows)[..., 0]
+            slopes.append((error - s.residual) / (0.02 * size[k]))
+        # Normal equations of every joint's servo (a), of the load (b), and between them.
+        root = w.sqrt()[..., None]
+        a = (s.slope * root).flatten(0, 1).transpose(0, 1) * mask[:, None]
+        b = (torch.stack(slopes, -1) * root).flatten(0, 1).transpose(0, 1)
+        r = (s.residual[..., None] * root).flatten(0, 1).transpose(0, 1)
+        own = torch.where(mask, prior_precision(names, square), 1.0)
+        gram = a.mT @ a + torch.diag_embed(own)
+        cross, pull = a.mT @ b, a.mT @ r
+        # What servos can do in the load's place is no sign of it.
+        alone = b - a @ torch.linalg.solve(gram, cross)
+        prior = (TOGETHER * square.clamp(max=NOISE**2).mean() / spread**2).diag()
+        reduced = (alone.mT @ b).sum(0) + prior
+        towards = (alone.mT @ r).sum(0)[:, 0] + prior @ x
+        step = -torch.linalg.solve(reduced, towards)
+        before = _total(carried, servos, windows)
+        if iteration == 0 and not -float(towards @ step) > WORTH * before:
+            return None
+        answered = -torch.linalg.solve(gram, pull + cross @ step[:, None])[..., 0]
+        answered = torch.where(logs, answered.clamp(-LONGEST, LONGEST), answered)
+        for share in SHARES:
+            tried = searched(servos)
+            tried[:, at] += share * answered
+            there = x + share * step
+            there[0] = there[0].clamp(min=0)
+            moved_there = moved(servos, tried)
+            after = _total(load.carrying(there), moved_there, windows)
+            if after < before:
+                break
+        else:
+            break
+        servos, x = moved_there, there
+        if after > (1 - HARDLY) * before:
+            break
+    if not float(x[0]) > 0:
+        return None
+    com = load.point + x[1:] / x[0]
+    robot = _carrying(data, float(x[0]), com)
+    body = body_near(robot, data.q, data.dq, data.link).midway(data.tracks.last)
+    heavy = replace(data, robot=robot, body=body)
+    servos = fit(heavy, servos, found.free, windows, plane=found.plane, iterations=2)
+    std = _deviations(alone, r, prior, windows) / torch.cat([x.new_ones(1), x[:1].expand(3)])
+    return Loaded(heavy, replace(found, servos=servos), float(x[0]), com, std)
+
+
+def _deviations(columns: Tensor, residual: Tensor, prior: Tensor, windows: Windows) -> Tensor:
+    """(4,) of mass and first moments, as `Equations.deviations` has those of servos: the larger of
+    what motions and what noise tell.
+
+    Args:
+        columns, residual: (n, L W, 4 or 1), weighted, of every joint.
+        prior: (4, 4) precision.
+        windows: W of them.
+    """
+    motions = int(windows.motion.max()) + 1
+    of = windows.motion.repeat(columns.shape[1] // len(windows.motion))
+    grams = torch.zeros(motions, 4, 4, dtype=columns.dtype)
+    pulls = torch.zeros(motions, 4, dtype=columns.dtype)
+    grams.index_add_(0, of, torch.einsum("jri,jrk->rik", columns, columns))
+    pulls.index_add_(0, of, torch.einsum("jri,jr->ri", columns, residual[..., 0]))
+    grams = torch.cat([grams, prior[None]])
+    pulls = torch.cat([pulls - pulls.mean(0), torch.zeros_like(pulls[:1])])
+    rows = float((windows.length * windows.weight).sum())
+    noise = TOGETHER * float(residual.square().sum()) / rows / len(columns)
+    found = jackknife(grams, pulls, variance=noise)
+    by_noise = (torch.linalg.inv(grams.sum(0)).diagonal() * noise).sqrt()
+    return torch.maximum(found.std * found.quantile() / HALF_95, by_noise)
+
+
+def _carrying(data: PositionData, mass: float, com: Tensor) -> Robot:
+    """The robot with a load of a ball's inertia about its centre of mass."""
+    own = data.robot.require_parameters("a load")
+    body = InertialParameters.from_com(torch.tensor([mass]), com[None], torch.zeros(1, 6))
+    pi = own.pi.clone()
+    pi[data.link] += body.pi[0].to(pi)
+    return data.robot.with_parameters(InertialParameters(pi))
+
+
+def _one(servos: Servos) -> Servos:
+    return replace(servos, joint=servos.joint[None], plane=servos.plane[None])
+
+
+def _total(data: PositionData, servos: Servos, windows: Windows) -> float:
+    return float(loss(errors(data, _one(servos), windows), windows).sum())
