@@ -54,9 +54,16 @@ def true_servos(n: int, **extra: tuple[int, float]) -> Servos:
     return servos
 
 
-def planted(servos: Servos, *, motions: int = 6, seconds: float = 16.0, seed: int = 1) -> Log:
-    """What the arm `3r` logs with these servos: t, u, and q in encoder counts."""
-    robot = arm("3r")
+def planted(
+    servos: Servos,
+    *,
+    motions: int = 6,
+    seconds: float = 16.0,
+    seed: int = 1,
+    robot: Robot | None = None,
+) -> Log:
+    """What an arm, `3r` if none is given, logs with these servos: t, u, and q in encoder counts."""
+    robot = robot or arm("3r")
     tracks = commands(robot.n, motions, seconds, seed)
     start = tracks.u[tracks.first]
     whole = windows_of(tracks, None)

@@ -24,6 +24,8 @@ CAUSES = {
     "end_stop": {"stop_high": (3, 0.25)},
     "derivative_gain": {"kd": (2, 25.0)},
     "command_gain": {"scale": (2, 0.9)},
+    "integral_action": {"integral": (2, 260.0)},
+    "command_filter": {"lag": (2, 0.08)},
 }
 
 
@@ -61,6 +63,23 @@ def test_a_planted_cause_is_named(cause, tmp_path):
     moved = replay(result.corrected, log)
     assert float(moved.error.mean()) < 0.5 * again.how_far.commanded.whole_mrad
     assert len(moved.plot("positions").axes) == 3
+
+
+def test_a_load_is_found_beside_servos():
+    """A body at the last link, which gains and offsets of single joints follow in part only."""
+    arm = robot()
+    heavy = arm.with_payload(2.5, (0.1, 0.0, 0.0))
+    result = diagnose_positions(arm, planted(true_servos(3), robot=heavy, seed=4))
+    first = result.findings[0]
+    assert (first.effect, first.joint) == ("payload", None)
+    mass = first.sizes[0]
+    assert mass.interval[0] <= 2.5 <= mass.interval[1]
+    assert mass.value == pytest.approx(2.5, rel=0.2)
+    assert result.status == "explained"
+    # The corrected arm carries it, and a plain servo is judged on the arm as given.
+    own, found = (x.require_parameters("a test").mass for x in (arm, result.corrected.robot))
+    assert float((found - own)[-1]) == pytest.approx(mass.value)
+    assert float(result.answered.windows.mean()) < float(result.plain_servo.windows.mean())
 
 
 def test_a_joint_that_flickers_never_moves():

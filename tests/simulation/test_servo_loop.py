@@ -1,6 +1,7 @@
 """Servo arms in a batch: MuJoCo's closed loop, closed forms, stiction that holds."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -37,7 +38,8 @@ def sines(n: int, samples: int, motions: int, seed: int) -> Tracks:
 
 
 def drawn(n: int, seed: int) -> Servos:
-    """Servos of small and large gains; half of them with dry friction, half with a clip."""
+    """Servos of small and large gains; half of them with dry friction, half with a clip, those that
+    have neither with integral action."""
     rng = np.random.default_rng(seed)
     servos = Servos.neutral(n)
     for j in range(n):
@@ -55,6 +57,8 @@ def drawn(n: int, seed: int) -> Servos:
             values["coulomb"] = rng.uniform(0.2, 2.0)
         if seed % 4 > 1:
             values["clip"] = rng.uniform(60, 90)
+        if seed % 4 == 0:
+            values["integral"] = kp * rng.uniform(0.3, 3.0)
         for name, value in values.items():
             servos.joint[j, INDEX[name]] = value
     return servos
@@ -79,10 +83,14 @@ def by_mujoco(robot, servos: Servos, u: np.ndarray, step: float) -> np.ndarray:
     low = np.floor(now + 1e-9).astype(int)
     a, b = (u[np.clip(low + i, 0, None), range(robot.n)] for i in (0, 1))
     x, dx = a + (b - a) * (now - low), (b - a) / DT * (now > -1e-9)
-    kp, kd, clip, offset = (p[name] for name in ("kp", "kd", "clip", "offset"))
+    kp, kd, ki, clip, offset = (p[name] for name in ("kp", "kd", "integral", "clip", "offset"))
     out = [u[0]]
+    # An integrating servo bears the load before the motion begins.
+    mujoco.mj_forward(model, data)
+    summed = np.where(ki > 0, data.qfrc_bias - offset, 0.0)
     for k in range(len(x)):
-        torque = kp * (x[k] - data.qpos) + kd * (dx[k] - data.qvel)
+        summed = summed + ki * step * (x[k] - data.qpos)
+        torque = kp * (x[k] - data.qpos) + kd * (dx[k] - data.qvel) + summed
         data.qfrc_applied[:] = torque.clip(-clip, clip) + offset
         mujoco.mj_step(model, data)
         if (k + 1) % steps == 0:
@@ -163,7 +171,9 @@ def test_a_profile_accelerates_and_brakes_at_its_limit():
     u = torch.zeros(60, 1, dtype=torch.float64)
     u[5:] = 0.4
     tracks = Tracks(u, torch.tensor([0]), torch.tensor([59]), DT)
-    limits = torch.tensor([[[1.0, 10.0, math.inf]], [[1.0, 10.0, 1.0]]], dtype=torch.float64)
+    limits = torch.tensor(
+        [[[1.0, 10.0, math.inf, 0.0]], [[1.0, 10.0, 1.0, 0.0]]], dtype=torch.float64
+    )
     x = set_points(limits, tracks, repeated=False)[0]
     t = DT * (torch.arange(60, dtype=torch.float64) - 5)
     free = torch.where(t < 0.2, 5 * t.clamp(min=0) ** 2, 0.4 - 5 * (0.4 - t).clamp(min=0) ** 2)
@@ -175,6 +185,52 @@ def test_a_profile_accelerates_and_brakes_at_its_limit():
     ended = set_points(limits[:1], tracks, repeated=True)[0, 0]
     assert float(ended[6]) == pytest.approx(5 * DT**2)
     assert bool((ended[7:] == 0.4).all())
+
+
+def test_set_points_of_some_rows_are_those_of_all():
+    tracks = sines(2, 1500, 2, seed=5)
+    limits = torch.tensor([[[1.0, 3.0, 1.0, 0.0]] * 2], dtype=torch.float64)
+    needed = torch.zeros(len(tracks.u), dtype=torch.bool)
+    needed[2100:2130] = True
+    every = set_points(limits, tracks, repeated=False)
+    some = set_points(limits, tracks, repeated=False, needed=needed)
+    assert torch.equal(every[..., needed], some[..., needed])
+    assert not torch.equal(every, some)
+
+
+def test_a_filter_is_late_by_its_time_constant():
+    """A ramp is followed tau late, once exp(-t / tau) has faded."""
+    tracks, tau, speed = steady(0.0, 2.0), 0.07, 0.5
+    ramp = replace(tracks, u=speed * DT * torch.arange(len(tracks.u), dtype=torch.float64)[:, None])
+    profile = torch.tensor([[[1.0, math.inf, math.inf, tau]]], dtype=torch.float64)
+    x = set_points(profile, ramp, repeated=False)[0, 0]
+    t = DT * torch.arange(len(x), dtype=torch.float64)
+    assert (x - speed * (t - tau * (1 - (-t / tau).exp()))).abs().max() < 1e-12
+
+
+def test_an_integrating_servo_leaves_no_error_and_remembers_its_sum():
+    """A load of 2 N m: a servo without integral action errs by 2 / kp for ever. Windows that begin
+    later know the sum from the errors until then."""
+    servos = Servos.neutral(1, kp=20.0, damping=4.0, armature=0.05, integral=30.0, offset=-2.0)
+    u = torch.zeros(400, 1, dtype=torch.float64)
+    u[50:], u[200:] = 0.4, -0.2
+    tracks = Tracks(u, torch.tensor([0]), torch.tensor([399]), DT)
+    robot, still = flywheel(), torch.zeros(1, 1, dtype=torch.float64)
+    whole = replayed(robot, servos, tracks, windows_of(tracks, None), still, still)
+    assert float((whole - u)[195].abs()) < 1e-3
+    plain = replace(servos, joint=servos.joint.clone())
+    plain.joint[0, INDEX["integral"]] = 0.0
+    away = replayed(robot, plain, tracks, windows_of(tracks, None), still, still)
+    assert float((whole - away).abs().max()) > 0.02
+    windows = windows_of(tracks, 2.0)
+    rate = torch.zeros(len(windows.start), 1, dtype=torch.float64)
+    for k, row in enumerate(windows.start.tolist()):
+        rate[k] = (whole[row + 1] - whole[row - 1]) / (2 * DT) if row else 0.0
+    begun = whole[windows.start], rate
+    parts = replayed(robot, servos, tracks, windows, *begun, measured=whole)
+    assert float((parts - whole).abs().max()) < 2e-3
+    unknown = replayed(robot, servos, tracks, windows, *begun)
+    assert float((unknown - whole).abs().max()) > 5 * float((parts - whole).abs().max())
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

@@ -54,7 +54,7 @@ class PositionData:
         body: the rigid body near the measured motion, halfway from each row to the next.
         strength: (n,) torques of each joint beside those of a small servo, where a fit starts [1].
         link: whose points may touch a plane, counted from 0.
-        set_points: those found last, beside the profiles that they are of.
+        set_points: those found last, beside the profiles and the rows that they are of.
     """
 
     robot: Robot
@@ -66,7 +66,7 @@ class PositionData:
     body: Body
     strength: Float[Tensor, " n"]
     link: int
-    set_points: dict[bool, tuple[Tensor, Tensor]] = field(default_factory=dict, repr=False)
+    set_points: dict[bool, tuple[Tensor, Tensor, Tensor]] = field(default_factory=dict, repr=False)
 
     @property
     def resolution(self) -> Float[Tensor, " n"]:

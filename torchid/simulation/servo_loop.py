@@ -28,7 +28,7 @@ from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
 from torchid.dynamics.newton_euler import keep_freed_memory
 from torchid.robot.model import JointType, Robot, link_poses
 from torchid.simulation.servo import INDEX, PLANE, Servos
-from torchid.typing import Float, Int
+from torchid.typing import Bool, Float, Int
 
 THETA = 0.55
 """Share of a step at which forces are taken [1]: 1/2 is of second order, more is damped."""
@@ -210,7 +210,11 @@ def windows_of(tracks: Tracks, seconds: float | None) -> Windows:
 
 
 def set_points(
-    profile: Float[Tensor, "S n 4"], tracks: Tracks, *, repeated: bool
+    profile: Float[Tensor, "S n 4"],
+    tracks: Tracks,
+    *,
+    repeated: bool,
+    needed: Bool[Tensor, " T"] | None = None,
 ) -> Float[Tensor, "n S T"]:
     """Commands through each servo's scale, its profile of limited acceleration and speed, and its
     filter.
@@ -224,10 +228,13 @@ def set_points(
         profile: scale, limit of acceleration and of speed, lag (`PROFILE`) of S sets.
         tracks: m motions.
         repeated: as in `Servos`.
+        needed: rows that matter; in others profiles may be left out. None: all.
     """
     scale, a, top, lag = profile.permute(2, 1, 0).unsqueeze(-1)
-    x = _limited(tracks.u.T[:, None] * scale, a, top, tracks, repeated=repeated)
     slow = (lag[..., 0] > 0).nonzero().tolist()
+    if needed is None or slow:  # a filter knows all that was
+        needed = torch.ones(len(tracks.u), dtype=torch.bool)
+    x = _limited(tracks.u.T[:, None] * scale, a, top, tracks, needed, repeated=repeated)
     if not slow:
         return x
     out = x.clone()
@@ -243,9 +250,16 @@ def set_points(
 
 
 def _limited(
-    u: Float[Tensor, "n S T"], a: Tensor, top: Tensor, tracks: Tracks, *, repeated: bool
+    u: Float[Tensor, "n S T"],
+    a: Tensor,
+    top: Tensor,
+    tracks: Tracks,
+    needed: Bool[Tensor, " T"],
+    *,
+    repeated: bool,
 ) -> Float[Tensor, "n S T"]:
-    """Commands through profiles with limits (n, S, 1) of acceleration and of speed."""
+    """Commands through profiles with limits (n, S, 1) of acceleration and of speed, in stretches
+    that hold rows that are needed."""
     bound = (a.isfinite() | top.isfinite()).flatten(1).any(1)
     if not bool(bound.any()):
         return u
@@ -258,6 +272,7 @@ def _limited(
     # long asked for less than half of what the limits allow, or a repeated command has just ended
     # every profile: there nothing is left of the past.
     begin, count, first = [], [], []
+    asked_for = torch.nn.functional.pad(needed.cumsum(0), (1, 0)).tolist()
     for low, high in zip(tracks.first.tolist(), tracks.last.tolist(), strict=True):
         asked = goal[..., low : high + 1].diff(n=2).abs() / tracks.dt**2 > a / 2
         busy = torch.nn.functional.pad(asked.flatten(0, 1).any(0).int(), (2, 0)).cumsum(0)
@@ -269,10 +284,13 @@ def _limited(
                 or (repeated and bool((goal[..., end - 1] == goal[..., end - 2]).all()))
             ):
                 end += 1
-            begin.append(max(low, row - _EARLY))
-            first.append(row)
-            count.append(end - begin[-1])
+            if asked_for[end] > asked_for[row]:
+                begin.append(max(low, row - _EARLY))
+                first.append(row)
+                count.append(end - begin[-1])
             row = end
+    if not begin:
+        return out
     # Few numbers many times: numpy's calls cost a third of torch's.
     order = np.argsort(count)[::-1]
     at, counts, counted = (np.array(x)[order] for x in (begin, count, first))

@@ -194,16 +194,19 @@ KINDS: dict[str, Kind] = {
     ),
     "end_stop": Kind("world", _stop),
     "plane_contact": Kind("world", _floor, "arm"),
+    "payload": Kind("inertia", _payload, "arm"),
+    "integral_action": Kind(
+        "servo", _numbers(integral=lambda c, j, s, x: s * (0.5 + x) * float(c.kp[j])), "loaded"
+    ),
+    "command_filter": Kind(
+        "command", _numbers(lag=lambda c, j, s, x: s * (0.05 + 0.05 * x)), "bus"
+    ),
     # Outside of what the diagnosis has.
     "backlash": Kind(
         OUTSIDE, lambda c, j, s, x: _drive(c, j, 20.0, s * (0.02 + 0.03 * x)), "loaded",
         ("dead_zone",),
     ),
     "elasticity": Kind(OUTSIDE, lambda c, j, s, x: _drive(c, j, (2 + 2 * x) / s), "loaded"),
-    "integral_action": Kind(
-        OUTSIDE, _numbers(integral=lambda c, j, s, x: s * (0.5 + x) * float(c.kp[j])), "loaded"
-    ),
-    "payload": Kind(OUTSIDE, _payload, "arm"),
     "supply_sag": Kind(
         OUTSIDE,
         _numbers(sag=lambda c, j, s, x: s * (0.2 + 0.3 * x) / c.torque.sum()),
@@ -223,9 +226,6 @@ KINDS: dict[str, Kind] = {
         OUTSIDE, _numbers(hardening=lambda c, j, s, x: s * (4.0 + 8.0 * x)), akin=("dead_zone",)
     ),
     "cable": Kind(OUTSIDE, _cable, akin=("torque_offset",)),
-    "command_filter": Kind(
-        OUTSIDE, _numbers(lag=lambda c, j, s, x: s * (0.05 + 0.05 * x)), "bus", ("command",)
-    ),
     "dropped_commands": Kind(
         OUTSIDE, _numbers(dropped=lambda c, j, s, x: min(s * (0.2 + 0.2 * x), 0.8)), "all",
         ("command",),
@@ -482,7 +482,10 @@ def _with(
                 for name, value in vars(made).items()
                 if value is not getattr(scene.plant, name)
             }
-            return replace(plant, **new), servos, {"size": size, "variant": planting.variant}
+            numbers = {"size": size, "variant": planting.variant}
+            if "payload" in new:
+                numbers = {"mass": float(new["payload"].mass)}
+            return replace(plant, **new), servos, numbers
         for name, value in made.items():
             changed.setdefault(name, servos.of(name, n).copy())[j] = value
     numbers = {name: float(value[joints[0]]) for name, value in changed.items()}
