@@ -42,9 +42,9 @@ class PositionFinding:
 
     Attributes:
         effect, family: names.
-        joint: counted from 1; None for a plane, which all joints feel.
+        joint: counted from 1; None for a plane or a load, which all joints feel.
         sizes: its numbers.
-        error_without: position error of the joint (of all joints, for a plane) in windows of 2 s
+        error_without: position error of the joint (of all joints, for those) in windows of 2 s
             when the others are fitted without it [mrad of the log's unit].
         error_with: the same with it.
         ambiguous_with: effects that do as well in its place.

@@ -83,12 +83,10 @@ class _Load:
         )
         self.last = windows.length.cumsum(0) - 1
         own = data.robot.require_parameters("a load")
-        x, y, z = self.point.tolist()
-        per_mass = [1, x, y, z, y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
-        unit = torch.eye(10, dtype=torch.float64)
+        moments = torch.eye(10, dtype=torch.float64)[1:4]
         self.plain = self._near(own.pi)
         self.per = []
-        for column in (torch.tensor(per_mass, dtype=torch.float64), unit[1], unit[2], unit[3]):
+        for column in (_ball(1.0, self.point), *moments):
             pi = own.pi.clone()
             pi[data.link] += column.to(pi)
             self.per.append(self._near(pi))
@@ -128,8 +126,9 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
     mask = torch.stack([found.free[name] for name in names], 1)
     at = torch.tensor([INDEX[name] for name in names])
     logs = torch.tensor([PARAMETERS[k].kind == "log" for k in at.tolist()])
-    # What the link itself weighs, at the point: steps and priors are shares of that.
-    mass = float(data.robot.require_parameters("a load").mass[data.link])
+    # What the link weighs, or a twentieth of the arm: steps and priors are shares of that.
+    masses = data.robot.require_parameters("a load").mass
+    mass = max(float(masses[data.link]), 0.05 * float(masses.sum()))
     size = mass * torch.cat([x.new_ones(1), load.point.norm().clamp(min=1e-3).expand(3)])
     spread = size * torch.tensor([3.0, 0.5, 0.5, 0.5])
     servos = found.servos
@@ -213,12 +212,16 @@ def _deviations(columns: Tensor, residual: Tensor, prior: Tensor, windows: Windo
 
 
 def _carrying(data: PositionData, mass: float, com: Tensor) -> Robot:
-    """The robot with a load of a ball's inertia about its centre of mass."""
-    own = data.robot.require_parameters("a load")
-    body = InertialParameters.from_com(torch.tensor([mass]), com[None], torch.zeros(1, 6))
-    pi = own.pi.clone()
-    pi[data.link] += body.pi[0].to(pi)
+    """The robot with a load."""
+    pi = data.robot.require_parameters("a load").pi.clone()
+    pi[data.link] += _ball(mass, com).to(pi)
     return data.robot.with_parameters(InertialParameters(pi))
+
+
+def _ball(mass: float, com: Float[Tensor, "3"]) -> Float[Tensor, "10"]:
+    """Inertial parameters of a small ball."""
+    none = torch.zeros(1, 6, dtype=torch.float64)
+    return InertialParameters.from_com(com.new_tensor([mass]), com[None], none).pi[0]
 
 
 def _one(servos: Servos) -> Servos:
