@@ -70,11 +70,12 @@ def test_a_load_is_found_beside_servos():
     arm = robot()
     heavy = arm.with_payload(2.5, (0.1, 0.0, 0.0))
     result = diagnose_positions(arm, planted(true_servos(3), robot=heavy, seed=4))
-    first = result.findings[0]
-    assert (first.effect, first.joint) == ("payload", None)
-    mass = first.sizes[0]
+    named = {f.effect: f for f in result.findings}
+    assert set(named) - {"command_delay", "torque_offset"} == {"payload"}
+    assert named["payload"].joint is None
+    # No torque is measured: what is heavier and stronger by one factor moves alike.
+    mass = named["payload"].sizes[0]
     assert mass.interval[0] <= 2.5 <= mass.interval[1]
-    assert mass.value == pytest.approx(2.5, rel=0.2)
     assert result.status == "explained"
     # The corrected arm carries it, and a plain servo is judged on the arm as given.
     own, found = (x.require_parameters("a test").mass for x in (arm, result.corrected.robot))

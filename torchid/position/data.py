@@ -22,6 +22,7 @@ SMALL = PARAMETERS[INDEX["kp"]].start
 BEARS, FRICTION = 0.2, 1.5
 NO_STEP = 1e-9
 """Changes of a position below this are rounding [rad]."""
+OUTWARDS = 3.0
 JAW = 0.3
 """Share of the link before that a jaw weighs at most [1]."""
 SHORTEST_S = 10.0
@@ -84,6 +85,15 @@ class PositionData:
         of what parts positions from commands as a servo's own cycle and a bus's make."""
         apart = (self.tracks.u - self.q).square().mean(0)
         return (self.resolution**2 + SLIGHT**2 * apart).sqrt()
+
+    @property
+    def outwards(self) -> Float[Tensor, "3"]:
+        """A point in front of the outermost link: from its joint along its centre of mass, thrice
+        as far [m, link's frame]."""
+        com = self.robot.require_parameters("a point of the link").com[self.link].to(torch.float64)
+        after = self.robot.after[self.link].to(torch.float64)
+        joint = -after[:3, :3].T @ after[:3, 3]
+        return joint + OUTWARDS * (com - joint)
 
     def start(self, windows: Windows) -> tuple[Tensor, Tensor]:
         """q and dq (W, n) at the first rows of windows."""

@@ -30,17 +30,19 @@ from torchid.position.fit import (
 from torchid.position.search import Found
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
-from torchid.simulation.servo import INDEX, PARAMETERS, Servos
+from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import PROFILE, Body, Windows, body_near
 from torchid.statistics.jackknife import jackknife
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Float
 
-OUTWARDS = 3.0
-"""Distance of a load from the joint beside that of the link's own centre of mass [1]."""
-ITERATIONS = 6
+ITERATIONS = 8
+FAR = 20.0
+"""Times that torques change at most with a load [1]."""
 SHARES = (1.0, 0.5, 0.2, 0.05)
 """Of a Gauss-Newton step, until one lowers the loss."""
+MASSES = (0.3, 1.0, 3.0)
+"""Of loads to begin with, beside the link's [1]."""
 WORTH = 0.02
 """Share of all joints' loss that a load must promise to take away to be fitted [1]."""
 
@@ -64,19 +66,11 @@ class Loaded:
     std: Float[Tensor, "4"]
 
 
-def point_of(data: PositionData) -> Float[Tensor, "3"]:
-    """Where a load is looked for [m, link's frame]."""
-    com = data.robot.require_parameters("a load").com[data.link].to(torch.float64)
-    tool = data.robot.tool[:3, 3].to(torch.float64)
-    last = data.link == data.robot.n - 1
-    return tool if last and float(tool.norm()) > float(com.norm()) else OUTWARDS * com
-
-
 class _Load:
     """The rigid body's torques per mass and first moments of a load, in the rows of windows."""
 
     def __init__(self, data: PositionData, windows: Windows):
-        self.data, self.point = data, point_of(data)
+        self.data, self.point = data, data.outwards
         length = windows.length.tolist()
         self.rows = torch.cat(
             [torch.arange(a, a + n) for a, n in zip(windows.start.tolist(), length, strict=True)]
@@ -112,6 +106,15 @@ class _Load:
             out[field.name][self.rows] = plain + change
         return replace(self.data, body=Body(**out))
 
+    def stronger(self, servos: Servos, x: Tensor, there: Tensor) -> Servos:
+        """Servos for another load: their torques change as gravity's do, since it is mostly these
+        two beside each other that motions tell."""
+        before, after = (self.carrying(y).body.bias[self.rows].square().mean(0) for y in (x, there))
+        joint = servos.joint.clone()
+        ratio = (after / before.clamp(min=1e-12)).sqrt().clamp(1 / FAR, FAR)
+        joint[:, [INDEX[name] for name in TORQUES]] *= ratio[:, None]
+        return replace(servos, joint=joint)
+
 
 def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | None:
     """The arm with a load that takes error away beside all servos; None where none does.
@@ -141,7 +144,8 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
         for k in range(4):
             there = x.clone()
             there[k] += 0.02 * size[k]
-            error = errors(load.carrying(there), _one(servos), windows)[..., 0]
+            along = _one(load.stronger(servos, x, there))
+            error = errors(load.carrying(there), along, windows)[..., 0]
             slopes.append((error - s.residual) / (0.02 * size[k]))
         # Normal equations of every joint's servo (a), of the load (b), and between them.
         root = w.sqrt()[..., None]
@@ -158,16 +162,21 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
         towards = (alone.mT @ r).sum(0)[:, 0] + prior @ x
         step = -torch.linalg.solve(reduced, towards)
         before = _total(carried, servos, windows)
-        if iteration == 0 and not -float(towards @ step) > WORTH * before:
-            return None
+        if iteration == 0:
+            if not -float(towards @ step) > WORTH * before:
+                return None
+            x, servos = _begun(load, found, windows, size[0] * x.new_tensor(MASSES))
+            continue
         answered = -torch.linalg.solve(gram, pull + cross @ step[:, None])[..., 0]
-        answered = torch.where(logs, answered.clamp(-LONGEST, LONGEST), answered)
-        for share in SHARES:
+        # No further than logarithms may go.
+        longest = float(torch.where(logs & mask, answered, 0.0).abs().amax())
+        reach = min(1.0, LONGEST / max(longest, 1e-9))
+        for share in (reach * part for part in SHARES):
             tried = searched(servos)
             tried[:, at] += share * answered
             there = x + share * step
             there[0] = there[0].clamp(min=0)
-            moved_there = moved(servos, tried)
+            moved_there = load.stronger(moved(servos, tried), x, there)
             after = _total(load.carrying(there), moved_there, windows)
             if after < before:
                 break
@@ -185,6 +194,23 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
     servos = fit(heavy, servos, found.free, windows, plane=found.plane, iterations=2)
     std = _deviations(alone, r, prior, windows) / torch.cat([x.new_ones(1), x[:1].expand(3)])
     return Loaded(heavy, replace(found, servos=servos), float(x[0]), com, std)
+
+
+def _begun(
+    load: _Load, found: Found, windows: Windows, masses: Float[Tensor, " m"]
+) -> tuple[Float[Tensor, "4"], Servos]:
+    """The best of some loads at the point, with servos fitted beside it."""
+    none = torch.zeros(4, dtype=torch.float64)
+    best = _total(load.data, found.servos, windows), none, found.servos
+    for mass in masses:
+        x = none.clone()
+        x[0] = mass
+        carried, servos = load.carrying(x), load.stronger(found.servos, none, x)
+        servos = fit(carried, servos, found.free, windows, plane=found.plane, iterations=4)
+        total = _total(carried, servos, windows)
+        if total < best[0]:
+            best = total, x, servos
+    return best[1:]
 
 
 def _deviations(columns: Tensor, residual: Tensor, prior: Tensor, windows: Windows) -> Tensor:

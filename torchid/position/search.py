@@ -221,10 +221,10 @@ def _scanned(data: PositionData, now: Found, windows: Windows) -> Found:
 
 
 def _with_plane(data: PositionData, now: Found, windows: Windows) -> Found:
-    """A plane that a point of the link touches: along its centre of mass, thrice as far out."""
+    """A plane that a point in front of the link touches."""
     if data.body.height is None or data.robot.parameters is None:
         return now
-    point = 3 * data.robot.parameters.com[data.link].to(torch.float64)
+    point = data.outwards
     height = data.body.height @ torch.cat([point, point.new_ones(1)])
     levels = height.quantile(torch.tensor(_QUANTILES, dtype=torch.float64))
     # A floor is harder than servos are.
