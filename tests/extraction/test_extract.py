@@ -1,13 +1,14 @@
 """Algorithm 1 as a whole, on budgets of a second."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
 
 from tests.extraction.setups import asking, bounded, problem_of
 from torchid.errors import TorchidError
-from torchid.extraction.extract import Extraction, SearchSettings, extract, require_possible
+from torchid.extraction.extract import BLOCK, Extraction, SearchSettings, extract, require_possible
 from torchid.extraction.penalty import gamma
 from torchid.extraction.problem import Problem
 from torchid.feasibility.margins import feasibility
@@ -193,6 +194,29 @@ def test_engine_of_pycma() -> None:
     assert float(found.phi.max()) < 1e-18
     assert bool(feasibility(found.sets, p.conditions).feasible.all())
     assert_same(found, extract(p, settings))
+
+
+@pytest.mark.parametrize("engine", ["batched", "cma"])
+def test_the_bits_do_not_depend_on_the_workers(engine: str) -> None:
+    p, settings = problem_of("3r"), with_settings(runs=2 * BLOCK + 3, engine=engine, stages=3)
+    found = extract(p, settings)
+    with ThreadPoolExecutor(3) as threads:
+        assert_same(extract(p, settings, workers=threads), found)
+
+
+@pytest.mark.slow
+def test_the_bits_do_not_depend_on_the_number_of_processes() -> None:
+    p, settings = problem_of("3r"), with_settings(runs=2 * BLOCK + 3)
+    found = extract(p, settings)
+    for workers in (2, 8):
+        assert_same(extract(p, settings, workers=workers), found)
+
+
+def test_a_run_does_not_depend_on_how_many_come_after_its_block() -> None:
+    p = problem_of("3r")
+    few, many = (extract(p, with_settings(runs=k * BLOCK, stages=2)) for k in (1, 2))
+    assert torch.equal(few.sets.vector, many.sets.vector[:BLOCK])
+    assert not torch.equal(many.sets.vector[BLOCK:], many.sets.vector[:BLOCK])
 
 
 def test_progress_is_reported() -> None:

@@ -3,14 +3,15 @@
     p_0 = LB + (UB - LB) u,  xi_1 = 0
     for k = 1..K:  minimise phi(p) + xi_k gamma(p) within the bounds, starting from p_{k-1}
 
-All runs advance together: every generation of all of them is one call of the loss. The state
-between two stages is kept in a file that survives an interruption.
+Runs advance in blocks: every generation of a block is one call of the loss, and blocks know nothing
+of each other, so that any worker may do them. The state between two stages is kept in a file that
+survives an interruption.
 """
 
 import hashlib
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,11 +27,12 @@ from torchid.extraction.cma.pycma import PycmaEngine
 from torchid.extraction.cma.search import Engine, SearchState, start
 from torchid.extraction.penalty import gamma
 from torchid.extraction.polish.polish import polish
-from torchid.extraction.polish.region import region
+from torchid.extraction.polish.region import Region, region
 from torchid.extraction.problem import Problem
 from torchid.extraction.settings import SearchSettings
 from torchid.feasibility.sets import ParameterSets
 from torchid.files import atomic_write
+from torchid.parallel.workers import Executor, Workers, each, opened
 from torchid.results.record import Result
 from torchid.typing import Float, Tensor
 
@@ -53,6 +55,10 @@ def engine(name: str) -> Engine:
 
 
 Report = Callable[[int, int], None]
+
+BLOCK = 10
+"""Runs that advance together on a CPU, whoever does it: with as many rows the same sums are added
+in the same order. On a GPU, which has room for all, all do."""
 
 _FIRST_SIGMA = 0.3
 _LEAST_SIGMA = 1e-3
@@ -132,7 +138,7 @@ def load(path: Path, problem: Problem, settings: SearchSettings) -> Progress | N
 
 def fingerprint(problem: Problem, settings: SearchSettings) -> str:
     """What a search depends on, as a SHA-256."""
-    digest = hashlib.sha256(repr(settings).encode())
+    digest = hashlib.sha256(f"{BLOCK} {settings!r}".encode())
     c, target = problem.conditions, problem.target
     for tensor in (
         problem.box, target.weight, target.offset, target.base.grouping,
@@ -220,6 +226,7 @@ def extract(
     resume: bool = False,
     keep: bool = False,
     device: torch.device | str = "cpu",
+    workers: Workers = 1,
     report: Report | None = None,
 ) -> Extraction:
     """Search for parameter sets (Algorithm 1), then polish them.
@@ -233,6 +240,8 @@ def extract(
         resume: continue from the checkpoint if there is one. The result is the same, bit for bit,
             as without the interruption.
         device: where the population is evaluated.
+        workers: who searches, a block of runs at a time; see torchid.parallel.workers. The result
+            is the same, bit for bit, for any number of them.
         report: called with (stages done, stages in all).
 
     Raises:
@@ -254,20 +263,24 @@ def extract(
         shape = (settings.runs, problem.size)
         uniform = torch.rand(shape, generator=generator, dtype=problem.box.dtype)
         now = Progress(0, start(uniform, _FIRST_SIGMA), uniform[:, :0], uniform[:, :0])
-    while now.stage < settings.stages:
-        now = _next_stage(problem, settings, now, device)
-        if checkpoint is not None:
-            save(checkpoint, now, problem, settings)
-        if report is not None:
-            report(now.stage, settings.stages)
-    searched = problem.physical(now.state.best)
+    size = BLOCK if torch.device(device).type == "cpu" else settings.runs
+    blocks = [slice(k, k + size) for k in range(0, settings.runs, size)]
     conditioned = region(problem, conditions=True)
-    p = searched
+    with opened(workers if len(blocks) > 1 else 1, _advanced) as (pool, _):
+        while now.stage < settings.stages:
+            now = _next_stage(problem, settings, now, blocks, pool, device)
+            if checkpoint is not None:
+                save(checkpoint, now, problem, settings)
+            if report is not None:
+                report(now.stage, settings.stages)
+        searched = p = problem.physical(now.state.best)
+        if settings.polish:
+            full = settings.penalty == "full"
+            within = conditioned if full else region(problem, conditions=False)
+            polished = torch.cat(
+                each(_polished, [(problem, within, searched[block]) for block in blocks], pool)
+            )
     if settings.polish:
-        full = settings.penalty == "full"
-        polished = polish(
-            problem, conditioned if full else region(problem, conditions=False), searched
-        )
         weight = 10.0 * settings.stages if full else 0.0
         # A run that the polish could not bring to an end stays as the search left it.
         before, after = (problem.phi(x) + weight * gamma(problem, x) for x in (searched, polished))
@@ -290,25 +303,65 @@ def extract(
     )
 
 
-def _next_stage(
-    problem: Problem, settings: SearchSettings, now: Progress, device: torch.device | str
-) -> Progress:
-    weight = settings.weight(now.stage)
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """A stage of some of the runs.
+
+    Attributes:
+        problem, settings, device: as given to `extract`.
+        stage: 0, 1, ...
+        state: of these runs.
+        first: number of the first of them.
+    """
+
+    problem: Problem
+    settings: SearchSettings
+    device: torch.device | str
+    stage: int
+    state: SearchState
+    first: int
+
+
+def _advanced(block: _Block) -> SearchState:
+    """The state after the stage."""
+    problem, settings = block.problem, block.settings
+    weight = settings.weight(block.stage)
 
     def loss(unit: Tensor) -> Tensor:
         p = problem.physical(unit)
         value = problem.phi(p)
         return value if weight == 0 else value + weight * gamma(problem, p, exact=False)
 
-    state = replace(now.state, sigma=now.state.sigma.clamp(min=_LEAST_SIGMA)).to(device)
+    sigma = block.state.sigma.clamp(min=_LEAST_SIGMA)
     found = engine(settings.engine).minimise(
         loss,
-        state,
+        replace(block.state, sigma=sigma).to(block.device),
         generations=settings.generations,
         seed=settings.seed,
         population=settings.population,
+        first=block.first,
     )
-    found = found.to("cpu")
+    return found.to("cpu")
+
+
+def _polished(job: tuple[Problem, Region, Float[Tensor, "R D"]]) -> Float[Tensor, "R D"]:
+    """Some of the runs, polished."""
+    return polish(*job)
+
+
+def _next_stage(
+    problem: Problem,
+    settings: SearchSettings,
+    now: Progress,
+    blocks: Sequence[slice],
+    pool: Executor,
+    device: torch.device | str,
+) -> Progress:
+    jobs = [
+        _Block(problem, settings, device, now.stage, now.state.part(block), block.start)
+        for block in blocks
+    ]
+    found = SearchState.joined(each(_advanced, jobs, pool))
     p = problem.physical(found.best)
     phi = torch.cat([now.phi, problem.phi(p).unsqueeze(-1)], -1)
     violated = torch.cat([now.gamma, gamma(problem, p).unsqueeze(-1)], -1)
