@@ -1,11 +1,11 @@
 # ruff: noqa: E402 (threads are set before numpy and torch are imported)
 """What blocks of runs cost an extraction here, and what two workers gain.
 
-    python benchmarks/extract.py blocks [--rounds 7] [--json FILE]
-    python benchmarks/extract.py workers [--runs 50] [--stages 35] [--rounds 3] [--json FILE]
+    python benchmarks/extract.py blocks [--rounds 4] [--json FILE]
+    python benchmarks/extract.py workers [--runs 400] [--stages 3] [--rounds 3] [--json FILE]
 
-`blocks`: one stage of 100 generations and the polish, runs in blocks of several sizes, in turns;
-printed are medians of CPU time over that of all runs in one block. `workers`: whole searches by one
+`blocks`: a stage of 60 generations, runs in blocks of several sizes, in turns; printed are medians
+of CPU time a generation, and over that of all runs in one block. `workers`: whole searches by one
 worker and by two, in turns: wall time, CPU time of all processes, and their medians' ratios.
 """
 
@@ -28,15 +28,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from cpu_time import processor_time
 
 from torchid.extraction import extract as room
+from torchid.extraction.cma.search import default_population
 from torchid.extraction.from_identification import problem_of
 from torchid.extraction.problem import Problem
 from torchid.extraction.settings import SearchSettings
 from torchid.identification.values import nominal_base
 from torchid.robot.library import load_robot
 
-ROBOTS = {"3r": 30, "kuka_lwr4": 50, "kuka_lwr4_friction": 50}
-"""Runs of the studies."""
-SIZES = (4, 5, 8, 10, 13, 17, 25, 50)
+SEARCHES = (("3r", 30, (10, 15, 30)), ("kuka_lwr4", 50, (10, 17, 25, 50)),
+            ("kuka_lwr4", 200, (25, 50, 100, 200)))  # fmt: skip
+"""Robot, runs, and runs of a block."""
+GENERATIONS = 60
 
 
 def problem(name: str) -> Problem:
@@ -46,21 +48,23 @@ def problem(name: str) -> Problem:
 
 def blocks(rounds: int) -> dict:
     out: dict = {}
-    for name, runs in ROBOTS.items():
-        asked, sizes = problem(name), [s for s in SIZES if s < runs] + [runs]
-        settings = SearchSettings(runs=runs, stages=2, generations=100, seed=1)
+    for name, runs, sizes in SEARCHES:
+        asked = problem(name)
+        numbers = asked.size * default_population(asked.size)
+        settings = SearchSettings(
+            runs=runs, stages=1, generations=GENERATIONS, seed=1, polish=False
+        )
         taken: dict[int, list[float]] = {size: [] for size in sizes}
         for turn in range(rounds + 1):
             for size in sizes[:: 1 if turn % 2 else -1]:
-                room.BLOCK = size
+                room.BLOCK = size * numbers
                 begin = time.process_time()
                 room.extract(asked, settings)
-                taken[size].append(time.process_time() - begin)
-        whole = statistics.median(taken[runs][1:])
-        out[name] = {"runs": runs, "whole_cpu_s": whole, "ratio": {
-            size: statistics.median(times[1:]) / whole for size, times in taken.items()
-        }}  # fmt: skip
-        print(name, out[name], flush=True)
+                taken[size].append((time.process_time() - begin) / GENERATIONS * 1e3)
+        medians = {size: statistics.median(times[1:]) for size, times in taken.items()}
+        ratios = {size: m / medians[runs] for size, m in medians.items()}
+        out[f"{name}, {runs} runs"] = {"cpu_ms_a_generation": medians, "ratio": ratios}
+        print(name, runs, medians, ratios, flush=True)
     return out
 
 
@@ -90,9 +94,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=("blocks", "workers"))
     parser.add_argument("--robot", default="kuka_lwr4")
-    parser.add_argument("--runs", type=int, default=50)
-    parser.add_argument("--stages", type=int, default=35)
-    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--runs", type=int, default=400)
+    parser.add_argument("--stages", type=int, default=3)
+    parser.add_argument("--rounds", type=int, default=4)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     torch.set_num_threads(1)

@@ -18,7 +18,6 @@ from tests.extraction.setups import asking, problem_of
 from torchid.errors import TorchidError
 from torchid.extraction.cma.search import start
 from torchid.extraction.extract import (
-    BLOCK,
     Extraction,
     Progress,
     SearchSettings,
@@ -96,8 +95,9 @@ def test_of_every_kind_of_search(changes: dict[str, object], tmp_path: Path) -> 
     assert_same(found, extract(problem_of("3r"), settings))
 
 
-def test_other_workers_may_go_on(tmp_path: Path) -> None:
-    settings = replace(SETTINGS, runs=BLOCK + 2)
+def test_other_workers_may_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torchid.extraction.extract.BLOCK", 1000)
+    settings = replace(SETTINGS, runs=6)
     path = tmp_path / "search.npz"
     killed_at(2, path, settings)
     with ThreadPoolExecutor(2) as threads:
