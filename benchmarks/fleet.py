@@ -11,7 +11,7 @@
 day to day (2 %), under coloured torque noise of 1 %; in some of them one coefficient is off by so
 many standard deviations of what normal units' values scatter by; with --alike normal units do not
 differ at all, and the deviation counts in standard deviations of one session. `speed`: logs of a 7R arm at 1 kHz.
-`scale`: the same logs by 1, 2, 4 and 8 processes, all of them (strong) and five a process (weak), and
+`scale`: the same logs by 1, 2, 4 and 8 processes, all of them (strong) and two a process (weak), and
 what a task costs besides its work: CPU time of every task and process tells, on a machine that others
 use, what free cores would take. `trace`: from these times, a simulated scheduler with up to 1000.
 """
@@ -46,7 +46,7 @@ from torchid.fleet.model import FleetModel
 from torchid.fleet.settings import FleetSettings
 from torchid.fleet.tasks import LogAnswer, LogTask, answer_log
 from torchid.parallel.store import Store
-from torchid.parallel.workers import Workers, each
+from torchid.parallel.workers import Workers, each, serve
 from torchid.robot.library import load_robot
 from torchid.statistics.drift import drift
 
@@ -256,23 +256,27 @@ def start() -> dict:
 
 
 def scale(count: int, seconds: float) -> dict:
+    serve("torchid.fleet.tasks")  # as commands do; each process then loads this script, too
     robot = load_robot("kuka_lwr4_friction")
     model = FleetModel(robot, FleetSettings())
     out: dict = {"seconds": seconds, "start": start(), "strong": [], "weak": []}
     out["overhead"] = overhead(model)
     print(out["start"], out["overhead"], flush=True)
     with TemporaryDirectory() as text:
-        logs = make(robot, Plan(count, 1, seconds, 1000.0), Path(text))
-        for kind, sizes in (("strong", (1, 2, 4, 8)), ("weak", (1, 2, 4, 8))):
-            for workers in sizes:
-                some = logs if kind == "strong" else logs[: 5 * workers]
-                place = f"{text}/store-{kind}-{workers}"
-                row = one_run([LogTask(log, model, place) for log in some], workers)
+        # A few logs again and again, each time with a store that does not know them.
+        logs = make(robot, Plan(4, 1, seconds, 1000.0), Path(text))
+        for kind in ("strong", "weak"):
+            for workers in (1, 2, 4, 8):
+                tasks = [
+                    LogTask(logs[k % 4], model, f"{text}/{kind}-{workers}-{k // 4}")
+                    for k in range(count if kind == "strong" else 2 * workers)
+                ]
+                row = one_run(tasks, workers)
                 out[kind].append(row)
                 print(kind, {k: v for k, v in row.items() if k != "tasks_s"}, flush=True)
         begin = time.process_time()
-        fleet_identify(model, logs, store=Store(f"{text}/store-strong-1"))
-        out["rest_s_a_log"] = (time.process_time() - begin) / count
+        fleet_identify(model, logs, store=Store(f"{text}/strong-1-0"))
+        out["rest_s_a_log"] = (time.process_time() - begin) / len(logs)
     return out
 
 

@@ -74,8 +74,18 @@ def scenes(inputs: Path) -> dict[str, Scene]:
         case_set.make(inputs / "cases", 3, 0)
     effects = "viscous_friction,coulomb_friction,torque_offset"
     few = "--stages 5 --generations 30 --runs"
+    fleet_of = ("fleet", "identify", "3r_friction", str(inputs / "fleet"), "--effects", effects)
     commands = (
         Scene("extract", (*f"extract 3r {few} 8 --out out".split(),), ("--resume",)),
+        Scene(
+            "extract by two",
+            (
+                *("extract", "kuka_lwr4", "--runs", "250", "--stages", "5", "--generations", "5"),
+                "--no-certificate",
+                *("--workers", "2", "--out", "out"),
+            ),
+            ("--resume",),
+        ),
         Scene("study", (*f"study 3r {few} 4 --no-figures --out out".split(),), ("--resume",)),
         Scene(
             "gap",
@@ -89,13 +99,8 @@ def scenes(inputs: Path) -> dict[str, Scene]:
             ("withheld", "run", "cases", "--jobs", "1", "--json", "run.json"),
             prepare=lambda folder: shutil.copytree(inputs / "cases", folder / "cases"),
         ),
-        Scene(
-            "fleet identify",
-            (
-                *("fleet", "identify", "3r_friction", str(inputs / "fleet")),
-                *("--effects", effects, "--out", "out"),
-            ),
-        ),
+        Scene("fleet identify", (*fleet_of, "--out", "out")),
+        Scene("fleet identify by two", (*fleet_of, "--workers", "2", "--out", "out")),
     )
     return {scene.name: scene for scene in commands}
 

@@ -43,8 +43,12 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 RETRIES = 2
 """Times that a task is tried again."""
 
+FORKS = sys.platform == "linux"
+"""Whether processes come from a server. Apple's libraries do not survive a fork, and Windows has
+none: there each process loads all by itself."""
+
 PATIENCE = 20
-"""Time in which a dask scheduler must answer [s]."""
+"""Time in which a dask scheduler must answer, and have a worker [s]."""
 
 
 def cores() -> int:
@@ -102,10 +106,6 @@ def opened(
 ) -> Iterator[tuple[Executor, int]]:
     """An executor, and how many tasks to give it at a time.
 
-    Processes come from a server that has loaded torch and the function's module once, and does
-    nothing else: it has one thread, so that what it forks is whole. Where there is none they load
-    all of it themselves.
-
     Args:
         workers: see above.
         function: that they are started for.
@@ -125,10 +125,8 @@ def opened(
     elif workers == 1 and least == 1:
         yield Serial(), 1
     else:
-        # Apple's libraries do not survive a fork, and Windows has none.
-        context = multiprocessing.get_context("forkserver" if sys.platform == "linux" else "spawn")
-        if sys.platform == "linux":
-            context.set_forkserver_preload(["torch", function.__module__])
+        context = multiprocessing.get_context("forkserver" if FORKS else "spawn")
+        serve(function.__module__)
         with _one_thread_each():
             pool = ProcessPoolExecutor(workers, context, begin, (os.getcwd(),))
             try:
@@ -137,6 +135,24 @@ def opened(
                 yield pool, workers
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)
+
+
+def serve(module: str) -> None:
+    """Start the server that processes are forked from, unless it is there. It loads torch and a
+    module once for all of them, which takes seconds, and does nothing else: what is forked from it
+    has no thread that is missing."""
+    if not FORKS:
+        return
+    from multiprocessing import forkserver
+
+    multiprocessing.set_forkserver_preload(["torch", module])
+    # Ctrl-C is for this process to tell; whoever is forked hears of it again (`begin`).
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        with _one_thread_each():
+            forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
@@ -154,11 +170,13 @@ def _cluster(address: str) -> Iterator[tuple[Executor, int]]:
             expected="tcp://HOST:PORT of a running `dask scheduler`",
         ) from error
     with client:
-        cores = sum(client.nthreads().values())
-        if not cores:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)  # they come back after their scheduler
+        except TimeoutError as error:
             raise TorchidError(
                 f"the scheduler at '{address}' has no workers.", hint=f"dask worker {address}"
-            )
+            ) from error
+        cores = sum(client.nthreads().values())
         with client.get_executor() as pool:
             yield pool, cores
 
@@ -358,6 +376,8 @@ def begin(folder: str) -> None:
         raise SystemExit(130)
 
     signal.signal(signal.SIGINT, stop)
+    if FORKS:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     parent = multiprocessing.parent_process()
     assert parent is not None
     sentinel = parent.sentinel
