@@ -366,7 +366,7 @@ class Faults:
                         _mount("-o", "remount,size=1g", name)
                         self.goes_on(folder, what)
                     finally:
-                        subprocess.run(["umount", name], check=True)
+                        unmount(name)
                 else:
                     self.scene.prepare(folder)
                     most = max(64, int(share * max(sizes)))
@@ -388,7 +388,7 @@ class Faults:
                 if not self.refused(run(self.scene, folder), "read-only"):
                     self.wrong.append("read-only: it ended well")
             finally:
-                subprocess.run(["umount", name], check=True)
+                unmount(name)
         return True
 
     def starved(self, times: int) -> int:
@@ -425,6 +425,14 @@ class Faults:
 def mounted(folder: Path, size: int) -> bool:
     """Make a folder a file system of so many bytes; False where that is not allowed."""
     return _mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder))
+
+
+def unmount(folder: str, within: float = 20.0) -> None:
+    """Take a file system away, as soon as the processes that work in it have ended."""
+    until = time.monotonic() + within
+    while subprocess.run(["umount", folder], check=False, capture_output=True).returncode:
+        assert time.monotonic() < until, f"{folder} is busy"
+        time.sleep(0.1)
 
 
 def _mount(*arguments: str) -> bool:

@@ -19,6 +19,7 @@ from torchid.design.motion import measurements
 from torchid.fleet.model import FleetModel
 from torchid.identification.identify import prepared
 from torchid.identification.least_squares import (
+    block_factors,
     combined_factor,
     solve,
     stacked_factor,
@@ -216,8 +217,7 @@ def _reduced(
     rows = torch.stack([torch.bincount(block[k], minlength=count) for k in keep.T], -1)
     out = []
     for own, kept, held in zip(augmented, keep.T, rows.T, strict=True):
-        parts = own[kept].split(held.tolist())
-        out.append(torch.stack([stacked_factor([part]) for part in parts]))
+        out.append(block_factors(own[kept].split(held.tolist())))
     return Factors(tuple(out), rows)
 
 
