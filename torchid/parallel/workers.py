@@ -139,13 +139,14 @@ def opened(
 
 def serve(module: str) -> None:
     """Start the server that processes are forked from, unless it is there. It loads torch and a
-    module once for all of them, which takes seconds, and does nothing else: what is forked from it
-    has no thread that is missing."""
+    module once for all of them, which takes seconds, and does nothing else: no thread is missing
+    in what is forked from it but that of Arrow's allocator, which starts it again."""
     if not FORKS:
         return
-    from multiprocessing import forkserver
+    from multiprocessing import forkserver, resource_tracker
 
     multiprocessing.set_forkserver_preload(["torch", module])
+    resource_tracker.ensure_running()  # which lets signals through again
     # Ctrl-C is for this process to tell; whoever is forked hears of it again (`begin`).
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
@@ -377,6 +378,8 @@ def begin(folder: str) -> None:
 
     signal.signal(signal.SIGINT, stop)
     if FORKS:
+        if signal.SIGINT in signal.sigpending():  # heard while the server held it back
+            os._exit(130)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     parent = multiprocessing.parent_process()
     assert parent is not None
