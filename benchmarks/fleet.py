@@ -1,13 +1,19 @@
 # ruff: noqa: E402 (threads are set before numpy and torch are imported)
 """A simulated fleet: odd units found and false ones, coverage, and what a log costs.
 
-    python benchmarks/fleet.py odd [--units 200] [--sessions 3] [--odd 12] [--json FILE]
+    python benchmarks/fleet.py odd [--units 200] [--sessions 3] [--odd 12] [--alike] [--json FILE]
     python benchmarks/fleet.py drift
     python benchmarks/fleet.py speed [--logs 6] [--seconds 60] [--json FILE]
+    python benchmarks/fleet.py scale [--logs 40] [--seconds 60] [--json FILE]
+    python benchmarks/fleet.py trace --json FILE     # of `scale`, which it reads
 
 `odd`: units of the 3R whose nine coefficients of friction differ from unit to unit (5 %) and from
 day to day (2 %), under coloured torque noise of 1 %; in some of them one coefficient is off by so
-many standard deviations of what normal units' values scatter by. `speed`: logs of a 7R arm at 1 kHz.
+many standard deviations of what normal units' values scatter by; with --alike normal units do not
+differ at all, and the deviation counts in standard deviations of one session. `speed`: logs of a 7R arm at 1 kHz.
+`scale`: the same logs by 1, 2, 4 and 8 processes, all of them (strong) and two a process (weak), and
+what a task costs besides its work: CPU time of every task and process tells, on a machine that others
+use, what free cores would take. `trace`: from these times, a simulated scheduler with up to 1000.
 """
 
 import os
@@ -16,24 +22,37 @@ for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ[_name] = "1"
 
 import argparse
+import heapq
 import json
+import pickle
+import random
 import resource
+import statistics
+import subprocess
+import sys
 import time
+from collections import defaultdict
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import torch
+from cpu_time import processor_time
 
 from tests.fleet.simulated import Plan, make, typical, unit_name
 from torchid.fleet.identify import Fleet, fleet_identify, reduce_fleet
+from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
 from torchid.fleet.settings import FleetSettings
+from torchid.fleet.tasks import LogAnswer, LogTask, answer_log
 from torchid.parallel.store import Store
+from torchid.parallel.workers import Workers, each, serve
 from torchid.robot.library import load_robot
 from torchid.statistics.drift import drift
 
 EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset")
 SIZES = (0.0, 3.0, 4.0, 5.0, 6.0, 8.0)
+SIZES_ALIKE = (0.0, 2.0, 3.0, 4.0)
 BETWEEN, DAILY = 0.05, 0.02
 
 
@@ -76,13 +95,14 @@ def coverage(found: Fleet, robot, sessions: int, normal: range) -> dict[str, flo
     }
 
 
-def odd(units: int, sessions: int, count: int) -> dict:
+def odd(units: int, sessions: int, count: int, alike: bool) -> dict:
+    between, daily = (0.0, 0.0) if alike else (BETWEEN, DAILY)
     robot = load_robot("3r_friction")
     model = FleetModel(robot, FleetSettings(effects=EFFECTS))
     out: dict = {"units": units, "sessions": sessions, "odd": count, "sizes": {}}
     with TemporaryDirectory() as text:
         folder, store = Path(text), Store(f"{text}/store")
-        plan = Plan(units=units, sessions=sessions, between=BETWEEN, daily=DAILY)
+        plan = Plan(units=units, sessions=sessions, between=between, daily=daily)
         begin = time.process_time()
         normal = make(robot, plan, folder / "normal", first=count)
         out["simulated_cpu_s"] = time.process_time() - begin
@@ -92,10 +112,16 @@ def odd(units: int, sessions: int, count: int) -> dict:
         nominal = typical(robot)
         names = [n for n in nominal if n[:2] in ("Fv", "Fc")]
         scatter = (BETWEEN**2 + DAILY**2 / sessions) ** 0.5
-        for size in SIZES:
+        unit = {n: scatter * nominal[n] for n in names}
+        if alike:
+            known = fleet_identify(model, normal, store=store)
+            std = torch.stack([e.std for u in known.units for _, e in u.sessions]).nanmedian(0)
+            unit = {n: float(std.values[known.base.names.index(n)]) for n in names}
+            out["session_std_share"] = {n: s / nominal[n] for n, s in unit.items()}
+        for size in SIZES_ALIKE if alike else SIZES:
             chosen = [names[k % len(names)] for k in range(count)]
-            off = {k: (n, size * scatter * nominal[n]) for k, n in enumerate(chosen)}
-            few = Plan(count, sessions, between=BETWEEN, daily=DAILY, odd=off)
+            off = {k: (n, size * unit[n]) for k, n in enumerate(chosen)}
+            few = Plan(count, sessions, between=between, daily=daily, odd=off)
             logs = make(robot, few, folder / f"odd-{size:g}")
             begin = time.process_time()
             found = fleet_identify(model, [*normal, *logs], store=store)
@@ -110,7 +136,7 @@ def odd(units: int, sessions: int, count: int) -> dict:
             }  # fmt: skip
             print(f"{size:g} standard deviations: {hits} of {len(known)} found, {named} by the "
                   f"right name, {false} false; {seconds:.0f} s", flush=True)  # fmt: skip
-            if not size:
+            if not size and not alike:
                 out["coverage"] = coverage(found, robot, sessions, range(units))
                 print(out["coverage"], flush=True)
     return out
@@ -138,13 +164,6 @@ def detection(runs: int = 40, before: int = 10, after: int = 40) -> dict:
     return out
 
 
-def cpu() -> float:
-    own, children = (
-        resource.getrusage(w) for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    )
-    return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
-
-
 def speed(count: int, seconds: float) -> dict:
     robot = load_robot("kuka_lwr4_friction")
     model = FleetModel(robot, FleetSettings())
@@ -155,20 +174,19 @@ def speed(count: int, seconds: float) -> dict:
         hours = count * seconds / 3600
         for workers in (1, 2):
             store = Store(f"{text}/store-{workers}")
-            wall, used, load = time.perf_counter(), cpu(), os.getloadavg()[0]
+            wall, used, load = time.perf_counter(), processor_time(), os.getloadavg()[0]
             answers = reduce_fleet(model, logs, store, workers=workers)
-            wall, used = time.perf_counter() - wall, cpu() - used
-            wall2, used2 = time.perf_counter(), cpu()
+            wall, used = time.perf_counter() - wall, processor_time() - used
+            wall2, used2 = time.perf_counter(), processor_time()
             fleet_identify(model, logs, store=store, workers=workers)
-            wall2, used2 = time.perf_counter() - wall2, cpu() - used2
-            who = resource.RUSAGE_SELF if workers == 1 else resource.RUSAGE_CHILDREN
+            wall2, used2 = time.perf_counter() - wall2, processor_time() - used2
             stored = sum(p.stat().st_size for p in Path(store.place).rglob("*.npz"))
             out["workers"][workers] = {
                 "load_before": load, "reduce_wall_s": wall, "reduce_cpu_s": used,
                 "reduce_log_hours_per_core_hour": hours / used * 3600,
                 "rest_wall_s": wall2, "rest_cpu_s": used2,
                 "identify_log_hours_per_core_hour": hours / (used + used2) * 3600,
-                "peak_mb": resource.getrusage(who).ru_maxrss / 1024,
+                "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
                 "stored_mb_per_log": stored / 1e6 / count,
                 "verdicts": [a.verdict for a in answers],
             }  # fmt: skip
@@ -176,24 +194,141 @@ def speed(count: int, seconds: float) -> dict:
     return out
 
 
+def timed(task: LogTask) -> tuple[int, float, LogAnswer]:
+    """The process that does it, its CPU time for it, and the answer."""
+    begin = time.process_time()
+    answer = answer_log(task)
+    return os.getpid(), time.process_time() - begin, answer
+
+
+def nothing(task: LogTask) -> LogAnswer:
+    """What a task costs besides its work."""
+    return LogAnswer(task.log, 64 * "0", 64 * "0", "good", (), noise=(1.0,) * 7)
+
+
+def one_run(tasks: Sequence[LogTask], workers: int) -> dict:
+    """Logs reduced by so many processes; what free cores would take is the start, the busiest
+    process and this one's own work, one after another."""
+    here, begin, used = time.process_time(), time.perf_counter(), processor_time()
+    found = each(timed, tasks, workers)
+    here, used = time.process_time() - here, processor_time() - used
+    busy: dict[int, float] = defaultdict(float)
+    for process, seconds, _ in found:
+        busy[process] += seconds
+    return {
+        "logs": len(tasks), "workers": workers, "load": os.getloadavg()[0],
+        "wall_s": time.perf_counter() - begin, "cpu_s": used, "tasks_s": [s for _, s, _ in found],
+        "busiest_s": max(busy.values()), "here_s": here - (max(busy.values()) if workers == 1 else 0),
+    }  # fmt: skip
+
+
+def overhead(model: FleetModel, count: int = 500) -> dict:
+    """CPU time of the process that gives out tasks, a task [ms], and bytes there and back."""
+    task = LogTask(FleetLog("arm-0001", "day-01", "/data/arm-0001/day-01.parquet"), model, "/store")
+    out: dict = {"bytes": len(pickle.dumps(task)) + len(pickle.dumps(nothing(task)))}
+
+    def cost(workers: Workers) -> float:
+        each(nothing, [task] * 4, workers)
+        begin = time.process_time()
+        each(nothing, [task] * count, workers)
+        return (time.process_time() - begin) / count * 1e3
+
+    out["processes_ms"] = cost(2)
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:  # the scheduler is in this process
+        out["dask_ms"] = cost(cluster.scheduler_address)
+    return out
+
+
+def start() -> dict:
+    """CPU time until a process can work: from nothing, and from the server [s]."""
+    code = "import torchid.fleet.tasks"
+    alone = []
+    for _ in range(3):
+        begin = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-c", code], check=True)
+        end = resource.getrusage(resource.RUSAGE_CHILDREN)
+        alone.append(end.ru_utime + end.ru_stime - begin.ru_utime - begin.ru_stime)
+    return {"alone_s": statistics.median(alone)}
+
+
+def scale(count: int, seconds: float) -> dict:
+    serve("torchid.fleet.tasks")  # as commands do; each process then loads this script, too
+    robot = load_robot("kuka_lwr4_friction")
+    model = FleetModel(robot, FleetSettings())
+    out: dict = {"seconds": seconds, "start": start(), "strong": [], "weak": []}
+    out["overhead"] = overhead(model)
+    print(out["start"], out["overhead"], flush=True)
+    with TemporaryDirectory() as text:
+        # A few logs again and again, each time with a store that does not know them.
+        logs = make(robot, Plan(4, 1, seconds, 1000.0), Path(text))
+        for kind in ("strong", "weak"):
+            for workers in (1, 2, 4, 8):
+                tasks = [
+                    LogTask(logs[k % 4], model, f"{text}/{kind}-{workers}-{k // 4}")
+                    for k in range(count if kind == "strong" else 2 * workers)
+                ]
+                row = one_run(tasks, workers)
+                out[kind].append(row)
+                print(kind, {k: v for k, v in row.items() if k != "tasks_s"}, flush=True)
+        begin = time.process_time()
+        fleet_identify(model, logs, store=Store(f"{text}/strong-1-0"))
+        out["rest_s_a_log"] = (time.process_time() - begin) / len(logs)
+    return out
+
+
+def trace(measured: dict) -> dict:
+    """Logs of an hour given out by one scheduler, first come, first served: time, and the share of
+    it that workers work."""
+    rate = sum(measured["strong"][0]["tasks_s"]) / len(measured["strong"][0]["tasks_s"])
+    spread = [s / rate for s in measured["strong"][0]["tasks_s"]]
+    hour = rate * 3600 / measured["seconds"]
+    given = measured["overhead"]["dask_ms"] / 1e3
+    out: dict = {"task_s": hour, "scheduler_s_a_task": given, "workers": {}}
+    chance = random.Random(0)
+    tasks = [hour * chance.choice(spread) for _ in range(10_000)]
+    for workers in (1, 2, 8, 40, 100, 300, 1000):
+        free = [measured["start"]["alone_s"]] * workers
+        scheduler = 0.0
+        for seconds in tasks:
+            # The scheduler gives out one task after another, each when a worker is free.
+            scheduler = max(scheduler, free[0]) + given
+            heapq.heapreplace(free, scheduler + seconds)
+        end = max(free)
+        work = sum(tasks)
+        out["workers"][workers] = {
+            "hours": end / 3600, "efficiency": work / workers / end,
+            "kilobytes_a_second": measured["overhead"]["bytes"] * len(tasks) / end / 1e3,
+            "longest_path_s": measured["start"]["alone_s"] + max(tasks) + given,
+        }  # fmt: skip
+        print(workers, out["workers"][workers], flush=True)
+    return out
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("odd", "speed", "drift"))
+    parser.add_argument("what", choices=("odd", "speed", "drift", "scale", "trace"))
     parser.add_argument("--units", type=int, default=200)
     parser.add_argument("--sessions", type=int, default=3)
     parser.add_argument("--odd", type=int, default=12)
-    parser.add_argument("--logs", type=int, default=6)
+    parser.add_argument("--alike", action="store_true")
+    parser.add_argument("--logs", type=int)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     torch.set_num_threads(1)
-    found = (
-        odd(args.units, args.sessions, args.odd)
-        if args.what == "odd"
-        else detection()
-        if args.what == "drift"
-        else speed(args.logs, args.seconds)
-    )
+    if args.what == "trace":
+        trace(json.loads(args.json.read_text()))
+        return
+    found = {
+        "odd": lambda: odd(args.units, args.sessions, args.odd, args.alike),
+        "drift": detection,
+        "speed": lambda: speed(args.logs or 6, args.seconds),
+        "scale": lambda: scale(args.logs or 40, args.seconds),
+    }[args.what]()
     if args.json is not None:
         args.json.write_text(json.dumps(found, indent=1) + "\n")
 

@@ -26,13 +26,11 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import argparse
 import json
-import multiprocessing
-import multiprocessing.connection
 import sys
 import time
 import traceback
 from collections.abc import Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -61,7 +59,7 @@ from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis, Finding
 from torchid.gap.record import Parametric
 from torchid.gap.settings import GapSettings
-from torchid.parallel.workers import end_with_parent
+from torchid.parallel.workers import opened
 
 
 def finding_row(found: Finding) -> dict[str, Any]:
@@ -212,8 +210,7 @@ def batches(some: Sequence[Case], work: Path) -> list[tuple[list[Case], bool]]:
 
 def run(some: Sequence[Case], results: Results, work: Path, processes: int) -> None:
     todo = [c for c in some if not results.done(c.id)]
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, context, end_with_parent) as pool:
+    with opened(processes, run_case, 2) as (pool, _):
         failed: dict[str, str] = {}
         made = [pool.submit(run_simulation, cs, work, f) for cs, f in batches(todo, work)]
         for k, future in enumerate(made):

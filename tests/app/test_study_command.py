@@ -32,6 +32,22 @@ def test_a_study_leaves_its_page_sets_and_json(command, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_study_by_two_processes_is_the_same(command, tmp_path):
+    found = []
+    for workers in (1, 2):
+        target = tmp_path / f"{workers}.json"
+        asked = ("--no-figures", "--workers", workers, "--json", target)
+        shown = command("study", "3r", *TINY, *asked)
+        assert shown.code == 0, shown.err
+        data = json.loads(target.read_text())
+        assert set(data.pop("seconds")) > {"extraction p_1", "extraction p_12", "payload"}
+        for proof in data["certificate"].values():
+            proof.pop("seconds")
+        found.append(data)
+    assert found[0] == found[1]
+
+
+@pytest.mark.slow
 def test_checkpoints_stay_until_all_studies_are_over(command, tmp_path, monkeypatch):
     import torchid.study.study as room
 

@@ -4,7 +4,6 @@ Noise is white or has a correlation of 0.9 from sample to sample (5 ms). What is
 against fresh trajectories without noise; a coefficient against what was planted.
 """
 
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
 import pytest
@@ -22,6 +21,7 @@ from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import noise_variance
 from torchid.log.filtering import low_passed
 from torchid.log.model import Log
+from torchid.parallel.workers import each
 from torchid.robot.model import Robot
 from torchid.statistics.proportion import wilson
 
@@ -115,8 +115,7 @@ def truly_closed(found: Diagnosis, real: Robot) -> float:
 def outcomes() -> dict[Case, Outcome]:
     cases = [Case(None, seed, c) for seed in range(QUIET // 2) for c in (0.0, 0.9)]
     cases += [Case(name, 50 + s, c) for name in PLANTED for s in range(6) for c in (0.0, 0.9)]
-    with ProcessPoolExecutor(2) as pool:
-        return dict(zip(cases, pool.map(outcome, cases), strict=True))
+    return dict(zip(cases, each(outcome, cases, 2), strict=True))
 
 
 def test_false_alarms(outcomes):

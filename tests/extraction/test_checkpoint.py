@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,6 +92,16 @@ def test_of_every_kind_of_search(changes: dict[str, object], tmp_path: Path) -> 
     path = tmp_path / "search.npz"
     killed_at(2, path, settings)
     found = extract(problem_of("3r"), settings, checkpoint=path, resume=True)
+    assert_same(found, extract(problem_of("3r"), settings))
+
+
+def test_other_workers_may_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torchid.extraction.extract.BLOCK", 1000)
+    settings = replace(SETTINGS, runs=6)
+    path = tmp_path / "search.npz"
+    killed_at(2, path, settings)
+    with ThreadPoolExecutor(2) as threads:
+        found = extract(problem_of("3r"), settings, checkpoint=path, resume=True, workers=threads)
     assert_same(found, extract(problem_of("3r"), settings))
 
 

@@ -1,12 +1,15 @@
 """Algorithm 1 as a whole, on budgets of a second."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
 
 from tests.extraction.setups import asking, bounded, problem_of
 from torchid.errors import TorchidError
+from torchid.extraction import extract as room
+from torchid.extraction.cma.search import default_population
 from torchid.extraction.extract import Extraction, SearchSettings, extract, require_possible
 from torchid.extraction.penalty import gamma
 from torchid.extraction.problem import Problem
@@ -193,6 +196,49 @@ def test_engine_of_pycma() -> None:
     assert float(found.phi.max()) < 1e-18
     assert bool(feasibility(found.sets, p.conditions).feasible.all())
     assert_same(found, extract(p, settings))
+
+
+@pytest.fixture
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three runs of the 3R and more."""
+    monkeypatch.setattr(room, "BLOCK", 3 * 30 * default_population(30))
+
+
+@pytest.mark.usefixtures("small_blocks")
+@pytest.mark.parametrize("engine", ["batched", "cma"])
+def test_the_bits_do_not_depend_on_the_workers(engine: str) -> None:
+    p, settings = problem_of("3r"), with_settings(runs=10, engine=engine, stages=3)
+    assert len(room._blocks(p, settings, "cpu")) == 3
+    found = extract(p, settings)
+    with ThreadPoolExecutor(3) as threads:
+        assert_same(extract(p, settings, workers=threads), found)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_blocks")
+def test_the_bits_do_not_depend_on_the_number_of_processes() -> None:
+    p, settings = problem_of("3r"), with_settings(runs=10)
+    found = extract(p, settings)
+    for workers in (2, 8):
+        assert_same(extract(p, settings, workers=workers), found)
+
+
+@pytest.mark.usefixtures("small_blocks")
+def test_blocks_search_elsewhere() -> None:
+    p = problem_of("3r")
+    few, many = (extract(p, with_settings(runs=k, stages=2)) for k in (4, 8))
+    assert torch.equal(few.sets.vector, many.sets.vector[:4])
+    assert not torch.equal(many.sets.vector[4:], many.sets.vector[:4])
+
+
+def test_the_searches_of_the_studies_are_one_block() -> None:
+    for name in ("3r", "kuka_lwr4_friction"):
+        assert room._blocks(problem_of(name), SearchSettings(runs=50), "cpu") == [slice(0, 50)]
+    p, settings = problem_of("kuka_lwr4"), SearchSettings(runs=500)
+    blocks = room._blocks(p, settings, "cpu")
+    assert [b.start for b in blocks[1:]] == [b.stop for b in blocks[:-1]]
+    assert (len(blocks), blocks[-1].stop) == (4, 500)
+    assert len(room._blocks(p, settings, "cuda")) == 1
 
 
 def test_progress_is_reported() -> None:

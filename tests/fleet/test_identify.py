@@ -2,6 +2,7 @@
 row."""
 
 import json
+import math
 import os
 import shutil
 from dataclasses import replace
@@ -12,6 +13,7 @@ import torch
 
 from tests.fleet.simulated import Plan, make, typical, unit_name
 from torchid.errors import IdentificationError, TorchidError
+from torchid.export.randomise import between_of
 from torchid.fleet import model as models
 from torchid.fleet import tasks
 from torchid.fleet.identify import INDEX, fleet_identify, reduce_fleet
@@ -84,6 +86,20 @@ def test_a_result_is_saved_and_read_back(found, tmp_path) -> None:
     back = load(tmp_path / "fleet.json")
     assert back.plain() == found.plain()
     assert len(back.table) == len(found.base)
+
+
+def test_a_simulator_is_randomised_as_widely_as_units_and_days_differ(
+    found, model, tmp_path
+) -> None:
+    found.save(tmp_path / "fleet.json")
+    between, said = between_of([tmp_path / "fleet.json"], model.robot)
+    assert not said
+    for p in found.record.parameters:
+        if p.name in typical(model.robot):
+            spread = between[p.name]
+            assert spread.std == pytest.approx(math.hypot(p.between, p.daily))
+            assert spread.source == "fleet.json"
+    assert {"Fv1", "Fv2", "Fv3", "Fc1", "Fc2", "Fc3"} <= set(between)
 
 
 def test_what_is_unchanged_is_not_computed_again(found, model, logs, store, monkeypatch) -> None:

@@ -47,6 +47,15 @@ def test_a_manifest_that_is_none(tmp_path, text, said) -> None:
         read_manifest(file)
 
 
+@pytest.mark.parametrize("names", [("x/a/monday.csv", "y/a/monday.csv"), ("a/1.csv", "a/1.npz")])
+def test_two_logs_of_one_unit_and_session_are_not_taken_for_one(tmp_path, names) -> None:
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    with pytest.raises(TorchidError, match="two logs would be of unit 'a'"):
+        fleet_logs([tmp_path])
+
+
 def test_no_logs(tmp_path) -> None:
     with pytest.raises(TorchidError, match="no log in the folder"):
         fleet_logs([tmp_path])

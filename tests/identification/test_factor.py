@@ -16,7 +16,7 @@ from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError
 from torchid.identification import streaming
 from torchid.identification.base_parameters import base_parameters
-from torchid.identification.least_squares import TriangularFactor, stacked_factor
+from torchid.identification.least_squares import TriangularFactor, block_factors, stacked_factor
 from torchid.identification.streaming import reduce_to_factor
 
 
@@ -72,6 +72,13 @@ def test_accuracy_of_householder_at_condition_1e6() -> None:
     assert relative(x, expected) < 1e-8
     singular = torch.linalg.svdvals(r)
     torch.testing.assert_close(singular, torch.linalg.svdvals(a), rtol=1e-9, atol=0)
+
+
+def test_factors_of_many_blocks_at_once_are_those_of_each() -> None:
+    g = torch.Generator().manual_seed(0)
+    rows = [torch.randn(n, 5, generator=g, dtype=torch.float64) for n in (30, 3, 0, 31)]
+    for r, own in zip(block_factors(rows), rows, strict=True):
+        assert torch.allclose(r, stacked_factor([own]), rtol=0, atol=1e-14)
 
 
 def test_columns_of_very_different_size() -> None:

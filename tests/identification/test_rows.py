@@ -250,3 +250,18 @@ def test_the_shortest_usable_trajectory():
     a, _, _, _ = collected(source)
     assert len(a) == source.instants == 5
     assert relative(a, dense_rows(m, columns)[0]) < 3e-3
+
+
+def test_smooth_columns_at_fewer_samples_are_those_at_all(monkeypatch):
+    robot = load_robot("kuka_lwr4_friction")
+    columns = layout_of(robot)
+    found = measurements(a_log(robot, rates=(1000.0,), durations=(6.0,)), 10.0)
+    assert {every for _, _, every in rows_module._pieces(found[0])} == {1, 5}
+    thin = collected(RowSource(found, columns))
+    monkeypatch.setattr(rows_module, "SMOOTH", float("inf"))
+    full = collected(RowSource(found, columns))
+    assert {every for _, _, every in rows_module._pieces(found[0])} == {1}
+    for a, b in zip(thin, full, strict=True):
+        assert a.shape == b.shape
+        size = b.double().abs().amax(0)
+        assert bool(((a.double() - b.double()).abs() <= 1e-7 * size + 1e-12).all())

@@ -1,5 +1,7 @@
 """The same answers here, in processes and on a cluster, whatever happens to a worker."""
 
+import os
+import sys
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 
 import pytest
@@ -69,6 +71,22 @@ def test_without_dask_the_error_says_how_to_install_it(monkeypatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
     with pytest.raises(MissingExtraError, match=r"torchid\[cluster\]"):
         each(jobs.root, [1.0, 2.0], "tcp://127.0.0.1:9")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked from a server")
+def test_a_process_begins_with_torch_and_where_this_one_works(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for loaded, folder in each(jobs.state, [1, 2], 2):
+        assert loaded
+        assert folder == str(tmp_path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc")
+def test_results_keep_no_files_open() -> None:
+    before = len(os.listdir("/proc/self/fd"))
+    found = each(jobs.tensors, [300, 300], 2)
+    assert [float(x[-1]) for one in found for x in one] == [*map(float, range(300))] * 2
+    assert len(os.listdir("/proc/self/fd")) < before + 100
 
 
 @pytest.mark.slow

@@ -74,8 +74,18 @@ def scenes(inputs: Path) -> dict[str, Scene]:
         case_set.make(inputs / "cases", 3, 0)
     effects = "viscous_friction,coulomb_friction,torque_offset"
     few = "--stages 5 --generations 30 --runs"
+    fleet_of = ("fleet", "identify", "3r_friction", str(inputs / "fleet"), "--effects", effects)
     commands = (
         Scene("extract", (*f"extract 3r {few} 8 --out out".split(),), ("--resume",)),
+        Scene(
+            "extract by two",
+            (
+                *("extract", "kuka_lwr4", "--runs", "250", "--stages", "5", "--generations", "5"),
+                "--no-certificate",
+                *("--workers", "2", "--out", "out"),
+            ),
+            ("--resume",),
+        ),
         Scene("study", (*f"study 3r {few} 4 --no-figures --out out".split(),), ("--resume",)),
         Scene(
             "gap",
@@ -89,13 +99,8 @@ def scenes(inputs: Path) -> dict[str, Scene]:
             ("withheld", "run", "cases", "--jobs", "1", "--json", "run.json"),
             prepare=lambda folder: shutil.copytree(inputs / "cases", folder / "cases"),
         ),
-        Scene(
-            "fleet identify",
-            (
-                *("fleet", "identify", "3r_friction", str(inputs / "fleet")),
-                *("--effects", effects, "--out", "out"),
-            ),
-        ),
+        Scene("fleet identify", (*fleet_of, "--out", "out")),
+        Scene("fleet identify by two", (*fleet_of, "--workers", "2", "--out", "out")),
     )
     return {scene.name: scene for scene in commands}
 
@@ -361,7 +366,7 @@ class Faults:
                         _mount("-o", "remount,size=1g", name)
                         self.goes_on(folder, what)
                     finally:
-                        subprocess.run(["umount", name], check=True)
+                        unmount(name)
                 else:
                     self.scene.prepare(folder)
                     most = max(64, int(share * max(sizes)))
@@ -383,7 +388,7 @@ class Faults:
                 if not self.refused(run(self.scene, folder), "read-only"):
                     self.wrong.append("read-only: it ended well")
             finally:
-                subprocess.run(["umount", name], check=True)
+                unmount(name)
         return True
 
     def starved(self, times: int) -> int:
@@ -420,6 +425,14 @@ class Faults:
 def mounted(folder: Path, size: int) -> bool:
     """Make a folder a file system of so many bytes; False where that is not allowed."""
     return _mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder))
+
+
+def unmount(folder: str, within: float = 20.0) -> None:
+    """Take a file system away, as soon as the processes that work in it have ended."""
+    until = time.monotonic() + within
+    while subprocess.run(["umount", folder], check=False, capture_output=True).returncode:
+        assert time.monotonic() < until, f"{folder} is busy"
+        time.sleep(0.1)
 
 
 def _mount(*arguments: str) -> bool:

@@ -9,13 +9,24 @@ import pytest
 pytestmark = pytest.mark.slow
 
 
-def test_a_search_that_is_killed_or_whose_disk_is_full_goes_on_with_the_same_bits() -> None:
+@pytest.mark.parametrize(
+    ("scene", "kills", "disks", "memories", "pairs"),
+    [
+        ("extract", 3, 2, 1, 1),
+        ("extract by two", 2, 0, 0, 0),
+        ("fleet identify by two", 2, 2, 0, 0),
+    ],
+)
+def test_what_is_killed_or_has_no_disk_goes_on_with_the_same_bits(
+    scene, kills, disks, memories, pairs
+) -> None:
     """In a process of its own, which forks and has none of this one's threads."""
-    asked = ["--of", "extract", "--kills", "3", "--disks", "2", "--memories", "1", "--pairs", "1"]
+    counts = {"--kills": kills, "--disks": disks, "--memories": memories, "--pairs": pairs}
+    asked = ["--of", scene, *(str(x) for pair in counts.items() for x in pair)]
     done = subprocess.run(
         [sys.executable, "-m", "tests.robustness.faults", *asked],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "3 kills" in done.stdout
+    assert f"{kills} kills" in done.stdout
     assert "0 wrong" in done.stdout

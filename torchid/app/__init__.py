@@ -14,6 +14,12 @@ from contextlib import suppress
 _KEPT = (("MALLOC_MMAP_THRESHOLD_", -3, 1 << 25), ("MALLOC_TRIM_THRESHOLD_", -1, 1 << 30))
 """Of the GNU C library: variable, parameter of mallopt (3), and bytes: the most that it takes of
 the first, and what a process may keep at the end of its heap."""
+_LOADED = {
+    "extract": "torchid.extraction.extract",
+    "fleet": "torchid.fleet.tasks",
+    "study": "torchid.study.study",
+}
+"""What the processes of a command load."""
 _ONE_EACH = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -48,6 +54,16 @@ def set_environment(arguments: Sequence[str]) -> None:
             os.environ.setdefault(name, "1")
 
 
+def ahead(arguments: Sequence[str]) -> None:
+    """Where a command is to have processes (`--workers`), what they are forked from loads its
+    libraries while this one loads its own."""
+    module = _LOADED.get(arguments[0]) if arguments else None
+    if module is not None and any(a.partition("=")[0] == "--workers" for a in arguments):
+        from torchid.parallel.workers import serve
+
+        serve(module)
+
+
 def leave(*_: object) -> None:
     """End the program, for Ctrl-C while modules load, which would turn it into errors of their own.
     Nothing has been begun."""
@@ -67,6 +83,7 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, leave)
     set_environment(sys.argv[1:])
+    ahead(sys.argv[1:])
     try:
         from torchid.app.commands import run
     except Exception as error:  # too little memory for a library, or one that is not whole

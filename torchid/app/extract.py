@@ -79,6 +79,7 @@ def extract_command(
     certificate: bool = True,
     search_anyway: Switch = False,
     resume: Switch = False,
+    engine: opt.Crew,
     output: Computed,
     device_name: opt.Device = "cpu",
 ) -> None:
@@ -126,7 +127,8 @@ def extract_command(
     with resumable(checkpoint), output.progress() as progress:
         found = found_by(
             method, problem, settings, certificate=certificate, search_anyway=search_anyway,
-            checkpoint=checkpoint, resume=resume, device=device_name, progress=progress,
+            checkpoint=checkpoint, resume=resume, device=device_name,
+            workers=engine.crew, progress=progress,
         )  # fmt: skip
     told = (*notes, *found.warnings, *loss_notes(found, values))
     found = replace(found, warnings=told)

@@ -51,20 +51,16 @@ class Units(opt.Arm, opt.Reading):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Engine:
-    """Who does the work.
+class Engine(opt.Crew):
+    """Who does the work, and what is kept.
 
     Attributes:
-        workers: Processes of one thread each.
-        scheduler: Address of a dask scheduler (tcp://HOST:8786), in place of processes.
         array: The I-th of N parts of the logs, for batch systems; the rest of the work is done by a
             run without it.
         store: Folder or URL (s3://, gs://) of what is computed already; all workers see it
             (default: DIR/store).
     """
 
-    workers: opt.Count = 1
-    scheduler: Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT")] = None
     array: Annotated[tuple[int, int] | None, typer.Option(metavar="I/N"), Parsed(_part)] = None
     store: Annotated[str | None, typer.Option(metavar="DIR|URL")] = None
 
@@ -77,8 +73,7 @@ class Engine:
         from torchid.fleet.model import FleetModel
         from torchid.parallel.store import Store
 
-        if self.scheduler is not None and self.workers != 1:
-            raise TorchidError("--workers and --scheduler exclude each other.")
+        crew = self.crew
         place = self.store or (output.out and str(output.out / "store"))
         if place is None and (self.array or self.scheduler):
             raise TorchidError(
@@ -89,7 +84,7 @@ class Engine:
         robot, gain = units.load(), units.gain
         gains = None if gain is None else tuple(opt.numbers("--gain", gain, robot.n))
         model = FleetModel(robot, settings, units.request(robot.joint_names), gains)
-        return model, logs, self.scheduler or self.workers, Store(place) if place else None
+        return model, logs, crew, Store(place) if place else None
 
 
 Reduction = Annotated[

@@ -16,6 +16,7 @@ from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
     from torchid.log.table import Request
+    from torchid.parallel.workers import Workers
     from torchid.report.page.document import InputFile
 
 LARGEST_SEED = 2**63 - 1
@@ -169,6 +170,30 @@ Method = Annotated[
 ]
 Velocities = Annotated[str | None, typer.Option(metavar="V|V1,V2,..")]
 Accelerations = Annotated[str | None, typer.Option(metavar="A|A1,A2,..")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crew:
+    """Who does the work.
+
+    Attributes:
+        workers: Processes of one thread each.
+        scheduler: Address of a dask scheduler (tcp://HOST:8786), in place of processes.
+    """
+
+    workers: Count = 1
+    scheduler: Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT")] = None
+
+    @property
+    def crew(self) -> "Workers":
+        """As torchid.parallel.workers takes it.
+
+        Raises:
+            TorchidError: both are given.
+        """
+        if self.scheduler is not None and self.workers != 1:
+            raise TorchidError("--workers and --scheduler exclude each other.")
+        return self.scheduler or self.workers
 
 
 @dataclass(frozen=True, kw_only=True)

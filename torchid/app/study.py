@@ -44,6 +44,7 @@ def study_command(
     instead: Changes,
     resume: Switch = False,
     figures: bool = True,
+    engine: opt.Crew,
     output: Reported,
     device_name: opt.Device = "cpu",
 ) -> None:
@@ -66,6 +67,7 @@ def study_command(
 
     if resume and out is None:
         raise TorchidError("--resume needs --out, where the checkpoints are.", expected="--out DIR")
+    crew = engine.crew
     names = study_names() if name == "all" else [name]
     changed = {key: value for key, value in vars(instead).items() if value is not None}
     every = []
@@ -87,8 +89,9 @@ def study_command(
         with resumable(checkpoints), output.progress() as progress:
             told = of(progress, settings.name)
             found = run_study(
-                settings, checkpoints=checkpoints, resume=resume, device=device_name, report=told
-            )
+                settings, checkpoints=checkpoints, resume=resume, device=device_name, workers=crew,
+                report=told,
+            )  # fmt: skip
         records.append(found.plain())
         if folder is not None:
             write_json(records[-1], folder / "study.json")

@@ -17,6 +17,7 @@ from torchid.doctor.repair import (
 from torchid.log.checks import FOLLOWS, SLOW_STEP_S, TIME_UNITS, near, velocity_agreement
 from torchid.log.model import Log
 from torchid.log.sampling import LONG_GAP_S, LONG_GAP_STEPS, SMALL_GAP, time_steps
+from torchid.statistics.robust import column_quantile
 from torchid.typing import Bool, Tensor
 
 HELD = 0.1
@@ -187,7 +188,7 @@ def check_held(log: Log) -> Check:
     reach = min(5, (log.samples - 1) // 2)
     span = (q[2 * reach :] - q[: -2 * reach]).abs()
     speed = span / max(1, 2 * reach)
-    fast = torch.quantile(speed[:: max(1, len(speed) // 100_000)], 0.9, dim=0)
+    fast = column_quantile(speed[:: max(1, len(speed) // 100_000)], 0.9)
     active = (speed > 0.2 * fast) & (fast > 0)
     wide[reach : reach + len(active) - 1] = active.any(1)[:-1]
     same = log.trajectory.diff() == 0
@@ -231,17 +232,16 @@ def check_stamps(log: Log) -> Check:
     """Are uneven stamps real? Positions are smooth over the time at which they were taken."""
     steps = time_steps(log)
     text = "; ".join(dict.fromkeys(str(s) for s in steps[:3]))
-    worst, share = 0.0, 0.0
-    for part in log.trajectories():
-        t = part.t.numpy()
-        step = np.diff(t)
+    parts, share = log.trajectories(), 0.0
+    for part in parts:
+        step = np.diff(part.t.numpy())
         inner = step[step < SMALL_GAP * np.median(step)]
         share = max(share, float(inner.std() / np.median(step)) if len(inner) else 0.0)
-        worst = max(worst, _roughness_ratio(t, part.q.numpy()))
     if share < UNEVEN:
         return Check("stamps", "fine", text, estimate=share)
+    worst = max(_roughness_ratio(part.t.numpy(), part.q.numpy()) for part in parts)
     if worst < SMOOTHER:
-        long = max(_usual_longest(part.t.numpy()) for part in log.trajectories())
+        long = max(_usual_longest(part.t.numpy()) for part in parts)
         if long < LONG:
             return Check("stamps", "fine", text, estimate=share)
         return Check(

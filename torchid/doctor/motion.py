@@ -19,6 +19,7 @@ from torchid.log.checks import (
 )
 from torchid.log.model import Log
 from torchid.robot.model import JointType, Robot, joint_list
+from torchid.statistics.robust import column_quantile
 
 COUNTS = 100.0
 """Positions beyond this [rad] that are whole numbers are encoder counts."""
@@ -131,7 +132,7 @@ def check_standstill(log: Log) -> Check:
     extent = log.q.amax(0) - log.q.amin(0)
     still = tuple(int(k) for k in (extent < STILL).nonzero().flatten())
     speed = torch.cat([p.q.diff(dim=0) / p.t.diff()[:, None] for p in log.trajectories()]).abs()
-    fast = torch.quantile(speed[:: max(1, len(speed) // 100_000)], 0.95, dim=0)
+    fast = column_quantile(speed[:: max(1, len(speed) // 100_000)], 0.95)
     idle = float((speed < 0.02 * fast.clamp(min=1e-9)).all(1).double().mean())
     text = f"{100 * idle:.0f} % of the time nothing moves"
     if still:

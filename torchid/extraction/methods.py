@@ -12,7 +12,7 @@ from torchid.extraction.found import Found, best_set, descended
 from torchid.extraction.near import near_set
 from torchid.extraction.problem import Problem
 from torchid.extraction.settings import SearchSettings
-from torchid.parallel.workers import Progress, stage
+from torchid.parallel.workers import Progress, Workers, stage
 
 Method = Literal["cma-es", "log-cholesky", "sdp", "near"]
 
@@ -27,6 +27,7 @@ def found_by(
     checkpoint: Path | None = None,
     resume: bool = False,
     device: torch.device | str = "cpu",
+    workers: Workers = 1,
     progress: Progress | None = None,
 ) -> Found:
     """Sets by one method, with the certificate of the problem.
@@ -38,7 +39,8 @@ def found_by(
         settings: of the search; of a descent its runs and seed.
         certificate: whether the least loss possible is put beside it.
         search_anyway: also where no point of the bounds can be feasible.
-        checkpoint, resume, device: of a population search, whose checkpoint is kept; see `extract`.
+        checkpoint, resume, device, workers: of a population search, whose checkpoint is kept; see
+            `extract`.
         progress: called with (stage, done, total).
 
     Raises:
@@ -67,6 +69,6 @@ def found_by(
     else:
         found = extract(
             problem, settings, checkpoint=checkpoint, resume=resume, keep=True, device=device,
-            report=stage(progress, "stages"),
+            workers=workers, report=stage(progress, "stages"),
         ).found  # fmt: skip
     return replace(found, proof=proof, warnings=(*told, *found.warnings))

@@ -19,6 +19,7 @@ from torchid.design.motion import measurements
 from torchid.fleet.model import FleetModel
 from torchid.identification.identify import prepared
 from torchid.identification.least_squares import (
+    block_factors,
     combined_factor,
     solve,
     stacked_factor,
@@ -140,12 +141,14 @@ class Reduced:
 
     Attributes:
         factors: of its blocks.
+        whole: of all its rows.
         seconds: of motion that they hold.
         correlation: integrated autocorrelation time of the residual, the longest [s].
         warnings: sentences for the user.
     """
 
     factors: Factors
+    whole: Factors
     seconds: float
     correlation: float
     warnings: tuple[str, ...]
@@ -158,23 +161,24 @@ def reduce_log(model: FleetModel, stretches: Iterator[Log]) -> Reduced:
     Raises:
         LogError: a log that cannot be used with this robot.
     """
-    found: list[Factors] = []
+    found, wholes = list[Factors](), list[Factors]()
     seconds, slowest, warnings = 0.0, 0.0, dict[str, None]()
     for stretch in stretches:
         even, noticed = prepared(with_gain(stretch, model), model.robot)
         speed = torch.full((model.robot.n,), model.settings.reversal, dtype=torch.float64)
         measured = measurements(even, model.settings.cutoff, speed)
         source = RowSource(measured, model.layout, moving_only=model.settings.rows == "moving")
-        factors, correlation = _blocks(source, model.layout)
+        factors, whole, correlation = _blocks(source, model.layout)
         found.append(factors)
+        wholes.append(whole)
         seconds += sum(m.samples / m.rate for m in measured)
         slowest = max(slowest, correlation * max(source.interval))
         said = (*noticed, *(w for m in measured for w in m.warnings))
         warnings |= dict.fromkeys(said)
-    whole = found[0]
+    every = found[0]
     for more in found[1:]:
-        whole = whole.beside(more)
-    return Reduced(whole, seconds, slowest, tuple(warnings))
+        every = every.beside(more)
+    return Reduced(every, tree(wholes, combined), seconds, slowest, tuple(warnings))
 
 
 def with_gain(log: Log, model: FleetModel) -> Log:
@@ -184,21 +188,23 @@ def with_gain(log: Log, model: FleetModel) -> Log:
     return log.with_torque(model.gain)
 
 
-def _blocks(source: RowSource, layout: Layout) -> tuple[Factors, float]:
-    """Factors of blocks as long as the residual asks for, and its correlation time [instants]."""
+def _blocks(source: RowSource, layout: Layout) -> tuple[Factors, Factors, float]:
+    """Factors of blocks as long as the residual asks for, those of all rows at once, and the
+    residual's correlation time [instants]."""
     pieces = list(source)
     augmented = [torch.cat(parts) for parts in zip(*(p.augmented for p in pieces), strict=True)]
     keep = torch.cat([p.keep for p in pieces])
     # What rows leave beside their own fit tells how long they remember.
     bounds = [slice(a, b) for a, b in zip(source.boundaries, source.boundaries[1:], strict=False)]
     every = torch.zeros(source.instants, dtype=torch.long)
-    x = solved(_reduced(augmented, keep, every), layout).x
+    whole = _reduced(augmented, keep, every)
+    x = solved(whole, layout).x
     parts = zip(augmented, layout.columns, strict=True)
     residual = torch.stack([a[:, -1] - a[:, :-1] @ x[list(c)] for a, c in parts], -1) * keep
     correlation = correlation_instants(residual, bounds)
     fewest = -(-source.instants // MOST_BLOCKS)
     length = max(block_length(source.instants, correlation), fewest)
-    return _reduced(augmented, keep, block_numbers(bounds, length)), correlation
+    return _reduced(augmented, keep, block_numbers(bounds, length)), whole, correlation
 
 
 def _reduced(
@@ -211,8 +217,7 @@ def _reduced(
     rows = torch.stack([torch.bincount(block[k], minlength=count) for k in keep.T], -1)
     out = []
     for own, kept, held in zip(augmented, keep.T, rows.T, strict=True):
-        parts = own[kept].split(held.tolist())
-        out.append(torch.stack([stacked_factor([part]) for part in parts]))
+        out.append(block_factors(own[kept].split(held.tolist())))
     return Factors(tuple(out), rows)
 
 

@@ -1,5 +1,6 @@
 """Which log is of which unit and session."""
 
+import itertools
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -49,9 +50,10 @@ def fleet_logs(paths: Sequence[str | Path]) -> tuple[FleetLog, ...]:
     that is no log stands for the logs in it, and in the folders in it.
 
     Raises:
-        TorchidError: a folder without logs, or a log that is there twice.
+        TorchidError: a folder without logs, a log that is there twice, or two logs that would be of
+            one unit and session.
     """
-    found = []
+    found: list[FleetLog] = []
     for given in map(str, paths):
         path = Path(given)
         inside = [path]
@@ -63,7 +65,16 @@ def fleet_logs(paths: Sequence[str | Path]) -> tuple[FleetLog, ...]:
             place = given if is_url(given) else str(one)
             unit = place.rpartition("/")[0].rpartition("/")[2] if is_url(given) else None
             found.append(FleetLog(unit or one.resolve().parent.name, one.stem, place))
-    return _apart(found)
+    ordered = _apart(found)
+    for a, b in itertools.pairwise(ordered):
+        if (a.unit, a.session) == (b.unit, b.session):
+            raise TorchidError(
+                f"two logs would be of unit '{a.unit}' and session '{a.session}'.",
+                got=f"{a.path}, {b.path}",
+                expected="folders with names of their own, or a manifest: two units, or one "
+                "session in two logs?",
+            )
+    return ordered
 
 
 def read_manifest(file: str | Path) -> tuple[FleetLog, ...]:

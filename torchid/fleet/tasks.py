@@ -167,7 +167,7 @@ def _reduced(model: FleetModel, path: Path, name: str) -> tuple[dict[str, Any], 
 
     try:
         found = reduce_log(model, watched())
-        fit = solved(found.factors, model.layout)
+        fit = solved(found.whole, model.layout)
     except TorchidError as error:
         text = " ".join(str(error).replace(str(path), name).split())
         return {"verdict": "refused", "evidence": [*evidence, text]}, {}

@@ -100,6 +100,15 @@ def stacked_factor(factors: list[Tensor]) -> Float[Tensor, "c c"]:
     return _householder(torch.cat(factors))
 
 
+def block_factors(blocks: Sequence[Tensor]) -> Float[Tensor, "K c c"]:
+    """R of each of K matrices of as many columns, in one call: rows of zeros, which no factor
+    feels, make them equally long."""
+    columns = blocks[0].shape[1]
+    longest = blocks[0].new_zeros(max(columns, *(len(b) for b in blocks)), columns)
+    padded = torch.nn.utils.rnn.pad_sequence([longest, *blocks], batch_first=True)
+    return _householder(padded[1:])
+
+
 def combined_factor(
     factors: Sequence[Float[Tensor, "_ _"]], columns: Sequence[Sequence[int]], size: int
 ) -> Float[Tensor, "C C"]:
@@ -117,12 +126,12 @@ def combined_factor(
     return stacked_factor(wide)
 
 
-def _householder(rows: Tensor) -> Tensor:
-    c = rows.shape[1]
-    if rows.shape[0] < c:
+def _householder(rows: Float[Tensor, "*batch _ c"]) -> Float[Tensor, "*batch c c"]:
+    c = rows.shape[-1]
+    if rows.shape[-2] < c:
         rows = torch.cat([rows, rows.new_zeros(c - rows.shape[0], c)])
     r = torch.linalg.qr(rows, mode="r").R
-    sign = torch.where(r.diagonal() < 0, -1.0, 1.0).to(r)
+    sign = torch.where(r.diagonal(dim1=-2, dim2=-1) < 0, -1.0, 1.0).to(r)
     return r * sign.unsqueeze(-1)
 
 

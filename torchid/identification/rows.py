@@ -2,13 +2,17 @@
 
 The regressor's columns and the torque pass through the same zero-phase filter and are decimated
 with it. Each torque row keeps only its own non-zero columns: joint i does not feel links before it.
+Rigid columns are smooth functions of a motion that the same filter has smoothed, so they are worked
+out at `SMOOTH` times the cut-off only: what then folds into the filter's band is less than what its
+tail leaves out, 1e-8 of them. Friction has edges, and torque is measured: theirs are taken at all
+samples.
 Pieces are made again for each pass over a long log, and kept for a short one, so memory does not
 grow with the log.
 """
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import torch
@@ -24,6 +28,9 @@ from torchid.typing import Bool, Float, Int, Tensor
 
 PIECE = 16384
 """Samples filtered at a time, besides the filter's tails."""
+
+SMOOTH = 20.0
+"""Sampling rate of rigid columns at least, in cut-offs."""
 
 MEMORY = 300e6
 """Bytes of rows that are kept rather than made again."""
@@ -203,15 +210,40 @@ def _step(m: Measurement) -> int:
     return 1 if low_pass is None else low_pass.largest_step
 
 
+def _every(m: Measurement) -> int:
+    """Samples between those at which rigid columns are worked out, a divisor of the step."""
+    step = _step(m)
+    enough = [
+        d
+        for d in range(1, step + 1)
+        if step % d == 0 and m.cutoff is not None and m.rate / d >= SMOOTH * m.cutoff * (1 - 1e-6)
+    ]
+    return max(enough, default=1)
+
+
 def _kept_instants(m: Measurement) -> int:
     return -(-(m.samples - 2 * m.edge) // _step(m))
 
 
-def _pieces(m: Measurement) -> list[tuple[int, int]]:
-    """Sample ranges between the trajectory's edges, each a whole number of steps long."""
-    length = max(1, PIECE // _step(m)) * _step(m)
+def _tail(m: Measurement) -> int:
+    """Samples that the filter needs on either side, a multiple of the step."""
+    low_pass = _filter(m)
+    return 0 if low_pass is None else -(-low_pass.tail // _step(m)) * _step(m)
+
+
+def _pieces(m: Measurement) -> list[tuple[int, int, int]]:
+    """Sample ranges between the trajectory's edges, each a whole number of steps long, and every
+    how many of their samples rigid columns are worked out: all of those whose filter reaches past
+    the trajectory's ends, where their reflection has a kink."""
+    step, every, tail = _step(m), _every(m), _tail(m)
     first, last = m.edge, m.samples - m.edge
-    return [(start, min(start + length, last)) for start in range(first, last, length)]
+    inner = first + max(0, -(-(tail - first) // step)) * step
+    outer = first + (m.samples - tail - first) // step * step
+    parts = [(first, last, 1)]
+    if every > 1 and inner < outer:
+        parts = [(first, inner, 1), (inner, outer, every), (outer, last, 1)]
+    length = max(1, PIECE // step) * step
+    return [(k, min(k + length, b), d) for a, b, d in parts for k in range(a, b, length)]
 
 
 def _blocks(
@@ -223,22 +255,32 @@ def _blocks(
     whole: dict[Effect, Tensor] = {
         e: e.columns(m.motion) for e in layout.effects if isinstance(e, JointEffect) and e.memory
     }
-    for start, stop in _pieces(m):
-        tail = 0 if low_pass is None else low_pass.tail
+    tail = _tail(m)
+    for start, stop, every in _pieces(m):
         lo, hi = max(0, start - tail), min(m.samples, stop + tail)
-        signals = _columns(m, layout, chunks, whole, lo, hi)
+        own = _own_columns(m, layout, whole, lo, hi)
+        rigid = _rigid_columns(layout, chunks, [x[lo:hi:every] for x in m.motion.state])
         if low_pass is not None:
             before, after = tail - (start - lo), tail - (hi - stop)
-            signals = extended(signals, before, after)
-            signals = low_pass.decimated(signals, step, tail, tail + stop - start)
+            own = extended(own, before, after)
+            own = low_pass.decimated(own, step, tail, tail + stop - start)
+            if every == 1:  # at the ends of the trajectory, too
+                rigid = extended(rigid, before, after)
+            thin = replace(low_pass, every=every)
+            at, count = tail // every, (stop - start) // every
+            rigid = thin.decimated(rigid, step // every, at, at + count)
         # Whatever the device of the log: what follows is small, and sequential.
-        signals, keep = signals.cpu(), moving[start:stop:step].cpu()
-        augmented = signals.split([len(c) + 1 for c in layout.columns])
-        count = signals.shape[-1]
+        rigid, own, keep = rigid.cpu(), own.cpu(), moving[start:stop:step].cpu()
+        parts = zip(
+            rigid.split([len(pairs) for pairs in layout.rigid]),
+            own.split([len(pairs) + 1 for pairs in layout.own]),
+            strict=True,
+        )
+        count = own.shape[-1]
         keep = keep if moving_only else torch.ones_like(keep)
         instant = torch.arange(count) + first_instant
         first_instant += count
-        yield RowBlock(tuple(a.T for a in augmented), keep, instant)
+        yield RowBlock(tuple(torch.cat(part).T for part in parts), keep, instant)
 
 
 def sampled(
@@ -267,23 +309,28 @@ def own_columns(effect: Effect, motion: Motion) -> list[Float[Tensor, "T C"]]:
     return [columns[:, j] for j in effect.joints]
 
 
-def _columns(
-    m: Measurement, layout: Layout, chunks: Chunks, whole: Mapping[Effect, Tensor], lo: int, hi: int
+def _rigid_columns(
+    layout: Layout, chunks: Chunks, state: Sequence[Float[Tensor, "M n"]]
 ) -> Float[Tensor, "C M"]:
-    """Unfiltered columns of all torque rows, each row's torque behind its own, samples lo..hi."""
+    """Rigid columns of all torque rows."""
+    pieces = [
+        torch.cat([chunk.row(i, pairs) for i, pairs in enumerate(layout.rigid) if pairs])
+        for chunk in chunks(*state)
+    ]
+    return torch.cat(pieces, -1)
+
+
+def _own_columns(
+    m: Measurement, layout: Layout, whole: Mapping[Effect, Tensor], lo: int, hi: int
+) -> Float[Tensor, "C M"]:
+    """Unfiltered columns of effects in all torque rows, each row's torque behind its own, samples
+    lo..hi."""
     motion = m.motion.part(slice(lo, hi))
     effect_columns = [
         [whole[e][lo:hi]] if e in whole else own_columns(e, motion) for e in layout.effects
     ]
-    rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
-    for chunk in chunks(*motion.state):
-        for i, pairs in enumerate(layout.rigid):
-            if pairs:
-                rows[i].append(chunk.row(i, pairs))
     parts = []
     for i, own in enumerate(layout.own):
-        if rows[i]:
-            parts.append(torch.cat(rows[i], -1))
         if own:
             on_joint = [effect_columns[e][layout.effects[e].joints.index(i)][:, c] for e, c in own]
             parts.append(torch.stack(on_joint))

@@ -13,6 +13,7 @@ import torch
 from torchid.errors import LogError
 from torchid.log.columns import columns_of
 from torchid.log.model import Log
+from torchid.statistics.robust import column_quantile
 from torchid.typing import Float, Tensor
 
 STILL = 1e-4  # a joint whose position varies less does not move [rad or m]
@@ -295,8 +296,8 @@ def position_jumps(log: Log) -> list[str]:
         if part.samples < 20:
             continue
         step, dt = part.q.diff(dim=0).abs(), part.t.diff().unsqueeze(-1)
-        # A sample is enough, and torch.quantile takes no more than 16 million numbers.
-        usual = torch.quantile((step / dt)[:: max(1, len(dt) // 100_000)], 0.99, dim=0)
+        # A sample is enough.
+        usual = column_quantile((step / dt)[:: max(1, len(dt) // 100_000)], 0.99)
         jump = (step > JUMP) & (step / dt > 10 * usual)
         for j in jump.any(0).nonzero().flatten().tolist():
             k = int(jump[:, j].nonzero()[0])

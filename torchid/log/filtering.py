@@ -36,11 +36,13 @@ class ZeroPhaseFilter:
         rate: sampling rate [Hz].
         cutoff: [Hz], where the amplitude is one half.
         order: of the one-way filter.
+        every: the signals given are every so many-th sample of those at `rate`.
     """
 
     rate: float
     cutoff: float
     order: int = ORDER
+    every: int = 1
 
     def __post_init__(self) -> None:
         if not 0 < self.cutoff < self.rate / 2:
@@ -78,12 +80,13 @@ class ZeroPhaseFilter:
         spectrum = torch.fft.rfft(x, n=length)
         kept = length // step
         bins = kept // 2 + 1
-        frequency = torch.arange(bins, dtype=x.dtype, device=x.device) * (self.rate / length)
+        rate = self.rate / self.every
+        frequency = torch.arange(bins, dtype=x.dtype, device=x.device) * (rate / length)
         spectrum = spectrum[..., :bins] * self.response(frequency)
         # The phase shift moves sample `start` onto the decimated grid.
         offset = start % step
         if offset:
-            angle = 2 * math.pi * frequency * (offset / self.rate)
+            angle = 2 * math.pi * frequency * (offset / rate)
             spectrum = spectrum * torch.polar(torch.ones_like(angle), angle)
         out = torch.fft.irfft(spectrum, n=kept) / step
         first = start // step

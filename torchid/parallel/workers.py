@@ -10,7 +10,9 @@
 import multiprocessing
 import multiprocessing.connection
 import os
+import pickle
 import signal
+import sys
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
@@ -41,8 +43,12 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 RETRIES = 2
 """Times that a task is tried again."""
 
+FORKS = sys.platform == "linux"
+"""Whether processes come from a server. Apple's libraries do not survive a fork, and Windows has
+none: there each process loads all by itself."""
+
 PATIENCE = 20
-"""Time in which a dask scheduler must answer [s]."""
+"""Time in which a dask scheduler must answer, and have a worker [s]."""
 
 
 def cores() -> int:
@@ -95,11 +101,14 @@ class Serial(Executor):
 
 
 @contextmanager
-def opened(workers: Workers, least: int = 1) -> Iterator[tuple[Executor, int]]:
+def opened(
+    workers: Workers, function: Callable[..., Any], least: int = 1
+) -> Iterator[tuple[Executor, int]]:
     """An executor, and how many tasks to give it at a time.
 
     Args:
         workers: see above.
+        function: that they are started for.
         least: processes are started even for `workers` of 1 where this is 2.
 
     Raises:
@@ -116,15 +125,35 @@ def opened(workers: Workers, least: int = 1) -> Iterator[tuple[Executor, int]]:
     elif workers == 1 and least == 1:
         yield Serial(), 1
     else:
-        context = multiprocessing.get_context("spawn")
+        context = multiprocessing.get_context("forkserver" if FORKS else "spawn")
+        serve(function.__module__)
         with _one_thread_each():
-            pool = ProcessPoolExecutor(workers, context, end_with_parent)
+            pool = ProcessPoolExecutor(workers, context, begin, (os.getcwd(),))
             try:
                 # No more tasks than processes: when one ends, those given are those it was busy
                 # with or beside.
                 yield pool, workers
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)
+
+
+def serve(module: str) -> None:
+    """Start the server that processes are forked from, unless it is there. It loads torch and a
+    module once for all of them, which takes seconds, and does nothing else: no thread is missing
+    in what is forked from it but that of Arrow's allocator, which starts it again."""
+    if not FORKS:
+        return
+    from multiprocessing import forkserver, resource_tracker
+
+    multiprocessing.set_forkserver_preload(["torch", module])
+    resource_tracker.ensure_running()  # which lets signals through again
+    # Ctrl-C is for this process to tell; whoever is forked hears of it again (`begin`).
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        with _one_thread_each():
+            forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
@@ -142,11 +171,13 @@ def _cluster(address: str) -> Iterator[tuple[Executor, int]]:
             expected="tcp://HOST:PORT of a running `dask scheduler`",
         ) from error
     with client:
-        cores = sum(client.nthreads().values())
-        if not cores:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)  # they come back after their scheduler
+        except TimeoutError as error:
             raise TorchidError(
                 f"the scheduler at '{address}' has no workers.", hint=f"dask worker {address}"
-            )
+            ) from error
+        cores = sum(client.nthreads().values())
         with client.get_executor() as pool:
             yield pool, cores
 
@@ -174,14 +205,16 @@ def each(
     say(stage, 0, len(jobs))
     found: dict[int, Result] = {}
     try:
-        with opened(1 if len(jobs) < 2 else workers) as (pool, slots):
-            for k, future in _finished(function, jobs, range(len(jobs)), pool, slots):
-                found[k] = future.result()
+        with opened(1 if len(jobs) < 2 else workers, function) as (pool, slots):
+            for k, done in _finished(function, jobs, range(len(jobs)), pool, slots):
+                if isinstance(done, _Raised):
+                    raise done.error
+                found[k] = done
                 say(stage, len(found), len(jobs))
     except BrokenExecutor as error:
         raise TorchidError(
             "a process was ended from outside; memory may have run out.",
-            hint="fewer `jobs=...`; what is done already stays",
+            hint="fewer processes; what is done already stays",
         ) from error
     return [found[k] for k in range(len(jobs))]
 
@@ -227,15 +260,14 @@ def attempted(
         batch = [suspects.popleft()] if alone else list(todo)
         crew: Workers = 1 if alone and isinstance(workers, int) else workers
         try:
-            with opened(crew, 2 if alone and workers != 1 else 1) as (pool, slots):
-                for k, future in _finished(function, jobs, batch, pool, slots):
-                    error = future.exception()
-                    if isinstance(error, BrokenExecutor | RefusedError):
-                        raise error
-                    if error is None:
-                        found[k] = future.result()
+            with opened(crew, function, 2 if alone and workers != 1 else 1) as (pool, slots):
+                for k, done in _finished(function, jobs, batch, pool, slots):
+                    if not isinstance(done, _Raised):
+                        found[k] = done
                         say(stage, len(found), len(jobs))
-                    elif not failed(k, " ".join(f"{type(error).__name__}: {error}".split())):
+                    elif isinstance(done.error, BrokenExecutor | RefusedError):
+                        raise done.error
+                    elif not failed(k, done.words):
                         suspects.append(k)
         except _Broken as broken:
             ended = "the process that worked on it ended, killed or out of memory"
@@ -247,6 +279,18 @@ def attempted(
     return [found[k] for k in range(len(jobs))]
 
 
+@dataclass(frozen=True)
+class _Raised:
+    """A task that raised."""
+
+    error: BaseException
+
+    @property
+    def words(self) -> str:
+        """In one line."""
+        return " ".join(f"{type(self.error).__name__}: {self.error}".split())
+
+
 class _Broken(BrokenExecutor):
     """An executor that ended, and the jobs that were under way."""
 
@@ -256,24 +300,32 @@ class _Broken(BrokenExecutor):
 
 
 def _finished(
-    function: Callable[[Job], Any],
+    function: Callable[[Job], Result],
     jobs: Sequence[Job],
     numbers: Sequence[int],
     pool: Executor,
     slots: int,
-) -> Iterator[tuple[int, Future[Any]]]:
-    """Jobs by number, each as it is done, no more than `slots` under way."""
+) -> Iterator[tuple[int, Result | _Raised]]:
+    """Jobs by number with what came of them, each as it is done, no more than `slots` under way."""
     left, running = deque(numbers), dict[Future[Any], int]()
+    here = isinstance(pool, Serial)  # nothing crosses a wire
     try:
         while left or running:
             while left and len(running) < slots:
-                running[pool.submit(function, jobs[left[0]])] = left[0]
+                job = jobs[left[0]]
+                task = (function, job) if here else (by_value, function, pickle.dumps(job))
+                running[pool.submit(*task)] = left[0]
                 left.popleft()
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             # A future is cancelled where the engine behind it has gone, as with its scheduler.
             broken = [f for f in done if f.cancelled() or isinstance(f.exception(), BrokenExecutor)]
             for future in sorted(done - set(broken), key=running.__getitem__):
-                yield running.pop(future), future
+                k, error = running.pop(future), future.exception()
+                if error is not None:
+                    yield k, _Raised(error)
+                else:
+                    result = future.result()
+                    yield k, result if here else pickle.loads(result)
             if broken:
                 raise _Broken(list(running.values()))
     except BrokenExecutor as error:
@@ -284,6 +336,16 @@ def _finished(
     finally:
         for future in running:
             future.cancel()
+
+
+def by_value(function: Callable[[Job], Result], job: bytes) -> bytes:
+    """The pickled result of a pickled job.
+
+    Left to itself, torch sends every tensor to another process as a file of shared memory that
+    stays open as long as the tensor lives: a fleet of some hundred sessions is more than a process
+    may have open.
+    """
+    return pickle.dumps(function(pickle.loads(job)))
 
 
 @contextmanager
@@ -301,9 +363,11 @@ def _one_thread_each() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def end_with_parent() -> None:
-    """A process whose parent is killed would wait for work for ever; Ctrl-C ends what it does,
-    without a word, and a second later the process."""
+def begin(folder: str) -> None:
+    """Begin a process that works in a folder and ends with its parent: where that is killed, it
+    would wait for work for ever. Ctrl-C ends what it does, without a word, and a second later the
+    process."""
+    os.chdir(folder)
 
     def stop(number: int, frame: object) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -313,6 +377,10 @@ def end_with_parent() -> None:
         raise SystemExit(130)
 
     signal.signal(signal.SIGINT, stop)
+    if FORKS:
+        if signal.SIGINT in signal.sigpending():  # heard while the server held it back
+            os._exit(130)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     parent = multiprocessing.parent_process()
     assert parent is not None
     sentinel = parent.sentinel

@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -13,8 +13,9 @@ import torch
 
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.extraction.convex.certificate import Certificate, certificate_where_possible
-from torchid.extraction.extract import extract
+from torchid.extraction.extract import Extraction, extract
 from torchid.extraction.problem import Problem, extraction_problem, two_step
+from torchid.extraction.settings import SearchSettings
 from torchid.feasibility.bounds import read_bounds
 from torchid.feasibility.conditions import conditions
 from torchid.feasibility.margins import feasibility
@@ -24,6 +25,7 @@ from torchid.identification.identify import Settings, identify
 from torchid.identification.payload import estimate_payload, with_payload
 from torchid.identification.values import plain_effects
 from torchid.log.model import Log
+from torchid.parallel.workers import Workers, each
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
@@ -49,6 +51,7 @@ def run_study(
     checkpoints: Path | None = None,
     resume: bool = False,
     device: torch.device | str = "cpu",
+    workers: Workers = 1,
     report: Report | None = None,
 ) -> Study:
     """Run a study.
@@ -59,6 +62,8 @@ def run_study(
             whoever has saved the study removes them (`remove_checkpoints`).
         resume: continue from checkpoints found there; searches that were over are not repeated.
         device: where populations are evaluated.
+        workers: who searches, a scenario at a time; see torchid.parallel.workers. The result is the
+            same, bit for bit, for any number of them.
         report: called with (part, done, in all).
 
     Raises:
@@ -89,18 +94,22 @@ def run_study(
         problems[group] = problem
         certificates[group], notes = certificate_where_possible(problem)
         warnings += notes
-    scenarios = []
-    test = new_motion(robot, settings.sets_motion)
-    for k, scenario in enumerate(settings.scenarios):
-        clock.start(f"extraction {scenario.id}", k, len(settings.scenarios))
-        found = extract(
+    searches = [
+        _Search(
             problems[scenario.bounds],
             replace(settings.search, penalty=scenario.penalty),
-            checkpoint=None if checkpoints is None else checkpoints / f"{scenario.id}.npz",
-            resume=resume,
-            keep=True,
-            device=device,
+            None if checkpoints is None else checkpoints.absolute() / f"{scenario.id}.npz",
+            resume,
+            device,
         )
+        for scenario in settings.scenarios
+    ]
+    clock.stop()
+    every_extraction = each(_searched, searches, workers, "extractions", report)
+    scenarios = []
+    test = new_motion(robot, settings.sets_motion)
+    for scenario, found in zip(settings.scenarios, every_extraction, strict=True):
+        clock.took(f"extraction {scenario.id}", found.seconds)
         best = replace(found.sets.part([found.best]), ids=(scenario.id,))
         torque = sets_torque(robot, with_real(best, nominal_set(robot)), test)
         rms = (torque[1] - torque[0]).square().mean(0).sqrt()
@@ -172,6 +181,33 @@ def remove_checkpoints(settings: StudySettings, checkpoints: Path) -> None:
         checkpoints.rmdir()
 
 
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """A scenario's extraction.
+
+    Attributes:
+        problem, settings, checkpoint, resume, device: as `extract` takes them.
+    """
+
+    problem: Problem
+    settings: SearchSettings
+    checkpoint: Path | None
+    resume: bool
+    device: torch.device | str
+
+
+def _searched(job: _Search) -> Extraction:
+    """What it finds; its checkpoint is kept."""
+    return extract(
+        job.problem,
+        job.settings,
+        checkpoint=job.checkpoint,
+        resume=job.resume,
+        keep=True,
+        device=job.device,
+    )
+
+
 class _Clock:
     """Seconds of each part, and progress."""
 
@@ -179,6 +215,10 @@ class _Clock:
         self._report = report
         self._seconds: dict[str, float] = {}
         self._part, self._began = "", 0.0
+
+    def took(self, part: str, seconds: float) -> None:
+        """A part that was timed where it was done."""
+        self._seconds[part] = seconds
 
     def start(self, part: str, done: int = 0, total: int = 1) -> None:
         """The next part begins."""
@@ -191,6 +231,7 @@ class _Clock:
         """Seconds of all parts so far."""
         if self._part:
             self._seconds[self._part] = time.monotonic() - self._began
+            self._part = ""
         return self._seconds
 
 

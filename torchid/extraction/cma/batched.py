@@ -119,6 +119,7 @@ class BatchedCmaEs:
         generations: int,
         seed: int,
         population: int | None = None,
+        first: int = 0,
     ) -> SearchState:
         """Continue R searches (see `torchid.extraction.cma.search.Engine`).
 
@@ -144,7 +145,7 @@ class BatchedCmaEs:
         _limit(runs)
         runs.best_value = evaluate(objective, runs.best.unsqueeze(1)).squeeze(1)
         for generation in range(state.generation, state.generation + generations):
-            generator = generator_for(seed, generation, runs.mean.device)
+            generator = generator_for(seed, generation, first, runs.mean.device)
             noise = runs.mean.new_empty(n_runs, size, n).normal_(generator=generator)
             steps = torch.bmm(noise, runs.factor.mT)
             by_sample = _select(objective, runs, steps, weights)

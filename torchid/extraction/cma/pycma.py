@@ -37,6 +37,7 @@ class PycmaEngine:
         generations: int,
         seed: int,
         population: int | None = None,
+        first: int = 0,
     ) -> SearchState:
         """Continue R searches (see `torchid.extraction.cma.search.Engine`), for n >= 2.
 
@@ -56,7 +57,7 @@ class PycmaEngine:
         best_value = evaluate(objective, best.unsqueeze(1)).squeeze(1)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            runs = _strategies(state, seed, size)
+            runs = _strategies(state, seed, size, first)
             for _ in range(generations):
                 asked = np.stack([run.ask() for run in runs]).clip(0.0, 1.0)
                 points = torch.as_tensor(asked).to(state.mean)
@@ -121,11 +122,11 @@ class _Run:
         return self._start if lost else (point, sigma)
 
 
-def _strategies(state: SearchState, seed: int, population: int) -> list[_Run]:
+def _strategies(state: SearchState, seed: int, population: int, first: int) -> list[_Run]:
     """A pycma strategy for every run, each with its own random numbers."""
     import cma  # takes a second: only where it is asked for
 
-    generator = generator_for(seed, state.generation, torch.device("cpu"))
+    generator = generator_for(seed, state.generation, first, torch.device("cpu"))
     seeds = torch.randint(2**62, (state.mean.shape[0],), generator=generator).tolist()
     runs = []
     points, sigmas = state.point.cpu().numpy(), state.sigma.cpu().numpy()

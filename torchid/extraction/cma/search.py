@@ -6,7 +6,7 @@ bottom of a smooth valley and not a kink. The idea is pycma's BoundTransform (Ha
 margin is the same at both ends.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Protocol, runtime_checkable
 
@@ -78,6 +78,17 @@ class SearchState:
         tensors = {n: torch.tensor(np.asarray(arrays[n])) for n in names if n != "generation"}
         return cls(**tensors, generation=int(arrays["generation"]))
 
+    def part(self, runs: slice) -> "SearchState":
+        """Some of the searches."""
+        own = {name: t[runs] for name, t in self._tensors().items()}
+        return SearchState(**own, generation=self.generation)
+
+    @staticmethod
+    def joined(parts: Sequence["SearchState"]) -> "SearchState":
+        """Searches of as many generations, one after another."""
+        rows = {name: torch.cat([getattr(p, name) for p in parts]) for name in parts[0]._tensors()}
+        return SearchState(**rows, generation=parts[0].generation)
+
     def to(self, device: torch.device | str) -> "SearchState":
         """The same state on another device."""
         moved = {name: t.to(device) for name, t in self._tensors().items()}
@@ -99,6 +110,7 @@ class Engine(Protocol):
         generations: int,
         seed: int,
         population: int | None = None,
+        first: int = 0,
     ) -> SearchState:
         """Continue R searches for a number of generations.
 
@@ -107,9 +119,11 @@ class Engine(Protocol):
                 `state.best` is evaluated again first. nan and infinite values rank last.
             state: where to continue.
             generations: how many, for every run.
-            seed: with the state's count of generations it decides all samples: the same arguments
-                give the same bits on a CPU.
+            seed: with the state's count of generations and `first` it decides all samples: the
+                same arguments give the same bits on a CPU.
             population: L samples per run and generation; `default_population` if None.
+            first: number of the first of these searches, where they are some of many: no others
+                sample as they do.
 
         Returns:
             The state afterwards: its best is inside [0, 1]^n and never worse than `state.best`.
@@ -202,13 +216,13 @@ def evaluate(objective: Objective, points: Float[Tensor, "R L n"]) -> Float[Tens
     return torch.where(values.isfinite(), values, float("inf")).to(points)
 
 
-def generator_for(seed: int, generation: int, device: torch.device) -> torch.Generator:
-    """Random numbers that depend on the seed and on the count of generations only.
+def generator_for(seed: int, generation: int, first: int, device: torch.device) -> torch.Generator:
+    """Random numbers that depend on the seed, the count of generations and the first search only.
 
     So 10 generations and 10 more with the same seed sample as 20 do, and no stage of a search
-    repeats another's noise. NumPy's SeedSequence mixes both numbers.
+    repeats another's noise. NumPy's SeedSequence mixes the numbers.
     """
-    mixed = np.random.SeedSequence([seed, generation]).generate_state(1)[0]
+    mixed = np.random.SeedSequence([seed, generation, first]).generate_state(1)[0]
     return torch.Generator(device=device).manual_seed(int(mixed))
 
 
