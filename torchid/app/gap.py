@@ -112,7 +112,7 @@ def gap_command(
         return
     if asked.servo is not None:
         raise TorchidError("--servo is for logs of commands and positions; these have torques.")
-    with output.progress("reading") as progress:
+    with output.progress("preparing") as progress:
         result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
     used = {k: v for k, v in result.plain()["settings"].items() if k not in ("seed", "only")}
     used["effects"] = used["effects"] or "all"
@@ -198,7 +198,7 @@ def _positions(
             expected="of the options on how to search, none",
         )
     nominal = nominal_servos(robot, asked.servo)
-    with output.progress("reading") as progress:
+    with output.progress("preparing") as progress:
         result = torchid.diagnose_positions(robot, log, held_out=apart, progress=progress)
     result = replace(result, nominal=nominal)
     said = output.keep(

@@ -122,7 +122,7 @@ def diagnose(
         )
     say = progress or (lambda stage, done, total: None)
 
-    say("reading", 0, 1)
+    say("preparing", 0, 1)
     # Trajectories, what they repeat, and which of them are held out together.
     data, judged = read(robot, log, held_out, settings)
     repeats = find_repeats(data.segments)

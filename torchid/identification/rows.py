@@ -13,7 +13,7 @@ from functools import cached_property, partial
 
 import torch
 
-from torchid.design.motion import Measurement
+from torchid.design.motion import Measurement, moves
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.identification.base_parameters import BaseParameters
@@ -218,21 +218,21 @@ def _blocks(
     m: Measurement, layout: Layout, chunks: Chunks, moving_only: bool, first_instant: int
 ) -> Iterator[RowBlock]:
     low_pass, step = _filter(m), _step(m)
-    moving = m.moving
     # What remembers the past is evaluated from the trajectory's beginning, once a pass.
     whole: dict[Effect, Tensor] = {
-        e: e.columns(m.motion) for e in layout.effects if isinstance(e, JointEffect) and e.memory
+        e: e.columns(m.whole) for e in layout.effects if isinstance(e, JointEffect) and e.memory
     }
     for start, stop in _pieces(m):
         tail = 0 if low_pass is None else low_pass.tail
         lo, hi = max(0, start - tail), min(m.samples, stop + tail)
-        signals = _columns(m, layout, chunks, whole, lo, hi)
+        motion = m.motion.part(slice(lo, hi))
+        signals = _columns(motion, m.tau[lo:hi], layout, chunks, whole, lo)
         if low_pass is not None:
             before, after = tail - (start - lo), tail - (hi - stop)
             signals = extended(signals, before, after)
             signals = low_pass.decimated(signals, step, tail, tail + stop - start)
         # Whatever the device of the log: what follows is small, and sequential.
-        signals, keep = signals.cpu(), moving[start:stop:step].cpu()
+        signals, keep = signals.cpu(), moves(motion.part(slice(start - lo, stop - lo, step))).cpu()
         augmented = signals.split([len(c) + 1 for c in layout.columns])
         count = signals.shape[-1]
         keep = keep if moving_only else torch.ones_like(keep)
@@ -268,12 +268,25 @@ def own_columns(effect: Effect, motion: Motion) -> list[Float[Tensor, "T C"]]:
 
 
 def _columns(
-    m: Measurement, layout: Layout, chunks: Chunks, whole: Mapping[Effect, Tensor], lo: int, hi: int
+    motion: Motion,
+    tau: Float[Tensor, "M n"],
+    layout: Layout,
+    chunks: Chunks,
+    whole: Mapping[Effect, Tensor],
+    lo: int,
 ) -> Float[Tensor, "C M"]:
-    """Unfiltered columns of all torque rows, each row's torque behind its own, samples lo..hi."""
-    motion = m.motion.part(slice(lo, hi))
+    """Unfiltered columns of all torque rows, each row's torque behind its own.
+
+    Args:
+        motion, tau: of the samples.
+        layout: the columns.
+        chunks: of the regressor.
+        whole: columns of effects along the whole trajectory.
+        lo: the first of the samples there.
+    """
     effect_columns = [
-        [whole[e][lo:hi]] if e in whole else own_columns(e, motion) for e in layout.effects
+        [whole[e][lo : lo + len(tau)]] if e in whole else own_columns(e, motion)
+        for e in layout.effects
     ]
     rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
     for chunk in chunks(*motion.state):
@@ -287,5 +300,5 @@ def _columns(
         if own:
             on_joint = [effect_columns[e][layout.effects[e].joints.index(i)][:, c] for e, c in own]
             parts.append(torch.stack(on_joint))
-        parts.append(m.tau[lo:hi, i : i + 1].T)
+        parts.append(tau[:, i : i + 1].T)
     return torch.cat(parts)

@@ -205,20 +205,20 @@ def velocity_agreement(log: Log) -> list[Agreement]:
     """
     if log.dq is None:
         return []
-    integrals, positions = [], []
-    for rows in log.slices():
-        t, q, dq = log.t[rows], log.q[rows], log.dq[rows]
-        integral = torch.zeros_like(q)
-        integral[1:] = torch.cumulative_trapezoid(dq, t[:, None], dim=0)
-        integrals.append(integral - integral.mean(0))
-        positions.append(q - q.mean(0))
-    moved, q = torch.cat(integrals), torch.cat(positions)
-    extent = q.amax(0) - q.amin(0)
     records = []
+    # Joint by joint: of a long log nothing is copied whole.
     for k in range(log.n):
-        a, b = float(moved[:, k].norm()), float(q[:, k].norm())
-        if float(extent[k]) > MOVING and a > 0.0:
-            records.append(Agreement(k, a / b, float(moved[:, k] @ q[:, k]) / (a * b)))
+        integrals, positions = [], []
+        for rows in log.slices():
+            t, q, dq = log.t[rows], log.q[rows, k], log.dq[rows, k]
+            integral = torch.zeros_like(q)
+            integral[1:] = torch.cumulative_trapezoid(dq, t)
+            integrals.append(integral - integral.mean())
+            positions.append(q - q.mean())
+        moved, q = torch.cat(integrals), torch.cat(positions)
+        a, b = float(moved.norm()), float(q.norm())
+        if float(q.max() - q.min()) > MOVING and a > 0.0:
+            records.append(Agreement(k, a / b, float(moved @ q) / (a * b)))
     return records
 
 
@@ -294,14 +294,18 @@ def position_jumps(log: Log) -> list[str]:
     for part in log.trajectories():
         if part.samples < 20:
             continue
-        step, dt = part.q.diff(dim=0).abs(), part.t.diff().unsqueeze(-1)
-        # A sample is enough, and torch.quantile takes no more than 16 million numbers.
-        usual = torch.quantile((step / dt)[:: max(1, len(dt) // 100_000)], 0.99, dim=0)
-        jump = (step > JUMP) & (step / dt > 10 * usual)
-        for j in jump.any(0).nonzero().flatten().tolist():
-            k = int(jump[:, j].nonzero()[0])
+        dt = part.t.diff()
+        for j in range(part.n):
+            step = part.q[:, j].diff().abs()
+            speed = step / dt
+            # A sample is enough, and torch.quantile takes no more than 16 million numbers.
+            usual = torch.quantile(speed[:: max(1, len(dt) // 100_000)], 0.99)
+            jump = (step > JUMP) & (speed > 10 * usual)
+            if not bool(jump.any()):
+                continue
+            k = int(jump.to(torch.uint8).argmax())
             found.append(
-                f"{part.names[0]}: q{j + 1} jumps by {float(step[k, j]):.3g} within one step at "
+                f"{part.names[0]}: q{j + 1} jumps by {float(step[k]):.3g} within one step at "
                 f"t = {float(part.t[k]):.4g} s: unwrap the angle, or number the runs in a column "
                 "traj"
             )

@@ -34,7 +34,7 @@ def parquet_table(path: Path, request: Request) -> Table:
     def read(wanted: Sequence[str]) -> dict[str, np.ndarray]:
         return read_parquet_columns(path, wanted)
 
-    return Table(path, "parquet", columns, read, repeated=repeated(names))
+    return Table(path, "parquet", columns, read, one_by_one=True, repeated=repeated(names))
 
 
 def read_parquet_columns(path: Path, wanted: Sequence[str]) -> dict[str, np.ndarray]:

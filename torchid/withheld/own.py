@@ -146,7 +146,7 @@ def _on_top(bed: Bed, effect: JointEffect, size: float) -> tuple[list[float], Lo
     columns, low = [], []
     for part in parts:
         (m,) = measurements(part, BAND)
-        motion: Motion = m.motion._replace(t=part.t - part.t[0])
+        motion: Motion = m.whole._replace(t=part.t - part.t[0])
         motion = motion._replace(torque=model_torque(bed.robot, effects, motion))
         columns.append(effect.torque_columns(motion, bed.robot)[:, effect.joint])
         low.append(ZeroPhaseFilter(m.rate, BAND).apply(columns[-1].T).T)
