@@ -112,8 +112,14 @@ def gap_command(
         return
     if asked.servo is not None:
         raise TorchidError("--servo is for logs of commands and positions; these have torques.")
+    # The log is handed over where it is not needed again: a long one takes half of the memory.
+    given = [log]
+    if kind is None:
+        del log
     with output.progress("preparing") as progress:
-        result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
+        result = torchid.diagnose(
+            found, given.pop(), held_out=apart, settings=settings, progress=progress
+        )
     used = {k: v for k, v in result.plain()["settings"].items() if k not in ("seed", "only")}
     used["effects"] = used["effects"] or "all"
     used |= {"band of the report [Hz]": result.band, "cut-off [Hz]": result.cutoff}

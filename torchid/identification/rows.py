@@ -3,7 +3,7 @@
 The regressor's columns and the torque pass through the same zero-phase filter and are decimated
 with it. Each torque row keeps only its own non-zero columns: joint i does not feel links before it.
 Pieces are made again for each pass over a long log, and kept for a short one, so memory does not
-grow with the log.
+grow without end with the log.
 """
 
 import itertools
@@ -25,8 +25,11 @@ from torchid.typing import Bool, Float, Int, Tensor
 PIECE = 16384
 """Samples filtered at a time, besides the filter's tails."""
 
-MEMORY = 300e6
+MEMORY = 1e9
 """Bytes of rows that are kept rather than made again."""
+
+LITTLE = 300e6
+"""The same beside a log so long that its motion is not kept either."""
 
 Chunks = Callable[[Tensor, Tensor, Tensor], Iterator[RegressorChunk]]
 """From q, dq, ddq (M, n) to pieces of the regressor."""
@@ -164,7 +167,8 @@ class RowSource:
             yield from self._kept
             return
         size = 8.0 * self.instants * sum(len(c) for c in self.layout.columns)
-        kept: list[RowBlock] | None = [] if size <= MEMORY else None
+        whole = all(isinstance(m.motion, Motion) for m in self.measured)
+        kept: list[RowBlock] | None = [] if size <= (MEMORY if whole else LITTLE) else None
         total = sum(len(_pieces(m)) for m in self.measured)
         done = 0
         for m, first in zip(self.measured, self.boundaries, strict=False):
