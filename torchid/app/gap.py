@@ -113,12 +113,12 @@ def gap_command(
     if asked.servo is not None:
         raise TorchidError("--servo is for logs of commands and positions; these have torques.")
     # The log is handed over where it is not needed again: a long one takes half of the memory.
-    given = [log]
+    handed = [log]
     if kind is None:
         del log
     with output.progress("preparing") as progress:
         result = torchid.diagnose(
-            found, given.pop(), held_out=apart, settings=settings, progress=progress
+            found, handed.pop(), held_out=apart, settings=settings, progress=progress
         )
     used = {k: v for k, v in result.plain()["settings"].items() if k not in ("seed", "only")}
     used["effects"] = used["effects"] or "all"

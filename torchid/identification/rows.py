@@ -230,15 +230,18 @@ def _blocks(
         tail = 0 if low_pass is None else low_pass.tail
         lo, hi = max(0, start - tail), min(m.samples, stop + tail)
         motion = m.motion.part(slice(lo, hi))
-        signals = _columns(motion, m.tau[lo:hi], layout, chunks, whole, lo)
-        if low_pass is not None:
-            before, after = tail - (start - lo), tail - (hi - stop)
-            signals = extended(signals, before, after)
-            signals = low_pass.decimated(signals, step, tail, tail + stop - start)
-        # Whatever the device of the log: what follows is small, and sequential.
-        signals, keep = signals.cpu(), moves(motion.part(slice(start - lo, stop - lo, step))).cpu()
-        augmented = signals.split([len(c) + 1 for c in layout.columns])
-        count = signals.shape[-1]
+        keep = moves(motion.part(slice(start - lo, stop - lo, step))).cpu()
+        augmented = []
+        # Row by row: of many joints the columns of all rows would not all fit, with their spectra.
+        for signals in _columns(motion, m.tau[lo:hi], layout, chunks, whole, lo):
+            made = signals
+            if low_pass is not None:
+                before, after = tail - (start - lo), tail - (hi - stop)
+                padded = extended(signals, before, after)
+                made = low_pass.decimated(padded, step, tail, tail + stop - start)
+            # Whatever the device of the log: what follows is small, and sequential.
+            augmented.append(made.cpu())
+        count = len(keep)
         keep = keep if moving_only else torch.ones_like(keep)
         instant = torch.arange(count) + first_instant
         first_instant += count
@@ -278,8 +281,8 @@ def _columns(
     chunks: Chunks,
     whole: Mapping[Effect, Tensor],
     lo: int,
-) -> Float[Tensor, "C M"]:
-    """Unfiltered columns of all torque rows, each row's torque behind its own.
+) -> Iterator[Float[Tensor, "C M"]]:
+    """Unfiltered columns of each torque row, its torque behind them.
 
     Args:
         motion, tau: of the samples.
@@ -297,12 +300,10 @@ def _columns(
         for i, pairs in enumerate(layout.rigid):
             if pairs:
                 rows[i].append(chunk.row(i, pairs))
-    parts = []
     for i, own in enumerate(layout.own):
-        if rows[i]:
-            parts.append(torch.cat(rows[i], -1))
+        parts = [torch.cat(rows[i], -1)] if rows[i] else []
+        rows[i].clear()
         if own:
             on_joint = [effect_columns[e][layout.effects[e].joints.index(i)][:, c] for e, c in own]
             parts.append(torch.stack(on_joint))
-        parts.append(tau[:, i : i + 1].T)
-    return torch.cat(parts)
+        yield torch.cat([*parts, tau[:, i : i + 1].T])
