@@ -7,7 +7,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= passive
 
-.PHONY: demo test test-all test-real calibration fuzz lint format docs docs-site bench clean
+.PHONY: demo test test-all test-real test-lowest test-newest calibration fuzz lint format docs docs-site bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
@@ -20,6 +20,18 @@ test-all: $(VENV)/.dev
 
 test-real: $(VENV)/.dev
 	$(BIN)/python -m pytest -m real
+
+# The same with other versions of what torchid needs: the lowest that pyproject.toml allows, and the
+# newest that there are, each in an environment of its own. TORCH=torch==2.13.0 takes that torch;
+# TESTS=tests/log a part of the tests.
+test-lowest test-newest: test-%: build/%/.made
+	build/$*/bin/python -m pytest -n 2 --dist worksteal -m "not slow and not real and not calibration" $(TESTS)
+
+build/lowest/.made build/newest/.made: build/%/.made: pyproject.toml
+	$(PYTHON) -m venv build/$*
+	$(PYTHON) -m tests.versions $* $(TORCH) > build/$*/constraints.txt
+	build/$*/bin/python -m pip install --quiet -c build/$*/constraints.txt -e '.[dev]'
+	@touch $@
 
 # Damaged files for every reader; what fails is kept in tests/robustness/corpus.
 fuzz: $(VENV)/.dev

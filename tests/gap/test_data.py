@@ -11,7 +11,7 @@ from torchid.design.bands import bands
 from torchid.errors import LogError
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.gap.data import prepare
+from torchid.gap.data import prepare, spread_over
 from torchid.log.model import Log
 from torchid.typing import Tensor
 
@@ -191,3 +191,39 @@ def test_the_scale_of_torques_from_currents_is_known_as_well_as_their_gains(
     data = prepare(ROBOT, given, None, gain_std=asked)
     assert data.gain_std == expected
     assert any("`gain_std=" in w for w in data.warnings) == (asked is None and expected > 0)
+
+
+def ramps(lengths: tuple[int, ...], rate: float = 10.0) -> Log:
+    """Trajectories whose first position is the number of the sample in the log."""
+    count = sum(lengths)
+    t = torch.arange(count, dtype=torch.float64) / rate
+    q = torch.arange(count, dtype=torch.float64).unsqueeze(1).repeat(1, 2)
+    run = torch.repeat_interleave(torch.arange(len(lengths)), torch.tensor(lengths))
+    return Log(t, q, tau=q, trajectory=run, names=tuple(f"run {k}" for k in range(len(lengths))))
+
+
+def test_a_log_that_is_not_too_long_is_diagnosed_whole():
+    whole = ramps((600, 600))
+    kept, said = spread_over(whole, 130.0)
+    assert kept is whole
+    assert said == ()
+
+
+@pytest.mark.parametrize("lengths", [(60_000,), (300,) * 200, (20_000, 40_000)])
+def test_of_a_long_log_stretches_spread_over_all_of_it_are_diagnosed(lengths):
+    whole = ramps(lengths)
+    kept, (said,) = spread_over(whole, 1200.0)
+    assert 1000 < sum(kept.duration) <= 1200
+    assert f"of {sum(whole.duration):.0f} s of motion {sum(kept.duration):.0f} s" in said
+    # Samples as they were, in order, and from the log's beginning to its end.
+    rows = kept.q[:, 0].long()
+    assert bool((rows.diff() > 0).all())
+    assert torch.equal(kept.t, whole.t[rows])
+    assert rows[0] < 0.05 * whole.samples
+    assert rows[-1] > 0.95 * whole.samples
+    assert len(set(kept.names)) == kept.trajectory_count
+    # No stretch goes over a border of trajectories, and none has a hole.
+    for part in kept.trajectories():
+        own = part.q[:, 0].long()
+        assert bool((own.diff() == 1).all())
+        assert len(whole.trajectory[own].unique()) == 1

@@ -5,7 +5,15 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchid.design.motion import MOVING, WIDE, Measurement, direction, fast_speed, measurements
+from torchid.design.in_parts import WIDE
+from torchid.design.motion import (
+    MOVING,
+    Measurement,
+    direction,
+    fast_speed,
+    measurements,
+    moves,
+)
 from torchid.errors import LogError
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
@@ -62,7 +70,7 @@ def test_motion_is_the_filtered_derivative():
     assert found.edge == 25
     assert found.rate == pytest.approx(RATE)
     assert torch.equal(found.tau, LOG.tau)
-    assert torch.equal(found.moving, found.motion.dq.abs() > MOVING)
+    assert torch.equal(moves(found.whole), found.motion.dq.abs() > MOVING)
 
 
 def test_rounding_at_rest_has_no_direction():
@@ -159,7 +167,7 @@ def test_a_joint_that_never_moves_spoils_no_agreement():
     still["dq"][:, 0] = still["ddq"][:, 0] = 0.0
     found = one(LOG.replace(**still))
     assert found.warnings == ()
-    assert not bool(found.moving[:, 0].any())
+    assert not bool(moves(found.whole)[:, 0].any())
     assert bool((found.motion.direction[:, 0] == 0).all())
 
 

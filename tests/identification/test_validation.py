@@ -7,7 +7,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from tests.excitation.test_excitation import random_arm
 from tests.identification.test_rows import EFFECTS, a_log, arm
-from torchid.design.motion import measurements
+from torchid.design.motion import measurements, moves
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.registry import on_every_joint
 from torchid.excitation.synthetic import HonestNoise
@@ -98,7 +98,7 @@ def test_a_prediction_leaves_out_the_edges():
     middle = slice(25, m.samples - 25)
     assert m.edge == 25
     assert torch.equal(found.t, m.t[middle])
-    assert torch.equal(found.moving, m.moving[middle])
+    assert torch.equal(found.moving, moves(m.whole)[middle])
     assert found.measured.shape == found.predicted.shape == (m.samples - 50, 3)
     assert found.name == m.name
 

@@ -162,7 +162,7 @@ def correct_command(
     if name is not None:
         require_name(name)
     found, log, apart, _ = trials.open(output, settings.held_out_fraction)
-    with output.progress("reading") as progress:
+    with output.progress("preparing") as progress:
         result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
     keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
     done = torchid.correct(

@@ -112,8 +112,14 @@ def gap_command(
         return
     if asked.servo is not None:
         raise TorchidError("--servo is for logs of commands and positions; these have torques.")
-    with output.progress("reading") as progress:
-        result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
+    # The log is handed over where it is not needed again: a long one takes half of the memory.
+    handed = [log]
+    if kind is None:
+        del log
+    with output.progress("preparing") as progress:
+        result = torchid.diagnose(
+            found, handed.pop(), held_out=apart, settings=settings, progress=progress
+        )
     used = {k: v for k, v in result.plain()["settings"].items() if k not in ("seed", "only")}
     used["effects"] = used["effects"] or "all"
     used |= {"band of the report [Hz]": result.band, "cut-off [Hz]": result.cutoff}
@@ -198,7 +204,7 @@ def _positions(
             expected="of the options on how to search, none",
         )
     nominal = nominal_servos(robot, asked.servo)
-    with output.progress("reading") as progress:
+    with output.progress("preparing") as progress:
         result = torchid.diagnose_positions(robot, log, held_out=apart, progress=progress)
     result = replace(result, nominal=nominal)
     said = output.keep(

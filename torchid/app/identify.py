@@ -85,7 +85,7 @@ def identify_command(
     from torchid.report.identification import shown
 
     found, log, apart, files = trials.open(output, settings.held_out_fraction)
-    with output.progress("reading") as progress:
+    with output.progress("preparing") as progress:
         result = torchid.identify(
             found, log, held_out=apart, settings=settings, device=device_name, progress=progress
         )

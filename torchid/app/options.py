@@ -296,8 +296,10 @@ class Trials(ArmAndLogs):
         roles = [("log", path) for path in self.logs] + [("held-out log", path) for path in apart]
         named = [(role, str(path), path) for role, path in roles]
         files = output.hashed([("robot", self.robot, robot_file(self.robot)), *named])
-        log = self.read(self.logs, robot)
-        return robot, log, self.read(apart, robot) if apart else None, files
+        with output.progress("reading"):
+            log = self.read(self.logs, robot)
+            held_out = self.read(apart, robot) if apart else None
+        return robot, log, held_out, files
 
 
 def load(name: str, tip: str | None) -> "torchid.Robot":

@@ -139,7 +139,7 @@ def torque_spread(models: Sequence[Model], motion: CommonMotion) -> TorqueSpread
     for model in models if motion.measured else ():
         left = []
         for part in motion.measured:
-            error = part.tau - model(part.motion._replace(t=part.t))
+            error = part.tau - model(part.whole._replace(t=part.t))
             if part.cutoff is not None:
                 error = ZeroPhaseFilter(part.rate, part.cutoff).apply(error.T.contiguous()).T
             left.append(error[part.edge : part.samples - part.edge])

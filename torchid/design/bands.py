@@ -39,6 +39,9 @@ REVERSAL = 0.004
 SAME_RATE = 0.02
 """Relative difference of two sampling rates that count as one."""
 
+ENOUGH = 1_000_000
+"""Samples of a trajectory that tell the noise of its velocity."""
+
 DWELL = 0.2
 """Time below the reversal speed from which a joint counts as dwelling [s]."""
 
@@ -137,7 +140,9 @@ def reversal_speed(measured: list[Measurement]) -> Float[Tensor, " n"]:
     """Speed (n,) that is neither noise nor much of the joint's own: four standard deviations of
     the velocity's noise, taken from its fastest changes, or 0.4 % of its 99 % speed."""
     speed = fast_speed(measured)
-    rough = torch.cat([m.motion.dq.diff(dim=0).diff(dim=0) for m in measured])
+    # A long trajectory's beginning has as much noise as the rest.
+    begun = [m.motion.part(slice(0, ENOUGH)) for m in measured]
+    rough = torch.cat([motion.dq.diff(dim=0).diff(dim=0) for motion in begun])
     noise = robust_std(rough.T) / math.sqrt(6.0)
     return torch.maximum(REVERSAL * speed, torch.minimum(4 * noise, 0.05 * speed))
 

@@ -1,15 +1,16 @@
 """From a resampled log to motion that can be put into a regressor, trajectory by trajectory."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 
+from torchid.design.in_parts import MotionInParts, held_sign
 from torchid.effects.base import Motion
 from torchid.effects.friction_laws import RESTING
 from torchid.errors import LogError
 from torchid.log.columns import column_names
-from torchid.log.filtering import ZeroPhaseFilter, central_difference, low_passed
+from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
 from torchid.typing import Bool, Float, Int, Tensor
@@ -18,12 +19,11 @@ MOVING = RESTING
 """A joint moves when its own |dq| exceeds this [rad/s or m/s]; slower, static friction can hold
 any torque and the sign of dq is noise."""
 
-WIDE = 5.0
-"""The direction of motion is taken from velocity filtered at this multiple of the cut-off, so that
-a reversal stays sharp until the common filter smooths it like the torque."""
+LONG = 20_000_000
+"""Values of a signal, samples times joints, from which on a log is filtered a part at a time."""
 
-ROUNDED = 1e-9
-"""Share of a joint's largest speed below which it is rounding."""
+ENOUGH = 2_000_000
+"""Samples of a trajectory that tell whether its velocities and accelerations can be used."""
 
 FEWEST = 10
 """Samples that a trajectory must have left when the filter's edges are cut."""
@@ -42,7 +42,8 @@ class Measurement:
         rate: sampling rate [Hz].
         cutoff: of the motion's filter [Hz], or None for the log as it is.
         t: (T,) [s].
-        motion: q, dq, ddq, each (T, n), filtered at the cut-off, and the direction of each joint.
+        motion: q, dq, ddq, each (T, n), filtered at the cut-off, and the direction of each joint;
+            of a long log made when a part of it is asked for.
         tau: (T, n) measured torque, unfiltered.
         own_velocity: whether dq was measured, not differentiated from q.
         warnings: sentences for the user.
@@ -52,7 +53,7 @@ class Measurement:
     rate: float
     cutoff: float | None
     t: Float[Tensor, " T"]
-    motion: Motion
+    motion: Motion | MotionInParts
     tau: Float[Tensor, "T n"]
     own_velocity: bool = False
     warnings: tuple[str, ...] = ()
@@ -63,9 +64,9 @@ class Measurement:
         return self.t.shape[0]
 
     @property
-    def moving(self) -> Bool[Tensor, "T n"]:
-        """Whether each joint moves."""
-        return self.motion.dq.abs() > MOVING
+    def whole(self) -> Motion:
+        """All of the motion, in memory."""
+        return self.motion.part(slice(None))
 
     @property
     def edge(self) -> int:
@@ -97,7 +98,8 @@ def measurements(
     long = [p for p in parts if p[0].samples >= _needed(p[1], cutoff)]
     if not long:
         raise _too_short(*max(parts, key=lambda p: p[0].samples / p[1]), cutoff)
-    out = [_measurement(part, rate, cutoff, threshold) for part, rate in long]
+    in_parts = log.samples * log.n > LONG
+    out = [_measurement(part, rate, cutoff, threshold, in_parts) for part, rate in long]
     left_out = [part.names[0] for part, rate in parts if part.samples < _needed(rate, cutoff)]
     if left_out:
         said = "left out, too short for the filter: " + ", ".join(left_out)
@@ -156,10 +158,23 @@ def _too_short(log: Log, rate: float, cutoff: float | None) -> LogError:
     )
 
 
-def fast_speed(measured: list[Measurement]) -> Float[Tensor, " n"]:
+def moves(motion: Motion) -> Bool[Tensor, "T n"]:
+    """Whether each joint moves."""
+    return motion.dq.abs() > MOVING
+
+
+def fast_speed(measured: Sequence[Measurement]) -> Float[Tensor, " n"]:
     """Speed that each joint exceeds in one of a hundred samples."""
-    speeds = torch.cat([m.motion.dq.abs() for m in measured])
-    return torch.quantile(speeds[:: max(1, len(speeds) // 100_000)], 0.99, dim=0)
+    total = sum(m.samples for m in measured)
+    step = max(1, total // 100_000)
+    # Every so many samples of all trajectories one after another.
+    speeds, before = [], 0
+    for m in measured:
+        rows = slice(-before % step, None, step)
+        motion = m.motion.part(rows) if isinstance(m.motion, Motion) else m.motion.undirected(rows)
+        speeds.append(motion.dq.abs())
+        before += m.samples
+    return torch.quantile(torch.cat(speeds), 0.99, dim=0)
 
 
 def direction(dq: Float[Tensor, "T n"], threshold: Float[Tensor, " n"]) -> Int[Tensor, "T n"]:
@@ -170,91 +185,78 @@ def direction(dq: Float[Tensor, "T n"], threshold: Float[Tensor, " n"]) -> Int[T
     spring back (presliding), and velocity noise at standstill is no motion at all.
     """
     columns = zip(dq.unbind(-1), threshold.to(dq).unbind(), strict=True)
-    return torch.stack([_held_sign(x, limit) for x, limit in columns], -1)
+    return torch.stack([held_sign(x, limit) for x, limit in columns], -1)
 
 
-def _held_sign(dq: Float[Tensor, " T"], threshold: Tensor) -> Int[Tensor, " T"]:
-    index = torch.arange(len(dq), device=dq.device)
-    speed = dq.abs()
-    # At exact rest rounding has a sign too, another one in another file of the same log.
-    least = torch.maximum(threshold, ROUNDED * speed.max())
-    last = torch.cummax(torch.where(speed > least, index, -1), 0).values
-    sign = torch.sign(dq).to(torch.int8)[last.clamp(min=0)]
-    return torch.where(last >= 0, sign, torch.zeros_like(sign))
-
-
-def _measurement(log: Log, rate: float, cutoff: float | None, threshold: Tensor) -> Measurement:
+def _measurement(
+    log: Log, rate: float, cutoff: float | None, threshold: Tensor, in_parts: bool
+) -> Measurement:
     assert log.tau is not None
-    q = log.q.T
-    dq, ddq, own, warnings = _derivatives(log, rate, cutoff)
-    sharp = dq
-    if cutoff is not None:
-        sharp = low_passed(dq, rate, WIDE * cutoff)
-        q, dq, ddq = (low_passed(x, rate, cutoff) for x in (q, dq, ddq))
-    q, dq, ddq = (x.T.contiguous() for x in (q, dq, ddq))
-    # Without a filter and a reversal speed the log is taken at its word, rest included.
-    literal = cutoff is None and not bool(threshold.any())
-    lag = None
-    if log.ql is not None:
-        lag = log.q - log.ql
-        lag = lag if cutoff is None else low_passed(lag.T, rate, cutoff).T.contiguous()
-    sign = None if literal else direction(sharp.T, threshold)
-    motion = Motion(q, dq, ddq, sign, lag=lag)
-    return Measurement(log.names[0], rate, cutoff, log.t, motion, log.tau, own, tuple(warnings))
+    own_velocity, own_acceleration, warnings = _measured(log, rate, cutoff)
+    motion = MotionInParts(log, rate, cutoff, threshold, own_velocity, own_acceleration)
+    return Measurement(
+        log.names[0], rate, cutoff, log.t, motion if in_parts else motion.whole(), log.tau,
+        own_velocity, tuple(warnings),
+    )  # fmt: skip
 
 
-def _derivatives(
-    log: Log, rate: float, cutoff: float | None
-) -> tuple[Tensor, Tensor, bool, list[str]]:
-    """dq and ddq (n, T), whether that dq is a measured one, and what was noticed about it."""
+def _measured(log: Log, rate: float, cutoff: float | None) -> tuple[bool, bool, list[str]]:
+    """Whether the log's velocities and accelerations are used, else those of positions; and what
+    was noticed about them."""
     warnings: list[str] = []
-    derivative = central_difference(log.q.T, rate)
-    dq = derivative if log.dq is None else log.dq.T
-    own, measured = central_difference(dq, rate), log.dq is not None
-    if log.dq is not None and cutoff is not None:
-        lag, difference = _lag(derivative, dq, rate, cutoff)
+    if cutoff is None:
+        return log.dq is not None, log.ddq is not None, warnings
+    own_velocity = log.dq is not None
+    if log.dq is not None:
+        references = (central_difference(q, rate) for q in log.q[:ENOUGH].T)
+        lag, difference = _lag(zip(references, log.dq[:ENOUGH].T, strict=True), rate, cutoff)
         if difference > _VELOCITY_AGREES:
             warnings.append(
                 f"{log.names[0]}: measured dq differs from the derivative of q by "
                 f"{100 * difference:.0f} % (lag {lag * 1e3:.0f} ms), so the derivative is used"
             )
-            dq, own, measured = derivative, central_difference(derivative, rate), False
+            own_velocity = False
         elif abs(lag) > _LAG_WORTH_SAYING:
             word = "lags" if lag > 0 else "leads"
             warnings.append(
                 f"{log.names[0]}: measured dq {word} the derivative of q by {abs(lag) * 1e3:.1f} ms"
             )
     if log.ddq is None:
-        return dq, own, measured, warnings
-    if cutoff is None:
-        return dq, log.ddq.T, measured, warnings
-    lag, difference = _lag(own, log.ddq.T, rate, cutoff)
-    if difference < _AGREE:
-        return dq, log.ddq.T, measured, warnings
-    warnings.append(
-        f"{log.names[0]}: the log's ddq differs from the derivative of dq by "
-        f"{100 * difference:.1f} % (lag {lag * 1e3:.0f} ms), so the derivative is used"
-    )
-    return dq, own, measured, warnings
+        return own_velocity, False, warnings
+    columns = (log.dq if log.dq is not None and own_velocity else log.q)[:ENOUGH].T
+    once = (x if own_velocity else central_difference(x, rate) for x in columns)
+    references = (central_difference(x, rate) for x in once)
+    lag, difference = _lag(zip(references, log.ddq[:ENOUGH].T, strict=True), rate, cutoff)
+    if difference >= _AGREE:
+        warnings.append(
+            f"{log.names[0]}: the log's ddq differs from the derivative of dq by "
+            f"{100 * difference:.1f} % (lag {lag * 1e3:.0f} ms), so the derivative is used"
+        )
+    return own_velocity, difference < _AGREE, warnings
 
 
-def _lag(reference: Tensor, signal: Tensor, rate: float, cutoff: float) -> tuple[float, float]:
-    """Median lag [s] of `signal` behind `reference` (n, T), and their relative difference, the
-    largest over joints (relative to 1 % of the fastest joint's reference, at least).
+def _lag(
+    pairs: Iterable[tuple[Float[Tensor, " T"], Float[Tensor, " T"]]], rate: float, cutoff: float
+) -> tuple[float, float]:
+    """Median lag [s] of signals behind their references, a pair a joint, and their relative
+    difference, the largest over joints (relative to 1 % of the fastest joint's reference, at
+    least).
 
     reference(t) = signal(t + lag) to first order; both low-passed, edges left out.
     """
     low_pass = ZeroPhaseFilter(rate, min(cutoff, 0.4 * rate))
-    edge = min(round(rate / cutoff), reference.shape[-1] // 4)
-    middle = slice(edge, reference.shape[-1] - edge)
-    a, b = low_pass.apply(reference), low_pass.apply(signal)
-    slope = central_difference(b, rate)[..., middle]
-    gap = (a - b)[..., middle]
-    size = a[..., middle].norm(dim=-1)
-    difference = gap.norm(dim=-1) / size.clamp(min=max(1e-300, 0.01 * float(size.max())))
-    energy = (slope * slope).sum(-1)
+    sums = []
+    for reference, signal in pairs:
+        edge = min(round(rate / cutoff), len(reference) // 4)
+        middle = slice(edge, len(reference) - edge)
+        a, b = low_pass.apply(reference), low_pass.apply(signal)
+        slope = central_difference(b, rate)[middle]
+        gap = (a - b)[middle]
+        sums.append(torch.stack([a[middle].norm(), gap.norm(), slope @ slope, gap @ slope]))
+    size, apart, energy, along = torch.stack(sums, -1)
+    difference = apart / size.clamp(min=max(1e-300, 0.01 * float(size.max())))
     active = energy > 1e-6 * energy.max()
     if not bool(active.any()):
         return 0.0, float(difference.max())
-    lag = (gap * slope).sum(-1)[active] / energy[active]
+    lag = along[active] / energy[active]
     return float(lag.median()), float(difference.max())

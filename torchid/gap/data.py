@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import torch
 
@@ -36,6 +37,13 @@ from torchid.identification.identify import prepared
 from torchid.log.model import Log
 from torchid.robot.model import Robot, joint_list
 from torchid.typing import Bool, Float, Int, Tensor
+
+LONGEST = 12_600.0
+"""Seconds of motion times joints that are searched: half an hour of seven joints. The search keeps
+the columns of all candidates there: 1.5 GB."""
+
+STRETCH = 60.0
+"""Length of what is taken of a longer log at a time [s]: a whole trajectory, or a part of one."""
 
 SHORTEST = 4 * EDGE
 """Length of the shortest segment, in periods of the cut-off: both edges, and as much between."""
@@ -125,6 +133,33 @@ class Data:
         return replace(self, swings=swings(columns, self.keep, alpha))
 
 
+def spread_over(log: Log, seconds: float) -> tuple[Log, tuple[str, ...]]:
+    """So many seconds of a longer log, in stretches evenly spread over all of it, and that this is
+    so.
+
+    Args:
+        log: on a uniform grid.
+        seconds: how much is kept.
+    """
+    total = sum(log.duration)
+    if total <= seconds:
+        return log, ()
+    stretches: list[tuple[str, slice]] = []
+    for name, rows, held in zip(log.names, log.slices(), log.duration, strict=True):
+        count = max(1, round(held / STRETCH))
+        ends = [rows.start + (rows.stop - rows.start) * k // count for k in range(count + 1)]
+        names = [name] if count == 1 else [f"{name} part {k + 1}" for k in range(count)]
+        stretches += [(n, slice(a, b)) for n, (a, b) in zip(names, pairwise(ends), strict=True)]
+    count = max(1, int(len(stretches) * seconds / total))
+    chosen = [stretches[int((k + 0.5) * len(stretches) / count)] for k in range(count)]
+    parts = [log.select(rows).replace(names=(name,), warnings=()) for name, rows in chosen]
+    kept = Log.concatenate(parts).replace(source=log.source, warnings=log.warnings)
+    return kept, (
+        f"of {total:.0f} s of motion {sum(kept.duration):.0f} s are diagnosed: {len(parts)} "
+        "stretches spread over all of it",
+    )
+
+
 def prepare(
     robot: Robot,
     log: Log,
@@ -149,6 +184,8 @@ def prepare(
             in which nothing moves.
     """
     even, warnings = prepared(log, robot)
+    even, spread = spread_over(even, LONGEST / log.n)
+    warnings = (*warnings, *spread)
     # Differentiated in a wide band, from which all is filtered later.
     noise = position_noise(even, robot)
     highest = resolved(even, noise)

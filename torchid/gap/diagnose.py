@@ -122,9 +122,10 @@ def diagnose(
         )
     say = progress or (lambda stage, done, total: None)
 
-    say("reading", 0, 1)
+    say("preparing", 0, 1)
     # Trajectories, what they repeat, and which of them are held out together.
     data, judged = read(robot, log, held_out, settings)
+    del log  # a long one is searched in part, and may now be let go
     repeats = find_repeats(data.segments)
     folds = make_folds(data.samples, settings.folds, repeats.groups(len(data.segments)))
     # What is looked for, and the model whose gap is to be explained.

@@ -192,7 +192,7 @@ class _Rows:
 
     def __init__(self, source: RowSource, found: Fit, measured: Sequence[Measurement]):
         self.measured = measured
-        self.motions = [m.motion for m in measured]
+        self.motions = [m.whole for m in measured]
         self._weight = (found.robust * found.whitening.diagonal()).T
         n, size = self._weight.shape[0], source.layout.size
         blocks = list(source)
@@ -204,7 +204,7 @@ class _Rows:
 
     def of(self, effect: Effect) -> dict[int, Float[Tensor, "I C"]]:
         """Columns of an effect by joint."""
-        parts = [own_columns(effect, m.motion) for m in self.measured]
+        parts = [own_columns(effect, motion) for motion in self.motions]
         return {
             j: sampled(self.measured, [p[k].T for p in parts]).cpu().T * self._weight[j, :, None]
             for k, j in enumerate(effect.joints)

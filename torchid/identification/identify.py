@@ -24,7 +24,7 @@ from torchid.identification.tuning import (
     choose_reversal,
     shortened,
 )
-from torchid.identification.validation import errors, model_torque, predict
+from torchid.identification.validation import errors, model_torque, pieces, predict
 from torchid.log.checks import check_log
 from torchid.log.model import Log
 from torchid.log.sampling import resample
@@ -146,7 +146,7 @@ def identify(
         apart = measurements(_on(kept_back, device), shown, reversal)
         apart = timed(apart, None if held_out is not None else float(log.t[0]), clock)
     fitted, checked = (
-        [predict(m, robot, base, effects, values) for m in part]
+        [predict(m, robot, base, effects, values, stage(progress, "predicting")) for m in part]
         for part in (
             measured if shown == cutoff else timed(measurements(training.log, shown, reversal)),
             apart,
@@ -276,8 +276,11 @@ def _with_load(
     out = []
     for m in measured:
         own = values.to(m.tau)
-        torque = model_torque(c.robot, c.base, c.effects, own, m.motion, load_only=True)
-        out.append(replace(m, motion=m.motion._replace(torque=torque)))
+        torque = [
+            model_torque(c.robot, c.base, c.effects, own, m.motion.part(rows), load_only=True)
+            for rows in pieces(m, 0, m.samples, c.effects)
+        ]
+        out.append(replace(m, motion=m.motion._replace(torque=torch.cat(torque))))
     return out
 
 
@@ -335,8 +338,11 @@ def refuse_repeated(log: Log, held_out: Log | None) -> None:
     parts = [(part, "is given twice") for part in log.trajectories()]
     kept = [] if held_out is None else held_out.trajectories()
     parts += [(part, "is held out and also among those to fit") for part in kept]
-    for k, (part, how) in enumerate(parts):
-        for other, _ in parts[:k]:
+    # Of thousands of trajectories only those that begin alike are compared.
+    alike: dict[tuple[float, ...], list[Log]] = {}
+    for part, how in parts:
+        others = alike.setdefault((part.samples, *part.q[0].tolist()), [])
+        for other in others:
             pairs = (part.q, other.q), (part.tau, other.tau)
             if all(a is not None and b is not None and torch.equal(a, b) for a, b in pairs):
                 raise LogError(
@@ -345,6 +351,7 @@ def refuse_repeated(log: Log, held_out: Log | None) -> None:
                     expected="every trajectory once",
                     hint="with one log only, hold out its end: `held_out_fraction=0.3`",
                 )
+        others.append(part)
 
 
 def _on(log: Log, device: torch.device | str) -> Log:

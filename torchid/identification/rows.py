@@ -7,7 +7,7 @@ out at `SMOOTH` times the cut-off only: what then folds into the filter's band i
 tail leaves out, 1e-8 of them. Friction has edges, and torque is measured: theirs are taken at all
 samples.
 Pieces are made again for each pass over a long log, and kept for a short one, so memory does not
-grow with the log.
+grow without end with the log.
 """
 
 import itertools
@@ -17,7 +17,7 @@ from functools import cached_property, partial
 
 import torch
 
-from torchid.design.motion import Measurement
+from torchid.design.motion import Measurement, moves
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.identification.base_parameters import BaseParameters
@@ -32,8 +32,11 @@ PIECE = 16384
 SMOOTH = 20.0
 """Sampling rate of rigid columns at least, in cut-offs."""
 
-MEMORY = 300e6
+MEMORY = 1e9
 """Bytes of rows that are kept rather than made again."""
+
+LITTLE = 300e6
+"""The same beside a log so long that its motion is not kept either."""
 
 Chunks = Callable[[Tensor, Tensor, Tensor], Iterator[RegressorChunk]]
 """From q, dq, ddq (M, n) to pieces of the regressor."""
@@ -171,7 +174,8 @@ class RowSource:
             yield from self._kept
             return
         size = 8.0 * self.instants * sum(len(c) for c in self.layout.columns)
-        kept: list[RowBlock] | None = [] if size <= MEMORY else None
+        whole = all(isinstance(m.motion, Motion) for m in self.measured)
+        kept: list[RowBlock] | None = [] if size <= (MEMORY if whole else LITTLE) else None
         total = sum(len(_pieces(m)) for m in self.measured)
         done = 0
         for m, first in zip(self.measured, self.boundaries, strict=False):
@@ -249,38 +253,41 @@ def _pieces(m: Measurement) -> list[tuple[int, int, int]]:
 def _blocks(
     m: Measurement, layout: Layout, chunks: Chunks, moving_only: bool, first_instant: int
 ) -> Iterator[RowBlock]:
-    low_pass, step = _filter(m), _step(m)
-    moving = m.moving
+    low_pass, step, tail = _filter(m), _step(m), _tail(m)
     # What remembers the past is evaluated from the trajectory's beginning, once a pass.
     whole: dict[Effect, Tensor] = {
-        e: e.columns(m.motion) for e in layout.effects if isinstance(e, JointEffect) and e.memory
+        e: e.columns(m.whole) for e in layout.effects if isinstance(e, JointEffect) and e.memory
     }
-    tail = _tail(m)
     for start, stop, every in _pieces(m):
         lo, hi = max(0, start - tail), min(m.samples, stop + tail)
-        own = _own_columns(m, layout, whole, lo, hi)
-        rigid = _rigid_columns(layout, chunks, [x[lo:hi:every] for x in m.motion.state])
-        if low_pass is not None:
-            before, after = tail - (start - lo), tail - (hi - stop)
-            own = extended(own, before, after)
-            own = low_pass.decimated(own, step, tail, tail + stop - start)
-            if every == 1:  # at the ends of the trajectory, too
-                rigid = extended(rigid, before, after)
-            thin = replace(low_pass, every=every)
-            at, count = tail // every, (stop - start) // every
-            rigid = thin.decimated(rigid, step // every, at, at + count)
-        # Whatever the device of the log: what follows is small, and sequential.
-        rigid, own, keep = rigid.cpu(), own.cpu(), moving[start:stop:step].cpu()
-        parts = zip(
-            rigid.split([len(pairs) for pairs in layout.rigid]),
-            own.split([len(pairs) + 1 for pairs in layout.own]),
-            strict=True,
-        )
-        count = own.shape[-1]
+        before, after = tail - (start - lo), tail - (hi - stop)
+        motion = m.motion.part(slice(lo, hi))
+        keep = moves(motion.part(slice(start - lo, stop - lo, step))).cpu()
+        augmented = []
+        # Row by row: of many joints the columns of all rows would not all fit, with their spectra.
+        for parts in _columns(motion, m.tau[lo:hi], layout, chunks, whole, lo, every):
+            made = []
+            for signals, apart in zip(parts, (every, 1), strict=True):
+                if not len(signals):
+                    continue
+                if low_pass is None:
+                    made.append(signals)
+                    continue
+                # At the ends of the trajectory nothing is thinned, and all is extended.
+                padded = extended(signals, before, after) if apart == 1 else signals
+                thin = replace(low_pass, every=apart)
+                made.append(
+                    thin.decimated(
+                        padded, step // apart, tail // apart, (tail + stop - start) // apart
+                    )
+                )
+            # Whatever the device of the log: what follows is small, and sequential.
+            augmented.append(torch.cat(made).cpu())
+        count = len(keep)
         keep = keep if moving_only else torch.ones_like(keep)
         instant = torch.arange(count) + first_instant
         first_instant += count
-        yield RowBlock(tuple(torch.cat(part).T for part in parts), keep, instant)
+        yield RowBlock(tuple(x.T for x in augmented), keep, instant)
 
 
 def sampled(
@@ -309,30 +316,40 @@ def own_columns(effect: Effect, motion: Motion) -> list[Float[Tensor, "T C"]]:
     return [columns[:, j] for j in effect.joints]
 
 
-def _rigid_columns(
-    layout: Layout, chunks: Chunks, state: Sequence[Float[Tensor, "M n"]]
-) -> Float[Tensor, "C M"]:
-    """Rigid columns of all torque rows."""
-    pieces = [
-        torch.cat([chunk.row(i, pairs) for i, pairs in enumerate(layout.rigid) if pairs])
-        for chunk in chunks(*state)
-    ]
-    return torch.cat(pieces, -1)
+def _columns(
+    motion: Motion,
+    tau: Float[Tensor, "M n"],
+    layout: Layout,
+    chunks: Chunks,
+    whole: Mapping[Effect, Tensor],
+    lo: int,
+    every: int,
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Unfiltered columns of each torque row: rigid ones (C, M / every), and those of effects, its
+    torque behind them (E + 1, M).
 
-
-def _own_columns(
-    m: Measurement, layout: Layout, whole: Mapping[Effect, Tensor], lo: int, hi: int
-) -> Float[Tensor, "C M"]:
-    """Unfiltered columns of effects in all torque rows, each row's torque behind its own, samples
-    lo..hi."""
-    motion = m.motion.part(slice(lo, hi))
+    Args:
+        motion, tau: of the samples.
+        layout: the columns.
+        chunks: of the regressor.
+        whole: columns of effects along the whole trajectory.
+        lo: the first of the samples there.
+        every: how many samples apart rigid columns are worked out.
+    """
     effect_columns = [
-        [whole[e][lo:hi]] if e in whole else own_columns(e, motion) for e in layout.effects
+        [whole[e][lo : lo + len(tau)]] if e in whole else own_columns(e, motion)
+        for e in layout.effects
     ]
-    parts = []
+    rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
+    for chunk in chunks(*(x[::every] for x in motion.state)):
+        for i, pairs in enumerate(layout.rigid):
+            if pairs:
+                rows[i].append(chunk.row(i, pairs))
     for i, own in enumerate(layout.own):
+        rigid = torch.cat(rows[i], -1) if rows[i] else tau.new_empty(0, 0)
+        rows[i].clear()
+        parts = [tau[:, i : i + 1].T]
         if own:
             on_joint = [effect_columns[e][layout.effects[e].joints.index(i)][:, c] for e, c in own]
-            parts.append(torch.stack(on_joint))
-        parts.append(m.tau[lo:hi, i : i + 1].T)
-    return torch.cat(parts)
+            parts.insert(0, torch.stack(on_joint))
+        yield rigid, torch.cat(parts)

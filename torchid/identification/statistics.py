@@ -72,14 +72,17 @@ def jackknife(source: RowSource, fit: Fit) -> Uncertainty:
     kept = (fit.robust > 0).to(torch.float64)
     for piece in source:
         owner = block[piece.instant]
+        # Of many short trajectories a piece holds few blocks.
+        own = slice(int(owner.min()), int(owner.max()) + 1)
+        held = own.stop - own.start
         weight = fit.robust[piece.instant].square()
         for i, rows in enumerate(whitened_rows(source, piece, kept, fit.whitening)):
             residual = rows[:, -1] - rows[:, :-1] @ fit.x
             z = rows[:, free] @ inverse
             informative = z * (weight[:, i] == 1).unsqueeze(-1)
             pull = (weight[:, i] * residual).unsqueeze(-1)
-            hessians += block_products(informative, z, owner, count)
-            gradients += block_products(z, pull, owner, count).squeeze(-1)
+            hessians[own] += block_products(informative, z, owner - own.start, held)
+            gradients[own] += block_products(z, pull, owner - own.start, held).squeeze(-1)
     # Mean square of the weighted residuals: about 1 where rows are whitened.
     rows_kept = int((fit.robust > 0).sum())
     variance = float(fit.factor[-1, -1] ** 2) / max(1, rows_kept - len(free))

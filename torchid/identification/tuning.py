@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import torch
 
-from torchid.design.motion import Measurement, fast_speed, measurements
+from torchid.design.motion import Measurement, fast_speed, measurements, moves
 from torchid.errors import LogError
 from torchid.identification.least_squares import factor, fit, solve, stacked_factor
 from torchid.identification.rows import Layout, RowSource
@@ -187,7 +187,7 @@ def _left_out(
     start, stop = m.edge + inside * k // FOLDS, m.edge + inside * (k + 1) // FOLDS
     part = slice(start - tail, stop + tail)
     predicted = model_torque(layout.robot, layout.base, layout.effects, values, m.motion.part(part))
-    measured, moving = m.tau[part], m.moving[start:stop]
+    measured, moving = m.tau[part], moves(m.motion.part(slice(start, stop)))
     if filtered and m.cutoff is not None:
         low_pass = ZeroPhaseFilter(m.rate, m.cutoff)
         predicted, measured = (low_pass.apply(y.T).T for y in (predicted, measured))

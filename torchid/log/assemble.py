@@ -1,7 +1,7 @@
 """A Log from a table: columns that have our names, and those that a mapping gives other sources."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -91,6 +91,8 @@ def _read(table: Table, mapping: ColumnMapping) -> Log:
     twice = [name for name in needed if name in table.repeated]
     if twice:
         raise LogError(f"'{table.path}' has two columns {twice[0]}.", got=", ".join(twice))
+    if table.one_by_one and not sources:
+        return log_from_columns(_Columns(table, own), table.path)
     arrays = table.read(needed)
     columns: dict[str, np.ndarray] = {}
     if "t" in sources and sources["t"].rate is None:
@@ -109,6 +111,25 @@ def _read(table: Table, mapping: ColumnMapping) -> Log:
         values = signal_of(key, sources[key], pieces[key], arrays, samples, table)
         columns |= {f"{key}{k + 1}": values[:, k] for k in range(values.shape[1])}
     return log_from_columns(columns, table.path)
+
+
+class _Columns(Mapping[str, np.ndarray]):
+    """Columns with our names, each read when it is asked for, so that no more than one is in memory
+    beside the log that is made of them."""
+
+    def __init__(self, table: Table, names: Sequence[str]):
+        self._table, self._names = table, names
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self._names:
+            raise KeyError(name)
+        return _own_columns(self._table, self._table.read([name]), -1)[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
 def unused_columns(table: Table, mapping: ColumnMapping | None = None) -> list[str]:

@@ -47,8 +47,8 @@ def check_log(
         prismatic: n times whether the joint slides; empty: none does.
 
     Returns:
-        Warnings, one sentence each: joints that never move or have no torque, dq that is not the
-        derivative of q.
+        Warnings, one sentence each: joints that never move or have no torque, or those of another
+        joint, dq that is not the derivative of q.
 
     Raises:
         LogError: another number of joints, NaN or infinity, time that does not increase or is not
@@ -94,6 +94,7 @@ def check_log(
             for k in range(log.n)
             if float(extent[k]) < STILL
         ],
+        *_copied(log),
         *_no_torque(log),
         *_velocity_warnings(log, agreement),
     )
@@ -150,22 +151,26 @@ def _check_position_units(log: Log, limits: Tensor | None, slides: Sequence[bool
         low, high = float(log.q[:, k].min()), float(log.q[:, k].max())
         own = None if limits is None else limits[k]
         limit = largest_slide(own) if slide else largest_angle(own)
-        if max(-low, high) > limit and slide:
-            raise LogError(
-                f"{log.label}: q{k + 1} looks like millimetres.",
-                got=f"{low:.4g} to {high:.4g}",
-                expected=f"metres, at most {limit:.3g} for this prismatic joint",
-                hint=f"divide q{k + 1} by 1000; if the joint does slide that far, say so in the "
-                "robot's position limits",
-            )
-        if max(-low, high) > limit:
-            raise LogError(
-                f"{log.label}: q{k + 1} looks like degrees.",
-                got=f"{low:.4g} to {high:.4g}",
-                expected=f"radians, at most {limit:.3g} for this joint",
-                hint=f"multiply q{k + 1} by pi/180; if the joint does turn that far, "
-                "say so in the robot's position limits",
-            )
+        reached = max(-low, high)
+        if reached <= limit:
+            continue
+        # The unit that brings it back into what the joint can do.
+        units = {1e3: "millimetres", 1e6: "micrometres"} if slide else {DEGREES: "degrees"}
+        per = next((x for x in units if reached / x <= limit), None)
+        unit, how = "metres" if slide else "radians", "slide" if slide else "turn"
+        ways = {1e3: "divide {} by 1000", 1e6: "divide {} by 1e6", DEGREES: "multiply {} by pi/180"}
+        others = " nor ".join(units.values())
+        raise LogError(
+            f"{log.label}: q{k + 1} looks like {units[per]}."
+            if per is not None
+            else f"{log.label}: q{k + 1} is in neither {unit} nor {others}.",
+            got=f"{low:.4g} to {high:.4g}",
+            expected=f"{unit}, at most {limit:.3g} for this {'prismatic ' if slide else ''}joint",
+            hint=f"{ways[per].format(f'q{k + 1}')}; if the joint does {how} that far, say so in "
+            "the robot's position limits"
+            if per is not None
+            else f"is q{k + 1} in steps of an encoder? `columns=...` takes a factor",
+        )
 
 
 def largest_angle(limits: Tensor | None) -> float:
@@ -206,20 +211,20 @@ def velocity_agreement(log: Log) -> list[Agreement]:
     """
     if log.dq is None:
         return []
-    integrals, positions = [], []
-    for rows in log.slices():
-        t, q, dq = log.t[rows], log.q[rows], log.dq[rows]
-        integral = torch.zeros_like(q)
-        integral[1:] = torch.cumulative_trapezoid(dq, t[:, None], dim=0)
-        integrals.append(integral - integral.mean(0))
-        positions.append(q - q.mean(0))
-    moved, q = torch.cat(integrals), torch.cat(positions)
-    extent = q.amax(0) - q.amin(0)
     records = []
+    # Joint by joint: of a long log nothing is copied whole.
     for k in range(log.n):
-        a, b = float(moved[:, k].norm()), float(q[:, k].norm())
-        if float(extent[k]) > MOVING and a > 0.0:
-            records.append(Agreement(k, a / b, float(moved[:, k] @ q[:, k]) / (a * b)))
+        integrals, positions = [], []
+        for rows in log.slices():
+            t, q, dq = log.t[rows], log.q[rows, k], log.dq[rows, k]
+            integral = torch.zeros_like(q)
+            integral[1:] = torch.cumulative_trapezoid(dq, t)
+            integrals.append(integral - integral.mean())
+            positions.append(q - q.mean())
+        moved, q = torch.cat(integrals), torch.cat(positions)
+        a, b = float(moved.norm()), float(q.norm())
+        if float(q.max() - q.min()) > MOVING and a > 0.0:
+            records.append(Agreement(k, a / b, float(moved @ q) / (a * b)))
     return records
 
 
@@ -295,17 +300,44 @@ def position_jumps(log: Log) -> list[str]:
     for part in log.trajectories():
         if part.samples < 20:
             continue
-        step, dt = part.q.diff(dim=0).abs(), part.t.diff().unsqueeze(-1)
-        # A sample is enough.
-        usual = column_quantile((step / dt)[:: max(1, len(dt) // 100_000)], 0.99)
-        jump = (step > JUMP) & (step / dt > 10 * usual)
-        for j in jump.any(0).nonzero().flatten().tolist():
-            k = int(jump[:, j].nonzero()[0])
+        dt = part.t.diff()
+        for j in range(part.n):
+            step = part.q[:, j].diff().abs()
+            speed = step / dt
+            # A sample is enough, and torch.quantile takes no more than 16 million numbers.
+            usual = column_quantile(speed[:: max(1, len(dt) // 100_000), None], 0.99)[0]
+            jump = (step > JUMP) & (speed > 10 * usual)
+            if not bool(jump.any()):
+                continue
+            k = int(jump.to(torch.uint8).argmax())
             found.append(
-                f"{part.names[0]}: q{j + 1} jumps by {float(step[k, j]):.3g} within one step at "
+                f"{part.names[0]}: q{j + 1} jumps by {float(step[k]):.3g} within one step at "
                 f"t = {float(part.t[k]):.4g} s: unwrap the angle, or number the runs in a column "
                 "traj"
             )
+    return found
+
+
+def _copied(log: Log) -> list[str]:
+    """Joints that hold another joint's numbers: no two sensors measure the same in every sample."""
+    found = []
+    measured = ("tau", log.tau) if log.tau is not None else ("i", log.current)
+    for name, signal in (("q", log.q), measured):
+        if signal is None:
+            continue
+        for k in range(log.n):
+            own = signal[:, k]
+            same = (
+                j
+                for j in range(k)
+                if torch.equal(signal[:100, j], own[:100]) and torch.equal(signal[:, j], own)
+            )
+            first = next(same, None)
+            if first is not None and bool((own != own[0]).any()):
+                found.append(
+                    f"{name}{k + 1} is the same as {name}{first + 1} in every row: was a column "
+                    "copied?"
+                )
     return found
 
 

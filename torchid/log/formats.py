@@ -18,6 +18,9 @@ from torchid.errors import LogError
 from torchid.log.columns import Columns
 from torchid.log.table import Request, Shape, Table
 
+_LARGE = 10_000_000
+"""Values of a parquet file whose columns are read one at a time: opening it costs less then."""
+
 _BEST_COMPRESSION = 1032  # of deflate, which packs the arrays of npz, HDF5 and MATLAB files
 
 
@@ -34,7 +37,8 @@ def parquet_table(path: Path, request: Request) -> Table:
     def read(wanted: Sequence[str]) -> dict[str, np.ndarray]:
         return read_parquet_columns(path, wanted)
 
-    return Table(path, "parquet", columns, read, repeated=repeated(names))
+    large = rows * len(names) > _LARGE
+    return Table(path, "parquet", columns, read, one_by_one=large, repeated=repeated(names))
 
 
 def read_parquet_columns(path: Path, wanted: Sequence[str]) -> dict[str, np.ndarray]:

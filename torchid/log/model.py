@@ -200,6 +200,10 @@ class Log:
                 got=f"{rows.dtype} of shape {tuple(rows.shape)}",
                 expected=f"torch.bool of shape ({self.samples},)",
             )
+        if isinstance(rows, Tensor) and bool(rows.any()):
+            # A run of samples is a view of them, and no copy of a long log.
+            first, last = int(rows.int().argmax()), len(rows) - int(rows.flip(0).int().argmax())
+            rows = slice(first, last) if int(rows.sum()) == last - first else rows
         ids = self.trajectory[rows]
         signals: dict[str, Any] = {name: signal[rows] for name, signal in self.signals.items()}
         if len(ids) == 0:
@@ -207,7 +211,10 @@ class Log:
                 f"{self.label}: the selection leaves no sample.",
                 got=str(rows) if isinstance(rows, slice) else "a mask that is false everywhere",
             )
-        kept, renumbered = torch.unique_consecutive(ids, return_inverse=True)
+        if ids[0] == 0 == ids[-1]:  # as they are, and no copy
+            kept, renumbered = ids[:1], ids
+        else:
+            kept, renumbered = torch.unique_consecutive(ids, return_inverse=True)
         return replace(
             self,
             t=self.t[rows],

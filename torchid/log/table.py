@@ -49,6 +49,7 @@ class Table:
         columns: shape of each array as far as it is known before reading; -1 for a size that is
             not, None where nothing is.
         read: arrays by name, each (T,) or (T, k).
+        one_by_one: whether columns had better be read one by one, being long.
         arrays: whether q, dq, .. may be arrays (T, n) instead of columns q1, q2, ..
         repeated: columns that are there more than once.
         joints: names of the joints of q, where the file tells.
@@ -61,6 +62,7 @@ class Table:
     kind: str
     columns: Mapping[str, Shape | None]
     read: Callable[[Sequence[str]], dict[str, np.ndarray]]
+    one_by_one: bool = False
     arrays: bool = False
     repeated: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()

@@ -34,6 +34,7 @@ from torchid.gap.record import GapRecord
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import closing
 from torchid.gap.validate.folds import traces
+from torchid.identification.identify import prepared
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.log.sampling import resample
@@ -146,7 +147,7 @@ def _on_top(bed: Bed, effect: JointEffect, size: float) -> tuple[list[float], Lo
     columns, low = [], []
     for part in parts:
         (m,) = measurements(part, BAND)
-        motion: Motion = m.motion._replace(t=part.t - part.t[0])
+        motion: Motion = m.whole._replace(t=part.t - part.t[0])
         motion = motion._replace(torque=model_torque(bed.robot, effects, motion))
         columns.append(effect.torque_columns(motion, bed.robot)[:, effect.joint])
         low.append(ZeroPhaseFilter(m.rate, BAND).apply(columns[-1].T).T)
@@ -314,6 +315,7 @@ def withheld_own(
         log, untouched = log.split(0.5)
     if untouched.tau is None:
         raise LogError("the untouched log has no torque.", got=list(untouched.signals))
+    prepared(untouched, robot)  # what cannot be used is refused before the first part is diagnosed
     if progress is not None:
         progress("diagnosing the first part", 0, 1)
     first = diagnose(robot, log, settings=settings)
