@@ -15,7 +15,9 @@ from unittest import mock
 from torchid.app.commands import run
 
 SECONDS, BYTES = 30, 1 << 30
-"""What one bad input may take on a busy machine, and how much memory beside the process's."""
+"""What one bad input may take of the processor's time, and how much memory beside the process's."""
+WAITING = 10
+"""Times as long that it may take of a busy machine's."""
 MOST_SAID = 6000
 """Letters of a clear error."""
 
@@ -66,14 +68,17 @@ def limited(seconds: int = SECONDS, more: int = BYTES) -> Iterator[None]:
 
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    before = signal.signal(signal.SIGALRM, stop)
+    before = [(which, signal.signal(which, stop)) for which in (signal.SIGPROF, signal.SIGALRM)]
     resource.setrlimit(resource.RLIMIT_AS, (used + more, hard))
-    signal.alarm(seconds)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    signal.alarm(WAITING * seconds)
     try:
         yield
     finally:
         signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        for which, handler in before:
+            signal.signal(which, handler)
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
