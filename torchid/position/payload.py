@@ -160,7 +160,7 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
         prior = (TOGETHER * square.clamp(max=NOISE**2).mean() / spread**2).diag()
         reduced = (alone.mT @ b).sum(0) + prior
         towards = (alone.mT @ r).sum(0)[:, 0] + prior @ x
-        step = -torch.linalg.solve(reduced, towards)
+        step, began = -torch.linalg.solve(reduced, towards), x
         before = _total(carried, servos, windows)
         if iteration == 0:
             if not -float(towards @ step) > WORTH * before:
@@ -192,7 +192,10 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
     body = body_near(robot, data.q, data.dq, data.link).midway(data.tracks.last)
     heavy = replace(data, robot=robot, body=body)
     servos = fit(heavy, servos, found.free, windows, plane=found.plane, iterations=2)
-    std = _deviations(alone, r, prior, windows) / torch.cat([x.new_ones(1), x[:1].expand(3)])
+    # A search that has not come to rest knows no more than how far it still wants to go.
+    left = x - (began + step)
+    std = (_deviations(alone, r, prior, windows).square() + left.square()).sqrt()
+    std = std / torch.cat([x.new_ones(1), x[:1].expand(3)])
     return Loaded(heavy, replace(found, servos=servos), float(x[0]), com, std)
 
 
