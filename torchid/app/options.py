@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from torchid.report.page.document import InputFile
 
 LARGEST_SEED = 2**63 - 1
+LARGE = 50e6
+"""Of log files, from which reading them is told as a stage [bytes]."""
 """That torch's generators take."""
 
 
@@ -296,7 +299,9 @@ class Trials(ArmAndLogs):
         roles = [("log", path) for path in self.logs] + [("held-out log", path) for path in apart]
         named = [(role, str(path), path) for role, path in roles]
         files = output.hashed([("robot", self.robot, robot_file(self.robot)), *named])
-        with output.progress("reading"):
+        # Large files take a while.
+        large = sum(p.stat().st_size for p in (*self.logs, *apart) if p.is_file()) > LARGE
+        with output.progress("reading") if large else nullcontext():
             log = self.read(self.logs, robot)
             held_out = self.read(apart, robot) if apart else None
         return robot, log, held_out, files

@@ -136,6 +136,8 @@ def predict(
     first = m.edge
     shown: list[tuple[Tensor, ...]] = []
     sums: list[Sums] = []
+    if progress is not None:
+        progress(0, m.samples - 2 * m.edge)
     for rows in pieces(m, m.edge, m.samples - m.edge, effects):
         lo, hi = max(0, rows.start - tail), min(m.samples, rows.stop + tail)
         motion, tau = m.motion.part(slice(lo, hi)), m.tau[lo:hi]
