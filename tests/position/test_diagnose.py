@@ -65,6 +65,7 @@ def test_a_planted_cause_is_named(cause, tmp_path):
     assert len(moved.plot("positions").axes) == 3
 
 
+@pytest.mark.slow
 def test_a_load_is_found_beside_servos():
     """A body at the last link, which gains and offsets of single joints follow in part only."""
     arm = robot()
