@@ -3,6 +3,7 @@
 
     python benchmarks/fleet.py odd [--units 200] [--sessions 3] [--odd 12] [--alike] [--json FILE]
     python benchmarks/fleet.py drift
+    python benchmarks/fleet.py watched
     python benchmarks/fleet.py speed [--logs 6] [--seconds 60] [--json FILE]
     python benchmarks/fleet.py scale [--logs 40] [--seconds 60] [--json FILE]
     python benchmarks/fleet.py trace --json FILE     # of `scale`, which it reads
@@ -10,7 +11,9 @@
 `odd`: units of the 3R whose nine coefficients of friction differ from unit to unit (5 %) and from
 day to day (2 %), under coloured torque noise of 1 %; in some of them one coefficient is off by so
 many standard deviations of what normal units' values scatter by; with --alike normal units do not
-differ at all, and the deviation counts in standard deviations of one session. `speed`: logs of a 7R arm at 1 kHz.
+differ at all, and the deviation counts in standard deviations of one session. `drift`: the detector
+alone, on drawn numbers. `watched`: minutes until a change of a coefficient is told, from logs of a
+minute. `speed`: logs of a 7R arm at 1 kHz.
 `scale`: the same logs by 1, 2, 4 and 8 processes, all of them (strong) and two a process (weak), and
 what a task costs besides its work: CPU time of every task and process tells, on a machine that others
 use, what free cores would take. `trace`: from these times, a simulated scheduler with up to 1000.
@@ -39,12 +42,13 @@ from tempfile import TemporaryDirectory
 import torch
 from cpu_time import processor_time
 
-from tests.fleet.simulated import Plan, make, typical, unit_name
+from tests.fleet.simulated import Plan, make, session_name, typical, unit_name
 from torchid.fleet.identify import Fleet, fleet_identify, reduce_fleet
 from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
 from torchid.fleet.settings import FleetSettings
 from torchid.fleet.tasks import LogAnswer, LogTask, answer_log
+from torchid.fleet.watch import watch
 from torchid.parallel.store import Store
 from torchid.parallel.workers import Workers, each, serve
 from torchid.robot.library import load_robot
@@ -161,6 +165,42 @@ def detection(runs: int = 40, before: int = 10, after: int = 40) -> dict:
         median = waited[runs // 2] if seen > 0.5 else None
         out["sizes"][f"{size:g}"] = {"median_sessions": median, "seen": seen}
         print(size, out["sizes"][f"{size:g}"], flush=True)
+    return out
+
+
+def watched(units: int = 30, changing: int = 10, sessions: int = 60, since: int = 20) -> dict:
+    """Logs of a minute each, from files to alarms: minutes until a changed coefficient is told, and
+    alarms where nothing changed. Which alarms come when does not depend on how many sessions
+    follow, but for the spread from day to day, which is that of all of them."""
+    robot = load_robot("3r_friction")
+    model = FleetModel(robot, FleetSettings(effects=EFFECTS))
+    names = [n for n in typical(robot) if n[:2] in ("Fv", "Fc")]
+    out: dict = {"units": units, "changing": changing, "sessions": sessions, "sizes": {}}
+    with TemporaryDirectory() as text:
+        folder, store = Path(text), Store(f"{text}/store")
+        plan = Plan(units, sessions, 60.0, between=BETWEEN, daily=DAILY)
+        normal = make(robot, plan, folder / "normal", first=changing)
+        for share in (0.05, 0.1, 0.2, 0.4):
+            chosen = {k: names[k % len(names)] for k in range(changing)}
+            change = {k: (n, share * typical(robot)[n], since) for k, n in chosen.items()}
+            few = Plan(changing, sessions, 60.0, between=BETWEEN, daily=DAILY, drift=change)
+            logs = make(robot, few, folder / f"changing-{share:g}")
+            found = watch(fleet_identify(model, [*normal, *logs], store=store, workers=2))
+            order = {session_name(s): s for s in range(sessions)}
+            true = {(unit_name(k), n): None for k, n in chosen.items()}
+            false = 0
+            for alarm in found.alarms:
+                at, what = order[alarm.said_at], (alarm.unit, alarm.parameter)
+                if at < since or alarm.unit not in {unit for unit, _ in true}:
+                    false += 1
+                elif what in true:
+                    true[what] = at - since + 1
+            waited = sorted(t for t in true.values() if t is not None)
+            out["sizes"][f"{share:g}"] = {
+                "told": len(waited), "minutes": waited, "false": false,
+                "normal_sessions": (units - changing) * sessions + changing * since,
+            }  # fmt: skip
+            print(share, out["sizes"][f"{share:g}"], flush=True)
     return out
 
 
@@ -310,7 +350,7 @@ def trace(measured: dict) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("odd", "speed", "drift", "scale", "trace"))
+    parser.add_argument("what", choices=("odd", "speed", "drift", "watched", "scale", "trace"))
     parser.add_argument("--units", type=int, default=200)
     parser.add_argument("--sessions", type=int, default=3)
     parser.add_argument("--odd", type=int, default=12)
@@ -326,6 +366,7 @@ def main() -> None:
     found = {
         "odd": lambda: odd(args.units, args.sessions, args.odd, args.alike),
         "drift": detection,
+        "watched": watched,
         "speed": lambda: speed(args.logs or 6, args.seconds),
         "scale": lambda: scale(args.logs or 40, args.seconds),
     }[args.what]()

@@ -49,6 +49,11 @@ def unit_name(k: int) -> str:
     return f"arm-{k:03d}"
 
 
+def session_name(s: int) -> str:
+    """In the order of time as numbers, not as letters."""
+    return f"day-{s + 6}"
+
+
 def with_friction(robot: Robot, values: Mapping[str, float]) -> Robot:
     """The robot whose coefficients of these names (Fv1, ...) have these values."""
     effects = []
@@ -90,8 +95,8 @@ def make(robot: Robot, plan: Plan, folder: Path, *, first: int = 0) -> list[Flee
             motion = random_trajectory(robot, seed, fill=True, duration=plan.seconds)
             noise = HonestNoise(torque_relative=plan.noise, colour_hz=plan.colour)
             log = simulate(arm, trajectory_log(motion, plan.rate), noise=noise, seed=seed)
-            path = folder / unit_name(k) / f"day-{s}.parquet"
+            path = folder / unit_name(k) / f"{session_name(s)}.parquet"
             path.parent.mkdir(parents=True, exist_ok=True)
             write_log(log, path)
-            out.append(FleetLog(unit_name(k), f"day-{s}", str(path)))
+            out.append(FleetLog(unit_name(k), session_name(s), str(path)))
     return out

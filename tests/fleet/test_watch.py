@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from tests.fleet.simulated import Plan, make, typical, unit_name
+from tests.fleet.simulated import Plan, make, session_name, typical, unit_name
 from torchid.errors import TorchidError
 from torchid.fleet.identify import fleet_identify
 from torchid.fleet.model import FleetModel
@@ -31,7 +31,7 @@ def test_the_unit_that_changes_is_named(fleet, tmp_path) -> None:
     found = watch(fleet, every=100)
     assert {a.unit for a in found.alarms} == {unit_name(1)}
     first = found.alarms[0]
-    assert (first.parameter, first.since) == ("Fv2", "day-4")
+    assert (first.parameter, first.since) == ("Fv2", session_name(4))
     assert -52 < first.percent < -28
     assert "fell by" in first.sentence
     found.save(tmp_path / "watch.json")
@@ -41,8 +41,9 @@ def test_the_unit_that_changes_is_named(fleet, tmp_path) -> None:
 @pytest.mark.slow
 def test_a_temperature_that_went_along_takes_the_blame(fleet) -> None:
     """Warm since the change: what both explain is no one's, and no alarm."""
+    late = [session_name(s) for s in range(4, 7)]
     warm = [
-        dataclasses.replace(a, temperature=38.0 if a.log.session >= "day-4" else 24.0)
+        dataclasses.replace(a, temperature=38.0 if a.log.session in late else 24.0)
         for a in fleet.logs
     ]
     found = watch(dataclasses.replace(fleet, logs=tuple(warm)), every=100)

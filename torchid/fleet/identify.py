@@ -40,6 +40,7 @@ from torchid.fleet.tasks import (
     whole_type,
 )
 from torchid.identification.base_parameters import BaseParameters, physical_signs
+from torchid.log.table import natural
 from torchid.parallel.store import Store
 from torchid.parallel.workers import Failure, Progress, Workers, attempted
 from torchid.results.record import Result
@@ -314,11 +315,11 @@ def fleet_identify(
         tasks = [
             UnitTask(
                 unit,
-                tuple((name, tuple(sorted(keys))) for name, keys in sorted(own.items())),
+                tuple((name, tuple(sorted(own[name]))) for name in sorted(own, key=natural)),
                 model,
                 place.place,
             )
-            for unit, own in sorted(sessions.items())
+            for unit, own in sorted(sessions.items(), key=lambda u: natural(u[0]))
         ]
         # A unit is fitted in tenths of a second, and a process starts in seconds.
         crew = 1 if isinstance(workers, int) and len(tasks) < WORTH_PROCESSES else workers

@@ -117,7 +117,8 @@ class _Load:
 
 
 def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | None:
-    """The arm with a load that takes error away beside all servos; None where none does.
+    """The arm with a load that takes error away beside all servos; None where none does, or where
+    its mass is not told from none.
 
     Args:
         data: motions.
@@ -185,17 +186,18 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
         servos, x = moved_there, there
         if after > (1 - HARDLY) * before:
             break
-    if not float(x[0]) > 0:
+    # A search that has not come to rest knows no more than how far it still wants to go.
+    left = x - (began + step)
+    std = (_deviations(alone, r, prior, windows).square() + left.square()).sqrt()
+    # First moments without a mass are no body: something else bends these joints.
+    if not float(x[0]) > HALF_95 * float(std[0]):
         return None
+    std = std / torch.cat([x.new_ones(1), x[:1].expand(3)])
     com = load.point + x[1:] / x[0]
     robot = _carrying(data, float(x[0]), com)
     body = body_near(robot, data.q, data.dq, data.link).midway(data.tracks.last)
     heavy = replace(data, robot=robot, body=body)
     servos = fit(heavy, servos, found.free, windows, plane=found.plane, iterations=2)
-    # A search that has not come to rest knows no more than how far it still wants to go.
-    left = x - (began + step)
-    std = (_deviations(alone, r, prior, windows).square() + left.square()).sqrt()
-    std = std / torch.cat([x.new_ones(1), x[:1].expand(3)])
     return Loaded(heavy, replace(found, servos=servos), float(x[0]), com, std)
 
 
