@@ -59,7 +59,6 @@ docs-site: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/dynamics.py
-	$(BIN)/python benchmarks/streaming.py
 	$(BIN)/python benchmarks/cma_es.py
 	$(BIN)/python benchmarks/wrenches.py
 

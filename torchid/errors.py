@@ -6,7 +6,6 @@ a library user can read the parts.
 
 import re
 import reprlib
-import unicodedata
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 
@@ -25,14 +24,13 @@ _LONG_WORD, _LONG_LINE = re.compile(r"(\S{150})\S{100,}(\S{50})"), 2000
 
 def visible(text: str) -> str:
     """A text as a terminal may show it, whatever file its words come from: without control
-    characters, which terminals obey, and without words and lines of thousands of letters.
+    characters, which terminals obey, spaces and breaks of other kinds, and words and lines of
+    thousands of letters.
 
     >>> visible("joint \\x1b[31mred")
     'joint \ufffd[31mred'
     """
-    safe = "".join(
-        c if c in "\n\t" or unicodedata.category(c)[0] != "C" else "\ufffd" for c in text
-    )
+    safe = "".join(c if c in "\n\t" or c.isprintable() else "\ufffd" for c in text)
     lines = (_LONG_WORD.sub(r"\1…\2", line) for line in safe.split("\n"))
     return "\n".join(
         line if len(line) <= _LONG_LINE else f"{line[: _LONG_LINE - 1]}…" for line in lines

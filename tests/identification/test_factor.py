@@ -1,23 +1,13 @@
 """The streamed triangular factor against Householder QR of the whole matrix."""
 
-from collections.abc import Callable
-
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from tests.arms import arm, relative, states
-from torchid.dynamics.compiled import compiled_dynamics
-from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.dynamics.regressor import regressor, regressor_chunks
-from torchid.effects.registry import on_every_joint
-from torchid.errors import IdentificationError
-from torchid.identification import streaming
-from torchid.identification.base_parameters import base_parameters
+from tests.arms import relative
 from torchid.identification.least_squares import TriangularFactor, block_factors, stacked_factor
-from torchid.identification.streaming import reduce_to_factor
 
 
 def streamed(a: Tensor, size: int) -> Tensor:
@@ -180,63 +170,3 @@ def test_gram_is_kept_for_any_split(
     a = torch.randn(rows, columns, generator=g, dtype=torch.float64)
     scales = 10 ** (spread * (2 * torch.rand(columns, generator=g, dtype=torch.float64) - 1))
     assert_gram_kept(streamed(a * scales, size), a * scales, 1e-12)
-
-
-def dense_factor(name: str, samples: int) -> tuple[Tensor, tuple[Tensor, ...]]:
-    robot = arm(name)
-    base = base_parameters(robot)
-    motion = states(robot, samples)
-    tau = inverse_dynamics(robot, *motion) + 0.1 * torch.randn(
-        samples, robot.n, dtype=torch.float64
-    )
-    y = regressor(robot, *motion)[..., list(base.independent)]
-    return householder(torch.cat([y, tau.unsqueeze(-1)], -1).flatten(0, 1)), (*motion, tau)
-
-
-@pytest.mark.parametrize("name", ["3r", "kuka_lwr4", "mixed"])
-def test_streamed_log_equals_dense_qr(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected, signals = dense_factor(name, 2500)
-    monkeypatch.setattr(streaming, "SEGMENT", 400)
-    r = reduce_to_factor(arm(name), base_parameters(arm(name)), *signals)
-    assert r.shape == expected.shape
-    assert relative(r, expected) < 1e-12
-
-
-def test_streamed_log_takes_other_chunks() -> None:
-    expected, signals = dense_factor("3r", 300)
-    robot = arm("3r")
-
-    def chunks(*motion: Tensor):  # type: ignore[no-untyped-def]
-        return regressor_chunks(robot, *motion, method="autograd", size=77)
-
-    r = reduce_to_factor(robot, base_parameters(robot), *signals, chunks=chunks)
-    assert relative(r, expected) < 1e-12
-
-
-@pytest.mark.slow
-def test_streamed_log_takes_compiled_chunks() -> None:
-    expected, signals = dense_factor("3r", 300)
-    robot = arm("3r")
-    make: Callable = compiled_dynamics(robot, 128).regressor_chunks
-    r = reduce_to_factor(robot, base_parameters(robot), *signals, chunks=make)
-    assert relative(r, expected) < 1e-12
-
-
-def test_empty_log_has_a_zero_factor() -> None:
-    robot = arm("3r")
-    base = base_parameters(robot)
-    r = reduce_to_factor(robot, base, *(torch.zeros(0, 3, dtype=torch.float64) for _ in range(4)))
-    assert torch.equal(r, torch.zeros(len(base) + 1, len(base) + 1, dtype=torch.float64))
-
-
-@pytest.mark.usefixtures("types_unchecked")
-def test_bad_input_is_refused() -> None:
-    robot = arm("3r")
-    motion = states(robot, 5)
-    with_friction = base_parameters(robot, on_every_joint(["viscous_friction"], 3))
-    with pytest.raises(IdentificationError, match="without effects"):
-        reduce_to_factor(robot, with_friction, *motion, motion[0])
-    with pytest.raises(IdentificationError, match="do not match"):
-        reduce_to_factor(
-            robot, base_parameters(robot), *motion, torch.zeros(4, 3, dtype=torch.float64)
-        )

@@ -9,8 +9,6 @@ from torchid.statistics.resampling import (
     bootstrap,
     bootstrap_weights,
     percentile_interval,
-    permutations,
-    random_signs,
 )
 
 
@@ -23,15 +21,6 @@ def test_weights_count_the_draws_of_the_same_seed():
     x = np.arange(7) ** 2
     assert weights @ x == pytest.approx(x[chosen].sum(1))
     assert set(weights.sum(1)) == {7.0}
-
-
-def test_signs_and_orders():
-    signs = random_signs(40, 500, rng())
-    assert set(np.unique(signs)) == {-1.0, 1.0}
-    assert abs(signs.mean()) < 0.03
-    orders = permutations(9, 400, rng())
-    assert np.array_equal(np.sort(orders, 1), np.tile(np.arange(9), (400, 1)))
-    assert orders.mean(0) == pytest.approx(4, abs=0.6)
 
 
 def test_percentiles_of_what_is_defined():

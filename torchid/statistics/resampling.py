@@ -33,17 +33,6 @@ def bootstrap_weights(units: int, draws: int, rng: np.random.Generator) -> Array
     return counts.reshape(draws, units).astype(float)
 
 
-def random_signs(units: int, draws: int, rng: np.random.Generator) -> Array:
-    """+1 or -1 (draws, units): units whose parts vanish on average may take either sign (Winkler et
-    al. 2014)."""
-    return 2.0 * rng.integers(0, 2, (draws, units)) - 1.0
-
-
-def permutations(units: int, draws: int, rng: np.random.Generator) -> Array:
-    """Orders (draws, units) in which units without any connection may stand."""
-    return rng.permuted(np.tile(np.arange(units), (draws, 1)), axis=1)
-
-
 def percentile_interval(values: Array, level: float = LEVEL) -> tuple[float, float]:
     """Two-sided percentile interval of a statistic's draws (D,); nan where fewer than nine in ten
     of the draws are finite."""
