@@ -180,7 +180,7 @@ def watched(units: int = 30, changing: int = 10, sessions: int = 60, since: int 
         folder, store = Path(text), Store(f"{text}/store")
         plan = Plan(units, sessions, 60.0, between=BETWEEN, daily=DAILY)
         normal = make(robot, plan, folder / "normal", first=changing)
-        for share in (0.05, 0.1, 0.2, 0.4):
+        for share in (0.02, 0.05, 0.1, 0.2):
             chosen = {k: names[k % len(names)] for k in range(changing)}
             change = {k: (n, share * typical(robot)[n], since) for k, n in chosen.items()}
             few = Plan(changing, sessions, 60.0, between=BETWEEN, daily=DAILY, drift=change)
