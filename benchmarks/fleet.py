@@ -4,6 +4,7 @@
     python benchmarks/fleet.py odd [--units 200] [--sessions 3] [--odd 12] [--alike] [--json FILE]
     python benchmarks/fleet.py drift
     python benchmarks/fleet.py watched
+    python benchmarks/fleet.py damaged
     python benchmarks/fleet.py speed [--logs 6] [--seconds 60] [--json FILE]
     python benchmarks/fleet.py scale [--logs 40] [--seconds 60] [--json FILE]
     python benchmarks/fleet.py trace --json FILE     # of `scale`, which it reads
@@ -13,7 +14,7 @@ day to day (2 %), under coloured torque noise of 1 %; in some of them one coeffi
 many standard deviations of what normal units' values scatter by; with --alike normal units do not
 differ at all, and the deviation counts in standard deviations of one session. `drift`: the detector
 alone, on drawn numbers. `watched`: minutes until a change of a coefficient is told, from logs of a
-minute. `speed`: logs of a 7R arm at 1 kHz.
+minute. `damaged`: one log in twenty is. `speed`: logs of a 7R arm at 1 kHz.
 `scale`: the same logs by 1, 2, 4 and 8 processes, all of them (strong) and two a process (weak), and
 what a task costs besides its work: CPU time of every task and process tells, on a machine that others
 use, what free cores would take. `trace`: from these times, a simulated scheduler with up to 1000.
@@ -43,7 +44,8 @@ import torch
 from cpu_time import processor_time
 
 from tests.fleet.simulated import Plan, make, session_name, typical, unit_name
-from torchid.fleet.identify import Fleet, fleet_identify, reduce_fleet
+from tests.robustness.fuzz import changed
+from torchid.fleet.identify import USED, Fleet, fleet_identify, reduce_fleet
 from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
 from torchid.fleet.settings import FleetSettings
@@ -204,6 +206,34 @@ def watched(units: int = 30, changing: int = 10, sessions: int = 60, since: int 
     return out
 
 
+def damaged(units: int = 100, sessions: int = 2, every: int = 20) -> dict:
+    """One log in twenty is damaged as the fuzzer damages files: what becomes of it, and whether
+    the others' answer has the same bits as without it."""
+    robot = load_robot("3r_friction")
+    model = FleetModel(robot, FleetSettings(effects=EFFECTS))
+    choose = random.Random(0)
+    with TemporaryDirectory() as text:
+        logs = make(robot, Plan(units, sessions), Path(text) / "logs")
+        broken = logs[every // 2 :: every]
+        for log in broken:
+            content = Path(log.path).read_bytes()
+            Path(log.path).write_bytes(changed(content, content, choose))
+        whole = fleet_identify(model, logs, workers=2)
+        refused = {a.log.path for a in whole.logs if a.verdict not in USED}
+        # What a change has left readable (a digit of a torque) is judged as any other log.
+        rest = fleet_identify(model, [log for log in logs if log.path not in refused], workers=2)
+        out = {
+            "logs": len(logs), "damaged": len(broken), "refused": len(refused),
+            "refused_undamaged": len(refused - {log.path for log in broken}),
+            "same_bits": bool(torch.equal(whole.pooled.mean, rest.pooled.mean))
+            and bool(torch.equal(whole.pooled.shrunk, rest.pooled.shrunk)),
+            "reasons": sorted(a.evidence[-1] for a in whole.logs if a.verdict not in USED),
+            "odd": list(whole.odd),
+        }  # fmt: skip
+    print(json.dumps(out, indent=1))
+    return out
+
+
 def speed(count: int, seconds: float) -> dict:
     robot = load_robot("kuka_lwr4_friction")
     model = FleetModel(robot, FleetSettings())
@@ -350,7 +380,9 @@ def trace(measured: dict) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("odd", "speed", "drift", "watched", "scale", "trace"))
+    parser.add_argument(
+        "what", choices=("odd", "speed", "drift", "watched", "damaged", "scale", "trace")
+    )
     parser.add_argument("--units", type=int, default=200)
     parser.add_argument("--sessions", type=int, default=3)
     parser.add_argument("--odd", type=int, default=12)
@@ -367,6 +399,7 @@ def main() -> None:
         "odd": lambda: odd(args.units, args.sessions, args.odd, args.alike),
         "drift": detection,
         "watched": watched,
+        "damaged": damaged,
         "speed": lambda: speed(args.logs or 6, args.seconds),
         "scale": lambda: scale(args.logs or 40, args.seconds),
     }[args.what]()
