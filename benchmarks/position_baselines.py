@@ -1,0 +1,157 @@
+"""Servo models that fitters in use have, on the folds of `position_folds.py` and by its measures.
+
+    python benchmarks/position_baselines.py ROBOT LOG... [--folds 5] [--only pace,ladder_2]
+
+All are fitted by torchid's own fitter and simulated by its own loop (dry friction holds), so that
+models alone are compared: `delayed` is the command, late by the best constant; `pace` has an
+armature, damping, dry friction, an offset and a delay at the gain that the robot's maker gives its
+simulator; `playground` a gain beside them; `ladder_2` to `ladder_4` add a Stribeck curve, friction
+that grows with the load, and both, as bam's M2 to M4 do. `boosting` (needs scikit-learn) foretells
+positions from late commands and play operators of them, joint by joint.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from torchid.log.model import Log
+from torchid.log.readers import read_log
+from torchid.position.data import prepare
+from torchid.position.diagnose import MOST, WINDOW_S, _some
+from torchid.position.effects import CORE
+from torchid.position.fit import fit
+from torchid.position.judge import folds_of
+from torchid.position.model import ServoArm, replay
+from torchid.position.search import _start
+from torchid.robot.library import load_robot
+from torchid.simulation.servo import INDEX
+from torchid.simulation.servo_loop import windows_of
+
+MAKERS_KP = 17.8
+"""Of the SO-101's STS3215 in TheRobotStudio's `joints_properties.xml` [N m/rad]."""
+STRIBECK = ("stiction", "stribeck_speed")
+LADDER = {
+    "pace": tuple(name for name in CORE if name != "kp"),
+    "playground": CORE,
+    "ladder_2": (*CORE, *STRIBECK),
+    "ladder_3": (*CORE, "load_share"),
+    "ladder_4": (*CORE, *STRIBECK, "load_share"),
+}
+LATEST = 20
+"""Samples that a command may be late."""
+PLAYS = (0.005, 0.01, 0.02, 0.04, 0.08)
+"""Half widths of play operators [rad]."""
+
+
+def servo(robot, training: Log, names: tuple[str, ...]):
+    """An arm whose servos have these parameters alone, as (log, seconds) -> positions (T, n)."""
+    data = prepare(robot, training)
+    windows = _some(windows_of(data.tracks, WINDOW_S), 3 * MOST)
+    start = _start(data, CORE)
+    if "kp" not in names:
+        start.joint[:, INDEX["kp"]] = MAKERS_KP
+    free = {name: torch.ones(robot.n, dtype=torch.bool) for name in names}
+    servos = fit(data, start, free, windows, iterations=30)
+    arm = ServoArm(robot, servos, data.scale)
+    return lambda log, seconds: replay(arm, [log], windows=seconds).simulated[0].q
+
+
+def delayed(training: Log):
+    """The command, late by the best constant of each joint."""
+    error = torch.stack(
+        [
+            torch.cat([(late(p.u, k) - p.q).square() for p in training.trajectories()]).mean(0)
+            for k in range(LATEST)
+        ]
+    )
+    best = error.argmin(0).tolist()
+    return lambda log, _: torch.stack([late(log.u, k)[:, j] for j, k in enumerate(best)], -1)
+
+
+def late(u: torch.Tensor, samples: int) -> torch.Tensor:
+    return u[(torch.arange(len(u)) - samples).clamp(min=0)]
+
+
+def play(u: np.ndarray, width: float) -> np.ndarray:
+    """What a play of this half width leaves of a signal (T, n)."""
+    out, at = np.empty_like(u), u[0]
+    for k, value in enumerate(u):
+        at = np.clip(at, value - width, value + width)
+        out[k] = at
+    return out
+
+
+def boosting(training: Log):
+    """Positions beside the command, from late commands and their plays; in windows from where each
+    one starts, since a measured start is told to all."""
+    from sklearn.ensemble import HistGradientBoostingRegressor
+
+    def features(log: Log) -> list[np.ndarray]:
+        u = log.u.numpy()
+        plays = [play(u, width) for width in PLAYS]
+        lags = [late(log.u, k).numpy() for k in (1, 2, 3, 4, 6, 8, 12, 20)]
+        own = [np.stack([*(x[:, j] - u[:, j] for x in lags + plays)], -1) for j in range(log.n)]
+        return [np.concatenate([x, u], -1) for x in own]
+
+    parts = training.trajectories()
+    given = [features(p) for p in parts]
+    learners = []
+    for j in range(training.n):
+        x = np.concatenate([g[j] for g in given])
+        y = np.concatenate([(p.q - p.u)[:, j].numpy() for p in parts])
+        learners.append(HistGradientBoostingRegressor(max_iter=300, random_state=0).fit(x, y))
+
+    def told(log: Log, seconds: float | None) -> torch.Tensor:
+        beside = [learner.predict(x) for learner, x in zip(learners, features(log), strict=True)]
+        q = log.u + torch.tensor(np.stack(beside, -1))
+        if seconds is None:
+            return q
+        length = round(seconds / float(log.t.diff().median()))
+        first = torch.arange(len(q)) // length * length
+        return q + (log.q - q)[first]
+
+    return told
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("robot")
+    parser.add_argument("logs", nargs="+", type=Path)
+    parser.add_argument("--folds", type=int, default=5)
+    parser.add_argument("--only", default=",".join(("delayed", *LADDER, "boosting")))
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    robot, log = load_robot(given.robot), read_log(given.logs)
+    parts = log.trajectories()
+    folds = folds_of(len(parts), given.folds).tolist()
+    for name in given.only.split(","):
+        squares = {None: [], 2.0: []}
+        busy = time.process_time()
+        for fold in range(given.folds):
+            training = Log.concatenate([p for p, f in zip(parts, folds, strict=True) if f != fold])
+            makers = {"delayed": delayed, "boosting": boosting}
+            model = makers[name](training) if name in makers else servo(
+                robot, training, LADDER[name]
+            )  # fmt: skip
+            for part, f in zip(parts, folds, strict=True):
+                for seconds, rows in squares.items():
+                    if f == fold:
+                        rows.append((model(part, seconds) - part.q).square())
+        busy = (time.process_time() - busy) / given.folds
+        for seconds, rows in squares.items():
+            together = 1e3 * torch.cat(rows).mean(0).sqrt()
+            each = 1e3 * torch.stack([s.mean(0).sqrt() for s in rows]).mean(1)
+            row = " ".join(f"{v:6.1f}" for v in together.tolist())
+            print(
+                f"{name:11s}{'whole' if seconds is None else '2 s':6s} all rows {row}  mean "
+                f"{float(together.mean()):5.2f}  motions: mean {float(each.mean()):5.2f}, median "
+                f"{float(each.median()):5.2f} mrad  ({busy:.0f} s of a core a fold)",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
