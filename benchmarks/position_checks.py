@@ -12,7 +12,6 @@ as the difference of two answers.
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -69,8 +68,8 @@ def halves(robot, parts: Sequence[Log]) -> None:
 
 
 def with_planted(log: Log) -> Log:
-    """What is logged if the commands and positions are what they are, and the arm has more."""
-    u, q = log.u.clone(), log.q.clone()
+    """What is logged of an arm that has more and does the same."""
+    u = log.u.clone()
     step = float(log.t.diff().median())
     for joint, (name, size) in PLANTED.items():
         j = joint - 1
@@ -81,7 +80,7 @@ def with_planted(log: Log) -> Log:
             u[:, j] = u[:, j] / size
         else:  # the arm stands farther than its command says
             u[:, j] = u[:, j] - size
-    return replace(log, u=u, q=q)
+    return log.replace(u=u)
 
 
 def planted(robot, parts: Sequence[Log]) -> None:
