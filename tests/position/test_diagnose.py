@@ -145,3 +145,18 @@ def test_a_delay_of_less_than_a_sample_is_no_cause():
     )
     less = _without(found, BY_NAME["command_delay"], torch.tensor([True] * 3), 0.03)
     assert less.servos.of("delay").tolist() == pytest.approx([0.02, 0.03, 0.02])
+
+
+@pytest.mark.slow
+def test_without_masses_ratios_are_told():
+    """Rods stand for the links: causes are named, and dry friction as a share of kp is right."""
+    log = planted(true_servos(3, acceleration=(2, 4.0)), motions=6, seconds=16.0, seed=4)
+    result = diagnose_positions(robot().with_parameters(None), log)
+    assert bool(result.ratio_only.all())
+    assert any("has no masses" in text for text in result.warnings)
+    assert ("set_point_profile", 2) in {(f.effect, f.joint) for f in result.findings}
+    assert float(result.answered.windows.mean()) < 0.3 * float(result.plain_servo.windows.mean())
+    # The first joint turns about the vertical: what it feels of gravity is nothing either way.
+    share = result.servos.of("coulomb") / result.servos.of("kp")
+    assert float(share[0]) == pytest.approx(1.5 / 260.0, rel=0.2)
+    assert float(replay(result.corrected, log).error.mean()) < 5.0

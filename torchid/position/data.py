@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 
 import torch
 
-from torchid.errors import LogError, RobotError
+from torchid.errors import LogError
 from torchid.log.checks import DEGREES, SLOW_STEP_S, check_increasing, largest_angle, own_units
 from torchid.log.model import Log
+from torchid.position.rods import with_rods
 from torchid.robot.model import JointType, Robot
 from torchid.simulation.servo import INDEX, PARAMETERS
 from torchid.simulation.servo_loop import Body, Tracks, Windows, body_near
@@ -46,7 +47,9 @@ class PositionData:
     """Motions of an arm, in radians of the model.
 
     Attributes:
-        robot, log: as given.
+        robot: with the masses that it is given, or rods in their place.
+        weighed: whether it was given any.
+        log: as given.
         scale: (n,) radians of the model per unit of the log, 1 unless the log's own velocities say
             otherwise.
         tracks: commands.
@@ -59,6 +62,7 @@ class PositionData:
     """
 
     robot: Robot
+    weighed: bool
     log: Log
     scale: Float[Tensor, " n"]
     tracks: Tracks
@@ -226,25 +230,18 @@ def prepare(robot: Robot, log: Log) -> PositionData:
     """Motions as the fit takes them.
 
     Args:
-        robot: with inertial parameters.
+        robot: links without inertial parameters are taken for rods (`with_rods`).
         log: t, q and u.
 
     Raises:
         LogError: other joints than the robot's, as `tracks_of`, positions that are not finite or
             in degrees, no joint that moves, or less than `SHORTEST_S`.
-        RobotError: the robot has no inertial parameters.
     """
     if log.n != robot.n:
         raise LogError(
             f"{log.label} has another number of joints than robot '{robot.name}'.",
             got=f"{log.n} (q1..q{log.n})",
             expected=f"{robot.n} (q1..q{robot.n})",
-        )
-    if robot.parameters is None:
-        raise RobotError(
-            f"robot '{robot.name}' has no masses: nothing tells torques in N m.",
-            expected="`parameters` in the robot's yaml, or <inertial> in its URDF or MJCF",
-            hint="rough masses do: gains and friction are then right in their ratios",
         )
     if not bool(log.q.isfinite().all()):
         rows, joints = (~log.q.isfinite()).nonzero().T
@@ -281,10 +278,12 @@ def prepare(robot: Robot, log: Log) -> PositionData:
             expected="motions",
         )
     dq = rates(q, tracks)
+    weighed = robot.parameters is not None
+    robot = robot if weighed else with_rods(robot)
     link = _outermost(robot)
     body = body_near(robot, q, dq, link).midway(tracks.last)
     strength = _strength(body, tracks.u - q)
-    return PositionData(robot, log, scale, tracks, q, dq, body, strength, link)
+    return PositionData(robot, weighed, log, scale, tracks, q, dq, body, strength, link)
 
 
 def _strength(body: Body, error: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:

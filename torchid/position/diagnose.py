@@ -27,6 +27,7 @@ from torchid.position.judge import (
 )
 from torchid.position.model import accuracy
 from torchid.position.payload import Loaded, with_load
+from torchid.position.rods import PER_METRE
 from torchid.position.search import ALIKE, Found, Rivals, alone, full, plain, shared, slight
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
@@ -54,7 +55,8 @@ def diagnose_positions(
     """Which causes part an arm's positions from its commands, and how far that goes.
 
     Args:
-        robot: with inertial parameters: gravity tells torques from ratios.
+        robot: gravity of its masses tells torques from ratios. Where it has none, its links are
+            taken for rods, and all torques are told in their ratios.
         log: t, q and u of several motions; of one alone nothing can be held out but its parts.
         held_out: motions that take part in nothing but the judgement.
         progress: told the stage, steps done and steps in all.
@@ -64,7 +66,6 @@ def diagnose_positions(
 
     Raises:
         LogError: no commands, other joints than the robot's, uneven sampling, or too short a log.
-        RobotError: the robot has no inertial parameters.
 
     >>> import numpy as np, torchid
     >>> robot = torchid.load_robot("3r")
@@ -109,6 +110,11 @@ def diagnose_positions(
         for j in torch.nonzero(still).flatten().tolist()
     )
     warnings += missing_commands(data.log)
+    if not data.weighed:
+        warnings += (
+            f"robot '{robot.name}' has no masses: its links were taken for rods of {PER_METRE:g} "
+            "kg per metre, so gains, friction and inertias are right in their ratios alone.",
+        )
     warnings += tuple(
         f"joint {j + 1}: dq is {float(s):.3g} times the rate of q, so q and u are taken to be in "
         f"another unit than radians, by that factor"
@@ -123,7 +129,7 @@ def diagnose_positions(
             servos.of("kp").masked_fill(still, torch.nan),
             torch.tensor(interval).masked_fill(still[:, None], torch.nan),
         ),
-        ratio_only=_ratio_only(known),
+        ratio_only=_ratio_only(known) | (not data.weighed),
         commanded=ways[0],
         plain_servo=ways[1],
         answered=ways[2],
@@ -143,7 +149,7 @@ def answer(robot: Robot, log: Log) -> tuple[PositionData, Found]:
     """The answered model alone, without what is told about it.
 
     Raises:
-        LogError, RobotError: as `prepare`.
+        LogError: as `prepare`.
     """
     data = prepare(robot, log)
     windows = windows_of(data.tracks, WINDOW_S)
@@ -185,7 +191,7 @@ def _answer(
     say("a load")
     load, others = None, tuple[str, ...]()
     if bool((_losses(data, simple.servos, few).sum(0) > slight(data, few)).any()):
-        load = with_load(data, simple, few)
+        load = with_load(data, simple, few) if data.weighed else None
     if load is not None:
         # One cause of what all joints show, where no more is needed, comes before several.
         heavy, known, names = alone(load.data, load.found, few)
@@ -203,7 +209,7 @@ def _answer(
     if not bool(explained.all()):
         found = _no_worse(data, found, _no_worse(data, simple, full(data, few, say), few), few)
         found = shared(data, found, few)
-        load = with_load(data, found, few)
+        load = with_load(data, found, few) if data.weighed else None
     say("what each effect is worth")
     gain = None
     if load is not None:
