@@ -167,6 +167,8 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
             if not -float(towards @ step) > WORTH * before:
                 return None
             x, servos = _begun(load, found, windows, size[0] * x.new_tensor(MASSES))
+            if not bool(x.any()):
+                return None  # servos do as well without any mass in front of the link
             continue
         answered = -torch.linalg.solve(gram, pull + cross @ step[:, None])[..., 0]
         # No further than logarithms may go.
