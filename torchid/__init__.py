@@ -53,6 +53,7 @@ _PUBLIC = {
     "withheld_own": "torchid.withheld.own",
     "compare_results": "torchid.compare.results",
     "excite_for": "torchid.next_motion.design",
+    "next_commands": "torchid.position.next_motion",
     "load": "torchid.results.files",
     "draw": "torchid.report.plots",
     "write_view": "torchid.report.view",

@@ -34,6 +34,7 @@ from torchid.pair.pair import compare_pair as compare_pair
 from torchid.position.diagnose import diagnose_positions as diagnose_positions
 from torchid.position.model import ServoArm as ServoArm
 from torchid.position.model import replay as replay
+from torchid.position.next_motion import next_commands as next_commands
 from torchid.report.plots import draw as draw
 from torchid.report.view import write_view as write_view
 from torchid.results.files import load as load

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from tests.excitation.shaped import shaped_arm
+from tests.position.diagnosed import diagnosis
 from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
 
@@ -121,3 +122,20 @@ def test_table_5_1_is_not_repaired(command, tmp_path):
     assert "table 5.1" in done.err
     assert not target.exists()
     assert command("excite", "3r", "--kind", "paper", "--floor", -2, "--to", target).code == 0
+
+
+def test_commands_for_an_arm_without_torque(command, tmp_path):
+    diagnosis().save(tmp_path / "gap.json")
+    given = ("excite", "3r", "--for", tmp_path / "gap.json", "--duration", 4, "--rate", 50)
+    done = command(*given, "--out", tmp_path / "next")
+    assert done.code == 0, done.err
+    assert "4 motions of 4 s at 50 commands a second" in words(done.out)
+    assert "leaves nothing open" in words(done.out)
+    log = read_log(tmp_path / "next" / "trajectory.csv")
+    assert log.u is not None
+    assert log.trajectory_count == 4
+    none = command("excite", "--for", tmp_path / "gap.json", "--to", tmp_path / "a.csv")
+    assert "which robot?" in none.err
+    fast = command(*given, "--speed", 0.5, "--to", tmp_path / "a.csv")
+    assert "at full speed" in fast.err
+    assert not (tmp_path / "a.csv").exists()

@@ -18,6 +18,7 @@ from torchid.next_motion.settings import MotionSettings, Room
 
 if TYPE_CHECKING:
     from torchid.next_motion.planned import Planned
+    from torchid.position.record import PositionRecord
 
 _BOX = "XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX"
 
@@ -114,6 +115,7 @@ def excite_command(
     """
     from torchid.next_motion.design import read_asking
     from torchid.next_motion.plan import plan
+    from torchid.position.record import PositionRecord
     from torchid.report.motion import design_shown, shown
 
     target = to or (output.out and output.out / "trajectory.csv")
@@ -123,8 +125,19 @@ def excite_command(
             expected="--to FILE, --out DIR, --ros2 FILE, --urscript FILE or --json FILE",
         )
     found = None if robot is None else opt.load(robot, tip)
-    if motion.result is not None:
-        found = found or read_asking(motion.result).model
+    asking = None if motion.result is None else read_asking(motion.result)
+    if isinstance(asking, PositionRecord):
+        if found is None:
+            raise TorchidError(
+                "which robot?", expected=f"torchid excite ROBOT --for {motion.result}"
+            )
+        if files.ros2 or files.urscript or motion.speed != 1:
+            raise TorchidError("commands of servos are written with --to, at full speed.")
+        arm = opt.limited(found, max_velocity, max_acceleration)
+        _commands(asking, arm, motion, room, target, output)
+        return
+    if asking is not None:
+        found = found or asking.model
     if found is None:
         if motion.result is not None:
             raise TorchidError(
@@ -141,3 +154,27 @@ def excite_command(
     said = output.keep(data, "excitation.json", lambda _: shown(planned))
     output.tell(design_shown(planned))
     output.tell(said)
+
+
+def _commands(
+    asking: "PositionRecord",
+    robot: "torchid.Robot",
+    motion: MotionSettings,
+    room: Room,
+    target: Path | None,
+    output: Output,
+) -> None:
+    """Commands for an arm that logs no torque: written, and what they would tell."""
+    from torchid.next_motion.plan import clearance_of
+    from torchid.report.position import commands_shown
+
+    clearance, unknown = clearance_of(robot, room, motion.usage)
+    with output.progress() as progress:
+        made = torchid.next_commands(
+            asking, robot, seconds=motion.duration, rate=motion.rate, usage=motion.usage,
+            clearance=clearance, progress=progress,
+        )  # fmt: skip
+    output.put(target, partial(torchid.write_log, made.log))
+    output.tell(
+        output.keep(made.plain(), "excitation.json", lambda _: commands_shown(made, unknown))
+    )

@@ -22,7 +22,7 @@ import torch
 from torchid.errors import RobotError, TorchidError
 from torchid.excitation.distances import Distances
 from torchid.excitation.fourier import FourierTrajectory
-from torchid.excitation.limits import motion_limits
+from torchid.excitation.limits import position_limits
 from torchid.excitation.restriction import Restriction
 from torchid.excitation.settings import CLEARANCE
 from torchid.excitation.trajectories import Sinusoid
@@ -401,7 +401,7 @@ def _arms(
     No configuration takes a point further from a joint than the chain between them is long.
     """
     slides = torch.tensor([kind is JointType.PRISMATIC for kind in robot.joint_types])
-    reach = motion_limits(robot, usage=usage).position.abs().amax(-1) * slides
+    reach = position_limits(robot, usage)[0].abs().amax(-1) * slides
     # Lengths from each joint's origin to the next one's.
     steps = (robot.after[:-1] @ robot.before[1:])[:, :3, 3].norm(dim=-1) + reach[:-1]
     along = torch.cat([steps.new_zeros(1), steps.cumsum(0)])
@@ -421,7 +421,7 @@ def _arms(
 def _sensible(made: Clearance) -> Clearance:
     """Without pairs that no motion can keep apart, as far as the shapes themselves say so."""
     robot = made.robot
-    bounds = motion_limits(robot).position
+    bounds = position_limits(robot)[0]
     lower, upper = bounds.unbind(-1)
     generator = torch.Generator().manual_seed(0)
     drawn = torch.rand((_POSTURES, robot.n), generator=generator, dtype=torch.float64)

@@ -58,12 +58,6 @@ def motion_limits(robot: Robot, *, usage: float = 1.0) -> MotionLimits:
         RobotError: velocity or acceleration limits are missing or do not contain 0, a prismatic
             joint has no position limits, or `usage` is out of range.
     """
-    if not 0 < usage <= 1:
-        raise RobotError(
-            "the share of the limits to use is out of range.",
-            got=usage,
-            expected="above 0, at most 1",
-        )
     limits = robot.limits
     limits.require("velocity", "acceleration", robot=robot.name, purpose="excitation")
     assert limits.velocity is not None
@@ -74,17 +68,36 @@ def motion_limits(robot: Robot, *, usage: float = 1.0) -> MotionLimits:
                 f"robot '{robot.name}': {name} limits that do not contain 0 let no joint rest.",
                 got=bounds.tolist(),
             )
-    position, warnings = _position(robot)
-    middle = position.mean(-1, keepdim=True)
+    position, warnings = position_limits(robot, usage)
     return MotionLimits(
-        middle + usage * (position - middle),
+        position,
         usage * limits.velocity,
         usage * limits.acceleration,
         warnings,
     )
 
 
-def _position(robot: Robot) -> tuple[Tensor, tuple[str, ...]]:
+def position_limits(
+    robot: Robot, usage: float = 1.0
+) -> tuple[Float[Tensor, "n 2"], tuple[str, ...]]:
+    """The share of the position limits that may be used, about their middle; one turn where a
+    revolute joint has none, and a sentence that says so.
+
+    Raises:
+        RobotError: a prismatic joint has none, or `usage` is out of range.
+    """
+    if not 0 < usage <= 1:
+        raise RobotError(
+            "the share of the limits to use is out of range.",
+            got=usage,
+            expected="above 0, at most 1",
+        )
+    given, warnings = _one_turn(robot)
+    middle = given.mean(-1, keepdim=True)
+    return middle + usage * (given - middle), warnings
+
+
+def _one_turn(robot: Robot) -> tuple[Tensor, tuple[str, ...]]:
     given = robot.limits.position
     if given is None:
         given = torch.tensor([[-math.inf, math.inf]] * robot.n, dtype=torch.float64)

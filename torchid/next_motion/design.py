@@ -18,6 +18,7 @@ from torchid.next_motion.ambiguity import open_questions
 from torchid.next_motion.rivals import rivals
 from torchid.next_motion.separating_motion import Separation, design_separation
 from torchid.parallel.workers import Progress, stage
+from torchid.position.record import PositionRecord
 from torchid.results.files import read
 from torchid.robot.model import Robot
 
@@ -27,19 +28,19 @@ EVALUATIONS = 75
 Asking = GapRecord | IdentificationRecord
 
 
-def read_asking(path: str | Path) -> Asking:
-    """A result that a motion can be designed for.
+def read_asking(path: str | Path) -> Asking | PositionRecord:
+    """A result that a motion can be designed for; of commands and positions, by `next_commands`.
 
     Raises:
         TorchidError: another kind of file, or a fault in it, with its place.
     """
     found = read(
         path,
-        ("torchid.identification/1", "torchid.gap/1"),
+        ("torchid.identification/1", "torchid.gap/1", "torchid.position_gap/1"),
         "a result that a motion can be designed for",
         "torchid identify or torchid gap ROBOT LOG... --json FILE",
     )
-    assert isinstance(found, Asking)
+    assert isinstance(found, Asking | PositionRecord)
     return found
 
 
@@ -90,9 +91,11 @@ def excite_for(
     True
     """
     source = str(result) if isinstance(result, str | Path) else "the result"
-    if isinstance(result, str | Path):
-        result = read_asking(result)
-    record = result.record
+    record = read_asking(result) if isinstance(result, str | Path) else result.record
+    if isinstance(record, PositionRecord):
+        raise TorchidError(
+            f"'{source}' is of commands and positions.", expected="torchid.next_commands"
+        )
     assert isinstance(record, Asking)
     robot = robot or record.model
     if robot is None:

@@ -36,7 +36,7 @@ def plan(
         MissingExtraError: a floor or a workspace is asked for, and MuJoCo is not installed.
         TorchidError: a criterion, a device or a result that does not fit.
     """
-    clearance, unknown = _clearance(robot, room or Room(), asked.usage)
+    clearance, unknown = clearance_of(robot, room or Room(), asked.usage)
     designs = _designs(robot, asked, clearance, progress)
     made: Motions
     if designs:
@@ -55,7 +55,9 @@ def plan(
     )
 
 
-def _clearance(robot: Robot, room: Room, usage: float) -> tuple[Clearance | None, tuple[str, ...]]:
+def clearance_of(
+    robot: Robot, room: Room, usage: float
+) -> tuple[Clearance | None, tuple[str, ...]]:
     """What the robot's motions are checked for, None where there is nothing; and what is not
     checked for want of knowledge, one sentence each."""
     try:

@@ -21,7 +21,8 @@ class MotionSettings:
 
     Attributes:
         result: The next motion for an identification.json (fixes the parameters it knows least)
-            or a gap.json (separates what it cannot tell apart, or shows what it could not test).
+            or a gap.json (separates what it cannot tell apart, or shows what it could not test; of
+            commands and positions: four motions in commands).
         kind: Optimised Fourier series, random ones, sinusoids for validation, or the report's
             table 5.1 (3R only).
         count: How many trajectories.

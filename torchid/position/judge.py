@@ -52,7 +52,7 @@ class Equations:
     def deviations(self) -> Float[Tensor, "n K"]:
         """Half of the 95 % intervals (n, K) over that of a normal variable; of logarithms where
         parameters are searched so."""
-        to, prior = self._to_values(), torch.diag_embed(prior_precision(self.names, self.square))
+        to, prior = self.to_values(), torch.diag_embed(prior_precision(self.names, self.square))
         out = torch.zeros_like(self.mask, dtype=self.gram.dtype)
         for j, on in enumerate(self.mask):
             if not bool(on.any()):
@@ -70,8 +70,9 @@ class Equations:
             out[j] = torch.where(on, torch.maximum(by_motions, by_noise), 0.0)
         return out
 
-    def _to_values(self) -> Float[Tensor, "n K K"]:
-        """Changes of parameters by searched coordinates, in which torques are shares of kp."""
+    def to_values(self) -> Float[Tensor, "n K K"]:
+        """Changes of parameters, logarithms of what is searched so, by searched coordinates, in
+        which torques are shares of kp."""
         size = len(self.names)
         out = torch.eye(size, dtype=self.gram.dtype).repeat(self.servos.n, 1, 1)
         gain, k = self.servos.of("kp"), self.names.index("kp")

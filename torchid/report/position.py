@@ -11,6 +11,7 @@ from torch import Tensor
 from torchid.errors import TorchidError
 from torchid.position.diagnosis import PositionDiagnosis, PositionFinding, Size
 from torchid.position.model import Replay
+from torchid.position.next_motion import NextCommands
 from torchid.position.nominal import unit_of
 from torchid.position.record import PositionRecord
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
@@ -503,3 +504,30 @@ def joint_figure(result: PositionDiagnosis, joint: int | None = None) -> Figure:
     below.set(ylabel="simulated less\nmeasured [mrad]", xlabel="time [s]")
     motion = log.names[int(log.trajectory[rows.start])]
     return finish(figure, f"joint {labels(result)[joint]} in {motion}, which was left out", above)
+
+
+def commands_shown(made: NextCommands, unknown: Sequence[str] = ()) -> Shown:
+    """What the next commands are and tell.
+
+    Args:
+        made: the commands.
+        unknown: what could not be checked, one sentence each.
+    """
+    rows = [
+        (
+            str(o.joint + 1), o.parameter, o.why,
+            "-" if math.isnan(o.now) else f"{o.now:.2g}", f"{o.then:.2g}",
+        )
+        for o in made.open
+    ]  # fmt: skip
+    said = f"{len(made.motions)} motions of {made.seconds:g} s at {made.rate:g} commands a second: "
+    said += "; ".join(made.motions) + "."
+    if not rows:
+        said += " The diagnosis leaves nothing open; they serve all of its parameters."
+    note = (
+        "half widths of 95 % intervals, foretold for servos like the answered ones; of gains, "
+        "friction and inertia as shares"
+    )
+    columns = ("joint", "parameter", "open because of", "now +-", "then +-")
+    table = Table("What they would tell", columns, rows, names=("parameter",), note=note)
+    return Shown(verdict=said, parts=[table] if rows else [], warnings=(*made.warnings, *unknown))

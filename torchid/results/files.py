@@ -24,6 +24,7 @@ RECORDS = {
     "torchid.gap/1": "torchid.gap.record:GapRecord",
     "torchid.pair/1": "torchid.pair.record:PairRecord",
     "torchid.position_gap/1": "torchid.position.record:PositionRecord",
+    "torchid.position_motion/1": "torchid.position.next_motion:NextCommandsRecord",
     "torchid.replay/1": "torchid.position.model:ReplayRecord",
     "torchid.correction/1": "torchid.export.record:CorrectionRecord",
     "torchid.randomisation/1": "torchid.export.record:RandomisationRecord",
