@@ -3,6 +3,7 @@
 Read from top to bottom: `diagnose_positions` is the pipeline.
 """
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -423,13 +424,15 @@ def _findings(answered: _Answer, known: Equations) -> tuple[PositionFinding, ...
     out = []
     if answered.load is not None:
         load, light, heavy, others = answered.load
-        values = [load.mass, *load.com.tolist()]
-        body = tuple(
-            Size(key, unit, v, (v - HALF_95 * float(s), v + HALF_95 * float(s)))
-            for key, unit, v, s in zip(
-                ("mass", "x", "y", "z"), ("kg", "m", "m", "m"), values, load.std, strict=True
-            )
+        # A mass goes with the servos' gains, by factors: its interval is theirs, of a logarithm.
+        half = (HALF_95 * load.std).tolist()
+        factor = math.exp(half[0] / load.mass)
+        mass = Size("mass", "kg", load.mass, (load.mass / factor, load.mass * factor))
+        com = (
+            Size(key, "m", value, (value - h, value + h))
+            for key, value, h in zip("xyz", load.com.tolist(), half[1:], strict=True)
         )
+        body = (mass, *com)
         far, near = (1e3 * float((x.mean() / looked).sqrt()) for x in (light, heavy))
         out.append(
             PositionFinding(
