@@ -25,6 +25,12 @@ SAID = {
         "written: identified.urdf",
     ),
     "05_correct_a_simulator": ("65 % of it is kept", "\nexplained\n"),
+    "06_your_so101": (
+        "explained\n",
+        "set_point_profile joint 2 ['acceleration 4",
+        "end_stop joint 3 ['stop_high 0.25']",
+        "acceleration of joint 2: +-",
+    ),
 }
 """What the words around the cells rest on."""
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
 import torch
 import yaml
 from msgspec import UNSET, UnsetType
@@ -19,8 +20,9 @@ from torchid.robot.writer import robot_yaml
 from torchid.robot.yaml_file import read_yaml
 from torchid.robot.yaml_values import parsed_yaml
 from torchid.simulation.replay import replayed
-from torchid.simulation.servo import NAMES, Servos
+from torchid.simulation.servo import INDEX, NAMES, Servos
 from torchid.simulation.servo_loop import Tracks, Windows, windows_of
+from torchid.tensors import as_tensor
 from torchid.typing import Bool, Float, Tensor
 
 KEY = "servos"
@@ -54,23 +56,30 @@ class ServoArm:
         return f"ServoArm('{self.robot.name}')"
 
     @classmethod
-    def of(cls, robot: Robot, **values: float) -> "ServoArm":
-        """The same servo on every joint.
+    def of(cls, robot: Robot, **values: float | Sequence[float] | np.ndarray | Tensor) -> "ServoArm":
+        """An arm with these servos.
 
         Args:
             robot: with inertial parameters.
-            values: of `torchid.simulation.servo.PARAMETERS` by name, as kp [N m/rad]; those that
-                are not given have no effect.
+            values: of `torchid.simulation.servo.PARAMETERS` by name, as kp [N m/rad]: one of all
+                joints, or n; those that are not given have no effect.
 
         Raises:
-            TorchidError: no such parameter.
+            TorchidError: no such parameter, or not a number for every joint.
         """
-        for name in values:
+        servos = Servos.neutral(robot.n)
+        for name, value in values.items():
             if name not in NAMES:
                 raise TorchidError("a servo has no such parameter.", got=name, available=NAMES)
-        return cls(
-            robot, Servos.neutral(robot.n, **values), torch.ones(robot.n, dtype=torch.float64)
-        )
+            each = as_tensor(value, name)
+            if each.shape not in ((), (robot.n,)) or bool(each.isnan().any()):
+                raise TorchidError(
+                    f"values of '{name}' do not fit the joints.",
+                    got=value,
+                    expected=f"a number, or {robot.n}",
+                )
+            servos.joint[:, INDEX[name]] = each
+        return cls(robot, servos, torch.ones(robot.n, dtype=torch.float64))
 
     @classmethod
     def read(cls, path: str | Path) -> "ServoArm":
