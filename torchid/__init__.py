@@ -43,6 +43,7 @@ _PUBLIC = {
     "compare_wrenches": "torchid.study.equal_torque.given_sets",
     "export_dynamics": "torchid.export.export",
     "correct": "torchid.export.correct",
+    "correct_positions": "torchid.export.correct_positions",
     "randomise": "torchid.export.randomise",
     "diagnose": "torchid.gap.diagnose",
     "GapSettings": "torchid.gap.settings",

@@ -10,6 +10,7 @@ from torchid.excitation.design import excite as excite
 from torchid.excitation.synthetic import PaperNoise as PaperNoise
 from torchid.excitation.synthetic import simulate as simulate
 from torchid.export.correct import correct as correct
+from torchid.export.correct_positions import correct_positions as correct_positions
 from torchid.export.export import export_dynamics as export_dynamics
 from torchid.export.randomise import randomise as randomise
 from torchid.extraction.convex.atlas import atlas as atlas

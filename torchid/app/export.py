@@ -17,6 +17,16 @@ Simulated = Literal["mjcf", "urdf", "drake", "mujoco", "mjlab", "isaaclab", "gaz
 """What a corrected file can be for; the last four read one of the first two."""
 
 
+def require_servos(to: str) -> None:
+    """Raise TorchidError for files that do not say servos."""
+    if to not in ("mjcf", "mujoco", "mjlab"):
+        raise TorchidError(
+            "these logs have commands and positions, and servos are written into an MJCF only.",
+            got=to,
+            available=["mjcf", "mujoco", "mjlab"],
+        )
+
+
 @command
 def export_command(
     *,
@@ -69,7 +79,12 @@ def export_command(
     """
     from torchid.export.projection import Target
     from torchid.export.results import carried, diagnosis
-    from torchid.report.robot import correction_shown, export_shown, randomisation_shown
+    from torchid.report.robot import (
+        correction_shown,
+        export_shown,
+        randomisation_shown,
+        servos_shown,
+    )
 
     if randomise is not None:
         if to is not None:
@@ -109,6 +124,15 @@ def export_command(
         )
     read = reading.read(log, found.original)
     apart = reading.read(held_out, found.original) if held_out else None
+    if found.dynamics.servos is not None:
+        require_servos(to)
+        arm = torchid.ServoArm.read(result)
+        followed = torchid.correct_positions(
+            found.original, arm, read, output.out or Path(), name, held_out=apart, seed=seed,
+            keep=keep,
+        )  # fmt: skip
+        output.give(followed, "correction.json", servos_shown, seed=seed)
+        return
     made = torchid.correct(
         found.original, found.dynamics.robot, read, to, output.out or Path(), name,
         held_out=apart, settings=found.settings, keep=keep,
@@ -156,15 +180,28 @@ def correct_command(
     from torchid.export.correct import file_format
     from torchid.export.export import require_name
     from torchid.report.gap_words import verdict
-    from torchid.report.robot import correction_shown
+    from torchid.report.position import position_verdict
+    from torchid.report.robot import correction_shown, servos_shown
 
     kind = file_format(to)
     if name is not None:
         require_name(name)
     found, log, apart, _ = trials.open(output, settings.held_out_fraction)
+    keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
+    if opt.commanded(log, found):
+        require_servos(to)
+        with output.progress("preparing") as progress:
+            servos = torchid.diagnose_positions(found, log, held_out=apart, progress=progress)
+        followed = torchid.correct_positions(
+            found, servos, log, output.out or Path(), name, held_out=apart, seed=settings.seed,
+            keep=keep,
+        )  # fmt: skip
+        told = output.keep(followed, "correction.json", servos_shown, seed=settings.seed)
+        output.verdict(position_verdict(servos))
+        output.tell(told)
+        return
     with output.progress("preparing") as progress:
         result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
-    keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
     done = torchid.correct(
         found, result, log, kind, output.out or Path(), name, held_out=apart, settings=settings,
         with_effects=with_effects and (to if to == "isaaclab" or to == "mjlab" else True),

@@ -9,7 +9,7 @@ import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.export import Simulated
+from torchid.app.export import Simulated, require_servos
 from torchid.app.output import Output, Reported
 from torchid.app.project import current
 from torchid.app.signature import command
@@ -103,12 +103,13 @@ def gap_command(
         raise TorchidError("--for writes a file, and needs --out DIR.")
     kind = None if asked.for_ is None else file_format(asked.for_)
     found, log, apart, files = trials.open(output, settings.held_out_fraction)
-    torque = log.tau is not None and bool(log.tau.any())
-    current = log.tau is None and log.current is not None and found.drive_gain is not None
-    if log.u is not None and not torque and not current:
+    if opt.commanded(log, found):
         if asked.view is not None:
             raise TorchidError("--view shows torques; these logs have commands and positions.")
-        _positions(output, found, log, apart, asked, settings, files)
+        if asked.for_ is not None:
+            require_servos(asked.for_)
+        keep = [Path(trials.robot), *(trials.logs or ()), *(trials.held_out or ())]
+        _positions(output, found, log, apart, asked, settings, files, keep)
         return
     if asked.servo is not None:
         raise TorchidError("--servo is for logs of commands and positions; these have torques.")
@@ -188,10 +189,12 @@ def _positions(
     asked: _Asked,
     settings: GapSettings,
     files: "tuple[InputFile, ...]",
+    keep: "list[Path]",
 ) -> None:
     """The diagnosis of logs that have commands and no torques."""
     from torchid.position.nominal import nominal_servos
     from torchid.report.position import shown
+    from torchid.report.robot import servos_shown
 
     default = GapSettings(seed=settings.seed)
     changed = [
@@ -212,4 +215,12 @@ def _positions(
         files=files, settings={"servo": asked.servo or "not said"},
     )  # fmt: skip
     output.put(asked.save_model, result.corrected.write)
-    output.tell(said)
+    told = [said]
+    if asked.for_ is not None and output.out is not None:
+        done = torchid.correct_positions(
+            robot, result, log, output.out, held_out=apart, seed=settings.seed, keep=keep
+        )
+        output.put(output.out / "correction.json", done.save)
+        told.append(servos_shown(done))
+    for one in told:
+        output.tell(one)

@@ -307,6 +307,13 @@ class Trials(ArmAndLogs):
         return robot, log, held_out, files
 
 
+def commanded(log: "torchid.Log", robot: "torchid.Robot") -> bool:
+    """Whether a log has commands and no torque."""
+    torque = log.tau is not None and bool(log.tau.any())
+    current = log.tau is None and log.current is not None and robot.drive_gain is not None
+    return log.u is not None and not torque and not current
+
+
 def load(name: str, tip: str | None) -> "torchid.Robot":
     """A robot; one that the project file names with the limits and the payload that it says."""
     from torchid.effects.registry import nominal_effects

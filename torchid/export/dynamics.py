@@ -12,6 +12,7 @@ from torchid.effects.registry import Valued, model_torque, nominal_effects
 from torchid.identification.values import BaseValues
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import JointType, Robot
+from torchid.simulation.servo import Servos
 from torchid.typing import Float, Joints, Tensor
 
 STATES = 200
@@ -31,6 +32,8 @@ class Dynamics:
         title: the same in words, with the file it is from.
         base: the base parameters, of an identification.
         warnings: sentences for the user.
+        servos: of its joints, beside damping, dry friction and armature, which are effects of the
+            robot; None where no servos are known.
     """
 
     robot: Robot
@@ -38,6 +41,7 @@ class Dynamics:
     title: str
     base: BaseValues | None = None
     warnings: tuple[str, ...] = ()
+    servos: Servos | None = None
 
     def torque(self, motion: Motion) -> Joints:
         """Torque (..., n) [N m; N] of the result's own model."""

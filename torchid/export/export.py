@@ -13,6 +13,7 @@ from torchid.export.joint_dynamics import Target
 from torchid.export.nearest import nearest_bodies
 from torchid.export.record import ExportRecord, export_record
 from torchid.export.results import Exportable, dynamics_of
+from torchid.export.servo_mjcf import JOINTS, SAID, unsaid
 from torchid.export.write_actuator import Package, write_actuator
 from torchid.export.write_plain import write_c, write_table, write_yaml
 from torchid.export.write_xml import write_xml
@@ -184,8 +185,21 @@ def export_dynamics(
         in_file=in_file,
         beside=beside,
         left_out=left_out,
-        notes=draft.notes,
+        notes=(*_of_servos(dynamics, to), *draft.notes),
     )
+
+
+def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
+    """What of servos a format does not say, in words."""
+    if dynamics.servos is None:
+        return ()
+    names = unsaid(dynamics.servos, SAID if to == "mjcf" else JOINTS)
+    more = "gains, delays, clips and stops, too; refitted with --log" if to == "mjcf" else "no gain"
+    said = (
+        f"of the servos {', '.join(names)} are not in it: damping, dry friction and armature are, "
+        f"{more}; `torchid simulate --replay` moves all of the model"
+    )
+    return (said,) if names else ()
 
 
 def stem_of(robot: Robot) -> str:

@@ -10,6 +10,7 @@ from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:
     from torchid.export.correct import Correction
+    from torchid.export.correct_positions import PositionCorrection
     from torchid.export.export import Export
 
 
@@ -151,6 +152,55 @@ class CorrectionRecord(Record, frozen=True, kw_only=True, tag="torchid.correctio
         return Rows(self.no_field)
 
 
+_FOLLOWED = {"claim": "file_claimed", "engine": "file_in_engine"}
+
+
+class FollowedRow(Part, frozen=True, kw_only=True, rename=_FOLLOWED):
+    """Position errors of one joint [mrad]; see `export.correct_positions.Followed`."""
+
+    joint: Joint
+    command: Real
+    full: Real
+    claim: Real
+    engine: Real
+
+
+class UnsaidRow(Part, frozen=True, kw_only=True):
+    """A parameter of servos that the file has no field for."""
+
+    parameter: str
+    joints: tuple[Joint, ...]
+
+
+class PositionCorrectionRecord(
+    Record, frozen=True, kw_only=True, tag="torchid.position_correction/1"
+):
+    """An MJCF with servos.
+
+    Attributes:
+        robot: name of the robot as given. to: format of the file.
+        on: what the errors are on. engine: which moved the file.
+        position_error_mrad: by joint.
+        no_field: what the file does not say of the servos.
+        exports: what was written, with warnings.
+        seed: of the states at which it was compared, from a command.
+    """
+
+    robot: str
+    to: str
+    on: str
+    engine: str
+    position_error_mrad: tuple[FollowedRow, ...]
+    no_field: tuple[UnsaidRow, ...]
+    exports: tuple[ExportRecord, ...]
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[FollowedRow]:
+        """Errors by joint."""
+        return Rows(self.position_error_mrad)
+
+
 class RangeRow(Part, frozen=True, kw_only=True):
     """One range.
 
@@ -275,4 +325,25 @@ def correction_record(done: "Correction") -> CorrectionRecord:
         ),
         exports=tuple(one.record for one in done.exports),
         warnings=done.warnings,
+    )
+
+
+def position_correction_record(done: "PositionCorrection") -> PositionCorrectionRecord:
+    """A correction of servos as its JSON has it."""
+    followed = done.followed
+    names = ("command", "full", "claim", "engine")
+    columns = [getattr(followed, name).tolist() for name in names]
+    return PositionCorrectionRecord(
+        robot=done.nominal.name,
+        to=done.export.format,
+        on=followed.held_out,
+        engine=followed.by,
+        position_error_mrad=tuple(
+            FollowedRow(joint=j, **dict(zip(names, row, strict=True)))
+            for j, row in enumerate(zip(*columns, strict=True))
+        ),
+        no_field=tuple(
+            UnsaidRow(parameter=name, joints=joints) for name, joints in done.no_field.items()
+        ),
+        exports=(done.export.record,),
     )

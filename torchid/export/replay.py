@@ -99,7 +99,7 @@ class InMujoco:
             data.qpos[self.places], data.qvel[self.rows] = q[0], windows.dq0[b].numpy()
             out[b, 0] = q[0]
             for k in range(int(windows.steps[b].clamp(max=len(q) - 1))):
-                with _silent(mujoco):
+                with silent(mujoco):
                     for i in range(steps):
                         share = (i + 0.5) / steps
                         data.qfrc_applied[self.rows] = (1 - share) * tau[k] + share * tau[k + 1]
@@ -118,7 +118,7 @@ def _refused(reader: str, robot: Robot, error: Exception) -> TorchidError:
 
 
 @contextmanager
-def _silent(mujoco: Any) -> Iterator[None]:
+def silent(mujoco: Any) -> Iterator[None]:
     """An arm that runs away is part of the answer: MuJoCo neither prints it nor writes a file of
     it."""
     before = mujoco.get_mju_user_warning()

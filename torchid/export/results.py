@@ -16,6 +16,7 @@ from torchid.effects.inertia import RotorInertia
 from torchid.effects.registry import Valued, nominal_effects, nominal_others
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, described, of_base, records
+from torchid.export.servo_mjcf import said
 from torchid.extraction.problem import FAR
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, read_other_effects, read_sets
@@ -28,7 +29,6 @@ from torchid.position.model import ServoArm
 from torchid.results.files import read
 from torchid.robot.library import is_robot, load_both, load_robot, named_robot
 from torchid.robot.model import Robot
-from torchid.simulation.servo import PARAMETERS
 
 Exportable = Dynamics | Identification | ParameterSets | Robot
 IDENTIFICATION = "torchid.identification/1"
@@ -247,31 +247,21 @@ def robot_dynamics(robot: Robot) -> Dynamics:
 
 
 def servo_dynamics(arm: ServoArm) -> Dynamics:
-    """A robot with what its servos are beside their control: damping, dry friction, armature.
+    """A robot with its servos, whose damping, dry friction and armature are its joints'.
 
     Raises:
         RobotError: it has no parameters.
     """
-    own = robot_dynamics(arm.robot)
+    own, servos = robot_dynamics(arm.robot), said(arm.servos)
     kinds = {"damping": ViscousFriction, "coulomb": CoulombFriction, "armature": RotorInertia}
     pairs = [
         (kind(j), [value])
         for name, kind in kinds.items()
-        for j, value in enumerate(arm.servos.of(name).tolist())
+        for j, value in enumerate(servos.of(name).tolist())
         if value > 0
     ]
-    others = [
-        p.name
-        for p in PARAMETERS
-        if p.name not in kinds and bool((arm.servos.of(p.name) != p.neutral).any())
-    ]
-    others += ["plane"] if float(arm.servos.plane[4]) > 0 else []
     robot = replace(arm.robot, effects=(*arm.robot.effects, *records(pairs)))
-    said = (
-        f"of the servos {', '.join(others)} are not in it: damping, dry friction and armature are; "
-        "`torchid simulate --replay` moves all of the model"
-    )
-    return replace(own, robot=robot, warnings=(*own.warnings, *([said] if others else [])))
+    return replace(own, robot=robot, servos=arm.servos)
 
 
 def _beside(

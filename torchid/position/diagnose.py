@@ -5,7 +5,7 @@ Read from top to bottom: `diagnose_positions` is the pipeline.
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 
@@ -16,7 +16,7 @@ from torchid.log.checks import STILL
 from torchid.log.model import Log
 from torchid.position.data import PositionData, missing_commands, prepare
 from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
-from torchid.position.effects import BY_NAME, EFFECTS, KEPT, PAYLOAD, PositionEffect
+from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, PositionEffect
 from torchid.position.fit import NOISE, TOGETHER, errors, fit
 from torchid.position.judge import (
     Equations,
@@ -26,7 +26,7 @@ from torchid.position.judge import (
     motion_losses,
     value_interval,
 )
-from torchid.position.model import accuracy
+from torchid.position.model import ServoArm, accuracy
 from torchid.position.payload import Loaded, with_load
 from torchid.position.rods import PER_METRE
 from torchid.position.search import ALIKE, Found, Rivals, alone, full, plain, shared, slight
@@ -159,6 +159,44 @@ def answer(robot: Robot, log: Log) -> tuple[PositionData, Found]:
     few, more = _some(windows, MOST, telling), _some(windows, 3 * MOST, telling)
     answered = _answer(data, simple, few, more, lambda _: None)
     return answered.data, answered.found
+
+
+def refitted(arm: ServoArm, log: Log, names: Collection[str]) -> ServoArm:
+    """The arm with servos that have some parameters alone, fitted to a log.
+
+    Args:
+        arm: whose servos may have more.
+        log: t, q and u.
+        names: of `torchid.simulation.servo.PARAMETERS`, the core's among them; others than the
+            core's are free where the arm has them.
+
+    Raises:
+        LogError: as `prepare`.
+    """
+    data = prepare(arm.robot, log)
+    windows = _some(windows_of(data.tracks, WINDOW_S), MOST)
+    used = {p.name: arm.servos.of(p.name) != p.neutral for p in PARAMETERS}
+    used |= dict.fromkeys(CORE, torch.ones(data.robot.n, dtype=torch.bool))
+    free = {name: used[name] for name in names if bool(used[name].any())}
+    neutral = torch.tensor([p.neutral for p in PARAMETERS], dtype=torch.float64)
+    joint = torch.where(
+        torch.tensor([p.name in names for p in PARAMETERS]), arm.servos.joint, neutral
+    )
+    # What is searched on a logarithmic scale begins at a number.
+    for k, p in enumerate(PARAMETERS):
+        if p.name in CORE and p.kind == "log":
+            joint[:, k] = joint[:, k].clamp(min=1e-6 * float(joint[:, INDEX["kp"]].max()))
+    # Begun there and from plain servos; each joint has what follows it better.
+    core = torch.tensor([p.name in CORE for p in PARAMETERS])
+    begun = (joint, torch.where(core, plain(data, windows).servos.joint, joint))
+    servos = replace(arm.servos, plane=torch.zeros_like(arm.servos.plane))
+    ends = [
+        fit(data, replace(servos, joint=joint), free, windows, profiles=True, iterations=12)
+        for joint in begun
+    ]
+    first, second = (_losses(data, end, windows).sum(0)[:, None] for end in ends)
+    servos = replace(servos, joint=torch.where(first <= second, ends[0].joint, ends[1].joint))
+    return ServoArm(data.robot, servos, arm.scale)
 
 
 @dataclass(frozen=True, eq=False)

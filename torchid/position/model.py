@@ -56,7 +56,9 @@ class ServoArm:
         return f"ServoArm('{self.robot.name}')"
 
     @classmethod
-    def of(cls, robot: Robot, **values: float | Sequence[float] | np.ndarray | Tensor) -> "ServoArm":
+    def of(
+        cls, robot: Robot, **values: float | Sequence[float] | np.ndarray | Tensor
+    ) -> "ServoArm":
         """An arm with these servos.
 
         Args:

@@ -10,6 +10,7 @@ import torch
 from rich.text import Text
 
 from torchid.export.correct import Correction
+from torchid.export.correct_positions import WINDOW_S, PositionCorrection
 from torchid.export.export import Export
 from torchid.export.joint_dynamics import Target, split
 from torchid.export.mjcf import ATTRIBUTES
@@ -174,6 +175,37 @@ def correction_shown(done: Correction) -> Shown:
         warnings=dict.fromkeys(warnings),
         last=f"written: {', '.join(map(str, done.files))}",
     )
+
+
+def servos_shown(done: PositionCorrection) -> Shown:
+    """All that there is to see of servos in a simulator's file."""
+    followed, joints = done.followed, joint_numbers(done.nominal.n)
+    rows = [
+        ("the position is the command", followed.command),
+        ("all effects", followed.full),
+        ("the file alone, claimed", followed.claim),
+        (f"the file alone, {followed.by}", followed.engine),
+    ]
+    errors = [(name, *cells([*v.tolist(), float(v.nanmean())], ".1f")) for name, v in rows]
+    beside = [
+        (name, ", ".join(str(j + 1) for j in on) or "the arm") for name, on in done.no_field.items()
+    ]
+    means = [float(x.nanmean()) for x in (followed.engine, followed.full, followed.command)]
+    again = f"position error, begun anew every {WINDOW_S:g} s [mrad]"
+    return Shown(
+        verdict=f"On {followed.held_out} {followed.by} with the corrected servos misses the "
+        f"positions by {means[0]:.1f} mrad on average; with all effects it would be "
+        f"{means[1]:.1f}, and the commands themselves are {means[2]:.1f} away.",
+        parts=filled(
+            Table(again, ("", *joints, "mean"), errors, words=("",)),
+            Table(
+                "of the servos, without a field in the file", ("parameter", "joints"), beside,
+                words=("parameter", "joints"),
+            ),
+        ),
+        warnings=done.export.warnings,
+        last=f"written: {', '.join(map(str, done.files))}",
+    )  # fmt: skip
 
 
 def correction_headline(done: Correction) -> str:

@@ -1,0 +1,183 @@
+"""A diagnosis of commands and positions carried out into MuJoCo: servos refitted to what an MJCF
+says of them, written, and moved there by the log's commands.
+
+Nothing is written before the engine has run the file on the log.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import torch
+
+from torchid.errors import TorchidError
+from torchid.export.export import SUFFIXES, Export, export_dynamics, stem_of
+from torchid.export.record import PositionCorrectionRecord, position_correction_record
+from torchid.export.results import servo_dynamics
+from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid, write_servos
+from torchid.export.write_xml import xml_of
+from torchid.log.model import Log
+from torchid.position.data import prepare
+from torchid.position.diagnose import refitted
+from torchid.position.diagnosis import PositionDiagnosis
+from torchid.position.model import ServoArm, replay
+from torchid.results.record import Result
+from torchid.robot.model import Robot
+from torchid.simulation.servo_loop import windows_of
+from torchid.typing import Float, Tensor
+
+WINDOW_S = 10.0
+"""Motions begin again at the measured position after so long [s]."""
+NO_BETTER = 0.9
+"""Mean error over that of the commands themselves from which a file is refused."""
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """RMS position errors, begun anew at the measured position every 10 s [mrad of the log's unit].
+
+    Attributes:
+        held_out: what they are on: `a held-out log` or `the log that was fitted`.
+        command: (n,) the position is the command.
+        full: (n,) all that was diagnosed, by torchid.
+        claim: (n,) what the file says, by torchid.
+        engine: (n,) the file, by the engine that runs it.
+        by: that engine.
+    """
+
+    held_out: str
+    command: Float[Tensor, " n"]
+    full: Float[Tensor, " n"]
+    claim: Float[Tensor, " n"]
+    engine: Float[Tensor, " n"]
+    by: str
+
+
+@dataclass(frozen=True, eq=False)
+class PositionCorrection(Result):
+    """An MJCF with servos.
+
+    Attributes:
+        nominal: the robot as given.
+        refitted: the servos that are in the file.
+        followed: what it is worth.
+        no_field: parameters of servos that are not in it, with joints from 0.
+        export: what was written.
+    """
+
+    nominal: Robot
+    refitted: ServoArm
+    followed: Followed
+    no_field: dict[str, tuple[int, ...]]
+    export: Export
+
+    def __repr__(self) -> str:
+        return f"PositionCorrection('{self.nominal.name}', {', '.join(map(str, self.files))})"
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What was written."""
+        return self.export.files
+
+    @cached_property
+    def record(self) -> PositionCorrectionRecord:
+        """As the JSON has it."""
+        return position_correction_record(self)
+
+
+def correct_positions(
+    robot: Robot,
+    full: PositionDiagnosis | ServoArm,
+    log: Log,
+    folder: Path | str,
+    name: str | None = None,
+    *,
+    held_out: Log | None = None,
+    seed: int = 0,
+    keep: Sequence[Path] = (),
+) -> PositionCorrection:
+    """Write a robot with servos as MuJoCo says them, refitted to a log of commands and positions.
+
+    Args:
+        robot: as given: if it is an MJCF, a copy of its file is edited.
+        full: a diagnosis of it on this log, or what it corrected.
+        log: motions that the servos in the file are fitted to.
+        folder: made if need be.
+        name: of the file, without suffix; the robot's own, with `_corrected`, by default.
+        held_out: motions that judge it; without them, those that it was fitted to.
+        seed: of the states at which the file's torque is compared.
+        keep: files that are never overwritten.
+
+    Raises:
+        LogError: logs that do not fit the robot, or have no commands.
+        MissingExtraError: MuJoCo is not installed.
+        TorchidError: another arm, or a file that follows hardly better than its commands.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> import numpy as np, torchid
+    >>> real = torchid.ServoArm.of(torchid.load_robot("3r"), kp=260.0, damping=22.0, armature=0.8)
+    >>> u = 0.3 * np.sin(np.outer(0.02 * np.arange(200), [1.0, 2.0, 3.0]))
+    >>> log = torchid.replay(real, torchid.Log(0.02 * np.arange(200), q=u, u=u)).simulated[0]
+    >>> with TemporaryDirectory() as folder:
+    ...     done = correct_positions(torchid.load_robot("3r"), real, log, folder)
+    >>> bool(done.followed.engine.mean() < 1.0 < done.followed.command.mean())
+    True
+    """
+    arm = full.corrected if isinstance(full, PositionDiagnosis) else full
+    if arm.robot.n != robot.n or bool((arm.robot.frames_apart(robot) > 1e-9).any()):
+        raise TorchidError(
+            "the servos are of another arm.",
+            got=f"'{arm.robot.name}', {arm.robot.n} joints",
+            expected=f"'{robot.name}', {robot.n} joints in the same places",
+        )
+    within = refitted(arm, log, SAID)
+    on = log if held_out is None else held_out
+    stem = f"{stem_of(robot)}_corrected" if name is None else name
+    dynamics = servo_dynamics(within)
+    original = robot if Path(robot.source).suffix.lower() == SUFFIXES["mjcf"] else None
+    with TemporaryDirectory() as drafts:
+        draft = Path(drafts) / f"{stem}.xml"
+        written, file, _, _ = xml_of(dynamics.robot, draft, original, "mjcf")
+        write_servos(file, written, within.servos, robot.source)
+        draft.write_bytes(file.to_bytes())
+        engine = ServosInMujoco(draft, written)
+        data = prepare(within.robot, on)
+        windows = windows_of(data.tracks, WINDOW_S)
+        q = engine.moved(data.tracks, windows, *(x.numpy() for x in data.start(windows)))
+        followed = Followed(
+            "the log that was fitted" if held_out is None else "a held-out log",
+            _rms((data.tracks.u - data.q) / data.scale),
+            replay(arm, on, windows=WINDOW_S).error[0],
+            replay(within, on, windows=WINDOW_S).error[0],
+            _rms((q - data.q) / data.scale),
+            engine.name,
+        )
+    worth, none = (
+        float(x.nan_to_num(torch.inf).mean()) for x in (followed.engine, followed.command)
+    )
+    if not worth < NO_BETTER * none:
+        raise TorchidError(
+            "the file follows hardly better than its commands, so nothing was written.",
+            got=f"{worth:.3g} mrad in {followed.by}",
+            expected=f"less than {NO_BETTER:g} times {none:.3g} mrad, on {followed.held_out}",
+        )
+    no_field = unsaid(arm.servos)
+    words = f"'{robot.name}' with servos, corrected and refitted to mjcf"
+    beside = [f"{name}{_places(joints)}" for name, joints in no_field.items()]
+    title = words + (f"; no field for {', '.join(beside)}" if beside else "")
+    export = export_dynamics(
+        replace(dynamics, title=title), "mjcf", folder, stem, nominal=robot, geometry="none",
+        seed=seed, keep=keep,
+    )  # fmt: skip
+    return PositionCorrection(robot, within, followed, no_field, export)
+
+
+def _rms(apart: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:
+    """[mrad]"""
+    return 1e3 * apart.square().mean(0).sqrt()
+
+
+def _places(joints: Sequence[int]) -> str:
+    return f" of joint {', '.join(str(j + 1) for j in joints)}" if joints else ""

@@ -1,0 +1,247 @@
+"""Position servos as actuators of an MJCF, which say part of what servos are, and what MuJoCo makes
+of them: their force, and where the arm goes with a log's commands.
+
+    force = kp (scale u - q) + offset, clipped; u late by a delay and through a filter
+
+A servo's own damping is the joint's, beside its dry friction and armature.
+"""
+
+import math
+from collections.abc import Collection
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchid.digits import number
+from torchid.errors import MissingExtraError, TorchidError
+from torchid.export.checks import Comparison, missing, relative_difference
+from torchid.export.engines import mujoco_model, mujoco_places
+from torchid.export.replay import silent
+from torchid.export.xml_tree import XmlFile, child, child_or_new, children, local, new_child
+from torchid.robot.model import JointType, Robot
+from torchid.simulation.servo import INDEX, PARAMETERS, Servos
+from torchid.simulation.servo_loop import Tracks, Windows
+from torchid.typing import Float
+
+JOINTS = {"damping": "damping", "coulomb": "friction", "armature": "armature"}
+"""Parameters of servos that are a joint's, and what they are in `JointDynamics`."""
+STOPS = ("stop_low", "stop_high")
+SAID = ("kp", *JOINTS, "offset", "delay", "scale", "lag", "clip", *STOPS)
+"""Parameters of servos that an MJCF says."""
+STEP = 0.002
+"""MuJoCo's own where a file says none [s]."""
+_STIFF = "0.005 1"
+"""solreflimit of an end stop: MuJoCo's own gives way by milliradians."""
+_EXACT = 1e-9
+
+
+def unsaid(servos: Servos, names: Collection[str] = SAID) -> dict[str, tuple[int, ...]]:
+    """What of servos is not among the parameters of a file: names, with joints from 0."""
+    out = {}
+    for p in PARAMETERS:
+        joints = (servos.of(p.name) != p.neutral).nonzero().flatten().tolist()
+        if p.name not in names and joints:
+            out[p.name] = tuple(joints)
+    if float(servos.plane[4]) > 0:
+        out["plane"] = ()
+    return out
+
+
+def said(servos: Servos) -> Servos:
+    """Servos as an MJCF says them. A torque by the error's rate is damping, and a torque by the
+    command's; the file has the first of them."""
+    joint = servos.joint.clone()
+    joint[:, INDEX["damping"]] += servos.of("kd")
+    for p in PARAMETERS:
+        if p.name not in SAID:
+            joint[:, INDEX[p.name]] = p.neutral
+    return Servos(joint, torch.zeros_like(servos.plane))
+
+
+def write_servos(file: XmlFile, robot: Robot, servos: Servos, source: str) -> None:
+    """Put a <general> for every servo into a file, in the place of the joint's actuators.
+
+    Args:
+        file: with all joints of the robot, by name.
+        robot: the chain.
+        servos: of which `SAID` is written; damping, dry friction and armature are the joints'.
+        source: what the file is called in errors.
+
+    Raises:
+        TorchidError: a joint of the robot has no name in the file.
+    """
+    root = file.root
+    nodes = {n.get("name"): n for n in root.iter() if local(n) == "joint" and n.get("name")}
+    unnamed = [name for name in robot.joint_names if name not in nodes]
+    if unnamed:
+        raise TorchidError(
+            f"{source}: actuators go by names of joints, and some have none.",
+            got=", ".join(unnamed),
+            hint='give every <joint> of the arm a `name="..."`',
+        )
+    angles = [c.get("angle") for c in children(root, "compiler") if c.get("angle")]
+    degrees = not angles or angles[-1] == "degree"
+    option = child(root, "option")
+    step = STEP if option is None else float(option.get("timestep", STEP))
+    for j, name in enumerate(robot.joint_names):
+        values = dict(zip(INDEX, servos.joint[j].tolist(), strict=True))
+        node = _actuator(root, name)
+        node.attrib.update(_general(values, step))
+        # What the servo can is fitted; a limit of the nominal robot would come before it.
+        nodes[name].attrib.pop("actuatorfrcrange", None)
+        nodes[name].set("actuatorfrclimited", "false")
+        ends = [values[stop] for stop in STOPS]
+        if any(map(math.isfinite, ends)):
+            turn = robot.joint_types[j] is JointType.REVOLUTE and degrees
+            known = robot.limits.position
+            given = [-1e3, 1e3] if known is None else known[j].tolist()
+            both = [e if math.isfinite(e) else g for e, g in zip(ends, given, strict=True)]
+            span = " ".join(number(math.degrees(x) if turn else x) for x in both)
+            nodes[name].attrib.update(range=span, limited="true", solreflimit=_STIFF)
+
+
+def _actuator(root: Any, joint: str) -> Any:
+    """An empty <general> of a joint, named and placed as its actuator was."""
+    actuators = child_or_new(root, "actuator")
+    own = [n for a in children(root, "actuator") for n in a if n.get("joint") == joint]
+    if not own:
+        node = new_child(actuators, "general")
+    else:
+        node = own[0].makeelement(own[0].tag.replace(local(own[0]), "general"))
+        node.tail = own[0].tail
+        own[0].getparent().replace(own[0], node)
+        for other in own[1:]:
+            other.getparent().remove(other)
+    node.set("name", own[0].get("name") or joint if own else joint)
+    node.set("joint", joint)
+    return node
+
+
+def _general(values: dict[str, float], step: float) -> dict[str, str]:
+    """Attributes of a servo's actuator, none left to a file's defaults."""
+    kp, offset, clip = (values[k] for k in ("kp", "offset", "clip"))
+    out = {
+        "gear": "1 0 0 0 0 0",
+        "ctrllimited": "false",
+        "actlimited": "false",
+        "gaintype": "fixed",
+        "gainprm": f"{number(kp * values['scale'])} 0 0",
+        "biastype": "affine",
+        "biasprm": f"{number(offset)} {number(-kp)} 0",
+        "forcelimited": "true" if math.isfinite(clip) else "false",
+        "dyntype": "filterexact" if values["lag"] > 0 else "none",
+    }
+    if math.isfinite(clip):
+        # The constant torque is beside the servo's.
+        out["forcerange"] = f"{number(offset - clip)} {number(offset + clip)}"
+    if values["lag"] > 0:
+        out["dynprm"] = number(values["lag"])
+    if values["delay"] > 0:
+        held = math.ceil(values["delay"] / step) + 2
+        out |= {"delay": number(values["delay"]), "nsample": str(held), "interp": "linear"}
+    return out
+
+
+class ServosInMujoco:
+    """An MJCF with servos in MuJoCo, contacts turned off.
+
+    Args:
+        path: the file.
+        robot: whose joints are meant.
+
+    Raises:
+        MissingExtraError: MuJoCo is not installed.
+        TorchidError: it refuses the file, or a joint has no actuator there.
+    """
+
+    def __init__(self, path: Path, robot: Robot):
+        try:
+            self.mujoco = import_module("mujoco")
+        except ImportError as error:
+            raise MissingExtraError(
+                "mujoco", "mjcf", "Moving servos by a log's commands"
+            ) from error
+        self.name = f"MuJoCo {self.mujoco.__version__}"
+        try:
+            self.model = mujoco_model(self.mujoco, path)
+        except (ValueError, RuntimeError, self.mujoco.FatalError) as error:
+            raise TorchidError(
+                f"{self.name} cannot load the file with the servos of '{robot.name}'.",
+                got=" ".join(str(error).split())[:300],
+            ) from error
+        self.model.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self.rows, self.places = mujoco_places(self.mujoco, self.model, robot)
+        driven = self.model.actuator_trnid[:, 0].tolist()
+        joints = [int(self.model.dof_jntid[row]) for row in self.rows]
+        if not set(joints) <= set(driven):
+            raise TorchidError(f"a joint of '{robot.name}' has no actuator in '{path.name}'.")
+        self.servos = [driven.index(joint) for joint in joints]
+
+    def force(self, u: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """(T, n) forces at rest at q with commands u [N m; N], without delays and filters."""
+        data, out = self.mujoco.MjData(self.model), np.zeros_like(q)
+        for k in range(len(q)):
+            self.mujoco.mj_resetData(self.model, data)
+            data.qpos[self.places] = q[k]
+            self._begin(data, u[k])
+            self.mujoco.mj_forward(self.model, data)
+            out[k] = data.qfrc_actuator[self.rows]
+        return out
+
+    def moved(
+        self, tracks: Tracks, windows: Windows, q: np.ndarray, dq: np.ndarray
+    ) -> Float[torch.Tensor, "T n"]:
+        """Positions (T, n) [rad; m] in windows that begin at q, dq (W, n) at their first rows, by
+        the file's own integrator and step (made to fit the samples); commands go in straight lines
+        from one to the next. NaN from where the engine gives up."""
+        mujoco, model, data = self.mujoco, self.model, self.mujoco.MjData(self.model)
+        steps = max(1, math.ceil(tracks.dt / model.opt.timestep - 1e-9))
+        model.opt.timestep = tracks.dt / steps
+        shares = (np.arange(steps)[:, None]) / steps
+        u, out = tracks.u.numpy(), np.full(tuple(tracks.u.shape), np.nan)
+        for w, (a, rows) in enumerate(
+            zip(windows.start.tolist(), windows.length.tolist(), strict=True)
+        ):
+            mujoco.mj_resetData(model, data)
+            data.qpos[self.places], data.qvel[self.rows] = q[w], dq[w]
+            self._begin(data, u[a])
+            out[a] = q[w]
+            with silent(mujoco):
+                for k in range(a, a + rows - 1):
+                    for command in u[k] + shares * (u[k + 1] - u[k]):
+                        data.ctrl[self.servos] = command
+                        mujoco.mj_step(model, data)
+                    if data.warning.number.any():  # MuJoCo resets an arm that has run away
+                        break
+                    out[k + 1] = data.qpos[self.places]
+        return torch.from_numpy(out)
+
+    def _begin(self, data: Any, command: np.ndarray) -> None:
+        """As if this command had stood for long: in the servos, their delays and filters."""
+        model = self.model
+        data.ctrl[self.servos] = command
+        for k, value in zip(self.servos, command, strict=True):
+            held = int(model.actuator_history[k, 0])
+            if held:
+                past = model.opt.timestep * (np.arange(held) - held)
+                self.mujoco.mj_initCtrlHistory(model, data, k, past, np.full((held, 1), value))
+            if model.actuator_actnum[k]:
+                data.act[model.actuator_actadr[k]] = value
+
+
+def check_servos(path: Path, robot: Robot, servos: Servos) -> Comparison:
+    """MuJoCo's force of servos at random commands and positions, against their equation."""
+    what = "force of the servos"
+    try:
+        engine = ServosInMujoco(path, robot)
+    except MissingExtraError:
+        return missing("MuJoCo", what, "not installed: `pip install 'torchid[mjcf]'`")
+    draw = np.random.default_rng(0)
+    u, q = draw.uniform(-0.2, 0.2, (2, 50, robot.n))
+    kp, scale, offset, clip = (servos.of(k).numpy() for k in ("kp", "scale", "offset", "clip"))
+    expected = torch.from_numpy(np.clip(kp * (scale * u - q), -clip, clip) + offset)
+    apart = relative_difference(torch.from_numpy(engine.force(u, q)), expected)
+    return Comparison(engine.name, what, len(q), apart, _EXACT)
