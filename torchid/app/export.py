@@ -193,8 +193,8 @@ def correct_command(
         with output.progress("preparing") as progress:
             servos = torchid.diagnose_positions(found, log, held_out=apart, progress=progress)
         followed = torchid.correct_positions(
-            found, servos, log, output.out or Path(), name, held_out=apart, seed=settings.seed,
-            keep=keep,
+            found, servos, log, output.out or Path(), name, held_out=apart,
+            with_effects=with_effects, seed=settings.seed, keep=keep,
         )  # fmt: skip
         told = output.keep(followed, "correction.json", servos_shown, seed=settings.seed)
         output.verdict(position_verdict(servos))

@@ -13,19 +13,22 @@ from tempfile import TemporaryDirectory
 import torch
 
 from torchid.errors import TorchidError
+from torchid.export.dynamics import Dynamics
 from torchid.export.export import SUFFIXES, Export, export_dynamics, stem_of
 from torchid.export.record import PositionCorrectionRecord, position_correction_record
 from torchid.export.results import servo_dynamics
 from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid, write_servos
 from torchid.export.write_xml import xml_of
 from torchid.log.model import Log
-from torchid.position.data import prepare
+from torchid.position.data import PositionData, prepare
 from torchid.position.diagnose import refitted
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import ServoArm, replay
 from torchid.results.record import Result
 from torchid.robot.model import Robot
+from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of
+from torchid.simulators.servo import AT_RUN_TIME, SetPoints
 from torchid.typing import Float, Tensor
 
 WINDOW_S = 10.0
@@ -43,7 +46,8 @@ class Followed:
         command: (n,) the position is the command.
         full: (n,) all that was diagnosed, by torchid.
         claim: (n,) what the file says, by torchid.
-        engine: (n,) the file, by the engine that runs it.
+        engine: (n,) the file, by the engine that runs it, commands held from one to the next.
+        run_time: (n,) a file with set-points made at run time, by that engine.
         by: that engine.
     """
 
@@ -52,6 +56,7 @@ class Followed:
     full: Float[Tensor, " n"]
     claim: Float[Tensor, " n"]
     engine: Float[Tensor, " n"]
+    run_time: Float[Tensor, " n"]
     by: str
 
 
@@ -64,14 +69,16 @@ class PositionCorrection(Result):
         refitted: the servos that are in the file.
         followed: what it is worth.
         no_field: parameters of servos that are not in it, with joints from 0.
-        export: what was written.
+        exports: what was written: the file, and the one for set-points at run time.
+        beside: the yaml of that one's servos.
     """
 
     nominal: Robot
     refitted: ServoArm
     followed: Followed
     no_field: dict[str, tuple[int, ...]]
-    export: Export
+    exports: tuple[Export, ...]
+    beside: tuple[Path, ...]
 
     def __repr__(self) -> str:
         return f"PositionCorrection('{self.nominal.name}', {', '.join(map(str, self.files))})"
@@ -79,7 +86,7 @@ class PositionCorrection(Result):
     @property
     def files(self) -> tuple[Path, ...]:
         """What was written."""
-        return self.export.files
+        return (*(file for one in self.exports for file in one.files), *self.beside)
 
     @cached_property
     def record(self) -> PositionCorrectionRecord:
@@ -95,6 +102,7 @@ def correct_positions(
     name: str | None = None,
     *,
     held_out: Log | None = None,
+    with_effects: bool = False,
     seed: int = 0,
     keep: Sequence[Path] = (),
 ) -> PositionCorrection:
@@ -107,6 +115,8 @@ def correct_positions(
         folder: made if need be.
         name: of the file, without suffix; the robot's own, with `_corrected`, by default.
         held_out: motions that judge it; without them, those that it was fitted to.
+        with_effects: write a second file, `_effects` after its name, and a yaml of its servos, for
+            set-points that `torchid.simulators.servo` makes at run time.
         seed: of the states at which the file's torque is compared.
         keep: files that are never overwritten.
 
@@ -118,11 +128,12 @@ def correct_positions(
     >>> from tempfile import TemporaryDirectory
     >>> import numpy as np, torchid
     >>> real = torchid.ServoArm.of(torchid.load_robot("3r"), kp=260.0, damping=22.0, armature=0.8)
-    >>> u = 0.3 * np.sin(np.outer(0.02 * np.arange(200), [1.0, 2.0, 3.0]))
-    >>> log = torchid.replay(real, torchid.Log(0.02 * np.arange(200), q=u, u=u)).simulated[0]
+    >>> t = 0.04 * np.arange(260)
+    >>> u = 0.3 * np.sin(np.outer(t, [1.0, 2.0, 3.0]))
+    >>> log = torchid.replay(real, torchid.Log(t, q=u, u=u)).simulated[0]
     >>> with TemporaryDirectory() as folder:
     ...     done = correct_positions(torchid.load_robot("3r"), real, log, folder)
-    >>> bool(done.followed.engine.mean() < 1.0 < done.followed.command.mean())
+    >>> bool(done.followed.engine.mean() < 0.1 * done.followed.command.mean())
     True
     """
     arm = full.corrected if isinstance(full, PositionDiagnosis) else full
@@ -132,46 +143,79 @@ def correct_positions(
             got=f"'{arm.robot.name}', {arm.robot.n} joints",
             expected=f"'{robot.name}', {robot.n} joints in the same places",
         )
-    within = refitted(arm, log, SAID)
+    alone, running = refitted(arm, log, SAID, (*SAID, *AT_RUN_TIME))
     on = log if held_out is None else held_out
+    data = prepare(arm.robot, on)
     stem = f"{stem_of(robot)}_corrected" if name is None else name
-    dynamics = servo_dynamics(within)
-    original = robot if Path(robot.source).suffix.lower() == SUFFIXES["mjcf"] else None
-    with TemporaryDirectory() as drafts:
-        draft = Path(drafts) / f"{stem}.xml"
-        written, file, _, _ = xml_of(dynamics.robot, draft, original, "mjcf")
-        write_servos(file, written, within.servos, robot.source)
-        draft.write_bytes(file.to_bytes())
-        engine = ServosInMujoco(draft, written)
-        data = prepare(within.robot, on)
-        windows = windows_of(data.tracks, WINDOW_S)
-        q = engine.moved(data.tracks, windows, *(x.numpy() for x in data.start(windows)))
-        followed = Followed(
-            "the log that was fitted" if held_out is None else "a held-out log",
-            _rms((data.tracks.u - data.q) / data.scale),
-            replay(arm, on, windows=WINDOW_S).error[0],
-            replay(within, on, windows=WINDOW_S).error[0],
-            _rms((q - data.q) / data.scale),
-            engine.name,
-        )
-    worth, none = (
+    own, beside = (_in_engine(robot, _rigid(one, log), data) for one in (alone, running))
+    followed = Followed(
+        "the log that was fitted" if held_out is None else "a held-out log",
+        _rms((data.tracks.u - data.q) / data.scale),
+        replay(arm, on, windows=WINDOW_S).error[0],
+        replay(alone, on, windows=WINDOW_S).error[0],
+        own[1],
+        beside[1],
+        own[2],
+    )
+    found, none = (
         float(x.nan_to_num(torch.inf).mean()) for x in (followed.engine, followed.command)
     )
-    if not worth < NO_BETTER * none:
+    if not found < NO_BETTER * none:
         raise TorchidError(
             "the file follows hardly better than its commands, so nothing was written.",
-            got=f"{worth:.3g} mrad in {followed.by}",
+            got=f"{found:.3g} mrad in {followed.by}",
             expected=f"less than {NO_BETTER:g} times {none:.3g} mrad, on {followed.held_out}",
         )
-    no_field = unsaid(arm.servos)
+    no_field = unsaid(arm.servos, SAID)
+
+    def write(dynamics: Dynamics, stem: str, title: str) -> Export:
+        return export_dynamics(
+            replace(dynamics, title=title),
+            "mjcf",
+            folder,
+            stem,
+            nominal=robot,
+            geometry="none",
+            seed=seed,
+            keep=keep,
+        )
+
     words = f"'{robot.name}' with servos, corrected and refitted to mjcf"
-    beside = [f"{name}{_places(joints)}" for name, joints in no_field.items()]
-    title = words + (f"; no field for {', '.join(beside)}" if beside else "")
-    export = export_dynamics(
-        replace(dynamics, title=title), "mjcf", folder, stem, nominal=robot, geometry="none",
-        seed=seed, keep=keep,
-    )  # fmt: skip
-    return PositionCorrection(robot, within, followed, no_field, export)
+    others = [f"{name}{_places(joints)}" for name, joints in no_field.items()]
+    files = [write(own[0], stem, words + (f"; no field for {', '.join(others)}" if others else ""))]
+    yamls = []
+    if with_effects:
+        files.append(write(beside[0], f"{stem}_effects", f"{words}, for set-points at run time"))
+        yamls.append(Path(folder) / f"{stem}_effects.yaml")
+        running.write(yamls[0])
+    return PositionCorrection(robot, alone, followed, no_field, tuple(files), tuple(yamls))
+
+
+def _rigid(arm: ServoArm, log: Log) -> ServoArm:
+    """The arm with stops where a log's positions end: those of a fit give way, a file's do not."""
+    joint, q = arm.servos.joint.clone(), log.q * arm.scale
+    for name, end in (("stop_low", q.amin(0)), ("stop_high", q.amax(0))):
+        stop = joint[:, INDEX[name]]
+        joint[:, INDEX[name]] = torch.where(stop.isfinite(), end, stop)
+    return replace(arm, servos=replace(arm.servos, joint=joint))
+
+
+def _in_engine(
+    robot: Robot, arm: ServoArm, data: PositionData
+) -> tuple[Dynamics, Float[Tensor, " n"], str]:
+    """What a file with these servos holds, how far MuJoCo with it is from the log, and its name."""
+    dynamics = servo_dynamics(arm, SetPoints(arm.servos, data.tracks.dt).late)
+    with TemporaryDirectory() as drafts:
+        path = Path(drafts) / "servos.xml"
+        original = robot if Path(robot.source).suffix.lower() == SUFFIXES["mjcf"] else None
+        written, file, _, _ = xml_of(dynamics.robot, path, original, "mjcf")
+        write_servos(file, written, arm.servos, robot.source, dynamics.late)
+        path.write_bytes(file.to_bytes())
+        engine = ServosInMujoco(path, written)
+        windows = windows_of(data.tracks, WINDOW_S)
+        begun = (x.numpy() for x in data.start(windows))
+        q = engine.moved(arm.servos, data.tracks, windows, *begun)
+    return dynamics, _rms((q - data.q) / data.scale), engine.name
 
 
 def _rms(apart: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:

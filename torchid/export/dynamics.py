@@ -32,8 +32,9 @@ class Dynamics:
         title: the same in words, with the file it is from.
         base: the base parameters, of an identification.
         warnings: sentences for the user.
-        servos: of its joints, beside damping, dry friction and armature, which are effects of the
-            robot; None where no servos are known.
+        servos: of its joints, whose damping, dry friction and armature are effects of the robot;
+            None where no servos are known.
+        late: (n,) by how much their commands are late by being held [s]; None for not at all.
     """
 
     robot: Robot
@@ -42,6 +43,7 @@ class Dynamics:
     base: BaseValues | None = None
     warnings: tuple[str, ...] = ()
     servos: Servos | None = None
+    late: Float[Tensor, " n"] | None = None
 
     def torque(self, motion: Motion) -> Joints:
         """Torque (..., n) [N m; N] of the result's own model."""

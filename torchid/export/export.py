@@ -190,16 +190,18 @@ def export_dynamics(
 
 
 def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
-    """What of servos a format does not say, in words."""
-    if dynamics.servos is None:
+    """What of servos that were not refitted a format does not say."""
+    if dynamics.servos is None or dynamics.late is not None:
         return ()
     names = unsaid(dynamics.servos, SAID if to == "mjcf" else JOINTS)
-    more = "gains, delays, clips and stops, too; refitted with --log" if to == "mjcf" else "no gain"
-    said = (
-        f"of the servos {', '.join(names)} are not in it: damping, dry friction and armature are, "
-        f"{more}; `torchid simulate --replay` moves all of the model"
+    if not names:
+        return ()
+    hint = (
+        "with --log what is left is refitted to a log, and run on it in MuJoCo"
+        if to == "mjcf"
+        else "`--to mjcf` says gains, delays, clips and stops, too"
     )
-    return (said,) if names else ()
+    return (f"of the servos {', '.join(names)} are not in it; {hint}",)
 
 
 def stem_of(robot: Robot) -> str:

@@ -152,10 +152,7 @@ class CorrectionRecord(Record, frozen=True, kw_only=True, tag="torchid.correctio
         return Rows(self.no_field)
 
 
-_FOLLOWED = {"claim": "file_claimed", "engine": "file_in_engine"}
-
-
-class FollowedRow(Part, frozen=True, kw_only=True, rename=_FOLLOWED):
+class FollowedRow(Part, frozen=True, kw_only=True, rename=_ERRORS):
     """Position errors of one joint [mrad]; see `export.correct_positions.Followed`."""
 
     joint: Joint
@@ -163,6 +160,7 @@ class FollowedRow(Part, frozen=True, kw_only=True, rename=_FOLLOWED):
     full: Real
     claim: Real
     engine: Real
+    run_time: Real
 
 
 class UnsaidRow(Part, frozen=True, kw_only=True):
@@ -331,11 +329,11 @@ def correction_record(done: "Correction") -> CorrectionRecord:
 def position_correction_record(done: "PositionCorrection") -> PositionCorrectionRecord:
     """A correction of servos as its JSON has it."""
     followed = done.followed
-    names = ("command", "full", "claim", "engine")
+    names = ("command", "full", "claim", "engine", "run_time")
     columns = [getattr(followed, name).tolist() for name in names]
     return PositionCorrectionRecord(
         robot=done.nominal.name,
-        to=done.export.format,
+        to=done.exports[0].format,
         on=followed.held_out,
         engine=followed.by,
         position_error_mrad=tuple(
@@ -345,5 +343,5 @@ def position_correction_record(done: "PositionCorrection") -> PositionCorrection
         no_field=tuple(
             UnsaidRow(parameter=name, joints=joints) for name, joints in done.no_field.items()
         ),
-        exports=(done.export.record,),
+        exports=tuple(one.record for one in done.exports),
     )

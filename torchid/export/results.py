@@ -16,7 +16,6 @@ from torchid.effects.inertia import RotorInertia
 from torchid.effects.registry import Valued, nominal_effects, nominal_others
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, described, of_base, records
-from torchid.export.servo_mjcf import said
 from torchid.extraction.problem import FAR
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, read_other_effects, read_sets
@@ -29,6 +28,7 @@ from torchid.position.model import ServoArm
 from torchid.results.files import read
 from torchid.robot.library import is_robot, load_both, load_robot, named_robot
 from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
 
 Exportable = Dynamics | Identification | ParameterSets | Robot
 IDENTIFICATION = "torchid.identification/1"
@@ -246,22 +246,26 @@ def robot_dynamics(robot: Robot) -> Dynamics:
     return Dynamics(robot, "robot", f"the parameters of {Path(robot.source).name or robot.name}")
 
 
-def servo_dynamics(arm: ServoArm) -> Dynamics:
+def servo_dynamics(arm: ServoArm, late: Float[Tensor, " n"] | None = None) -> Dynamics:
     """A robot with its servos, whose damping, dry friction and armature are its joints'.
+
+    Args:
+        arm: robot and servos.
+        late: (n,) by how much commands are late by being held [s].
 
     Raises:
         RobotError: it has no parameters.
     """
-    own, servos = robot_dynamics(arm.robot), said(arm.servos)
+    own = robot_dynamics(arm.robot)
     kinds = {"damping": ViscousFriction, "coulomb": CoulombFriction, "armature": RotorInertia}
     pairs = [
         (kind(j), [value])
         for name, kind in kinds.items()
-        for j, value in enumerate(servos.of(name).tolist())
+        for j, value in enumerate(arm.servos.of(name).tolist())
         if value > 0
     ]
     robot = replace(arm.robot, effects=(*arm.robot.effects, *records(pairs)))
-    return replace(own, robot=robot, servos=arm.servos)
+    return replace(own, robot=robot, servos=arm.servos, late=late)
 
 
 def _beside(

@@ -1,9 +1,11 @@
 """Position servos as actuators of an MJCF, which say part of what servos are, and what MuJoCo makes
 of them: their force, and where the arm goes with a log's commands.
 
-    force = kp (scale u - q) + offset, clipped; u late by a delay and through a filter
+    force = kp (scale u - q) - kd dq, clipped, + offset; u late by a delay and through a filter
 
-A servo's own damping is the joint's, beside its dry friction and armature.
+Damping, dry friction and armature are the joint's. Commands hold until the next one, as simulators
+do it, so what is held is part of a servo's delay. `torchid.simulators.servo.SetPoints` adds at run
+time what a servo makes of its commands before it controls.
 """
 
 import math
@@ -24,17 +26,19 @@ from torchid.export.xml_tree import XmlFile, child, child_or_new, children, loca
 from torchid.robot.model import JointType, Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, Servos
 from torchid.simulation.servo_loop import Tracks, Windows
+from torchid.simulators.servo import SetPoints
 from torchid.typing import Float
 
 JOINTS = {"damping": "damping", "coulomb": "friction", "armature": "armature"}
 """Parameters of servos that are a joint's, and what they are in `JointDynamics`."""
 STOPS = ("stop_low", "stop_high")
 SAID = ("kp", *JOINTS, "offset", "delay", "scale", "lag", "clip", *STOPS)
-"""Parameters of servos that an MJCF says."""
+"""Parameters of servos that an MJCF says. It says kd of the joint's rate, and not of the command's,
+which `AT_RUN_TIME` adds."""
 STEP = 0.002
 """MuJoCo's own where a file says none [s]."""
-_STIFF = "0.005 1"
-"""solreflimit of an end stop: MuJoCo's own gives way by milliradians."""
+_STIFF = {"solreflimit": "0.004 1", "solimplimit": "0.9999 0.9999 0.001"}
+"""Of an end stop: MuJoCo's own gives way by degrees where a servo presses on."""
 _EXACT = 1e-9
 
 
@@ -50,18 +54,13 @@ def unsaid(servos: Servos, names: Collection[str] = SAID) -> dict[str, tuple[int
     return out
 
 
-def said(servos: Servos) -> Servos:
-    """Servos as an MJCF says them. A torque by the error's rate is damping, and a torque by the
-    command's; the file has the first of them."""
-    joint = servos.joint.clone()
-    joint[:, INDEX["damping"]] += servos.of("kd")
-    for p in PARAMETERS:
-        if p.name not in SAID:
-            joint[:, INDEX[p.name]] = p.neutral
-    return Servos(joint, torch.zeros_like(servos.plane))
-
-
-def write_servos(file: XmlFile, robot: Robot, servos: Servos, source: str) -> None:
+def write_servos(
+    file: XmlFile,
+    robot: Robot,
+    servos: Servos,
+    source: str,
+    late: Float[torch.Tensor, " n"] | None = None,
+) -> None:
     """Put a <general> for every servo into a file, in the place of the joint's actuators.
 
     Args:
@@ -69,6 +68,7 @@ def write_servos(file: XmlFile, robot: Robot, servos: Servos, source: str) -> No
         robot: the chain.
         servos: of which `SAID` is written; damping, dry friction and armature are the joints'.
         source: what the file is called in errors.
+        late: by how much commands are late by being held [s]; None for not at all.
 
     Raises:
         TorchidError: a joint of the robot has no name in the file.
@@ -88,6 +88,8 @@ def write_servos(file: XmlFile, robot: Robot, servos: Servos, source: str) -> No
     step = STEP if option is None else float(option.get("timestep", STEP))
     for j, name in enumerate(robot.joint_names):
         values = dict(zip(INDEX, servos.joint[j].tolist(), strict=True))
+        held = 0.0 if late is None else float(late[j])
+        values["delay"] = max(values["delay"] - held, 0.0)
         node = _actuator(root, name)
         node.attrib.update(_general(values, step))
         # What the servo can is fitted; a limit of the nominal robot would come before it.
@@ -100,7 +102,7 @@ def write_servos(file: XmlFile, robot: Robot, servos: Servos, source: str) -> No
             given = [-1e3, 1e3] if known is None else known[j].tolist()
             both = [e if math.isfinite(e) else g for e, g in zip(ends, given, strict=True)]
             span = " ".join(number(math.degrees(x) if turn else x) for x in both)
-            nodes[name].attrib.update(range=span, limited="true", solreflimit=_STIFF)
+            nodes[name].attrib.update({"range": span, "limited": "true"} | _STIFF)
 
 
 def _actuator(root: Any, joint: str) -> Any:
@@ -122,7 +124,7 @@ def _actuator(root: Any, joint: str) -> Any:
 
 def _general(values: dict[str, float], step: float) -> dict[str, str]:
     """Attributes of a servo's actuator, none left to a file's defaults."""
-    kp, offset, clip = (values[k] for k in ("kp", "offset", "clip"))
+    kp, kd, offset, clip = (values[k] for k in ("kp", "kd", "offset", "clip"))
     out = {
         "gear": "1 0 0 0 0 0",
         "ctrllimited": "false",
@@ -130,7 +132,7 @@ def _general(values: dict[str, float], step: float) -> dict[str, str]:
         "gaintype": "fixed",
         "gainprm": f"{number(kp * values['scale'])} 0 0",
         "biastype": "affine",
-        "biasprm": f"{number(offset)} {number(-kp)} 0",
+        "biasprm": f"{number(offset)} {number(-kp)} {number(-kd)}",
         "forcelimited": "true" if math.isfinite(clip) else "false",
         "dyntype": "filterexact" if values["lag"] > 0 else "none",
     }
@@ -180,42 +182,55 @@ class ServosInMujoco:
             raise TorchidError(f"a joint of '{robot.name}' has no actuator in '{path.name}'.")
         self.servos = [driven.index(joint) for joint in joints]
 
-    def force(self, u: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """(T, n) forces at rest at q with commands u [N m; N], without delays and filters."""
+    def force(self, u: np.ndarray, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
+        """(T, n) forces at q, dq [N m; N] with commands u that have stood for long."""
         data, out = self.mujoco.MjData(self.model), np.zeros_like(q)
         for k in range(len(q)):
             self.mujoco.mj_resetData(self.model, data)
-            data.qpos[self.places] = q[k]
+            data.qpos[self.places], data.qvel[self.rows] = q[k], dq[k]
             self._begin(data, u[k])
             self.mujoco.mj_forward(self.model, data)
             out[k] = data.qfrc_actuator[self.rows]
         return out
 
     def moved(
-        self, tracks: Tracks, windows: Windows, q: np.ndarray, dq: np.ndarray
+        self, servos: Servos, tracks: Tracks, windows: Windows, q: np.ndarray, dq: np.ndarray
     ) -> Float[torch.Tensor, "T n"]:
         """Positions (T, n) [rad; m] in windows that begin at q, dq (W, n) at their first rows, by
-        the file's own integrator and step (made to fit the samples); commands go in straight lines
-        from one to the next. NaN from where the engine gives up."""
+        the file's own integrator and step (made to fit the samples). NaN from where the engine
+        gives up.
+
+        Args:
+            servos: whose set-points are made at run time.
+            tracks: the commands.
+            windows: of their motions, in order.
+            q, dq: states at the windows' beginnings [rad, rad/s; m, m/s].
+        """
         mujoco, model, data = self.mujoco, self.model, self.mujoco.MjData(self.model)
         steps = max(1, math.ceil(tracks.dt / model.opt.timestep - 1e-9))
         model.opt.timestep = tracks.dt / steps
-        shares = (np.arange(steps)[:, None]) / steps
-        u, out = tracks.u.numpy(), np.full(tuple(tracks.u.shape), np.nan)
+        u, out, points = tracks.u.numpy(), np.full(tuple(tracks.u.shape), np.nan), None
+        motion = -1
         for w, (a, rows) in enumerate(
             zip(windows.start.tolist(), windows.length.tolist(), strict=True)
         ):
+            if int(windows.motion[w]) != motion or points is None:
+                motion, points = int(windows.motion[w]), SetPoints(servos, tracks.dt)
             mujoco.mj_resetData(model, data)
             data.qpos[self.places], data.qvel[self.rows] = q[w], dq[w]
-            self._begin(data, u[a])
             out[a] = q[w]
             with silent(mujoco):
-                for k in range(a, a + rows - 1):
-                    for command in u[k] + shares * (u[k + 1] - u[k]):
-                        data.ctrl[self.servos] = command
+                for k in range(a, a + rows):
+                    controls = points.feed(u[k], steps)
+                    if k == a:
+                        self._begin(data, controls[0])
+                    if k == a + rows - 1:
+                        break  # the next window begins with the command after this one
+                    for control in controls:
+                        data.ctrl[self.servos] = control
                         mujoco.mj_step(model, data)
                     if data.warning.number.any():  # MuJoCo resets an arm that has run away
-                        break
+                        return torch.from_numpy(out)
                     out[k + 1] = data.qpos[self.places]
         return torch.from_numpy(out)
 
@@ -240,8 +255,10 @@ def check_servos(path: Path, robot: Robot, servos: Servos) -> Comparison:
     except MissingExtraError:
         return missing("MuJoCo", what, "not installed: `pip install 'torchid[mjcf]'`")
     draw = np.random.default_rng(0)
-    u, q = draw.uniform(-0.2, 0.2, (2, 50, robot.n))
-    kp, scale, offset, clip = (servos.of(k).numpy() for k in ("kp", "scale", "offset", "clip"))
-    expected = torch.from_numpy(np.clip(kp * (scale * u - q), -clip, clip) + offset)
-    apart = relative_difference(torch.from_numpy(engine.force(u, q)), expected)
+    u, q, dq = draw.uniform(-0.2, 0.2, (3, 50, robot.n))
+    kp, kd, scale, offset, clip = (
+        servos.of(k).numpy() for k in ("kp", "kd", "scale", "offset", "clip")
+    )
+    expected = torch.from_numpy(np.clip(kp * (scale * u - q) - kd * dq, -clip, clip) + offset)
+    apart = relative_difference(torch.from_numpy(engine.force(u, q, dq)), expected)
     return Comparison(engine.name, what, len(q), apart, _EXACT)

@@ -13,7 +13,7 @@ from torchid.export.engines import check_drake, check_mujoco, check_pinocchio
 from torchid.export.joint_dynamics import JointDynamics, Target, split
 from torchid.export.keeping import Draft, kept, staged
 from torchid.export.mjcf import add_motors, edited_mjcf, new_mjcf
-from torchid.export.servo_mjcf import check_servos, said, write_servos
+from torchid.export.servo_mjcf import check_servos, write_servos
 from torchid.export.urdf import edited_urdf, in_joint_frames, new_urdf
 from torchid.export.xml_tree import XmlFile, set_head
 from torchid.robot.library import load_robot
@@ -44,9 +44,10 @@ def write_xml(
     """
     mjcf = path.suffix == ".xml"
     robot, file, joints, rest = xml_of(written, path, original, to)
-    servos = None if dynamics.servos is None or to != "mjcf" else said(dynamics.servos)
+    servos = dynamics.servos if to == "mjcf" else None
     if servos is not None:
-        write_servos(file, robot, servos, path.name if original is None else original.source)
+        source = path.name if original is None else original.source
+        write_servos(file, robot, servos, source, dynamics.late)
     known = tuple(pair for pair in nominal_effects(robot) if pair not in rest)
     if original is None and not mjcf:
         rest = in_joint_frames(rest, robot)

@@ -161,14 +161,14 @@ def answer(robot: Robot, log: Log) -> tuple[PositionData, Found]:
     return answered.data, answered.found
 
 
-def refitted(arm: ServoArm, log: Log, names: Collection[str]) -> ServoArm:
+def refitted(arm: ServoArm, log: Log, *allowed: Collection[str]) -> tuple[ServoArm, ...]:
     """The arm with servos that have some parameters alone, fitted to a log.
 
     Args:
         arm: whose servos may have more.
         log: t, q and u.
-        names: of `torchid.simulation.servo.PARAMETERS`, the core's among them; others than the
-            core's are free where the arm has them.
+        allowed: of `torchid.simulation.servo.PARAMETERS`, the core's among them, once for each of
+            the answers; others than the core's are free where the arm has them.
 
     Raises:
         LogError: as `prepare`.
@@ -177,26 +177,30 @@ def refitted(arm: ServoArm, log: Log, names: Collection[str]) -> ServoArm:
     windows = _some(windows_of(data.tracks, WINDOW_S), MOST)
     used = {p.name: arm.servos.of(p.name) != p.neutral for p in PARAMETERS}
     used |= dict.fromkeys(CORE, torch.ones(data.robot.n, dtype=torch.bool))
-    free = {name: used[name] for name in names if bool(used[name].any())}
-    neutral = torch.tensor([p.neutral for p in PARAMETERS], dtype=torch.float64)
-    joint = torch.where(
-        torch.tensor([p.name in names for p in PARAMETERS]), arm.servos.joint, neutral
-    )
-    # What is searched on a logarithmic scale begins at a number.
-    for k, p in enumerate(PARAMETERS):
-        if p.name in CORE and p.kind == "log":
-            joint[:, k] = joint[:, k].clamp(min=1e-6 * float(joint[:, INDEX["kp"]].max()))
-    # Begun there and from plain servos; each joint has what follows it better.
     core = torch.tensor([p.name in CORE for p in PARAMETERS])
-    begun = (joint, torch.where(core, plain(data, windows).servos.joint, joint))
-    servos = replace(arm.servos, plane=torch.zeros_like(arm.servos.plane))
-    ends = [
-        fit(data, replace(servos, joint=joint), free, windows, profiles=True, iterations=12)
-        for joint in begun
-    ]
-    first, second = (_losses(data, end, windows).sum(0)[:, None] for end in ends)
-    servos = replace(servos, joint=torch.where(first <= second, ends[0].joint, ends[1].joint))
-    return ServoArm(data.robot, servos, arm.scale)
+    logs = core & torch.tensor([p.kind == "log" for p in PARAMETERS])
+    neutral = torch.tensor([p.neutral for p in PARAMETERS], dtype=torch.float64)
+    simple, out = None, []
+    for names in allowed:
+        free = {name: used[name] for name in names if bool(used[name].any())}
+        said = torch.tensor([p.name in names for p in PARAMETERS])
+        joint = torch.where(said, arm.servos.joint, neutral)
+        # What is searched on a logarithmic scale begins at a number.
+        least = 1e-6 * float(joint[:, INDEX["kp"]].max())
+        begun = [torch.where(logs, joint.clamp(min=least), joint)]
+        if bool((joint != arm.servos.joint).any()) or bool(arm.servos.plane[4] > 0):
+            # Where something is missing plain servos may be the better beginning.
+            simple = simple or plain(data, windows)
+            begun.append(torch.where(core, simple.servos.joint, joint))
+        servos = replace(arm.servos, plane=torch.zeros_like(arm.servos.plane))
+        ends = [
+            fit(data, replace(servos, joint=one), free, windows, profiles=True, iterations=12)
+            for one in begun
+        ]
+        worth = torch.stack([_losses(data, end, windows).sum(0) for end in ends])
+        joint = torch.stack([e.joint for e in ends])[worth.argmin(0), torch.arange(data.robot.n)]
+        out.append(ServoArm(data.robot, replace(servos, joint=joint), arm.scale))
+    return tuple(out)
 
 
 @dataclass(frozen=True, eq=False)

@@ -185,6 +185,7 @@ def servos_shown(done: PositionCorrection) -> Shown:
         ("all effects", followed.full),
         ("the file alone, claimed", followed.claim),
         (f"the file alone, {followed.by}", followed.engine),
+        ("with set-points at run time", followed.run_time),
     ]
     errors = [(name, *cells([*v.tolist(), float(v.nanmean())], ".1f")) for name, v in rows]
     beside = [
@@ -203,7 +204,7 @@ def servos_shown(done: PositionCorrection) -> Shown:
                 words=("parameter", "joints"),
             ),
         ),
-        warnings=done.export.warnings,
+        warnings=dict.fromkeys(words for one in done.exports for words in one.warnings),
         last=f"written: {', '.join(map(str, done.files))}",
     )  # fmt: skip
 

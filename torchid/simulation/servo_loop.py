@@ -46,6 +46,8 @@ CONTACT_DAMPING = 20.0
 PROFILE = ("scale", "acceleration", "speed", "lag")
 _TOGETHER = 4000
 _NUMBERS = 64000
+FASTEST = (1e6, 1e4)
+"""Acceleration [rad/s^2] and speed [rad/s] of set-points that are as good as not limited."""
 _STRETCH, _EARLY = 200, 25
 _SETTLED = 1e-8
 """Change of positions by an acceleration in a step below which it stays as it is [rad]."""
@@ -265,7 +267,7 @@ def _limited(
         return u
     out = u.clone()
     # The limits of joints with a profile; what is not limited is so high that it does not matter.
-    a, top = a[bound].clamp(max=1e6), top[bound].clamp(max=1e4)
+    a, top = (x[bound].clamp(max=most) for x, most in zip((a, top), FASTEST, strict=True))
     goal = out[bound]
     followed = goal.clone()
     # Motions in stretches side by side. Each begins a while before it counts, where all goals have
@@ -300,7 +302,7 @@ def _limited(
         live = int((counts > k).sum())
         at, x, v = at[:live], x[..., :live], v[..., :live]
         target = goals[..., at]
-        way, v = _profile_step(target - x, v, *limits, tracks.dt)
+        way, v = profile_step(target - x, v, *limits, tracks.dt)
         x = x + way
         if repeated and k > 0:
             same = target == goals[..., at - 1]
@@ -317,7 +319,7 @@ def profiles_of(servos: Servos) -> Float[Tensor, "S n 4"]:
     return servos.joint[..., [INDEX[name] for name in PROFILE]].flatten(0, -3)
 
 
-def _profile_step(
+def profile_step(
     e: np.ndarray, v: np.ndarray, a: np.ndarray, top: np.ndarray, dt: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far the fastest way to rest at a distance e goes within dt, and its velocity then."""

@@ -1,0 +1,170 @@
+"""Servos carried out into MuJoCo: refitted, written, and moved there by a log's commands."""
+
+from dataclasses import replace
+
+import mujoco
+import pytest
+import torch
+from lxml import etree
+from typer.testing import CliRunner
+
+from tests.marks import some
+from tests.position.planted import planted, robot, true_servos
+from torchid.app.commands import app
+from torchid.errors import TorchidError
+from torchid.export.correct_positions import correct_positions
+from torchid.export.servo_mjcf import SAID, unsaid
+from torchid.log.readers import write_log
+from torchid.position.model import ServoArm, replay
+from torchid.robot.library import load_robot
+from torchid.simulation.servo import INDEX, Servos
+
+CASES = {
+    "plain": {},
+    "limits": {"acceleration": (2, 4.0), "speed": (3, 0.5)},
+    "rate": {"kd": (2, 25.0)},
+}
+
+
+def arm_with(servos: Servos) -> ServoArm:
+    return ServoArm(robot(), servos, torch.ones(3, dtype=torch.float64))
+
+
+@pytest.mark.slow
+def test_a_stop_is_where_positions_end(tmp_path):
+    """A stop of the simulation of servos gives way, a joint's limit does not."""
+    arm = arm_with(true_servos(3, stop_high=(3, 0.1)))
+    log = planted(arm.servos, motions=3, seconds=8.0, seed=2)
+    done = correct_positions(robot(), arm, log, tmp_path)
+    last = 1e3 * float((log.q - log.u)[:, 2].square().mean().sqrt())
+    assert float(done.followed.command[2]) == pytest.approx(last)
+    assert float(done.followed.engine[2]) < 0.5 * last
+    model = mujoco.MjModel.from_xml_path(str(done.files[0]))
+    assert model.joint("joint_3").range[1] == pytest.approx(float(log.q[:, 2].max()))
+
+
+@pytest.mark.parametrize("name", some(CASES, 1))
+def test_the_file_moves_as_the_arm_did(name, tmp_path):
+    """A plain servo by its file alone; limits and the command's rate with set-points."""
+    arm = arm_with(true_servos(3, **CASES[name]))
+    log = planted(arm.servos, motions=3, seconds=6.0, seed=2)
+    other = planted(arm.servos, motions=3, seconds=6.0, seed=5)
+    done = correct_positions(robot(), arm, log, tmp_path, held_out=other, with_effects=True)
+    found = done.followed
+    assert found.held_out == "a held-out log"
+    assert float(found.command.min()) > 20.0
+    # MuJoCo's own solution of dry friction, and encoder counts of 1.5 mrad.
+    assert float(found.run_time.max()) < 1.5
+    assert set(done.no_field) == set(unsaid(arm.servos, SAID))
+    if not done.no_field:
+        assert float(found.engine.max()) < 1.5
+    else:
+        assert float(found.engine.max()) > 3.0
+    assert [f.name for f in done.files] == [
+        "3r_corrected.xml", "3r_corrected_effects.xml", "3r_corrected_effects.yaml"
+    ]  # fmt: skip
+    running = ServoArm.read(done.files[2])
+    assert float(replay(running, other).error.max()) < 1.5
+    assert done.record.position_error_mrad[1].engine == pytest.approx(float(found.engine[1]))
+
+
+ACTUATED = """<mujoco>
+  <compiler angle="degree"/>
+  <option timestep="0.001"/>
+  <default><position kp="998" forcerange="-3 3" ctrlrange="-100 100"/></default>
+  {world}
+  <actuator>
+    <motor name="other" joint="joint_2"/>
+    <position name="servo_1" joint="joint_1"/>
+    <position joint="joint_2"/>
+  </actuator>
+  <keyframe><key name="home" ctrl="0 0"/></keyframe>
+</mujoco>
+"""
+
+
+def with_actuators(folder):
+    """The 3R as an MJCF with actuators of its own, and defaults of them."""
+    from torchid.export.export import export_dynamics
+
+    one = export_dynamics(load_robot("3r"), "mjcf", folder, "plain", nominal=load_robot("3r"))
+    root = etree.parse(str(one.files[0])).getroot()
+    for node in root.iter("joint"):
+        node.attrib.pop("range", None)
+    world = etree.tostring(root.find("worldbody"), encoding="unicode")
+    path = folder / "own.xml"
+    path.write_text(ACTUATED.format(world=world))
+    return path
+
+
+@pytest.mark.slow
+def test_actuators_of_a_file_are_replaced_where_they_stand(tmp_path):
+    own = load_robot(with_actuators(tmp_path))
+    servos = true_servos(3, stop_high=(3, 0.25), clip=(1, 90.0), lag=(2, 0.03))
+    servos.joint[0, INDEX["offset"]] = -4.0
+    arm = replace(arm_with(servos), robot=own)
+    log = planted(servos, motions=2, seconds=6.0, seed=3)
+    done = correct_positions(own, arm, log, tmp_path / "out")
+    model = mujoco.MjModel.from_xml_path(str(done.files[0]))
+    names = [model.actuator(k).name for k in range(model.nu)]
+    assert names == ["other", "servo_1", "joint_3"]
+    found = done.refitted.servos
+    kp, clip, offset = (found.of(name).numpy() for name in ("kp", "clip", "offset"))
+    for k, j in enumerate((1, 0, 2)):
+        assert model.actuator_trnid[k, 0] == j
+        assert model.actuator_gainprm[k, 0] == pytest.approx(kp[j])
+        assert model.actuator_biasprm[k, :2] == pytest.approx([offset[j], -kp[j]])
+        assert not model.actuator_ctrllimited[k]
+    assert model.actuator_forcelimited.tolist() == [0, 1, 0]
+    low, high = model.actuator_forcerange[1]
+    assert (high - low) / 2 == pytest.approx(clip[0])
+    assert (high + low) / 2 == pytest.approx(offset[0])
+    assert model.actuator_dynprm[0, 0] == pytest.approx(float(found.of("lag")[1]))
+    # Angles of this file are degrees.
+    assert model.joint("joint_3").range[1] == pytest.approx(float(log.q[:, 2].max()))
+    # What is held until the next command, half a sample, is part of the servo's delay.
+    late = [max(float(x) - 0.01, 0.0) for x in found.of("delay")]
+    assert model.actuator_delay == pytest.approx([late[1], late[0], late[2]])
+
+
+@pytest.mark.slow
+def test_what_cannot_be_written(tmp_path):
+    arm = arm_with(true_servos(3))
+    log = planted(arm.servos, motions=2, seconds=6.0)
+    with pytest.raises(TorchidError, match="servos are of another arm"):
+        correct_positions(load_robot("kuka_lwr4"), arm, log, tmp_path)
+    # Motions that go the other way.
+    wild = log.replace(u=-log.u)
+    with pytest.raises(TorchidError, match="hardly better than its commands"):
+        correct_positions(robot(), arm, log, tmp_path, held_out=wild)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_by_command(tmp_path):
+    arm = arm_with(true_servos(3, kd=(2, 25.0)))
+    arm.write(tmp_path / "model.yaml")
+    log = planted(arm.servos, motions=2, seconds=6.0, seed=3)
+    write_log(log, tmp_path / "log.csv")
+
+    def run(*words: object) -> str:
+        asked = [*map(str, words), "--out", str(tmp_path / "out")]
+        done = CliRunner().invoke(app, asked)
+        if done.exit_code:
+            return str(done.exception)
+        return done.output
+
+    model, file = tmp_path / "model.yaml", tmp_path / "log.csv"
+    said = run("export", model, "--to", "mjcf", "--robot", "3r", "--log", file)
+    assert "MuJoCo" in said
+    assert "kd" in said
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+        "3r_corrected.xml", "correction.json"
+    ]  # fmt: skip
+    plain = run("export", model, "--to", "mjcf", "--name", "plain")
+    assert "of the servos kd are not in it; with --log" in " ".join(plain.split())
+    assert "force of the servos" in plain
+    said = run("export", model, "--to", "urdf", "--robot", "3r", "--log", file)
+    assert "servos are written into an MJCF only" in said
+    for words in (("gap", "--for"), ("correct", "--to")):
+        assert "servos are written into an MJCF only" in run(words[0], "3r", file, words[1], "urdf")
