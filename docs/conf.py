@@ -39,8 +39,8 @@ napoleon_custom_sections = [("Class attributes", "Attributes")]
 napoleon_numpy_docstring = False
 
 NAVIGATION = {
-    "How to": ("your-log", "robots", "log-doctor", "python", "export", "pair", "report", "compare",
-               "fleet", "next-experiment"),
+    "How to": ("your-log", "lerobot", "robots", "log-doctor", "python", "export", "pair", "report",
+               "compare", "fleet", "next-experiment"),
     "What it means": ("concepts", "effects", "equal-torque"),
     "How good it is": ("results", "gap-results", "position-results", "withheld", "trust"),
     "Python": ("api/*",),

@@ -127,12 +127,13 @@ def correct_positions(
 
     >>> from tempfile import TemporaryDirectory
     >>> import numpy as np, torchid
-    >>> real = torchid.ServoArm.of(torchid.load_robot("3r"), kp=260.0, damping=22.0, armature=0.8)
+    >>> robot, servo = torchid.load_robot("3r"), {"kp": 260.0, "damping": 22.0, "armature": 0.8}
+    >>> real = torchid.ServoArm.of(robot, **servo, delay=0.02)
     >>> t = 0.04 * np.arange(260)
     >>> u = 0.3 * np.sin(np.outer(t, [1.0, 2.0, 3.0]))
     >>> log = torchid.replay(real, torchid.Log(t, q=u, u=u)).simulated[0]
     >>> with TemporaryDirectory() as folder:
-    ...     done = correct_positions(torchid.load_robot("3r"), real, log, folder)
+    ...     done = correct_positions(robot, real, log, folder)
     >>> bool(done.followed.engine.mean() < 0.1 * done.followed.command.mean())
     True
     """
