@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 import torch
 
 from torchid.errors import TorchidError
+from torchid.export.correct import CLAIMED
 from torchid.export.dynamics import Dynamics
 from torchid.export.export import SUFFIXES, Export, export_dynamics, stem_of
 from torchid.export.record import PositionCorrectionRecord, position_correction_record
@@ -33,6 +34,8 @@ from torchid.typing import Float, Tensor
 
 WINDOW_S = 10.0
 """Motions begin again at the measured position after so long [s]."""
+UNITS = 0.1
+"""By which units of joints, as logs' velocities tell them, may differ [1]."""
 NO_BETTER = 0.9
 """Mean error over that of the commands themselves from which a file is refused."""
 
@@ -87,6 +90,18 @@ class PositionCorrection(Result):
     def files(self) -> tuple[Path, ...]:
         """What was written."""
         return (*(file for one in self.exports for file in one.files), *self.beside)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Where the engine does not do what the file's own numbers say."""
+        found, own = self.followed.engine, self.followed.claim
+        worse = (found > CLAIMED * own) & (found > own + 1)
+        said = [
+            f"joint {j + 1}: {self.followed.by} leaves {float(found[j]):.1f} mrad, and the file's "
+            f"own numbers {float(own[j]):.1f}"
+            for j in worse.nonzero().flatten().tolist()
+        ]
+        return (*said, *dict.fromkeys(words for one in self.exports for words in one.warnings))
 
     @cached_property
     def record(self) -> PositionCorrectionRecord:
@@ -144,10 +159,23 @@ def correct_positions(
             got=f"'{arm.robot.name}', {arm.robot.n} joints",
             expected=f"'{robot.name}', {robot.n} joints in the same places",
         )
-    alone, running = refitted(arm, log, SAID, (*SAID, *AT_RUN_TIME))
+    stem = f"{stem_of(robot)}_corrected" if name is None else name
+    yaml = Path(folder) / f"{stem}_effects.yaml"
+    if with_effects and yaml.resolve() in [Path(file).resolve() for file in keep]:
+        raise TorchidError(
+            f"the servos would take the place of '{yaml}'.",
+            hint="another `name=...`, or another folder",
+        )
     on = log if held_out is None else held_out
     data = prepare(arm.robot, on)
-    stem = f"{stem_of(robot)}_corrected" if name is None else name
+    for one in (data, prepare(arm.robot, log)):
+        if not torch.allclose(one.scale, arm.scale, rtol=UNITS):
+            raise TorchidError(
+                f"{one.log.label} is in other units than the servos' own log.",
+                got=one.scale.tolist(),
+                expected=f"{arm.scale.tolist()} rad (m) per unit, as its own velocities tell",
+            )
+    alone, running = refitted(arm, log, SAID, (*SAID, *AT_RUN_TIME))
     own, beside = (_in_engine(robot, _rigid(one, log), data) for one in (alone, running))
     followed = Followed(
         "the log that was fitted" if held_out is None else "a held-out log",
@@ -184,12 +212,11 @@ def correct_positions(
     words = f"'{robot.name}' with servos, corrected and refitted to mjcf"
     others = [f"{name}{_places(joints)}" for name, joints in no_field.items()]
     files = [write(own[0], stem, words + (f"; no field for {', '.join(others)}" if others else ""))]
-    yamls = []
     if with_effects:
         files.append(write(beside[0], f"{stem}_effects", f"{words}, for set-points at run time"))
-        yamls.append(Path(folder) / f"{stem}_effects.yaml")
-        running.write(yamls[0])
-    return PositionCorrection(robot, alone, followed, no_field, tuple(files), tuple(yamls))
+        running.write(yaml)
+    said = (yaml,) if with_effects else ()
+    return PositionCorrection(robot, alone, followed, no_field, tuple(files), said)
 
 
 def _rigid(arm: ServoArm, log: Log) -> ServoArm:

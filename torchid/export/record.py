@@ -180,7 +180,8 @@ class PositionCorrectionRecord(
         on: what the errors are on. engine: which moved the file.
         position_error_mrad: by joint.
         no_field: what the file does not say of the servos.
-        exports: what was written, with warnings.
+        exports: what was written.
+        warnings: sentences for the user.
         seed: of the states at which it was compared, from a command.
     """
 
@@ -191,6 +192,7 @@ class PositionCorrectionRecord(
     position_error_mrad: tuple[FollowedRow, ...]
     no_field: tuple[UnsaidRow, ...]
     exports: tuple[ExportRecord, ...]
+    warnings: tuple[str, ...]
     seed: int | UnsetType = UNSET
 
     @property
@@ -344,4 +346,5 @@ def position_correction_record(done: "PositionCorrection") -> PositionCorrection
             UnsaidRow(parameter=name, joints=joints) for name, joints in done.no_field.items()
         ),
         exports=tuple(one.record for one in done.exports),
+        warnings=done.warnings,
     )

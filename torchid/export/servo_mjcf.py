@@ -22,15 +22,23 @@ from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.checks import Comparison, missing, relative_difference
 from torchid.export.engines import mujoco_model, mujoco_places
 from torchid.export.replay import silent
-from torchid.export.xml_tree import XmlFile, child, child_or_new, children, local, new_child
+from torchid.export.xml_tree import (
+    XmlFile,
+    child,
+    child_or_new,
+    children,
+    local,
+    new_child,
+    replace,
+)
 from torchid.robot.model import JointType, Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, Servos
 from torchid.simulation.servo_loop import Tracks, Windows
 from torchid.simulators.servo import SetPoints
 from torchid.typing import Float
 
-JOINTS = {"damping": "damping", "coulomb": "friction", "armature": "armature"}
-"""Parameters of servos that are a joint's, and what they are in `JointDynamics`."""
+JOINTS = ("damping", "coulomb", "armature")
+"""Parameters of servos that are a joint's."""
 STOPS = ("stop_low", "stop_high")
 SAID = ("kp", *JOINTS, "offset", "delay", "scale", "lag", "clip", *STOPS)
 """Parameters of servos that an MJCF says. It says kd of the joint's rate, and not of the command's,
@@ -109,16 +117,15 @@ def _actuator(root: Any, joint: str) -> Any:
     """An empty <general> of a joint, named and placed as its actuator was."""
     actuators = child_or_new(root, "actuator")
     own = [n for a in children(root, "actuator") for n in a if n.get("joint") == joint]
-    if not own:
-        node = new_child(actuators, "general")
-    else:
+    name = own[0].get("name", joint) if own else joint
+    if own:
         node = own[0].makeelement(own[0].tag.replace(local(own[0]), "general"))
-        node.tail = own[0].tail
-        own[0].getparent().replace(own[0], node)
+        replace(own[0], node)
         for other in own[1:]:
             other.getparent().remove(other)
-    node.set("name", own[0].get("name") or joint if own else joint)
-    node.set("joint", joint)
+    else:
+        node = new_child(actuators, "general")
+    node.attrib.update({"name": name, "joint": joint})
     return node
 
 

@@ -204,7 +204,7 @@ def servos_shown(done: PositionCorrection) -> Shown:
                 words=("parameter", "joints"),
             ),
         ),
-        warnings=dict.fromkeys(words for one in done.exports for words in one.warnings),
+        warnings=done.warnings,
         last=f"written: {', '.join(map(str, done.files))}",
     )  # fmt: skip
 
