@@ -319,4 +319,5 @@ def test_servos_are_exported_as_far_as_joints_have_fields(tmp_path):
     sizes = {(e["effect"], e["joint"]) for e in found.robot.effects}
     names = ("viscous_friction", "coulomb_friction", "rotor_inertia")
     assert sizes == {(name, j) for name in names for j in (1, 2, 3)}
-    assert "of the servos kp, delay are not in it" in found.warnings[0]
+    urdf = export_dynamics(found, "urdf", tmp_path / "out", nominal=load_robot("3r"))
+    assert "of the servos kp, delay are not in it" in urdf.warnings[0]

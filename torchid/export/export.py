@@ -197,9 +197,9 @@ def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
     if not names:
         return ()
     hint = (
-        "with --log what is left is refitted to a log, and run on it in MuJoCo"
+        "`log=...` refits what is left to a log, and moves it there in MuJoCo"
         if to == "mjcf"
-        else "`--to mjcf` says gains, delays, clips and stops, too"
+        else '`to="mjcf"` says gains, delays, clips and stops, too'
     )
     return (f"of the servos {', '.join(names)} are not in it; {hint}",)
 
