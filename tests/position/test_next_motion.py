@@ -48,6 +48,7 @@ def test_what_is_open_is_told_better(unsure, tmp_path):
     assert load(tmp_path / "next.json").plain() == made.plain()
 
 
+@pytest.mark.slow
 def test_nothing_open_serves_all(unsure):
     arm = robot().with_limits(velocity=2.0)
     made = next_commands(replace(unsure, findings=FOUND[:1]), arm, seconds=4.0)
