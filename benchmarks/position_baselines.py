@@ -19,8 +19,8 @@ import torch
 
 from torchid.log.model import Log
 from torchid.log.readers import read_log
-from torchid.position.data import prepare
-from torchid.position.diagnose import MOST, WINDOW_S, _some
+from torchid.position.data import WINDOW_S, prepare
+from torchid.position.diagnose import MOST, some_of
 from torchid.position.effects import CORE
 from torchid.position.fit import fit
 from torchid.position.judge import folds_of
@@ -49,7 +49,7 @@ PLAYS = (0.005, 0.01, 0.02, 0.04, 0.08)
 def servo(robot, training: Log, names: tuple[str, ...]):
     """An arm whose servos have these parameters alone, as (log, seconds) -> positions (T, n)."""
     data = prepare(robot, training)
-    windows = _some(windows_of(data.tracks, WINDOW_S), 3 * MOST)
+    windows = some_of(windows_of(data.tracks, WINDOW_S), 3 * MOST)
     start = _start(data, CORE)
     if "kp" not in names:
         start.joint[:, INDEX["kp"]] = MAKERS_KP

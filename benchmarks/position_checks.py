@@ -18,8 +18,8 @@ import torch
 
 from torchid.log.model import Log
 from torchid.log.readers import read_log
-from torchid.position.data import PositionData
-from torchid.position.diagnose import MOST, WINDOW_S, _losses, _some, answer
+from torchid.position.data import WINDOW_S, PositionData
+from torchid.position.diagnose import MOST, answer, losses_of, some_of
 from torchid.position.fit import searched
 from torchid.position.judge import Equations, equations, value_interval
 from torchid.position.search import Found
@@ -33,7 +33,7 @@ PLANTED = {1: ("delay", 0.04), 3: ("scale", 1.08), 4: ("offset", 0.05)}
 
 def answered(robot, parts: Sequence[Log]) -> tuple[PositionData, Found, Equations]:
     data, found = answer(robot, Log.concatenate(list(parts)))
-    windows = _some(windows_of(data.tracks, WINDOW_S), 3 * MOST)
+    windows = some_of(windows_of(data.tracks, WINDOW_S), 3 * MOST)
     return data, found, equations(data, found.servos, found.free, windows)
 
 
@@ -62,7 +62,7 @@ def halves(robot, parts: Sequence[Log]) -> None:
     print(f"{inside} of {pairs} agree within 95 % ({inside / max(1, pairs):.2f})")
     for who, (data, found, _), (_, other, _) in (("first", one, two), ("second", two, one)):
         windows = windows_of(data.tracks, WINDOW_S)
-        own, far = (_losses(data, f.servos, windows).sum(0) for f in (found, other))
+        own, far = (losses_of(data, f.servos, windows).sum(0) for f in (found, other))
         share = " ".join(f"{x:.2f}" for x in (far / own).tolist())
         print(f"loss of the {who} half by the other's servos, over that by its own: {share}")
 

@@ -9,7 +9,7 @@ from tests.marks import some
 from tests.position.diagnosed import diagnosis, finding
 from tests.position.planted import COUNT, planted, robot, true_servos
 from torchid.position.data import prepare
-from torchid.position.diagnose import _parted, _some, _still, _without, diagnose_positions
+from torchid.position.diagnose import _parted, _still, _without, diagnose_positions, some_of
 from torchid.position.diagnosis import Accuracy
 from torchid.position.effects import BY_NAME
 from torchid.position.model import replay
@@ -109,7 +109,7 @@ def test_windows_that_tell_more_are_taken_sooner_and_stand_for_fewer(most):
     rows = torch.arange(count)
     whole = Windows(rows * 100, torch.full((count,), 100), rows // 50, torch.ones(count).double())
     size = torch.where(rows % 40 == 0, 20.0, 1.0).double()
-    some = _some(whole, most, size)
+    some = some_of(whole, most, size)
     if most >= count:
         assert torch.equal(some.start, whole.start)
         assert bool((some.weight == 1).all())

@@ -187,14 +187,13 @@ def correct_command(
     if name is not None:
         require_name(name)
     found, log, apart, _ = trials.open(output, settings.held_out_fraction)
-    keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
     if opt.commanded(log, found):
         require_servos(to)
         with output.progress("preparing") as progress:
             servos = torchid.diagnose_positions(found, log, held_out=apart, progress=progress)
         followed = torchid.correct_positions(
             found, servos, log, output.out or Path(), name, held_out=apart,
-            with_effects=with_effects, seed=settings.seed, keep=keep,
+            with_effects=with_effects, seed=settings.seed, keep=trials.inputs,
         )  # fmt: skip
         told = output.keep(followed, "correction.json", servos_shown, seed=settings.seed)
         output.verdict(position_verdict(servos))
@@ -205,7 +204,7 @@ def correct_command(
     done = torchid.correct(
         found, result, log, kind, output.out or Path(), name, held_out=apart, settings=settings,
         with_effects=with_effects and (to if to == "isaaclab" or to == "mjlab" else True),
-        keep=keep,
+        keep=trials.inputs,
     )  # fmt: skip
     said = output.keep(done, "correction.json", correction_shown)
     output.verdict(verdict(result))

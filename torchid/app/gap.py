@@ -108,8 +108,7 @@ def gap_command(
             raise TorchidError("--view shows torques; these logs have commands and positions.")
         if asked.for_ is not None:
             require_servos(asked.for_)
-        keep = [Path(trials.robot), *(trials.logs or ()), *(trials.held_out or ())]
-        _positions(output, found, log, apart, asked, settings, files, keep)
+        _positions(output, found, log, apart, asked, settings, files, trials.inputs)
         return
     if asked.servo is not None:
         raise TorchidError("--servo is for logs of commands and positions; these have torques.")
@@ -133,10 +132,10 @@ def gap_command(
     output.put(asked.view, partial(torchid.write_view, result))
     told = [said]
     if kind is not None and output.out is not None:
-        keep = [Path(trials.robot), *(trials.logs or ()), *(trials.held_out or ())]
         done = torchid.correct(
-            found, result, log, kind, output.out, held_out=apart, settings=settings, keep=keep
-        )
+            found, result, log, kind, output.out, held_out=apart, settings=settings,
+            keep=trials.inputs,
+        )  # fmt: skip
         output.put(output.out / "correction.json", done.save)
         told.append(correction_shown(done))
     for one in told:

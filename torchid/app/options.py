@@ -277,6 +277,11 @@ class Trials(ArmAndLogs):
 
     held_out: LogFiles = None
 
+    @property
+    def inputs(self) -> list[Path]:
+        """All files that are read."""
+        return [Path(self.robot), *self.logs, *(self.held_out or ())]
+
     def open(
         self, output: Output, fraction: float = 0.0
     ) -> "tuple[torchid.Robot, torchid.Log, torchid.Log | None, tuple[InputFile, ...]]":

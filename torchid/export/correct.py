@@ -21,7 +21,7 @@ from torchid.design.segments import Samples, Segment
 from torchid.effects.registry import nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.dynamics import Dynamics
-from torchid.export.export import SUFFIXES, Export, export_dynamics, stem_of
+from torchid.export.export import SUFFIXES, Export, edited_of, export_dynamics, stem_of
 from torchid.export.projection import PRICE, Projection, Projector, Target
 from torchid.export.record import CorrectionRecord, correction_record
 from torchid.export.replay import InDrake, InMujoco, simulator
@@ -236,12 +236,7 @@ def correct(
     diagnosis = full if isinstance(full, Diagnosis) else None
     corrected = full.corrected if isinstance(full, Diagnosis) else full
     before = robot if diagnosis is None else diagnosis.robot
-    if corrected.n != robot.n or bool((corrected.frames_apart(robot) > 1e-9).any()):
-        raise TorchidError(
-            "the result is of another arm.",
-            got=f"'{corrected.name}', {corrected.n} joints",
-            expected=f"'{robot.name}', {robot.n} joints in the same places",
-        )
+    require_same_arm(corrected, robot, "result is")
     if held_out is None and settings.held_out_fraction > 0:
         log, held_out = log.split(1 - settings.held_out_fraction)
     data, apart = read(robot, log, held_out, settings)
@@ -264,7 +259,7 @@ def correct(
         shown = diagnosis.traces
     else:
         shown = traces(on.samples, None, [Model.of(before)], [Model.of(corrected)], data.band)
-    original = robot if Path(robot.source).suffix.lower() == SUFFIXES[to] else None
+    original = edited_of(robot, to)
     with TemporaryDirectory() as drafts:
         whole = Path(drafts) / f"whole{SUFFIXES[to]}"
         engines = []
@@ -298,7 +293,7 @@ def correct(
             inside = _in_file(projection.robot, whole, original, to)
             forward = _forward(inside, whole, to, before, full, on, settings, data.silent)
             judged = replace(judged, forward=forward)
-    beside = [f"{one.effect.name}{_places(one.joints)}" for one in projection.kept]
+    beside = [f"{one.effect.name}{of_joints(one.joints)}" for one in projection.kept]
     stem = f"{stem_of(robot)}_corrected" if name is None else name
 
     def write(one: Robot, stem: str, title: str, to: Target | Package = to) -> Export:
@@ -325,6 +320,16 @@ def correct(
     return Correction(
         robot, projection, judged, tuple(files), _warnings(projection, judged, robot, data.silent)
     )
+
+
+def require_same_arm(corrected: Robot, robot: Robot, what: str) -> None:
+    """Raise TorchidError for what (`result is`) is of another arm than the robot."""
+    if corrected.n != robot.n or bool((corrected.frames_apart(robot) > 1e-9).any()):
+        raise TorchidError(
+            f"the {what} of another arm.",
+            got=f"'{corrected.name}', {corrected.n} joints",
+            expected=f"'{robot.name}', {robot.n} joints in the same places",
+        )
 
 
 def _require_better(judged: Judged) -> None:
@@ -399,7 +404,8 @@ def _forward(
     return tuple(out)
 
 
-def _places(joints: Sequence[int]) -> str:
+def of_joints(joints: Sequence[int]) -> str:
+    """Which joints something is of; nothing where it is of none in particular."""
     return f" of joint {', '.join(str(j + 1) for j in joints)}" if joints else ""
 
 

@@ -13,9 +13,9 @@ from tempfile import TemporaryDirectory
 import torch
 
 from torchid.errors import TorchidError
-from torchid.export.correct import CLAIMED
+from torchid.export.correct import CLAIMED, of_joints, require_same_arm
 from torchid.export.dynamics import Dynamics
-from torchid.export.export import SUFFIXES, Export, export_dynamics, stem_of
+from torchid.export.export import Export, edited_of, export_dynamics, stem_of
 from torchid.export.record import PositionCorrectionRecord, position_correction_record
 from torchid.export.results import servo_dynamics
 from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid, write_servos
@@ -153,12 +153,7 @@ def correct_positions(
     True
     """
     arm = full.corrected if isinstance(full, PositionDiagnosis) else full
-    if arm.robot.n != robot.n or bool((arm.robot.frames_apart(robot) > 1e-9).any()):
-        raise TorchidError(
-            "the servos are of another arm.",
-            got=f"'{arm.robot.name}', {arm.robot.n} joints",
-            expected=f"'{robot.name}', {robot.n} joints in the same places",
-        )
+    require_same_arm(arm.robot, robot, "servos are")
     stem = f"{stem_of(robot)}_corrected" if name is None else name
     yaml = Path(folder) / f"{stem}_effects.yaml"
     if with_effects and yaml.resolve() in [Path(file).resolve() for file in keep]:
@@ -166,16 +161,18 @@ def correct_positions(
             f"the servos would take the place of '{yaml}'.",
             hint="another `name=...`, or another folder",
         )
-    on = log if held_out is None else held_out
-    data = prepare(arm.robot, on)
-    for one in (data, prepare(arm.robot, log)):
+    fitted = prepare(arm.robot, log)
+    on, data = log, fitted
+    if held_out is not None:
+        on, data = held_out, prepare(arm.robot, held_out)
+    for one in (fitted, data):
         if not torch.allclose(one.scale, arm.scale, rtol=UNITS):
             raise TorchidError(
                 f"{one.log.label} is in other units than the servos' own log.",
                 got=one.scale.tolist(),
                 expected=f"{arm.scale.tolist()} rad (m) per unit, as its own velocities tell",
             )
-    alone, running = refitted(arm, log, SAID, (*SAID, *AT_RUN_TIME))
+    alone, running = refitted(arm, fitted, SAID, (*SAID, *AT_RUN_TIME))
     own, beside = (_in_engine(robot, _rigid(one, log), data) for one in (alone, running))
     followed = Followed(
         "the log that was fitted" if held_out is None else "a held-out log",
@@ -210,7 +207,7 @@ def correct_positions(
         )
 
     words = f"'{robot.name}' with servos, corrected and refitted to mjcf"
-    others = [f"{name}{_places(joints)}" for name, joints in no_field.items()]
+    others = [f"{name}{of_joints(joints)}" for name, joints in no_field.items()]
     files = [write(own[0], stem, words + (f"; no field for {', '.join(others)}" if others else ""))]
     if with_effects:
         files.append(write(beside[0], f"{stem}_effects", f"{words}, for set-points at run time"))
@@ -235,8 +232,7 @@ def _in_engine(
     dynamics = servo_dynamics(arm, SetPoints(arm.servos, data.tracks.dt).late)
     with TemporaryDirectory() as drafts:
         path = Path(drafts) / "servos.xml"
-        original = robot if Path(robot.source).suffix.lower() == SUFFIXES["mjcf"] else None
-        written, file, _, _ = xml_of(dynamics.robot, path, original, "mjcf")
+        written, file, _, _ = xml_of(dynamics.robot, path, edited_of(robot, "mjcf"), "mjcf")
         write_servos(file, written, arm.servos, robot.source, dynamics.late)
         path.write_bytes(file.to_bytes())
         engine = ServosInMujoco(path, written)
@@ -249,7 +245,3 @@ def _in_engine(
 def _rms(apart: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:
     """[mrad]"""
     return 1e3 * apart.square().mean(0).sqrt()
-
-
-def _places(joints: Sequence[int]) -> str:
-    return f" of joint {', '.join(str(j + 1) for j in joints)}" if joints else ""

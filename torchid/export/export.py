@@ -86,6 +86,11 @@ class Export(Result):
         return tuple(said)
 
 
+def edited_of(robot: Robot, to: str) -> Robot | None:
+    """The robot whose file is copied and edited: the nominal one, if its file is of the format."""
+    return robot if Path(robot.source).suffix.lower() == SUFFIXES[to] else None
+
+
 def export_dynamics(
     result: Exportable,
     to: Format,
@@ -143,8 +148,7 @@ def export_dynamics(
             hint="another `name=...`, or another folder",
         )
     xml = to in get_args(Target)
-    same_format = xml and Path(model.source).suffix.lower() == SUFFIXES[to]
-    edited = model if same_format else None
+    edited = edited_of(model, to) if xml else None
     actuator = to == "isaaclab" or to == "mjlab"
     physical = not actuator and (dynamics.base is None or to not in ("csv", "c"))
     written = dynamics.robot

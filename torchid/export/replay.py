@@ -44,19 +44,20 @@ def simulator(path: Path, robot: Robot, to: Target) -> "InMujoco | InPinocchio |
     return InMujoco(path, robot)
 
 
-class InMujoco:
-    """A file in MuJoCo.
+class LoadedInMujoco:
+    """A file in MuJoCo, parts of the engine turned off.
 
     Args:
         path: MJCF, or URDF.
         robot: whose joints are meant.
+        off: of mujoco.mjtDisableBit, without its prefix.
 
     Raises:
         MissingExtraError: MuJoCo is not installed.
         TorchidError: it refuses the file, for a body off the chain for instance.
     """
 
-    def __init__(self, path: Path, robot: Robot):
+    def __init__(self, path: Path, robot: Robot, *off: str):
         try:
             self.mujoco = import_module("mujoco")
         except ImportError as error:
@@ -69,10 +70,30 @@ class InMujoco:
             raise _refused(self.name, robot, error) from error
         if path.suffix.lower() == ".urdf":
             self.model.opt.gravity[:] = robot.gravity.numpy()
-        off = self.mujoco.mjtDisableBit
-        for flag in (off.mjDSBL_CONTACT, off.mjDSBL_LIMIT, off.mjDSBL_ACTUATION):
-            self.model.opt.disableflags |= int(flag)
+        for name in off:
+            self.model.opt.disableflags |= int(getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{name}"))
         self.rows, self.places = mujoco_places(self.mujoco, self.model, robot)
+
+    def fit_step(self, dt: float) -> int:
+        """Make the file's step fit samples that are dt [s] apart; returns how many it takes."""
+        steps = max(1, math.ceil(dt / self.model.opt.timestep - 1e-9))
+        self.model.opt.timestep = dt / steps
+        return steps
+
+
+class InMujoco(LoadedInMujoco):
+    """A file in MuJoCo: MJCF or URDF.
+
+    Args:
+        path: the file.
+        robot: whose joints are meant.
+
+    Raises:
+        MissingExtraError, TorchidError: as LoadedInMujoco.
+    """
+
+    def __init__(self, path: Path, robot: Robot):
+        super().__init__(path, robot, "CONTACT", "LIMIT", "ACTUATION")
 
     def torque(self, segment: Segment, samples: Samples) -> Float[torch.Tensor, "T n"]:
         """mj_inverse along a segment."""
@@ -89,9 +110,7 @@ class InMujoco:
         """Where the joints are at the samples [rad; m], from the measured states with the measured
         torque, by the file's own integrator; nan from where the engine gives up."""
         mujoco, model, data = self.mujoco, self.model, self.mujoco.MjData(self.model)
-        # The file's step, made to fit the samples.
-        steps = max(1, math.ceil(windows.dt / model.opt.timestep - 1e-9))
-        model.opt.timestep = windows.dt / steps
+        steps = self.fit_step(windows.dt)
         out = np.full(windows.q.shape, np.nan)
         for b in range(len(out)):
             mujoco.mj_resetData(model, data)

@@ -10,7 +10,6 @@ time what a servo makes of its commands before it controls.
 
 import math
 from collections.abc import Collection
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,8 @@ import torch
 
 from torchid.digits import number
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.export.checks import Comparison, missing, relative_difference
-from torchid.export.engines import mujoco_model, mujoco_places
-from torchid.export.replay import silent
+from torchid.export.checks import EXACT, Comparison, missing, relative_difference
+from torchid.export.replay import LoadedInMujoco, silent
 from torchid.export.xml_tree import (
     XmlFile,
     child,
@@ -47,7 +45,6 @@ STEP = 0.002
 """MuJoCo's own where a file says none [s]."""
 _STIFF = {"solreflimit": "0.004 1", "solimplimit": "0.9999 0.9999 0.001"}
 """Of an end stop: MuJoCo's own gives way by degrees where a servo presses on."""
-_EXACT = 1e-9
 
 
 def unsaid(servos: Servos, names: Collection[str] = SAID) -> dict[str, tuple[int, ...]]:
@@ -154,7 +151,7 @@ def _general(values: dict[str, float], step: float) -> dict[str, str]:
     return out
 
 
-class ServosInMujoco:
+class ServosInMujoco(LoadedInMujoco):
     """An MJCF with servos in MuJoCo, contacts turned off.
 
     Args:
@@ -167,22 +164,7 @@ class ServosInMujoco:
     """
 
     def __init__(self, path: Path, robot: Robot):
-        try:
-            self.mujoco = import_module("mujoco")
-        except ImportError as error:
-            raise MissingExtraError(
-                "mujoco", "mjcf", "Moving servos by a log's commands"
-            ) from error
-        self.name = f"MuJoCo {self.mujoco.__version__}"
-        try:
-            self.model = mujoco_model(self.mujoco, path)
-        except (ValueError, RuntimeError, self.mujoco.FatalError) as error:
-            raise TorchidError(
-                f"{self.name} cannot load the file with the servos of '{robot.name}'.",
-                got=" ".join(str(error).split())[:300],
-            ) from error
-        self.model.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        self.rows, self.places = mujoco_places(self.mujoco, self.model, robot)
+        super().__init__(path, robot, "CONTACT")
         driven = self.model.actuator_trnid[:, 0].tolist()
         joints = [int(self.model.dof_jntid[row]) for row in self.rows]
         if not set(joints) <= set(driven):
@@ -214,8 +196,7 @@ class ServosInMujoco:
             q, dq: states at the windows' beginnings [rad, rad/s; m, m/s].
         """
         mujoco, model, data = self.mujoco, self.model, self.mujoco.MjData(self.model)
-        steps = max(1, math.ceil(tracks.dt / model.opt.timestep - 1e-9))
-        model.opt.timestep = tracks.dt / steps
+        steps = self.fit_step(tracks.dt)
         u, out, points = tracks.u.numpy(), np.full(tuple(tracks.u.shape), np.nan), None
         motion = -1
         for w, (a, rows) in enumerate(
@@ -268,4 +249,4 @@ def check_servos(path: Path, robot: Robot, servos: Servos) -> Comparison:
     )
     expected = torch.from_numpy(np.clip(kp * (scale * u - q) - kd * dq, -clip, clip) + offset)
     apart = relative_difference(torch.from_numpy(engine.force(u, q, dq)), expected)
-    return Comparison(engine.name, what, len(q), apart, _EXACT)
+    return Comparison(engine.name, what, len(q), apart, EXACT)

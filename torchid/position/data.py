@@ -16,6 +16,8 @@ from torchid.typing import Float, Tensor
 
 UNEVEN = 0.5
 """A step that differs from the median by more than this share of it is no jitter [1]."""
+WINDOW_S = 2.0
+"""Length of the windows that fits and searches simulate [s]."""
 STILL = 0.02
 """Slower than this a start is at rest: one count of a small servo's encoder in 0.1 s [rad/s]."""
 SMALL = PARAMETERS[INDEX["kp"]].start

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchid.log.checks import STILL
 from torchid.log.model import Log
-from torchid.position.data import PositionData, missing_commands, prepare
+from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare
 from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, PositionEffect
 from torchid.position.fit import NOISE, TOGETHER, errors, fit
@@ -35,7 +35,6 @@ from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
 from torchid.simulation.servo_loop import Windows, windows_of
 from torchid.statistics.proportion import HALF_95
 
-WINDOW_S = 2.0
 STAGES = 16
 """That are told as progress."""
 MOST = 250
@@ -90,9 +89,9 @@ def diagnose_positions(
     data = prepare(robot, log)
     windows = windows_of(data.tracks, WINDOW_S)
     say("a plain servo")
-    simple = plain(data, _some(windows, MOST))
+    simple = plain(data, some_of(windows, MOST))
     telling = _telling(data, simple, windows)
-    few, more = _some(windows, MOST, telling), _some(windows, 3 * MOST, telling)
+    few, more = some_of(windows, MOST, telling), some_of(windows, 3 * MOST, telling)
     given, answered = data, _answer(data, simple, few, more, say)
     data, found, servos = answered.data, answered.found, answered.found.servos
     say("how far it goes")
@@ -154,27 +153,23 @@ def answer(robot: Robot, log: Log) -> tuple[PositionData, Found]:
     """
     data = prepare(robot, log)
     windows = windows_of(data.tracks, WINDOW_S)
-    simple = plain(data, _some(windows, MOST))
+    simple = plain(data, some_of(windows, MOST))
     telling = _telling(data, simple, windows)
-    few, more = _some(windows, MOST, telling), _some(windows, 3 * MOST, telling)
+    few, more = some_of(windows, MOST, telling), some_of(windows, 3 * MOST, telling)
     answered = _answer(data, simple, few, more, lambda _: None)
     return answered.data, answered.found
 
 
-def refitted(arm: ServoArm, log: Log, *allowed: Collection[str]) -> tuple[ServoArm, ...]:
+def refitted(arm: ServoArm, data: PositionData, *allowed: Collection[str]) -> tuple[ServoArm, ...]:
     """The arm with servos that have some parameters alone, fitted to a log.
 
     Args:
         arm: whose servos may have more.
-        log: t, q and u.
+        data: of the same robot, from `prepare`.
         allowed: of `torchid.simulation.servo.PARAMETERS`, the core's among them, once for each of
             the answers; others than the core's are free where the arm has them.
-
-    Raises:
-        LogError: as `prepare`.
     """
-    data = prepare(arm.robot, log)
-    windows = _some(windows_of(data.tracks, WINDOW_S), MOST)
+    windows = some_of(windows_of(data.tracks, WINDOW_S), MOST)
     used = {p.name: arm.servos.of(p.name) != p.neutral for p in PARAMETERS}
     used |= dict.fromkeys(CORE, torch.ones(data.robot.n, dtype=torch.bool))
     core = torch.tensor([p.name in CORE for p in PARAMETERS])
@@ -197,7 +192,7 @@ def refitted(arm: ServoArm, log: Log, *allowed: Collection[str]) -> tuple[ServoA
             fit(data, replace(servos, joint=one), free, windows, profiles=True, iterations=12)
             for one in begun
         ]
-        worth = torch.stack([_losses(data, end, windows).sum(0) for end in ends])
+        worth = torch.stack([losses_of(data, end, windows).sum(0) for end in ends])
         joint = torch.stack([e.joint for e in ends])[worth.argmin(0), torch.arange(data.robot.n)]
         out.append(ServoArm(data.robot, replace(servos, joint=joint), arm.scale))
     return tuple(out)
@@ -233,13 +228,13 @@ def _answer(
     found, explained, alike = alone(data, simple, few)
     say("a load")
     load, others = None, tuple[str, ...]()
-    if bool((_losses(data, simple.servos, few).sum(0) > slight(data, few)).any()):
+    if bool((losses_of(data, simple.servos, few).sum(0) > slight(data, few)).any()):
         load = with_load(data, simple, few) if data.weighed else None
     if load is not None:
         # One cause of what all joints show, where no more is needed, comes before several.
         heavy, known, names = alone(load.data, load.found, few)
         with_it, without = (
-            float(_losses(*model, few).sum())
+            float(losses_of(*model, few).sum())
             for model in ((load.data, heavy.servos), (data, found.servos))
         )
         if bool(known.all()) and (with_it < without or not bool(explained.all())):
@@ -256,8 +251,8 @@ def _answer(
     say("what each effect is worth")
     gain = None
     if load is not None:
-        before = _losses(data, found.servos, few)
-        after = _losses(load.data, load.found.servos, few)
+        before = losses_of(data, found.servos, few)
+        after = losses_of(load.data, load.found.servos, few)
         total = (before - after).sum(1, keepdim=True)
         needed = float(total.sum()) > WORTHWHILE * float(before.sum()) and bool(_sure(total))
         gain = (load, before.sum(0), after.sum(0), others) if needed else None
@@ -272,7 +267,7 @@ def _answer(
 def _no_worse(data: PositionData, simple: Found, found: Found, windows: Windows) -> Found:
     """The model with simple servos on the joints that these follow as well: a search may end where
     more parameters do no better."""
-    before, after = (_losses(data, model.servos, windows).sum(0) for model in (simple, found))
+    before, after = (losses_of(data, model.servos, windows).sum(0) for model in (simple, found))
     needless = before - after < slight(data, windows)
     joint = torch.where(needless[:, None], simple.servos.joint, found.servos.joint)
     none = torch.zeros_like(needless)
@@ -300,7 +295,7 @@ def _parted(log: Log) -> tuple[Log, tuple[str, ...]]:
     )
 
 
-def _some(windows: Windows, most: int, size: Tensor | None = None) -> Windows:
+def some_of(windows: Windows, most: int, size: Tensor | None = None) -> Windows:
     """At most so many windows, each with what it stands for.
 
     Args:
@@ -366,7 +361,7 @@ Worth = dict[str, tuple[Tensor, Tensor]]
 """By effect: losses (n,) without it, NaN where it is not named, and with it [rad^2]."""
 
 
-def _losses(data: PositionData, servos: Servos, windows: Windows) -> Tensor:
+def losses_of(data: PositionData, servos: Servos, windows: Windows) -> Tensor:
     """(m, n) losses of motions [rad^2]."""
     one = replace(servos, joint=servos.joint[None], plane=servos.plane[None])
     return motion_losses(errors(data, one, windows)[..., 0], windows)
@@ -374,7 +369,7 @@ def _losses(data: PositionData, servos: Servos, windows: Windows) -> Tensor:
 
 def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, Rivals, Found]:
     """The effects without which motion after motion is followed worse, all others refitted."""
-    whole, n = _losses(data, found.servos, windows), found.servos.n
+    whole, n = losses_of(data, found.servos, windows), found.servos.n
     least = slight(data, windows)
     worth: Worth = {}
     removed: dict[str, Tensor] = {}
@@ -384,7 +379,7 @@ def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, 
             continue
         less = _without(found, effect, on, data.tracks.dt)
         servos = fit(data, less.servos, less.free, windows, iterations=2)
-        without = _losses(data, servos, windows)
+        without = losses_of(data, servos, windows)
         gain, total = without - whole, without.sum(0)
         if not effect.parameters:
             gain, total = gain.sum(1, keepdim=True).expand(-1, n), total.sum().expand(n)
@@ -421,7 +416,7 @@ def _returned(
     windows: Windows,
 ) -> tuple[Worth, Rivals, Found]:
     """Effects that stood for each other: one of them returns, with the others' names."""
-    lean = _losses(data, now.servos, windows).sum(0)
+    lean = losses_of(data, now.servos, windows).sum(0)
     lost = (lean > (1 + WORTHWHILE) * whole.sum(0)) & (lean - whole.sum(0) > least)
     candidates = {
         name: joints & lost

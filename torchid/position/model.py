@@ -13,7 +13,7 @@ from msgspec import UNSET, UnsetType
 from torchid.errors import LogError, TorchidError
 from torchid.files import atomic_write
 from torchid.log.model import Log
-from torchid.position.data import STILL, tracks_of
+from torchid.position.data import STILL, WINDOW_S, tracks_of
 from torchid.results.record import Part, Record, Result, Rows
 from torchid.robot.model import Robot
 from torchid.robot.writer import robot_yaml
@@ -276,7 +276,10 @@ def accuracy(arm: ServoArm, log: Log, moving: Bool[Tensor, " n"]) -> tuple[float
     Raises:
         LogError, TorchidError: as `replay`.
     """
-    whole, short = (float(replay(arm, log, windows=w).error[:, moving].mean()) for w in (None, 2.0))
+    whole, short = (
+        float(replay(arm, log, windows=seconds).error[:, moving].mean())
+        for seconds in (None, WINDOW_S)
+    )
     return whole, short
 
 

@@ -21,7 +21,7 @@ from torchid.excitation.clearance import Clearance
 from torchid.excitation.limits import position_limits
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress
-from torchid.position.data import prepare
+from torchid.position.data import WINDOW_S, prepare
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.effects import BY_NAME, CORE
 from torchid.position.fit import TOGETHER, prior_precision
@@ -47,7 +47,6 @@ HELD_S, LEG_S = 1.0, 4.0
 """Between steps, and of a ramp or a hold [s]."""
 LOWEST_HZ, HIGHEST_HZ = 0.1, 3.0
 """Of chirps."""
-WINDOW_S = 2.0
 UNSURE = 0.2
 """A size whose 95 % interval is this share of it to either side, or more, is open [1]."""
 SMALLER, SLOWER, TRIES = 0.6, 0.9, 5
