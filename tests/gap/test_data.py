@@ -174,12 +174,18 @@ def test_a_dwelling_joint_keeps_the_direction_it_came_from():
 
 @pytest.mark.parametrize(
     ("source", "asked", "expected"),
-    [("current", None, 0.05), ("sensor", None, 0.0), ("both", None, 0.0), ("current", 0.02, 0.02)],
+    [
+        ("current", None, 0.05),
+        ("sensor", None, 0.01),
+        ("both", None, 0.01),
+        ("sensor", 0.0, 0.0),
+        ("current", 0.02, 0.02),
+    ],
 )
 def test_the_scale_of_torques_from_currents_is_known_as_well_as_their_gains(
     source: str, asked: float | None, expected: float
 ) -> None:
-    """And the default is said aloud."""
+    """And the default for them is said aloud; sensors are known better."""
     torque = log().tau
     assert torque is not None
     noise = 0.01 * torch.randn(torque.shape, generator=torch.Generator().manual_seed(0))
@@ -190,7 +196,7 @@ def test_the_scale_of_torques_from_currents_is_known_as_well_as_their_gains(
     }[source]
     data = prepare(ROBOT, given, None, gain_std=asked)
     assert data.gain_std == expected
-    assert any("`gain_std=" in w for w in data.warnings) == (asked is None and expected > 0)
+    assert any("`gain_std=" in w for w in data.warnings) == (asked is None and source == "current")
 
 
 def ramps(lengths: tuple[int, ...], rate: float = 10.0) -> Log:

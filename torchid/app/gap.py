@@ -83,7 +83,7 @@ def gap_command(
         worthwhile: Least share of a joint's held-out error that a cause must take away to be named.
         worthwhile_torque: The same, as a share of the joint's torque.
         gain_std: How well the scale of each joint's torque is known, one standard deviation as a
-            share of it: ± holds it. By default 0.05 for currents times --gain, else 0.
+            share of it: ± holds it. By default 0.05 for currents times --gain, else 0.01.
         rollout: Simulate short motions with the model before and after.
     """
     from torchid.export.correct import file_format

@@ -30,6 +30,10 @@ DRIVE_GAIN = 0.05
 """How well torque constants times gear ratios are known [1]: two published sets of one arm differ
 by 3 to 33 %, makers promise a few per cent."""
 
+SENSOR_GAIN = 0.01
+"""How well the scale of a measured torque is known [1]: makers of joint torque sensors promise half
+a per cent to one, and a model whose shape is right leaves as much."""
+
 
 def without_signal(
     columns: Columns,

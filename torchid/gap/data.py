@@ -30,7 +30,7 @@ from torchid.design.segments import (
     segments_of,
     still_joints,
 )
-from torchid.design.signal import DRIVE_GAIN, from_current, without_signal
+from torchid.design.signal import DRIVE_GAIN, SENSOR_GAIN, from_current, without_signal
 from torchid.effects.phase import JointElasticity
 from torchid.errors import LogError
 from torchid.identification.identify import prepared
@@ -249,5 +249,5 @@ def prepare(
     positions = noise * band**2.5
     lags = [s.motion.lag.T for s in long if s.motion.lag is not None]
     lag = samples.of(lags) if lags else None
-    known = gain_std or 0.0
+    known = SENSOR_GAIN if gain_std is None else gain_std
     return Data(samples, keep, slides, missing, still, (), band, known, positions, tuple(said), lag)
