@@ -49,7 +49,7 @@ def test_the_file_moves_as_the_arm_did(name, tmp_path):
     arm = arm_with(true_servos(3, **CASES[name]))
     log = planted(arm.servos, motions=3, seconds=6.0, seed=2)
     other = planted(arm.servos, motions=3, seconds=6.0, seed=5)
-    done = correct_positions(robot(), arm, log, tmp_path, held_out=other, with_effects=True)
+    done = correct_positions(robot(), arm, log, tmp_path, held_out=other, with_effects="mjlab")
     found = done.followed
     assert found.held_out == "a held-out log"
     assert float(found.command.min()) > 20.0
@@ -61,10 +61,11 @@ def test_the_file_moves_as_the_arm_did(name, tmp_path):
     else:
         assert float(found.engine.max()) > 3.0
     assert [f.name for f in done.files] == [
-        "3r_corrected.xml", "3r_corrected_effects.xml", "3r_corrected_effects.yaml"
+        "3r_corrected.xml", "3r_corrected_effects.xml", "3r_corrected_actuator_mjlab.py",
+        "3r_corrected_servos.yaml", "3r_corrected_effects.yaml",
     ]  # fmt: skip
-    running = ServoArm.read(done.files[2])
-    assert float(replay(running, other).error.max()) < 1.5
+    for file in done.files[3:]:
+        assert float(replay(ServoArm.read(file), other).error.max()) < 1.5
     assert done.record.position_error_mrad[1].engine == pytest.approx(float(found.engine[1]))
 
 
@@ -161,6 +162,10 @@ def test_by_command(tmp_path):
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         "3r_corrected.xml", "correction.json"
     ]  # fmt: skip
+    for to in ("isaaclab", "mjlab"):
+        assert "torque of the servos" in run("export", model, "--to", to, "--name", to)
+        drives = ServoArm.read(tmp_path / "out" / f"{to}_servos.yaml").servos
+        assert torch.equal(drives.joint, arm.servos.joint)
     plain = run("export", model, "--to", "mjcf", "--name", "plain")
     assert "force of the servos" in plain
     said = run("export", model, "--to", "urdf", "--robot", "3r", "--log", file)

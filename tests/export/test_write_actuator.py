@@ -15,6 +15,8 @@ from tests.simulators.test_mujoco import BESIDE, FIELDS
 from torchid.errors import TorchidError
 from torchid.export.dynamics import records
 from torchid.export.export import export_dynamics
+from torchid.export.results import servo_dynamics
+from torchid.position.model import ServoArm
 from torchid.simulators.actuator import EffectTorque
 
 
@@ -36,6 +38,8 @@ class _Base:
 
     def initialize(self, *args: object) -> None: ...
 
+    def edit_spec(self, spec: object, names: list[str]) -> None: ...
+
     def reset(self, env_ids: object = None) -> None: ...
 
     def compute(self, command: types.SimpleNamespace, *state: torch.Tensor) -> object:
@@ -52,13 +56,15 @@ class _Cfg:
     stiffness: float = 0.0
     damping: float = 0.0
     effort_limit: float = 0.0
+    viscous_friction: dict[str, float] | None = None
+    friction: dict[str, float] | None = None
+    dynamic_friction: dict[str, float] | None = None
+    armature: dict[str, float] | None = None
 
 
-@pytest.mark.parametrize("package", ["isaaclab", "mjlab"])
-def test_files_run_where_the_package_is(
-    package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With classes that stand in for the package's own, of the interface that was read."""
+@pytest.fixture
+def packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Classes that stand in for the packages' own, of the interfaces that were read."""
     stand_ins = {
         "isaaclab": {}, "isaaclab.utils": {"configclass": dataclass(kw_only=True)},
         "isaaclab.actuators": {"IdealPDActuator": _Base, "IdealPDActuatorCfg": _Cfg},
@@ -68,6 +74,11 @@ def test_files_run_where_the_package_is(
         module = types.ModuleType(name)
         module.__dict__.update(content)
         monkeypatch.setitem(sys.modules, name, module)
+
+
+@pytest.mark.usefixtures("packages")
+@pytest.mark.parametrize("package", ["isaaclab", "mjlab"])
+def test_files_run_where_the_package_is(package: str, tmp_path: Path) -> None:
     robot = replace(arm("3r"), effects=(*FIELDS, *records([BESIDE["load"], BESIDE["presliding"]])))
     done = export_dynamics(robot, package, tmp_path, "arm", nominal=robot)  # type: ignore[arg-type]
     made = runpy.run_path(str(done.files[0]))
@@ -86,3 +97,45 @@ def test_files_run_where_the_package_is(
     core = EffectTorque(robot, environments=2)
     torch.testing.assert_close(out, 3.0 - core.torque(x, x, DT, torch.full_like(x, 3.0)))
     assert float((out - 3.0).abs().max()) > 0.05
+
+
+@pytest.mark.usefixtures("packages")
+@pytest.mark.parametrize("package", ["isaaclab", "mjlab"])
+def test_servos_run_where_the_package_is(package: str, tmp_path: Path) -> None:
+    robot = arm("3r")
+    servos = {"kp": 40.0, "kd": 1.5, "damping": [1.0, 2.0, 3.0], "armature": 0.2, "coulomb": 0.3}
+    servo = ServoArm.of(robot, **servos, delay=0.01, clip=3.0, load_share=[0.0, 0.1, 0.0])
+    done = export_dynamics(servo_dynamics(servo), package, tmp_path, "arm", nominal=robot)  # type: ignore[arg-type]
+    assert [f.name for f in done.files] == [f"arm_actuator_{package}.py", "arm_servos.yaml"]
+    assert done.notes == ("of the servos load_share are not in it",)
+    assert "; load_share are not made" in done.files[0].read_text()
+    made = runpy.run_path(str(done.files[0]))
+    names, x = list(robot.joint_names), torch.linspace(-0.2, 0.2, 6).view(2, 3)
+    if package == "isaaclab":
+        cfg = made["actuators"](DT, 2)["arm"]
+        assert cfg.viscous_friction == dict(zip(names, [1.0, 2.0, 3.0], strict=True))
+        assert cfg.armature[names[0]] == 0.2
+        assert cfg.dynamic_friction[names[2]] == 0.3
+        actuator = made["ServoActuator"](cfg, joint_names=names)
+        action = types.SimpleNamespace(joint_positions=x)
+        out = actuator.compute(action, 0 * x, x).joint_efforts
+        assert action.joint_positions is None
+    else:
+        mujoco = pytest.importorskip("mujoco")
+        (cfg,) = made["actuators"](2)
+        actuator = cfg.build(None, [0, 1, 2], names)
+        spec = mujoco.MjSpec()
+        body = spec.worldbody
+        for name in names:
+            body = body.add_body(mass=1.0, inertia=[1.0, 1.0, 1.0])
+            body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+        actuator.edit_spec(spec, names)
+        model = spec.compile()
+        assert model.dof_damping.tolist() == [1.0, 2.0, 3.0]
+        assert model.dof_frictionloss.tolist() == [0.3] * 3
+        assert model.dof_armature.tolist() == [0.2] * 3
+        model.opt.timestep = DT
+        actuator.initialize(model, None, types.SimpleNamespace(nworld=2), "cpu")
+        out = actuator.compute(types.SimpleNamespace(position_target=x, pos=0 * x, vel=x))
+    torch.testing.assert_close(out, (40 * x - 1.5 * x).clamp(-3, 3))
+    actuator.reset(torch.tensor([0]))

@@ -1,4 +1,4 @@
-"""Set-points at run time are those of the simulation of servos."""
+"""Set-points and efforts at run time are those of the simulation of servos."""
 
 import math
 
@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 import torch
 
+from tests.arms import arm
+from tests.oracles import MujocoOracle
 from torchid.errors import TorchidError
+from torchid.simulation.replay import replayed
 from torchid.simulation.servo import INDEX, Servos
-from torchid.simulation.servo_loop import PROFILE, Tracks, set_points
-from torchid.simulators.servo import SetPoints
+from torchid.simulation.servo_loop import PROFILE, Tracks, set_points, windows_of
+from torchid.simulators.servo import ServoTorque, SetPoints
 
 DT = 0.02
 
@@ -77,3 +80,113 @@ def test_environments_are_apart_and_begin_anew():
 def test_a_time_that_is_none(dt):
     with pytest.raises(TorchidError, match="expected: dt > 0 s"):
         SetPoints(Servos.neutral(2, kp=1.0), dt)
+
+
+def in_mujoco(robot, servos: Servos, u: np.ndarray, step: float) -> np.ndarray:
+    """(T, n) positions where MuJoCo is given the effort of `ServoTorque`, at rest at first."""
+    mujoco = pytest.importorskip("mujoco")
+    model = MujocoOracle(robot).model
+    model.opt.timestep = step
+    model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    model.dof_armature[:], model.dof_damping[:] = servos.of("armature"), servos.of("damping")
+    model.dof_frictionloss[:] = servos.of("coulomb")
+    model.dof_solimp[:, :2], model.dof_solref[:] = 0.9999, [2.1 * step, 1.0]
+    data = mujoco.MjData(model)
+    data.qpos[:] = u[0]
+    steps = round(DT / step)
+    drives = ServoTorque(robot, servos, dtype=torch.float64, dt=step, steps=steps)
+    out = [u[0]]
+    for row in u[:-1]:
+        for _ in range(steps):
+            now = (torch.tensor(x)[None] for x in (row, data.qpos, data.qvel))
+            data.qfrc_applied[:] = drives.torque(*now)[0]
+            mujoco.mj_step(model, data)
+        out.append(data.qpos.copy())
+    return np.array(out)
+
+
+LATE = {"kd": 0.5, "delay": 0.043}
+"""With a delay of more than a sample, a line through commands is no later than it should be."""
+
+
+@pytest.mark.parametrize(
+    ("values", "bound"),
+    [
+        (LATE, 1e-3),
+        (LATE | {"lag": 0.05, "offset": 1.0, "coulomb": 0.8, "scale": 1.1}, 1e-3),
+        ({"acceleration": 8.0, "speed": 0.7, "delay": 0.013, "kd": 2.0}, 1e-3),
+        (LATE | {"clip": 60.0, "dead_zone": 0.01}, 1e-3),
+        (LATE | {"integral": 200.0}, 1e-3),
+        (LATE | {"stiction": 5.0, "stribeck_speed": 0.1, "motor_share": 0.1}, 4e-3),
+        # Steps of held commands against lines through them.
+        ({"delay": 0.02}, 2e-3),
+    ],
+)
+def test_efforts_move_an_arm_as_the_simulation_of_servos_does(values, bound):
+    robot = arm("3r")
+    servos = Servos.neutral(3, **{"kp": 300.0, "damping": 14.0, "armature": 0.3} | values)
+    rng = np.random.default_rng(3)
+    t = DT * np.arange(60)[:, None]
+    u = rng.uniform(-1, 1, 3) + 0.2 * (1 - np.cos(2 * np.pi * rng.uniform(0.3, 1.0, 3) * t))
+    tracks = Tracks(torch.from_numpy(u), torch.tensor([0]), torch.tensor([59]), DT)
+    batch = Servos(servos.joint[None, None], servos.plane[None, None])
+    begun = tracks.u[:1], torch.zeros(1, 3).double()
+    ours = replayed(robot, batch, tracks, windows_of(tracks, None), *begun, longest_step=1e-3)
+    theirs = in_mujoco(robot, servos, u, 1e-3)
+    assert np.abs(ours.numpy() - theirs).max() < bound
+    if len(values) > 2:  # what is tested is there
+        plain = Servos.neutral(3, **{"kp": 300.0, "damping": 14.0, "armature": 0.3} | LATE)
+        assert np.abs(in_mujoco(robot, plain, u, 1e-3) - theirs).max() > 3 * bound
+
+
+def test_efforts_of_environments_are_apart_and_begin_anew():
+    robot = arm("3r")
+    servos = Servos.neutral(3, kp=50.0, kd=2.0, delay=0.03, lag=0.02, speed=0.5, integral=20.0)
+    both = ServoTorque(robot, servos, ["b/joint_3", "joint_1"], 2, dt=0.005, steps=4)
+    one = ServoTorque(robot, servos, ["joint_3", "joint_1"], 1, dt=0.005, steps=4)
+    u = torch.from_numpy(commands(12, 5, repeated=False)[:, :2]).float()
+    still = torch.zeros(2, 2)
+
+    def sample(row: int) -> torch.Tensor:
+        rows = torch.stack([u[(row + 3) % 12], u[row]])
+        together = torch.stack([both.torque(rows, still, still) for _ in range(4)])
+        alone = torch.stack([one.torque(u[row, None], still[:1], still[:1]) for _ in range(4)])
+        torch.testing.assert_close(together[:, 1:], alone)
+        return together
+
+    for row in range(8):
+        sample(row)
+    both.reset(torch.tensor([0]))
+    sample(8)
+    begun = sample(9)[:, 0]
+    # As an arm does that begins there.
+    one.reset()
+    for k in (8, 9):
+        rows = u[(k + 3) % 12, None]
+        alone = torch.stack([one.torque(rows, still[:1], still[:1])[0] for _ in range(4)])
+    torch.testing.assert_close(begun, alone)
+
+
+def test_what_an_effort_does_not_hold_is_said():
+    robot = arm("3r")
+    servos = Servos.neutral(3, kp=50.0, damping=2.0, load_share=0.1, stop_high=1.0, coulomb=0.4)
+    drives = ServoTorque(robot, servos, dt=0.005)
+    assert drives.ignored == ("load_share", "stop_high")
+    x, still, quick = torch.zeros(1, 3), torch.zeros(1, 3), torch.ones(1, 3)
+    assert float(drives.torque(x, still, quick).abs().max()) == 0
+    added = ServoTorque(robot, servos, dt=0.005, fields=True).torque(x, still, quick)
+    torch.testing.assert_close(added, torch.full((1, 3), -2.4))
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"dt": 0.0}, "steps from one command"),
+        ({"dt": 0.01, "steps": 0}, "steps from one command"),
+        ({"dt": 0.01, "names": ["elbow"]}, "no such joint"),
+    ],
+)
+def test_actuators_that_are_none(more, said):
+    with pytest.raises(TorchidError, match=said):
+        ServoTorque(arm("3r"), Servos.neutral(3, kp=1.0), **more)

@@ -19,11 +19,11 @@ Simulated = Literal["mjcf", "urdf", "drake", "mujoco", "mjlab", "isaaclab", "gaz
 
 def require_servos(to: str) -> None:
     """Raise TorchidError for files that do not say servos."""
-    if to not in ("mjcf", "mujoco", "mjlab"):
+    if to not in ("mjcf", "mujoco", "mjlab", "isaaclab"):
         raise TorchidError(
             "these logs have commands and positions, and servos are written into an MJCF only.",
             got=to,
-            available=["mjcf", "mujoco", "mjlab"],
+            available=["mjcf", "mujoco", "mjlab", "isaaclab"],
         )
 
 
@@ -124,7 +124,7 @@ def export_command(
         )
     read = reading.read(log, found.original)
     apart = reading.read(held_out, found.original) if held_out else None
-    if found.dynamics.servos is not None:
+    if found.dynamics.arm is not None:
         require_servos(to)
         arm = torchid.ServoArm.read(result)
         followed = torchid.correct_positions(
@@ -184,6 +184,7 @@ def correct_command(
     from torchid.report.robot import correction_shown, servos_shown
 
     kind = file_format(to)
+    beside = with_effects and (to if to == "isaaclab" or to == "mjlab" else True)
     if name is not None:
         require_name(name)
     found, log, apart, _ = trials.open(output, settings.held_out_fraction)
@@ -193,7 +194,7 @@ def correct_command(
             servos = torchid.diagnose_positions(found, log, held_out=apart, progress=progress)
         followed = torchid.correct_positions(
             found, servos, log, output.out or Path(), name, held_out=apart,
-            with_effects=with_effects, seed=settings.seed, keep=trials.inputs,
+            with_effects=beside, seed=settings.seed, keep=trials.inputs,
         )  # fmt: skip
         told = output.keep(followed, "correction.json", servos_shown, seed=settings.seed)
         output.verdict(position_verdict(servos))
@@ -203,8 +204,7 @@ def correct_command(
         result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
     done = torchid.correct(
         found, result, log, kind, output.out or Path(), name, held_out=apart, settings=settings,
-        with_effects=with_effects and (to if to == "isaaclab" or to == "mjlab" else True),
-        keep=trials.inputs,
+        with_effects=beside, keep=trials.inputs,
     )  # fmt: skip
     said = output.keep(done, "correction.json", correction_shown)
     output.verdict(verdict(result))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Literal
 
 import torch
 
@@ -19,6 +20,7 @@ from torchid.export.export import Export, edited_of, export_dynamics, stem_of
 from torchid.export.record import PositionCorrectionRecord, position_correction_record
 from torchid.export.results import servo_dynamics
 from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid, write_servos
+from torchid.export.write_actuator import Package
 from torchid.export.write_xml import xml_of
 from torchid.log.model import Log
 from torchid.position.data import PositionData, prepare
@@ -29,7 +31,7 @@ from torchid.results.record import Result
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of
-from torchid.simulators.servo import AT_RUN_TIME, SetPoints
+from torchid.simulators.servo import AS_EFFORT, AT_RUN_TIME, SetPoints
 from torchid.typing import Float, Tensor
 
 WINDOW_S = 10.0
@@ -117,7 +119,7 @@ def correct_positions(
     name: str | None = None,
     *,
     held_out: Log | None = None,
-    with_effects: bool = False,
+    with_effects: bool | Package = False,
     seed: int = 0,
     keep: Sequence[Path] = (),
 ) -> PositionCorrection:
@@ -131,7 +133,8 @@ def correct_positions(
         name: of the file, without suffix; the robot's own, with `_corrected`, by default.
         held_out: motions that judge it; without them, those that it was fitted to.
         with_effects: write a second file, `_effects` after its name, and a yaml of its servos, for
-            set-points that `torchid.simulators.servo` makes at run time.
+            set-points that `torchid.simulators.servo` makes at run time. With a package's name that
+            package's actuator class is written, too: all of a servo at run time, refitted to that.
         seed: of the states at which the file's torque is compared.
         keep: files that are never overwritten.
 
@@ -194,10 +197,12 @@ def correct_positions(
         )
     no_field = unsaid(arm.servos, SAID)
 
-    def write(dynamics: Dynamics, stem: str, title: str) -> Export:
+    def write(
+        dynamics: Dynamics, stem: str, title: str, to: Literal["mjcf"] | Package = "mjcf"
+    ) -> Export:
         return export_dynamics(
             replace(dynamics, title=title),
-            "mjcf",
+            to,
             folder,
             stem,
             nominal=robot,
@@ -212,6 +217,10 @@ def correct_positions(
     if with_effects:
         files.append(write(beside[0], f"{stem}_effects", f"{words}, for set-points at run time"))
         running.write(yaml)
+    if not isinstance(with_effects, bool):
+        (drives,) = refitted(arm, fitted, AS_EFFORT)
+        title = f"{words}, all of it at run time"
+        files.append(write(servo_dynamics(drives), stem, title, with_effects))
     said = (yaml,) if with_effects else ()
     return PositionCorrection(robot, alone, followed, no_field, tuple(files), said)
 

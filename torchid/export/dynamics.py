@@ -10,9 +10,9 @@ from torchid.effects.base import Effect, Motion
 from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued, model_torque, nominal_effects
 from torchid.identification.values import BaseValues
+from torchid.position.model import ServoArm
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import JointType, Robot
-from torchid.simulation.servo import Servos
 from torchid.typing import Float, Joints, Tensor
 
 STATES = 200
@@ -32,8 +32,8 @@ class Dynamics:
         title: the same in words, with the file it is from.
         base: the base parameters, of an identification.
         warnings: sentences for the user.
-        servos: of its joints, whose damping, dry friction and armature are effects of the robot;
-            None where no servos are known.
+        arm: with servos, whose damping, dry friction and armature are effects of the robot; None
+            where no servos are known.
         late: (n,) by how much their commands are late by being held [s]; None for not at all.
     """
 
@@ -42,7 +42,7 @@ class Dynamics:
     title: str
     base: BaseValues | None = None
     warnings: tuple[str, ...] = ()
-    servos: Servos | None = None
+    arm: ServoArm | None = None
     late: Float[Tensor, " n"] | None = None
 
     def torque(self, motion: Motion) -> Joints:

@@ -23,6 +23,7 @@ from torchid.feasibility.record import Check, check_sets
 from torchid.feasibility.sets import nominal_set
 from torchid.results.record import Result
 from torchid.robot.model import Robot
+from torchid.simulators.servo import AS_EFFORT
 
 Format = Literal["urdf", "mjcf", "drake", "yaml", "csv", "c", "isaaclab", "mjlab"]
 SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "drake": ".xml"}
@@ -195,17 +196,18 @@ def export_dynamics(
 
 def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
     """What of servos that were not refitted a format does not say."""
-    if dynamics.servos is None or dynamics.late is not None:
+    if dynamics.arm is None or dynamics.late is not None:
         return ()
-    names = unsaid(dynamics.servos, SAID if to == "mjcf" else JOINTS)
+    said = AS_EFFORT if to in get_args(Package) else SAID if to == "mjcf" else JOINTS
+    names = unsaid(dynamics.arm.servos, said)
     if not names:
         return ()
-    hint = (
-        "`log=...` refits what is left to a log, and moves it there in MuJoCo"
-        if to == "mjcf"
-        else '`to="mjcf"` says gains, delays, clips and stops, too'
-    )
-    return (f"of the servos {', '.join(names)} are not in it; {hint}",)
+    hint = ""
+    if to == "mjcf":
+        hint = "; `log=...` refits what is left to a log, and moves it there in MuJoCo"
+    elif said == JOINTS:
+        hint = '; `to="mjcf"` says gains, delays, clips and stops, too'
+    return (f"of the servos {', '.join(names)} are not in it{hint}",)
 
 
 def stem_of(robot: Robot) -> str:

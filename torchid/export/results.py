@@ -265,7 +265,7 @@ def servo_dynamics(arm: ServoArm, late: Float[Tensor, " n"] | None = None) -> Dy
         if value > 0
     ]
     robot = replace(arm.robot, effects=(*arm.robot.effects, *records(pairs)))
-    return replace(own, robot=robot, servos=arm.servos, late=late)
+    return replace(own, robot=robot, arm=arm, late=late)
 
 
 def _beside(

@@ -44,7 +44,7 @@ def write_xml(
     """
     mjcf = path.suffix == ".xml"
     robot, file, joints, rest = xml_of(written, path, original, to)
-    servos = dynamics.servos if to == "mjcf" else None
+    servos = dynamics.arm.servos if to == "mjcf" and dynamics.arm is not None else None
     if servos is not None:
         source = path.name if original is None else original.source
         write_servos(file, robot, servos, source, dynamics.late)

@@ -120,6 +120,12 @@ class ServoArm:
             return None
         return cls.read(path) if isinstance(parsed_yaml(path).get(KEY), dict) else None
 
+    @property
+    def yaml(self) -> str:
+        """What `write` writes."""
+        block = {KEY: {**self.servos.record(), "log_scale": self.scale.tolist()}}
+        return robot_yaml(self.robot) + yaml.safe_dump(block, sort_keys=False, width=200)
+
     def write(self, path: str | Path) -> None:
         """The robot's yaml with its servos, whole or not at all.
 
@@ -129,10 +135,8 @@ class ServoArm:
         Raises:
             TorchidError: the file cannot be written.
         """
-        block = {KEY: {**self.servos.record(), "log_scale": self.scale.tolist()}}
-        text = robot_yaml(self.robot) + yaml.safe_dump(block, sort_keys=False, width=200)
         with atomic_write(Path(path)) as file:
-            file.write(text)
+            file.write(self.yaml)
 
 
 class ReplayedLog(Part, frozen=True, kw_only=True):

@@ -18,6 +18,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -154,6 +155,8 @@ def _with_stiffness(robot: Robot, body: Body) -> Body:
 
 BodyAt = Callable[[Tensor, Tensor], Body]
 """The rigid body at positions and velocities (W, n)."""
+
+Values = TypeVar("Values", np.ndarray, Tensor)
 
 Shares = tuple[Tensor, Tensor, Tensor]
 """Of a step: how far the set-point is from one knot to the next, and which side it is on."""
@@ -319,21 +322,23 @@ def profiles_of(servos: Servos) -> Float[Tensor, "S n 4"]:
     return servos.joint[..., [INDEX[name] for name in PROFILE]].flatten(0, -3)
 
 
-def profile_step(
-    e: np.ndarray, v: np.ndarray, a: np.ndarray, top: np.ndarray, dt: float
-) -> tuple[np.ndarray, np.ndarray]:
+def profile_step(e: Values, v: Values, a: Values, top: Values, dt: float) -> tuple[Values, Values]:
     """How far the fastest way to rest at a distance e goes within dt, and its velocity then."""
+    # Of arrays or of tensors, which call the same functions by other names.
+    own: Any = torch if isinstance(e, Tensor) else np
+    where, root = own.where, own.sqrt
+    least, most = (own.clamp_min, own.clamp_max) if own is torch else (own.maximum, own.minimum)
     # Towards the goal, unless the braking distance is longer than what is left.
-    side = np.where(e - v * np.abs(v) / (2 * a) >= 0, 1.0, -1.0)
-    peak = np.minimum(np.sqrt(np.maximum(side * a * e + v * v / 2, 0)), top)
+    side = where(e - v * abs(v) / (2 * a) >= 0, 1.0, -1.0)
+    peak = most(root(least(side * a * e + v * v / 2, 0)), top)
     speed = side * v
-    t_up = np.maximum((peak - speed) / a, 0)
+    t_up = least((peak - speed) / a, 0)
     # The way while it speeds up and while it brakes; the rest at constant speed.
     up, down = (speed + peak) / 2 * t_up, peak * peak / (2 * a)
-    t_even = np.maximum((side * e - up - down) / np.maximum(peak, 1e-12), 0)
-    first = np.minimum(dt, t_up)
-    second = np.minimum(dt - first, t_even)
-    third = np.minimum(dt - first - second, peak / a)
+    t_even = least((side * e - up - down) / least(peak, 1e-12), 0)
+    first = most(t_up, dt)
+    second = most(t_even, dt - first)
+    third = most(peak / a, dt - first - second)
     way = speed * first + a * first * first / 2
     now = speed + a * first
     way = way + now * second + now * third - a * third * third / 2

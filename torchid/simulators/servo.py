@@ -1,5 +1,6 @@
-"""Set-points of position servos as they are made at run time, for any simulator whose actuators
-follow a position.
+"""Position servos at run time, for simulators whose own actuators are simpler.
+
+Where the actuators follow a position, set-points are made for them:
 
     points = SetPoints(torchid.ServoArm.read("arm_corrected_effects.yaml").servos, dt=0.02)
     for command in policy:                      # every dt
@@ -7,24 +8,41 @@ follow a position.
             data.ctrl[:] = ctrl
             mujoco.mj_step(model, data)
 
+Where they take an effort, all of a servo is made for them, batched over environments:
+
+    arm = torchid.ServoArm.read("corrected.yaml")
+    servos = ServoTorque(arm.robot, arm.servos, environments=4096, dt=0.005, steps=4)
+    effort = servos.torque(command, joint_pos, joint_vel)   # every step of the physics
+
 A servo follows a set-point of limited acceleration and speed, not the command, and answers to the
 set-point's rate: kp (x - q) + kd (dx - dq) = kp (x + kd / kp dx - q) - kd dq, of which the last is
-in the simulator's file. Plain numpy, batched over environments.
+in the simulator's file. Plain torch on any device; nothing of a simulator is imported.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
+from torchid.dynamics.forward import gravity_torque
+from torchid.effects.friction_laws import RESTING
 from torchid.errors import TorchidError
-from torchid.simulation.servo import Servos
+from torchid.robot.model import Robot
+from torchid.simulation.servo import PARAMETERS, Servos
 from torchid.simulation.servo_loop import FASTEST, profile_step
-from torchid.typing import Float
+from torchid.typing import Bool, Float, Int, Tensor
 
 AT_RUN_TIME = ("kd", "acceleration", "speed")
 """Parameters of servos that set-points at run time make true."""
+FIELDS = ("damping", "coulomb", "armature")
+"""Parameters that simulators have fields of joints for."""
+NOT_AS_EFFORT = ("load_share", "stop_low", "stop_high")
+"""Parameters that an actuator does nothing about: it does not know what the arm weighs, and limits
+are the joint's."""
+AS_EFFORT = tuple(p.name for p in PARAMETERS if p.name not in NOT_AS_EFFORT)
+"""Parameters that are true where all of a servo is made at run time."""
 
 
 class SetPoints:
@@ -33,38 +51,74 @@ class SetPoints:
     Args:
         servos: one set, of n joints.
         dt: from one command to the next [s].
+        device, dtype: of the tensors.
 
     Raises:
         TorchidError: dt is no time.
     """
 
-    def __init__(self, servos: Servos, dt: float):
+    def __init__(
+        self,
+        servos: Servos,
+        dt: float,
+        device: torch.device | str = "cpu",
+        dtype: torch.dtype = torch.float64,
+    ):
         if not 0 < dt < float("inf"):
             raise TorchidError("commands come one after the other.", got=dt, expected="dt > 0 s")
         kp, kd, scale, a, top = (
-            servos.of(name).numpy() for name in ("kp", "kd", "scale", "acceleration", "speed")
+            servos.of(name).to(device, dtype)
+            for name in ("kp", "kd", "scale", "acceleration", "speed")
         )
         self.dt, self.repeated = dt, servos.repeated
-        self.limited = np.isfinite(a) | np.isfinite(top)
-        self._limits = np.minimum(a, FASTEST[0]), np.minimum(top, FASTEST[1])
-        self._scale, self._ahead = scale, kd / np.maximum(kp, 1e-300)
+        self.limited = a.isfinite() | top.isfinite()
+        self._limits = a.clamp(max=FASTEST[0]), top.clamp(max=FASTEST[1])
+        self._scale, self._ahead = scale, kd / kp.clamp(min=1e-30)
         self._lines = self.limited | (kd > 0)
-        self._state: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._state: tuple[Tensor, Tensor, Tensor] | None = None
 
     @property
-    def late(self) -> Float[torch.Tensor, " n"]:
+    def late(self) -> Float[Tensor, " n"]:
         """(n,) by how much the control is later than straight lines from one command to the next,
         in the mean [s]: a command that is held by half of dt; a line that ends where the command
         is, by all of it. A limited set-point knows no more than the last command either way."""
-        late = np.where(self.limited, 0.0, np.where(self._lines, self.dt, self.dt / 2))
-        return torch.from_numpy(late)
+        late = (self.dt + self.dt * self._lines.to(self._scale)) / 2
+        return torch.where(self.limited, 0.0, late)
 
-    def reset(self, environments: Sequence[int] | slice | None = None) -> None:
+    def reset(self, environments: Int[Tensor, " K"] | Sequence[int] | slice | None = None) -> None:
         """Begin anew at the next command: in some environments, or in all."""
         if environments is None or self._state is None:
             self._state = None
             return
-        self._state[2][environments] = np.nan
+        self._state[2][environments] = math.nan
+
+    def line(
+        self, command: Float[Tensor, "*batch n"]
+    ) -> tuple[Float[Tensor, "*batch n"], Float[Tensor, "*batch n"], Bool[Tensor, "*batch n"]]:
+        """Where set-points are now [rad; m], how far they go until the next command, and which
+        begin anew.
+
+        Args:
+            command: [rad; m].
+        """
+        goal = command * self._scale
+        if self._state is None:
+            nothing = torch.full_like(goal, math.nan)
+            self._state = goal, torch.zeros_like(goal), nothing
+        x, v, last = self._state
+        new = last.isnan()
+        x, v, last = (
+            torch.where(new, goal, x),
+            torch.where(new, 0.0, v),
+            torch.where(new, goal, last),
+        )
+        way, v = profile_step(goal - x, v, *self._limits, self.dt)
+        after = torch.where(self.limited, x + way, goal)
+        if self.repeated:
+            same = (goal == last) & ~new
+            after, v = torch.where(same, goal, after), torch.where(same, 0.0, v)
+        self._state = after, v, goal
+        return torch.where(self._lines, x, goal), torch.where(self._lines, after - x, 0.0), new
 
     def feed(self, command: npt.ArrayLike, steps: int) -> np.ndarray:
         """(steps, ..., n) what to control to in each step of the physics until the next command.
@@ -73,19 +127,153 @@ class SetPoints:
             command: (..., n) [rad; m].
             steps: of the physics in dt.
         """
-        goal = np.asarray(command, dtype=np.float64) * self._scale
-        if self._state is None:
-            self._state = goal.copy(), np.zeros_like(goal), np.full_like(goal, np.nan)
-        x, v, last = self._state
-        new = np.isnan(last)
-        x, v, last = np.where(new, goal, x), np.where(new, 0.0, v), np.where(new, goal, last)
-        way, v = profile_step(goal - x, v, *self._limits, self.dt)
-        after = np.where(self.limited, x + way, goal)
-        if self.repeated:
-            same = (goal == last) & ~new
-            after, v = np.where(same, goal, after), np.where(same, 0.0, v)
-        self._state = after, v, goal
-        rate = np.where(self._lines, after - x, 0.0)
-        along = (np.arange(steps) / steps).reshape(-1, *(1,) * goal.ndim)
-        points = np.where(self._lines, x + along * rate, goal)
-        return (points + self._ahead * rate / self.dt) / self._scale
+        x, way, _ = self.line(torch.as_tensor(np.asarray(command)).to(self._scale))
+        along = (torch.arange(steps).to(x) / steps).reshape(-1, *(1,) * x.ndim)
+        return ((x + along * way + self._ahead * way / self.dt) / self._scale).cpu().numpy()
+
+
+class ServoTorque:
+    """The torque of position servos, as that of an explicit actuator, batched over environments.
+
+    Damping, dry friction and armature are left to the simulator's own fields, which it meets
+    implicitly; `ignored` is left to nobody here.
+
+    Attributes:
+        joints: of the robot, in the order of the given names.
+        ignored: names of the servos' parameters that nothing is done about.
+
+    Args:
+        robot: whose joints the servos are of.
+        servos: one set.
+        names: of the actuator's joints, in its order; all of the robot's if None. A prefix that
+            ends with a slash is passed over.
+        environments: how many.
+        device, dtype: of the tensors.
+        dt: of a step of the physics [s].
+        steps: of the physics from one command to the next.
+        fields: whether to add damping and dry friction, too: a straight line below `resting`.
+        resting: speed up to which friction grows in proportion [rad/s; m/s].
+
+    Raises:
+        TorchidError: a name that is no joint of the robot, or steps that take no time.
+
+    >>> import torch, torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> servos = Servos.neutral(3, kp=20.0, clip=4.0)
+    >>> drives = ServoTorque(robot, servos, environments=2, dt=0.002, steps=10)
+    >>> drives.torque(torch.full((2, 3), 0.1), torch.zeros(2, 3), torch.zeros(2, 3))[0].tolist()
+    [2.0, 2.0, 2.0]
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        servos: Servos,
+        names: Sequence[str] | None = None,
+        environments: int = 1,
+        device: torch.device | str = "cpu",
+        dtype: torch.dtype = torch.float32,
+        *,
+        dt: float,
+        steps: int = 1,
+        fields: bool = False,
+        resting: float = RESTING,
+    ):
+        own = [n.rpartition("/")[2] for n in (robot.joint_names if names is None else names)]
+        if unknown := [n for n in own if n not in robot.joint_names]:
+            raise TorchidError(
+                "the robot has no such joint.",
+                got=", ".join(unknown),
+                available=list(robot.joint_names),
+            )
+        if not (0 < dt < math.inf and steps >= 1):
+            raise TorchidError(
+                "there are steps from one command to the next.",
+                got=f"dt={dt}, steps={steps}",
+                expected="dt > 0 s, steps >= 1",
+            )
+        self.joints = [robot.joint_names.index(n) for n in own]
+        every = servos
+        servos = Servos(every.joint[self.joints], every.plane, repeated=every.repeated)
+        p = {x.name: servos.of(x.name).to(device, dtype) for x in PARAMETERS}
+        neutral = {x.name: x.neutral for x in PARAMETERS}
+        unmade = [name for name in NOT_AS_EFFORT if bool((p[name] != neutral[name]).any())]
+        self.ignored = (*unmade, *["plane"] * bool(every.plane[4] > 0))
+        self._p, self._dt, self._steps, self._fields = p, dt, steps, fields
+        self._resting, self._robot = resting, robot
+        self._points = SetPoints(servos, dt * steps, device, dtype)
+        self._step = 0
+        # A command that is held is late by itself.
+        behind = (p["delay"] - self._points.late).clamp(min=0) / dt
+        self._whole = behind.floor().long()
+        self._part = behind - self._whole
+        self._column = torch.arange(len(own), device=device)
+        zero = torch.zeros(environments, len(own), device=device, dtype=dtype)
+        self._keep = torch.exp(-dt / p["lag"].clamp(min=1e-12))
+        self._x, self._way, self._filtered, self._sum = zero, zero, zero, zero
+        # What set-points and their rates were, for servos that hear of them late.
+        self._past = zero.expand(2, int(self._whole.max()) + 2, *zero.shape).clone()
+
+    def reset(self, environments: Int[Tensor, " K"] | Sequence[int] | slice | None = None) -> None:
+        """Begin anew at the next command, in some environments or in all: as if it had stood for
+        long."""
+        self._points.reset(environments)
+        if environments is None:
+            self._step = 0
+
+    @torch.no_grad()
+    def torque(
+        self, command: Float[Tensor, "B J"], q: Float[Tensor, "B J"], dq: Float[Tensor, "B J"]
+    ) -> Float[Tensor, "B J"]:
+        """Torque of the servos in this step [N m; N].
+
+        Args:
+            command: positions, of which the first of `steps` counts [rad; m].
+            q, dq: of the actuator's joints [rad, rad/s; m, m/s].
+        """
+        p, dt = self._p, self._dt
+        q, dq = q.to(self._x), dq.to(self._x)
+        new = None
+        if self._step == 0:
+            self._x, way, new = self._points.line(command.to(self._x))
+            self._way = way / self._steps
+            # A filter goes on from where it was; without one the set-point is what it knows.
+            self._filtered = torch.where(new | (p["lag"] == 0), self._x, self._filtered)
+        self._step = (self._step + 1) % self._steps
+        # The filter's answer to a straight line, exactly.
+        behind = p["lag"] / dt * self._way
+        after = self._x + self._way
+        filtered = after - behind + (self._filtered - self._x + behind) * self._keep
+        now = torch.stack([self._filtered, (filtered - self._filtered) / dt])
+        self._x, self._filtered = after, filtered
+        self._past = torch.cat([now.unsqueeze(1), self._past[:, :-1]], 1)
+        if new is not None and bool(new.any()):
+            first = torch.stack([now[0], torch.zeros_like(now[0])]).unsqueeze(1)
+            self._past = torch.where(new, first, self._past)
+        at, before = (self._past[:, self._whole + k, :, self._column] for k in (0, 1))
+        x, dx = torch.lerp(at, before, self._part[:, None, None]).permute(1, 2, 0)
+        error = x - q
+        if new is not None and bool(new.any()) and bool((p["integral"] > 0).any()):
+            self._sum = torch.where(new, self._borne(error, q), self._sum)
+        error = error - error.clamp(-p["dead_zone"], p["dead_zone"])
+        motor = p["kp"] * error + p["kd"] * (dx - dq) + self._sum
+        motor = motor.clamp(-p["clip"], p["clip"])
+        # What the servo cannot give is not summed.
+        self._sum = (self._sum + p["integral"] * dt * error).clamp(-p["clip"], p["clip"])
+        dry = p["stiction"] * torch.exp(-dq.abs() / p["stribeck_speed"])
+        dry = dry + p["motor_share"] * motor.abs()
+        out = motor + p["offset"]
+        if self._fields:
+            dry, out = dry + p["coulomb"], out - p["damping"] * dq
+        return out - dry * (dq / self._resting).clamp(-1.0, 1.0)
+
+    def _borne(self, error: Float[Tensor, "B J"], q: Float[Tensor, "B J"]) -> Float[Tensor, "B J"]:
+        """What integral action has summed where the arm stands still, gravity's torque borne;
+        nothing where the other joints are not known."""
+        p = self._p
+        if sorted(self.joints) != list(range(self._robot.n)):
+            return torch.zeros_like(q)
+        at = torch.zeros(len(q), self._robot.n, dtype=torch.float64)
+        at[:, self.joints] = q.cpu().double()
+        weight = gravity_torque(self._robot, at)[:, self.joints].to(q)
+        return torch.where(p["integral"] > 0, weight - p["offset"] - p["kp"] * error, 0.0)
