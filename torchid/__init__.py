@@ -45,6 +45,7 @@ _PUBLIC = {
     "correct": "torchid.export.correct",
     "correct_positions": "torchid.export.correct_positions",
     "randomise": "torchid.export.randomise",
+    "randomise_positions": "torchid.export.randomise_positions",
     "diagnose": "torchid.gap.diagnose",
     "GapSettings": "torchid.gap.settings",
     "diagnose_positions": "torchid.position.diagnose",

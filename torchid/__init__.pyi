@@ -13,6 +13,7 @@ from torchid.export.correct import correct as correct
 from torchid.export.correct_positions import correct_positions as correct_positions
 from torchid.export.export import export_dynamics as export_dynamics
 from torchid.export.randomise import randomise as randomise
+from torchid.export.randomise_positions import randomise_positions as randomise_positions
 from torchid.extraction.convex.atlas import atlas as atlas
 from torchid.extraction.extract import extract as extract
 from torchid.extraction.found import best_set as best_set

@@ -48,6 +48,19 @@ def test_the_truth_is_within_the_intervals(found):
     assert inside >= 12
 
 
+def test_covariances_are_of_the_deviations(found):
+    _, data, windows, model = found
+    known = equations(data, model.servos, model.free, windows)
+    covariances, deviations = known.covariances(), known.deviations()
+    assert torch.allclose(covariances.diagonal(dim1=1, dim2=2).sqrt(), deviations)
+    unit = 1 / deviations
+    correlations = covariances * unit[:, None] * unit[:, :, None]
+    assert float(torch.linalg.eigvalsh(correlations).min()) > -1e-9
+    # Gain and inertia are told by the same torques.
+    k, i = known.names.index("kp"), known.names.index("armature")
+    assert float(correlations[:, k, i].min()) > 0.3
+
+
 def test_a_slope_is_the_change_of_a_simulation(found):
     """Half the step gives the same slope, for what is smooth."""
     _, data, windows, model = found

@@ -1,6 +1,7 @@
 """Set-points and efforts at run time are those of the simulation of servos."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +11,9 @@ from tests.arms import arm
 from tests.oracles import MujocoOracle
 from torchid.errors import TorchidError
 from torchid.simulation.replay import replayed
-from torchid.simulation.servo import INDEX, Servos
+from torchid.simulation.servo import INDEX, NAMES, Servos
 from torchid.simulation.servo_loop import PROFILE, Tracks, set_points, windows_of
-from torchid.simulators.servo import ServoTorque, SetPoints
+from torchid.simulators.servo import ServoTorque, SetPoints, drawn_servos
 
 DT = 0.02
 
@@ -166,6 +167,35 @@ def test_efforts_of_environments_are_apart_and_begin_anew():
         rows = u[(k + 3) % 12, None]
         alone = torch.stack([one.torque(rows, still[:1], still[:1])[0] for _ in range(4)])
     torch.testing.assert_close(begun, alone)
+
+
+def test_environments_have_servos_of_their_own(tmp_path):
+    """Drawn ones, in turn, as each of them does alone."""
+    robot, draw = arm("3r"), torch.Generator().manual_seed(4)
+    centre = Servos.neutral(3, kp=50.0, kd=2.0, delay=0.03, lag=0.02, speed=0.5, dead_zone=0.01)
+    spread = 1 + 0.5 * torch.rand(2, *centre.joint.shape, generator=draw, dtype=torch.float64)
+    values = (centre.joint * spread).nan_to_num(nan=0.0)
+    path = tmp_path / "draws.npz"
+    np.savez(path, parameters=np.array(NAMES), values=values.numpy())
+    drawn = drawn_servos(path, centre)
+    assert torch.equal(drawn.joint, values)
+    dt, dtype = {"dt": 0.005, "steps": 4}, torch.float64
+    every = ServoTorque(robot, drawn, None, 3, dtype=dtype, **dt)
+    single = [
+        ServoTorque(robot, replace(centre, joint=v), None, 1, dtype=dtype, **dt) for v in values
+    ]
+    for row in torch.from_numpy(commands(10, 5, repeated=False)):
+        given = row.repeat(3, 1), 0.1 * row.repeat(3, 1), -row.repeat(3, 1)
+        for _ in range(4):
+            together = every.torque(*given)
+            alone = torch.cat([one.torque(*(x[:1] for x in given)) for one in single])
+            torch.testing.assert_close(together[:2], alone)
+            assert torch.equal(together[2], together[0])
+    with pytest.raises(TorchidError, match="draws of other servos"):
+        drawn_servos(path, Servos.neutral(2))
+    path.write_text("no archive")
+    with pytest.raises(TorchidError, match="holds no draws"):
+        drawn_servos(path, centre)
 
 
 def test_what_an_effort_does_not_hold_is_said():

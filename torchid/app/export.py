@@ -78,9 +78,11 @@ def export_command(
         geometry: Bounds of the centres of mass that count in the check, as for `torchid check`.
     """
     from torchid.export.projection import Target
-    from torchid.export.results import carried, diagnosis
+    from torchid.export.results import any_diagnosis, carried
+    from torchid.position.record import PositionRecord
     from torchid.report.robot import (
         correction_shown,
+        drawn_servos_shown,
         export_shown,
         randomisation_shown,
         servos_shown,
@@ -90,10 +92,21 @@ def export_command(
         if to is not None:
             raise TorchidError("--randomise writes ranges for all simulators.", got=f"--to {to}")
         given = None if robot is None else torchid.load_robot(robot, tip=tip)
+        diagnosed = any_diagnosis(Path(result))
+        if isinstance(diagnosed, PositionRecord):
+            if spread:
+                raise TorchidError("--spread is of logs with torques, and these have commands.")
+            servos = torchid.randomise_positions(
+                diagnosed, randomise, robot=given, draws=draws, seed=seed
+            )
+            written = [str(file) for file in servos.write(output.out or Path(), name)]
+            told = drawn_servos_shown(servos, written)
+            plain = {**servos.plain(), "files": written}
+            output.give(plain, "randomisation.json", lambda _: told, seed=seed)
+            return
         ranges = torchid.randomise(
-            diagnosis(Path(result)), randomise, robot=given, spread=spread or [], draws=draws,
-            seed=seed,
-        )  # fmt: skip
+            diagnosed, randomise, robot=given, spread=spread or [], draws=draws, seed=seed
+        )
         files = [str(file) for file in ranges.write(output.out or Path(), name)]
         plain = {**ranges.plain(), "files": files}
         told = randomisation_shown(ranges, files)

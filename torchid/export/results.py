@@ -25,6 +25,7 @@ from torchid.identification.result import Identification
 from torchid.identification.values import identified_base, read_base
 from torchid.json_data import read_json
 from torchid.position.model import ServoArm
+from torchid.position.record import PositionRecord
 from torchid.results.files import read
 from torchid.robot.library import is_robot, load_both, load_robot, named_robot
 from torchid.robot.model import Robot
@@ -127,6 +128,18 @@ def base_dynamics(path: Path, robot: Robot) -> Dynamics:
     return of_base(
         robot, values, f"the {len(values.base)} base parameters identified in {path.name}"
     )
+
+
+def any_diagnosis(path: Path) -> GapRecord | PositionRecord:
+    """A diagnosis of torques, with the robot that it corrected, or of commands and positions.
+
+    Raises:
+        TorchidError: another file, or a fault in it, with its place.
+    """
+    kinds = ("torchid.gap/1", "torchid.position_gap/1")
+    found = read(path, kinds, "the JSON of `torchid gap`")
+    assert isinstance(found, PositionRecord | GapRecord)
+    return found if isinstance(found, PositionRecord) else diagnosis(path)
 
 
 def diagnosis(path: Path) -> GapRecord:

@@ -3,11 +3,11 @@
 Read from top to bottom: `diagnose_positions` is the pipeline.
 """
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
 
 import torch
 from torch import Tensor
@@ -79,7 +79,7 @@ def diagnose_positions(
     >>> answered < 0.1 * found.commanded.mean[0]
     True
     """
-    begun, stages = time.perf_counter(), count()
+    begun, stages = time.perf_counter(), itertools.count()
 
     def say(stage: str) -> None:
         if progress is not None:
@@ -99,7 +99,8 @@ def diagnose_positions(
     ways, errors_of = _accuracies(((given, simple), (data, found)), windows, few)
     findings = _findings(answered, known)
     still = _still(data)
-    deviation = known.deviations()[:, known.names.index("kp")]
+    covariances = known.covariances()
+    deviation = covariances[:, known.names.index("kp"), known.names.index("kp")].sqrt()
     interval = [
         value_interval("kp", k, d)
         for k, d in zip(servos.of("kp").tolist(), deviation.tolist(), strict=True)
@@ -139,6 +140,10 @@ def diagnose_positions(
         still=still,
         warnings=warnings,
         seconds=time.perf_counter() - begun,
+        known=tuple(
+            (tuple(itertools.compress(known.names, on)), covariance[on][:, on])
+            for covariance, on in zip(covariances, known.mask & ~still[:, None], strict=True)
+        ),
     )
     if held_out is None:
         return result

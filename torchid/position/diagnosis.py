@@ -103,6 +103,8 @@ class PositionDiagnosis(Result):
         still: joints that never move.
         warnings: one sentence each.
         seconds: that it took.
+        known: by joint, which parameters the log told, and their covariance, of logarithms where
+            they are positive (`position.fit.absolute`); empty where nobody asked.
         held_out: errors of a log that took part in nothing, mean of the joints that move: whole
             motions and windows of 2 s [mrad]; None without one.
         nominal: what the joints' servos are said to be; empty where nothing says it.
@@ -122,6 +124,7 @@ class PositionDiagnosis(Result):
     still: Bool[Tensor, " n"]
     warnings: tuple[str, ...]
     seconds: float
+    known: tuple[tuple[tuple[str, ...], Float[Tensor, "_ _"]], ...] = ()
     held_out: tuple[float, float] | None = None
     nominal: tuple[NominalServo, ...] = ()
 

@@ -87,15 +87,22 @@ def absolute(servos: Servos) -> Tensor:
     return out
 
 
-def moved(servos: Servos, coordinates: Tensor) -> Servos:
-    """The servos at other coordinates (..., n, K)."""
-    joint = coordinates.clone()
-    gain = joint[..., INDEX["kp"]].exp()
+def from_absolute(values: Tensor) -> Tensor:
+    """(..., n, K) parameters: the inverse of `absolute`, none below zero that is positive."""
+    joint = values.clone()
     for k, p in enumerate(PARAMETERS):
         if p.kind == "log":
             joint[..., k] = joint[..., k].exp()
         elif p.kind == "positive":
             joint[..., k] = joint[..., k].clamp(min=0)
+    return joint
+
+
+def moved(servos: Servos, coordinates: Tensor) -> Servos:
+    """The servos at other coordinates (..., n, K)."""
+    joint = from_absolute(coordinates)
+    gain = joint[..., INDEX["kp"]]
+    for k, p in enumerate(PARAMETERS):
         if p.name in TORQUES and p.name != "kp":
             joint[..., k] *= gain if p.kind == "log" else gain / SMALL
     return replace(servos, joint=joint, plane=servos.plane.expand(*joint.shape[:-2], 5).clone())

@@ -52,8 +52,12 @@ class Equations:
     def deviations(self) -> Float[Tensor, "n K"]:
         """Half of the 95 % intervals (n, K) over that of a normal variable; of logarithms where
         parameters are searched so."""
+        return self.covariances().diagonal(dim1=1, dim2=2).sqrt()
+
+    def covariances(self) -> Float[Tensor, "n K K"]:
+        """Of what `deviations` tells, joint by joint; zeros of what is not free."""
         to, prior = self.to_values(), torch.diag_embed(prior_precision(self.names, self.square))
-        out = torch.zeros_like(self.mask, dtype=self.gram.dtype)
+        out = torch.zeros(*self.mask.shape, len(self.names), dtype=self.gram.dtype)
         for j, on in enumerate(self.mask):
             if not bool(on.any()):
                 continue
@@ -67,7 +71,11 @@ class Equations:
             inverse = torch.linalg.inv(grams.sum(0))
             white = to[j][:, on] @ inverse @ to[j][:, on].T * noise
             by_noise = white.diagonal().clamp(min=0).sqrt()
-            out[j] = torch.where(on, torch.maximum(by_motions, by_noise), 0.0)
+            std = torch.where(on, torch.maximum(by_motions, by_noise), 0.0)
+            # How numbers vary together, as motions and noise say it, at the larger of their sizes.
+            both = found.covariance + white
+            unit = 1 / both.diagonal().clamp(min=1e-300).sqrt()
+            out[j] = both * unit * unit[:, None] * std * std[:, None]
         return out
 
     def to_values(self) -> Float[Tensor, "n K K"]:

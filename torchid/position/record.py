@@ -1,12 +1,12 @@
 """A diagnosis of commands and positions as JSON: schema torchid.position_gap/1."""
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from torchid.results.record import Ends, Joint, Part, Real, Record, Rows, Values
+from torchid.results.record import FINITE, Ends, Joint, Part, Real, Record, Rows, Values
 from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:
@@ -111,6 +111,15 @@ class NominalRecord(Part, frozen=True, kw_only=True):
     register_units: dict[str, Real]
 
 
+class KnownRecord(Part, frozen=True, kw_only=True):
+    """What the log told of one joint's servo: names of K parameters, and the covariance of their
+    values, or of the values' logarithms where they are searched so (`PARAMETERS`)."""
+
+    joint: Joint
+    names: tuple[str, ...]
+    covariance: Annotated[Float[Tensor, "_ _"], FINITE]
+
+
 class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_gap/1"):
     """Where command and position part, what causes it, and how far it goes.
 
@@ -123,6 +132,8 @@ class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_ga
         seconds: that it took.
         held_out: errors of a log that took part in nothing.
         nominal: what the servos are said to be.
+        known: how well the servos are, joint by joint, of those that move; missing in files of
+            older versions.
         seed: from a command.
     """
 
@@ -139,6 +150,7 @@ class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_ga
     seed: int | UnsetType = UNSET
     held_out: HeldOutRecord | UnsetType = UNSET
     nominal: tuple[NominalRecord, ...] | UnsetType = UNSET
+    known: tuple[KnownRecord, ...] | UnsetType = UNSET
 
     @property
     def table(self) -> Rows[EffectRecord]:
@@ -174,6 +186,11 @@ def position_record(result: "PositionDiagnosis") -> PositionRecord:
         for j, (before, after) in enumerate(zip(*both, strict=True))
     )
     names, errors = result.motions
+    known = tuple(
+        KnownRecord(joint=j, names=told, covariance=covariance)
+        for j, (told, covariance) in enumerate(result.known)
+        if told
+    )
     return PositionRecord(
         robot=result.data.robot.name,
         motions=len(names),
@@ -194,6 +211,7 @@ def position_record(result: "PositionDiagnosis") -> PositionRecord:
         log_scale=result.data.scale,
         warnings=result.warnings,
         seconds=result.seconds,
+        known=known or UNSET,
         held_out=(
             UNSET
             if result.held_out is None

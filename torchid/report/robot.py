@@ -16,6 +16,8 @@ from torchid.export.joint_dynamics import Target, split
 from torchid.export.mjcf import ATTRIBUTES
 from torchid.export.projection import Kept
 from torchid.export.randomise import Randomisation
+from torchid.export.randomise_positions import ServoRandomisation
+from torchid.export.record import RangeRow
 from torchid.feasibility.margins import inertia_eigenvalues
 from torchid.json_data import picked, plain
 from torchid.report.table import Shown, Table, cells, count, filled, joint_numbers, listed
@@ -309,19 +311,32 @@ def randomisation_headline(done: Randomisation) -> str:
     )
 
 
+def drawn_servos_shown(done: ServoRandomisation, files: Sequence[str]) -> Shown:
+    """What is shown of drawn servos, whose ranges these files hold."""
+    return Shown(
+        verdict=f"{len(done)} draws of the servos of '{done.robot}'; {len(done.ranges)} numbers "
+        f"differ, and {100 * done.level:g} % of the draws lie within each range.",
+        parts=[ranges_table(done.ranges)],
+        warnings=done.warnings,
+        last=f"written: {', '.join(files)}",
+    )
+
+
+def ranges_table(ranges: Sequence[RangeRow]) -> Table:
+    """Ranges with their reasons."""
+    return Table(
+        "ranges",
+        ("field", "of", "low", "high", "unit", "why"),
+        [(r.field, r.name, f"{r.low:.4g}", f"{r.high:.4g}", r.unit, r.why) for r in ranges],
+        words=("field", "of", "unit", "why"),
+    )
+
+
 def randomisation_tables(done: Randomisation) -> list[Table]:
     """Ranges with their reasons, and the torque that stays unexplained."""
     names = done.robot.joint_names
     return [
-        Table(
-            "ranges",
-            ("field", "of", "low", "high", "unit", "why"),
-            [
-                (r.field, r.name, f"{r.low:.4g}", f"{r.high:.4g}", r.unit, r.why)
-                for r in done.ranges
-            ],
-            words=("field", "of", "unit", "why"),
-        ),
+        ranges_table(done.ranges),
         Table(
             "torque that stays unexplained",
             ("joint", "low", "high", "why"),

@@ -14,13 +14,19 @@ Where they take an effort, all of a servo is made for them, batched over environ
     servos = ServoTorque(arm.robot, arm.servos, environments=4096, dt=0.005, steps=4)
     effort = servos.torque(command, joint_pos, joint_vel)   # every step of the physics
 
+With `drawn_servos("so101_servo_draws.npz", arm.servos)`, of `export gap.json --randomise`, in the
+place of `arm.servos` each environment has servos of its own.
+
 A servo follows a set-point of limited acceleration and speed, not the command, and answers to the
 set-point's rate: kp (x - q) + kd (dx - dq) = kp (x + kd / kp dx - q) - kd dq, of which the last is
 in the simulator's file. Plain torch on any device; nothing of a simulator is imported.
 """
 
 import math
+import zipfile
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +36,7 @@ from torchid.dynamics.forward import gravity_torque
 from torchid.effects.friction_laws import RESTING
 from torchid.errors import TorchidError
 from torchid.robot.model import Robot
-from torchid.simulation.servo import PARAMETERS, Servos
+from torchid.simulation.servo import NAMES, PARAMETERS, Servos
 from torchid.simulation.servo_loop import FASTEST, profile_step
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -49,7 +55,7 @@ class SetPoints:
     """What servos make of commands that come every dt and hold until the next.
 
     Args:
-        servos: one set, of n joints.
+        servos: of n joints: one set, or one of each environment.
         dt: from one command to the next [s].
         device, dtype: of the tensors.
 
@@ -78,10 +84,11 @@ class SetPoints:
         self._state: tuple[Tensor, Tensor, Tensor] | None = None
 
     @property
-    def late(self) -> Float[Tensor, " n"]:
-        """(n,) by how much the control is later than straight lines from one command to the next,
-        in the mean [s]: a command that is held by half of dt; a line that ends where the command
-        is, by all of it. A limited set-point knows no more than the last command either way."""
+    def late(self) -> Float[Tensor, "*batch n"]:
+        """(*batch, n) by how much the control is later than straight lines from one command to the
+        next, in the mean [s]: a command that is held by half of dt; a line that ends where the
+        command is, by all of it. A limited set-point knows no more than the last command anyway.
+        """
         late = (self.dt + self.dt * self._lines.to(self._scale)) / 2
         return torch.where(self.limited, 0.0, late)
 
@@ -144,7 +151,7 @@ class ServoTorque:
 
     Args:
         robot: whose joints the servos are of.
-        servos: one set.
+        servos: one set, or some of which each environment has one, in turn.
         names: of the actuator's joints, in its order; all of the robot's if None. A prefix that
             ends with a slash is passed over.
         environments: how many.
@@ -193,12 +200,15 @@ class ServoTorque:
                 expected="dt > 0 s, steps >= 1",
             )
         self.joints = [robot.joint_names.index(n) for n in own]
-        every = servos
-        servos = Servos(every.joint[self.joints], every.plane, repeated=every.repeated)
+        every, joint = servos, servos.joint[..., self.joints, :]
+        if joint.ndim > 2:
+            joint = joint[torch.arange(environments) % len(joint)]
+        plane = every.plane.new_zeros(*joint.shape[:-2], 5)
+        servos = Servos(joint, plane, repeated=every.repeated)
         p = {x.name: servos.of(x.name).to(device, dtype) for x in PARAMETERS}
         neutral = {x.name: x.neutral for x in PARAMETERS}
         unmade = [name for name in NOT_AS_EFFORT if bool((p[name] != neutral[name]).any())]
-        self.ignored = (*unmade, *["plane"] * bool(every.plane[4] > 0))
+        self.ignored = (*unmade, *["plane"] * bool((every.plane[..., 4] > 0).any()))
         self._p, self._dt, self._steps, self._fields = p, dt, steps, fields
         self._resting, self._robot = resting, robot
         self._points = SetPoints(servos, dt * steps, device, dtype)
@@ -207,7 +217,6 @@ class ServoTorque:
         behind = (p["delay"] - self._points.late).clamp(min=0) / dt
         self._whole = behind.floor().long()
         self._part = behind - self._whole
-        self._column = torch.arange(len(own), device=device)
         zero = torch.zeros(environments, len(own), device=device, dtype=dtype)
         self._keep = torch.exp(-dt / p["lag"].clamp(min=1e-12))
         self._x, self._way, self._filtered, self._sum = zero, zero, zero, zero
@@ -250,8 +259,9 @@ class ServoTorque:
         if new is not None and bool(new.any()):
             first = torch.stack([now[0], torch.zeros_like(now[0])]).unsqueeze(1)
             self._past = torch.where(new, first, self._past)
-        at, before = (self._past[:, self._whole + k, :, self._column] for k in (0, 1))
-        x, dx = torch.lerp(at, before, self._part[:, None, None]).permute(1, 2, 0)
+        rows = (self._whole + torch.zeros_like(q).long()).expand(2, 1, *q.shape)
+        at, before = (self._past.gather(1, rows + k)[:, 0] for k in (0, 1))
+        x, dx = torch.lerp(at, before, self._part)
         error = x - q
         if new is not None and bool(new.any()) and bool((p["integral"] > 0).any()):
             self._sum = torch.where(new, self._borne(error, q), self._sum)
@@ -277,3 +287,28 @@ class ServoTorque:
         at[:, self.joints] = q.cpu().double()
         weight = gravity_torque(self._robot, at)[:, self.joints].to(q)
         return torch.where(p["integral"] > 0, weight - p["offset"] - p["kp"] * error, 0.0)
+
+
+def drawn_servos(path: str | Path, servos: Servos) -> Servos:
+    """Servos (D, n, K) that `torchid export gap.json --randomise` drew, for `ServoTorque`.
+
+    Args:
+        path: NAME_servo_draws.npz.
+        servos: that they are draws about.
+
+    Raises:
+        TorchidError: no such file, or draws of other joints or parameters.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            names, values = data["parameters"].tolist(), torch.from_numpy(data["values"])
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise TorchidError(f"'{path}' holds no draws of servos.", got=str(error)[:200]) from error
+    if names != list(NAMES) or values.shape[1:] != servos.joint.shape[-2:]:
+        raise TorchidError(
+            f"'{path}' holds draws of other servos.",
+            got=f"{values.shape[1]} joints, {len(names)} parameters",
+            expected=f"{servos.n} joints, {len(NAMES)} parameters",
+        )
+    plane = servos.plane.expand(len(values), -1)
+    return replace(servos, joint=values.double(), plane=plane)

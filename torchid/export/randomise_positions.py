@@ -1,0 +1,213 @@
+"""How wide to randomise servos: draws from what a diagnosis of commands and positions leaves open.
+
+The numbers of one joint's servo have a covariance (motions as blocks, no less than noise allows),
+of logarithms where they are positive: gains, frictions and inertias that only a load could tell
+apart move together in the draws.
+"""
+
+import csv
+import io
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import torch
+from msgspec import UNSET
+from scipy.stats import norm, qmc
+
+from torchid.errors import TorchidError
+from torchid.export.export import require_name
+from torchid.export.record import RandomisationRecord, RangeRow
+from torchid.files import atomic_write
+from torchid.position.fit import absolute, from_absolute
+from torchid.position.record import PositionRecord
+from torchid.results.record import Result
+from torchid.robot.model import Robot
+from torchid.simulation.servo import INDEX, NAMES, PARAMETERS, Servos
+
+MUJOCO = {
+    "damping": "dof_damping", "coulomb": "dof_frictionloss", "armature": "dof_armature",
+    "kp": "actuator_gainprm[0] / scale, -actuator_biasprm[1]", "kd": "-actuator_biasprm[2]",
+    "offset": "actuator_biasprm[0]", "clip": "actuator_forcerange about the offset",
+    "delay": "actuator_delay", "lag": "actuator_dynprm[0]", "stop_low": "jnt_range[0]",
+    "stop_high": "jnt_range[1]",
+}  # fmt: skip
+"""Fields of mjModel of what an MJCF says of servos."""
+
+
+@dataclass(frozen=True, eq=False)
+class ServoRandomisation(Result):
+    """How wide to randomise servos.
+
+    Attributes:
+        robot: its name.
+        names: of the joints.
+        level: share of the draws in each range.
+        servos: (D, n, K) values of D draws; the plane is that of the answer.
+        ranges: of each parameter of a joint in which draws differ.
+        warnings: sentences for the user.
+    """
+
+    robot: str
+    names: tuple[str, ...]
+    level: float
+    servos: Servos
+    ranges: tuple[RangeRow, ...]
+    warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"ServoRandomisation('{self.robot}', {len(self)} draws, {len(self.ranges)} ranges)"
+
+    def __len__(self) -> int:
+        return len(self.servos.joint)
+
+    @cached_property
+    def record(self) -> RandomisationRecord:
+        """As the JSON has it."""
+        return RandomisationRecord(
+            robot=self.robot,
+            level=self.level,
+            draws=len(self),
+            ranges=self.ranges,
+            residual=(),
+            explanations=(),
+            warnings=self.warnings,
+        )
+
+    def write(self, folder: Path | str, name: str | None = None) -> list[Path]:
+        """Write NAME_ranges.csv, and NAME_servo_draws.npz for
+        `torchid.simulators.servo.drawn_servos`, and return them.
+
+        Args:
+            folder: made if need be.
+            name: without suffix; the robot's own by default.
+
+        Raises:
+            TorchidError: a name with a folder in it, or a file that cannot be written.
+        """
+        stem = self.robot if name is None else name
+        require_name(stem)
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        ranges, draws = folder / f"{stem}_ranges.csv", folder / f"{stem}_servo_draws.npz"
+        out = io.StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(("field", "parameter", "joint", "low", "high", "centre", "unit", "why"))
+        for r in self.ranges:
+            field = MUJOCO.get(r.field, "at run time")
+            writer.writerow((field, r.field, r.name, r.low, r.high, r.centre, r.unit, r.why))
+        with atomic_write(draws, "wb") as stream:
+            np.savez_compressed(
+                stream,
+                joint_names=np.array(self.names),
+                parameters=np.array(NAMES),
+                values=self.servos.joint.numpy(),
+            )
+        with atomic_write(ranges) as stream:
+            stream.write(out.getvalue())
+        return [ranges, draws]
+
+
+def randomise_positions(
+    found: PositionRecord,
+    level: float = 0.95,
+    *,
+    robot: Robot | None = None,
+    draws: int = 256,
+    seed: int = 0,
+) -> ServoRandomisation:
+    """Draws of the servos of a diagnosis of commands and positions, and the range of each number.
+
+    Args:
+        found: a diagnosis (`torchid.load("gap.json")`, or `diagnosis.record`).
+        level: share of the draws in each range.
+        robot: whose joints are named; numbers stand for them if None.
+        draws: how many.
+        seed: of the draws.
+
+    Raises:
+        TorchidError: a diagnosis of an older version, which has no covariance; a level outside 0
+            to 1; a robot with another number of joints.
+
+    >>> import numpy as np, torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> real = torchid.ServoArm.of(robot, kp=260.0, damping=22.0, armature=0.8, coulomb=1.5)
+    >>> t, logs = 0.02 * np.arange(300), []
+    >>> for k in range(2):
+    ...     u = 0.3 * np.sin(np.outer(t, [1.1, 2.3, 3.1]) + k)
+    ...     logs.append(torchid.replay(real, torchid.Log(t, q=u, u=u)).simulated[0])
+    >>> found = torchid.diagnose_positions(robot, torchid.Log.concatenate(logs))
+    >>> wide = randomise_positions(found.record, draws=64)
+    >>> wide.servos.of("kp").shape
+    torch.Size([64, 3])
+    """
+    if not 0 < level < 1:
+        raise TorchidError("the level is out of range.", got=level, expected="0..1, e.g. 0.95")
+    if draws < 2:
+        raise TorchidError("too few draws for a range.", got=draws, expected="2 or more")
+    if found.known is UNSET:
+        raise TorchidError(
+            "the diagnosis holds no covariance of what it found, as older versions wrote it.",
+            hint="`torchid gap ... --json gap.json` with this version",
+        )
+    n = len(found.servos.joints)
+    if robot is not None and robot.n != n:
+        raise TorchidError(
+            "the diagnosis is of another arm.",
+            got=f"'{robot.name}', {robot.n} joints",
+            expected=f"{n} joints",
+        )
+    names = robot.joint_names if robot is not None else tuple(f"joint {j + 1}" for j in range(n))
+    servos = Servos.from_record(msgspec.to_builtins(found.servos), n, found.robot)
+    centre, warnings = absolute(servos), []
+    moved = centre.repeat(draws, 1, 1)
+    width = sum(len(one.names) for one in found.known)
+    sobol = qmc.Sobol(max(1, width), rng=np.random.default_rng(seed))
+    points = sobol.random_base2(math.ceil(math.log2(draws)))[:draws]
+    z = torch.from_numpy(norm.ppf(points.clip(1e-12, 1 - 1e-12)))
+    for one in found.known:
+        sizes, axes = torch.linalg.eigh(one.covariance.double())
+        root = axes * sizes.clamp(min=0).sqrt()
+        at = [INDEX[name] for name in one.names]
+        moved[:, one.joint, at] += z[:, : len(at)] @ root.T
+        z = z[:, len(at) :]
+    plane = servos.plane.expand(draws, -1)
+    drawn = replace(servos, joint=from_absolute(moved), plane=plane)
+    for j, row in enumerate(found.where.joints):
+        if row.ratio_only:
+            warnings.append(
+                f"{names[j]}: only ratios of torques are known; draws hold as wide a common factor "
+                "as the log leaves open"
+            )
+    ranges = _ranges(drawn, servos, found, names, level)
+    return ServoRandomisation(found.robot, tuple(names), level, drawn, ranges, tuple(warnings))
+
+
+def _ranges(
+    drawn: Servos, servos: Servos, found: PositionRecord, names: tuple[str, ...], level: float
+) -> tuple[RangeRow, ...]:
+    """Of all numbers that the log told, joint by joint."""
+    tail = torch.tensor([(1 - level) / 2, (1 + level) / 2], dtype=torch.float64)
+    out = []
+    assert found.known is not UNSET
+    for one in found.known:
+        for k, name in enumerate(one.names):
+            p, values = PARAMETERS[INDEX[name]], drawn.of(name)[:, one.joint]
+            low, high = values.quantile(tail).tolist()
+            std = float(one.covariance[k, k]) ** 0.5
+            size = f"{100 * std:.2g} %" if p.kind == "log" else f"{std:.2g} {p.unit}"
+            out.append(
+                RangeRow(
+                    field=name,
+                    name=names[one.joint],
+                    unit=p.unit,
+                    low=low,
+                    high=high,
+                    centre=float(servos.of(name)[one.joint]),
+                    why=f"{p.meaning}; one standard deviation is {size} by the log.",
+                )
+            )
+    return tuple(out)
