@@ -6,6 +6,7 @@ import types
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -17,6 +18,7 @@ from torchid.export.dynamics import records
 from torchid.export.export import export_dynamics
 from torchid.export.results import servo_dynamics
 from torchid.position.model import ServoArm
+from torchid.simulation.servo import NAMES
 from torchid.simulators.actuator import EffectTorque
 
 
@@ -138,4 +140,9 @@ def test_servos_run_where_the_package_is(package: str, tmp_path: Path) -> None:
         actuator.initialize(model, None, types.SimpleNamespace(nworld=2), "cpu")
         out = actuator.compute(types.SimpleNamespace(position_target=x, pos=0 * x, vel=x))
     torch.testing.assert_close(out, (40 * x - 1.5 * x).clamp(-3, 3))
+    assert made["SERVOS"] is made["ARM"].servos
+    # Draws that lie beside the file are its servos.
+    values = servo.servos.joint.repeat(5, 1, 1)
+    np.savez(tmp_path / "arm_servo_draws.npz", parameters=np.array(NAMES), values=values)
+    assert runpy.run_path(str(done.files[0]))["SERVOS"].joint.shape == (5, 3, len(NAMES))
     actuator.reset(torch.tensor([0]))

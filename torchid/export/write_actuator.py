@@ -148,6 +148,7 @@ _SERVOS = '''"""Actuators that are the position servos of '{robot}'.
 Written by torchid {version}, which it needs beside {package}. Targets are joint positions; what
 servos make of them is computed at run time, and their damping, dry friction and armature are the
 simulator's own. The arm needs no other actuators{not_said}.
+Environments have servos of their own where {draws} is beside this file.
 """
 '''
 
@@ -157,9 +158,11 @@ from pathlib import Path
 from isaaclab.actuators import IdealPDActuator, IdealPDActuatorCfg
 from isaaclab.utils import configclass
 from torchid import ServoArm
-from torchid.simulators.servo import ServoTorque
+from torchid.simulators.servo import ServoTorque, drawn_servos
 
 ARM = ServoArm.read(Path(__file__).with_name("{yaml}"))
+DRAWS = Path(__file__).with_name("{draws}")
+SERVOS = drawn_servos(DRAWS, ARM.servos) if DRAWS.is_file() else ARM.servos
 JOINTS = {joints}
 """Damping [N m s/rad], dry friction [N m] and armature [kg m^2], as of Isaac Sim 5 (Isaac Lab 2.2);
 in 4.5 friction is a coefficient of another meaning."""
@@ -172,7 +175,7 @@ class ServoActuator(IdealPDActuator):
         super().__init__(cfg, *args, **kwargs)
         of = self.joint_names, self._num_envs, self._device
         step = {{"dt": cfg.physics_dt, "steps": cfg.decimation}}
-        self.servos = ServoTorque(ARM.robot, ARM.servos, *of, **step)
+        self.servos = ServoTorque(ARM.robot, SERVOS, *of, **step)
 
     def reset(self, env_ids):
         super().reset(env_ids)
@@ -221,9 +224,11 @@ from pathlib import Path
 
 from mjlab.actuator import IdealPdActuator, IdealPdActuatorCfg
 from torchid import ServoArm
-from torchid.simulators.servo import ServoTorque
+from torchid.simulators.servo import ServoTorque, drawn_servos
 
 ARM = ServoArm.read(Path(__file__).with_name("{yaml}"))
+DRAWS = Path(__file__).with_name("{draws}")
+SERVOS = drawn_servos(DRAWS, ARM.servos) if DRAWS.is_file() else ARM.servos
 JOINTS = {joints}
 """Damping [N m s/rad], dry friction [N m] and armature [kg m^2]."""
 
@@ -248,7 +253,7 @@ class ServoActuator(IdealPdActuator):
         super().initialize(mj_model, model, data, device)
         of = self.names, data.nworld, device
         step = {{"dt": float(mj_model.opt.timestep), "steps": self.cfg.decimation}}
-        self.servos = ServoTorque(ARM.robot, ARM.servos, *of, **step)
+        self.servos = ServoTorque(ARM.robot, SERVOS, *of, **step)
 
     def compute(self, cmd):
         if hasattr(cmd, "pos"):
@@ -360,6 +365,7 @@ def _write_servos(arm: ServoArm, package: Package, folder: Path, name: str) -> W
         package="Isaac Lab" if package == "isaaclab" else "mjlab",
         not_said=f"; {', '.join(ignored)} are not made" if ignored else "",
         yaml=yaml,
+        draws=f"{name}_servo_draws.npz",
         joints=pformat(dict(zip(arm.robot.joint_names, fields, strict=True)), sort_dicts=False),
     )
     files = {source: text.encode(), yaml: arm.yaml.encode()}
