@@ -48,7 +48,7 @@ def test_draws_have_the_covariance_of_what_the_log_told(found):
     inside = (wide.servos.of("kp")[:, 0] >= first.low) & (wide.servos.of("kp")[:, 0] <= first.high)
     assert float(inside.double().mean()) == pytest.approx(0.9, abs=0.002)
     assert first.high / first.centre == pytest.approx(np.exp(1.645 * 0.2), rel=0.02)
-    assert "one standard deviation is 20 % by the log" in first.why
+    assert "one standard deviation is a factor of 1.22 by the log" in first.why
 
 
 def test_what_is_positive_stays_so(found):

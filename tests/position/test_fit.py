@@ -56,6 +56,11 @@ def test_covariances_are_of_the_deviations(found):
     unit = 1 / deviations
     correlations = covariances * unit[:, None] * unit[:, :, None]
     assert float(torch.linalg.eigvalsh(correlations).min()) > -1e-9
+    # What was expected narrows what the motions leave, and not the other way round.
+    narrower = covariances - known.expected()
+    assert float(torch.linalg.eigvalsh(narrower * unit[:, None] * unit[:, :, None]).min()) > -1e-9
+    k = known.names.index("kp")
+    assert float(known.expected()[:, k, k].max()) < 0.25
     # Gain and inertia are told by the same torques.
     k, i = known.names.index("kp"), known.names.index("armature")
     assert float(correlations[:, k, i].min()) > 0.3

@@ -1,8 +1,8 @@
 """How wide to randomise servos: draws from what a diagnosis of commands and positions leaves open.
 
-The numbers of one joint's servo have a covariance (motions as blocks, no less than noise allows),
-of logarithms where they are positive: gains, frictions and inertias that only a load could tell
-apart move together in the draws.
+The numbers of one joint's servo have a covariance (motions as blocks, no less than noise allows and
+no more than was expected beforehand), of logarithms where they are positive: gains, frictions and
+inertias that only a load could tell apart move together in the draws.
 """
 
 import csv
@@ -198,7 +198,9 @@ def _ranges(
             p, values = PARAMETERS[INDEX[name]], drawn.of(name)[:, one.joint]
             low, high = values.quantile(tail).tolist()
             std = float(one.covariance[k, k]) ** 0.5
-            size = f"{100 * std:.2g} %" if p.kind == "log" else f"{std:.2g} {p.unit}"
+            size = f"{std:.2g} {p.unit}".removesuffix(" 1")
+            if p.kind == "log":
+                size = f"a factor of {math.exp(std):.3g}"
             out.append(
                 RangeRow(
                     field=name,

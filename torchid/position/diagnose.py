@@ -99,8 +99,7 @@ def diagnose_positions(
     ways, errors_of = _accuracies(((given, simple), (data, found)), windows, few)
     findings = _findings(answered, known)
     still = _still(data)
-    covariances = known.covariances()
-    deviation = covariances[:, known.names.index("kp"), known.names.index("kp")].sqrt()
+    deviation = known.deviations()[:, known.names.index("kp")]
     interval = [
         value_interval("kp", k, d)
         for k, d in zip(servos.of("kp").tolist(), deviation.tolist(), strict=True)
@@ -142,7 +141,7 @@ def diagnose_positions(
         seconds=time.perf_counter() - begun,
         known=tuple(
             (tuple(itertools.compress(known.names, on)), covariance[on][:, on])
-            for covariance, on in zip(covariances, known.mask & ~still[:, None], strict=True)
+            for covariance, on in zip(known.expected(), known.mask & ~still[:, None], strict=True)
         ),
     )
     if held_out is None:

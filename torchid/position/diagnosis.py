@@ -103,8 +103,9 @@ class PositionDiagnosis(Result):
         still: joints that never move.
         warnings: one sentence each.
         seconds: that it took.
-        known: by joint, which parameters the log told, and their covariance, of logarithms where
-            they are positive (`position.fit.absolute`); empty where nobody asked.
+        known: by joint, which parameters were fitted, and the covariance that motions and what was
+            expected before them leave, of logarithms where they are positive
+            (`position.fit.absolute`).
         held_out: errors of a log that took part in nothing, mean of the joints that move: whole
             motions and windows of 2 s [mrad]; None without one.
         nominal: what the joints' servos are said to be; empty where nothing says it.

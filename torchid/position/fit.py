@@ -207,8 +207,12 @@ def prior_precision(names: tuple[str, ...], square: Float[Tensor, " n"]) -> Floa
         names: of the K parameters.
         square: mean square error of each joint [rad^2], which a prior is weighed against.
     """
-    deviation = torch.tensor([_PRIOR.get(n, LOOSE) for n in names], dtype=torch.float64)
-    return TOGETHER * square.clamp(max=NOISE**2)[:, None] / deviation**2
+    return TOGETHER * square.clamp(max=NOISE**2)[:, None] / prior_deviations(names) ** 2
+
+
+def prior_deviations(names: tuple[str, ...]) -> Float[Tensor, " K"]:
+    """Standard deviations of searched coordinates that are expected before any motion is seen."""
+    return torch.tensor([_PRIOR.get(n, LOOSE) for n in names], dtype=torch.float64)
 
 
 def mean_square(residual: Tensor, w: Tensor, windows: Windows) -> Float[Tensor, " n"]:

@@ -17,6 +17,7 @@ from torchid.position.fit import (
     TOGETHER,
     huber,
     mean_square,
+    prior_deviations,
     prior_precision,
     sensitivities,
     weights,
@@ -76,6 +77,17 @@ class Equations:
             both = found.covariance + white
             unit = 1 / both.diagonal().clamp(min=1e-300).sqrt()
             out[j] = both * unit * unit[:, None] * std * std[:, None]
+        return out
+
+    def expected(self) -> Float[Tensor, "n K K"]:
+        """The same of what is left open where values were expected near to these before any motion
+        was seen: V - V (V + P)^-1 V, which is no wider than either."""
+        to, before = self.to_values(), prior_deviations(self.names).diag().square()
+        out = torch.zeros_like(to)
+        for j, (on, found) in enumerate(zip(self.mask, self.covariances(), strict=True)):
+            own, prior = found[on][:, on], (to[j] @ before @ to[j].T)[on][:, on]
+            rest = own - own @ torch.linalg.solve(own + prior, own)
+            out[j][on[:, None] & on] = ((rest + rest.T) / 2).flatten()
         return out
 
     def to_values(self) -> Float[Tensor, "n K K"]:
