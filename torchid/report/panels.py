@@ -244,9 +244,9 @@ def shaded_map(
         label: of the bar of colours, which is returned.
         most: with the deepest blue; the largest if None.
     """
-    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.colors import LinearSegmentedColormap, to_rgba
 
-    blue = LinearSegmentedColormap.from_list("shades", [(BLUE, 0.0), (BLUE, 0.6)])
+    blue = LinearSegmentedColormap.from_list("shades", [to_rgba(BLUE, 0.0), to_rgba(BLUE, 0.6)])
     image = axes.imshow(shades, cmap=blue, vmin=0, vmax=most, aspect="auto")
     axes.set_xticks(range(len(columns)), [name.replace(" ", "\n") for name in columns])
     axes.set_yticks(range(len(rows)), rows)

@@ -143,7 +143,7 @@ def parsed(content: bytes, kind: type[Any], path: Path, what: str, hint: str | N
         raise TorchidError(
             f"'{path}' is not {what} as torchid writes it.", got=str(error), hint=hint
         ) from error
-    except (ValueError, RecursionError) as error:
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise TorchidError(
             f"'{path}' is not JSON.", got=str(error), expected=what, hint=hint
         ) from error
