@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -21,8 +22,12 @@ def corrected(strength, joint=2):
 
 
 def share(model, spec=Spec(1, 0)):  # noqa: B008
-    log = log_from_columns(simulate_case(spec, ideal=True).columns, "ideal.parquet")
-    return closed_share(arm(), log, model, torch.tensor([0.05, 0.05], dtype=torch.float64), 20.0)
+    logs = [
+        log_from_columns(simulate_case(spec, ideal=True, bare=bare).columns, "ideal.parquet")
+        for bare in (False, True)
+    ]
+    noise = torch.tensor([0.05, 0.05], dtype=torch.float64)
+    return closed_share(arm(), *logs, model, noise, 20.0)
 
 
 @pytest.mark.parametrize(
@@ -37,6 +42,20 @@ def share(model, spec=Spec(1, 0)):  # noqa: B008
 )
 def test_the_share_is_that_of_squares(model, expected):
     assert share(model) == pytest.approx(expected, abs=0.03)
+
+
+def test_what_is_left_of_a_right_model_is_no_gap():
+    """Torque that no model foretells, with and without the effect."""
+    extra = {"tau1": 0.3 * np.sin(np.arange(3003)), "tau2": 0.5 * np.cos(np.arange(3003))}
+    logs = []
+    for bare in (False, True):
+        columns = simulate_case(Spec(1, 0), ideal=True, bare=bare).columns
+        added = {name: columns[name] + x[: len(columns[name])] for name, x in extra.items()}
+        logs.append(log_from_columns(columns | added, "ideal.parquet"))
+    noise = torch.tensor([0.05, 0.05], dtype=torch.float64)
+    for strength, expected in ((TRUE, 1.0), (0.5 * TRUE, 0.75)):
+        found = closed_share(arm(), *logs, corrected(strength), noise, 20.0)
+        assert found == pytest.approx(expected, abs=0.03)
 
 
 def answered(made, case, strength):

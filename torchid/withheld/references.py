@@ -9,9 +9,9 @@ Answers lie beside the set, not in it, and are kept as long as the diagnosis doe
 - The *truth* is how far a corrected model really closes the gap: on new motions, seen by ideal
   sensors. The arm of a case, with its effects, moves along other trajectories of the same kind,
   read without noise, counts and jitter: what a diagnosis says is how far the gap shrinks on data
-  that it was not fitted on. The noise's part in (L0 - L*) / (L0 - Ln) is then zero, and the closed
-  share is 1 - L*/L0, with L the mean square of the gap below the report's band away from
-  reversals, joints weighted by their noise.
+  that it was not fitted on. The closed share is (L0 - L*) / (L0 - Ln), with L the sum of squares of
+  the gap below the report's band away from reversals, joints weighted by their noise; Ln is what
+  filters and dry friction leave of the same arm without the effects, whose model is right.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -131,42 +131,58 @@ def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:
         from torchid.withheld.plant.case import draw_case, simulate_case
 
         number = cases.ids.index(job.case)
-        ideal = simulate_case(draw_case(cases.seed, number, mix=cases.mix), ideal=True, fresh=True)
+        spec = draw_case(cases.seed, number, mix=cases.mix)
+        ideal = simulate_case(spec, ideal=True, fresh=True)
         # The arm must be the one that was diagnosed.
         if ideal.urdf != job.robot.read_text(encoding="utf-8"):
             raise TorchidError(f"{job.case} is simulated differently now than when it was made.")
-        log = log_from_columns(ideal.columns, job.log)
+        bare = simulate_case(spec, ideal=True, fresh=True, bare=True)
+        log, right = (log_from_columns(one.columns, job.log) for one in (ideal, bare))
         robot = load_robot(job.robot)
         noise = torch.tensor(ideal.key["noise_std"], dtype=torch.float64)
         return {
             "status": "done",
-            "closed": closed_share(robot, log, given["corrected"], noise, given["band_hz"]),
+            "closed": closed_share(robot, log, right, given["corrected"], noise, given["band_hz"]),
         }
 
     return written(job, answer)
 
 
 def closed_share(
-    robot: Robot, log: Log, corrected: Mapping[str, Any], noise: torch.Tensor, band: float
+    robot: Robot,
+    log: Log,
+    bare: Log,
+    corrected: Mapping[str, Any],
+    noise: torch.Tensor,
+    band: float,
 ) -> float | None:
-    """1 - L*/L0 of a corrected model on a log without noise; None where there is no gap.
+    """(L0 - L*) / (L0 - Ln) of a corrected model on a log without noise, 1 at most; None where
+    there is no gap.
+
+    Ln is what filters and dry friction at reversals leave of an arm whose model is right: the loss
+    of the nominal model on a log without the effects.
 
     Args:
         robot: the nominal model.
         log: as ideal sensors see it.
+        bare: the same of the arm without the effects.
         corrected: parameters and effects of the corrected model, as in an answer.
         noise: (n,) standard deviations that weigh the joints.
         band: of the report [Hz].
     """
-    given = prepare(robot, log, None)
     pi = torch.tensor(corrected["pi"], dtype=torch.float64)
     better = robot.with_parameters(InertialParameters(pi))
     effects = [effect_from_record(record, better) for record in corrected["effects"]]
     before, after = Model.of(robot), Model(better, tuple(effects))
-    losses = torch.zeros(2, dtype=torch.float64)
-    # At a reversal the arm may stick, whatever its model: no effect closes that.
-    for t in traces(given.samples, None, [before], [after], band):
-        for k, predicted in enumerate((t.before, t.after)):
-            left = (t.measured - predicted) * t.counting / noise
-            losses[k] += left.square().sum()
-    return float(1 - losses[1] / losses[0]) if losses[0] > 0 else None
+
+    def losses(log: Log) -> torch.Tensor:
+        """Of both models (2,)."""
+        out = torch.zeros(2, dtype=torch.float64)
+        # At a reversal the arm may stick, whatever its model: no effect closes that.
+        for t in traces(prepare(robot, log, None).samples, None, [before], [after], band):
+            for k, predicted in enumerate((t.before, t.after)):
+                out[k] += ((t.measured - predicted) * t.counting / noise).square().sum()
+        return out
+
+    (first, last), (least, _) = ((float(x[0]), float(x[1])) for x in (losses(log), losses(bare)))
+    return min(1.0, (first - last) / (first - least)) if first > least else None

@@ -43,7 +43,9 @@ class SimulatedCase:
     key: dict[str, Any]
 
 
-def simulate_case(spec: CaseSpec, *, ideal: bool = False, fresh: bool = False) -> SimulatedCase:
+def simulate_case(
+    spec: CaseSpec, *, ideal: bool = False, fresh: bool = False, bare: bool = False
+) -> SimulatedCase:
     """Simulate a case.
 
     Args:
@@ -52,11 +54,14 @@ def simulate_case(spec: CaseSpec, *, ideal: bool = False, fresh: bool = False) -
             stays as it is.
         fresh: whether the same arm, with the same effects, moves along other trajectories of the
             same kind.
+        bare: whether it is the arm without the effects.
 
     Raises:
         TorchidError: an unknown arm or effect, or a simulation that diverged.
         MissingExtraError: MuJoCo is not installed.
     """
+    if bare:
+        spec = replace(spec, effects=())
     # The scene, and the arm without effects.
     arm = arm_named(spec.arm)
     known = friction_known(arm, np.array(spec.viscous), np.array(spec.coulomb))
