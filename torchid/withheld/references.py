@@ -21,10 +21,11 @@ from typing import Any
 
 import torch
 
-from torchid.design.columns import Model
+from torchid.design.columns import Columns, Model
 from torchid.effects.registry import EVENTS, KINDS, effect_from_record
 from torchid.errors import TorchidError
 from torchid.gap.data import prepare
+from torchid.gap.noise.floor import stuck
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.folds import traces
 from torchid.json_data import read_json
@@ -142,7 +143,10 @@ def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:
         noise = torch.tensor(ideal.key["noise_std"], dtype=torch.float64)
         return {
             "status": "done",
-            "closed": closed_share(robot, log, right, given["corrected"], noise, given["band_hz"]),
+            "closed": closed_share(
+                robot, log, right, given["corrected"], noise, given["band_hz"],
+                reversals=given["noise_floor"]["source"] != "repeats",
+            ),
         }
 
     return written(job, answer)
@@ -155,6 +159,8 @@ def closed_share(
     corrected: Mapping[str, Any],
     noise: torch.Tensor,
     band: float,
+    *,
+    reversals: bool = True,
 ) -> float | None:
     """(L0 - L*) / (L0 - Ln) of a corrected model on a log without noise, 1 at most; None where
     there is no gap.
@@ -169,6 +175,8 @@ def closed_share(
         corrected: parameters and effects of the corrected model, as in an answer.
         noise: (n,) standard deviations that weigh the joints.
         band: of the report [Hz].
+        reversals: whether instants count at which a joint with dry friction may stick, as they do
+            in an answer about a log without repeats.
     """
     pi = torch.tensor(corrected["pi"], dtype=torch.float64)
     better = robot.with_parameters(InertialParameters(pi))
@@ -178,8 +186,9 @@ def closed_share(
     def losses(log: Log) -> torch.Tensor:
         """Of both models (2,)."""
         out = torch.zeros(2, dtype=torch.float64)
-        # At a reversal the arm may stick, whatever its model: no effect closes that.
-        for t in traces(prepare(robot, log, None).samples, None, [before], [after], band):
+        samples = prepare(robot, log, None).samples
+        reach = None if reversals else stuck(Columns(after, samples), noise)
+        for t in traces(samples, None, [before], [after], band, reach=reach):
             for k, predicted in enumerate((t.before, t.after)):
                 out[k] += ((t.measured - predicted) * t.counting / noise).square().sum()
         return out
