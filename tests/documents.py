@@ -35,9 +35,9 @@ def links(page: Path) -> list[str]:
 
 def named_files(page: Path) -> list[str]:
     """Paths in inline code that name a file or folder of the project: with a slash and, unless they
-    end with one, a suffix; patterns and what a command writes (`out/`) left out."""
+    end with one, a suffix; patterns and what a command writes (`out/`, `build/`) left out."""
     found = [code.strip("`") for code in _INLINE.findall(_FENCE.sub("", page.read_text()))]
-    top = {path.name for path in ROOT.iterdir()}
+    top = {path.name for path in ROOT.iterdir()} - {"build"}
     return [
         name
         for name in found

@@ -31,7 +31,7 @@ from torchid.gap.search.terms import BASE, Term, Wanted, fixed_terms
 from torchid.gap.search.told import Told, next_experiment, not_testable, told
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import Closing, budget, closing, residuals
-from torchid.gap.validate.folds import Folds, make_folds, traces
+from torchid.gap.validate.folds import FEW, Folds, make_folds, traces
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.identify import refuse_repeated
 from torchid.log.model import Log
@@ -331,17 +331,19 @@ def check(
         before = again if fitted_first else [solution.start]
         shown = traces(data.samples, folds, before, after, band, reach=noise.reach)
         again_shown = traces(data.samples, folds, before, again, band, reach=noise.reach)
+        motions = repeats.groups(len(data.segments)) if folds.whole else None
     else:
         # The held-out log is shown by models that were fitted on all of the other log.
         before = [base.model] if fitted_first else [solution.start]
         shown = traces(judged.samples, None, before, [solution.model], band, reach=noise.reach)
         again_shown = traces(judged.samples, None, before, [base.model], band, reach=noise.reach)
+        motions = range(len(shown)) if len(shown) >= FEW else None
     return Checked(
         shown,
         again_shown,
         noise,
-        closing(shown, noise.floor, settings.seed, noise.unpredicted),
-        closing(again_shown, noise.floor, settings.seed),
+        closing(shown, noise.floor, settings.seed, noise.unpredicted, motions),
+        closing(again_shown, noise.floor, settings.seed, motions=motions),
     )
 
 

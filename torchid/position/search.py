@@ -145,6 +145,10 @@ def _grown(
     if name == "lag":  # which servos without a filter have taken for delay
         late = sets.joint[1:, :, INDEX["delay"]]
         late.copy_((late - values).clamp(min=0))
+    if name == "scale":  # whose share of the mean command is in the zero of servos without it
+        mean = data.tracks.u.mean(0)
+        column = sets.joint[1:, :, INDEX["offset"]]
+        column -= sets.joint[1:, :, INDEX["kp"]] * (values - 1) * mean
     cost = _tried(data, sets, windows)
     best = cost[:, 1:].argmin(1)
     gain = cost[:, 0] - cost[:, 1:].amin(1)

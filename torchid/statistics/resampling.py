@@ -33,6 +33,23 @@ def bootstrap_weights(units: int, draws: int, rng: np.random.Generator) -> Array
     return counts.reshape(draws, units).astype(float)
 
 
+def nested_weights(groups: Array, draws: int, rng: np.random.Generator) -> Array:
+    """How often (draws, units) each unit is in a sample of groups drawn with replacement, of whose
+    units as many are drawn again: what a statistic may be of other groups (Davison and Hinkley
+    1997, section 3.8).
+
+    Args:
+        groups: (units,) number of each unit's group.
+        draws: of samples.
+        rng: that draws them.
+    """
+    names, own = np.unique(groups, return_inverse=True)
+    weights = bootstrap_weights(len(names), draws, rng)[:, own]
+    for k in range(len(names)):
+        weights[:, own == k] *= bootstrap_weights(int((own == k).sum()), draws, rng)
+    return weights
+
+
 def percentile_interval(values: Array, level: float = LEVEL) -> tuple[float, float]:
     """Two-sided percentile interval of a statistic's draws (D,); nan where fewer than nine in ten
     of the draws are finite."""

@@ -144,7 +144,12 @@ def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:
         return {
             "status": "done",
             "closed": closed_share(
-                robot, log, right, given["corrected"], noise, given["band_hz"],
+                robot,
+                log,
+                right,
+                given["corrected"],
+                noise,
+                given["band_hz"],
                 reversals=given["noise_floor"]["source"] != "repeats",
             ),
         }

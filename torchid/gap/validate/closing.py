@@ -17,7 +17,13 @@ from torchid.gap.noise.floor import BLOCK_SECONDS
 from torchid.gap.record import Budget, Interval, NoiseFloor, Residual
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.proportion import HALF_90
-from torchid.statistics.resampling import DRAWS, LEVEL, bootstrap_weights, percentile_interval
+from torchid.statistics.resampling import (
+    DRAWS,
+    LEVEL,
+    bootstrap_weights,
+    nested_weights,
+    percentile_interval,
+)
 from torchid.typing import Float, Tensor
 
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0)
@@ -57,8 +63,12 @@ def closing(
     floor: NoiseFloor,
     seed: int,
     unpredicted: Float[Tensor, " n"] | None = None,
+    motions: Sequence[int] | None = None,
 ) -> Closing:
     """Compare before and after block by block, blocks resampled together, while joints move.
+
+    Whether there is a gap and whether it shrinks is asked of these motions; how far it would on
+    others is told by motions that are resampled with their blocks.
 
     What repeats tell of the noise has an interval of its own, from which it is drawn beside the
     blocks. But other motions may be noisier than the repeated one, so at most all that cannot be
@@ -70,6 +80,8 @@ def closing(
         floor: of the noise in the traces' band.
         seed: of the resampling.
         unpredicted: (n,) RMS of what a flexible predictor leaves of the gap after, in this band.
+        motions: number of the motion that each trace is one of, where they are different enough
+            for folds of whole motions.
     """
     # Squares before and after, block by block.
     parts = [_blocks(t) for t in traces]
@@ -78,25 +90,35 @@ def closing(
     rms = [(x.sum(0) / total).sqrt() for x in (before, after)]
     unit = noise_variance(floor)
     l0, l1 = (before / unit).sum(1), (after / unit).sum(1)
-    # Losses of resampled data: blocks are drawn, all joints together.
     rng = np.random.default_rng(seed)
-    weights = torch.from_numpy(bootstrap_weights(len(counts), DRAWS, rng))
-    first, last, rows = weights @ l0, weights @ l1, weights @ counts
-    improves = bool((first - last).quantile(1 - LEVEL) > 0)
-    # Ln of every draw, at each of the ends between which it lies.
-    if floor.source == "repeats":
+
+    def noise_of(rows: Tensor) -> list[Tensor]:
+        """Ln of every draw of rows (D, n), at each of the ends between which it lies."""
+        if floor.source != "repeats":
+            return [rows.sum(1), (rows * (floor.low.square() / unit)).sum(1)]
         low, high = (x.clamp(min=1e-12).log() for x in (floor.low, floor.high))
         z = torch.from_numpy(rng.standard_normal(tuple(rows.shape)))
         ends = [(rows * torch.exp((high - low) / HALF_90 * z)).sum(1)]
         if unpredicted is not None:
             largest = torch.minimum(unpredicted.square(), after.sum(0) / total)
             ends.append((rows * (largest / unit).clamp(min=1.0)).sum(1))
-    else:
-        ends = [rows.sum(1), (rows * (floor.low.square() / unit)).sum(1)]
+        return ends
+
+    # Losses of these motions: blocks are drawn, all joints together.
+    weights = torch.from_numpy(bootstrap_weights(len(counts), DRAWS, rng))
+    first, last, rows = weights @ l0, weights @ l1, weights @ counts
+    improves = bool((first - last).quantile(1 - LEVEL) > 0)
+    ends = noise_of(rows)
     excess = percentile_interval(((first - ends[0]) / rows.sum(1).clamp(min=1)).numpy())
     # A gap that may be zero has no share that could be closed.
     if not excess[0] > 0:
         return Closing(rms[0], rms[1], improves, None, None)
+    if motions is not None:
+        # Losses of others: motions are drawn, and then blocks of each.
+        own = np.repeat(motions, [len(p[0]) for p in parts])
+        weights = torch.from_numpy(nested_weights(own, DRAWS, rng))
+        first, last, rows = weights @ l0, weights @ l1, weights @ counts
+        ends = noise_of(rows)
     # There is no more noise than what is left.
     most = [torch.minimum(e, share * last) for e in ends for share in (1.0, SURELY_NOISE)]
     intervals = [
