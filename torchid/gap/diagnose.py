@@ -337,7 +337,7 @@ def check(
         before = [base.model] if fitted_first else [solution.start]
         shown = traces(judged.samples, None, before, [solution.model], band, reach=noise.reach)
         again_shown = traces(judged.samples, None, before, [base.model], band, reach=noise.reach)
-        motions = range(len(shown)) if len(shown) >= FEW else None
+        motions = tuple(range(len(shown))) if len(shown) >= FEW else None
     return Checked(
         shown,
         again_shown,
