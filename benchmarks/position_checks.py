@@ -87,10 +87,18 @@ def planted(robot, parts: Sequence[Log]) -> None:
     plain = answered(robot, parts)
     more = answered(robot, [with_planted(p) for p in parts])
     for joint, (name, size) in PLANTED.items():
-        before, after = (float(a[1].servos.of(name)[joint - 1]) for a in (plain, more))
+        # A zero that is off is a torque over the gain.
+        kp = [
+            float(a[1].servos.of("kp")[joint - 1]) if name == "offset" else 1.0
+            for a in (plain, more)
+        ]
+        before, after = (
+            float(a[1].servos.of(name)[joint - 1]) / k
+            for a, k in zip((plain, more), kp, strict=True)
+        )
         known = more[2]
         deviation = (
-            float(known.deviations()[joint - 1, known.names.index(name)])
+            float(known.deviations()[joint - 1, known.names.index(name)]) / kp[1]
             if name in known.names else float("nan")
         )  # fmt: skip
         found = after / before if name == "scale" else after - before
