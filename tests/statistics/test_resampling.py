@@ -8,6 +8,7 @@ from torchid.statistics.proportion import clopper_pearson, wilson
 from torchid.statistics.resampling import (
     bootstrap,
     bootstrap_weights,
+    nested_weights,
     percentile_interval,
 )
 
@@ -21,6 +22,21 @@ def test_weights_count_the_draws_of_the_same_seed():
     x = np.arange(7) ** 2
     assert weights @ x == pytest.approx(x[chosen].sum(1))
     assert set(weights.sum(1)) == {7.0}
+
+
+def test_groups_are_drawn_with_their_units():
+    """The variance of a mean: that of the groups' means, and of units within groups."""
+    groups = np.repeat([4, 1, 7, 2], 6)
+    x = np.array([0.0, 1.0, 3.0, 8.0])[np.repeat(range(4), 6)] + rng().standard_normal(24)
+    weights = nested_weights(groups, 40_000, rng())
+    assert weights.sum(1).min() == weights.sum(1).max() == 24
+    parts = x.reshape(4, 6)
+    expected = parts.mean(1).var() / 4 + parts.var(1).mean() / 24
+    assert (weights @ x / 24).var() == pytest.approx(expected, rel=0.03)
+
+
+def test_one_group_is_a_sample_of_its_units():
+    assert (nested_weights(np.zeros(9), 30, rng()).sum(1) == 9).all()
 
 
 def test_percentiles_of_what_is_defined():

@@ -160,7 +160,8 @@ class HowFar:
             where it may stick, friction can be anything.
         closed: closed fraction of the closable gap, (L0 - L*) / (L0 - Ln), joints weighted by
             their noise; None where the gap's interval holds zero.
-        closed_ci95: over blocks of whole trajectories or contiguous stretches.
+        closed_ci95: what it may be on other motions, where the log has three different ones or
+            more: of resampled motions and blocks of them; else of resampled blocks.
         rollout: simulated motion before and after, or None.
     """
 

@@ -36,6 +36,23 @@ def test_the_closed_share_is_that_of_the_squares(share):
     assert low - 0.01 < 1 - share < high + 0.01
 
 
+def test_motions_that_differ_widen_what_others_may_show():
+    """Of four motions one is closed by half: another one may be, too. Repeats are no other motions,
+    and whether these motions' gap shrinks stays the same question."""
+    traces = [*several(0.0), *several(0.5, count=1)]
+    blocks = closing(traces, exact(), seed=0)
+    apart = closing(traces, exact(), seed=0, motions=range(4))
+    alike = closing([traces[0]] * 4, exact(), seed=0, motions=(0, 0, 0, 0))
+    assert apart.closed == blocks.closed
+    assert apart.improves == blocks.improves
+    low, high = apart.closed_ci95
+    assert low < 0.77 < blocks.closed_ci95[0]
+    assert high > 0.98 > blocks.closed_ci95[1]
+    assert alike.closed_ci95 == pytest.approx(
+        closing([traces[0]] * 4, exact(), seed=0).closed_ci95, abs=0.01
+    )
+
+
 def test_worse_is_no_improvement():
     assert closing(several(0.0), exact(), seed=0).improves
     assert not closing(several(1.2), exact(), seed=0).improves
