@@ -4,6 +4,7 @@ This module is imported before numpy and torch, and sets their thread counts: tw
 threads can be many times slower than one on a small or shared machine.
 """
 
+import atexit
 import ctypes
 import os
 import signal
@@ -11,6 +12,8 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
+INTERRUPTED = 130
+"""Exit code of a command that Ctrl-C ends, as shells have it."""
 _KEPT = (("MALLOC_MMAP_THRESHOLD_", -3, 1 << 25), ("MALLOC_TRIM_THRESHOLD_", -1, 1 << 30))
 """Of the GNU C library: variable, parameter of mallopt (3), and bytes: the most that it takes of
 the first, and what a process may keep at the end of its heap."""
@@ -69,7 +72,7 @@ def leave(*_: object) -> None:
     Nothing has been begun."""
     with suppress(OSError):
         os.write(2, b"interrupted\n")
-    os._exit(130)
+    os._exit(INTERRUPTED)
 
 
 def begun() -> None:
@@ -90,4 +93,11 @@ def main() -> None:
         from torchid.app.faults import report
 
         sys.exit(report(error, str))
-    run()
+    try:
+        run()
+    except SystemExit as end:
+        if end.code == INTERRUPTED:
+            # Python would free a long log array by array, for more than a second.
+            atexit._run_exitfuncs()
+            os._exit(INTERRUPTED)
+        raise

@@ -1,7 +1,5 @@
 """All commands, and what happens when one fails."""
 
-import atexit
-import os
 import sys
 from typing import Annotated, Any
 
@@ -13,7 +11,7 @@ from torchid.app.compare import compare_command
 from torchid.app.excite import excite_command
 from torchid.app.export import correct_command, export_command
 from torchid.app.extract import atlas_command, extract_command
-from torchid.app.faults import INTERRUPTED, flush, print_plainly, report
+from torchid.app.faults import flush, print_plainly, report
 from torchid.app.fleet import fleet_app
 from torchid.app.gap import gap_command
 from torchid.app.identify import identify_command, payload_command
@@ -80,12 +78,8 @@ def run() -> None:
     print_plainly()
     try:
         app()
-    except SystemExit as end:
+    except SystemExit:
         flush()
-        if end.code == INTERRUPTED:
-            # Python would free a long log array by array, for more than a second.
-            atexit._run_exitfuncs()
-            os._exit(INTERRUPTED)
         raise
     except Exception as error:
         code = report(error, in_options)

@@ -14,10 +14,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from torchid import __version__
+from torchid.app import INTERRUPTED
 from torchid.errors import TorchidError, visible
 
-INTERRUPTED, FAULT = 130, 70
-"""Exit codes: of a shell for Ctrl-C; EX_SOFTWARE of sysexits.h."""
+FAULT = 70
+"""Exit code of a fault of torchid: EX_SOFTWARE of sysexits.h."""
 
 _MEMORY = ("allocate memory", "not enough memory", "out of memory", "failed to map segment")
 _NO_MEMORY = (
