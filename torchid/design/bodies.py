@@ -93,16 +93,20 @@ class Prior:
         ridge: (K,) inverse variances; zero where nothing is known.
         bodies: those that coefficients correct; None without any.
         centre: (K,) where they are expected; at zero if None.
+        known: (F, F) inverse covariance of the first F coefficients, beside all that; none if None.
     """
 
     ridge: Float[Tensor, " K"]
     bodies: Bodies | None = None
     centre: Float[Tensor, " K"] | None = None
+    known: Float[Tensor, "F F"] | None = None
 
     @cached_property
     def squares(self) -> Float[Tensor, "K K"]:
         """Inverse covariance of the coefficients."""
         out = torch.diag(self.ridge)
+        if self.known is not None:
+            out[: len(self.known), : len(self.known)] += self.known
         return out if self.bodies is None else out + self.bodies.squares(len(out))
 
     @cached_property

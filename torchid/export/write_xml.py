@@ -54,13 +54,15 @@ def write_xml(
     # A URDF has no gravity; its reader takes -9.81 along z.
     usual = mjcf or tuple(robot.gravity.tolist()) == STANDARD_GRAVITY
     gravity = None if usual else robot.gravity.tolist()
-    beside = bool(rest) or gravity is not None
+    # Knowledge is of parameters in the frames of the file that is edited.
+    sure = None if original is None else written.knowledge
+    beside = bool(rest) or gravity is not None or sure is not None
     side = sidecar_path(path)
     head = f"dynamics of {dynamics.title}; torchid {__version__}."
     if beside:
         head += f" What this format cannot say is in {side.name}, which torchid reads with it."
     set_head(file.root, "\n    ".join([head, *(described(*pair, robot) for pair in rest)]))
-    sidecar = sidecar_yaml(path.name, robot.joint_names, records(rest), gravity)
+    sidecar = sidecar_yaml(path.name, robot.joint_names, records(rest), gravity, sure)
     contents = {path.name: file.to_bytes(), side.name: sidecar.encode() if beside else None}
     draft = Draft(contents, known, rest, notes=_notes(robot, original))
     with staged(path.parent, draft.files) as files:

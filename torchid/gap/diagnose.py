@@ -34,8 +34,10 @@ from torchid.gap.validate.closing import Closing, budget, closing, residuals
 from torchid.gap.validate.folds import FEW, Folds, make_folds, traces
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.identify import refuse_repeated
+from torchid.identification.knowledge import between_sessions, known_names, learned
 from torchid.log.model import Log
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
+from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot, joint_list
 from torchid.simulation.two_models import rollouts
 from torchid.statistics.autocorrelation import integrated_time
@@ -184,9 +186,11 @@ def diagnose(
         shares = budget(checked.refitted, checked.shown, checked.noise.floor)
     # The corrected model holds laws; a push is no part of the arm.
     lasting = tuple(p for p in found.solution.model.effects if p[0].name not in EVENTS)
+    corrected = Model(found.solution.model.robot, lasting).described()
+    corrected = replace(corrected, knowledge=_knowledge(found, data, wanted, block))
     result = Diagnosis(
         robot=start.described(),
-        corrected=Model(found.solution.model.robot, lasting).described(),
+        corrected=corrected,
         status=status_of(
             said,
             checked,
@@ -271,7 +275,29 @@ def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:
         inertial=settings.parameters != "trusted",
         only=settings.only,
         base=base_parameters(robot, basis="report"),
+        knowledge=known_before(robot, free),
     )
+
+
+def known_before(robot: Robot, free: bool) -> Knowledge | None:
+    """How sure the robot's model is on the day of another session; None where it does not say, or
+    where its parameters are refitted as if nothing were known of them."""
+    if robot.knowledge is None or robot.parameters is None or free:
+        return None
+    return robot.knowledge.aged(between_sessions(robot))
+
+
+def _knowledge(
+    found: Explanation, data: Data, wanted: Wanted, block: Int[Tensor, " N"]
+) -> Knowledge:
+    """What was known of the model, as far as it has not changed, and what the log adds."""
+    solution = found.solution
+    at = found.question.candidates.columns.at(solution.model)
+    source = ", ".join(s.name for s in data.segments)
+    now = learned(at, data.keep, block, found.fit.effective, wanted.base, source)
+    changed = [n for t in found.terms for e in t.effects for n in known_names(e)]
+    before = wanted.knowledge
+    return now if before is None else before.without(changed).plus(now)
 
 
 def start_of(robot: Robot) -> Model:

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from torchid.errors import RobotError, TorchidError
 from torchid.robot.inertia import InertialParameters
+from torchid.robot.knowledge import Knowledge
 from torchid.tensors import as_tensor, joint_signals
 from torchid.typing import Float, Numbers
 
@@ -127,6 +128,8 @@ class Robot:
         warnings: what the reader noticed, one sentence each.
         source: file or built-in name it came from.
         tip: that its chain was chosen by, of a URDF or MJCF.
+        knowledge: how sure parameters and effects are; None where nobody says it: values like
+            those of CAD, to some ten per cent.
 
     >>> import torchid
     >>> robot = torchid.load_robot("kuka_lwr4")
@@ -151,6 +154,7 @@ class Robot:
     warnings: tuple[str, ...] = ()
     source: str = ""
     tip: str | None = None
+    knowledge: Knowledge | None = None
 
     def __post_init__(self) -> None:
         for name in ("before", "after", "gravity", "tool", "drive_gain"):

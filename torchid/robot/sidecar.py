@@ -4,6 +4,7 @@
     joints: [joint_1, joint_2]
     gravity: [0, 0, -9.81]                                           # where the file cannot say it
     effects: [{effect: rotor_inertia, joint: 1, Ia: 0.4}, ...]
+    knowledge: {sources: [identified from run1], coefficients: [rotor_inertia Ia1, ..], rows: [..]}
 
 `torchid export` writes it; whoever reads the robot gets its effects on top of the file's own.
 """
@@ -16,11 +17,12 @@ from typing import Any
 import yaml
 
 from torchid.errors import RobotError
+from torchid.robot.knowledge import Knowledge, from_mapping, to_mapping
 from torchid.robot.model import Robot
 from torchid.robot.yaml_file import read_effects
 from torchid.robot.yaml_values import known, numbers, parsed_yaml
 
-_KEYS = ("of", "joints", "gravity", "effects")
+_KEYS = ("of", "joints", "gravity", "effects", "knowledge")
 
 
 def sidecar_path(path: Path) -> Path:
@@ -33,6 +35,7 @@ def sidecar_yaml(
     joints: Sequence[str],
     effects: Sequence[Mapping[str, Any]],
     gravity: Sequence[float] | None,
+    knowledge: Knowledge | None = None,
 ) -> str:
     """The text of a sidecar.
 
@@ -41,11 +44,14 @@ def sidecar_yaml(
         joints: names of the chain's joints, in order.
         effects: records as in a robot's yaml.
         gravity: (3,) [m/s^2], or None where the file itself says it.
+        knowledge: how sure the file and its effects are.
     """
     data: dict[str, Any] = {"of": name, "joints": list(joints)}
     if gravity is not None:
         data["gravity"] = list(gravity)
     data["effects"] = [dict(record) for record in effects]
+    if knowledge is not None:
+        data["knowledge"] = to_mapping(knowledge)
     head = f"# What {name} cannot say; torchid reads it together with that file.\n"
     return head + yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=200)
 
@@ -72,4 +78,10 @@ def with_sidecar(robot: Robot, path: Path) -> Robot:
     gravity = robot.gravity
     if data.get("gravity") is not None:
         gravity = numbers(data["gravity"], (3,), f"{beside}: gravity")
-    return replace(robot, effects=(*robot.effects, *effects), gravity=gravity)
+    sure = data.get("knowledge")
+    return replace(
+        robot,
+        effects=(*robot.effects, *effects),
+        gravity=gravity,
+        knowledge=None if sure is None else from_mapping(sure, robot.n, str(beside)),
+    )

@@ -12,6 +12,7 @@ import yaml
 from torch import Tensor
 
 from torchid.files import atomic_write
+from torchid.robot.knowledge import to_mapping as knowledge_mapping
 from torchid.robot.model import LIMITS, Robot
 from torchid.robot.yaml_kinematics import CONVENTIONS, dh_step
 from torchid.typing import Float
@@ -81,6 +82,8 @@ def to_mapping(robot: Robot) -> dict[str, Any]:
         out["drive_gain"] = robot.drive_gain.tolist()
     if robot.basis != Robot.basis:
         out["basis"] = robot.basis
+    if robot.knowledge is not None:
+        out["knowledge"] = knowledge_mapping(robot.knowledge)
     return out | _unless_empty("bounds", _plain(robot.bounds))
 
 

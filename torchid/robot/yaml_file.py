@@ -10,12 +10,15 @@ from torch import Tensor
 
 from torchid.errors import RobotError
 from torchid.robot.inertia import InertialParameters, parallel_axis
+from torchid.robot.knowledge import Knowledge
+from torchid.robot.knowledge import from_mapping as knowledge_of
 from torchid.robot.model import LIMITS, STANDARD_GRAVITY, Basis, Limits, Robot
 from torchid.robot.yaml_kinematics import read_kinematics
 from torchid.robot.yaml_values import known, numbers, parsed_yaml
 
 _KINEMATICS = ("dh", "placements")
 _REST = ("gravity", "limits", "parameters", "effects", "drive_gain", "bounds", "basis", "tool")
+_KNOWLEDGE = "knowledge"
 _BESIDE = ("servo", "servos")
 """What a robot's yaml may hold and other readers take: `torchid.position`."""
 
@@ -38,7 +41,7 @@ def read_yaml(path: Path) -> Robot:
 
 def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
     """A Robot from the parsed content of a robot yaml; `source` names it in errors."""
-    known(data, ("name", *_KINEMATICS, *_REST, *_BESIDE), source)
+    known(data, ("name", *_KINEMATICS, *_REST, _KNOWLEDGE, *_BESIDE), source)
     if "name" not in data:
         raise RobotError(f"{source}: 'name' is missing.", available=list(data))
     kinematics = read_kinematics(data, source)
@@ -61,6 +64,7 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
         bounds=_bounds(data.get("bounds") or {}, source),
         basis=basis,
         source=source,
+        knowledge=_knowledge(data.get(_KNOWLEDGE), n, source),
     )
 
 
@@ -109,6 +113,10 @@ def _parameters(data: Any, n: int, source: str) -> InertialParameters | None:
         own = InertialParameters(torch.cat([m, moved, tensor], -1))
         tensor = tensor + parallel_axis(mass, first if moment == "com" else own.com)
     return InertialParameters(torch.cat([m, moved, tensor], -1))
+
+
+def _knowledge(data: Any, n: int, source: str) -> Knowledge | None:
+    return None if data is None else knowledge_of(data, n, source)
 
 
 def read_effects(data: Any, n: int, source: str) -> tuple[Mapping[str, Any], ...]:

@@ -167,13 +167,16 @@ def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
 def prior_of(terms: Sequence[Term]) -> Prior:
     """What is known of the coefficients of terms beforehand."""
     ridge, bodies, first = [torch.zeros(0, dtype=torch.float64)], [], 0
+    information = [t.information for t in terms if t.information is not None]
     centre = [torch.zeros(0, dtype=torch.float64), *(t.centre for t in terms)]
     for term in terms:
         ridge.append(term.ridge if term.bodies is None else torch.zeros_like(term.ridge))
         if term.bodies is not None:
             bodies.append(term.bodies.shifted(first))
         first += len(term.at)
-    return Prior(torch.cat(ridge), together(bodies), torch.cat(centre))
+    # What a model knows of itself stands first.
+    known = torch.cat(information) if information else None
+    return Prior(torch.cat(ridge), together(bodies), torch.cat(centre), known)
 
 
 def rows_of(question: Question, term: Term) -> Float[Tensor, "C m N"]:

@@ -24,7 +24,9 @@ from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import KINDS, Valued
 from torchid.gap.data import Data
 from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.knowledge import known_names
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
+from torchid.robot.knowledge import Knowledge
 from torchid.typing import Bool, Float, Int, Tensor
 
 BASE = "all_base"
@@ -56,6 +58,8 @@ class Term:
         bodies: what is known of them as corrections of bodies, in the place of `sigma`, with which
             candidates are only ranked; None: nothing.
         seen: what is known of it beside the fit's torque: from other sensors, or above its band.
+        information: (C, F) its rows of the inverse covariance of all F coefficients of the fixed
+            terms, where the model knows how sure it is: the correction is what that leaves open.
     """
 
     name: str
@@ -68,12 +72,17 @@ class Term:
     sigma: Float[Tensor, " C"] | None = None
     bodies: Bodies | None = None
     seen: Compliance | Swing | None = None
+    information: Float[Tensor, "C F"] | None = None
 
     @cached_property
     def limits(self) -> Float[Tensor, "C 3"]:
         """Of each coefficient: what the model has of it already, the least whole, and the largest
         correction. A term that stands in the place of the model's own is the whole of it."""
         known = [0.0] * len(self.known) if self.instead else self.known
+        if self.information is not None:
+            # What is left open of the model's own is bounded by what is known of it.
+            bounds = [(v, -torch.inf, torch.inf) for v in known]
+            return torch.tensor(bounds, dtype=torch.float64).reshape(-1, 3)
         every = self.effects[0].ranges if self.effects else [c.range for c in self.coefficients]
         least, largest = zip(*every, strict=True)
         return torch.tensor([known, least, largest], dtype=torch.float64).T
@@ -136,6 +145,7 @@ class Wanted:
         inertial: whether corrections of the links' parameters compete.
         only: (effect, joint from 0 or None) that alone are candidates; None for all.
         base: rigid base parameters of the robot.
+        knowledge: how sure the model as given is; None where it does not say.
     """
 
     names: tuple[str, ...]
@@ -144,6 +154,7 @@ class Wanted:
     inertial: bool
     only: tuple[tuple[str, int | None], ...] | None
     base: BaseParameters
+    knowledge: Knowledge | None = None
 
     @property
     def independent(self) -> list[int]:
@@ -249,6 +260,13 @@ def candidates_of(
     for some in _model_effects(wanted, data, columns, extra):
         for effect, (place, x) in zip(some, columns.of_several(some), strict=True):
             terms.append(put((effect,), place, x))
+    # The model's own, which are corrected within what is known of them, candidates or not.
+    there = {e for t in terms for e in t.effects}
+    own_effects = [e for e, _ in given if wanted.knowledge is not None and not e.event]
+    beside: list[Term] = []
+    for e in own_effects:
+        if isinstance(e, ModelEffect) and not e.inertial and e not in there:
+            beside.append(put((e,), *columns.of(e)))
     for name in wanted.names:
         if KINDS[name].shared:
             every = tuple(KINDS[name].candidates(robot))  # type: ignore[attr-defined]
@@ -267,11 +285,24 @@ def candidates_of(
             terms += [put((e,), joint, x) for e, x in zip(effects, found, strict=True)]
         for shaped in _own_shapes(wanted, given, joint, extra):
             terms.append(put((shaped,), joint, columns.of(shaped)[1]))
+        there = {t.effects[0] for t in terms if t.place == joint}
+        for e in own_effects:
+            if isinstance(e, JointEffect) and e.joint == joint and e not in there:
+                beside.append(put((e,), joint, columns.of(e)[1]))
         rows = [*(x[:, joint] for x in common), *local.pop(joint)]
         gram.add(joint, rows, gap[joint], data.keep[joint], parts)
     # Own columns stand behind the common ones.
-    terms = [t if t.place is None else replace(t, at=t.at + filled) for t in terms]
+    terms, beside = (
+        [t if t.place is None else replace(t, at=t.at + filled) for t in some]
+        for some in (terms, beside)
+    )
     terms = _standing_in(terms, given)
+    if wanted.knowledge is not None:
+        fixed = known_terms([*terms, *beside], wanted.knowledge, given)
+        chosen = [t for t in terms if wanted.allows(t)]
+        return Candidates(
+            columns, gap, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen))
+        )
     # What is always in the model is no candidate, nor are bodies beside free base parameters.
     asked = [(t.name, t.effects) for t in fixed_terms(columns, wanted)]
     fixed = tuple(t for t in terms if (t.name, t.effects) in asked)
@@ -406,6 +437,33 @@ def _standing_in(terms: Sequence[Term], given: Sequence[Valued]) -> list[Term]:
         ]
         out.append(replace(term, instead=tuple(instead)) if instead else term)
     return out
+
+
+def known_terms(
+    terms: Sequence[Term], knowledge: Knowledge, given: Sequence[Valued]
+) -> tuple[Term, ...]:
+    """What the model as given leaves open of itself: corrections of base parameters and of its
+    effects' coefficients, as far as these are known. They are always in the model, and cost no
+    evidence but their distance from what is known.
+
+    Args:
+        terms: all, with their rows in the matrices.
+        knowledge: of the model as given.
+        given: its effects.
+    """
+    base = next(t for t in terms if t.name == BASE)
+    own = {t.effects[0]: t for t in terms if len(t.effects) == 1}
+    found = [(own[e], known_names(e)) for e, _ in given if e in own]
+    found = [(t, names) for t, names in found if set(names) <= set(knowledge.coefficients)]
+    # The base parameters first, in the coordinates of their term, then coefficients by name.
+    asked = knowledge.over([name for _, names in found for name in names])
+    rows = torch.cat([base.at, torch.arange(asked.rigid, len(asked.information))])
+    information = asked.information[rows.unsqueeze(1), rows]
+    parts = information.split([len(t.at) for t in (base, *(t for t, _ in found))])
+    return tuple(
+        replace(t, information=part, sigma=None, seen=None, instead=())
+        for t, part in zip((base, *(t for t, _ in found)), parts, strict=True)
+    )
 
 
 def fixed_terms(columns: Columns, wanted: Wanted) -> tuple[Term, ...]:
