@@ -110,6 +110,9 @@ class Effect(ABC):
         blurred: whether what its columns hold above the rows' band is of no use: the time of an
             impact, say, is known less well than that.
         linearised: whether its columns are a secant, taken at the field `at`.
+        scale_of_torque: whether it is the error of a measured torque's scale.
+        of_bodies: whether its columns need the links' own parameters: the same base parameters,
+            split among the links in another way, give others.
     """
 
     name: ClassVar[str]
@@ -136,6 +139,8 @@ class Effect(ABC):
     smooth: ClassVar[bool] = False
     blurred: ClassVar[bool] = False
     linearised: ClassVar[bool] = False
+    scale_of_torque: ClassVar[bool] = False
+    of_bodies: ClassVar[bool] = False
 
     @classmethod
     def exemplar(cls, joint: int) -> "Effect":

@@ -137,6 +137,7 @@ class TorqueGain(TorqueShare):
     example = Example((0.05,), "position")
     on_all = True
     shared = True
+    scale_of_torque = True
 
 
 @dataclass(frozen=True)
@@ -265,6 +266,7 @@ class KinematicError(OneJointEffect):
         "the absolute positioning accuracy of robot manipulators, J. Robotic Systems 2(4)"
     )
     example = Example((0.02, 0.0, 0.0, 0.0, 0.0), "position")
+    of_bodies = True
 
     def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Central secants of the torque of all joints (T, n, 5)."""

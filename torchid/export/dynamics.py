@@ -82,7 +82,9 @@ def _with(robot: Robot, values: BaseValues, full: Float[Tensor, " P"]) -> Robot:
     coefficients = full[rigid:].split([len(e.coefficients) for e in values.effects])
     records = [e.record(c.tolist()) for e, c in zip(values.effects, coefficients, strict=True)]
     parameters = InertialParameters.from_paper_order(full[:rigid])
-    return replace(robot.with_parameters(parameters), effects=tuple(records))
+    return replace(
+        robot.with_parameters(parameters), effects=tuple(records), knowledge=values.knowledge
+    )
 
 
 def folded(robot: Robot) -> Robot:

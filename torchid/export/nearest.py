@@ -40,7 +40,8 @@ def nearest_bodies(dynamics: Dynamics, robot: Robot, geometry: str | None) -> Dy
         f"{100 * float(found.torque.max()):.2g} % from the identified one; "
         "`torchid extract` finds others"
     )
-    return replace(one, kind=dynamics.kind, warnings=(*one.warnings, note))
+    near = replace(one.robot, knowledge=dynamics.base.knowledge)
+    return replace(one, robot=near, kind=dynamics.kind, warnings=(*one.warnings, note))
 
 
 def nearest_sets(

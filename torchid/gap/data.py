@@ -63,6 +63,8 @@ class Data:
         silent: joints, from 0, whose measured torque follows nothing of the motion.
         band: of the report [Hz].
         gain_std: how well the scale of each joint's torque is known, as a share of it.
+        gain_said: whether somebody says so: the user, or torque that is current times a gain. A
+            sensor that nobody vouches for may have any scale.
         positions: (n,) noise that they bring into the model's torque in that band [N m; N].
         warnings: sentences for the user.
         lag: (n, N) by which links are behind their motors [rad; m]; None without encoders of the
@@ -81,6 +83,7 @@ class Data:
     positions: Float[Tensor, " n"]
     warnings: tuple[str, ...]
     lag: Float[Tensor, "n N"] | None = None
+    gain_said: bool = False
     swings: Mapping[int, Swing] = field(default_factory=dict)
 
     @property
@@ -250,4 +253,7 @@ def prepare(
     lags = [s.motion.lag.T for s in long if s.motion.lag is not None]
     lag = samples.of(lags) if lags else None
     known = SENSOR_GAIN if gain_std is None else gain_std
-    return Data(samples, keep, slides, missing, still, (), band, known, positions, tuple(said), lag)
+    return Data(
+        samples, keep, slides, missing, still, (), band, known, positions, tuple(said), lag,
+        gain_said=gain_std is not None,
+    )  # fmt: skip

@@ -26,15 +26,17 @@ from torchid.gap.record import Budget, Parametric, Status
 from torchid.gap.search.evidence import fit_terms
 from torchid.gap.search.explain import Explanation, explained, without_terms
 from torchid.gap.search.joint_fits import joint_fits
+from torchid.gap.search.known import after_log, known_of
+from torchid.gap.search.small import small_effects
 from torchid.gap.search.solve import Solution, solved
 from torchid.gap.search.terms import BASE, Term, Wanted, fixed_terms
 from torchid.gap.search.told import Told, next_experiment, not_testable, told
 from torchid.gap.settings import GapSettings
-from torchid.gap.validate.closing import Closing, budget, closing, residuals
+from torchid.gap.validate.closing import Closing, budget, closing, levels, residuals
 from torchid.gap.validate.folds import FEW, Folds, make_folds, traces
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.identify import refuse_repeated
-from torchid.identification.knowledge import between_sessions, known_names, learned
+from torchid.identification.knowledge import between_sessions, known_names
 from torchid.log.model import Log
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.knowledge import Knowledge
@@ -151,18 +153,26 @@ def diagnose(
     say("judging", 0, 1)
     fitted_first = robot.parameters is None
     checked = check(found, data, None, folds, repeats, settings, fitted_first)
-    # What makes a fold worse that it was not fitted on leaves, until nothing does. Something was
-    # there that it took the place of.
+    # What makes a fold worse that it was not fitted on leaves, and what is less likely there than
+    # not, until nothing does. Of the first something was there that it took the place of.
     least = found.question.least(found.empty.losses / found.question.normal.rows.clamp(min=1.0))
     taken = False
-    while gone := harmful(found, checked, least):
-        taken = True
-        found = without_terms(found, gone, data, block)
+    said = told(found)
+    while True:
+        gone = harmful(found, checked, least)
+        taken |= bool(gone)
+        if gone:
+            found = without_terms(found, gone, data, block)
+            said = told(found)
+        elif not said.unsure:
+            break
+        while said.unsure:
+            found = without_terms(found, said.unsure[:1], data, block, small=True)
+            said = told(found)
         checked = check(found, data, None, folds, repeats, settings, fitted_first)
     if judged is not None:
         # A held-out log takes part in no choice: it judges what was chosen.
         checked = check(found, data, judged, folds, repeats, settings, fitted_first)
-    said = told(found)
     if wanted.free and robot.parameters is not None:
         # With parameters always refitted: whether that alone closes a part of the gap.
         far = checked.refitted_far
@@ -187,7 +197,18 @@ def diagnose(
     # The corrected model holds laws; a push is no part of the arm.
     lasting = tuple(p for p in found.solution.model.effects if p[0].name not in EVENTS)
     corrected = Model(found.solution.model.robot, lasting).described()
-    corrected = replace(corrected, knowledge=_knowledge(found, data, wanted, block))
+    after = after_log(found, data, wanted, block)
+    corrected = replace(corrected, knowledge=after)
+    known = known_of(found, wanted, after, least)
+    if known is not None:
+        # Of what the model has already: what it was, and what it is now.
+        of = {c.name: c for c in known.coefficients}
+        changed = (
+            replace(f, changed=tuple(of[n] for n in known_names(f.effect) if n in of))
+            for f in said.findings
+        )
+        said = replace(said, findings=tuple(changed))
+    small = small_effects(found, data, block, robot)
     result = Diagnosis(
         robot=start.described(),
         corrected=corrected,
@@ -198,6 +219,8 @@ def diagnose(
             poor,
             shown=all(map(found.question.shows, found.terms)),
             taken=taken,
+            small=bool(small),
+            hidden=known is not None and any(j.hides for j in known.joints),
         ),
         joints=joints,
         regimes=regimes,
@@ -218,6 +241,8 @@ def diagnose(
         ),
         joint_fits=joint_fits(found, said, data, block),
         residual=residuals(checked.shown),
+        small=small,
+        knowledge=known,
     )
     if settings.rollout:
         say("simulating forwards", 0, 1)
@@ -287,19 +312,6 @@ def known_before(robot: Robot, free: bool) -> Knowledge | None:
     return robot.knowledge.aged(between_sessions(robot))
 
 
-def _knowledge(
-    found: Explanation, data: Data, wanted: Wanted, block: Int[Tensor, " N"]
-) -> Knowledge:
-    """What was known of the model, as far as it has not changed, and what the log adds."""
-    solution = found.solution
-    at = found.question.candidates.columns.at(solution.model)
-    source = ", ".join(s.name for s in data.segments)
-    now = learned(at, data.keep, block, found.fit.effective, wanted.base, source)
-    changed = [n for t in found.terms for e in t.effects for n in known_names(e)]
-    before = wanted.knowledge
-    return now if before is None else before.without(changed).plus(now)
-
-
 def start_of(robot: Robot) -> Model:
     """The model as given; where it has no parameters, without inertia."""
     if robot.parameters is None:
@@ -364,6 +376,8 @@ def check(
         shown = traces(judged.samples, None, before, [solution.model], band, reach=noise.reach)
         again_shown = traces(judged.samples, None, before, [base.model], band, reach=noise.reach)
         motions = tuple(range(len(shown))) if len(shown) >= FEW else None
+    # Whatever is noise is part of what is left: the same instants, the same band.
+    noise = noise.at_most(torch.minimum(*levels(shown)))
     return Checked(
         shown,
         again_shown,
@@ -401,6 +415,8 @@ def status_of(
     poor: bool,
     shown: bool,
     taken: bool = False,
+    small: bool = False,
+    hidden: bool = False,
 ) -> Status:
     """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that
     has an interval; what is left is unexplained where it exceeds the noise there and a flexible
@@ -414,6 +430,8 @@ def status_of(
         shown: whether another sensor than that of torque shows all that is told.
         taken: whether something that the evidence had was taken back for the harm that it did: it
             was no explanation, but the gap is there.
+        small: whether there are causes of a size below what was asked for.
+        hidden: whether what the model left open of itself could hide a cause.
     """
     far, noise = checked.far, checked.noise
     excess = (far.rms_after / noise.floor.high.clamp(min=1e-12)).square()
@@ -429,7 +447,9 @@ def status_of(
     if not (said.findings or said.parametric):
         if unexplained or taken:
             return "detected_unexplained"
-        return "not_testable" if poor else "no_gap"
+        if poor or hidden:
+            return "not_testable"
+        return "negligible" if small else "no_gap"
     if unexplained or not (shown or (far.improves and far.closed is not None)):
         return "detected_unexplained"
     return "explained" if said.findings else "parametric_only"
@@ -462,8 +482,6 @@ def warnings_of(
             "no motion is repeated, so the noise is known only between bounds: drive one "
             "trajectory twice to know it"
         )
-    if found.unworthy:
-        out.append(_beyond(found))
     if len(found.terms) >= settings.max_effects:
         out.append(f"the search ended at {settings.max_effects} effects: `max_effects=...`")
     # What holds for this log alone.
@@ -494,22 +512,6 @@ def warnings_of(
         joints = joint_list(worse.nonzero().flatten().tolist())
         out.append(f"on data that was not fitted the corrected model is worse on {joints}")
     return out + needs_trust(found)
-
-
-def _beyond(found: Explanation) -> str:
-    """What lies below the least worthwhile size, as a sum and never as names."""
-    question, fit = found.question, found.fit
-    more = fit_terms(question, [*found.terms, *found.unworthy], fit.effective, fit.weight)
-    shares = 1 - (more.losses / fit.losses.clamp(min=1e-300)).sqrt()
-    joints = shares.nonzero().flatten().tolist()
-    said = ", ".join(f"joint {j + 1} {100 * float(shares[j]):.1f} %" for j in joints)
-    count = len(found.unworthy)
-    are = "term has evidence but is" if count == 1 else "terms have evidence but are"
-    return (
-        f"{count} more {are} not worth a name"
-        + (f"; together they would lower the error of {said}" if said else "")
-        + ": `worthwhile=...`, `worthwhile_torque=...`"
-    )
 
 
 def needs_trust(found: Explanation) -> list[str]:

@@ -17,12 +17,15 @@ from torchid.gap.record import (
     JointFit,
     JointGap,
     JointRms,
+    Known,
+    KnownCoefficient,
     NoiseFloor,
     NotTestable,
     Parametric,
     Planted,
     RegimeGap,
     Residual,
+    SmallEffect,
     Status,
     Where,
 )
@@ -94,7 +97,10 @@ class Finding:
         ambiguous_with: names of effects the data do not separate it from.
         std: block-robust standard deviations of the coefficients.
         p_value: family-wise, by the test that judged it.
-        how_sure: probability of it, against nothing and against what it cannot be told from.
+        how_sure: probability of it, against nothing and against what it cannot be told from; of a
+            set that of the set.
+        changed: coefficients that the model knew otherwise; none of an effect that is new.
+        one_of_a_set: whether it is the likeliest of a set none of which is likely by itself.
         share: of the closable gap that it closes in its turn: at every turn that cause joins which
             closes most, all refitted, so that the shares add up to one.
         first: of the closable gap that it closes alone.
@@ -115,6 +121,8 @@ class Finding:
     notes: tuple[str, ...] = ()
     common: bool = False
     planted: Planted | None = None
+    one_of_a_set: bool = False
+    changed: tuple[KnownCoefficient, ...] = ()
 
     @property
     def located(self) -> tuple[int, ...]:
@@ -216,6 +224,8 @@ class Diagnosis(Result):
         joint_fits: what is told with the covariance of all its coefficients, then what cannot be
             told from it.
         residual: what is left of each joint's torque on data it was not fitted on.
+        small: effects that are there and below what was asked for.
+        knowledge: what was known of the model before, and what this log adds.
     """
 
     robot: Robot
@@ -238,6 +248,8 @@ class Diagnosis(Result):
     warnings: tuple[str, ...]
     joint_fits: tuple[JointFit, ...] = ()
     residual: tuple[Residual, ...] = ()
+    small: tuple[SmallEffect, ...] = ()
+    knowledge: Known | None = None
 
     def __repr__(self) -> str:
         effects = ", ".join(f.effect.name for f in self.findings) or "no effects"
@@ -283,6 +295,8 @@ class Diagnosis(Result):
             corrected=self.corrected,
             joint_fits=self.joint_fits,
             residual=self.residual,
+            small=self.small,
+            knowledge=self.knowledge,
         )
 
     @property

@@ -24,7 +24,15 @@ from torchid.typing import Float, Tensor
 if TYPE_CHECKING:
     from torchid.next_motion.separating_motion import Separation
 
-Status = Literal["no_gap", "parametric_only", "explained", "detected_unexplained", "not_testable"]
+Status = Literal[
+    "no_gap",
+    "negligible",
+    "parametric_only",
+    "explained",
+    "detected_unexplained",
+    "not_testable",
+]
+"""Of a gap: `negligible` is there, with causes that are smaller than what was asked for."""
 
 Regime = Literal[
     "velocity_reversal",
@@ -116,6 +124,26 @@ class Planted(Part, frozen=True):
         return None
 
 
+class KnownCoefficient(Part, frozen=True, kw_only=True):
+    """A known coefficient of the model before the log and after it.
+
+    Attributes:
+        name: e.g. `viscous_friction Fv3`.
+        unit: of it.
+        before, before_std: as the model knew it, the time between two sessions included.
+        after, after_std: with this log.
+        changed: whether it is another one than was known, beyond what was left open.
+    """
+
+    name: str
+    unit: str
+    before: Real
+    before_std: float | None
+    after: Real
+    after_std: float | None
+    changed: bool = False
+
+
 class FoundEffect(Part, frozen=True, kw_only=True):
     """An accepted effect; of inertial parameters those of one link.
 
@@ -125,9 +153,10 @@ class FoundEffect(Part, frozen=True, kw_only=True):
         common: whether one coefficient is common to all joints.
         ambiguous_with: names of effects the data do not separate it from.
         parameters: coefficients, shapes and places.
-        p_value, how_sure, share, first: as Finding's.
+        p_value, how_sure, one_of_a_set, share, first: as Finding's.
         std, unit: of the coefficients, and units of shapes too.
         shape, places: which of the parameters are shapes, and which places.
+        changed: coefficients that the model knew otherwise; none of an effect that is new.
         meaning, remedy, source: of the effect, in words.
         notes: sentences.
         planted: what the log would show of it.
@@ -141,17 +170,74 @@ class FoundEffect(Part, frozen=True, kw_only=True):
     parameters: Values
     p_value: float | None
     how_sure: float | None = None
+    one_of_a_set: bool = False
     std: dict[str, float | None]
     unit: dict[str, str]
     shape: tuple[str, ...]
     places: tuple[str, ...]
     share: float | None = None
     first: float | None = None
+    changed: tuple[KnownCoefficient, ...] = ()
     meaning: str = ""
     remedy: str = ""
     source: str | None = None
     notes: tuple[str, ...] = ()
     planted: Planted | None = None
+
+
+class SmallEffect(Part, frozen=True, kw_only=True):
+    """An effect that the evidence has, of a size below what was asked for.
+
+    Attributes:
+        effect, family, joints, parameters, std, unit, how_sure: as FoundEffect's.
+        closes_rms: error that it takes away, as a root of the fall of the mean square while the
+            joint moves, on the joint where that is most [N m; N].
+    """
+
+    effect: str
+    family: str
+    joints: tuple[Joint, ...]
+    parameters: Values
+    std: dict[str, float | None]
+    unit: dict[str, str]
+    closes_rms: Real
+    how_sure: float
+
+
+class Open(Part, frozen=True, kw_only=True):
+    """Torque that a model left open on the motions of a log.
+
+    Attributes:
+        joint: which.
+        added_rms: of the correction within what was known, which this log asks for [N m; N].
+        hides: whether a cause as large as is worth a name may be hidden in it, and not be told
+            from what was open.
+        motion: what to drive to know it.
+    """
+
+    joint: Joint
+    added_rms: Real
+    hides: bool
+    motion: str = ""
+
+
+class Known(Part, frozen=True, kw_only=True):
+    """What was known of the model, and what this log adds.
+
+    Attributes:
+        sources: of what was known.
+        coefficients: of effects, whose values or standard deviations this log changes.
+        joints: where corrections are, within what was known.
+        between_sessions: how much friction is taken to change by itself between sessions, as a
+            standard deviation relative to its value; None where nothing was known before.
+        notes: sentences.
+    """
+
+    sources: tuple[str, ...]
+    coefficients: tuple[KnownCoefficient, ...] = ()
+    joints: tuple[Open, ...] = ()
+    between_sessions: float | None = None
+    notes: tuple[str, ...] = ()
 
 
 class Parametric(Part, frozen=True):
@@ -369,6 +455,8 @@ class GapRecord(Record, frozen=True, kw_only=True, tag="torchid.gap/1"):
         joint_fits: what is told with the covariance of all its coefficients, then what cannot be
             told from it; none in older files.
         residual: what is left, joint by joint; none in older files.
+        small: effects that are there and below what was asked for.
+        knowledge: what was known before, and what this log adds.
         seed: of everything random, from a command.
     """
 
@@ -391,6 +479,8 @@ class GapRecord(Record, frozen=True, kw_only=True, tag="torchid.gap/1"):
     corrected: Model | None = None
     joint_fits: tuple[JointFit, ...] = ()
     residual: tuple[Residual, ...] = ()
+    small: tuple[SmallEffect, ...] = ()
+    knowledge: Known | None = None
     seed: int | msgspec.UnsetType = msgspec.UNSET
 
     @property

@@ -8,9 +8,18 @@ import torch
 
 from torchid.design.motion import Measurement, fast_speed, measurements, no_torque, timed
 from torchid.effects.base import Effect
+from torchid.effects.registry import nominal_effects
 from torchid.errors import IdentificationError, LogError
 from torchid.identification.asked import Asked, asked_effects, search_shapes
-from torchid.identification.base_parameters import base_parameters
+from torchid.identification.base_parameters import BaseParameters, base_parameters
+from torchid.identification.knowledge import (
+    between_sessions,
+    fit_root,
+    known_names,
+    of_base_parameters,
+    over_parameters,
+    pooled,
+)
 from torchid.identification.least_squares import Fit, fit
 from torchid.identification.record import FittedRows
 from torchid.identification.result import Identification, findings
@@ -30,6 +39,7 @@ from torchid.log.model import Log
 from torchid.log.sampling import resample
 from torchid.parallel.workers import Progress, stage
 from torchid.robot.model import JointType, Robot
+from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
 
 FEWEST_DIGITS = 1e-4
@@ -136,6 +146,19 @@ def identify(
             "fewer names asks for less",
         )
     values, order = _in_base_order(estimate.fit.x, columns)
+    covariance = estimate.uncertainty.covariance[order][:, order]
+    factor = estimate.fit.factor[:, torch.cat([order, order.new_tensor([len(base)])])]
+    free, undetermined = (m[order] for m in (estimate.fit.free, estimate.fit.undetermined))
+    root = fit_root(covariance, factor, *_dependence(estimate))
+    before = _known_before(robot, base, effects)
+    if before is not None:
+        # What earlier sessions know counts as these rows do.
+        held = ~(free | undetermined)
+        values, covariance, free = pooled(*before, root, values)
+        covariance, free = covariance * ~held * ~held.unsqueeze(1), free & ~held
+        undetermined &= ~free
+        root = torch.cat([before[0], root])
+    knowledge = over_parameters(root, base, effects, ", ".join(training.log.names))
     shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
     apart: list[Measurement] = []
     if kept_back is not None:
@@ -167,12 +190,12 @@ def identify(
         base=base,
         effects=effects,
         values=values,
-        covariance=estimate.uncertainty.covariance[order][:, order],
-        factor=estimate.fit.factor[:, torch.cat([order, order.new_tensor([len(base)])])],
+        covariance=covariance,
+        factor=factor,
         rows=estimate.rows,
-        free=estimate.fit.free[order],
+        free=free,
         bounded=named(estimate.fit.bounded),
-        undetermined=named(estimate.fit.undetermined),
+        undetermined=tuple(n for n, k in zip(base.names, undetermined.tolist(), strict=True) if k),
         dropped=named(estimate.dropped),
         wrong_sign=named(physical & (estimate.fit.x < 0)),
         fit=errors(fitted),
@@ -186,6 +209,7 @@ def identify(
         reversal=reversal,
         uncertainty=estimate.uncertainty,
         settings=settings,
+        knowledge=replace(knowledge, sources=(*_sources(robot), *knowledge.sources)),
         warnings=(
             *robot.warnings,
             *noticed,
@@ -197,6 +221,35 @@ def identify(
         ),
     )
     return replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *findings(result)])))
+
+
+def _dependence(estimate: "_Estimate") -> tuple[float, float]:
+    """Rows that count as one, and Student's quantile over the normal one."""
+    found = estimate.uncertainty
+    return found.correlation_seconds * estimate.rows.per_second, found.quantile() / HALF_95
+
+
+def _known_before(
+    robot: Robot, base: BaseParameters, effects: Sequence[Effect]
+) -> tuple[Float[Tensor, "R B"], Float[Tensor, " B"]] | None:
+    """A root over base parameters of what is known of the robot's model on another day, and its
+    values; None where the model does not say."""
+    if robot.knowledge is None or robot.parameters is None:
+        return None
+    known = robot.knowledge.aged(between_sessions(robot))
+    own = {
+        name: v
+        for e, vs in nominal_effects(robot)
+        for name, v in zip(known_names(e), vs, strict=True)
+    }
+    coefficients = [own.get(name, 0.0) for e in effects for name in known_names(e)]
+    rigid = robot.parameters.to_paper_order().double()
+    expected = base.project(torch.cat([rigid, rigid.new_tensor(coefficients)]))
+    return of_base_parameters(known, base, effects), expected
+
+
+def _sources(robot: Robot) -> tuple[str, ...]:
+    return () if robot.knowledge is None else robot.knowledge.sources
 
 
 def _training(robot: Robot, log: Log, effects: Sequence[Effect], settings: Settings) -> Training:

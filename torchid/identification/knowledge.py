@@ -1,14 +1,15 @@
 """What logs tell of a model's values: information as robust as the spread of blocks says."""
 
+from collections.abc import Sequence
+
 import torch
 
 from torchid.design.columns import Columns
-from torchid.design.gram import inverse_root
 from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS, nominal_effects
 from torchid.identification.base_parameters import BaseParameters
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
-from torchid.robot.knowledge import Knowledge, coefficient_keys
+from torchid.robot.knowledge import NOTHING, Knowledge, coefficient_keys
 from torchid.robot.model import Robot
 from torchid.statistics.jackknife import fit_statistics
 from torchid.statistics.proportion import HALF_95
@@ -44,23 +45,19 @@ def between_sessions(robot: Robot, share: float = BETWEEN) -> dict[str, float]:
     return out
 
 
-def rigid_information(
-    information: Float[Tensor, "M M"], base: BaseParameters, n: int
-) -> Float[Tensor, "_ _"]:
-    """Information of base parameters, and coefficients behind them, as that of n links' parameters
-    and the same coefficients: base parameters are G times those of the links."""
+def of_links(root: Float[Tensor, "R C"], base: BaseParameters, n: int) -> Float[Tensor, "R M"]:
+    """Rows over base parameters, and coefficients behind them, as rows over n links' parameters and
+    the same coefficients: base parameters are G times those of the links."""
     grouping = base.grouping[: base.n_rigid, : base.n_rigid_parameters]
     links = grouping[:, paper_order(n).argsort()]
-    rest = len(information) - base.n_rigid
-    whole = torch.block_diag(links, torch.eye(rest, dtype=torch.float64))
-    return whole.T @ information @ whole
+    return torch.cat([root[:, : base.n_rigid] @ links, root[:, base.n_rigid :]], 1)
 
 
-def robust_information(
+def robust_root(
     table: Float[Tensor, "R C"], rest: Float[Tensor, " R"], block: Int[Tensor, " R"]
-) -> Float[Tensor, "C C"]:
-    """Inverse covariance of a least-squares fit's coefficients, from the spread of whole blocks of
-    rows; none along directions that the rows do not determine.
+) -> Float[Tensor, "D C"]:
+    """A root of the inverse covariance of a least-squares fit's coefficients, from the spread of
+    whole blocks of rows; nothing along directions that the rows do not determine.
 
     Blocks may spread less along a direction than independent samples would, by chance where there
     are few; then as much is known as from those, and no more.
@@ -70,13 +67,18 @@ def robust_information(
             sample leaves.
         block: of every row.
     """
-    gram = table.T @ table
-    root = inverse_root(gram)  # coordinates in which independent samples have unit covariance
-    found = fit_statistics(table @ root, rest, block, variance=1.0)
+    # Coordinates in which independent samples have unit covariance. Directions of which little is
+    # known stay, for dropped they would take along all that is mixed with them.
+    size = table.norm(dim=0)
+    scale = torch.where(size > 0, 1 / size, 0.0)
+    _, values, axes = torch.linalg.svd(torch.linalg.qr(table * scale, mode="r").R)
+    there = values > NOTHING * values[:1]
+    into = scale.unsqueeze(1) * axes[there].T / values[there]
+    back = values[there].unsqueeze(1) * axes[there] * size
+    found = fit_statistics(table @ into, rest, block, variance=1.0)
     wide = torch.where(found.by_one_block, 1.0, found.quantile() / HALF_95)
-    spread, axes = torch.linalg.eigh(found.covariance * wide * wide.unsqueeze(1))
-    back = gram @ root @ axes
-    return (back / spread.clamp(min=1.0)) @ back.T
+    spread, mixed = torch.linalg.eigh(found.covariance * wide * wide.unsqueeze(1))
+    return (mixed.T @ back) / spread.clamp(min=1.0).sqrt().unsqueeze(1)
 
 
 def learned(
@@ -101,19 +103,98 @@ def learned(
     n = columns.n
     order = paper_order(base.n_rigid_parameters // PARAMETERS_PER_LINK)
     independent = order[list(base.independent[: base.n_rigid])]
-    effects = [e for e, _ in columns.model.effects if not (e.event or e.inertial)]
+    effects = [e for e, _ in columns.model.effects if not e.event]
     names = [name for e in effects for name in known_names(e)]
     # One coefficient of two effects of the same name and place cannot be told by its name.
     once = [k for k, name in enumerate(names) if names.count(name) == 1]
     parts = [columns.regressor.flatten(0, 1)[independent]]
-    parts += [columns.on_all_joints(e) for e in effects]
+    # A load's are those of the last link.
+    last = columns.regressor[-1]
+    parts += [last if e.inertial else columns.on_all_joints(e) for e in effects]
     a = torch.cat(parts) * keep
     left = columns.gap * keep
     # Rows in units of what an independent sample leaves; those far out count as their limit.
     unit = (effective / left.square().sum(1).clamp(min=1e-300)).sqrt()
     weight = huber_weights(left) * unit.unsqueeze(1)
     table = (a * weight).flatten(1).T
-    information = robust_information(table, (left * weight).flatten(), block.repeat(n))
-    whole = rigid_information(information, base, n)
-    known = Knowledge(n, tuple(names), whole, (source,))
+    root = robust_root(table, (left * weight).flatten(), block.repeat(n))
+    known = Knowledge(n, tuple(names), of_links(root, base, n), (source,))
     return known.over([names[k] for k in once]) if len(once) < len(names) else known
+
+
+def fit_root(
+    covariance: Float[Tensor, "B B"],
+    factor: Float[Tensor, "C C"],
+    correlation: float,
+    wide: float,
+) -> Float[Tensor, "D B"]:
+    """A root of the inverse of an identification's covariance; nothing of what was not estimated.
+
+    Args:
+        covariance: (B, B), from the spread of blocks; 0 of what was not estimated.
+        factor: (B + 1, B + 1) R of the weighted rows, the target last.
+        correlation: rows that count as one, of the residual.
+        wide: Student's quantile over the normal one: of few blocks.
+    """
+    out = covariance.new_zeros(0, len(covariance))
+    free = (covariance.diagonal() > 0).nonzero().flatten()
+    if not len(free):
+        return out
+    root = torch.linalg.qr(factor[:, free], mode="r").R
+    # What independent rows would leave of the covariance is the identity there.
+    spread, mixed = torch.linalg.eigh(root @ covariance[free][:, free] @ root.T * wide**2)
+    out = covariance.new_zeros(len(free), len(covariance))
+    rows = (mixed.T @ root) / spread.clamp(min=max(1.0, correlation)).sqrt().unsqueeze(1)
+    out[:, free] = rows
+    return out
+
+
+def over_parameters(
+    root: Float[Tensor, "D B"], base: BaseParameters, effects: Sequence[Effect], source: str
+) -> Knowledge:
+    """Knowledge of base parameters, effects among them, as that of links and coefficients."""
+    n = base.n_rigid_parameters // PARAMETERS_PER_LINK
+    rows = root @ base.grouping
+    links = rows[:, : base.n_rigid_parameters][:, paper_order(n).argsort()]
+    names = [name for e in effects for name in known_names(e)]
+    return Knowledge(
+        n, tuple(names), torch.cat([links, rows[:, base.n_rigid_parameters :]], 1), (source,)
+    )
+
+
+def of_base_parameters(
+    known: Knowledge, base: BaseParameters, effects: Sequence[Effect]
+) -> Float[Tensor, "R B"]:
+    """The inverse of `over_parameters`: a root over base parameters."""
+    n = base.n_rigid_parameters // PARAMETERS_PER_LINK
+    root = known.over([name for e in effects for name in known_names(e)]).root
+    # Parameters in the paper's order, of which the independent ones alone change.
+    links = root[:, : known.rigid][:, paper_order(n)]
+    return torch.cat([links, root[:, known.rigid :]], 1)[:, list(base.independent)]
+
+
+def pooled(
+    before: Float[Tensor, "R B"],
+    expected: Float[Tensor, " B"],
+    now: Float[Tensor, "D B"],
+    values: Float[Tensor, " B"],
+) -> tuple[Float[Tensor, " B"], Float[Tensor, "B B"], Bool[Tensor, " B"]]:
+    """What was known and what a log says together: values, covariance, and which are determined;
+    the others are 0.
+
+    Args:
+        before: root of what was known.
+        expected: the values then.
+        now: root of what the log tells.
+        values: that it tells.
+    """
+    rows = torch.cat([before, now])
+    right = torch.cat([before @ expected, now @ values])
+    size = rows.norm(dim=0)
+    scale = torch.where(size > 0, 1 / size, 0.0)
+    u, s, v = torch.linalg.svd(rows * scale, full_matrices=False)
+    there = s > NOTHING * s[:1]
+    inverse = scale.unsqueeze(1) * v[there].T / s[there]
+    determined = (v[there].square().sum(0) > 1 - NOTHING) & (size > 0)
+    x = inverse @ (u[:, there].T @ right)
+    return x * determined, inverse @ inverse.T * determined * determined.unsqueeze(1), determined

@@ -144,6 +144,7 @@ class IdentificationRecord(Record, frozen=True, kw_only=True, tag="torchid.ident
         rows, statistics, settings: how they were found.
         warnings: sentences for the user.
         model: the robot.
+        knowledge: how sure it is, as a robot's yaml has it; None in older files.
         seed: from a command.
     """
 
@@ -178,6 +179,7 @@ class IdentificationRecord(Record, frozen=True, kw_only=True, tag="torchid.ident
     settings: SettingsRecord
     warnings: tuple[str, ...]
     model: Model | None = None
+    knowledge: dict[str, list[str]] | None = None
     seed: int | UnsetType = UNSET
 
     def __post_init__(self) -> None:

@@ -27,6 +27,7 @@ from torchid.identification.tuning import CutoffChoice
 from torchid.identification.validation import Prediction, model_torque
 from torchid.json_data import plain
 from torchid.results.record import Result
+from torchid.robot.knowledge import Knowledge, to_mapping
 from torchid.robot.library import named_record
 from torchid.robot.model import Robot
 from torchid.tensors import joint_signals
@@ -67,6 +68,7 @@ class Identification(Result):
         uncertainty: blocks, correlation time.
         settings: as given.
         warnings: sentences for the user, without repetition.
+        knowledge: of base parameters and coefficients, this log's and what was known before.
     """
 
     robot: Robot
@@ -93,6 +95,7 @@ class Identification(Result):
     uncertainty: Uncertainty
     settings: Settings
     warnings: tuple[str, ...]
+    knowledge: Knowledge | None = None
 
     def __repr__(self) -> str:
         shown = self.fit if self.held_out is None else self.held_out
@@ -128,6 +131,7 @@ class Identification(Result):
                 quantile95=uncertainty.quantile(0.95),
             ),
             model=self.robot,
+            knowledge=None if self.knowledge is None else to_mapping(self.knowledge),
         )
 
     def _parameter(self, k: int) -> BaseParameter:

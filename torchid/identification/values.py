@@ -19,6 +19,7 @@ from torchid.identification.base_parameters import BaseParameters, base_paramete
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
 from torchid.results.files import read_as
+from torchid.robot.knowledge import Knowledge, from_mapping
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
 
@@ -33,6 +34,7 @@ class BaseValues:
         known: (B,) those that the log determined.
         covariance: (B, B), or None where the values are exact.
         factor: (B + 1, B + 1) of the fit, or None where there was none.
+        knowledge: of links and coefficients, as a robot has it.
     """
 
     base: BaseParameters
@@ -41,6 +43,7 @@ class BaseValues:
     known: Bool[Tensor, " B"]
     covariance: Float[Tensor, "B B"] | None
     factor: Float[Tensor, "C C"] | None
+    knowledge: Knowledge | None = None
 
     @property
     def held(self) -> tuple[str, ...]:
@@ -97,7 +100,13 @@ def identified_base(result: Identification) -> BaseValues:
     unknown = set(result.undetermined)
     known = torch.tensor([name not in unknown for name in result.base.names])
     return BaseValues(
-        result.base, result.effects, result.values, known, result.covariance, result.factor
+        result.base,
+        result.effects,
+        result.values,
+        known,
+        result.covariance,
+        result.factor,
+        result.knowledge,
     )
 
 
@@ -143,7 +152,9 @@ def recorded_base(found: IdentificationRecord, robot: Robot, source: str) -> Bas
             hint="of the same robot by an older torchid: identify again",
         )
     known = torch.tensor([name not in found.undetermined for name in base.names])
-    return BaseValues(base, effects, found.values, known, found.covariance, found.factor)
+    data = found.knowledge
+    sure = None if data is None else from_mapping(data, robot.n, source)
+    return BaseValues(base, effects, found.values, known, found.covariance, found.factor, sure)
 
 
 def placed_effects(found: IdentificationRecord, robot: Robot) -> tuple[Effect, ...]:

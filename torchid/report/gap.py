@@ -52,6 +52,9 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
     return filled(
         where_table(d),
         which_table(d),
+        small_table(d),
+        known_table(d),
+        open_table(d),
         meaning_table(d),
         how_far_table(d),
         budget_table(d),
@@ -96,7 +99,9 @@ def which_table(diagnosis: Diagnosis) -> Table:
     rows = []
     for f in diagnosis.findings:
         values = words.coefficients(f, diagnosis.robot)
-        if words.corrects(f, diagnosis.robot):
+        if f.changed:
+            values = [words.change_words(c) for c in f.changed]
+        elif words.corrects(f, diagnosis.robot):
             values = [f"change of {value}" for value in values]
         values = [*values[:_MOST_NUMBERS], *(["..."] if len(values) > _MOST_NUMBERS else [])]
         if f.effect.shapes:
@@ -120,6 +125,55 @@ def which_table(diagnosis: Diagnosis) -> Table:
     )  # fmt: skip
     title = "which: effects the model lacks (value ± std)"
     return Table(title, columns, rows, names=columns[:3], words=columns[3:4])
+
+
+def small_table(diagnosis: Diagnosis) -> Table:
+    """Effects that are there, of a size below what was asked for."""
+    rows = []
+    for e in diagnosis.small:
+        values = [
+            f"{name} = {words.measure(v, e.std.get(name), '' if unit == '1' else unit)}"
+            for name, unit in e.unit.items()
+            if isinstance(v := e.parameters[name], float | int)
+        ]
+        place = ", ".join(str(j + 1) for j in e.joints) or "all"
+        torque = f"{e.closes_rms:.2g}"
+        rows.append(
+            (words.effect_words(e.effect), place, "\n".join(values), torque, _sure(e.how_sure))
+        )
+    columns = ("effect", "joints", "value", "takes away, RMS", "how sure")
+    title = "small: there, and below what was asked for (`worthwhile`)"
+    return Table(title, columns, rows, names=columns[:3])
+
+
+def known_table(diagnosis: Diagnosis) -> Table:
+    """Coefficients of the model's effects before this log and after it."""
+    known, rows = diagnosis.knowledge, []
+    for c in () if known is None else known.coefficients:
+        unit = "" if c.unit == "1" else unit_words(c.unit)
+        moved = "changed" if c.changed else "as known"
+        before, after = ((c.before, c.before_std), (c.after, c.after_std))
+        name, place = c.name.rsplit(" ", 1)
+        rows.append(
+            (f"{words.effect_words(name)} {place}", words.measure(*before, unit),
+             words.measure(*after, unit), moved)
+        )  # fmt: skip
+    sources = "" if known is None else ", ".join(known.sources)
+    columns = ("coefficient", "known before", "with this log", "")
+    return Table(f"known: what this log adds to {sources}", columns, rows, names=columns[:1])
+
+
+def open_table(diagnosis: Diagnosis) -> Table:
+    """Joints on which the model left torque open that could hide a cause."""
+    known = diagnosis.knowledge
+    rows = [
+        (str(j.joint + 1), f"{j.added_rms:.3g} {joint_unit(diagnosis.robot, j.joint)}", j.motion)
+        for j in (() if known is None else known.joints)
+        if j.hides
+    ]
+    columns = ("joint", "open before this log, RMS", "to be sure")
+    title = "open: torque that what was known before did not determine"
+    return Table(title, columns, rows, names=columns[:1], words=columns[2:])
 
 
 def meaning_table(diagnosis: Diagnosis) -> Table:
@@ -171,7 +225,8 @@ def closed_words(diagnosis: Diagnosis) -> str:
     """The share of the gap that is closed, with its interval."""
     far = diagnosis.how_far
     if far.closed is None or far.closed_ci95 is None:
-        return "the gap may be noise" if diagnosis.status == "no_gap" else "nothing of it"
+        quiet = {"no_gap": "the gap may be noise", "negligible": "too little to say"}
+        return quiet.get(diagnosis.status, "nothing of it")
     return f"{percent(far.closed)} {interval(far.closed_ci95)}"
 
 
@@ -269,6 +324,7 @@ def _sure(value: float | None) -> str:
 
 STATUS = {
     "no_gap": "no gap",
+    "negligible": "too small to matter",
     "parametric_only": "wrong parameters only",
     "explained": "explained",
     "detected_unexplained": "not fully explained",

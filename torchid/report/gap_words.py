@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from torchid.gap.diagnosis import Diagnosis, Finding, unit_of
-from torchid.gap.record import Parametric, RegimeGap
+from torchid.gap.record import KnownCoefficient, Parametric, RegimeGap, SmallEffect
 from torchid.report.table import count, interval, listed, percent, torque_unit
 from torchid.robot.model import Robot
 
@@ -93,6 +93,13 @@ def coefficients(finding: Finding, robot: Robot) -> list[str]:
     ]
 
 
+def change_words(one: KnownCoefficient) -> str:
+    """`9.1 ± 0.3 N m s/rad, was 4.0 ± 0.3`."""
+    unit = "" if one.unit == "1" else one.unit
+    before = measure(one.before, one.before_std, "")
+    return f"{measure(one.after, one.after_std, unit)}, was {before}"
+
+
 def corrects(finding: Finding, robot: Robot) -> bool:
     """Whether the model has this effect at this place already, so that values are changes of it."""
     joints = [j + 1 for j in finding.located]
@@ -133,7 +140,19 @@ def verdict(diagnosis: Diagnosis) -> str:
             f"No gap: measured torque and the model of {d.robot.name} differ by no more than noise "
             f"({before} RMS over all joints; noise {noise}).{_unseen(d)}"
         )
-    if d.status == "not_testable":
+    if d.status == "negligible":
+        return (
+            f"No gap worth a name: {before} RMS over all joints (noise {noise}); what is there is "
+            f"small: {listed([small_words(e) for e in d.small[:_MOST_NAMED]])}."
+        )
+    hiding = [j for j in d.knowledge.joints if j.hides] if d.knowledge is not None else []
+    if d.status == "not_testable" and hiding:
+        sizes = ", ".join(f"joint {j.joint + 1} {j.added_rms:.3g} {unit}" for j in hiding)
+        said = (
+            f"No cause can be told from what the model left open of itself ({sizes} RMS), which "
+            "this log now determines; a cause of that size may be hidden there"
+        )
+    elif d.status == "not_testable":
         why = d.not_testable[0].reason if d.not_testable else "they hold too little motion"
         said = f"These data cannot show what causes a gap: {why.rstrip('.')}"
     elif d.status == "parametric_only":
@@ -169,6 +188,12 @@ def verdict(diagnosis: Diagnosis) -> str:
     return said[0].upper() + said[1:] + "."
 
 
+def small_words(one: SmallEffect) -> str:
+    """`viscous friction of joint 2 (0.03 N m)`."""
+    place = f" of {joints_words(one.joints)}" if one.joints else ""
+    return f"{effect_words(one.effect)}{place} ({one.closes_rms:.2g} RMS)"
+
+
 def with_article(name: str) -> str:
     """`a torque offset`, `Coulomb friction`."""
     words = effect_words(name)
@@ -182,7 +207,9 @@ def _inner(findings: Sequence[Finding], robot: Robot) -> str:
     texts = []
     for f in findings:
         values = coefficients(f, robot)
-        if len(values) == 1:
+        if f.changed:
+            texts += [change_words(c) for c in f.changed]
+        elif len(values) == 1:
             texts.append(values[0].split(" = ")[1])
         elif 1 < len(values) <= _MOST_NAMED:
             texts.append(", ".join(values))

@@ -6,6 +6,7 @@ Anderson and Moore 1979, 6.3): of the links the torque tells base parameters onl
 of parameters which leave all of these as they are have no information and stay unknown.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,132 +19,139 @@ from torchid.robot.yaml_values import known, numbers
 from torchid.typing import Float, Tensor
 
 KEYS = ("sources", "coefficients", "rows")
-"""Of the yaml; `rows` are those of a matrix R, numbers in a text each, with information R'R."""
+"""Of the yaml; `rows` are those of the root, numbers in a text each."""
 
-NOTHING = 1e-14
-"""Eigenvalue of information, columns in units of what is known of each alone, below which there is
-none: rounding."""
+NOTHING = 1e-10
+"""Singular value, columns of length one, below which a direction is not known: rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """Inverse covariance of a robot's inertial parameters and of its effects' coefficients.
+    """A root of the inverse covariance of a robot's inertial parameters and effects' coefficients.
 
     Attributes:
         links: n.
         coefficients: names of K coefficients, e.g. `viscous_friction Fv3`.
-        information: (10 n + K, 10 n + K) inverse covariance, in the parameters' own units.
-        sources: where it comes from, e.g. `identified from run1`.
+        root: (R, 10 n + K) rows; root' root is the inverse covariance, in the parameters' own
+            units. A square root keeps the digits that the product would lose (Bierman 1977).
+        sources: where it comes from, e.g. `run1`.
 
     Raises:
-        RobotError: a matrix of another size.
+        RobotError: rows of another length.
 
     >>> import torch
-    >>> one = Knowledge(1, ("viscous_friction Fv1",), torch.eye(11) * 4.0, ("run 1",))
-    >>> one.std("viscous_friction Fv1"), one.plus(one).std("viscous_friction Fv1")
-    (0.5, 0.35355339059327373)
+    >>> one = Knowledge(1, ("viscous_friction Fv1",), 2 * torch.eye(11), ("run 1",))
+    >>> [round(known.std("viscous_friction Fv1"), 6) for known in (one, one.plus(one))]
+    [0.5, 0.353553]
     """
 
     links: int
     coefficients: tuple[str, ...]
-    information: Float[Tensor, "M M"]
+    root: Float[Tensor, "R M"]
     sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "information", self.information.double())
+        root = self.root.double()
         size = self.rigid + len(self.coefficients)
-        if tuple(self.information.shape) != (size, size):
+        if root.ndim != 2 or root.shape[1] != size:
             raise RobotError(
                 "knowledge of another number of parameters.",
-                got=tuple(self.information.shape),
-                expected=f"({size}, {size})",
+                got=tuple(root.shape),
+                expected=f"rows of {size}",
             )
+        if len(root) > size:  # no more rows than parameters are needed
+            root = torch.linalg.qr(root, mode="r").R
+        object.__setattr__(self, "root", root)
 
     @property
     def rigid(self) -> int:
         """Number of inertial parameters."""
         return self.links * PARAMETERS_PER_LINK
 
+    @property
+    def information(self) -> Float[Tensor, "M M"]:
+        """Inverse covariance."""
+        return self.root.T @ self.root
+
     def std(self, coefficient: str) -> float:
         """Standard deviation of one coefficient, whatever all others are; infinite if unknown."""
         if coefficient not in self.coefficients:
-            return torch.inf
-        left = float(self.over([coefficient], rigid=False).information[-1, -1])
-        return left**-0.5 if left > 0 else torch.inf
+            return math.inf
+        own = self.rigid + self.coefficients.index(coefficient)
+        left = self._eliminated([k for k in range(self.root.shape[1]) if k != own])[:, own].norm()
+        return 1 / float(left) if left > NOTHING * self.root[:, own].norm() else math.inf
 
-    def over(self, coefficients: Sequence[str], *, rigid: bool = True) -> "Knowledge":
-        """What is known of these coefficients, whatever the others are; nothing of new ones.
+    def over(self, coefficients: Sequence[str]) -> "Knowledge":
+        """What is known of inertial parameters and these coefficients, whatever the others are;
+        nothing of new ones.
 
         Args:
             coefficients: names, in the order asked for.
-            rigid: whether inertial parameters are asked for too; else nothing is known of them.
         """
         place = {name: self.rigid + k for k, name in enumerate(self.coefficients)}
-        kept = [*range(self.rigid if rigid else 0)]
-        kept += [place[name] for name in coefficients if name in place]
-        gone = sorted(set(range(len(self.information))) - set(kept))
-        inner = _without(self.information, kept, gone)
-        # Into the order asked for.
-        size = self.rigid + len(coefficients)
-        new = [k for k, name in enumerate(coefficients) if name in place]
-        at = torch.tensor([*range(self.rigid if rigid else 0), *(self.rigid + k for k in new)])
-        out = torch.zeros(size, size, dtype=torch.float64)
-        if len(at):
-            out[at.unsqueeze(1), at] = inner
-        return replace(self, coefficients=tuple(coefficients), information=out)
+        gone = [k for name, k in place.items() if name not in set(coefficients)]
+        root = self._eliminated(gone)
+        out = root.new_zeros(len(root), self.rigid + len(coefficients))
+        out[:, : self.rigid] = root[:, : self.rigid]
+        for k, name in enumerate(coefficients):
+            if name in place:
+                out[:, self.rigid + k] = root[:, place[name]]
+        return replace(self, coefficients=tuple(coefficients), root=out)
 
-    def without(self, coefficients: Sequence[str]) -> "Knowledge":
-        """The same, of some coefficients nothing known any more: they have changed."""
-        rest = [name for name in self.coefficients if name not in set(coefficients)]
-        return self.over(rest).over(self.coefficients)
+    def without(self, coefficients: Sequence[str], links: Sequence[int] = ()) -> "Knowledge":
+        """The same, of some coefficients and links nothing known any more: they have changed.
+
+        Args:
+            coefficients: names.
+            links: from 0.
+        """
+        names = self.coefficients
+        gone = [self.rigid + names.index(c) for c in dict.fromkeys(coefficients) if c in names]
+        for link in links:
+            gone += range(link * PARAMETERS_PER_LINK, (link + 1) * PARAMETERS_PER_LINK)
+        return replace(self, root=self._eliminated(gone))
 
     def aged(self, variances: Mapping[str, float]) -> "Knowledge":
-        """After coefficients may have changed by themselves: (information^-1 + Q)^-1, without the
-        inverse, for information may be singular.
+        """After coefficients may have changed by themselves: (information^-1 + Q)^-1.
+
+        The change w of a coefficient is known to be zero to its variance, the coefficient before
+        is that of now less w, and w is eliminated (Bierman 1977, VII.2).
 
         Args:
             variances: Q, by coefficient, in squares of its unit.
         """
-        rows = [self.rigid + k for k, name in enumerate(self.coefficients) if name in variances]
-        size = torch.tensor([variances[self.coefficients[k - self.rigid]] for k in rows]).double()
-        if not len(rows):
+        own = [k for k, name in enumerate(self.coefficients) if variances.get(name, 0.0) > 0]
+        if not own:
             return self
-        spread = size.sqrt()
-        across = self.information[:, rows] * spread
-        inner = torch.eye(len(rows), dtype=torch.float64) + across[rows] * spread.unsqueeze(1)
-        return replace(
-            self, information=self.information - across @ torch.linalg.solve(inner, across.T)
-        )
+        spread = torch.tensor([variances[self.coefficients[k]] for k in own]).double().sqrt()
+        before = self.root[:, [self.rigid + k for k in own]] * spread
+        eye = torch.eye(len(own), dtype=torch.float64)
+        changes = torch.cat([-before, eye])
+        rows = torch.cat([self.root, eye.new_zeros(len(own), self.root.shape[1])])
+        return replace(self, root=_left_of(changes, rows))
 
     def plus(self, other: "Knowledge") -> "Knowledge":
         """What both know together: their information adds up, coefficients of either are there."""
         names = tuple(dict.fromkeys([*self.coefficients, *other.coefficients]))
-        a, b = self.over(names).information, other.over(names).information
+        rows = torch.cat([self.over(names).root, other.over(names).root])
         sources = tuple(dict.fromkeys([*self.sources, *other.sources]))
-        return Knowledge(self.links, names, a + b, sources)
+        return Knowledge(self.links, names, rows, sources)
 
-    def rows(self) -> Float[Tensor, "R M"]:
-        """R with R'R the information: as many rows as directions are known."""
-        size = self.information.diagonal().clamp(min=0).sqrt()
-        scale = torch.where(size > 0, 1 / size, 0.0)
-        values, vectors = torch.linalg.eigh(self.information * scale * scale.unsqueeze(1))
-        there = values > NOTHING * values[-1:].clamp(min=1e-300)
-        return vectors[:, there].T * values[there].sqrt().unsqueeze(1) * size
+    def _eliminated(self, gone: Sequence[int]) -> Float[Tensor, "R M"]:
+        """The root of what is known of the others, whatever these are; their columns are zero."""
+        if not len(gone):
+            return self.root
+        out = _left_of(self.root[:, list(gone)], self.root)
+        out[:, list(gone)] = 0.0
+        return out
 
 
-def _without(matrix: Float[Tensor, "M M"], kept: list[int], gone: list[int]) -> Tensor:
-    """Information of some parameters when the others may be anything: the Schur complement."""
-    inner = matrix[kept][:, kept]
-    if not gone:
-        return inner
-    # Columns of length one, so that what is not known at all is told from small units.
-    across, own = matrix[gone][:, kept], matrix[gone][:, gone]
-    size = own.diagonal().clamp(min=0).sqrt()
-    scale = torch.where(size > 0, 1 / size, 0.0)
-    values, vectors = torch.linalg.eigh(own * scale * scale.unsqueeze(1))
-    there = values > NOTHING * values[-1:].clamp(min=1e-300)
-    held = (vectors[:, there] / values[there].sqrt()).T @ (across * scale.unsqueeze(1))
-    return inner - held.T @ held
+def _left_of(columns: Float[Tensor, "R C"], rows: Float[Tensor, "R M"]) -> Float[Tensor, "S M"]:
+    """Combinations of rows in which some columns do not occur: of their left null space."""
+    size = columns.norm(dim=0)
+    u, values, _ = torch.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=True)
+    rank = int((values > NOTHING * values[:1].sum().clamp(min=1.0)).sum())
+    return u[:, rank:].T @ rows
 
 
 def coefficient_keys(effect: str, names: Sequence[str]) -> list[str]:
@@ -156,7 +164,7 @@ def to_mapping(knowledge: Knowledge) -> dict[str, Any]:
     return {
         "sources": list(knowledge.sources),
         "coefficients": list(knowledge.coefficients),
-        "rows": [" ".join(map(repr, row)) for row in knowledge.rows().tolist()],
+        "rows": [" ".join(map(repr, row)) for row in knowledge.root.tolist()],
     }
 
 
@@ -179,7 +187,7 @@ def from_mapping(data: Any, n: int, source: str) -> Knowledge:
     size = n * PARAMETERS_PER_LINK + len(names)
     rows = [[_number(x, f"{where}.rows") for x in row.split()] for row in texts["rows"]]
     root = numbers(rows, (len(rows), size), f"{where}.rows") if rows else torch.zeros(0, size)
-    return Knowledge(n, names, root.double().T @ root.double(), tuple(texts["sources"]))
+    return Knowledge(n, names, root, tuple(texts["sources"]))
 
 
 def _number(text: str, where: str) -> float:

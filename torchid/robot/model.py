@@ -192,8 +192,9 @@ class Robot:
         return self.parameters
 
     def with_parameters(self, parameters: InertialParameters | None) -> "Robot":
-        """The same robot with other nominal inertial parameters."""
-        return replace(self, parameters=parameters)
+        """The same robot with other nominal inertial parameters, of which nobody says how sure
+        they are."""
+        return replace(self, parameters=parameters, knowledge=None)
 
     def with_limits(self, **limits: float | Numbers) -> "Robot":
         """The same robot with other limits of motion or torque.
@@ -253,7 +254,8 @@ class Robot:
         # A body of points has a pseudo-inertia that is singular: rounding is no fault.
         if not parts[0] > 0 or bool(body.consistency_margin()[0] < -1e-9 * parts[0]):
             raise RobotError("no body has this mass and inertia.", got=f"{mass} kg, {inertia}")
-        return self.with_parameters(InertialParameters(torch.cat([own[:-1], own[-1:] + body.pi])))
+        carrying = InertialParameters(torch.cat([own[:-1], own[-1:] + body.pi]))
+        return replace(self, parameters=carrying)
 
     def to_chain(self, dtype: torch.dtype = torch.float64) -> "pytorch_kinematics.SerialChain":
         """The robot as a pytorch-kinematics SerialChain (see torchid.robot.chain)."""

@@ -10,6 +10,7 @@ flexible predictor, trained on other stretches of the log, leaves of the residua
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from dataclasses import replace as dataclass_replace
 
 import torch
 from msgspec.structs import replace
@@ -38,6 +39,10 @@ median is then the noise, and the difference is said. Chance alone makes 1.2 of 
 CLIPPED = 4.5
 """Times the median of absolute values: 3 standard deviations of a normal variable."""
 
+MISMEASURED = 1.1
+"""Noise over what a model leaves, from which it is said that the measure is wrong [1]: both are
+known to some per cent."""
+
 FEWEST = 100
 """Samples of repeats below which they say less than the bracket."""
 
@@ -62,6 +67,26 @@ class Noise:
     unpredicted: Float[Tensor, " n"]
     reach: Float[Tensor, " n"] | None
     uneven: Bool[Tensor, " n"]
+
+    def at_most(self, left: Float[Tensor, " n"]) -> "Noise":
+        """The same, no larger than what a model leaves of the torque at the instants that count:
+        noise is part of that. Where it was measured larger, a note says so.
+
+        Args:
+            left: (n,) RMS in the band of the report [N m; N].
+        """
+        floor = self.floor
+        low, high = torch.minimum(floor.low, left), torch.minimum(floor.high, left)
+        over = (floor.low > MISMEASURED * left).nonzero().flatten().tolist()
+        notes = tuple(
+            f"joint {j + 1}: the noise seemed to be {float(floor.low[j]):.3g}, more than the model "
+            f"leaves there, {float(left[j]):.3g}, so it is taken to be that: what was measured as "
+            "noise is not the same in all of the log"
+            for j in over
+        )
+        floor = replace(floor, low=low, high=high, notes=(*floor.notes, *notes))
+        unpredicted = torch.minimum(self.unpredicted, left)
+        return dataclass_replace(self, floor=floor, unpredicted=unpredicted)
 
 
 def noise_of(

@@ -285,9 +285,10 @@ def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit:
 
 
 def without_terms(
-    found: Explanation, gone: Sequence[Term], data: Data, block: Tensor
+    found: Explanation, gone: Sequence[Term], data: Data, block: Tensor, *, small: bool = False
 ) -> Explanation:
-    """The same explanation without some terms."""
+    """The same explanation without some terms, which then are among those that are not worth a name
+    if they are small."""
     question, fit = found.question, found.fit
     # The other terms are fitted anew.
     less = settled(question, [t for t in fit.terms if all(t is not g for g in gone)], fit)
@@ -295,7 +296,8 @@ def without_terms(
     columns = question.candidates.columns.at(start)
     wanted = found.solution.wanted
     solution = solved(columns, less.terms, less.values(), data, wanted, block, less.effective)
-    return Explanation(question, found.empty, less, found.unworthy, solution)
+    unworthy = (*found.unworthy, *(gone if small else ()))
+    return Explanation(question, found.empty, less, unworthy, solution)
 
 
 def refined(question: Question, fit: Fitted) -> list[Effect]:

@@ -5,11 +5,14 @@ secants of something nonlinear (an encoder's offset). Gauss-Newton steps on the 
 corrected model itself settle both, and what is nonlinear in several coefficients at once.
 """
 
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
 
+from torchid.design.bodies import Prior
 from torchid.design.columns import Columns, Model
 from torchid.effects.base import Effect
 from torchid.effects.registry import Valued
@@ -135,7 +138,7 @@ def solved(
         # Gauss-Newton: what the columns see in what is left, and what is known beforehand.
         flat = (a * weight).flatten(1)
         gram = flat @ flat.T
-        whole = known.solve(gram, flat @ (left * weight).flatten() + gram @ whole).x
+        whole = within_physics(taken, known, gram, flat @ (left * weight).flatten() + gram @ whole)
         values = list(whole.split([len(v) for v in values]))
     assert best is not None
     if not len(best.a):
@@ -172,6 +175,59 @@ def solved(
     covariance = covariance + torch.diag(torch.cat(twice))
     std = covariance.diagonal().clamp(min=0).sqrt().split([len(v) for v in values])
     return replace(best, std=tuple(std), covariance=covariance)
+
+
+def within_physics(
+    terms: Sequence[Term],
+    known: Prior,
+    matrix: Float[Tensor, "K K"],
+    right: Float[Tensor, " K"],
+) -> Float[Tensor, " K"]:
+    """The minimum beside normal equations, without coefficients that no file of a robot may hold:
+    what lies beyond a bound by no more than its noise is put at the bound, all others anew.
+
+    Args:
+        terms: of the K coefficients.
+        known: beforehand.
+        matrix, right: normal equations.
+    """
+    x = known.solve(matrix, right).x
+    least = torch.cat([torch.zeros(0, dtype=torch.float64), *(_least(t) for t in terms)])
+    # A change of what the model leaves open itself: the two together are bounded.
+    first = list(itertools.accumulate((len(t.at) for t in terms), initial=0))
+    own = {t.effects: k for t, k in zip(terms, first, strict=False) if t.information is not None}
+    both = [
+        (k + c, own[t.effects] + c)
+        for t, k in zip(terms, first, strict=False)
+        if t.information is None and t.effects and t.effects in own
+        for c in range(len(t.at))
+    ]
+    held = torch.zeros(len(x), dtype=torch.bool)
+    while True:
+        bound = least.clone()
+        for change, slack in both:
+            bound[change] -= x[slack]
+        below = (x < bound) & ~held
+        if not bool(below.any()):
+            return x
+        held |= below
+        # As if the bound had been measured a million times as well as everything else.
+        at_bound = torch.where(held, bound.clamp(min=-1e300), torch.zeros_like(x))
+        rise = 1e6 * (matrix.diagonal() + known.squares.diagonal()).clamp(min=1e-12) * held
+        x = known.solve(matrix + torch.diag(rise), right + rise * at_bound).x
+        x = torch.where(held, at_bound, x)
+
+
+def _least(term: Term) -> Float[Tensor, " C"]:
+    """Of each coefficient of a term the least that leaves the model's own where a file of it may
+    hold it (see `effect_from_record`); -inf where it may hold any."""
+    own = term.effects[0].coefficients if term.effects and not term.inertial else ()
+    if not own:
+        return torch.full((len(term.at),), -torch.inf, dtype=torch.float64)
+    known = [0.0] * len(own) if term.instead else term.known
+    bounded = [c.non_negative and math.isfinite(c.largest) for c in own]
+    least = [-v if b else -math.inf for v, b in zip(known, bounded, strict=True)]
+    return torch.tensor(least, dtype=torch.float64)
 
 
 def at_estimate(term: Term, values: Float[Tensor, " C"]) -> Term:

@@ -253,6 +253,8 @@ def candidates_of(
         # Another sensor says what a coefficient is, or else physics how large it can be.
         seen = _seen(columns, data, effect)
         sizes = [c.largest / 2 for c in coefficients] if seen is None else [seen.std]
+        if effect.scale_of_torque and data.gain_said:
+            sizes = [data.gain_std]
         sigma = torch.tensor(sizes, dtype=torch.float64)
         return Term(effect.name, effects, place, at, coefficients, known, sigma=sigma, seen=seen)
 
@@ -375,10 +377,13 @@ def _model_effects(
     kind, then those that were refined or found in a window. Nothing is told of joints whose torque
     holds no signal, for nothing there could speak against it."""
     silent = frozenset(data.silent)
+    pi = columns.model.robot.require_parameters("a diagnosis").pi.double()
+    are_bodies = links_near(pi, usual_bodies(pi), PRIOR) is not None
     for name in wanted.names:
         kind = KINDS[name]
-        unknown = kind.inertial or kind.windowed or kind.needs & data.missing
-        if issubclass(kind, ModelEffect) and not unknown:
+        # Columns of bodies are none where only their base parameters are known.
+        unknown = bool(kind.needs & data.missing) or (kind.of_bodies and not are_bodies)
+        if issubclass(kind, ModelEffect) and not (unknown or kind.inertial or kind.windowed):
             found = [_swinging(e, data) for e in kind.starts(columns.model.robot)]
             yield [e for e in found if not e.joints or not silent.issuperset(e.joints)]
     yield from ([e] for e in extra if isinstance(e, ModelEffect))

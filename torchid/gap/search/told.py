@@ -31,10 +31,14 @@ from torchid.gap.search.evidence import (
 )
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.planting import planted
+from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Int, Tensor
+
+LIKELY = 0.5
+"""Probability from which a cause is told by its name."""
 
 RIVALS = 5
 """Others that are planted in the place of a cause."""
@@ -55,12 +59,14 @@ class Told:
         parametric: corrections of inertial parameters.
         open: (term, best alternative that other data could separate from it).
         rivals: (rise of the evidence, term, alternative in its place), as far as within the odds.
+        unsure: terms that are less likely there than not, the least likely first: no names.
     """
 
     findings: tuple[Finding, ...]
     parametric: tuple[Parametric, ...]
     open: tuple[tuple[Term, Term], ...]
     rivals: tuple[tuple[float, Term, Term], ...]
+    unsure: tuple[Term, ...] = ()
 
 
 def told(found: Explanation) -> Told:
@@ -71,7 +77,7 @@ def told(found: Explanation) -> Told:
     last = float((weight * fit.losses).sum())
     closable = max(start - last, 1e-12)
     closes, alone = in_turn(question, fit, found.terms)
-    findings, parametric, undecided, rivals = [], [], [], []
+    findings, parametric, undecided, rivals, unsure = [], [], [], [], []
     fixed = len(question.fixed)
     for k, term in enumerate(found.terms):
         # What the others leave, refitted.
@@ -100,6 +106,14 @@ def told(found: Explanation) -> Told:
             if other.name != BASE and float(differs.abs().sum()) >= 0.1:
                 separable.append(other)
         sure = how_sure([rise, *(r for r, _ in others)])
+        values, std = (x[fixed + k] for x in (found.solution.values, found.solution.std))
+        one_of = sure < LIKELY and bool(names) and how_sure([rise]) >= LIKELY
+        if one_of:
+            sure = how_sure([rise])
+        if not term.inertial:
+            sure = min(sure, determined(found.solution, fixed + k))
+        if sure < LIKELY:
+            unsure.append((sure, term))
         rivals += [(r, term, other) for r, other in others if r > -2 * math.log(ODDS)]
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()
@@ -107,7 +121,6 @@ def told(found: Explanation) -> Told:
             continue
         if separable:
             undecided.append((term, separable[0]))
-        values, std = (x[fixed + k] for x in (found.solution.values, found.solution.std))
         own = found.solution.terms[fixed + k].effects
         findings.append(
             Finding(
@@ -118,6 +131,7 @@ def told(found: Explanation) -> Told:
                 std=tuple(std.tolist()),
                 p_value=p,
                 how_sure=sure,
+                one_of_a_set=one_of,
                 share=share,
                 first=first,
                 notes=_notes(found, term, own[0], values, std),
@@ -130,7 +144,23 @@ def told(found: Explanation) -> Told:
         tuple(parametric),
         tuple(undecided),
         tuple(rivals),
+        tuple(term for _, term in sorted(unsure, key=lambda pair: pair[0])),
     )
+
+
+def determined(solution: Solution, k: int) -> float:
+    """Probability that what a term does is not nothing: one less the level at which the spread
+    between blocks would let all of its coefficients be zero (Wald 1943). Evidence counts samples;
+    blocks may disagree all the same."""
+    first = sum(len(v) for v in solution.values[:k])
+    values = solution.values[k]
+    own = slice(first, first + len(values))
+    covariance = solution.covariance[own, own]
+    size = covariance.diagonal().clamp(min=1e-300).sqrt()
+    spread, axes = torch.linalg.eigh(covariance / size / size.unsqueeze(1))
+    there = spread > 1e-9 * spread[-1]
+    along = (axes.T @ (values / size))[there]
+    return 1.0 - float(chi2.sf(float((along.square() / spread[there]).sum()), int(there.sum())))
 
 
 def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> float:

@@ -58,6 +58,13 @@ def noise_variance(floor: NoiseFloor) -> Float[Tensor, " n"]:
     return (0.5 * (low + high) if floor.source == "repeats" else high).clamp(min=1e-24)
 
 
+def levels(traces: Sequence[Trace]) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
+    """RMS (n,) of the gap before and after, at the instants that count [N m; N]."""
+    before, after, counts = (torch.cat(x).sum(0) for x in zip(*map(_blocks, traces), strict=True))
+    total = counts.clamp(min=1)
+    return (before / total).sqrt(), (after / total).sqrt()
+
+
 def closing(
     traces: Sequence[Trace],
     floor: NoiseFloor,
@@ -87,7 +94,7 @@ def closing(
     parts = [_blocks(t) for t in traces]
     before, after, counts = (torch.cat([p[k] for p in parts]) for k in (0, 1, 2))
     total = counts.sum(0).clamp(min=1)
-    rms = [(x.sum(0) / total).sqrt() for x in (before, after)]
+    rms = levels(traces)
     unit = noise_variance(floor)
     l0, l1 = (before / unit).sum(1), (after / unit).sum(1)
     rng = np.random.default_rng(seed)

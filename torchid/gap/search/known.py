@@ -1,0 +1,115 @@
+"""What was known of a model before a log, and what the log adds to it."""
+
+import math
+
+import torch
+
+from torchid.effects.base import Effect
+from torchid.gap.data import Data
+from torchid.gap.record import Known, KnownCoefficient, Open
+from torchid.gap.search.explain import Explanation
+from torchid.gap.search.terms import BASE, LINK, Wanted
+from torchid.identification.knowledge import BETWEEN, known_names, learned
+from torchid.robot.knowledge import Knowledge
+from torchid.robot.model import JointType, Robot
+from torchid.typing import Float, Int, Tensor
+
+
+def after_log(
+    found: Explanation, data: Data, wanted: Wanted, block: Int[Tensor, " N"]
+) -> Knowledge:
+    """What was known of the model, as far as it has not changed, and what the log adds."""
+    at = found.question.candidates.columns.at(found.solution.model)
+    source = ", ".join(dict.fromkeys(s.name for s in data.segments))
+    now = learned(at, data.keep, block, found.fit.effective, wanted.base, source)
+    if wanted.knowledge is None:
+        return now
+    changed = [n for t in found.terms for e in t.effects for n in known_names(e)]
+    links = [t.effects[0].joints[0] for t in found.terms if t.name == LINK]
+    if any(t.name == BASE for t in found.terms):
+        links = list(range(at.n))
+    return wanted.knowledge.without(changed, links).plus(now)
+
+
+def known_of(
+    found: Explanation, wanted: Wanted, after: Knowledge, least: Float[Tensor, " n"]
+) -> Known | None:
+    """What was known before, and what the log adds to it; None where nothing was known.
+
+    Args:
+        found: the answered explanation.
+        wanted: with the knowledge before.
+        after: the knowledge with this log.
+        least: (n,) torque that is worth a name [N m; N].
+    """
+    before = wanted.knowledge
+    if before is None:
+        return None
+    solution = found.solution
+    robot = solution.start.robot
+    named = {n for t in found.terms for e in t.effects for n in known_names(e)}
+    # Coefficients, as the model had them and has them now.
+    ends = [
+        {name: (v, c.unit_for(_slides(robot, e)))
+         for e, values in model.effects
+         for name, v, c in zip(known_names(e), values, e.coefficients, strict=True)}
+        for model in (solution.start, solution.model)
+    ]  # fmt: skip
+    coefficients = [
+        KnownCoefficient(
+            name=name,
+            unit=unit,
+            before=v,
+            before_std=finite(before.std(name)),
+            after=ends[1][name][0],
+            after_std=finite(after.std(name)),
+            changed=name in named,
+        )
+        for name, (v, unit) in ends[0].items()
+        if name in before.coefficients and name in ends[1]
+    ]
+    # Torque of the corrections within what was known, joint by joint.
+    fixed = len(found.question.fixed)
+    held = sum(len(v) for v in solution.values[:fixed])
+    slack = torch.cat([torch.zeros(0, dtype=torch.float64), *solution.values[:fixed]])
+    rows = found.question.normal.rows.clamp(min=1.0)
+    added = (torch.tensordot(slack, solution.a[:held], 1).square().sum(1) / rows).sqrt()
+    left = (solution.left.square().sum(1) / rows).sqrt()
+    joints = tuple(
+        Open(
+            joint=j,
+            added_rms=float(added[j]),
+            hides=bool(added[j] > torch.maximum(left[j], least[j])),
+            motion=closing_motion(j) if added[j] > torch.maximum(left[j], least[j]) else "",
+        )
+        for j in range(len(added))
+    )
+    notes = [
+        f"friction is taken to change by {BETWEEN:.0%} from one session to the next by itself: "
+        "several sessions of the arm tell it (`torchid fleet identify`)"
+    ]
+    return Known(
+        sources=before.sources,
+        coefficients=tuple(coefficients),
+        joints=joints,
+        between_sessions=BETWEEN,
+        notes=tuple(notes),
+    )
+
+
+def closing_motion(joint: int) -> str:
+    """What to drive so that a joint's torque is known."""
+    return (
+        f"drive joint {joint + 1} and those behind it through their whole range, slowly and fast: "
+        "`torchid excite --for` designs the motion"
+    )
+
+
+def finite(value: float) -> float | None:
+    """None of what is infinite: unknown."""
+    return value if math.isfinite(value) else None
+
+
+def _slides(robot: Robot, effect: Effect) -> bool:
+    kinds = {robot.joint_types[j] for j in effect.joints}
+    return kinds == {JointType.PRISMATIC}
