@@ -51,7 +51,7 @@ def small_effects(
         if id(term) not in without:
             continue
         rise, closes = without[id(term)]
-        sure = min(how_sure([rise]), determined(solution, k))
+        sure = min(how_sure([rise]), determined(solution, k, question.looks))
         if sure >= LIKELY:
             own_values, std = solution.values[k], solution.std[k]
             out.append(_entry(solution.terms[k], own_values, std, closes, sure, robot))

@@ -111,7 +111,9 @@ def told(found: Explanation) -> Told:
         if one_of:
             sure = how_sure([rise])
         if not term.inertial:
-            sure = min(sure, determined(found.solution, fixed + k))
+            searched = term.name not in common_names(fit.terms, question.joints)
+            looks = question.looks if searched else 1.0
+            sure = min(sure, determined(found.solution, fixed + k, looks))
         if sure < LIKELY:
             unsure.append((sure, term))
         rivals += [(r, term, other) for r, other in others if r > -2 * math.log(ODDS)]
@@ -148,10 +150,10 @@ def told(found: Explanation) -> Told:
     )
 
 
-def determined(solution: Solution, k: int) -> float:
-    """Probability that what a term does is not nothing: one less the level at which the spread
-    between blocks would let all of its coefficients be zero (Wald 1943). Evidence counts samples;
-    blocks may disagree all the same."""
+def determined(solution: Solution, k: int, looks: float) -> float:
+    """One less the level at which the spread between blocks would let all coefficients of a term be
+    zero (Wald 1943), for the best of so many that were looked at (Bonferroni). Evidence counts
+    samples; blocks may disagree all the same."""
     first = sum(len(v) for v in solution.values[:k])
     values = solution.values[k]
     own = slice(first, first + len(values))
@@ -160,7 +162,8 @@ def determined(solution: Solution, k: int) -> float:
     spread, axes = torch.linalg.eigh(covariance / size / size.unsqueeze(1))
     there = spread > 1e-9 * spread[-1]
     along = (axes.T @ (values / size))[there]
-    return 1.0 - float(chi2.sf(float((along.square() / spread[there]).sum()), int(there.sum())))
+    level = float(chi2.sf(float((along.square() / spread[there]).sum()), int(there.sum())))
+    return max(0.0, 1.0 - looks * level)
 
 
 def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> float:
