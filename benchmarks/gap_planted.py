@@ -90,6 +90,10 @@ SOURCES = {
     "unisa": Source("panda_unisa/robot.yaml", ("panda_unisa/log_exciting.parquet",)),
     "airbot": Source("airbot_play/robot.urdf", ("airbot_play/log_trapez_real.parquet",)),
     "baxter": Source("baxter_left/robot.urdf", ("baxter_left/log_random.parquet",), cutoff=3.0),
+    "kr300": Source(
+        "kuka_kr300/kin.yaml",
+        tuple(f"kuka_kr300/log_{k}.parquet" for k in ("A_ident", "B_val1", "C_val2")),
+    ),
     "tiago": Source("tiago/robot.urdf", ("tiago/log_identification.parquet",), tip="arm_7_link"),
 }
 

@@ -90,6 +90,10 @@ ARMS = {
 }
 
 
+BACKGROUND = (*FRICTION, "rotor_inertia")
+"""What geared arms have on every joint, fitted with the base parameters."""
+
+
 def name_of(file: str) -> str:
     """A session's short name."""
     return Path(file).stem.removeprefix("log_")
@@ -134,7 +138,7 @@ def run(label: str, arm: Arm, data: Path, work: Path) -> None:
         if file.exists():
             continue
         if not model.exists():
-            found = diagnose(robot, first, settings=settings_of(arm, background=FRICTION))
+            found = diagnose(robot, first, settings=settings_of(arm, background=BACKGROUND))
             write_robot(found.corrected, model)
         found = answer(load_robot(str(model)), second, settings_of(arm))
         file.write_text(json.dumps({"mass": mass, "joints": robot.n, "answer": found}))

@@ -118,6 +118,7 @@ def excite_command(
     from torchid.position.record import PositionRecord
     from torchid.report.motion import design_shown, shown
 
+    opt.require_log_file("--to", to)
     target = to or (output.out and output.out / "trajectory.csv")
     if not (target or output.json_file or files.ros2 or files.urscript):
         raise TorchidError(

@@ -91,6 +91,7 @@ def gap_command(
     from torchid.report.robot import correction_shown
     from torchid.report.view import require_viewer
 
+    opt.require_suffix("--save-model", asked.save_model, opt.YAML)
     if asked.view is not None:
         require_viewer(asked.view)
     if asked.simulated or asked.real:

@@ -54,6 +54,7 @@ def identify_command(
             held_out_fraction=opt.HeldOutFraction,
             method=opt.Method,
             essential=Switch,
+            force=Switch,
             error_cutoff=opt.Hertz,
             compiled=Annotated[bool, typer.Option("--compile")],
         ),
@@ -80,6 +81,7 @@ def identify_command(
         signs: Coefficients physics forbids to be negative: hold at zero or above, or only report
             them.
         error_cutoff: Report errors under this filter, not the fit's.
+        force: Show a result that predicts its own log worse than no model does, too.
         compiled: Compile the regressor (needs a C++ compiler); for very long logs.
     """
     from torchid.report.identification import shown

@@ -36,6 +36,7 @@ def doctor_command(
     from torchid.doctor.record import record
     from torchid.report.log import doctor_shown
 
+    opt.require_log_file("--apply", apply)
     found = arm.load()
     log = arm.read(arm.logs, found)
     with output.progress("examining the log"):
@@ -78,6 +79,7 @@ def show_command(
     from torchid.report.log import shown
     from torchid.robot.model import JointType
 
+    opt.require_log_file("--out", out)
     checked: dict[str, Any] = {}
     found = None if robot is None else opt.load(robot, tip)
     if found is not None:

@@ -47,6 +47,28 @@ def numbers(option: str, text: str, n: int) -> list[float]:
     return values
 
 
+YAML = (".yaml", ".yml")
+
+
+def require_suffix(option: str, path: Path | None, suffixes: Sequence[str]) -> None:
+    """Raise, before any work is done, if a file to be written is not called what it will be.
+
+    Raises:
+        TorchidError: another suffix; what is read later goes by it.
+    """
+    if path is not None and path.suffix.lower() not in suffixes:
+        raise TorchidError(
+            f"{option} writes another kind of file.", got=str(path), expected=" or ".join(suffixes)
+        )
+
+
+def require_log_file(option: str, path: Path | None) -> None:
+    """The same of a log to be written."""
+    from torchid.log.readers import written_suffixes
+
+    require_suffix(option, path, written_suffixes())
+
+
 def total_mass(text: str) -> tuple[float, float]:
     """--total-mass: an interval [kg].
 
@@ -220,6 +242,9 @@ class Reading:
         from torchid.log.table import Request
 
         project = current()
+        for option, text in (("--columns", self.columns), ("--topic", self.topic)):
+            if text is not None and not text.strip():
+                raise TorchidError(f"{option} says nothing.", got=repr(text))
         columns, own = self.columns or project.columns, self.columns or self.topic
         mapping = None if columns is None else read_mapping(columns)
         return Request(mapping, self.topic or project.topic, tuple(joints), own is None)

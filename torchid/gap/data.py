@@ -35,6 +35,7 @@ from torchid.effects.phase import JointElasticity
 from torchid.errors import LogError
 from torchid.identification.identify import prepared
 from torchid.log.model import Log
+from torchid.log.sampling import at_rate, sampling_rate
 from torchid.robot.model import Robot, joint_list
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -90,6 +91,25 @@ class Data:
     def segments(self) -> tuple[Segment, ...]:
         """Trajectories in the wide band."""
         return self.samples.segments
+
+    @property
+    def stands(self) -> bool:
+        """Whether no joint moves in all of the log: at rest friction holds any torque, so that all
+        it may show is a push."""
+        return len(self.still) == self.keep.shape[0]
+
+    def require_motion(self) -> None:
+        """Raise unless something moves.
+
+        Raises:
+            LogError: nothing does.
+        """
+        if self.stands:
+            raise LogError(
+                "the arm stands still: a log without motion tells no cause of a gap.",
+                got=f"{len(self.still)} joints that travel less than 0.001 rad (m)",
+                expected="a log in which joints move, or in which the standing arm is pushed",
+            )
 
     @property
     def end(self) -> float:
@@ -170,6 +190,7 @@ def prepare(
     clock: float = 0.0,
     widest: float = math.inf,
     gain_std: float | None = None,
+    rate: float = math.inf,
 ) -> Data:
     """Check, resample, differentiate and filter logs.
 
@@ -181,12 +202,14 @@ def prepare(
         widest: band of the report at most [Hz].
         gain_std: how well the scale of each joint's torque is known, as a share of it; None for the
             default.
+        rate: to which faster trajectories are resampled [Hz]; that of the slowest at most.
 
     Raises:
-        LogError: what `torchid.identification.identify.prepared` refuses; different rates; a log
-            in which nothing moves.
+        LogError: what `torchid.identification.identify.prepared` refuses.
     """
-    even, warnings = prepared(log, robot)
+    even, warnings = prepared(log, robot, standing=True)
+    even = at_rate(even, min(rate, *sampling_rate(even)))
+    warnings = tuple(dict.fromkeys([*warnings, *even.warnings]))
     even, spread = spread_over(even, LONGEST / log.n)
     warnings = (*warnings, *spread)
     # Differentiated in a wide band, from which all is filtered later.
@@ -213,14 +236,8 @@ def prepare(
             got=f"{max(s.length / s.rate for s in segments):.3g} s",
             expected=f"more than {SHORTEST / narrow:.3g} s at a cut-off of {narrow:g} Hz",
         )
-    # Joints that never move, and logs in which none does.
+    # Joints that never move.
     still = still_joints(long)
-    if len(still) == robot.n:
-        raise LogError(
-            "the arm stands still: a log without motion tells no cause of a gap.",
-            got=f"{robot.n} joints that travel less than 0.001 rad (m)",
-            expected="a log in which joints move",
-        )
     said = [*warnings, *(w for m in measured for w in m.warnings)]
     if still:
         said.append(f"at rest in all of the log: {joint_list(still)}, of which nothing can be told")

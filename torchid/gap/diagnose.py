@@ -7,16 +7,18 @@ that is reported belongs to one model, the answered one: its coefficients are fi
 and how far it closes the gap is judged by its terms fitted without each fold, on that fold.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 
-from torchid.design.bands import SAME_RATE
 from torchid.design.columns import Columns, Model
 from torchid.design.repeats import Repeats, find_repeats
+from torchid.effects.friction import TorqueOffset
 from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import EVENTS, KINDS
+from torchid.effects.transient import Contact
 from torchid.errors import LogError, TorchidError
 from torchid.gap.data import Data, prepare
 from torchid.gap.diagnosis import Diagnosis, HowFar, Trace
@@ -38,6 +40,7 @@ from torchid.identification.base_parameters import base_parameters
 from torchid.identification.identify import refuse_repeated
 from torchid.identification.knowledge import between_sessions, known_names
 from torchid.log.model import Log
+from torchid.log.sampling import sampling_rate
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot, joint_list
@@ -135,7 +138,12 @@ def diagnose(
     # What is looked for, and the model whose gap is to be explained.
     wanted = wanted_of(robot, settings)
     at_start = Columns(start_of(robot), data.samples)
-    data = data.without_silent(at_start, folds.parts)
+    if data.stands:
+        wanted = pushes(wanted)
+        if not wanted.names:
+            data.require_motion()
+    else:
+        data = data.without_silent(at_start, folds.parts)
     if robot.parameters is None:
         at_start = at_start.at(refitted(at_start, data, wanted).model)
     start = at_start.model
@@ -149,6 +157,8 @@ def diagnose(
         data = data.with_swings(at_start, settings.alpha)
     block = _blocks(data, at_start)
     found = explained(at_start, data, wanted, settings, folds.parts, block)
+    if not found.terms:
+        data.require_motion()
 
     say("judging", 0, 1)
     fitted_first = robot.parameters is None
@@ -266,17 +276,17 @@ def read(
     if log.tau is not None and (held_out is None or held_out.tau is not None):
         refuse_repeated(log, held_out)
     cutoff = None if settings.cutoff == "auto" else settings.cutoff
-    data = prepare(robot, log, cutoff, widest=settings.report_band, gain_std=settings.gain_std)
+    # What is searched and what is held out have one rate, the lower of the two.
+    rates = [] if held_out is None else [*sampling_rate(log), *sampling_rate(held_out)]
+    rate = min(rates, default=math.inf)
+    data = prepare(
+        robot, log, cutoff, widest=settings.report_band, gain_std=settings.gain_std, rate=rate
+    )
     if held_out is None:
         return data, None
-    judged = prepare(robot, held_out, data.samples.cutoff, data.end + 1.0, data.band, data.gain_std)
-    if abs(judged.samples.rate / data.samples.rate - 1) > SAME_RATE:
-        raise LogError(
-            "the held-out logs have another sampling rate.",
-            got=f"{judged.samples.rate:.5g} Hz",
-            expected=f"{data.samples.rate:.5g} Hz",
-            hint="resample one of them",
-        )
+    judged = prepare(
+        robot, held_out, data.samples.cutoff, data.end + 1.0, data.band, data.gain_std, rate
+    )
     return data, judged
 
 
@@ -302,6 +312,16 @@ def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:
         base=base_parameters(robot, basis="report"),
         knowledge=known_before(robot, free),
     )
+
+
+def pushes(wanted: Wanted) -> Wanted:
+    """Of an arm that stands nothing but a push: whatever else its torque is, gravity and what
+    friction holds, is fitted with it."""
+    names = tuple(name for name in wanted.names if name == Contact.name)
+    return replace(
+        wanted, names=names, free=True, background=(TorqueOffset.name,), inertial=False,
+        knowledge=None,
+    )  # fmt: skip
 
 
 def known_before(robot: Robot, free: bool) -> Knowledge | None:

@@ -33,12 +33,18 @@ from torchid.identification.tuning import (
     choose_reversal,
     shortened,
 )
-from torchid.identification.validation import errors, model_torque, pieces, predict
+from torchid.identification.validation import (
+    Prediction,
+    errors,
+    model_torque,
+    pieces,
+    predict,
+)
 from torchid.log.checks import check_log
 from torchid.log.model import Log
 from torchid.log.sampling import resample
 from torchid.parallel.workers import Progress, stage
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import JointType, Robot, joint_list
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
 
@@ -49,6 +55,12 @@ without noise; so a fit is refused from a condition number of 4.5e11 on."""
 
 BEYOND_LIMIT = 5.0
 """Times the torque limit from which a torque is taken for one in another unit."""
+
+NO_BETTER = 100.0
+"""Error relative to the torque from which a model is worse than none [%]."""
+
+HARDLY_MOVES = 0.05
+"""Way of a joint [rad; m] below which little of its dynamics shows."""
 
 LOAD_FITS = 2
 """Fits from which effects of the torque take their torque, before the last one."""
@@ -76,8 +88,8 @@ def identify(
 
     Raises:
         LogError: logs that do not fit the robot or cannot be used.
-        IdentificationError: nothing to identify from, or a motion that tells parameters apart by
-            less than rounding does.
+        IdentificationError: nothing to identify from, a motion that tells parameters apart by
+            less than rounding does, or a result that predicts the log worse than nothing does.
 
     >>> import torch, torchid
     >>> robot = torchid.load_robot("3r")
@@ -176,6 +188,9 @@ def identify(
         )
     )
 
+    if not settings.force:
+        refuse_useless(fitted, condition, training.log)
+
     def named(mask: Tensor) -> tuple[str, ...]:
         hits = mask[order].tolist()
         return tuple(name for name, hit in zip(base.names, hits, strict=True) if hit)
@@ -221,6 +236,34 @@ def identify(
         ),
     )
     return replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *findings(result)])))
+
+
+def refuse_useless(fitted: Sequence[Prediction], condition: float, log: Log) -> None:
+    """Raise if the fitted model is worse than none on the very log that it was fitted to: on more
+    than half of the joints with torque the error over all rows is larger than the torque itself.
+    Least squares never are on the rows that they fit; on those left out, at rest, a fit is that
+    hardly any motion determines.
+
+    Raises:
+        IdentificationError: what the log lacks.
+    """
+    percent = errors(fitted).relative_percent
+    worse = (percent > NO_BETTER).nonzero().flatten().tolist()
+    if 2 * len(worse) <= int(percent.isfinite().sum()):
+        return
+    moved = (log.q.amax(0) - log.q.amin(0)).tolist()
+    slow = [j for j, x in enumerate(moved) if x < HARDLY_MOVES]
+    hint = "" if not slow else f"; {joint_list(slow)} hardly move"
+    raise IdentificationError(
+        "these logs determine no model: over all rows it predicts the torque worse than zero does.",
+        got=f"an error of {float(percent[worse].max()):.2g} % of the torque on "
+        f"{joint_list(worse)}; condition number {condition:.1e}; the joints move over "
+        + ", ".join(f"{x:.2g}" for x in moved)
+        + f" rad or m{hint}",
+        expected="every joint moving through much of its range, slowly and fast",
+        hint="`torchid excite` designs such a motion; `force=True` (`--force`) shows the numbers "
+        "all the same",
+    )
 
 
 def _dependence(estimate: "_Estimate") -> tuple[float, float]:
@@ -354,8 +397,13 @@ def _loaded(
     return measured
 
 
-def prepared(log: Log, robot: Robot) -> tuple[Log, tuple[str, ...]]:
+def prepared(log: Log, robot: Robot, *, standing: bool = False) -> tuple[Log, tuple[str, ...]]:
     """A log checked against the robot, with torques, on a uniform grid; and its warnings.
+
+    Args:
+        log: as it was read.
+        robot: that it is of.
+        standing: whether a log in which nothing moves may be of use.
 
     Raises:
         LogError: see `check_log`; or no torque and no gain.
@@ -368,6 +416,7 @@ def prepared(log: Log, robot: Robot) -> tuple[Log, tuple[str, ...]]:
         robot_name=robot.name,
         position_limits=robot.limits.position,
         prismatic=[t is JointType.PRISMATIC for t in robot.joint_types],
+        standing=standing,
     )
     even = resample(log)
     if even.tau is None:

@@ -123,6 +123,7 @@ class SettingsRecord(Part, frozen=True, kw_only=True):
     held_out_fraction: float
     error_cutoff: float | None = field(name="error_cutoff_hz")
     compiled: bool
+    force: bool = False
 
 
 class IdentificationRecord(Record, frozen=True, kw_only=True, tag="torchid.identification/1"):

@@ -36,6 +36,7 @@ class Settings:
         essential: drop parameters that cannot be told from zero.
         held_out_fraction: share of each trajectory's end kept for validation if no log is given.
         error_cutoff: [Hz] filter under which errors are reported; the fit's if None.
+        force: show a result that predicts its own log worse than no model does, too.
         compiled: evaluate the final regressor by compiled code; pays on very long logs.
 
     >>> Settings(effects=("viscous_friction",), cutoff=10.0).method
@@ -54,6 +55,7 @@ class Settings:
     held_out_fraction: float = 0.0
     error_cutoff: float | None = None
     compiled: bool = False
+    force: bool = False
 
     def __post_init__(self) -> None:
         for name, allowed in (

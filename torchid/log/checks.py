@@ -36,6 +36,7 @@ def check_log(
     robot_name: str,
     position_limits: Float[Tensor, "n 2"] | None = None,
     prismatic: Sequence[bool] = (),
+    standing: bool = False,
 ) -> tuple[str, ...]:
     """Refuse a log that cannot be what it should be; return what is odd about the others.
 
@@ -45,6 +46,7 @@ def check_log(
         robot_name: for the messages.
         position_limits: (n, 2) lower and upper [rad or m]; not finite where unknown.
         prismatic: n times whether the joint slides; empty: none does.
+        standing: whether a log in which nothing moves may be of use.
 
     Returns:
         Warnings, one sentence each: joints that never move or have no torque, or those of another
@@ -80,7 +82,7 @@ def check_log(
         _refuse_time(log, f"does not look like seconds: its median step is {step:g}, {why}", step)
     _check_velocity_unit(log, agreement, slides)
     extent = log.q.amax(0) - log.q.amin(0)
-    if float(extent.max()) < STILL:
+    if float(extent.max()) < STILL and not standing:
         raise LogError(
             f"{log.label}: no joint moves.",
             got=f"positions that vary by {float(extent.max()):.1g} at most",

@@ -184,6 +184,11 @@ def write_log(log: Log, path: str | Path) -> None:
         writer(columns_of(log), file)
 
 
+def written_suffixes() -> tuple[str, ...]:
+    """Suffixes of files that `write_log` writes."""
+    return tuple(sorted(_WRITERS))
+
+
 def is_written(suffix: str) -> bool:
     """Whether `write_log` writes files of a suffix."""
     return suffix.lower() in _WRITERS

@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from torchid.errors import LogError
 from torchid.log.checks import check_increasing
+from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 
 UNIFORM = 1e-3  # largest deviation from a uniform grid, in steps
@@ -26,6 +27,7 @@ SMALL_GAP = 3.0  # longer steps are counted as gaps, in steps
 LONG_GAP_STEPS = 20.0  # a gap longer than this, or
 LONG_GAP_S = 0.25  # than this, splits the trajectory
 SHORTEST_PIECE_S = 1.0  # shorter pieces are dropped
+BELOW_NYQUIST = 0.4  # what stays of a faster log, as a share of the new rate
 
 _SMOOTH = ("q", "dq", "ddq", "ql")
 
@@ -74,6 +76,38 @@ def resample(log: Log) -> Log:
     joined = Log.concatenate(result)
     everything = tuple(dict.fromkeys([*log.warnings, *warnings]))
     return joined.replace(source=log.source, warnings=everything)
+
+
+def at_rate(log: Log, rate: float) -> Log:
+    """Trajectories on uniform grids, those sampled faster at a lower rate: low-passed without phase
+    so that nothing folds, and interpolated. What was done is said in the warnings.
+
+    Args:
+        log: on a uniform grid, see `resample`.
+        rate: [Hz]; trajectories that are within 1 % of it stay as they are.
+
+    >>> import torch
+    >>> t = torch.arange(5000, dtype=torch.float64) / 1000
+    >>> log = Log(t, torch.sin(6 * t)[:, None])
+    >>> slow = at_rate(log, 250.0)
+    >>> len(slow.t), bool((slow.q[:, 0] - torch.sin(6 * slow.t)).abs().max() < 1e-3)
+    (1250, True)
+    """
+    pieces: list[Log] = []
+    warnings: list[str] = []
+    for piece, own in zip(log.trajectories(), sampling_rate(log), strict=True):
+        if own <= (1.0 + SAME_STEP) * rate:
+            pieces.append(piece)
+            continue
+        low = ZeroPhaseFilter(own, BELOW_NYQUIST * rate)
+        signals: dict[str, Any] = {k: low.apply(x.T).T for k, x in piece.signals.items()}
+        name = piece.names[0]
+        warnings.append(f"{name}: sampled at {own:.4g} Hz, and resampled to {rate:.4g} Hz.")
+        pieces.append(_onto_grid(piece.replace(**signals), 1.0 / rate, []))
+    if not warnings:
+        return log
+    everything = tuple(dict.fromkeys([*log.warnings, *warnings]))
+    return Log.concatenate(pieces).replace(source=log.source, warnings=everything)
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,8 @@ LENGTHS = (3, 6, 12, 24, 48, 96, 192)
 """Lengths of windows [samples], up to a quarter of a trajectory."""
 
 MOST = 3
-"""Contacts at most, of each length of window and in all; the search decides which of them stay."""
+"""Contacts at most, and windows of each length that are looked at closely for each; the search
+decides which of them stay."""
 
 
 def contacts(question: Question) -> list[Contact]:
@@ -66,8 +67,8 @@ def contacts(question: Question) -> list[Contact]:
 def _windows(
     columns: Float[Tensor, "C n N"], r: Float[Tensor, "n N"], bounds: Sequence[slice], alpha: float
 ) -> list[tuple[int, int]]:
-    """Samples (first, last + 1) of windows whose gain stands out, the clearest first. Sums over
-    windows are differences of running sums."""
+    """Samples (first, last + 1) of windows apart whose gain stands out, the clearest first. Sums
+    over windows are differences of running sums."""
     c = len(columns)
     products = (columns.unsqueeze(0) * columns.unsqueeze(1)).sum(2)
     pulls = (columns * r).sum(1)
@@ -88,28 +89,41 @@ def _windows(
         inner = torch.linalg.pinv(gram, rtol=1e-6, hermitian=True)
         looked.append(((pull.transpose(1, 2) @ inner @ pull).flatten(), start, length))
     total = sum(len(gain) for gain, _, _ in looked)
-    found: list[tuple[float, int, int]] = []
-    for gain, start, length in looked:
-        for k in gain.argsort(descending=True)[:MOST].tolist():
-            # The scale of chance is that of the log's other windows, heavy tails included: chi^2
-            # through their 95 % quantile. Those beside it may be of the same push.
-            others = gain[(start - start[k]).abs() >= 2 * length]
-            if len(others) < FEWEST_BLOCKS:
-                continue
-            # How slow chance is there, too: a push in the window is no noise.
-            slow = correlation_instants(r.T, _outside(bounds, int(start[k]), length))
-            apart = len(others) * max(1, length // 2) / max(length, slow)
-            usual = max(1.0, float(others.quantile(LEVEL)) / float(chi2.ppf(LEVEL, c)))
-            # A scale known from so many windows apart: F in the place of chi^2.
-            if total * float(f.sf(float(gain[k]) / (c * usual), c, max(apart, 1.0))) < alpha:
+    found: list[tuple[int, int]] = []
+    # One after the other: a push that is known is no measure of chance for the next.
+    while len(found) < MOST:
+        best: tuple[float, int, int] | None = None
+        for gain, start, length in looked:
+            free = torch.ones(len(start), dtype=torch.bool)
+            for first, last in found:  # with as much on either side, for a push may be longer
+                free &= (start >= 2 * last - first) | (start + length <= 2 * first - last)
+            for k in gain.masked_fill(~free, -math.inf).argsort(descending=True)[:MOST].tolist():
+                # The scale of chance is that of the log's other windows, heavy tails included:
+                # chi^2 through their 95 % quantile. Those beside it may be of the same push.
+                others = gain[free & ((start - start[k]).abs() >= 2 * length)]
+                if not free[k] or len(others) < FEWEST_BLOCKS:
+                    continue
+                # How slow chance is there, too: a push in the window is no noise.
+                outside = _outside(bounds, [(int(start[k]), int(start[k]) + length), *found])
+                slow = correlation_instants(r.T, outside)
+                apart = len(others) * max(1, length // 2) / max(length, slow)
+                usual = max(1.0, float(others.quantile(LEVEL)) / float(chi2.ppf(LEVEL, c)))
+                # A scale known from so many windows apart: F in the place of chi^2.
+                level = float(f.sf(float(gain[k]) / (c * usual), c, max(apart, 1.0)))
                 score = float(gain[k]) / usual - c * math.log(length)
-                found.append((score, int(start[k]), int(start[k]) + length))
-    found.sort(reverse=True)
-    return [(a, b) for _, a, b in found]
+                if total * level < alpha and (best is None or score > best[0]):
+                    best = score, int(start[k]), int(start[k]) + length
+        if best is None:
+            break
+        found.append(best[1:])
+    return found
 
 
-def _outside(bounds: Sequence[slice], first: int, length: int) -> list[slice]:
-    """What is left of stretches of samples without a window and one as long on either side."""
-    low, high = first - length, first + 2 * length
-    cut = [(slice(b.start, min(b.stop, low)), slice(max(b.start, high), b.stop)) for b in bounds]
-    return [s for pair in cut for s in pair if s.stop > s.start]
+def _outside(bounds: Sequence[slice], windows: Sequence[tuple[int, int]]) -> list[slice]:
+    """What is left of stretches of samples without windows and as much on either side of each."""
+    left = list(bounds)
+    for first, last in windows:
+        low, high = 2 * first - last, 2 * last - first
+        cut = [(slice(b.start, min(b.stop, low)), slice(max(b.start, high), b.stop)) for b in left]
+        left = [s for pair in cut for s in pair if s.stop > s.start]
+    return left
