@@ -109,6 +109,11 @@ class Prior:
             out[: len(self.known), : len(self.known)] += self.known
         return out if self.bodies is None else out + self.bodies.squares(len(out))
 
+    @property
+    def unknown(self) -> "Prior":
+        """The same, as if the model did not know how sure it is."""
+        return replace(self, known=None)
+
     @cached_property
     def pull(self) -> Float[Tensor, " K"]:
         """Towards where they are expected."""

@@ -60,17 +60,25 @@ unseen."""
 
 
 def visible_root(
-    left: Float[Tensor, "*M C C"], square: Float[Tensor, "*M C"]
+    left: Float[Tensor, "*M C C"],
+    square: Float[Tensor, "*M C"],
+    free: Float[Tensor, "*M C C"] | None = None,
 ) -> Float[Tensor, "*M C C"]:
     """A root of the inverse of what a model leaves of columns, zero where it leaves too little.
 
     Args:
         left: products of what it leaves of them.
         square: of the columns themselves; 0 of those that are nowhere.
+        free: what it would leave of them if nothing were known of it beforehand, where something
+            is: what that alone leaves is no rest of two large things that cancel.
     """
     size = torch.where(square > 0, square.sqrt(), torch.inf)
-    values, vectors = torch.linalg.eigh(left / (size.unsqueeze(-1) * size.unsqueeze(-2)))
+    scale = size.unsqueeze(-1) * size.unsqueeze(-2)
+    values, vectors = torch.linalg.eigh(left / scale)
     seen = values > VISIBLE
+    if free is not None:
+        by_data = (vectors * ((free / scale) @ vectors)).sum(-2)
+        seen |= (values - by_data > 0.5 * values) & (values > EXACT)
     safe = torch.where(seen, values, torch.ones_like(values))
     return vectors * (seen / safe.sqrt()).unsqueeze(-2) / size.unsqueeze(-1)
 

@@ -27,6 +27,7 @@ from torchid.gap.search.evidence import (
     offers,
     prior_of,
     refused,
+    relief,
     risen,
     subset_of,
 )
@@ -214,6 +215,9 @@ def _added(question: Question, fit: Fitted) -> Fitted | None:
         # error falls by as much: what is still missing may be larger.
         size = ((now.losses - then.losses).clamp(min=0) / rows.clamp(min=1.0)).sqrt()
         least = question.least(now.losses / rows.clamp(min=1.0))
+        if question.known:
+            new = [t for t in _own(question, then) if all(t is not o for o in own)]
+            size = torch.maximum(size, relief(question, then, now, new))
         worth = bool((size >= least).any()) or any(map(question.shows, _own(question, then)))
         if rise > 0 and worth and (best is None or rise > best[0]):
             best = rise, then
@@ -277,7 +281,12 @@ def worthy(
         that is worth a name: of their own joints, or of all; the largest first."""
         rest = [t for t in own if all(t is not g for g in gone)]
         lost = held_out_losses(question, folds, fit, rest) / rows
-        fall = (lost.sqrt() - now.sqrt()) / question.least(lost)
+        least = question.least(lost)
+        fall = (lost.sqrt() - now.sqrt()) / least
+        if question.known:
+            # Where the model's own corrections would be stretched in its place, that is its size.
+            without = fit_terms(question, rest, fit.effective, fit.weight)
+            fall = torch.maximum(fall, relief(question, fit, without, gone) / least)
         places = sorted({t.place for t in gone if t.place is not None})
         return (fall[places] if places else fall).sort(descending=True).values
 

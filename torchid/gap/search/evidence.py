@@ -23,7 +23,15 @@ import torch
 
 from torchid.design.bodies import Prior, together
 from torchid.design.columns import Place
-from torchid.design.gram import VISIBLE, Normal, OnJoint, Solved, Subset, visible_root
+from torchid.design.gram import (
+    VISIBLE,
+    Normal,
+    OnJoint,
+    Solved,
+    Subset,
+    inverse_root,
+    visible_root,
+)
 from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
 from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
@@ -100,6 +108,11 @@ class Question:
     def fixed(self) -> tuple[Term, ...]:
         """Terms that are always in the model."""
         return self.candidates.fixed
+
+    @property
+    def known(self) -> bool:
+        """Whether the model as given knows how sure it is."""
+        return any(t.information is not None for t in self.fixed)
 
     @cached_property
     def looks(self) -> float:
@@ -201,6 +214,27 @@ def residual(
         for joint, effect, values in term.instead:
             left[joint] += values @ rows_of(question, effect)[:, 0]
     return left * question.candidates.keep
+
+
+def slack_torque(question: Question, fit: Fitted) -> Float[Tensor, "n N"]:
+    """Samples of the torque of what the model as given leaves open of itself, as a fit takes it."""
+    fixed = question.fixed
+    taken = fit.terms[: len(fixed)]
+    x = fit.x[: sum(len(t.at) for t in taken)]
+    return -residual(question, taken, x) + question.candidates.gap * question.candidates.keep
+
+
+def relief(
+    question: Question, fit: Fitted, without: Fitted, gone: Sequence[Term]
+) -> Float[Tensor, " n"]:
+    """Torque (n,), RMS, that without some terms the model's own corrections make in their place
+    [N m; N]; zero where these are as likely then: where what was known of the model does not speak
+    for the terms by as much as they cost."""
+    rows = question.normal.rows.clamp(min=1.0)
+    if without.known - fit.known <= cost(question, gone, fit.effective):
+        return torch.zeros_like(rows)
+    moved = slack_torque(question, without) - slack_torque(question, fit)
+    return (moved.square().sum(1) / rows).sqrt()
 
 
 def effective_samples(
@@ -347,14 +381,20 @@ def in_turn(
     """What each term closes of the gap when at every turn the one joins that closes most: shares
     that add up to one, the curve of the answer. And the loss that each term leaves alone."""
     weight = question.normal.rows / fit.losses.clamp(min=1e-300)
-    left = [float((weight * fit_terms(question, (), fit.effective, fit.weight).losses).sum())]
+    # What is known beforehand counts as so many samples that are not independent.
+    dependent = float(question.normal.rows.sum() / fit.effective.sum())
+
+    def loss(one: Fitted) -> float:
+        return float((weight * one.losses).sum()) + dependent * one.known
+
+    left = [loss(fit_terms(question, (), fit.effective, fit.weight))]
     order: list[int] = []
     alone: list[float] = []
     while len(order) < len(terms):
         joined = [terms[k] for k in order]
         rest = [k for k in range(len(terms)) if k not in order]
         fits = [fit_terms(question, (*joined, terms[k]), fit.effective, fit.weight) for k in rest]
-        losses = [float((weight * f.losses).sum()) for f in fits]
+        losses = [loss(f) for f in fits]
         alone = alone or losses
         order.append(rest[losses.index(min(losses))])
         left.append(min(losses))
@@ -400,12 +440,18 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
     """
     normal = question.normal
     weight = normal.rows / fit.losses.clamp(min=1e-300)
-    solved = prior_of(fit.terms).solve_of(normal.of(fit.subset), weight)
+    prior = prior_of(fit.terms)
+    equations = normal.of(fit.subset)
+    solved = prior.solve_of(equations, weight)
     common = question.candidates.gram.common
-    k = solved.root.shape[1]
+    # Beside the root, that of a model of which nothing is known, where something is.
+    root, k = solved.root, solved.root.shape[1]
+    if prior.known is not None:
+        matrix = equations.weighted(weight)[0] + prior.unknown.squares
+        root = torch.cat([root, inverse_root(matrix, known=prior.unknown.squares)], 1)
     # What the fit leaves, and what it holds, of every row of the joints' matrices; rows of
     # effects that all joints feel are summed.
-    held_common = torch.zeros(common, k, dtype=torch.float64)
+    held_common = torch.zeros(common, root.shape[1], dtype=torch.float64)
     pull_common = torch.zeros(common, dtype=torch.float64)
     held: list[Tensor] = []
     pulls: list[Tensor] = []
@@ -413,7 +459,7 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
         v = s.target.clone()
         v.index_add_(0, s.at, -solved.x[s.of])
         b = w * (g @ v)
-        h = w * (g[:, s.at] @ solved.root[s.of])
+        h = w * (g[:, s.at] @ root[s.of])
         held_common += h[:common]
         pull_common += b[:common]
         held.append(h)
@@ -441,12 +487,13 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
                 for _, own, values in term.instead:
                     # The target grows by the effect that is replaced: so does what is left of it.
                     w = float(weight[batch.place])
-                    rest = held[batch.place][own.at].T @ values
+                    rest = held[batch.place][own.at, :k].T @ values
                     grown = w * (values @ g[own.at.unsqueeze(1), own.at] @ values) - rest @ rest
                     extra[m] += grown + 2 * values @ pulls[batch.place][own.at]
-                    b[m] += w * (g[term.at.unsqueeze(1), own.at] @ values) - h[m] @ rest
+                    b[m] += w * (g[term.at.unsqueeze(1), own.at] @ values) - h[m, :, :k] @ rest
         # Gain of each candidate, less what is lost with the effect in whose place it stands.
-        gains, counts = _gains(batch, gram, h, b)
+        free = h[..., k:] if prior.known is not None else None
+        gains, counts = _gains(batch, gram, h[..., :k], b, free)
         if batch.place is not None:
             gains = gains - extra
         n = float(normal.rows.sum() if batch.place is None else normal.rows[batch.place])
@@ -483,14 +530,18 @@ def _gains(
     gram: Float[Tensor, "M C C"],
     held: Float[Tensor, "M C k"],
     b: Float[Tensor, "M C"],
+    free: Float[Tensor, "M C f"] | None,
 ) -> tuple[Tensor, Tensor]:
     """Gains (M,) and directions (M,) of terms beside a model that holds part of
-    their columns; 0 where physics forbids a coefficient."""
+    their columns; 0 where physics forbids a coefficient. `free` is what it would hold if nothing
+    were known of it."""
     # What the model leaves of the columns, in units of the columns themselves.
     square = gram.diagonal(dim1=1, dim2=2)
-    left = gram - held @ held.transpose(1, 2) + torch.diag_embed(batch.ridge)
+    whole = gram + torch.diag_embed(batch.ridge)
+    left = whole - held @ held.transpose(1, 2)
+    rest = None if free is None else whole - free @ free.transpose(1, 2)
     # Least squares along the directions that are seen; the rest is noise of the columns.
-    root = visible_root(left, torch.where(square > 1e-300, square + batch.ridge, 0.0))
+    root = visible_root(left, torch.where(square > 1e-300, square + batch.ridge, 0.0), rest)
     along = root.transpose(1, 2) @ (b + batch.ridge * batch.centre).unsqueeze(-1)
     gain = along.square().sum((1, 2))
     x, std = (root @ along).squeeze(-1), root.norm(dim=-1)

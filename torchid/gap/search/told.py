@@ -73,8 +73,9 @@ def told(found: Explanation) -> Told:
     """Findings of an explanation, each with what it cannot be told from."""
     question, fit = found.question, found.fit
     weight = question.normal.rows / fit.losses.clamp(min=1e-300)
-    start = float((weight * found.empty.losses).sum())
-    last = float((weight * fit.losses).sum())
+    dependent = float(question.normal.rows.sum() / fit.effective.sum())
+    start = float((weight * found.empty.losses).sum()) + dependent * found.empty.known
+    last = float((weight * fit.losses).sum()) + dependent * fit.known
     closable = max(start - last, 1e-12)
     closes, alone = in_turn(question, fit, found.terms)
     findings, parametric, undecided, rivals, unsure = [], [], [], [], []
@@ -172,7 +173,7 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
     searched for."""
     # Twice the logarithm of the likelihoods' ratio, over the directions that the term has.
     ratio = float(risen(fit.effective, without.losses, fit.losses).sum())
-    if term.seen is not None:
+    if term.seen is not None or question.known:
         ratio += without.known - fit.known
     df = directions(question, term) + term.shapes
     searched = term.name not in common_names(fit.terms, question.joints)

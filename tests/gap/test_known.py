@@ -1,0 +1,216 @@
+"""What is known of a model counts in its next diagnosis; and faults that are mended: by the public
+functions alone, on short logs of the 3R."""
+
+import importlib.util
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import torch
+
+import torchid
+from tests.gap.small_logs import ROBOT, Recording, arm, carrying, friction, logged
+from torchid.effects.base import Effect
+from torchid.effects.registry import KINDS
+from torchid.gap.diagnosis import Diagnosis
+from torchid.gap.settings import GapSettings
+from torchid.log.model import Log
+from torchid.robot.chain import tool_jacobian
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import Robot
+
+pytestmark = pytest.mark.usefixtures("types_unchecked")
+
+FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
+SEARCHED = (*FRICTION, "payload", "joint_spring", "link_inertia")
+FIRST, SECOND = Recording(runs=(0, 1)), Recording(runs=(7, 8))
+TRUE = arm(friction(1, Fv=0.8), friction(2, Fc=0.5), friction(2, Fv=1.0), friction(3, Fc=0.2))
+
+
+def settings(**more: object) -> GapSettings:
+    return GapSettings(effects=SEARCHED, rollout=False, **more)  # type: ignore[arg-type]
+
+
+def log_of(robot: Robot, how: Recording) -> Log:
+    return logged(robot, how)
+
+
+@cache
+def first() -> Diagnosis:
+    """A model of kinematics alone, fitted to the first session."""
+    unknown = replace(ROBOT, parameters=None, effects=())
+    return torchid.diagnose(unknown, log_of(TRUE, FIRST), settings=settings(background=FRICTION))
+
+
+def names(found: Diagnosis) -> set[tuple[str, tuple[int, ...]]]:
+    return {(f.effect.name, f.located) for f in found.findings}
+
+
+def contradictions() -> ModuleType:
+    path = Path(__file__).resolve().parents[2] / "benchmarks" / "gap_consistent.py"
+    spec = importlib.util.spec_from_file_location("gap_consistent", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_first_session_is_known_afterwards() -> None:
+    known = first().corrected.knowledge
+    assert known is not None
+    assert first().knowledge is None  # nothing was known before
+    for joint in (1, 2, 3):
+        assert 0 < known.std(f"viscous_friction Fv{joint}") < 0.1
+    # As well as the values are: within four standard deviations of the truth.
+    truth = {"viscous_friction Fv1": 0.8, "viscous_friction Fv2": 1.0, "coulomb_friction Fc2": 0.5}
+    own = {f"{e['effect']} {k}{e['joint']}": v for e in first().corrected.effects
+           for k, v in e.items() if k in ("Fv", "Fc")}  # fmt: skip
+    for name, value in truth.items():
+        assert abs(own[name] - value) < 4 * known.std(name) + 0.01
+
+
+def test_nothing_changed_nothing_named() -> None:
+    found = torchid.diagnose(first().corrected, log_of(TRUE, SECOND), settings=settings())
+    assert names(found) == set()
+    assert found.parametric == ()
+    known, after = first().corrected.knowledge, found.corrected.knowledge
+    assert known is not None
+    assert after is not None
+    assert found.knowledge is not None
+    # What is known grows: friction to less than the share by which it may change by itself.
+    for c in found.knowledge.coefficients:
+        assert not c.changed
+        assert c.after_std is not None
+        assert c.before_std is None or c.after_std <= c.before_std
+    assert len(after.sources) > len(known.sources)
+
+
+def test_a_known_coefficient_that_changed_is_told_with_before_and_after() -> None:
+    worn = arm(friction(1, Fv=0.8), friction(2, Fc=0.5), friction(2, Fv=2.5), friction(3, Fc=0.2))
+    found = torchid.diagnose(first().corrected, log_of(worn, SECOND), settings=settings())
+    assert names(found) == {("viscous_friction", (1,))}
+    (change,) = found.findings[0].changed
+    assert change.name == "viscous_friction Fv2"
+    assert change.changed
+    assert change.before == pytest.approx(1.0, abs=0.05)
+    assert change.after == pytest.approx(2.5, abs=0.05)
+    # Of what has changed the new session alone tells.
+    assert found.corrected.knowledge is not None
+    assert found.plain()["which"][0]["changed"][0]["name"] == change.name
+
+
+def test_a_load_is_told_beside_what_is_known() -> None:
+    loaded = replace(carrying(0.8, (0.0, 0.0, 0.1), 0.002), effects=TRUE.effects)
+    found = torchid.diagnose(first().corrected, log_of(loaded, SECOND), settings=settings())
+    told = {f.effect.name: f for f in found.findings}
+    assert set(told) == {"payload"}
+    mass, std = told["payload"].values[0], told["payload"].std[0]
+    assert abs(mass - 0.8) < 3 * std + 0.02
+
+
+def test_a_change_hidden_in_what_was_open_is_no_gap_by_no_means() -> None:
+    """Of a model of which little is known, a change is within what it left open."""
+    model = first().corrected
+    assert model.knowledge is not None
+    loose = replace(model, knowledge=replace(model.knowledge, root=1e-4 * model.knowledge.root))
+    worn = arm(friction(1, Fv=0.8), friction(2, Fc=0.5), friction(2, Fv=2.5), friction(3, Fc=0.2))
+    found = torchid.diagnose(loose, log_of(worn, SECOND), settings=settings())
+    assert found.status == "not_testable"
+    assert found.knowledge is not None
+    hiding = [j for j in found.knowledge.joints if j.hides]
+    assert [j.joint for j in hiding] == [1]
+    assert "drive joint 2" in hiding[0].motion
+
+
+CASES: dict[str, tuple[Robot, Robot]] = {
+    "nothing": (ROBOT, ROBOT),
+    "friction": (ROBOT, TRUE),
+    "changed": (arm(friction(2, Fv=1.0)), arm(friction(2, Fv=0.4))),
+    "too much": (arm({"effect": "load_dependent_friction", "joint": 2, "mu": 0.05}), ROBOT),
+    "small": (ROBOT, arm(friction(2, Fc=0.05))),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_answer_is_written_read_run_again_and_agrees_with_itself(
+    case: str, tmp_path: Path
+) -> None:
+    given, true = CASES[case]
+    log = log_of(true, FIRST)
+    wanted = replace(settings(), effects=(*SEARCHED, "load_dependent_friction"))
+    found = torchid.diagnose(given, log, settings=wanted)
+    check = contradictions().contradictions
+    assert check(found.plain()) == []
+    found.save(tmp_path / "gap.json")
+    again = torchid.load(tmp_path / "gap.json")
+    assert again.corrected.n == 3
+    torchid.write_robot(found.corrected, tmp_path / "corrected.yaml")
+    corrected = torchid.load_robot(tmp_path / "corrected.yaml")
+    second = torchid.diagnose(corrected, log_of(true, SECOND), settings=wanted)
+    assert check(second.plain()) == []
+    assert second.findings == ()
+
+
+def test_a_small_cause_is_told_as_one() -> None:
+    wanted = settings(worthwhile_torque=0.2)
+    found = torchid.diagnose(ROBOT, log_of(CASES["small"][1], FIRST), settings=wanted)
+    assert found.status == "negligible"
+    assert found.findings == ()
+    (small,) = found.small
+    assert (small.effect, small.joints) == ("coulomb_friction", (1,))
+    assert small.parameters["Fc"] == pytest.approx(0.05, abs=0.02)
+
+
+def pushed(
+    windows: tuple[tuple[float, float], ...], seed: int, drift: float = 0.0, off: float = 1.0
+) -> tuple[Robot, Log]:
+    """The 3R, held in one pose and pushed with 20 N; and its model, whose masses are off."""
+    g = torch.Generator().manual_seed(seed)
+    t = torch.arange(4000, dtype=torch.float64) / 100
+    q = torch.tensor([0.2, -0.4, -0.9], dtype=torch.float64).repeat(4000, 1)
+    noise = torch.randn(4000, 3, generator=g, dtype=torch.float64)
+    tau = torchid.inverse_dynamics(ROBOT, q, 0 * q, 0 * q) + 0.05 * noise
+    tau = tau + drift * torch.randn(4000, 3, generator=g, dtype=torch.float64).cumsum(0) / 100
+    force = torch.tensor([20.0, 10.0, -15.0], dtype=torch.float64)
+    for a, b in windows:
+        push = tool_jacobian(ROBOT, q)[..., :3, :].mT @ force
+        tau += push * ((t > a) & (t < b)).unsqueeze(1)
+    pi = ROBOT.require_parameters("a test").pi * off
+    return ROBOT.with_parameters(InertialParameters(pi)), Log(t, q, tau=tau)
+
+
+@pytest.mark.parametrize("off", [1.0, 1.2])
+def test_what_stands_still_and_is_pushed_is_a_contact(off: float) -> None:
+    robot, log = pushed(((10.0, 11.5), (25.0, 26.0)), 0, off=off)
+    found = torchid.diagnose(robot, log, settings=GapSettings(rollout=False))
+    assert [f.effect.name for f in found.findings] == ["contact", "contact"]
+    for f in found.findings:
+        assert f.values == pytest.approx((20.0, 10.0, -15.0), abs=0.5)
+    windows = sorted((_window(f.effect) for f in found.findings), key=min)
+    assert windows[0] == pytest.approx((10.0, 11.5), abs=0.2)
+    assert windows[1] == pytest.approx((25.0, 26.0), abs=0.2)
+
+
+def _window(effect: Effect) -> tuple[float, float]:
+    return effect.start, effect.stop  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.5])
+@pytest.mark.parametrize("off", [1.0, 1.2])
+def test_what_stands_still_alone_shows_nothing(drift: float, off: float) -> None:
+    robot, log = pushed((), 1, drift=drift, off=off)
+    with pytest.raises(torchid.TorchidError, match="stands still"):
+        torchid.diagnose(robot, log, settings=GapSettings(rollout=False))
+
+
+def test_kinematics_are_not_told_of_base_parameters_alone() -> None:
+    """Another split of the same base parameters has another torque of a displaced joint."""
+    kind = KINDS["kinematic_error"]
+    assert kind.of_bodies
+    unknown = replace(ROBOT, parameters=None, effects=())
+    wanted = replace(settings(), effects=(*FRICTION, "kinematic_error"))
+    found = torchid.diagnose(unknown, log_of(TRUE, FIRST), settings=wanted)
+    assert "kinematic_error" not in {f.effect.name for f in found.findings}
