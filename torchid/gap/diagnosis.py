@@ -24,6 +24,7 @@ from torchid.gap.record import (
     Parametric,
     Planted,
     RegimeGap,
+    Replication,
     Residual,
     SmallEffect,
     Status,
@@ -100,6 +101,7 @@ class Finding:
         how_sure: probability of it, against nothing and against what it cannot be told from; of a
             set that of the set.
         changed: coefficients that the model knew otherwise; none of an effect that is new.
+        replication: whether it is the same in every motion.
         one_of_a_set: whether it is the likeliest of a set none of which is likely by itself.
         share: of the closable gap that it closes in its turn: at every turn that cause joins which
             closes most, all refitted, so that the shares add up to one.
@@ -123,6 +125,7 @@ class Finding:
     planted: Planted | None = None
     one_of_a_set: bool = False
     changed: tuple[KnownCoefficient, ...] = ()
+    replication: Replication | None = None
 
     @property
     def located(self) -> tuple[int, ...]:
@@ -199,6 +202,7 @@ def _link(changed: Parametric) -> FoundEffect:
         source=None,
         notes=(),
         planted=None,
+        replication=None,
     )
 
 

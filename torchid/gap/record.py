@@ -144,6 +144,40 @@ class KnownCoefficient(Part, frozen=True, kw_only=True):
     changed: bool = False
 
 
+class MotionScale(Part, frozen=True):
+    """By which factor a part of the data wants an effect, 1 being as it was fitted to all.
+
+    Attributes:
+        trajectory, from_s, to_s: which part.
+        scale, std: the factor.
+    """
+
+    trajectory: str
+    from_s: float
+    to_s: float
+    scale: Real
+    std: float
+
+
+class Replication(Part, frozen=True, kw_only=True):
+    """Whether an effect is the same in every motion.
+
+    Attributes:
+        motions: part by part.
+        mean: of those that can tell.
+        spread: standard deviation between motions, beyond that of each.
+        next_std: of the factor in the next motion.
+        repeats, asked: in how many of those that can tell it has the same sign and size.
+    """
+
+    motions: tuple[MotionScale, ...]
+    mean: Real
+    spread: Real
+    next_std: Real
+    repeats: int
+    asked: int
+
+
 class FoundEffect(Part, frozen=True, kw_only=True):
     """An accepted effect; of inertial parameters those of one link.
 
@@ -157,6 +191,7 @@ class FoundEffect(Part, frozen=True, kw_only=True):
         std, unit: of the coefficients, and units of shapes too.
         shape, places: which of the parameters are shapes, and which places.
         changed: coefficients that the model knew otherwise; none of an effect that is new.
+        replication: whether it is the same in every motion; None of what is asked no such thing.
         meaning, remedy, source: of the effect, in words.
         notes: sentences.
         planted: what the log would show of it.
@@ -178,6 +213,7 @@ class FoundEffect(Part, frozen=True, kw_only=True):
     share: float | None = None
     first: float | None = None
     changed: tuple[KnownCoefficient, ...] = ()
+    replication: Replication | None = None
     meaning: str = ""
     remedy: str = ""
     source: str | None = None
@@ -189,7 +225,7 @@ class SmallEffect(Part, frozen=True, kw_only=True):
     """An effect that the evidence has, of a size below what was asked for.
 
     Attributes:
-        effect, family, joints, parameters, std, unit, how_sure: as FoundEffect's.
+        effect, family, joints, parameters, std, unit, how_sure, replication: as FoundEffect's.
         closes_rms: error that it takes away, as a root of the fall of the mean square while the
             joint moves, on the joint where that is most [N m; N].
     """
@@ -202,6 +238,7 @@ class SmallEffect(Part, frozen=True, kw_only=True):
     unit: dict[str, str]
     closes_rms: Real
     how_sure: float
+    replication: Replication | None = None
 
 
 class Open(Part, frozen=True, kw_only=True):

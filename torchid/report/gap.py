@@ -7,7 +7,7 @@ from typing import Any
 
 from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import INERTIA_MEANING, INERTIA_REMEDY, Diagnosis, unit_of
-from torchid.gap.record import Experiment, NotTestable
+from torchid.gap.record import Experiment, NotTestable, Replication
 from torchid.report import gap_figures
 from torchid.report import gap_words as words
 from torchid.report.page.document import Origin, Page
@@ -107,7 +107,7 @@ def which_table(diagnosis: Diagnosis) -> Table:
         if f.effect.shapes:
             values.append(f"({', '.join(words.shapes(f, diagnosis.robot))})")
         joints = ", ".join(str(j + 1) for j in f.joints) or "all"
-        shares = (percent(f.share), percent(f.first), _sure(f.how_sure))
+        shares = (percent(f.share), percent(f.first), _sure(f.how_sure), _repeats(f.replication))
         what = words.effect_words(f.effect.name)
         rows.append((what, joints, "\n".join(values), _others(f.ambiguous_with), *shares))
     for p in diagnosis.parametric:
@@ -116,12 +116,12 @@ def which_table(diagnosis: Diagnosis) -> Table:
         rows.append(
             (
                 what, ", ".join(links) or "all", "see the corrected model",
-                _others(p.ambiguous_with), percent(p.share), "-", _sure(p.how_sure),
+                _others(p.ambiguous_with), percent(p.share), "-", _sure(p.how_sure), "-",
             )
         )  # fmt: skip
     columns = (
         "effect", "joints", "value", "cannot be told from", "closes\nin its turn", "closes\nalone",
-        "how sure",
+        "how sure", "repeats",
     )  # fmt: skip
     title = "which: effects the model lacks (value ± std)"
     return Table(title, columns, rows, names=columns[:3], words=columns[3:4])
@@ -141,7 +141,7 @@ def small_table(diagnosis: Diagnosis) -> Table:
         rows.append(
             (words.effect_words(e.effect), place, "\n".join(values), torque, _sure(e.how_sure))
         )
-    columns = ("effect", "joints", "value", "takes away, RMS", "how sure")
+    columns = ("effect", "joints", "value", "takes away, RMS", "how sure", "repeats")
     title = "small: there, and below what was asked for (`worthwhile`)"
     return Table(title, columns, rows, names=columns[:3])
 
@@ -316,6 +316,12 @@ def _others(names: tuple[str, ...]) -> str:
     return "\n".join(words.effect_words(name) for name in names) or "-"
 
 
+def _repeats(found: Replication | None) -> str:
+    """`5 of 6`: motions that want the effect with the same sign and size, of those that can
+    tell."""
+    return "-" if found is None else f"{found.repeats} of {found.asked}"
+
+
 def _sure(value: float | None) -> str:
     if value is None:
         return "-"
@@ -449,6 +455,18 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 f"Shares of the gap: base parameters {percent(budget.parametric)}, effects "
                 f"{percent(budget.structural)}, unexplained {percent(budget.unexplained)}.",
                 partial(gap_figures.budget_figure, d),
+            )
+        )
+    if any(f.replication for f in d.findings):
+        out.append(
+            Picture(
+                "repeats",
+                "Is it the same in every motion? By which factor each part of the data, of about "
+                "ten seconds, wants a cause: 1 is as it was fitted to all, 0 not at all. The grey "
+                "band is where the next motion's would lie. A law repeats; what one motion alone "
+                "wants is misfit.",
+                "Factor of each cause, part by part of the data.",
+                partial(gap_figures.repeats_figure, d),
             )
         )
     if any(f.planted for f in d.findings):

@@ -26,9 +26,13 @@ from torchid.report.panels import (
 )
 from torchid.report.table import joint_unit, percent, torque_unit
 from torchid.statistics.jackknife import student_quantile
+from torchid.statistics.proportion import HALF_95
 
 WORST = 3
 """Joints that get a figure of their own."""
+
+ABREAST = 4
+"""Panels in a line of findings' replications."""
 
 MOST_PLANTED = 5
 """Findings whose planting is shown, the largest ones."""
@@ -46,6 +50,8 @@ def figures(diagnosis: Diagnosis) -> Figures:
         return out
     out |= {f"gap_joint_{j + 1}": partial(joint_figure, d, j) for j in worst_joints(d)}
     out["torque"] = partial(torque_figure, d)
+    if any(f.replication for f in d.findings):
+        out["repeats"] = partial(repeats_figure, d)
     if any(f.planted for f in d.findings):
         out["planted"] = partial(planted_figure, d)
     return out
@@ -175,6 +181,39 @@ def planted_figure(diagnosis: Diagnosis) -> Figure:
             curve.set_title(said, fontsize=SMALL, color=INK, loc="left")
         curve.set(ylim=(-4, 104), xlabel="size, as a share of the one found", ylabel="told [%]")
     return finish(figure, f"{diagnosis.robot.name}: what this log would show")
+
+
+def repeats_figure(diagnosis: Diagnosis) -> Figure:
+    """A panel a finding: by which factor each part of the data wants it, 1 as it was fitted."""
+    shown = [(f, f.replication) for f in diagnosis.findings if f.replication is not None]
+    columns = min(ABREAST, len(shown))
+    lines = -(-len(shown) // columns)
+    figure = new_figure(9.6, 0.8 + 1.9 * lines)
+    grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
+    for axes in grid.flat[len(shown) :]:
+        axes.set_visible(False)
+    for (finding, found), axes in zip(shown, grid.flat, strict=False):
+        styled(axes)
+        x = np.arange(1, len(found.motions) + 1)
+        scale = np.array([m.scale for m in found.motions])
+        std = np.array([m.std for m in found.motions])
+        half = HALF_95 * found.next_std
+        axes.axhspan(found.mean - half, found.mean + half, color=GREY, alpha=0.35, linewidth=0)
+        axes.axhline(0, color=INK, linewidth=0.6)
+        axes.axhline(found.mean, color=AFTER, linewidth=1)
+        axes.errorbar(x, scale, HALF_95 * std, fmt="o", color=AFTER, markersize=4, linewidth=1)
+        axes.set(xlim=(0.5, len(x) + 0.5), ylim=(-1, 3))
+        axes.set_xticks(x if len(x) <= 12 else x[:: len(x) // 6])
+        where = ", ".join(str(j + 1) for j in finding.located)
+        name = finding.effect.name.replace("_", " ") + (f" {where}" if where else "")
+        axes.set_title(
+            f"{name}: {found.repeats} of {found.asked}", fontsize=SMALL, color=INK, loc="left"
+        )
+    for axes in grid[:, 0]:
+        axes.set_ylabel("factor")
+    for axes in grid[-1]:
+        axes.set_xlabel("part of the data")
+    return finish(figure, f"{diagnosis.robot.name}: is it the same in every motion?")
 
 
 def torque_figure(diagnosis: Diagnosis, joint: int | None = None) -> Figure:

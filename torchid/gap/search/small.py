@@ -1,11 +1,14 @@
 """What the evidence has and nobody asked for: causes that are too small to be worth a name."""
 
+from msgspec import structs
+
 from torchid.gap.data import Data
 from torchid.gap.diagnosis import unit_of
 from torchid.gap.record import SmallEffect
 from torchid.gap.search.climb import allowed
 from torchid.gap.search.evidence import Fitted, Question, apart, fit_terms
 from torchid.gap.search.explain import Explanation
+from torchid.gap.search.replication import replication
 from torchid.gap.search.solve import solved
 from torchid.gap.search.terms import Term
 from torchid.gap.search.told import LIKELY, determined, how_sure
@@ -54,7 +57,9 @@ def small_effects(
         sure = min(how_sure([rise]), determined(solution, k, question.looks))
         if sure >= LIKELY:
             own_values, std = solution.values[k], solution.std[k]
-            out.append(_entry(solution.terms[k], own_values, std, closes, sure, robot))
+            again = replication(solution, k, question.candidates.columns.samples)
+            one = _entry(solution.terms[k], own_values, std, closes, sure, robot)
+            out.append(structs.replace(one, replication=again))
     return tuple(sorted(out, key=lambda e: -e.closes_rms))
 
 

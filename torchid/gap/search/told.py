@@ -31,6 +31,7 @@ from torchid.gap.search.evidence import (
 )
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.planting import planted
+from torchid.gap.search.replication import replication
 from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term
 from torchid.robot.inertia import InertialParameters
@@ -111,10 +112,14 @@ def told(found: Explanation) -> Told:
         one_of = sure < LIKELY and bool(names) and how_sure([rise]) >= LIKELY
         if one_of:
             sure = how_sure([rise])
-        if not term.inertial:
+        # What happened once lies in one block, and no other can speak for it.
+        if not (term.inertial or any(e.event for e in term.effects)):
             searched = term.name not in common_names(fit.terms, question.joints)
             looks = question.looks if searched else 1.0
             sure = min(sure, determined(found.solution, fixed + k, looks))
+        repeated = replication(found.solution, fixed + k, question.candidates.columns.samples)
+        if repeated is not None and 2 * repeated.repeats < repeated.asked:
+            sure = min(sure, repeated.repeats / repeated.asked)  # a law is so in every motion
         if sure < LIKELY:
             unsure.append((sure, term))
         rivals += [(r, term, other) for r, other in others if r > -2 * math.log(ODDS)]
@@ -135,6 +140,7 @@ def told(found: Explanation) -> Told:
                 p_value=p,
                 how_sure=sure,
                 one_of_a_set=one_of,
+                replication=repeated,
                 share=share,
                 first=first,
                 notes=_notes(found, term, own[0], values, std),
