@@ -27,6 +27,9 @@ from torchid.simulation.sensors import Sensors, measured_log
         (("--save-model", "nowhere/robot.yaml"), ("--save-model", "folder")),
         (("--json", "nowhere/gap.json"), ("nowhere",)),
         (("--view", "gap.bag"), ("FILE.mcap", "FILE.rrd")),
+        (("--save-model", "corrected.txt"), ("--save-model", "corrected.txt", ".yaml")),
+        (("--columns", ""), ("--columns", "nothing")),
+        (("--topic", " "), ("--topic", "nothing")),
     ],
 )
 def test_bad_options(command, folder, arguments, words):

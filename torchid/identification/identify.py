@@ -266,10 +266,11 @@ def refuse_useless(fitted: Sequence[Prediction], condition: float, log: Log) -> 
     )
 
 
-def _dependence(estimate: "_Estimate") -> tuple[float, float]:
-    """Rows that count as one, and Student's quantile over the normal one."""
-    found = estimate.uncertainty
-    return found.correlation_seconds * estimate.rows.per_second, found.quantile() / HALF_95
+def _dependence(estimate: "_Estimate") -> tuple[float, float, float]:
+    """Rows, those that count as one, and Student's quantile over the normal one."""
+    found, rows = estimate.uncertainty, estimate.rows
+    count = rows.seconds * rows.per_second * len(rows.whitening)
+    return count, found.correlation_seconds * rows.per_second, found.quantile() / HALF_95
 
 
 def _known_before(

@@ -16,10 +16,10 @@ from torchid.statistics.proportion import HALF_95
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Int, Tensor
 
-BETWEEN = 0.1
+BETWEEN = 0.05
 """Standard deviation of friction from one session of an arm to the next, as a share of it, where no
 sessions tell it [1]: with the temperature of the grease viscous friction changes by 2 to 10 % a
-day (docs/fleet.md), by more from a cold start."""
+day (docs/fleet.md)."""
 
 CHANGING = ("speed", "sign", "hysteresis")
 """Families of effects that temperature changes."""
@@ -125,6 +125,7 @@ def learned(
 def fit_root(
     covariance: Float[Tensor, "B B"],
     factor: Float[Tensor, "C C"],
+    rows: float,
     correlation: float,
     wide: float,
 ) -> Float[Tensor, "D B"]:
@@ -133,6 +134,7 @@ def fit_root(
     Args:
         covariance: (B, B), from the spread of blocks; 0 of what was not estimated.
         factor: (B + 1, B + 1) R of the weighted rows, the target last.
+        rows: how many they are.
         correlation: rows that count as one, of the residual.
         wide: Student's quantile over the normal one: of few blocks.
     """
@@ -141,11 +143,12 @@ def fit_root(
     if not len(free):
         return out
     root = torch.linalg.qr(factor[:, free], mode="r").R
-    # What independent rows would leave of the covariance is the identity there.
+    # What independent rows would leave of the covariance is their variance there.
+    variance = float(factor[-1, -1].square()) / max(rows - len(free), 1.0)
     spread, mixed = torch.linalg.eigh(root @ covariance[free][:, free] @ root.T * wide**2)
     out = covariance.new_zeros(len(free), len(covariance))
-    rows = (mixed.T @ root) / spread.clamp(min=max(1.0, correlation)).sqrt().unsqueeze(1)
-    out[:, free] = rows
+    least = variance * max(1.0, correlation)
+    out[:, free] = (mixed.T @ root) / spread.clamp(min=max(least, 1e-300)).sqrt().unsqueeze(1)
     return out
 
 

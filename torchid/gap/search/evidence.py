@@ -465,7 +465,8 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
         held.append(h)
         pulls.append(b)
     # Each batch at once: squares, pulls and what is held of the candidates' columns.
-    present = {t.key for t in fit.terms if t.effects} | question.barred
+    # What the model leaves open of its own effects is no change of these.
+    present = {t.key for t in fit.terms if t.effects and t.information is None} | question.barred
     out: list[Offer] = []
     for batch in question.candidates.batches:
         if places is not None and batch.place not in places:
