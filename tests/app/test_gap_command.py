@@ -123,21 +123,26 @@ def test_friction_is_found_and_the_saved_model_has_it(command, runs, tmp_path, t
     ("files", "options", "words"),
     [
         (("short",), (), ("too short",)),
-        (("a", "slow"), (), ("rate", "200", "100")),
-        (("a",), ("--held-out", "slow"), ("rate", "200", "100")),
         (("a",), ("--effects", "coulomb_friction,nonsense"), ("nonsense", "available")),
         (("a",), ("--cutoff", "95"), ("cut-off", "95")),
         (("missing",), (), ("missing.csv",)),
     ],
 )
 def test_logs_that_cannot_be_used(command, runs, files, options, words):
-    given = [str(runs / "slow.csv") if o == "slow" else o for o in options]
-    done = command("gap", "3r", *(runs / f"{f}.csv" for f in files), *given)
+    done = command("gap", "3r", *(runs / f"{f}.csv" for f in files), *options)
     assert done.code == 1
     assert done.err.startswith("error: ")
     assert done.err.count("error: ") == 1
     for word in words:
         assert word in done.err, done.err
+
+
+@pytest.mark.parametrize("held_out", [False, True])
+def test_logs_of_two_rates_are_resampled_to_the_lower(command, runs, held_out):
+    given = ("--held-out", runs / "slow.csv") if held_out else (runs / "slow.csv",)
+    done = command("gap", "3r", runs / "a.csv", *given, *FEW)
+    assert done.code == 0, done.err
+    assert "resampled to 100 Hz" in " ".join(done.out.split())
 
 
 def test_a_log_of_another_arm(command, runs):

@@ -291,10 +291,11 @@ def test_a_log_held_out_twice_is_refused():
         )  # fmt: skip
 
 
-def test_another_rate_held_out_is_refused():
+def test_a_held_out_log_of_another_rate_is_resampled():
     slow = logged(ROBOT, (5,)).select(torch.arange(2501) % 2 == 0)
-    with pytest.raises(LogError, match="rate"):
-        diagnose(ROBOT, logged(ROBOT), held_out=slow, settings=QUICK)
+    found = diagnose(ROBOT, logged(ROBOT), held_out=slow, settings=QUICK)
+    assert found.status == "no_gap"
+    assert any("resampled to" in w for w in found.warnings)
 
 
 def test_progress_is_told_to_the_end():

@@ -380,6 +380,9 @@ def test_two_trajectories_of_a_log_are_that_log(tmp_path) -> None:
     assert torch.equal(one.q, two.q)
     assert torch.equal(one.trajectory, two.trajectory)
     found = [diagnosed(ROBOT, x, quick("coulomb_friction"))["which"] for x in (one, two)]
+    for entry in (*found[0], *found[1]):  # files are called otherwise
+        for motion in entry["replication"]["motions"]:
+            del motion["trajectory"]
     assert found[0] == found[1]
 
 
