@@ -8,7 +8,7 @@ from torch.testing import assert_close
 
 import torchid
 from torchid.effects.registry import on_every_joint
-from torchid.errors import IdentificationError
+from torchid.errors import IdentificationError, TorchidError
 from torchid.export.dynamics import of_base
 from torchid.identification.base_parameters import base_parameters, nominal_values
 from torchid.identification.identify import identify
@@ -20,9 +20,10 @@ from torchid.identification.knowledge import (
     pooled,
     robust_root,
 )
+from torchid.identification.payload import payload, with_payload
 from torchid.identification.result import Identification
 from torchid.identification.settings import Settings
-from torchid.identification.values import identified_base
+from torchid.identification.values import identified_base, nominal_base
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
@@ -32,14 +33,14 @@ EFFECTS = ("viscous_friction", "coulomb_friction")
 SETTINGS = Settings(effects=EFFECTS, cutoff=8.0, method="ols")
 
 
-def session(seed: int, seconds: float = 20.0, noise: float = 0.05) -> Log:
+def session(seed: int, seconds: float = 20.0, noise: float = 0.05, robot: Robot = ROBOT) -> Log:
     g = torch.Generator().manual_seed(seed)
     t = torch.arange(int(100 * seconds), dtype=torch.float64) / 100
     w = 0.8 + 3 * torch.rand(3, generator=g, dtype=torch.float64)
     phase = 6 * torch.rand(3, generator=g, dtype=torch.float64)
     angle = t[:, None] * w + phase
     q, dq, ddq = angle.sin(), w * angle.cos(), -w * w * angle.sin()
-    tau = torchid.inverse_dynamics(ROBOT, q, dq, ddq) + 0.5 * dq + 0.3 * torch.sign(dq)
+    tau = torchid.inverse_dynamics(robot, q, dq, ddq) + 0.5 * dq + 0.3 * torch.sign(dq)
     return Log(t, q, dq=dq, tau=tau + noise * torch.randn(tau.shape, generator=g).double())
 
 
@@ -118,6 +119,45 @@ def test_what_is_known_is_written_and_read(tmp_path) -> None:
     assert_close(robot.knowledge.information, found.knowledge.information)
     read = torchid.load(tmp_path / "identification.json")
     assert read.knowledge["sources"] == list(found.knowledge.sources)
+
+
+def test_base_parameters_of_a_model_that_knows_are_as_sure_as_it_is() -> None:
+    found = identify(ROBOT, session(1), settings=replace(SETTINGS, basis="report"))
+    model = known_after(found)
+    own = nominal_base(replace(model, basis="report"))
+    assert own.base.names == found.base.names
+    assert_close(own.values, found.values, rtol=1e-6, atol=1e-8)
+    assert own.covariance is not None
+    assert own.factor is not None
+    ratio = own.covariance.diagonal().sqrt() / found.std
+    assert float(ratio.min()) > 0.9  # fewer blocks than independent samples are never surer
+    # The factor is the distance from what is known, which is zero there.
+    b = len(own.base)
+    left = own.factor[:b, :b] @ own.values - own.factor[:b, b]
+    assert float(left.norm()) < 1e-6 * float(own.factor[:b, b].norm())
+    assert nominal_base(ROBOT).covariance is None
+    problem, _ = torchid.problem_of(
+        replace(model, basis="report"), own, loss="one-step", bounds="none"
+    )
+    assert problem.size > 0
+
+
+BOX = torch.tensor([1.5, 0.06, 0.0, 0.03, 0.01, 0.0, 0.0, 0.012, 0.0, 0.011], dtype=torch.float64)
+
+
+@pytest.mark.parametrize("with_empty", [True, False])
+def test_a_payload_is_what_a_known_arm_has_more(with_empty: bool) -> None:
+    """What is known is of the arm without payload, and never of that with it."""
+    known = known_after(identify(ROBOT, session(1, 40.0), settings=SETTINGS))
+    loaded = session(2, 40.0, robot=with_payload(ROBOT, BOX))
+    empty = session(3, 40.0) if with_empty else None
+    found = payload(known, empty, loaded, settings=SETTINGS)
+    mass = found.link.mass
+    assert float(mass.low) < 1.5 < float(mass.high)
+    assert 3 * float(mass.std) < 1.5
+    assert not found.unexplained
+    with pytest.raises(TorchidError, match="without payload is not known"):
+        payload(ROBOT, None, loaded, settings=SETTINGS)
 
 
 def test_blocks_that_agree_by_chance_know_no_more_than_independent_samples() -> None:

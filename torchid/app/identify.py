@@ -1,6 +1,7 @@
 """`torchid identify`, `torchid payload`: base parameters from logs, and what the last link
 carries."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -99,10 +100,17 @@ def identify_command(
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Empty(opt.ArmAndLogs):
+    """Robot, and logs without payload, which a model that knows how sure it is goes without."""
+
+    logs: Annotated[list[Path] | None, opt.LOGS] = None  # type: ignore[assignment]
+
+
 @command
 def payload_command(
     *,
-    arm: opt.ArmAndLogs,
+    arm: _Empty,
     loaded: Annotated[list[Path], typer.Option(metavar="LOG")],
     model: Literal["general", "symmetric", "point_mass"] = "general",
     settings: Annotated[
@@ -120,7 +128,8 @@ def payload_command(
 ) -> None:
     """Estimate mass, centre of mass and inertia of what the last link carries.
 
-    LOG... are without the payload, --loaded with it, best on the same trajectories.
+    LOG... are without the payload, --loaded with it, best on the same trajectories. A robot whose
+    model was fitted to logs without payload, and says how sure it is, needs none.
 
     Example: `torchid payload panda.yaml empty1.parquet empty2.parquet --loaded full1.parquet
     --loaded full2.parquet --out result`
@@ -135,7 +144,8 @@ def payload_command(
     from torchid.report.identification import payload_shown
 
     found = arm.load()
-    empty, full = arm.read(arm.logs, found), arm.read(loaded, found)
+    empty = arm.read(arm.logs, found) if arm.logs else None
+    full = arm.read(loaded, found)
     with output.progress() as progress:
         carried = torchid.payload(
             found, empty, full, model=model, settings=settings, device=device_name,

@@ -5,18 +5,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
+from msgspec import structs
 
 from torchid.design.motion import Measurement, fast_speed, measurements, no_torque, timed
 from torchid.effects.base import Effect
-from torchid.effects.registry import nominal_effects
 from torchid.errors import IdentificationError, LogError
 from torchid.identification.asked import Asked, asked_effects, search_shapes
-from torchid.identification.base_parameters import BaseParameters, base_parameters
+from torchid.identification.base_parameters import base_parameters
 from torchid.identification.knowledge import (
-    between_sessions,
     fit_root,
-    known_names,
-    of_base_parameters,
+    inflation,
+    known_before,
     over_parameters,
     pooled,
 )
@@ -37,6 +36,7 @@ from torchid.identification.validation import (
     Prediction,
     errors,
     model_torque,
+    moving_rms,
     pieces,
     predict,
 )
@@ -161,8 +161,9 @@ def identify(
     covariance = estimate.uncertainty.covariance[order][:, order]
     factor = estimate.fit.factor[:, torch.cat([order, order.new_tensor([len(base)])])]
     free, undetermined = (m[order] for m in (estimate.fit.free, estimate.fit.undetermined))
+    rows = structs.replace(estimate.rows, inflation=inflation(covariance, factor))
     root = fit_root(covariance, factor, *_dependence(estimate))
-    before = _known_before(robot, base, effects)
+    before = known_before(robot, base, effects)
     if before is not None:
         # What earlier sessions know counts as these rows do.
         held = ~(free | undetermined)
@@ -170,7 +171,6 @@ def identify(
         covariance, free = covariance * ~held * ~held.unsqueeze(1), free & ~held
         undetermined &= ~free
         root = torch.cat([before[0], root])
-    knowledge = over_parameters(root, base, effects, ", ".join(training.log.names))
     shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
     apart: list[Measurement] = []
     if kept_back is not None:
@@ -190,6 +190,12 @@ def identify(
 
     if not settings.force:
         refuse_useless(fitted, condition, training.log)
+    knowledge = over_parameters(root, base, effects, ", ".join(training.log.names))
+    knowledge = replace(knowledge, left=moving_rms(fitted))
+    if robot.knowledge is not None:
+        # The rows hold what was known before; sources and the rest are put together.
+        both = robot.knowledge.plus(knowledge)
+        knowledge = replace(both, coefficients=knowledge.coefficients, root=knowledge.root)
 
     def named(mask: Tensor) -> tuple[str, ...]:
         hits = mask[order].tolist()
@@ -207,7 +213,7 @@ def identify(
         values=values,
         covariance=covariance,
         factor=factor,
-        rows=estimate.rows,
+        rows=rows,
         free=free,
         bounded=named(estimate.fit.bounded),
         undetermined=tuple(n for n, k in zip(base.names, undetermined.tolist(), strict=True) if k),
@@ -224,7 +230,7 @@ def identify(
         reversal=reversal,
         uncertainty=estimate.uncertainty,
         settings=settings,
-        knowledge=replace(knowledge, sources=(*_sources(robot), *knowledge.sources)),
+        knowledge=knowledge,
         warnings=(
             *robot.warnings,
             *noticed,
@@ -271,29 +277,6 @@ def _dependence(estimate: "_Estimate") -> tuple[float, float, float]:
     found, rows = estimate.uncertainty, estimate.rows
     count = rows.seconds * rows.per_second * len(rows.whitening)
     return count, found.correlation_seconds * rows.per_second, found.quantile() / HALF_95
-
-
-def _known_before(
-    robot: Robot, base: BaseParameters, effects: Sequence[Effect]
-) -> tuple[Float[Tensor, "R B"], Float[Tensor, " B"]] | None:
-    """A root over base parameters of what is known of the robot's model on another day, and its
-    values; None where the model does not say."""
-    if robot.knowledge is None or robot.parameters is None:
-        return None
-    known = robot.knowledge.aged(between_sessions(robot))
-    own = {
-        name: v
-        for e, vs in nominal_effects(robot)
-        for name, v in zip(known_names(e), vs, strict=True)
-    }
-    coefficients = [own.get(name, 0.0) for e in effects for name in known_names(e)]
-    rigid = robot.parameters.to_paper_order().double()
-    expected = base.project(torch.cat([rigid, rigid.new_tensor(coefficients)]))
-    return of_base_parameters(known, base, effects), expected
-
-
-def _sources(robot: Robot) -> tuple[str, ...]:
-    return () if robot.knowledge is None else robot.knowledge.sources
 
 
 def _training(robot: Robot, log: Log, effects: Sequence[Effect], settings: Settings) -> Training:

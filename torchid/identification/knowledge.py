@@ -31,7 +31,8 @@ def known_names(effect: Effect) -> list[str]:
 
 
 def between_sessions(robot: Robot, share: float = BETWEEN) -> dict[str, float]:
-    """Variances, by name, by which coefficients of friction change between sessions by themselves.
+    """Variances, by name, by which coefficients change between sessions by themselves: as several
+    sessions have shown them, or else, of friction, a usual share.
 
     Args:
         robot: with its effects.
@@ -42,7 +43,8 @@ def between_sessions(robot: Robot, share: float = BETWEEN) -> dict[str, float]:
         if KINDS[effect.name].family in CHANGING:
             pairs = zip(known_names(effect), values, strict=True)
             out |= {name: (share * value) ** 2 for name, value in pairs}
-    return out
+    seen = {} if robot.knowledge is None else robot.knowledge.between
+    return out | {name: std**2 for name, std in seen.items()}
 
 
 def of_links(root: Float[Tensor, "R C"], base: BaseParameters, n: int) -> Float[Tensor, "R M"]:
@@ -118,7 +120,8 @@ def learned(
     weight = huber_weights(left) * unit.unsqueeze(1)
     table = (a * weight).flatten(1).T
     root = robust_root(table, (left * weight).flatten(), block.repeat(n))
-    known = Knowledge(n, tuple(names), of_links(root, base, n), (source,))
+    rms = (left.square().sum(1) / keep.sum(1).clamp(min=1)).sqrt()
+    known = Knowledge(n, tuple(names), of_links(root, base, n), (source,), rms)
     return known.over([names[k] for k in once]) if len(once) < len(names) else known
 
 
@@ -152,6 +155,27 @@ def fit_root(
     return out
 
 
+def inflation(
+    covariance: Float[Tensor, "B B"], factor: Float[Tensor, "C C"]
+) -> Float[Tensor, " B"]:
+    """Standard deviations of a fit over those of rows with independent errors of unit size; where
+    nothing was estimated, the median of the others.
+
+    Args:
+        covariance, factor: as for `fit_root`.
+    """
+    std = covariance.diagonal().clamp(min=0).sqrt()
+    free = (std > 0).nonzero().flatten()
+    if not len(free):
+        return torch.ones_like(std)
+    root = torch.linalg.qr(factor[:, free], mode="r").R
+    inverse = torch.linalg.solve_triangular(root, torch.eye(len(free)).to(root), upper=True)
+    ratio = std[free] / torch.linalg.vector_norm(inverse, dim=1)
+    out = torch.full_like(std, float(ratio.median()))
+    out[free] = ratio
+    return out
+
+
 def over_parameters(
     root: Float[Tensor, "D B"], base: BaseParameters, effects: Sequence[Effect], source: str
 ) -> Knowledge:
@@ -174,6 +198,31 @@ def of_base_parameters(
     # Parameters in the paper's order, of which the independent ones alone change.
     links = root[:, : known.rigid][:, paper_order(n)]
     return torch.cat([links, root[:, known.rigid :]], 1)[:, list(base.independent)]
+
+
+def known_before(
+    robot: Robot, base: BaseParameters, effects: Sequence[Effect], *, later: bool = True
+) -> tuple[Float[Tensor, "R B"], Float[Tensor, " B"]] | None:
+    """What is known of a robot's model: a root over base parameters, and their values. None where
+    the model does not say how sure it is.
+
+    Args:
+        robot: with its knowledge.
+        base, effects: which base parameters.
+        later: on the day of another session; else on that of the last one.
+    """
+    if robot.knowledge is None or robot.parameters is None:
+        return None
+    known = robot.knowledge.aged(between_sessions(robot)) if later else robot.knowledge
+    own = {
+        name: v
+        for e, vs in nominal_effects(robot)
+        for name, v in zip(known_names(e), vs, strict=True)
+    }
+    coefficients = [own.get(name, 0.0) for e in effects for name in known_names(e)]
+    rigid = robot.parameters.to_paper_order().double()
+    expected = base.project(torch.cat([rigid, rigid.new_tensor(coefficients)]))
+    return of_base_parameters(known, base, effects), expected
 
 
 def pooled(

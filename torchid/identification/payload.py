@@ -29,6 +29,7 @@ from torchid.identification.payload_fit import (
 )
 from torchid.identification.result import Identification
 from torchid.identification.settings import Settings
+from torchid.identification.values import known_values
 from torchid.log.model import Log
 from torchid.results.record import Part, Real, Record, Result, Rows
 from torchid.robot.inertia import InertialParameters, move
@@ -285,7 +286,7 @@ _SAME = 1e-6
 
 def payload(
     robot: Robot,
-    empty: Log,
+    empty: Log | None,
     loaded: Log,
     *,
     model: Model = "general",
@@ -297,8 +298,10 @@ def payload(
     it, best on the same trajectories.
 
     Args:
-        robot: kinematics, gravity and tool; nominal parameters are not needed.
-        empty: without the payload; one or several trajectories.
+        robot: kinematics, gravity and tool; nominal parameters are not needed. What its model knows
+            of itself is of the arm without the payload, and counts beside the logs without it.
+        empty: without the payload, one or several trajectories; None for what the model knows
+            alone.
         loaded: with it.
         model: `general` (ten parameters), `symmetric` about the tool's z axis, or `point_mass`.
         settings: of both identifications; the defaults with rows="moving" if None: at rest
@@ -311,7 +314,8 @@ def payload(
     Raises:
         LogError: logs that do not fit the robot or cannot be used.
         IdentificationError: a motion that does not tell parameters apart.
-        TorchidError: an unknown model, or nothing left to estimate from.
+        TorchidError: an unknown model, nothing left to estimate from, or no log without payload of
+            a robot whose model does not say how sure it is.
 
     >>> import torch, torchid
     >>> robot = torchid.load_robot("3r")
@@ -323,9 +327,24 @@ def payload(
     True
     """
     settings = settings or Settings(rows="moving")
+    # The arm with the payload is another one than the one that is known.
+    unknown = replace(robot, knowledge=None)
+    if empty is None:
+        if robot.knowledge is None:
+            raise TorchidError(
+                "the arm without payload is not known.",
+                got=f"no log without payload, and '{robot.name}', whose model does not say how "
+                "sure it is",
+                expected="logs without payload, or a model that `torchid gap --save-model` or "
+                "`torchid export` wrote from such logs",
+            )
+        carrying = identify(unknown, loaded, settings=settings, device=device, progress=progress)
+        found = payload_beside_model(robot, carrying, model=model)
+        said = dict.fromkeys([*carrying.warnings, *found.warnings])
+        return replace(found, cutoff=carrying.cutoff, warnings=tuple(said))
     without = identify(robot, empty, settings=settings, device=device, progress=progress)
     same = replace(settings, cutoff=without.cutoff)
-    carrying = identify(robot, loaded, settings=same, device=device, progress=progress)
+    carrying = identify(unknown, loaded, settings=same, device=device, progress=progress)
     found = estimate_payload(without, carrying, model=model)
     noticed = dict.fromkeys(
         [
@@ -379,6 +398,35 @@ def estimate_payload(
         model=model,
         estimated=estimated,
         nominal=_nominal(unloaded, estimated) + _nominal(loaded, estimated),
+    )
+
+
+def payload_beside_model(
+    robot: Robot, loaded: Identification, *, model: Model = "general"
+) -> Payload:
+    """The payload that turns a known model into an identification.
+
+    Args:
+        robot: whose model says how sure it is, on another day.
+        loaded: of the same robot with the payload.
+        model: see `Payload`.
+
+    Raises:
+        TorchidError: nothing to estimate from, or a model that does not say how sure it is.
+    """
+    known = known_values(robot, loaded.base, loaded.effects)
+    if known is None or known.covariance is None:
+        raise TorchidError(f"the model of '{robot.name}' does not say how sure it is.")
+    estimated = known.known & loaded.free
+    return payload_from_change(
+        robot,
+        loaded.base,
+        loaded.values - known.values,
+        known.covariance + loaded.covariance,
+        float(max(1, loaded.uncertainty.blocks - 1)),
+        model=model,
+        estimated=estimated,
+        nominal=known.covariance + _nominal(loaded, estimated),
     )
 
 

@@ -91,11 +91,14 @@ class FittedRows(Part, frozen=True):
         seconds: length of the log that was fitted.
         per_second: instants a second, after the filter and decimation.
         whitening: (n, n) upper triangular, of the rows of the joints [1/(N m); 1/N].
+        inflation: (B,) of each base parameter the standard deviation that this log alone gives over
+            that of rows with independent errors; None in older files.
     """
 
     seconds: float
     per_second: float
     whitening: Annotated[Float[Tensor, "n n"], FINITE]
+    inflation: Float[Tensor, " B"] | None = None
 
 
 class StatisticsRecord(Part, frozen=True, kw_only=True):

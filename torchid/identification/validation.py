@@ -202,5 +202,12 @@ def errors(predictions: Sequence[Prediction]) -> Errors:
     )
 
 
+def moving_rms(predictions: Sequence[Prediction]) -> Float[Tensor, " n"]:
+    """RMS error (n,) over the rows in which the joints move, of whole trajectories together
+    [N m; N]."""
+    total = reduce(add, (p.sums for p in predictions))
+    return (total.moving_error / total.moving.clamp(min=1)).sqrt()
+
+
 def _squares(x: Samples) -> Float[Tensor, " n"]:
     return x.square().sum(0)

@@ -16,6 +16,12 @@ from torchid.effects.registry import (
 )
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters, base_parameters, nominal_values
+from torchid.identification.knowledge import (
+    inflation,
+    known_before,
+    of_base_parameters,
+    pooled,
+)
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
 from torchid.results.files import read_as
@@ -32,7 +38,7 @@ class BaseValues:
         base, effects: which they are.
         values: (B,).
         known: (B,) those that the log determined.
-        covariance: (B, B), or None where the values are exact.
+        covariance: (B, B), 0 of those that are not known; or None where the values are exact.
         factor: (B + 1, B + 1) of the fit, or None where there was none.
         knowledge: of links and coefficients, as a robot has it.
     """
@@ -83,15 +89,43 @@ def plain_effects(effects: Sequence[Effect], what: str) -> tuple[JointEffect, ..
 
 
 def nominal_base(robot: Robot) -> BaseValues:
-    """The base parameters of the robot's nominal parameters and effects, exact.
+    """The base parameters of the robot's nominal parameters and effects: as sure as its model says
+    that they are, exact where it does not say.
 
     Raises:
         RobotError: the robot has no nominal parameters.
     """
     effects = tuple(effect for effect, _ in nominal_columns(robot))
     base = base_parameters(robot, effects)
+    found = known_values(robot, base, effects, later=False)
+    if found is not None:
+        return found
     known = torch.ones(len(base), dtype=torch.bool)
     return BaseValues(base, effects, nominal_values(robot, base), known, None, None)
+
+
+def known_values(
+    robot: Robot, base: BaseParameters, effects: Sequence[Effect], *, later: bool = True
+) -> BaseValues | None:
+    """Base parameters of a model that says how sure it is; None of another.
+
+    Their factor is that of rows which nobody measured: the distance of other values from these, in
+    the metric of what is known.
+
+    Args:
+        robot: with its knowledge.
+        base, effects: which base parameters.
+        later: on the day of another session; else on that of the last one.
+    """
+    found = known_before(robot, base, effects, later=later)
+    if found is None:
+        return None
+    root, expected = found
+    values, covariance, known = pooled(root, expected, root[:0], expected)
+    rows = torch.cat([root, root @ expected.unsqueeze(1)], 1)
+    factor = torch.linalg.qr(torch.cat([rows, rows.new_zeros(rows.shape[1], rows.shape[1])])).R
+    values = torch.where(known, values, expected)
+    return BaseValues(base, tuple(effects), values, known, covariance, factor, robot.knowledge)
 
 
 def identified_base(result: Identification) -> BaseValues:
@@ -184,7 +218,8 @@ class Prior:
         base, effects, values: its base parameters (B,).
         known: (B,) those that the log determined.
         std: (B,) standard deviations; 0 where held or unknown.
-        information: (B, B) R'R of the weighted rows.
+        information: (B, B) of all that is known, in units of rows with independent errors: R'R of
+            the weighted rows of a first log.
         inflation: (B,) standard deviation over that of white residuals; where nothing was
             estimated, the median of the others.
         whitening: (n, n) weights of the joints' rows.
@@ -219,22 +254,22 @@ def prior_of(result: IdentificationRecord, robot: Robot, source: str) -> Prior:
             f"'{source}' does not say how its rows were weighted.",
             hint="write it again: torchid identify ROBOT LOG... --json FILE",
         )
-    r = result.factor[:, :-1]
-    std = result.covariance.diagonal().clamp(min=0).sqrt()
-    free = (std > 0).nonzero().flatten()
-    root = torch.linalg.qr(r[:, free], mode="r").R
-    inverse = torch.linalg.solve_triangular(root, torch.eye(len(free)).to(root), upper=True)
-    ratio = std[free] / torch.linalg.vector_norm(inverse, dim=1)
-    inflation = torch.full_like(std, float(ratio.median()) if len(free) else 1.0)
-    inflation[free] = ratio
+    r, std = result.factor[:, :-1], result.covariance.diagonal().clamp(min=0).sqrt()
+    wider = result.rows.inflation
+    if wider is None or found.knowledge is None:  # of an older torchid: of this log alone
+        wider, information = inflation(result.covariance, result.factor), r.T @ r
+    else:
+        # What all sessions know, in units of rows with independent errors.
+        root = of_base_parameters(found.knowledge, found.base, found.effects) * wider
+        information = root.T @ root
     return Prior(
         found.base,
         plain_effects(found.effects, "the design of the next motion"),
         found.values,
         found.known,
         std,
-        r.T @ r,
-        inflation,
+        information,
+        wider,
         result.rows.whitening,
         result.rows.per_second,
     )

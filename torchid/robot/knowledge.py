@@ -8,7 +8,7 @@ of parameters which leave all of these as they are have no information and stay 
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
@@ -18,8 +18,9 @@ from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.yaml_values import known, numbers
 from torchid.typing import Float, Tensor
 
-KEYS = ("sources", "coefficients", "rows")
-"""Of the yaml; `rows` are those of the root, numbers in a text each."""
+KEYS = ("sources", "coefficients", "rows", "left", "between_sessions")
+"""Of the yaml; `rows` are those of the root, numbers in a text each, and so is `left`;
+`between_sessions` has a text a coefficient, its name and a number."""
 
 NOTHING = 1e-10
 """Singular value, columns of length one, below which a direction is not known: rounding."""
@@ -35,6 +36,10 @@ class Knowledge:
         root: (R, 10 n + K) rows; root' root is the inverse covariance, in the parameters' own
             units. A square root keeps the digits that the product would lose (Bierman 1977).
         sources: where it comes from, e.g. `run1`.
+        left: (n,) torque that the model was seen to leave unexplained, RMS [N m; N]; None where
+            nobody looked.
+        between: standard deviations by which coefficients change from session to session by
+            themselves, as several sessions have shown them, in their units.
 
     Raises:
         RobotError: rows of another length.
@@ -49,6 +54,8 @@ class Knowledge:
     coefficients: tuple[str, ...]
     root: Float[Tensor, "R M"]
     sources: tuple[str, ...] = ()
+    left: Float[Tensor, " n"] | None = None
+    between: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         root = self.root.double()
@@ -134,8 +141,12 @@ class Knowledge:
         """What both know together: their information adds up, coefficients of either are there."""
         names = tuple(dict.fromkeys([*self.coefficients, *other.coefficients]))
         rows = torch.cat([self.over(names).root, other.over(names).root])
-        sources = tuple(dict.fromkeys([*self.sources, *other.sources]))
-        return Knowledge(self.links, names, rows, sources)
+        sources = (*self.sources, *other.sources)
+        # The most that was left in any session: an easy motion shows less of what a model lacks.
+        known = [k.left for k in (self, other) if k.left is not None]
+        left = torch.stack(known).amax(0) if known else None
+        between = {**self.between, **other.between}
+        return Knowledge(self.links, names, rows, sources, left, between)
 
     def _eliminated(self, gone: Sequence[int]) -> Float[Tensor, "R M"]:
         """The root of what is known of the others, whatever these are; their columns are zero."""
@@ -159,13 +170,18 @@ def coefficient_keys(effect: str, names: Sequence[str]) -> list[str]:
     return [f"{effect} {name}" for name in names]
 
 
-def to_mapping(knowledge: Knowledge) -> dict[str, Any]:
+def to_mapping(knowledge: Knowledge) -> dict[str, list[str]]:
     """As a robot's yaml has it."""
-    return {
+    out = {
         "sources": list(knowledge.sources),
         "coefficients": list(knowledge.coefficients),
         "rows": [" ".join(map(repr, row)) for row in knowledge.root.tolist()],
     }
+    if knowledge.left is not None:
+        out["left"] = [repr(x) for x in knowledge.left.tolist()]
+    if knowledge.between:
+        out["between_sessions"] = [f"{name} {std!r}" for name, std in knowledge.between.items()]
+    return out
 
 
 def from_mapping(data: Any, n: int, source: str) -> Knowledge:
@@ -187,7 +203,16 @@ def from_mapping(data: Any, n: int, source: str) -> Knowledge:
     size = n * PARAMETERS_PER_LINK + len(names)
     rows = [[_number(x, f"{where}.rows") for x in row.split()] for row in texts["rows"]]
     root = numbers(rows, (len(rows), size), f"{where}.rows") if rows else torch.zeros(0, size)
-    return Knowledge(n, names, root, tuple(texts["sources"]))
+    left = [_number(x, f"{where}.left") for x in texts["left"]]
+    pairs = [text.rsplit(" ", 1) for text in texts["between_sessions"]]
+    return Knowledge(
+        n,
+        names,
+        root,
+        tuple(texts["sources"]),
+        numbers(left, (n,), f"{where}.left") if left else None,
+        {name: _number(x, f"{where}.between_sessions") for name, *rest in pairs for x in rest},
+    )
 
 
 def _number(text: str, where: str) -> float:

@@ -95,6 +95,8 @@ class Question:
         rows: columns of terms that were in a model, as samples.
         seen: directions of terms that were looked at.
         barred: causes that are not offered, by their keys.
+        left: (n,) torque that the model has been seen to leave unexplained, RMS [N m; N]; None
+            where that is not known.
     """
 
     candidates: Candidates
@@ -103,6 +105,7 @@ class Question:
     rows: dict[int, Tensor] = field(default_factory=dict, repr=False)
     seen: dict[int, int] = field(default_factory=dict, repr=False)
     barred: frozenset[object] = frozenset()
+    left: Float[Tensor, " n"] | None = None
 
     @property
     def fixed(self) -> tuple[Term, ...]:
@@ -134,10 +137,14 @@ class Question:
         """Torque (n,) from which on a cause is worth a name [N m; N], where the error without it is
         so large, as a mean square."""
         # The larger of a share of the gap and a share of the torque.
-        gap = self.settings.worthwhile * error.clamp(min=0).sqrt()
-        return torch.maximum(gap, self.settings.worthwhile_torque * self.torque.sqrt()).clamp(
-            min=1e-300
-        )
+        root = error.clamp(min=0).sqrt()
+        gap = self.settings.worthwhile * root
+        least = torch.maximum(gap, self.settings.worthwhile_torque * self.torque.sqrt())
+        if self.left is not None:
+            # By so much the error falls with a cause that is as large as what the model has left
+            # unexplained before; one that is smaller may be a part of that.
+            least = torch.maximum(least, root - (error - self.left.square()).clamp(min=0).sqrt())
+        return least.clamp(min=1e-300)
 
     def shows(self, term: Term) -> bool:
         """Whether another sensor, or the torque above the fit's band, shows as much of a cause as

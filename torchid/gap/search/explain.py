@@ -99,7 +99,8 @@ def explained(
         """Candidates at a model, for the gap of the model as given."""
         candidates = candidates_of(columns, gap, data, wanted, parts, model.effects, extra)
         normal = candidates.gram.over()
-        return Question(candidates, normal, settings)
+        left = None if wanted.knowledge is None else wanted.knowledge.left
+        return Question(candidates, normal, settings, left=left)
 
     for attempt in range(PASSES):
         columns = given.at(at) if attempt else given

@@ -1,6 +1,7 @@
 """What was known of a model before a log, and what the log adds to it."""
 
 import math
+from dataclasses import replace
 
 import torch
 
@@ -28,7 +29,9 @@ def after_log(
     links = [t.effects[0].joints[0] for t in found.terms if t.name == LINK]
     if any(t.name == BASE for t in found.terms):
         links = list(range(at.n))
-    return wanted.knowledge.without(changed, links).plus(now)
+    both = wanted.knowledge.without(changed, links).plus(now)
+    # What is named now is not left any more.
+    return replace(both, left=now.left) if found.terms else both
 
 
 def known_of(
