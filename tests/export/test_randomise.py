@@ -249,6 +249,29 @@ def test_older_files_load_and_say_what_they_lack(found: GapRecord, tmp_path: Pat
         randomise(older)
 
 
+def test_a_model_that_says_how_sure_it_is_is_drawn_from_alike(found: GapRecord) -> None:
+    """After any number of sessions, with what all of them leave open."""
+    model = found.corrected
+    assert model is not None
+    assert model.knowledge is not None
+    wide = randomise(model, robot=ROBOT)
+    same = randomise(found, robot=ROBOT)
+    rows = {(r.field, r.name): r for r in wide.ranges}
+    for (field, joint), value in TRUE.items():
+        row, own = (
+            rows[field, joint],
+            next(r for r in same.ranges if (r.field, r.name) == (field, joint)),
+        )
+        assert row.low < value < row.high
+        # The diagnosis holds that the sensor's scale may be wrong, which no session shows.
+        assert row.high - row.low < own.high - own.low
+    assert any("scale of the measured torque" in w for w in wide.warnings)
+    torch.linalg.cholesky(InertialParameters(wide.draws.pi).pseudo_inertia)
+    assert all(b.rms > 0 for b in wide.residual)
+    with pytest.raises(TorchidError, match="does not say how sure it is"):
+        randomise(ROBOT)
+
+
 @pytest.mark.parametrize(
     ("bad", "words"),
     [

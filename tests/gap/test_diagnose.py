@@ -181,7 +181,10 @@ def test_the_corrected_model_has_no_gap():
     again = case("again")
     assert again.status == "no_gap"
     assert again.findings == ()
-    assert nominal_effects(again.corrected) == nominal_effects(corrected)
+    # The same log adds to what is known of the friction, and does not change it.
+    ((effect, again_values),) = nominal_effects(again.corrected)
+    assert effect.name == "coulomb_friction"
+    assert again_values[0] == pytest.approx(values[0], abs=0.002)
 
 
 @pytest.mark.slow

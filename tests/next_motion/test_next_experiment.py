@@ -4,16 +4,20 @@ from dataclasses import replace
 
 import pytest
 import torch
+from msgspec import structs
 
 from torchid.effects.base import Motion
 from torchid.effects.registry import effect_torque
+from torchid.errors import TorchidError
 from torchid.excitation.design import optimise_trajectory
+from torchid.excitation.informed import InformedDesign
 from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.diagnose import diagnose
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.next_motion.ambiguity import open_questions
+from torchid.next_motion.design import excite_for
 from torchid.next_motion.rivals import rivals
 from torchid.next_motion.separating_motion import design_separation
 from torchid.robot.library import load_robot
@@ -65,3 +69,22 @@ def test_what_a_log_could_not_show_is_found_after_the_designed_motion():
     for effect, values in planted:
         assert named[effect.name, effect.joint] == pytest.approx(values[0], rel=0.2)
     assert not {(x.effect, *x.joints) for x in again.not_testable} & set(sizes)
+
+
+def test_a_motion_for_what_a_diagnosis_knows_least() -> None:
+    """By its corrected model, which says how sure it is after this log."""
+    robot = load_robot("3r")
+    still = random_trajectory(robot, 3, fill=True, usage=0.3, harmonics=2, duration=10.0)
+    found = diagnose(
+        replace(robot, parameters=None),
+        driven_twice(robot, still, []),
+        settings=GapSettings(effects=KNOWN, rollout=False),
+    )
+    made = excite_for(found, robot, goal="d_optimal", duration=6.0, restarts=1)
+    assert isinstance(made, InformedDesign)
+    known = made.prior.known
+    assert bool((made.after[known] <= made.before[known] * (1 + 1e-9)).all())
+    assert made.shrinks(made.after) < 0.9
+    older = structs.replace(found.record, corrected=replace(found.corrected, knowledge=None))
+    with pytest.raises(TorchidError, match="how sure the corrected model is"):
+        excite_for(older, robot, goal="d_optimal")

@@ -70,8 +70,9 @@ def export_command(
             several times.
         held_out: Whole trajectories that judge what was refitted.
         randomise: In the place of a file: how wide to randomise the simulator, by the JSON of
-            `torchid gap`. The ranges hold this share, e.g. 0.95, of what the log leaves open;
-            written for MuJoCo, mjlab and Isaac Lab, with draws that are all bodies.
+            `torchid gap` or a model that says how sure it is. The ranges hold this share, e.g.
+            0.95, of what the logs leave open; written for MuJoCo, mjlab and Isaac Lab, with draws
+            that are all bodies.
         spread: JSON of `torchid compare` or `torchid fleet identify`: how far sessions or units of
             the type are apart, for --randomise. May be given several times.
         draws: How many robots --randomise draws.
@@ -87,12 +88,13 @@ def export_command(
         randomisation_shown,
         servos_shown,
     )
+    from torchid.robot.library import is_robot
 
     if randomise is not None:
         if to is not None:
             raise TorchidError("--randomise writes ranges for all simulators.", got=f"--to {to}")
         given = None if robot is None else torchid.load_robot(robot, tip=tip)
-        diagnosed = any_diagnosis(Path(result))
+        diagnosed = opt.load(result, tip) if is_robot(result) else any_diagnosis(Path(result))
         if isinstance(diagnosed, PositionRecord):
             if spread:
                 raise TorchidError("--spread is of logs with torques, and these have commands.")

@@ -31,6 +31,7 @@ from torchid.effects.inertia import BodyEffect, LinkInertia, RotorInertia
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.effects.spring import JointSpring
 from torchid.errors import TorchidError
+from torchid.export.drawn_from import DrawnFrom, of_diagnosis, of_model
 from torchid.export.dynamics import records, states
 from torchid.export.projection import PRICE
 from torchid.export.record import RandomisationRecord, RangeRow, ResidualBand, Share
@@ -160,7 +161,7 @@ class Randomisation(Result):
 
 
 def randomise(
-    found: GapRecord,
+    found: GapRecord | Robot,
     level: float = 0.95,
     *,
     robot: Robot | None = None,
@@ -171,18 +172,19 @@ def randomise(
     """Draws of a diagnosed robot, and the range of each field that holds a share of them.
 
     Args:
-        found: a diagnosis (`torchid.load("gap.json")`, or `diagnosis.record`).
+        found: a diagnosis (`torchid.load("gap.json")`, or `diagnosis.record`), or a robot whose
+            model says how sure it is, after any number of sessions.
         level: share of the draws in each range.
-        robot: as given to the diagnosis, whose bodies the drawn ones are near to; what the
-            diagnosis records if None.
+        robot: whose bodies the drawn ones are near to: as given to the diagnosis; what that
+            records, or the model's own, if None.
         spread: files of `torchid compare` (identifications, diagnoses) or `torchid fleet`: how far
             sessions or units of the type are apart is added to what is not known of this one.
         draws: how many.
         seed: of the draws.
 
     Raises:
-        TorchidError: a diagnosis of an older version, which has no covariance; a level outside 0
-            to 1; another robot; a file of another kind.
+        TorchidError: a diagnosis of an older version, which has no covariance, or a model without;
+            a level outside 0 to 1; another robot; a file of another kind.
 
     >>> import torch, torchid
     >>> robot = torchid.load_robot("3r")
@@ -199,41 +201,28 @@ def randomise(
         raise TorchidError("the level is out of range.", got=level, expected="0..1, e.g. 0.95")
     if draws < 2:
         raise TorchidError("too few draws for a range.", got=draws, expected="2 or more")
-    if found.corrected is None or found.model is None or not found.joint_fits:
-        older = found.corrected is None or found.status in ("explained", "parametric_only")
-        raise TorchidError(
-            "the diagnosis holds no covariance of what it found"
-            + (", as older versions wrote it." if older else ": nothing was fitted."),
-            got=f"status {found.status}",
-            hint="`torchid gap ... --json gap.json` with this version" if older else None,
-        )
-    given = found.model if robot is None else robot
-    if given.n != found.corrected.n or bool((found.corrected.frames_apart(given) > 1e-9).any()):
-        raise TorchidError(
-            "the diagnosis is of another arm.",
-            got=f"'{given.name}', {given.n} joints",
-            expected=f"'{found.corrected.name}', {found.corrected.n} joints in the same places",
-        )
-    between, warnings = between_of(spread, given)
-    centre, every, more = _drawn(found, given, between, draws, seed)
-    warnings += more
+    if isinstance(found, Robot):
+        source = of_model(found, robot, level)
+    else:
+        source = of_diagnosis(found, robot, level)
+    between, warnings = between_of(spread, source.given)
+    centre, every, more = _drawn(source, between, draws, seed)
+    warnings = [*source.warnings, *warnings, *more]
     fields, beside = _values(every, centre)
-    missing = set(between) - {n for f in found.joint_fits for c in f.coefficients for n in c.names}
+    missing = set(between) - {n for f in source.fits for c in f.coefficients for n in c.names}
     missing -= {name for name, _, _ in beside} | set(_known_names(centre))
     if missing:
         warnings.append(
             f"differs between sessions or units, and is nothing that this robot has: "
             f"{', '.join(sorted(missing))}"
         )
-    used = [int((every.which == k).sum()) for k in range(len(found.joint_fits))]
+    used = [int((every.which == k).sum()) for k in range(len(source.fits))]
     explanations = tuple(
-        Share(words=f.words or "what the diagnosis tells", weight=f.weight, draws=n)
-        for f, n in zip(found.joint_fits, used, strict=True)
+        Share(words=f.words or source.words, weight=f.weight, draws=n)
+        for f, n in zip(source.fits, used, strict=True)
     )
-    ranges = _ranges(found, fields, beside, every, centre, between, level)
-    return Randomisation(
-        centre, level, every, ranges, _bands(found, level), explanations, tuple(warnings)
-    )
+    ranges = _ranges(fields, beside, every, centre, between, level)
+    return Randomisation(centre, level, every, ranges, source.bands, explanations, tuple(warnings))
 
 
 def between_of(files: Sequence[Path | str], robot: Robot) -> tuple[dict[str, Spread], list[str]]:
@@ -276,15 +265,14 @@ def between_of(files: Sequence[Path | str], robot: Robot) -> tuple[dict[str, Spr
 
 
 def _drawn(
-    found: GapRecord, given: Robot, between: Mapping[str, Spread], draws: int, seed: int
+    source: DrawnFrom, between: Mapping[str, Spread], draws: int, seed: int
 ) -> tuple[Robot, Draws, list[str]]:
     """The centre, draws, and what is to be said of them."""
-    fits, n = found.joint_fits, given.n
-    assert found.corrected is not None
-    models = [f.corrected or found.corrected for f in fits]
+    fits, given, n = source.fits, source.given, source.given.n
+    models = [f.corrected or source.corrected for f in fits]
     weights = torch.tensor([f.weight for f in fits], dtype=torch.float64)
     parts = [_Explained.of(m, f, between) for m, f in zip(models, fits, strict=True)]
-    bodies = _Bodies.of(given, found, [p.pi for p in parts])
+    bodies = _Bodies.of(source, [p.pi for p in parts])
     # Points of a low-discrepancy sequence: one number says which explanation, the others how far.
     wide = max(p.root.shape[1] for p in parts)
     moving = any(bool(p.body.any()) for p in parts)
@@ -429,13 +417,13 @@ class _Bodies:
     warnings: tuple[str, ...]
 
     @staticmethod
-    def of(given: Robot, found: GapRecord, asked: Sequence[Float[Tensor, " P"]]) -> "_Bodies":
+    def of(source: DrawnFrom, asked: Sequence[Float[Tensor, " P"]]) -> "_Bodies":
         """About bodies with the torque that each explanation asks for."""
-        n, order = given.n, paper_order(given.n)
+        given, n, order = source.given, source.given.n, paper_order(source.given.n)
         base = base_parameters(given)
         grouping = torch.zeros(len(base), PARAMETERS_PER_LINK * n, dtype=torch.float64)
         grouping[:, order] = base.grouping
-        near = _Near(given, found)
+        near = _Near(given, source.left)
         centres, spreads, said = list[Tensor](), list[Tensor](), list[str]()
         for pi in asked:
             centre = pi.view(n, PARAMETERS_PER_LINK)
@@ -486,12 +474,12 @@ class _Near:
 
     Args:
         given: the robot.
-        found: the diagnosis that says what is left.
+        left: (n,) torque that is left, RMS [N m; N].
     """
 
-    def __init__(self, given: Robot, found: GapRecord):
+    def __init__(self, given: Robot, left: Float[Tensor, " n"]):
         motion, n = states(given, 0), given.n
-        self.left = torch.tensor([max(j.after, 1e-9) for j in found.how_far.per_joint]).double()
+        self.left = left
         rows = torch.empty(len(motion.q), n, PARAMETERS_PER_LINK * n, dtype=torch.float64)
         rows[..., paper_order(n)] = regressor(given, motion.q, motion.dq, motion.ddq)
         self.rows = rows / self.left.unsqueeze(-1)
@@ -559,7 +547,6 @@ def _known_names(robot: Robot) -> list[str]:
 
 
 def _ranges(
-    found: GapRecord,
     fields: Mapping[str, Float[Tensor, "D n"]],
     beside: Sequence[tuple[str, str, Float[Tensor, " D"]]],
     every: Draws,
@@ -612,38 +599,6 @@ def _ranges(
             row(field, name, unit, values[:, j, k], key)
     for name, unit, x in beside:
         row(name.rpartition(" ")[0], name, unit, x, name.rpartition(" ")[2])
-    return tuple(out)
-
-
-def _bands(found: GapRecord, level: float) -> tuple[ResidualBand, ...]:
-    """Of each joint the torque that stays, and what of it is noise of the sensor."""
-    out = []
-    for one in found.residual:
-        half = float(np.interp(level, one.levels, one.sizes)) if one.sizes else math.nan
-        floor, far = found.noise_floor, found.how_far.per_joint[one.joint]
-        noise = min(float(floor.high[one.joint]), far.after)
-        rest = math.sqrt(max(0.0, far.after**2 - noise**2))
-        unit = (
-            "N"
-            if found.model and found.model.joint_types[one.joint] is JointType.PRISMATIC
-            else "N m"
-        )
-        out.append(
-            ResidualBand(
-                joint=one.joint,
-                low=-half,
-                high=half,
-                rms=far.after,
-                noise=noise,
-                unexplained=rest,
-                correlation=one.correlation,
-                why=(
-                    f"on data that was not fitted the model misses {far.after:.2g} {unit} RMS, for "
-                    f"{one.correlation:.2g} s at a time; up to {noise:.2g} {unit} of it may be "
-                    f"noise of the sensor, and {rest:.2g} {unit} at least act on the arm."
-                ),
-            )
-        )
     return tuple(out)
 
 

@@ -68,7 +68,7 @@ def open_questions(record: GapRecord, robot: Robot, source: str) -> Open:
             f"'{source}' does not hold the corrected model.",
             hint="write it again: torchid gap ROBOT LOG... --json FILE",
         )
-    _refuse_another(source, record.corrected, robot)
+    refuse_another(source, record.corrected, robot)
     model = replace(record.corrected, limits=robot.limits)
     asked, notes = _ambiguities(record, model)
     kind = "ambiguity"
@@ -95,7 +95,12 @@ def _unexplained(status: str) -> str | None:
     return "the gap is unexplained: drive one trajectory twice, so that its noise is known"
 
 
-def _refuse_another(source: str, model: Robot, robot: Robot) -> None:
+def refuse_another(source: str, model: Robot, robot: Robot) -> None:
+    """Raise if a diagnosis is of another robot.
+
+    Raises:
+        TorchidError: other joints or frames.
+    """
     same_joints = robot.joint_types == model.joint_types
     if same_joints and bool((robot.frames_apart(model) < SAME_FRAMES).all()):
         return

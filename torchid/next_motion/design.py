@@ -3,6 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
+import torch
+
 from torchid.errors import TorchidError
 from torchid.excitation.clearance import Clearance
 from torchid.excitation.design import optimise_trajectory
@@ -13,8 +15,8 @@ from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.record import GapRecord
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
-from torchid.identification.values import prior_of
-from torchid.next_motion.ambiguity import open_questions
+from torchid.identification.values import Prior, nominal_base, plain_effects, prior_of
+from torchid.next_motion.ambiguity import open_questions, refuse_another
 from torchid.next_motion.rivals import rivals
 from torchid.next_motion.separating_motion import Separation, design_separation
 from torchid.parallel.workers import Progress, stage
@@ -44,6 +46,45 @@ def read_asking(path: str | Path) -> Asking | PositionRecord:
     return found
 
 
+def hidden(record: GapRecord) -> bool:
+    """Whether a diagnosis names nothing because of what its model left open of itself."""
+    known = record.knowledge
+    return not record.which and known is not None and any(j.hides for j in known.joints)
+
+
+def prior_of_diagnosis(record: GapRecord, robot: Robot, source: str) -> Prior:
+    """What is known of a diagnosis' corrected model, for the design of the next motion, whose
+    torque is taken to leave as much as this log's, independent from one sample of the band to the
+    next.
+
+    Raises:
+        TorchidError: another robot's, or the record of an older torchid.
+    """
+    model = record.corrected
+    if model is None or model.knowledge is None:
+        raise TorchidError(
+            f"'{source}' does not say how sure the corrected model is.",
+            hint="write it again: torchid gap ROBOT LOG... --json FILE",
+        )
+    refuse_another(source, model, robot)
+    found = nominal_base(model)
+    assert found.covariance is not None
+    assert found.factor is not None
+    root = found.factor[:-1, :-1]
+    left = torch.tensor([j.after for j in record.how_far.per_joint], dtype=torch.float64)
+    return Prior(
+        found.base,
+        plain_effects(found.effects, "the design of the next motion"),
+        found.values,
+        found.known,
+        found.covariance.diagonal().clamp(min=0).sqrt(),
+        root.T @ root,
+        torch.ones_like(found.values),
+        torch.diag(1 / left.clamp(min=1e-6 * float(left.max()))),
+        2 * record.band_hz,
+    )
+
+
 def excite_for(
     result: str | Path | Diagnosis | Identification | Asking,
     robot: Robot | None = None,
@@ -61,11 +102,13 @@ def excite_for(
 
     Args:
         result: an identification, whose least known parameters it fixes, or a diagnosis: what that
-            cannot tell apart it separates, or else it shows what the log could not have shown. Or
-            the file of one.
+            cannot tell apart it separates, or else it shows what the log could not have shown.
+            Where its model left so much open that a cause could hide in it, the motion closes that.
+            Or the file of one.
         robot: with the limits to keep; the one that the result records if None.
-        goal: of an identification, `a_optimal` for the least known parameters (default) or
-            `d_optimal` for all.
+        goal: `a_optimal` for the least known parameters (the default of an identification, and of
+            a diagnosis that names nothing because its model left too much open), or `d_optimal` for
+            all; of a diagnosis, of its corrected model.
         duration: [s].
         harmonics: of the Fourier series.
         restarts: of the design, and what the search for a separation tries goes with them.
@@ -108,8 +151,13 @@ def excite_for(
             harmonics=harmonics, duration=duration, clearance=clearance,
             progress=stage(progress, "designing"),
         )  # fmt: skip
-    if goal is not None:
-        raise TorchidError("for a gap diagnosis motions are designed to separate.", got=goal)
+    if goal is not None or hidden(record):
+        prior = prior_of_diagnosis(record, robot, source)
+        return design_for(
+            robot, prior, seed=seed, goal=goal or "a_optimal", restarts=restarts, usage=usage,
+            harmonics=harmonics, duration=duration, clearance=clearance,
+            progress=stage(progress, "designing"),
+        )  # fmt: skip
     found = open_questions(record, robot, source)
     limits = corrected_torque_limits(found.setting.robot, found.setting.given, usage=usage)
     plain = optimise_trajectory(

@@ -163,7 +163,7 @@ def vanished(question: Question, solution: Solution) -> list[Term]:
     added to a model. What most joints have may be small on one of them."""
     rows = question.normal.rows.clamp(min=1.0)
     least = question.least(solution.left.square().sum(1) / rows)
-    common = common_names(solution.terms, question.joints)
+    common = common_names(solution.terms[len(question.fixed) :], question.joints)
     columns = solution.a.split([len(v) for v in solution.values])
     gone = []
     for term, values, a in list(zip(solution.terms, solution.values, columns, strict=True))[

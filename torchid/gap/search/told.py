@@ -116,7 +116,7 @@ def told(found: Explanation) -> Told:
         # What happened once lies in one block, and no other can speak for it.
         certain = 1.0
         if not (term.inertial or any(e.event for e in term.effects)):
-            searched = term.name not in common_names(fit.terms, question.joints)
+            searched = term.name not in common_names(found.terms, question.joints)
             looks = question.looks if searched else 1.0
             certain = determined(found.solution, fixed + k, looks)
             sure = min(sure, certain)
@@ -186,7 +186,8 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
     if term.seen is not None or question.known:
         ratio += without.known - fit.known
     df = directions(question, term) + term.shapes
-    searched = term.name not in common_names(fit.terms, question.joints)
+    own = fit.terms[len(question.fixed) :]
+    searched = term.name not in common_names(own, question.joints)
     looks = question.looks if searched else 1.0
     return min(1.0, looks * float(chi2.sf(max(0.0, ratio), df)))
 
