@@ -29,6 +29,24 @@ def test_identify_writes_and_says_the_verdict_first(command, folder, tmp_path) -
     assert (out / "store" / "index.parquet").exists()
 
 
+def test_the_type_is_written_and_a_unit_is_asked_about(command, folder, tmp_path) -> None:
+    model = tmp_path / "type.yaml"
+    done = command("fleet", "identify", "3r_friction", folder, *EFFECTS, "--save-model", model)
+    assert done.code == 0, done.err
+    log = next(folder.rglob("*.parquet"))
+    done = command("gap", model, log, "--no-rollout", "--json", tmp_path / "gap.json")
+    assert done.code == 0, done.err
+    said = json.loads((tmp_path / "gap.json").read_text())
+    assert said["knowledge"]["sources"] == ["2 units in 4 sessions"]
+    assert said["which"] == []  # nothing is odd about this unit
+    bad = command("fleet", "identify", "3r_friction", folder, "--save-model", tmp_path / "x.txt")
+    assert bad.code == 1
+    assert "--save-model" in bad.err
+    bad = command("fleet", "identify", "3r_friction", folder, "--unit", "arm-000")
+    assert bad.code == 1
+    assert "--save-model" in bad.err
+
+
 def test_parts_then_the_whole_by_a_manifest(command, folder, tmp_path) -> None:
     logs = sorted(folder.rglob("*.parquet"))
     rows = [f"{log},{log.parent.name},{log.stem}" for log in logs]

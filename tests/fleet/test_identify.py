@@ -17,9 +17,11 @@ from torchid.export.randomise import between_of
 from torchid.fleet import model as models
 from torchid.fleet import tasks
 from torchid.fleet.identify import INDEX, fleet_identify, reduce_fleet
+from torchid.fleet.known import known_model
 from torchid.fleet.manifest import FleetLog, fleet_logs
 from torchid.fleet.model import FleetModel
 from torchid.fleet.settings import FleetSettings
+from torchid.identification.knowledge import between_sessions
 from torchid.parallel.store import Store
 from torchid.parallel.workers import RefusedError
 from torchid.results.files import load
@@ -72,6 +74,28 @@ def test_spreads_are_those_that_were_drawn(found, model) -> None:
         low, high = p.between_ci95
         assert low <= 0.1 * true <= high, name
         assert p.ci95[0] - 0.05 * true <= true <= p.ci95[1] + 0.05 * true
+
+
+def test_the_type_is_a_model_that_says_how_sure_it_is(found, model) -> None:
+    """As wide as its units differ; and how much friction changes from day to day is measured."""
+    robot = known_model(found)
+    assert robot.knowledge is not None
+    true = typical(model.robot)
+    for name, effect in (("Fc1", "coulomb_friction"), ("Fv3", "viscous_friction")):
+        key = f"{effect} {name}"
+        assert robot.knowledge.std(key) == pytest.approx(0.1 * true[name], rel=0.9)
+        daily = robot.knowledge.between[key]
+        assert daily < 0.1 * true[name]
+        assert between_sessions(robot)[key] == pytest.approx(daily**2)
+    # A unit is known better than the type, and by its own values.
+    one = known_model(found, unit_name(3))
+    assert one.knowledge is not None
+    own = {e["effect"]: e for e in one.effects if e["joint"] == 2}
+    assert own["viscous_friction"]["Fv"] == pytest.approx(2 * true["Fv2"], rel=0.3)
+    key = "coulomb_friction Fc1"
+    assert one.knowledge.std(key) < robot.knowledge.std(key)
+    with pytest.raises(TorchidError, match="no such unit"):
+        known_model(found, "nobody")
 
 
 @pytest.mark.slow

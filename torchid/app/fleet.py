@@ -1,11 +1,13 @@
 """`torchid fleet`: many units of one robot type, many logs, one machine or several."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import torchid
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Reported
 from torchid.app.project import group
@@ -99,7 +101,14 @@ Reduction = Annotated[
 
 @command
 def identify_command(
-    *, units: Units, settings: Reduction, engine: Engine, seed: opt.Seed = 0, output: Kept
+    *,
+    units: Units,
+    settings: Reduction,
+    engine: Engine,
+    save_model: opt.Written = None,
+    unit: Annotated[str | None, typer.Option(metavar="NAME")] = None,
+    seed: opt.Seed = 0,
+    output: Kept,
 ) -> None:
     """Base parameters of every unit and of the type: means, spread from unit to unit and from day
     to day, and which units are odd.
@@ -113,10 +122,17 @@ def identify_command(
         rows: Rows fitted: while the own joint moves, or all.
         basis: Base parameters as the report groups them, or as logs tell them apart best (default:
             the robot's own).
+        save_model: Write the type as a robot (.yaml) that says how sure it is: `torchid gap` of it
+            and a new unit's log tells what is odd about that.
+        unit: Write this unit in the place of the type.
     """
     from torchid.fleet.identify import fleet_identify, reduce_fleet
+    from torchid.fleet.known import known_model
     from torchid.report.fleet import shown
 
+    opt.require_suffix("--save-model", save_model, opt.YAML)
+    if unit is not None and save_model is None:
+        raise TorchidError("--unit is of a model to be written.", expected="--save-model FILE.yaml")
     model, logs, crew, store = engine.begin(units, settings, output)
     if engine.array is not None:
         assert store is not None
@@ -128,6 +144,8 @@ def identify_command(
         return
     with output.progress("reducing logs") as progress:
         found = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
+    if save_model is not None:
+        output.put(save_model, partial(torchid.write_robot, known_model(found, unit)))
     output.give(found.record, "fleet.json", shown, seed=seed)
 
 

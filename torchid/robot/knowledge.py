@@ -3,8 +3,9 @@
 The coordinates are the links' 10 n inertial parameters, link by link, and behind them coefficients
 of effects, by name. What sessions know adds up as inverse covariances (the information filter,
 Anderson and Moore 1979, 6.3): of the links the torque tells base parameters only, so that changes
-of parameters which leave all of these as they are have no information and stay unknown. Values are in units of
-the torque that the arm's own sensors measure: a wrong scale of theirs is the same in every session.
+of parameters which leave all of these as they are have no information and stay unknown. Values are
+in units of the torque that the arm's own sensors measure: a wrong scale is the same in every
+session.
 """
 
 import math
