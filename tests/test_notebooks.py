@@ -31,6 +31,12 @@ SAID = {
         "end_stop joint 3 ['stop_high 0.25']",
         "acceleration of joint 2: +-",
     ),
+    "07_sessions_add_up": (
+        "than on Monday: True",
+        "no_gap []",
+        "payload of joint",
+        "viscous_friction Fv2: was 0.",
+    ),
 }
 """What the words around the cells rest on."""
 

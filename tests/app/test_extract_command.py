@@ -348,3 +348,26 @@ def test_the_checkpoint_stays_until_results_are_written(command, tmp_path) -> No
     (tmp_path / "extraction.json").rmdir()
     assert command("extract", "3r", *SMALL, "--out", tmp_path, "--resume").code == 0
     assert not (tmp_path / "checkpoint.npz").exists()
+
+
+def test_a_set_is_as_sure_as_what_it_was_extracted_from(command, identified, tmp_path):
+    """From identification to sets to a robot's file, which another extraction takes without the
+    identification."""
+    from torchid.robot.library import load_robot
+
+    asked = ("--method", "sdp", "--loss", "one-step", "--bounds", "none", "--no-certificate")
+    done = command("extract", "3r_friction", identified, *asked, "--out", tmp_path)
+    assert done.code == 0, done.err
+    done = command("export", tmp_path / "extraction.json", "--to", "yaml", "--out", tmp_path)
+    assert done.code == 0, done.err
+    file = next(tmp_path.glob("3r*.yaml"))
+    known = load_robot(file).knowledge
+    assert known is not None
+    first = json.loads(identified.read_text())["knowledge"]
+    assert list(known.sources) == first["sources"]
+    done = command("extract", file, *asked, "--out", tmp_path / "again")
+    assert done.code == 0, done.err
+    again = json.loads((tmp_path / "again" / "extraction.json").read_text())
+    assert again["loss"] == "one-step"
+    done = command("atlas", file, "--bounds", "none", "--json", tmp_path / "atlas.json")
+    assert done.code == 0, done.err

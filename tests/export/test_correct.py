@@ -25,6 +25,7 @@ from torchid.log.model import Log
 from torchid.log.readers import write_log
 from torchid.report.robot import correction_headline, correction_tables
 from torchid.robot.inertia import InertialParameters
+from torchid.robot.knowledge import Knowledge
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.simulation.shooting import starts_of, windows_of
@@ -165,6 +166,28 @@ def test_every_effect_without_a_field_is_named_with_what_is_kept(done):
     assert (kept["stribeck_friction"].field, kept["stribeck_friction"].joint) == ("frictionloss", 0)
     assert done.exports[0].files[0].name == "3r_corrected.xml"
     assert "no field for" in done.exports[0].files[0].read_text()
+
+
+@pytest.mark.usefixtures("types_unchecked")
+def test_a_file_is_as_sure_as_the_diagnosis_and_off_by_what_it_cannot_say(full, logs):
+    names = ("viscous_friction Fv1", "coulomb_friction Fc2", "stribeck_friction Fs1")
+    root = 100 * torch.eye(33, dtype=torch.float64)
+    known = Knowledge(3, names, root, ("log",), torch.full((3,), 0.1, dtype=torch.float64))
+    data = prepare(arm("3r"), logs[0], None, widest=20.0)
+    sure = replace(full, knowledge=known)
+    robot = Projector(arm("3r"), sure, data, "mjcf").projection().robot
+    assert robot.knowledge is not None
+    own = {
+        f"{e['effect']} {k}{e['joint']}": v
+        for e in robot.effects
+        for k, v in e.items()
+        if k in ("Fv", "Fc")
+    }
+    # The file has no Stribeck curve, whose torque its friction has to carry.
+    assert set(robot.knowledge.coefficients) == set(names[:2])
+    for name, true in ((names[0], 0.5), (names[1], 0.6)):
+        expected = (0.01**2 + (own[name] - true) ** 2) ** 0.5
+        assert robot.knowledge.std(name) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.slow

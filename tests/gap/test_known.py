@@ -125,6 +125,35 @@ def test_a_change_hidden_in_what_was_open_is_no_gap_by_no_means() -> None:
     assert "drive joint 2" in hiding[0].motion
 
 
+def test_a_cause_within_what_the_model_left_before_is_no_name() -> None:
+    """The model was seen to leave as much as the cause makes: it may be a part of that."""
+    model = first().corrected
+    assert model.knowledge is not None
+    worn = arm(friction(1, Fv=0.8), friction(2, Fc=0.5), friction(2, Fv=1.4), friction(3, Fc=0.2))
+    log = log_of(worn, SECOND)
+    assert names(torchid.diagnose(model, log, settings=settings())) == {("viscous_friction", (1,))}
+    speed = log.q.diff(dim=0) / log.t.diff().unsqueeze(1)
+    made = 0.4 * speed.clamp(-5, 5).square().mean(0).sqrt()
+    rough = replace(model, knowledge=replace(model.knowledge, left=1.2 * made))
+    found = torchid.diagnose(rough, log, settings=settings())
+    assert names(found) == set()
+    assert found.status in ("negligible", "no_gap", "not_testable")
+
+
+def test_the_scale_of_a_sensor_is_the_same_in_every_session() -> None:
+    """So a torque that is ten per cent larger is no gain where the model is of the arm's own
+    logs."""
+    log = log_of(TRUE, SECOND)
+    assert log.tau is not None
+    scaled = log.replace(tau=log.tau * torch.tensor([1.0, 1.1, 1.0], dtype=torch.float64))
+    wanted = replace(settings(), effects=(*SEARCHED, "torque_gain"))
+    exact = replace(first().corrected, knowledge=None)
+    blamed = torchid.diagnose(exact, scaled, settings=wanted)
+    assert ("torque_gain", (1,)) in names(blamed)
+    found = torchid.diagnose(first().corrected, scaled, settings=replace(wanted, gain_std=0.001))
+    assert ("torque_gain", (1,)) not in names(found)
+
+
 CASES: dict[str, tuple[Robot, Robot]] = {
     "nothing": (ROBOT, ROBOT),
     "friction": (ROBOT, TRUE),

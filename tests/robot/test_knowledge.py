@@ -82,14 +82,33 @@ def test_ageing_of_what_is_hardly_known() -> None:
 
 def test_written_and_read_back(tmp_path: Path) -> None:
     robot = load_robot("3r")
-    known = drawn(4, names=("viscous_friction Fv2",), links=3)
+    known = replace(
+        drawn(4, names=("viscous_friction Fv2",), links=3),
+        left=torch.tensor([0.1, 0.2, 0.3]).double(),
+        between={"viscous_friction Fv2": 0.04},
+    )
     write_robot(replace(robot, knowledge=known), tmp_path / "arm.yaml")
     again = load_robot(tmp_path / "arm.yaml").knowledge
     assert again is not None
     assert again.coefficients == known.coefficients
     assert again.sources == known.sources
     assert bool((again.root == known.root).all())
+    assert known.left is not None
+    assert again.left is not None
+    assert again.left.tolist() == known.left.tolist()
+    assert again.between == known.between
     assert load_robot("3r").knowledge is None
+
+
+def test_the_most_that_a_model_has_left_is_known() -> None:
+    first, second = (
+        replace(drawn(k, links=3), left=torch.tensor(left, dtype=torch.float64))
+        for k, left in ((1, [0.1, 0.5, 0.2]), (2, [0.3, 0.4, 0.2]))
+    )
+    both = first.plus(second)
+    assert both.left is not None
+    assert both.left.tolist() == [0.3, 0.5, 0.2]
+    assert drawn(1).plus(drawn(2)).left is None
 
 
 def test_other_parameters_are_not_known() -> None:
@@ -107,6 +126,8 @@ def test_other_parameters_are_not_known() -> None:
         ({"rows": ["nan " * 13]}, "not all finite"),
         ({"coefficients": [NAMES[0]] * 2}, "named twice"),
         ({"of": []}, "unknown key"),
+        ({"left": ["0.1", "0.2"]}, "wrong size"),
+        ({"between_sessions": ["Fv2"]}, "not a number"),
     ],
 )
 def test_a_damaged_file_is_one_error(change: dict[str, object], said: str) -> None:

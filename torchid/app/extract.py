@@ -132,7 +132,8 @@ def extract_command(
         )  # fmt: skip
     told = (*notes, *found.warnings, *loss_notes(found, values))
     found = replace(found, warnings=told)
-    output.put(output.out and output.out / "sets.json", sets_record(found.sets, problem.robot).save)
+    file = sets_record(found.sets, problem.robot, knowledge=problem.robot.knowledge)
+    output.put(output.out and output.out / "sets.json", file.save)
     said = output.keep(found, "extraction.json", shown)
     # Not sooner: what was searched for is not lost where the disk is full.
     if checkpoint is not None:

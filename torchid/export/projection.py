@@ -16,11 +16,13 @@ from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.inertia import BodyEffect, RotorInertia
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.effects.spring import JointSpring
-from torchid.export.dynamics import records
+from torchid.export.dynamics import folded, records
 from torchid.export.joint_dynamics import Target, attributes_in
 from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, response, room_of
 from torchid.gap.data import Data
+from torchid.identification.knowledge import known_names
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
+from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot
 from torchid.simulation.loads import changes_measurement
 from torchid.simulation.open_loop import runs, undone
@@ -242,7 +244,24 @@ class Projector:
             if bool((torque.square().sum(1).sqrt() > NOTHING * sizes).any()):
                 pairs.append((field, own))
         robot = self.nominal.with_parameters(InertialParameters(found.pi))
-        return replace(robot, effects=records([*pairs, *self.given]))
+        robot = replace(robot, effects=records([*pairs, *self.given]))
+        return replace(robot, knowledge=self._knowledge(robot, pairs))
+
+    def _knowledge(self, robot: Robot, pairs: Sequence[Valued]) -> Knowledge | None:
+        """How sure the file is: as sure as the diagnosed robot, and off by as much as its values
+        had to leave that one's."""
+        known = self.full.knowledge
+        if known is None:
+            return None
+        own, there = (
+            {name: x for e, v in some for name, x in zip(known_names(e), v, strict=True)}
+            for some in (pairs, nominal_effects(self.full))
+        )
+        names = [name for name in own if name in known.coefficients and name in there]
+        whole = folded(self.full)
+        pi = [r.require_parameters("a correction").pi.double() for r in (robot, whole)]
+        moved = torch.tensor([own[name] - there[name] for name in names], dtype=torch.float64)
+        return known.over(names).shifted(torch.cat([(pi[0] - pi[1]).flatten(), moved]))
 
     def _kept(self) -> tuple[Kept, ...]:
         """Of every effect without a field, what the fit makes of its torque alone."""

@@ -18,7 +18,12 @@ from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, described, of_base, records
 from torchid.extraction.problem import FAR
 from torchid.feasibility.record import check_sets
-from torchid.feasibility.sets import ParameterSets, read_other_effects, read_sets
+from torchid.feasibility.sets import (
+    ParameterSets,
+    read_other_effects,
+    read_sets,
+    read_sets_knowledge,
+)
 from torchid.gap.record import GapRecord
 from torchid.gap.settings import GapSettings
 from torchid.identification.result import Identification
@@ -199,6 +204,9 @@ def set_dynamics(
     name = sets.ids[k]
     title = f"the set '{name}' of {path.name}{why}"
     found = of_set(robot, sets.part([k]), title, read_other_effects(file, robot))
+    known = read_sets_knowledge(file, robot)
+    if known is not None:
+        found = replace(found, robot=replace(found.robot, knowledge=known))
     warnings = list(found.warnings)
     # An extraction says how far a set's torque is from the one that was asked for.
     errors, source = _beside(path, data, "torque_error_percent")

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
+from msgspec import UNSET
 
 from torchid.errors import TorchidError
 from torchid.extraction.convex.certificate import Certificate, certificate
@@ -24,6 +25,7 @@ from torchid.extraction.record import (
 from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets, sets_record
 from torchid.results.record import Result
+from torchid.robot.knowledge import to_mapping
 from torchid.typing import Float, Tensor
 
 _ON_A_BOUND = 1e-4
@@ -69,7 +71,8 @@ class Found(Result):
     @cached_property
     def record(self) -> ExtractionRecord:
         """As the JSON has it."""
-        entries = sets_record(self.sets, self.problem.robot).sets
+        robot = self.problem.robot
+        entries = sets_record(self.sets, robot).sets
         return ExtractionRecord(
             **problem_fields(self.problem),
             method=self.method,
@@ -93,6 +96,7 @@ class Found(Result):
             at_bounds=tuple(at_bounds(self)),
             seconds=self.seconds,
             warnings=self.warnings,
+            knowledge=UNSET if robot.knowledge is None else to_mapping(robot.knowledge),
         )
 
     @property

@@ -1,5 +1,7 @@
 """The extraction problem of an identification, its bounds and conditions by their names."""
 
+from dataclasses import replace
+
 from torchid.errors import TorchidError
 from torchid.extraction.problem import (
     LossName,
@@ -90,7 +92,8 @@ def problem_of(
         none = geometry == "none"
         box = physics_only(robot.n).com_box if none else read_bounds(robot, geometry).com
     asked = conditions(robot, com_box=box, shapes=shapes, total_mass=total_mass)
-    problem = extraction_problem(robot, target, limits, asked)
+    # A set that is found is as sure as the base parameters that it is for.
+    problem = extraction_problem(replace(robot, knowledge=found.knowledge), target, limits, asked)
     known = found.known.tolist()
     if not any(known):
         raise TorchidError("the identification determined no base parameter: nothing to reproduce.")

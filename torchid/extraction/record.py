@@ -93,6 +93,7 @@ class ExtractionRecord(Record, frozen=True, kw_only=True, tag="torchid.extractio
         at_bounds: parameters of the best one that lie on their bounds.
         seconds: it took.
         warnings: sentences for the user.
+        knowledge: how sure the base parameters are, as a robot's yaml has it.
     """
 
     robot: str
@@ -112,6 +113,7 @@ class ExtractionRecord(Record, frozen=True, kw_only=True, tag="torchid.extractio
     at_bounds: tuple[str, ...]
     seconds: float
     warnings: tuple[str, ...]
+    knowledge: dict[str, list[str]] | UnsetType = UNSET
 
     @property
     def table(self) -> Rows[ExtractedSet]:

@@ -14,6 +14,7 @@ from torchid.errors import TorchidError
 from torchid.results.files import contents, parsed
 from torchid.results.record import FINITE, Part, Record, Result, Rows, Values
 from torchid.robot.inertia import InertialParameters, parallel_axis
+from torchid.robot.knowledge import Knowledge, from_mapping, to_mapping
 from torchid.robot.library import named_record
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
@@ -172,6 +173,8 @@ class SetsRecord(Record, frozen=True, kw_only=True, tag="torchid.parameter_sets/
         robot, robot_source, robot_tip: name of the robot, and what it is loaded by.
         sets: at least one.
         other_effects: that hold beside every set, which has no columns for them.
+        knowledge: of the base parameters that the sets were extracted from, as a robot's yaml has
+            it.
     """
 
     robot: str | None = None
@@ -179,6 +182,7 @@ class SetsRecord(Record, frozen=True, kw_only=True, tag="torchid.parameter_sets/
     robot_tip: str | UnsetType = UNSET
     sets: tuple[SetEntry, ...]
     other_effects: tuple[Values, ...] | UnsetType = UNSET
+    knowledge: dict[str, list[str]] | UnsetType = UNSET
 
     @property
     def named(self) -> dict[str, Any]:
@@ -198,10 +202,14 @@ class _Sets(Part, frozen=True, kw_only=True):
     robot: str | None = None
     sets: tuple[SetEntry, ...]
     other_effects: tuple[Values, ...] | UnsetType = UNSET
+    knowledge: dict[str, list[str]] | UnsetType = UNSET
 
 
 def sets_record(
-    sets: ParameterSets, robot: Robot | None, others: Sequence[Valued] = ()
+    sets: ParameterSets,
+    robot: Robot | None,
+    others: Sequence[Valued] = (),
+    knowledge: Knowledge | None = None,
 ) -> SetsRecord:
     """A file of sets, lossless: masses, first moments and inertias about the link frames.
 
@@ -209,6 +217,7 @@ def sets_record(
         sets: of one robot.
         robot: that they belong to, if it is to be named.
         others: effects that hold beside every set, which has no columns for them.
+        knowledge: of the base parameters that the sets were extracted from.
     """
     beside = tuple(dict(effect.record(values)) for effect, values in others)
     return SetsRecord(
@@ -234,6 +243,7 @@ def sets_record(
             )
         ),
         other_effects=beside or UNSET,
+        knowledge=UNSET if knowledge is None else to_mapping(knowledge),
     )
 
 
@@ -323,6 +333,16 @@ def read_other_effects(path: Path, robot: Robot) -> tuple[Valued, ...]:
         TorchidError: not a list of effects as in a robot's yaml.
     """
     return tuple(effect_from_record(entry, robot) for entry in _file(path).other_effects or ())
+
+
+def read_sets_knowledge(path: Path, robot: Robot) -> Knowledge | None:
+    """What a file of sets says of how sure the base parameters are that they were extracted from.
+
+    Raises:
+        RobotError: knowledge of another robot, or damaged.
+    """
+    found = _file(path).knowledge
+    return None if not found else from_mapping(found, robot.n, str(path))
 
 
 def other_robot(path: Path, robot: Robot) -> str | None:

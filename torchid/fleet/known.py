@@ -32,7 +32,7 @@ def known_model(fleet: Fleet, unit: str | None = None) -> Robot:
             raise TorchidError(
                 "the spread of a type is not known from one unit.",
                 got=names[0],
-                expected="logs of several units, or `unit=...` (`--unit`)",
+                expected="logs of several units, or `unit=...`",
             )
         what = f"{len(names)} units"
         values = found.mean

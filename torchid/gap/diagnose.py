@@ -209,7 +209,8 @@ def diagnose(
     corrected = Model(found.solution.model.robot, lasting).described()
     after = after_log(found, data, wanted, block)
     corrected = replace(corrected, knowledge=after)
-    known = known_of(found, wanted, after, least)
+    as_cad = settings.parameters == "auto" and not fitted_first
+    known = known_of(found, wanted, after, least, as_cad=as_cad)
     if known is not None:
         # Of what the model has already: what it was, and what it is now.
         of = {c.name: c for c in known.coefficients}
@@ -310,7 +311,7 @@ def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:
         inertial=settings.parameters != "trusted",
         only=settings.only,
         base=base_parameters(robot, basis="report"),
-        knowledge=known_before(robot, free),
+        knowledge=known_before(robot) if settings.parameters == "auto" else None,
     )
 
 
@@ -324,10 +325,9 @@ def pushes(wanted: Wanted) -> Wanted:
     )  # fmt: skip
 
 
-def known_before(robot: Robot, free: bool) -> Knowledge | None:
-    """How sure the robot's model is on the day of another session; None where it does not say, or
-    where its parameters are refitted as if nothing were known of them."""
-    if robot.knowledge is None or robot.parameters is None or free:
+def known_before(robot: Robot) -> Knowledge | None:
+    """How sure the robot's model is on the day of another session; None where it does not say."""
+    if robot.knowledge is None or robot.parameters is None:
         return None
     return robot.knowledge.aged(between_sessions(robot))
 

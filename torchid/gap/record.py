@@ -262,11 +262,12 @@ class Known(Part, frozen=True, kw_only=True):
     """What was known of the model, and what this log adds.
 
     Attributes:
-        sources: of what was known.
+        sources: of what was known; none of a model that does not say how sure it is.
         coefficients: of effects, whose values or standard deviations this log changes.
         joints: where corrections are, within what was known.
         between_sessions: how much friction is taken to change by itself between sessions, as a
-            standard deviation relative to its value; None where nothing was known before.
+            standard deviation relative to its value; None where sessions have shown it, or nothing
+            was known before.
         notes: sentences.
     """
 

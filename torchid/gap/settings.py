@@ -18,7 +18,8 @@ class GapSettings:
         background: names of effects that are part of the model already, on every joint; fitted
             with the base parameters where the robot has no parameters.
         parameters: whether the robot's inertial parameters are `trusted`, `free` (refitted before
-            effects are sought), or compete with the effects (`auto`).
+            effects are sought), or compete with the effects as far as the model says how sure it
+            is (`auto`).
         cutoff: of the fit [Hz], or "auto".
         report_band: of the report [Hz]: the gap before and after is given below this frequency.
         alpha: family-wise level at which an effect is accepted.

@@ -138,9 +138,8 @@ def small_table(diagnosis: Diagnosis) -> Table:
         ]
         place = ", ".join(str(j + 1) for j in e.joints) or "all"
         torque = f"{e.closes_rms:.2g}"
-        rows.append(
-            (words.effect_words(e.effect), place, "\n".join(values), torque, _sure(e.how_sure))
-        )
+        sure = (_sure(e.how_sure), _repeats(e.replication))
+        rows.append((words.effect_words(e.effect), place, "\n".join(values), torque, *sure))
     columns = ("effect", "joints", "value", "takes away, RMS", "how sure", "repeats")
     title = "small: there, and below what was asked for (`worthwhile`)"
     return Table(title, columns, rows, names=columns[:3])
@@ -252,6 +251,8 @@ def remarks(diagnosis: Diagnosis) -> list[str]:
         f"Hz; the fit is below {diagnosis.cutoff:g} Hz; noise from {known}.",
         "Share: of the squared gap beyond the noise, each joint in units of its own noise.",
     ]
+    if diagnosis.knowledge is not None:
+        out += [f"{note[0].upper()}{note[1:]}." for note in diagnosis.knowledge.notes]
     rollout = diagnosis.how_far.rollout
     return out if rollout is None else [*out, *rollout.sentences]
 
@@ -455,6 +456,17 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 f"Shares of the gap: base parameters {percent(budget.parametric)}, effects "
                 f"{percent(budget.structural)}, unexplained {percent(budget.unexplained)}.",
                 partial(gap_figures.budget_figure, d),
+            )
+        )
+    if d.knowledge is not None and d.knowledge.coefficients:
+        out.append(
+            Picture(
+                "known",
+                "What this log makes of what was known. Intervals hold 95 %; those before the log "
+                "hold the change from one session to the next. A diamond marks a coefficient that "
+                "has changed.",
+                "Known coefficients before this log and with it.",
+                partial(gap_figures.known_figure, d),
             )
         )
     if any(f.replication for f in d.findings):

@@ -52,6 +52,8 @@ def figures(diagnosis: Diagnosis) -> Figures:
     out["torque"] = partial(torque_figure, d)
     if any(f.replication for f in d.findings):
         out["repeats"] = partial(repeats_figure, d)
+    if d.knowledge is not None and d.knowledge.coefficients:
+        out["known"] = partial(known_figure, d)
     if any(f.planted for f in d.findings):
         out["planted"] = partial(planted_figure, d)
     return out
@@ -214,6 +216,38 @@ def repeats_figure(diagnosis: Diagnosis) -> Figure:
     for axes in grid[-1]:
         axes.set_xlabel("part of the data")
     return finish(figure, f"{diagnosis.robot.name}: is it the same in every motion?")
+
+
+def known_figure(diagnosis: Diagnosis) -> Figure:
+    """Of each known coefficient what the log makes of it: its value with 95 % intervals before and
+    after, as a share of the value before; what has changed is marked."""
+    known = diagnosis.knowledge
+    assert known is not None
+    shown = [c for c in known.coefficients if c.before and c.before_std is not None]
+    figure = new_figure(9.6, 1.0 + 0.24 * max(len(shown), 4))
+    axes = figure.subplots()
+    styled(axes)
+    for k, c in enumerate(shown):
+        for value, std, colour, up in (
+            (c.before, c.before_std, BEFORE, 0.14),
+            (c.after, c.after_std, AFTER, -0.14),
+        ):
+            half = 0.0 if std is None else HALF_95 * std / abs(c.before)
+            axes.errorbar(
+                value / c.before, k - up, xerr=half, fmt="D" if c.changed else "o", color=colour,
+                markersize=4, linewidth=1.2,
+                label={BEFORE: "known before", AFTER: "with this log"}[colour] if not k else None,
+            )  # fmt: skip
+    axes.set_yticks(
+        range(len(shown)),
+        [c.name.replace("_", " ") + (" (changed)" if c.changed else "") for c in shown],
+        fontsize=SMALL,
+    )
+    axes.set(ylim=(len(shown) - 0.4, -0.6), xlabel="of the value before")
+    low, high = axes.get_xlim()
+    axes.set_xlim(max(low, -1.0), min(high, 3.0))  # what is hardly known leaves the picture
+    axes.legend(fontsize=SMALL, frameon=False)
+    return finish(figure, f"{diagnosis.robot.name}: what this log makes of what was known")
 
 
 def torque_figure(diagnosis: Diagnosis, joint: int | None = None) -> Figure:

@@ -140,6 +140,10 @@ def _gap(found: Diagnosis) -> Figures:
     if found.traces:
         drawn["gap"] = partial(gap.joint_figure, found)
         drawn["torque"] = partial(gap.torque_figure, found)
+    if any(f.replication for f in found.findings):
+        drawn["repeats"] = partial(gap.repeats_figure, found)
+    if found.knowledge is not None and found.knowledge.coefficients:
+        drawn["known"] = partial(gap.known_figure, found)
     if any(f.planted for f in found.findings):
         drawn["planted"] = partial(gap.planted_figure, found)
     return drawn

@@ -139,6 +139,18 @@ class Knowledge:
         rows = torch.cat([self.root, eye.new_zeros(len(own), self.root.shape[1])])
         return replace(self, root=_left_of(changes, rows))
 
+    def shifted(self, change: Float[Tensor, " M"]) -> "Knowledge":
+        """Of other values, which were chosen and not measured: the covariance plus change change',
+        as if the change were one standard deviation of what is not known.
+
+        Args:
+            change: of inertial parameters, link by link, and coefficients.
+        """
+        one = torch.ones(1, 1, dtype=torch.float64)
+        changes = torch.cat([-(self.root @ change).unsqueeze(1), one])
+        rows = torch.cat([self.root, one.new_zeros(1, self.root.shape[1])])
+        return replace(self, root=_left_of(changes, rows))
+
     def plus(self, other: "Knowledge") -> "Knowledge":
         """What both know together: their information adds up, coefficients of either are there."""
         names = tuple(dict.fromkeys([*self.coefficients, *other.coefficients]))
@@ -206,14 +218,14 @@ def from_mapping(data: Any, n: int, source: str) -> Knowledge:
     rows = [[_number(x, f"{where}.rows") for x in row.split()] for row in texts["rows"]]
     root = numbers(rows, (len(rows), size), f"{where}.rows") if rows else torch.zeros(0, size)
     left = [_number(x, f"{where}.left") for x in texts["left"]]
-    pairs = [text.rsplit(" ", 1) for text in texts["between_sessions"]]
+    pairs = [text.rpartition(" ") for text in texts["between_sessions"]]
     return Knowledge(
         n,
         names,
         root,
         tuple(texts["sources"]),
         numbers(left, (n,), f"{where}.left") if left else None,
-        {name: _number(x, f"{where}.between_sessions") for name, *rest in pairs for x in rest},
+        {name: _number(std, f"{where}.between_sessions") for name, _, std in pairs},
     )
 
 

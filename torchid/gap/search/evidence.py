@@ -143,7 +143,9 @@ class Question:
         if self.left is not None:
             # By so much the error falls with a cause that is as large as what the model has left
             # unexplained before; one that is smaller may be a part of that.
-            least = torch.maximum(least, root - (error - self.left.square()).clamp(min=0).sqrt())
+            beyond = error - self.left.square()
+            by = torch.where(beyond > 0, root - beyond.clamp(min=0).sqrt(), self.left)
+            least = torch.maximum(least, by)
         return least.clamp(min=1e-300)
 
     def shows(self, term: Term) -> bool:

@@ -15,6 +15,11 @@ from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float, Int, Tensor
 
+AS_CAD = (
+    "the model does not say how sure it is: its inertial parameters are taken as those of a CAD "
+    "model are, right to some ten per cent, and its effects as they are given"
+)
+
 
 def after_log(
     found: Explanation, data: Data, wanted: Wanted, block: Int[Tensor, " N"]
@@ -35,19 +40,25 @@ def after_log(
 
 
 def known_of(
-    found: Explanation, wanted: Wanted, after: Knowledge, least: Float[Tensor, " n"]
+    found: Explanation,
+    wanted: Wanted,
+    after: Knowledge,
+    least: Float[Tensor, " n"],
+    *,
+    as_cad: bool,
 ) -> Known | None:
-    """What was known before, and what the log adds to it; None where nothing was known.
+    """What was known before, and what the log adds to it; None where there is nothing to say.
 
     Args:
         found: the answered explanation.
         wanted: with the knowledge before.
         after: the knowledge with this log.
         least: (n,) torque that is worth a name [N m; N].
+        as_cad: whether parameters were given that nobody vouches for.
     """
     before = wanted.knowledge
     if before is None:
-        return None
+        return Known(sources=(), notes=(AS_CAD,)) if as_cad else None
     solution = found.solution
     robot = solution.start.robot
     named = {n for t in found.terms for e in t.effects for n in known_names(e)}
@@ -87,16 +98,19 @@ def known_of(
         )
         for j in range(len(added))
     )
-    notes = [
-        f"friction is taken to change by {BETWEEN:.0%} from one session to the next by itself: "
-        "several sessions of the arm tell it (`torchid fleet identify`)"
-    ]
+    if before.between:
+        note = "changes from one session to the next by itself are as large as sessions have shown"
+    else:
+        note = (
+            f"friction is assumed to change by {BETWEEN:.0%} from one session to the next by "
+            "itself: several sessions show how much it does (`torchid fleet identify`)"
+        )
     return Known(
         sources=before.sources,
         coefficients=tuple(coefficients),
         joints=joints,
-        between_sessions=BETWEEN,
-        notes=tuple(notes),
+        between_sessions=None if before.between else BETWEEN,
+        notes=(note,),
     )
 
 

@@ -123,8 +123,10 @@ def told(found: Explanation) -> Told:
         repeated = replication(found.solution, fixed + k, question.candidates.columns.samples)
         if repeated is not None and 2 * repeated.repeats < repeated.asked:
             sure = min(sure, repeated.repeats / repeated.asked)  # a law is so in every motion
-        # A cause that the spread of blocks would let be zero at the level asked for has no size.
-        if sure < LIKELY or certain < 1 - question.settings.alpha:
+        # A cause that the spread of blocks would let be zero at the level asked for has no size,
+        # but by another sensor.
+        sized = certain >= 1 - question.settings.alpha or question.shows(term)
+        if sure < LIKELY or not sized:
             unsure.append((sure, term))
         rivals += [(r, term, other) for r, other in others if r > -2 * math.log(ODDS)]
         if term.inertial:
