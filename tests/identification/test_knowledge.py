@@ -101,6 +101,14 @@ def test_a_second_session_knows_more_and_lies_between() -> None:
     assert len(both.knowledge.sources) == 2
 
 
+def test_results_that_share_a_session_are_said_to(tmp_path) -> None:
+    first = identify(ROBOT, session(1), settings=SETTINGS)
+    both = identify(known_after(first), session(2), settings=SETTINGS)
+    notes = torchid.compare_results([first, both]).notes
+    assert any("holds what was known before its log" in note for note in notes)
+    assert not any("known before" in n for n in torchid.compare_results([first, first]).notes)
+
+
 def test_friction_may_change_between_sessions() -> None:
     found = known_after(identify(ROBOT, session(1), settings=SETTINGS))
     assert found.knowledge is not None

@@ -164,6 +164,8 @@ def compare_identifications(
         birge=birge,
         torque=None if robot is None else identified_spread(results, robot, on=on, seed=seed),
         notes=common.notes
+        + tuple(f"{r.label} holds what was known before its log ({', '.join(r.earlier)}), and "
+                "agrees with results of the same sessions for that" for r in results if r.earlier)
         + (() if robot is not None else ("no torque: these results did not record their robot; "
            "`robot=...` names it",)),
         same_motion=len(set(fitted)) < len(fitted),

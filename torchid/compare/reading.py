@@ -64,6 +64,7 @@ class Identified:
         quantile: half-width of the 95 % interval in standard deviations.
         cutoff: [Hz], or None. reversal: (n,) [rad/s or m/s].
         trajectories: names of those fitted.
+        earlier: sessions that its model knew before.
         robot: as recorded, or None.
     """
 
@@ -81,6 +82,7 @@ class Identified:
     reversal: Float[Tensor, " n"]
     trajectories: tuple[str, ...]
     robot: Robot | None
+    earlier: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
@@ -186,6 +188,7 @@ def read_identification(result: Compared[IdentificationRecord]) -> Identified:
         reversal=found.reversal,
         trajectories=found.fit.trajectories,
         robot=found.model,
+        earlier=tuple((found.knowledge or {}).get("sources", ())[:-1]),
     )
 
 

@@ -253,8 +253,9 @@ def candidates_of(
         # Another sensor says what a coefficient is, or else physics how large it can be.
         seen = _seen(columns, data, effect)
         sizes = [c.largest / 2 for c in coefficients] if seen is None else [seen.std]
-        # A model that was fitted to the arm's own logs is in units of its sensors.
-        if effect.scale_of_torque and (data.gain_said or wanted.knowledge is not None):
+        # A model that was fitted to the arm's own logs is in units of its sensors: a scale that is
+        # another one now has changed, by whatever amount.
+        if effect.scale_of_torque and data.gain_said and wanted.knowledge is None:
             sizes = [data.gain_std]
         sigma = torch.tensor(sizes, dtype=torch.float64)
         return Term(effect.name, effects, place, at, coefficients, known, sigma=sigma, seen=seen)

@@ -60,8 +60,7 @@ class Told:
         parametric: corrections of inertial parameters.
         open: (term, best alternative that other data could separate from it).
         rivals: (rise of the evidence, term, alternative in its place), as far as within the odds.
-        unsure: terms that are less likely there than not, or of a size that may be zero, the least
-            likely first: no names.
+        unsure: terms that are less likely there than not, the least likely first: no names.
     """
 
     findings: tuple[Finding, ...]
@@ -114,19 +113,14 @@ def told(found: Explanation) -> Told:
         if one_of:
             sure = how_sure([rise])
         # What happened once lies in one block, and no other can speak for it.
-        certain = 1.0
         if not (term.inertial or any(e.event for e in term.effects)):
             searched = term.name not in common_names(found.terms, question.joints)
             looks = question.looks if searched else 1.0
-            certain = determined(found.solution, fixed + k, looks)
-            sure = min(sure, certain)
+            sure = min(sure, determined(found.solution, fixed + k, looks))
         repeated = replication(found.solution, fixed + k, question.candidates.columns.samples)
         if repeated is not None and 2 * repeated.repeats < repeated.asked:
             sure = min(sure, repeated.repeats / repeated.asked)  # a law is so in every motion
-        # A cause that the spread of blocks would let be zero at the level asked for has no size,
-        # but by another sensor.
-        sized = certain >= 1 - question.settings.alpha or question.shows(term)
-        if sure < LIKELY or not sized:
+        if sure < LIKELY:
             unsure.append((sure, term))
         rivals += [(r, term, other) for r, other in others if r > -2 * math.log(ODDS)]
         if term.inertial:
