@@ -57,6 +57,7 @@ def test_order(undrawn):
     tree = page_of(diagnosis())
     headings = [h.text_content() for h in tree.iter("h2")]
     assert headings == [
+        "The answer",
         "Pictures",
         "Numbers",
         "For your simulator",
@@ -64,7 +65,7 @@ def test_order(undrawn):
         "How this was obtained",
     ]
     links = [a.get("href") for a in tree.xpath("//nav/a")]
-    assert links == ["#pictures", "#numbers", "#block", "#remarks", "#origin"]
+    assert links == ["#answer", "#pictures", "#numbers", "#block", "#remarks", "#origin"]
 
 
 def test_numbers_are_those_of_the_json(undrawn):
@@ -89,18 +90,38 @@ def test_numbers_are_those_of_the_json(undrawn):
         (row,) = (r for r in rms if r[0] == name)
         expected = [j[key] for j in data["how_far"]["per_joint"]]
         assert [float(x) for x in row[1:-1]] == pytest.approx(expected, rel=5e-3)
-    gaps = rows_of(tree, "below 20 Hz")
+    gaps = rows_of(tree, "torque the model lacks, below 20 Hz")
     assert [float(r[1].split()[0]) for r in gaps] == pytest.approx(
         [j["gap_rms"] for j in data["where"]["joints"]], rel=5e-3
     )
 
 
+def test_the_answer_has_a_row_a_joint_the_largest_gap_first(undrawn):
+    """With what stands below it: one number for one thing."""
+    d = diagnosis(findings=(FRICTION, VISCOUS, OFFSET), parametric=(Parametric((2,), 0.1, 0.01),))
+    rows = rows_of(page_of(d), "RMS of what the model lacks [N m], below 20 Hz")
+    per_joint = {str(j["joint"]): j for j in d.plain()["how_far"]["per_joint"]}
+    joints = [r for r in rows if r[0] in per_joint]
+    assert sorted(r[0] for r in joints) == sorted(per_joint)
+    before = [float(r[1]) for r in joints]
+    assert before == sorted(before, reverse=True)
+    for r in joints:
+        assert float(r[1]) == pytest.approx(per_joint[r[0]]["before"], rel=5e-3)
+        assert float(r[2]) == pytest.approx(per_joint[r[0]]["after"], rel=5e-3)
+    # Every cause is there, with its action.
+    told = " ".join(r[5] for r in rows)
+    for name in ("Coulomb friction", "viscous friction", "torque offset", "inertia of link 3"):
+        assert name in told
+    assert all(r[7] for r in rows if r[5] not in ("-", ""))
+
+
 def test_captions_say_where(undrawn):
     captions = [c.text_content() for c in page_of(diagnosis()).iter("figcaption")]
     assert (
-        "Joint 2 holds 98 % of the gap, above all at velocity reversals and at low" in captions[0]
+        "Joint 2 holds 98 % of the gap, above all at velocity reversals and at low" in captions[1]
     )
-    assert "RMS 0.61 N m before and 0.07 after" in captions[1]
+    assert captions[0].startswith("Figure 1. Torque of joint 2")
+    assert "RMS 0.61 N m before and 0.07 after" in captions[2]
 
 
 def test_no_traces_no_budget(undrawn):

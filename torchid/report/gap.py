@@ -10,6 +10,7 @@ from torchid.gap.diagnosis import INERTIA_MEANING, INERTIA_REMEDY, Diagnosis, un
 from torchid.gap.record import Experiment, NotTestable, Replication
 from torchid.report import gap_figures
 from torchid.report import gap_words as words
+from torchid.report.gap_answer import answer_table
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Picture
 from torchid.report.robot import simulator_block
@@ -47,10 +48,20 @@ def shown(diagnosis: Diagnosis) -> Shown:
 
 
 def tables(diagnosis: Diagnosis) -> list[Table]:
-    """Where, which, what it means, how far, what could not be tested, what to do next."""
+    """The answer; then where, which, what it means, how far, what could not be tested, what to do
+    next."""
+    d = diagnosis
+    return filled(
+        answer_table(d),
+        *lower_tables(d),
+    )
+
+
+def lower_tables(diagnosis: Diagnosis) -> list[Table]:
+    """What stands below the answer."""
     d, rollout, experiment = diagnosis, diagnosis.how_far.rollout, diagnosis.next_experiment
     return filled(
-        where_table(d),
+        where_table(d) if stands_out(d) else None,
         which_table(d),
         small_table(d),
         known_table(d),
@@ -62,6 +73,11 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
         not_testable_table(d),
         experiment_table(experiment) if experiment else None,
     )
+
+
+def stands_out(diagnosis: Diagnosis) -> bool:
+    """Whether a kind of motion holds more than its share of some joint's gap."""
+    return any(words.clear_regimes(diagnosis, gap.joint) for gap in diagnosis.joints)
 
 
 def where_table(diagnosis: Diagnosis) -> Table:
@@ -251,6 +267,8 @@ def remarks(diagnosis: Diagnosis) -> list[str]:
         f"Hz; the fit is below {diagnosis.cutoff:g} Hz; noise from {known}.",
         "Share: of the squared gap beyond the noise, each joint in units of its own noise.",
     ]
+    if not stands_out(diagnosis):
+        out.insert(0, "Where: no kind of motion holds more of the gap than its share of time.")
     if diagnosis.knowledge is not None:
         out += [f"{note[0].upper()}{note[1:]}." for note in diagnosis.knowledge.notes]
     rollout = diagnosis.how_far.rollout
@@ -343,7 +361,7 @@ STATUS = {
 def gap_page(diagnosis: Diagnosis, origin: Origin) -> Page:
     """The page of a diagnosis."""
     d, far, unit = diagnosis, diagnosis.how_far, torque_unit(diagnosis.robot)
-    numbers = [table.on_page() for table in tables(d)]
+    numbers = [table.on_page() for table in lower_tables(d)]
     if d.findings:
         numbers.insert(2, coefficient_table(d))
     low, high = float(d.floor.low.norm()), float(d.floor.high.norm())
@@ -358,6 +376,7 @@ def gap_page(diagnosis: Diagnosis, origin: Origin) -> Page:
             ("Noise, RMS", f"{low:.3g} to {high:.3g} {unit}"),
         ),
         origin,
+        answer=[answer_table(d).on_page()],
         pictures=_pictures(d),
         tables=numbers,
         notes=list(dict.fromkeys([*d.warnings, *d.floor.notes, *remarks(d)])),
@@ -399,7 +418,8 @@ def _pictures(d: Diagnosis) -> list[Picture]:
     when = f"above all {listed([words.REGIMES[r.regime] for r in clear])}"
     share = next(gap.share for gap in d.joints if gap.joint == worst)
     shares = [f"joint {gap.joint + 1} {percent(gap.share)}" for gap in d.joints]
-    out = [
+    out: list[Picture] = []
+    where = [
         Picture(
             "where",
             "Where the gap lies. Rows are joints, columns are kinds of motion: a blue cell holds "
@@ -420,20 +440,22 @@ def _pictures(d: Diagnosis) -> list[Picture]:
         # The first joint's pictures say how to read them.
         out += [
             Picture(
-                f"joint_{number}",
-                f"What the model lacks on joint {number}: {change}.{'' if k else _AGAINST}",
-                f"Gap of joint {number} against velocity, position, acceleration, torque and time, "
-                f"and its spectrum: {change}.",
-                partial(gap_figures.joint_figure, d, joint),
-            ),
-            Picture(
                 f"torque_{number}",
                 f"Torque of joint {number} on data not fitted, where its gap is largest."
                 f"{'' if k else _OVER_TIME}",
                 f"Measured and modelled torque of joint {number} over time: {change}.",
                 partial(gap_figures.torque_figure, d, joint),
             ),
+            Picture(
+                f"joint_{number}",
+                f"What the model lacks on joint {number}: {change}.{'' if k else _AGAINST}",
+                f"Gap of joint {number} against velocity, position, acceleration, torque and time, "
+                f"and its spectrum: {change}.",
+                partial(gap_figures.joint_figure, d, joint),
+            ),
         ]
+    # The torque of the worst joint comes first; then where the gap lies, if that says anything.
+    out[1:1] = where if stands_out(d) else []
     pairs = zip(far.rms_before.tolist(), far.rms_after.tolist(), strict=True)
     said = [f"joint {j} {b:.3g} to {a:.3g}" for j, (b, a) in enumerate(pairs, start=1)]
     out.append(

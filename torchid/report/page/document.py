@@ -92,6 +92,7 @@ class Page:
         origin: how to repeat it.
         pictures, findings, tables: the figures, what they say, and the numbers.
         notes: what to bear in mind, one sentence each.
+        answer: the numbers that come first.
         sortable: whether its tables can be sorted by a click.
         block: text to copy.
     """
@@ -104,6 +105,7 @@ class Page:
     tables: Sequence[Table]
     notes: Sequence[str]
     findings: Sequence[str] = ()
+    answer: Sequence[Table] = ()
     sortable: bool = False
     block: str = ""
 
