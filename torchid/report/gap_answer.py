@@ -62,7 +62,7 @@ def _parted(d: Diagnosis) -> tuple[list[list[Finding]], dict[int, list[Finding]]
     for name in names:
         same = [f for f in d.findings if f.effect.name == name]
         of_one = [f for f in same if len(f.effect.joints) == 1]
-        if len(of_one) > MOST * d.robot.n:
+        if len(of_one) > max(1.0, MOST * d.robot.n):
             shared.append(sorted(of_one, key=lambda f: f.located))
         else:
             for f in of_one:

@@ -248,6 +248,10 @@ def _causes(d: Diagnosis) -> str:
     if len(d.findings) == 1:
         f = d.findings[0]
         place, inner = joints_words(f.located), _inner([f], d.robot)
+        if f.changed:
+            return listed(
+                [f"{effect_words(f.effect.name)} of {place} has changed{inner}", *inertia]
+            )
         return listed(
             [
                 f"the model's {effect_words(f.effect.name)} of {place} is off{inner}"
@@ -256,19 +260,25 @@ def _causes(d: Diagnosis) -> str:
                 *inertia,
             ]
         )
-    names = list(dict.fromkeys(f.effect.name for f in sorted(d.findings, key=lambda f: -f.share)))
-    by_joint = sorted(d.findings, key=lambda f: f.located)
-    texts = []
-    for name in names[:_MOST_NAMED]:
-        same = [f for f in by_joint if f.effect.name == name]
+    # Each name once, new ones apart from those that have changed.
+    by_share = sorted(d.findings, key=lambda f: -f.share)
+    groups = list(dict.fromkeys((f.effect.name, bool(f.changed)) for f in by_share))
+    new, moved = list[str](), list[str]()
+    for name, changed in groups[:_MOST_NAMED]:
+        same = [f for f in d.findings if (f.effect.name, bool(f.changed)) == (name, changed)]
+        same.sort(key=lambda f: f.located)
         joints = [j for f in same for j in f.located]
-        place = f" on {joints_words(joints)}" if joints else ""
-        texts.append(f"{with_article(name)}{place}{_inner(same, d.robot)}")
-    more = len(names) - _MOST_NAMED
+        every = len(set(joints)) == d.robot.n > 1 and len(same) > 1
+        place = " on all joints" if every else f" on {joints_words(joints)}" if joints else ""
+        text = f"{effect_words(name) if changed else with_article(name)}{place}"
+        (moved if changed else new).append(text + _inner(same, d.robot))
+    more = len(groups) - _MOST_NAMED
     if more > 0:
-        texts.append(count(more, "smaller effect"))
-    lacks = [f"the model lacks {listed(texts)}"] if texts else []
-    return ", and ".join([*lacks, *inertia]) or "nothing"
+        new.append(count(more, "smaller effect"))
+    said = [f"the model lacks {listed(new)}"] if new else []
+    if moved:
+        said.append(f"{listed(moved)} {'has' if len(moved) == 1 else 'have'} changed")
+    return ", and ".join([*said, *inertia]) or "nothing"
 
 
 def _inertia(changed: Sequence[Parametric]) -> str:
