@@ -41,7 +41,7 @@ napoleon_numpy_docstring = False
 NAVIGATION = {
     "How to": ("your-log", "lerobot", "robots", "log-doctor", "python", "export", "pair", "report",
                "compare", "fleet", "next-experiment"),
-    "What it means": ("concepts", "effects", "equal-torque"),
+    "What it means": ("concepts", "knowledge", "effects", "equal-torque"),
     "How good it is": ("results", "gap-results", "position-results", "withheld", "trust"),
     "Python": ("api/*",),
     "The project": ("design", "../CONTRIBUTING", "../CHANGELOG"),

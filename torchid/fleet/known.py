@@ -1,5 +1,7 @@
 """A fleet's type, or one of its units, as a robot whose model says how sure it is."""
 
+from dataclasses import replace
+
 import torch
 
 from torchid.errors import TorchidError
@@ -56,9 +58,8 @@ def known_model(fleet: Fleet, unit: str | None = None) -> Robot:
     known = over_parameters(root, base, effects, f"{fleet.model.robot.name}: {what}")
     sessions = sum(len(u.sessions) for u in fleet.units if unit in (None, u.unit))
     sources = (f"{what} in {sessions} session{'s' * (sessions > 1)}",)
-    sure = type(known)(
-        known.links, known.coefficients, known.root, sources, fleet.one_fit.noise, between
-    )
+    left = fleet.one_fit.noise.nan_to_num(0.0)
+    sure = replace(known, sources=sources, left=left, between=between)
     own = BaseValues(
         base,
         effects,
