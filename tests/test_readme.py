@@ -73,8 +73,9 @@ def _raw_log(source: Path, target: Path) -> None:
 
 
 def _logs(folder: Path) -> None:
-    """Five runs of the arm with friction that its file lacks, which are stepped together; of the
-    model that lacks it, one as a simulator has it, and two without and with a payload."""
+    """Five runs of the arm with friction that its file lacks, which are stepped together, and one of
+    another day, with a payload; of the model that lacks it, one as a simulator has it, and two
+    without and with a payload."""
     robot = load_robot(folder / "my_arm.urdf").with_limits(acceleration=5)
     motion = trajectory_log(random_trajectory(robot, 1, count=4, duration=8.0, fill=True), 200.0)
     runs = motion.trajectories()
@@ -89,7 +90,12 @@ def _logs(folder: Path) -> None:
         (folder / "logs" / f"arm-{k}").mkdir(parents=True)
         shutil.copy(folder / f"run{k}.csv", folder / "logs" / f"arm-{k}" / "monday.csv")
     load = {"effect": "payload", "m": 0.5} | dict.fromkeys(LOAD, 0.0)
-    for name, effects in (("sim", []), ("empty", []), ("full", [load])):
+    for name, effects in (
+        ("sim", []),
+        ("empty", []),
+        ("full", [load]),
+        ("friday", [friction, load]),
+    ):
         log = simulate(robot, runs[0], effects=effects, seed=9)
         write_log(log, folder / f"{name}.csv")
 
