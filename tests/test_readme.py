@@ -73,8 +73,8 @@ def _raw_log(source: Path, target: Path) -> None:
 
 
 def _logs(folder: Path) -> None:
-    """Five runs of the arm with friction that its file lacks, which are stepped together, and one of
-    another day, with a payload; of the model that lacks it, one as a simulator has it, and two
+    """Five runs of the arm with friction that its file lacks, which are stepped together, and one
+    of another day, with a payload; of the model that lacks it, one as a simulator has it, and two
     without and with a payload."""
     robot = load_robot(folder / "my_arm.urdf").with_limits(acceleration=5)
     motion = trajectory_log(random_trajectory(robot, 1, count=4, duration=8.0, fill=True), 200.0)
