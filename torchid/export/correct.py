@@ -20,7 +20,7 @@ from torchid.design.repeats import find_repeats
 from torchid.design.segments import Samples, Segment
 from torchid.effects.registry import nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.export.dynamics import Dynamics
+from torchid.export.dynamics import Dynamics, require_same_arm
 from torchid.export.export import SUFFIXES, Export, edited_of, export_dynamics, stem_of
 from torchid.export.projection import PRICE, Projection, Projector, Target
 from torchid.export.record import CorrectionRecord, correction_record
@@ -320,16 +320,6 @@ def correct(
     return Correction(
         robot, projection, judged, tuple(files), _warnings(projection, judged, robot, data.silent)
     )
-
-
-def require_same_arm(corrected: Robot, robot: Robot, what: str) -> None:
-    """Raise TorchidError for what (`result is`) is of another arm than the robot."""
-    if corrected.n != robot.n or bool((corrected.frames_apart(robot) > 1e-9).any()):
-        raise TorchidError(
-            f"the {what} of another arm.",
-            got=f"'{corrected.name}', {corrected.n} joints",
-            expected=f"'{robot.name}', {robot.n} joints in the same places",
-        )
 
 
 def _require_better(judged: Judged) -> None:

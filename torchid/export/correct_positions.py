@@ -14,8 +14,8 @@ from typing import Literal
 import torch
 
 from torchid.errors import TorchidError
-from torchid.export.correct import CLAIMED, of_joints, require_same_arm
-from torchid.export.dynamics import Dynamics
+from torchid.export.correct import CLAIMED, of_joints
+from torchid.export.dynamics import Dynamics, require_same_arm
 from torchid.export.export import Export, edited_of, export_dynamics, stem_of
 from torchid.export.record import PositionCorrectionRecord, position_correction_record
 from torchid.export.results import servo_dynamics

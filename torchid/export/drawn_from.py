@@ -10,6 +10,7 @@ from scipy.stats import norm
 from torchid.effects.inertia import LinkInertia
 from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
+from torchid.export.dynamics import require_same_arm
 from torchid.export.record import ResidualBand
 from torchid.gap.record import Fitted, GapRecord, JointFit
 from torchid.identification.base_parameters import base_parameters
@@ -59,7 +60,7 @@ def of_diagnosis(found: GapRecord, robot: Robot | None, level: float) -> DrawnFr
             hint="`torchid gap ... --json gap.json` with this version" if older else None,
         )
     given = found.model if robot is None else robot
-    _require_same(found.corrected, given, "diagnosis")
+    require_same_arm(given, found.corrected, "diagnosis is")
     left = torch.tensor([max(j.after, 1e-9) for j in found.how_far.per_joint]).double()
     return DrawnFrom(found.corrected, given, found.joint_fits, left, _bands(found, level))
 
@@ -78,7 +79,7 @@ def of_model(model: Robot, robot: Robot | None, level: float) -> DrawnFrom:
             expected="the JSON of `torchid gap`, or a model that `torchid gap --save-model` wrote",
         )
     given = model if robot is None else robot
-    _require_same(model, given, "model")
+    require_same_arm(given, model, "model is")
     # Of base parameters and coefficients together, what is determined.
     base, order = base_parameters(model), paper_order(model.n).tolist()
     at = [order[k] for k in base.independent]
@@ -137,15 +138,6 @@ def of_model(model: Robot, robot: Robot | None, level: float) -> DrawnFrom:
     words = f"what is known from {', '.join(known.sources)}"
     left = known.left.clamp(min=1e-9)
     return DrawnFrom(model, given, (fit,), left, bands, words, tuple(said))
-
-
-def _require_same(corrected: Robot, given: Robot, what: str) -> None:
-    if given.n != corrected.n or bool((corrected.frames_apart(given) > 1e-9).any()):
-        raise TorchidError(
-            f"the {what} is of another arm.",
-            got=f"'{given.name}', {given.n} joints",
-            expected=f"'{corrected.name}', {corrected.n} joints in the same places",
-        )
 
 
 def _unit(robot: Robot | None, joint: int) -> str:

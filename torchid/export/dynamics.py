@@ -9,6 +9,7 @@ import torch
 from torchid.effects.base import Effect, Motion
 from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued, model_torque, nominal_effects
+from torchid.errors import TorchidError
 from torchid.identification.values import BaseValues
 from torchid.position.model import ServoArm
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
@@ -48,6 +49,16 @@ class Dynamics:
     def torque(self, motion: Motion) -> Joints:
         """Torque (..., n) [N m; N] of the result's own model."""
         return robot_torque(self.robot, motion)
+
+
+def require_same_arm(corrected: Robot, robot: Robot, what: str) -> None:
+    """Raise TorchidError for what (`result is`) is of another arm than the robot."""
+    if corrected.n != robot.n or bool((corrected.frames_apart(robot) > 1e-9).any()):
+        raise TorchidError(
+            f"the {what} of another arm.",
+            got=f"'{corrected.name}', {corrected.n} joints",
+            expected=f"'{robot.name}', {robot.n} joints in the same places",
+        )
 
 
 def robot_torque(robot: Robot, motion: Motion) -> Joints:

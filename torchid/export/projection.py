@@ -20,7 +20,7 @@ from torchid.export.dynamics import folded, records
 from torchid.export.joint_dynamics import Target, attributes_in
 from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, response, room_of
 from torchid.gap.data import Data
-from torchid.identification.knowledge import known_names
+from torchid.identification.knowledge import known_coefficients
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot
@@ -253,10 +253,7 @@ class Projector:
         known = self.full.knowledge
         if known is None:
             return None
-        own, there = (
-            {name: x for e, v in some for name, x in zip(known_names(e), v, strict=True)}
-            for some in (pairs, nominal_effects(self.full))
-        )
+        own, there = (known_coefficients(some) for some in (pairs, nominal_effects(self.full)))
         names = [name for name in own if name in known.coefficients and name in there]
         whole = folded(self.full)
         pi = [r.require_parameters("a correction").pi.double() for r in (robot, whole)]

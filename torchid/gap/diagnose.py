@@ -38,11 +38,10 @@ from torchid.gap.validate.closing import Closing, budget, closing, levels, resid
 from torchid.gap.validate.folds import FEW, Folds, make_folds, traces
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.identify import refuse_repeated
-from torchid.identification.knowledge import between_sessions, known_names
+from torchid.identification.knowledge import known_later, known_names
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
-from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot, joint_list
 from torchid.simulation.two_models import rollouts
 from torchid.statistics.autocorrelation import integrated_time
@@ -311,7 +310,7 @@ def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:
         inertial=settings.parameters != "trusted",
         only=settings.only,
         base=base_parameters(robot, basis="report"),
-        knowledge=known_before(robot) if settings.parameters == "auto" else None,
+        knowledge=known_later(robot) if settings.parameters == "auto" else None,
     )
 
 
@@ -323,13 +322,6 @@ def pushes(wanted: Wanted) -> Wanted:
         wanted, names=names, free=True, background=(TorqueOffset.name,), inertial=False,
         knowledge=None,
     )  # fmt: skip
-
-
-def known_before(robot: Robot) -> Knowledge | None:
-    """How sure the robot's model is on the day of another session; None where it does not say."""
-    if robot.knowledge is None or robot.parameters is None:
-        return None
-    return robot.knowledge.aged(between_sessions(robot))
 
 
 def start_of(robot: Robot) -> Model:

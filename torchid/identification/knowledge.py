@@ -1,12 +1,12 @@
 """What logs tell of a model's values: information as robust as the spread of blocks says."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import torch
 
 from torchid.design.columns import Columns
 from torchid.effects.base import Effect
-from torchid.effects.registry import KINDS, nominal_effects
+from torchid.effects.registry import KINDS, Valued, nominal_effects
 from torchid.identification.base_parameters import BaseParameters
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
 from torchid.robot.knowledge import NOTHING, Knowledge, coefficient_keys
@@ -200,6 +200,22 @@ def of_base_parameters(
     return torch.cat([links, root[:, known.rigid :]], 1)[:, list(base.independent)]
 
 
+def known_coefficients(effects: Iterable[Valued]) -> dict[str, float]:
+    """Values of effects' coefficients, by the names by which they are known."""
+    return {
+        name: value
+        for effect, values in effects
+        for name, value in zip(known_names(effect), values, strict=True)
+    }
+
+
+def known_later(robot: Robot) -> Knowledge | None:
+    """How sure a robot's model is on the day of another session; None where it does not say."""
+    if robot.knowledge is None or robot.parameters is None:
+        return None
+    return robot.knowledge.aged(between_sessions(robot))
+
+
 def known_before(
     robot: Robot, base: BaseParameters, effects: Sequence[Effect], *, later: bool = True
 ) -> tuple[Float[Tensor, "R B"], Float[Tensor, " B"]] | None:
@@ -211,14 +227,10 @@ def known_before(
         base, effects: which base parameters.
         later: on the day of another session; else on that of the last one.
     """
-    if robot.knowledge is None or robot.parameters is None:
+    known = known_later(robot) if later else robot.knowledge
+    if known is None or robot.parameters is None:
         return None
-    known = robot.knowledge.aged(between_sessions(robot)) if later else robot.knowledge
-    own = {
-        name: v
-        for e, vs in nominal_effects(robot)
-        for name, v in zip(known_names(e), vs, strict=True)
-    }
+    own = known_coefficients(nominal_effects(robot))
     coefficients = [own.get(name, 0.0) for e in effects for name in known_names(e)]
     rigid = robot.parameters.to_paper_order().double()
     expected = base.project(torch.cat([rigid, rigid.new_tensor(coefficients)]))

@@ -144,15 +144,11 @@ def excite_for(
     if robot is None:
         raise TorchidError(f"'{source}' does not record its robot: `robot=...`.")
 
-    if isinstance(record, IdentificationRecord):
-        prior = prior_of(record, robot, source)
-        return design_for(
-            robot, prior, seed=seed, goal=goal or "a_optimal", restarts=restarts, usage=usage,
-            harmonics=harmonics, duration=duration, clearance=clearance,
-            progress=stage(progress, "designing"),
-        )  # fmt: skip
-    if goal is not None or hidden(record):
-        prior = prior_of_diagnosis(record, robot, source)
+    if isinstance(record, IdentificationRecord) or goal is not None or hidden(record):
+        if isinstance(record, IdentificationRecord):
+            prior = prior_of(record, robot, source)
+        else:
+            prior = prior_of_diagnosis(record, robot, source)
         return design_for(
             robot, prior, seed=seed, goal=goal or "a_optimal", restarts=restarts, usage=usage,
             harmonics=harmonics, duration=duration, clearance=clearance,

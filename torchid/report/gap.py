@@ -50,11 +50,7 @@ def shown(diagnosis: Diagnosis) -> Shown:
 def tables(diagnosis: Diagnosis) -> list[Table]:
     """The answer; then where, which, what it means, how far, what could not be tested, what to do
     next."""
-    d = diagnosis
-    return filled(
-        answer_table(d),
-        *lower_tables(d),
-    )
+    return filled(answer_table(diagnosis), *lower_tables(diagnosis))
 
 
 def lower_tables(diagnosis: Diagnosis) -> list[Table]:
