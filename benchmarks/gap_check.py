@@ -55,7 +55,7 @@ from gap_cases import (  # fmt: skip
 from gap_oracle import EVENTS, coverage, fresh_closed, model_of, oracle
 
 from torchid.effects.registry import FAMILIES, KINDS
-from torchid.gap.diagnose import diagnose
+from torchid.gap.torque import diagnose_torque
 from torchid.gap.diagnosis import Diagnosis, Finding
 from torchid.gap.record import Parametric
 from torchid.gap.settings import GapSettings
@@ -139,7 +139,7 @@ def run_case(case: Case, work: Path, known: dict[str, Any] | None) -> dict[str, 
             left_out = case.names if case.suite == "leave_one_out" else ()
             effects = tuple(n for n in KINDS if n not in left_out) if left_out else None
             settings = GapSettings(effects=effects, rollout=False, seed=case.seed)
-            row |= answer_row(diagnose(arm.scene.robot, log, settings=settings))
+            row |= answer_row(diagnose_torque(arm.scene.robot, log, settings=settings))
         else:
             row = known | row
         if case.suite == "closing":

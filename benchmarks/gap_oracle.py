@@ -22,7 +22,7 @@ from gap_plant import on_clock
 from torchid.design.columns import Columns, Model
 from torchid.effects.registry import EVENTS, KINDS, Valued, effect_from_record, nominal_effects
 from torchid.gap.data import prepare
-from torchid.gap.diagnose import diagnose
+from torchid.gap.torque import diagnose_torque
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.noise.floor import stuck
 from torchid.gap.settings import GapSettings
@@ -62,7 +62,7 @@ def oracle(robot: Robot, log: Log, planted: Mapping[str, Any], seed: int) -> Dia
         rollout=False,
         seed=seed,
     )
-    return diagnose(robot, log, settings=settings)
+    return diagnose_torque(robot, log, settings=settings)
 
 
 def model_of(diagnosed: Diagnosis) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from gap_real import FRICTION, UR10E, logs
 
 from torchid.effects.registry import KINDS, model_torque, nominal_effects
 from torchid.gap.data import prepare
-from torchid.gap.diagnose import diagnose
+from torchid.gap.torque import diagnose_torque
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
@@ -112,7 +112,7 @@ def answer(robot: Robot, log: Log, settings: GapSettings) -> dict[str, Any]:
     """The diagnosis' JSON, with its CPU seconds; of what was refused or failed, the error."""
     started = time.process_time()
     try:
-        found = diagnose(robot, log, settings=settings).plain()
+        found = diagnose_torque(robot, log, settings=settings).plain()
     except Exception as error:  # one case must not end a night's run
         found = {"status": "error", "which": [], "error": f"{type(error).__name__}: {error}"}
     return {**found, "seconds": time.process_time() - started}
@@ -161,7 +161,7 @@ def run(label: str, source: Source, data: Path, work: Path, args: argparse.Names
     folder.mkdir(parents=True, exist_ok=True)
     model = folder / "model.yaml"
     if not model.exists():
-        found = diagnose(rigid, first, settings=settings_of(source, background=FRICTION))
+        found = diagnose_torque(rigid, first, settings=settings_of(source, background=FRICTION))
         write_robot(found.corrected, model)
     robot = load_robot(str(model))
     empty = folder / "none.json"

@@ -16,7 +16,7 @@ from pathlib import Path
 import torch
 from real_logs import UR10E_GAINS
 
-from torchid.gap.diagnose import diagnose
+from torchid.gap.torque import diagnose_torque
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
 from torchid.log.filtering import ZeroPhaseFilter
@@ -117,7 +117,7 @@ def run(line: Line, data: Path, background: tuple[str, ...]) -> Diagnosis:
     )
     kept = logs(data, (line.held_out,)) if isinstance(line.held_out, str) else None
     robot: Robot = load_robot(str(data / line.robot)).with_parameters(None)
-    return diagnose(robot, logs(data, line.logs), held_out=kept, settings=settings)
+    return diagnose_torque(robot, logs(data, line.logs), held_out=kept, settings=settings)
 
 
 def errors(found: Diagnosis, line: Line, which: str) -> str:

@@ -21,7 +21,7 @@ from typing import Any
 import torch
 from gap_real import FRICTION, logs
 
-from torchid.gap.diagnose import diagnose
+from torchid.gap.torque import diagnose_torque
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
@@ -122,7 +122,7 @@ def answer(robot: Robot, log: Log, settings: GapSettings) -> dict[str, Any]:
     """The diagnosis' JSON; of what was refused or failed, the error."""
     started = time.process_time()
     try:
-        found = diagnose(robot, log, settings=settings).plain()
+        found = diagnose_torque(robot, log, settings=settings).plain()
     except Exception as error:  # one pair must not end a night's run
         found = {"status": "error", "which": [], "error": f"{type(error).__name__}: {error}"}
     return {**found, "seconds": time.process_time() - started}
@@ -138,7 +138,7 @@ def run(label: str, arm: Arm, data: Path, work: Path) -> None:
         if file.exists():
             continue
         if not model.exists():
-            found = diagnose(robot, first, settings=settings_of(arm, background=BACKGROUND))
+            found = diagnose_torque(robot, first, settings=settings_of(arm, background=BACKGROUND))
             write_robot(found.corrected, model)
         found = answer(load_robot(str(model)), second, settings_of(arm))
         file.write_text(json.dumps({"mass": mass, "joints": robot.n, "answer": found}))

@@ -30,7 +30,7 @@ import torch
 
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.gap.diagnose import diagnose
+from torchid.gap.torque import diagnose_torque
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
@@ -71,7 +71,7 @@ def measure(seconds: float, rollout: bool) -> dict[str, Any]:
         spent[last[0]] += now - last[1]
         last = (stage, now)
 
-    found = diagnose(robot, log, settings=GapSettings(rollout=rollout), progress=progress)
+    found = diagnose_torque(robot, log, settings=GapSettings(rollout=rollout), progress=progress)
     progress("", 0, 0)
     del spent[""]
     return {

@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from gap_real import FRICTION, logs
 
-from torchid.gap.diagnose import diagnose
+from torchid.gap.torque import diagnose_torque
 from torchid.gap.settings import GapSettings
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
@@ -171,8 +171,8 @@ def asked(question: Question, data: Path) -> dict[str, Any]:
     if question.first:
         background = FRICTION if question.rigid else ()
         fitted = replace(settings, background=background)
-        robot = diagnose(robot, logs(data, question.first), settings=fitted).corrected
-    found = diagnose(robot, logs(data, question.log), settings=settings).plain()
+        robot = diagnose_torque(robot, logs(data, question.first), settings=fitted).corrected
+    found = diagnose_torque(robot, logs(data, question.log), settings=settings).plain()
     return {**found, "seconds": time.process_time() - started}
 
 

@@ -30,7 +30,7 @@ from torchid.excitation.design import optimise_trajectory
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory
-from torchid.gap.diagnose import diagnose
+from torchid.gap.torque import diagnose_torque
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
@@ -116,7 +116,7 @@ def driven_twice(arm: Arm, motion: FourierTrajectory, std: tuple[float, ...], se
 
 
 def diagnosed(robot: Robot, log: Log, only: tuple[tuple[str, int | None], ...] | None = None):
-    return diagnose(robot, log, settings=GapSettings(rollout=False, only=only))
+    return diagnose_torque(robot, log, settings=GapSettings(rollout=False, only=only))
 
 
 def members(robot: Robot, log: Log, found: Diagnosis, names: tuple[str, ...]) -> dict[str, Arm]:

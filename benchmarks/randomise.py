@@ -24,7 +24,7 @@ from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.export.randomise import Randomisation, randomise
 from torchid.gap.data import prepare
-from torchid.gap.diagnose import diagnose
+from torchid.gap.torque import diagnose_torque
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.folds import traces
@@ -91,7 +91,7 @@ def covered(seed: int, level: float) -> tuple[list[bool], list[bool], float]:
     robot, arm, truth, log = planted(seed)
     settings = GapSettings(effects=SEARCHED, rollout=False, seed=seed)
     started = time.perf_counter()
-    wide = randomise(diagnose(robot, log, settings=settings).record, level, seed=seed)
+    wide = randomise(diagnose_torque(robot, log, settings=settings).record, level, seed=seed)
     seconds = time.perf_counter() - started
     ranges = {(r.field, r.name): (r.low, r.high) for r in wide.ranges}
     held = []
@@ -164,7 +164,7 @@ def real(data: Path, level: float) -> None:
         else:
             apart = logs(data, (held_out,))
         started = time.perf_counter()
-        found = diagnose(arm, log, settings=GapSettings(rollout=False))
+        found = diagnose_torque(arm, log, settings=GapSettings(rollout=False))
         wide = randomise(found.record, level)
         shares = band(wide, found, apart)
         print(f"{name}: {' '.join(f'{x:.1f}' for x in shares.tolist())} %, mean", end=" ")

@@ -10,10 +10,8 @@ from torchid.excitation.design import excite as excite
 from torchid.excitation.synthetic import PaperNoise as PaperNoise
 from torchid.excitation.synthetic import simulate as simulate
 from torchid.export.correct import correct as correct
-from torchid.export.correct_positions import correct_positions as correct_positions
 from torchid.export.export import export_dynamics as export_dynamics
 from torchid.export.randomise import randomise as randomise
-from torchid.export.randomise_positions import randomise_positions as randomise_positions
 from torchid.extraction.convex.atlas import atlas as atlas
 from torchid.extraction.extract import extract as extract
 from torchid.extraction.found import best_set as best_set
@@ -33,12 +31,11 @@ from torchid.log.readers import read_log as read_log
 from torchid.log.readers import write_log as write_log
 from torchid.next_motion.design import excite_for as excite_for
 from torchid.pair.pair import compare_pair as compare_pair
-from torchid.position.diagnose import diagnose_positions as diagnose_positions
 from torchid.position.model import ServoArm as ServoArm
 from torchid.position.model import replay as replay
-from torchid.position.next_motion import next_commands as next_commands
 from torchid.report.plots import draw as draw
 from torchid.report.view import write_view as write_view
+from torchid.results.answer import Diagnosis as Diagnosis
 from torchid.results.files import load as load
 from torchid.robot.inertia import InertialParameters as InertialParameters
 from torchid.robot.library import load_robot as load_robot

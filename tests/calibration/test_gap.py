@@ -15,9 +15,9 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import model_torque, nominal_effects
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.gap.diagnose import diagnose
-from torchid.gap.diagnosis import Diagnosis
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.gap.validate.closing import noise_variance
 from torchid.log.filtering import low_passed
 from torchid.log.model import Log
@@ -80,7 +80,7 @@ def outcome(case: Case) -> Outcome:
     if case.name is not None:
         effects = ({"effect": case.name, "joint": 2, **PLANTED[case.name]},)
     real = replace(ROBOT, effects=effects)
-    found = diagnose(
+    found = diagnose_torque(
         ROBOT, logged(real, case.seed, case.correlation), settings=GapSettings(rollout=False)
     )
     ours = [f for f in found.findings if (f.effect.name, f.joints) == (case.name, (1,))]
@@ -94,7 +94,7 @@ def outcome(case: Case) -> Outcome:
     return Outcome(found.status, named, inside, closed)
 
 
-def truly_closed(found: Diagnosis, real: Robot) -> float:
+def truly_closed(found: TorqueDiagnosis, real: Robot) -> float:
     """On fresh trajectories without noise, joints in units of their noise."""
     unit = noise_variance(found.floor)
     losses = torch.zeros(2, dtype=torch.float64)

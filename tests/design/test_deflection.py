@@ -7,9 +7,9 @@ import torch
 from tests.gap.motions import ROBOT, motion_at, noise, times
 from torchid.design.deflection import Compliance, compliance
 from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.gap.diagnose import diagnose
-from torchid.gap.diagnosis import Diagnosis
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.typing import Tensor
 
@@ -66,14 +66,14 @@ def flexible(c: float) -> Log:
     return Log(t, encoder(motor), tau=sensed, ql=encoder(link.q))
 
 
-def named(found: Diagnosis) -> list[tuple[str, tuple[int, ...]]]:
+def named(found: TorqueDiagnosis) -> list[tuple[str, tuple[int, ...]]]:
     return [(f.effect.name, f.located) for f in found.findings]
 
 
 @pytest.mark.slow
 def test_a_link_side_encoder_shows_what_torques_do_not():
     log, settings = flexible(SOFT), GapSettings(rollout=False)
-    found = diagnose(ROBOT, log, settings=settings)
+    found = diagnose_torque(ROBOT, log, settings=settings)
     assert named(found) == [("joint_elasticity", (JOINT,))]
     (finding,) = found.findings
     assert abs(finding.values[0] / SOFT - 1) < 0.03
@@ -82,8 +82,8 @@ def test_a_link_side_encoder_shows_what_torques_do_not():
     assert found.status == "explained"
     assert "encoders of motor and link" in " ".join(finding.notes)
     # The torques alone do not show it.
-    assert named(diagnose(ROBOT, log.replace(ql=None), settings=settings)) == []
-    assert named(diagnose(ROBOT, flexible(0.0), settings=settings)) == []
+    assert named(diagnose_torque(ROBOT, log.replace(ql=None), settings=settings)) == []
+    assert named(diagnose_torque(ROBOT, flexible(0.0), settings=settings)) == []
 
 
 def test_encoders_that_agree_exactly_tell_nothing():

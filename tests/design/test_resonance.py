@@ -11,8 +11,8 @@ from torchid.design.resonance import Swing, swings, wiener
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.gear import Gear
 from torchid.gap.data import prepare
-from torchid.gap.diagnose import diagnose
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.log.filtering import low_passed
 from torchid.log.model import Log
 from torchid.robot.model import Robot
@@ -67,7 +67,7 @@ def test_a_rigid_joint_does_not_swing(tmp_path: Path, late: int) -> None:
 def test_the_diagnosis_names_it(tmp_path: Path) -> None:
     robot, log = logged(tmp_path, 10.0)
     settings = GapSettings(effects=("joint_elasticity", "viscous_friction"), rollout=False)
-    found = diagnose(robot, log, settings=settings)
+    found = diagnose_torque(robot, log, settings=settings)
     assert [f.effect.name for f in found.findings] == ["joint_elasticity"]
     assert any("swings" in note for note in found.findings[0].notes)
 

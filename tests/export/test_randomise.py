@@ -17,9 +17,9 @@ import torchid
 from tests.gap.small_logs import ONCE, ROBOT, Recording, arm, carrying, friction, logged
 from torchid.errors import TorchidError
 from torchid.export.randomise import randomise
-from torchid.gap.diagnose import diagnose
 from torchid.gap.record import GapRecord
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.identification.base_parameters import base_parameters
 from torchid.robot.inertia import InertialParameters
 
@@ -32,7 +32,9 @@ def found() -> GapRecord:
     robot = carrying(0.3, (0.05, 0.02, 0.04), 0.002)
     true = arm(friction(1, Fc=1.0), friction(2, Fc=2.0), friction(2, Fv=1.5), robot=robot)
     settings = GapSettings(effects=KNOWN, rollout=False)
-    return diagnose(ROBOT, logged(true, Recording(ONCE, duration=5.0)), settings=settings).record
+    return diagnose_torque(
+        ROBOT, logged(true, Recording(ONCE, duration=5.0)), settings=settings
+    ).record
 
 
 def test_a_diagnosis_holds_the_covariance_of_all_that_it_names(found: GapRecord) -> None:
@@ -296,7 +298,7 @@ def test_ranges_hold_what_was_planted() -> None:
         true = arm(*(effect for pair in pairs for effect in pair))
         log = logged(true, Recording(ONCE, duration=4.0, seed=seed))
         settings = GapSettings(effects=KNOWN[:2], rollout=False)
-        wide = randomise(diagnose(ROBOT, log, settings=settings).record, seed=seed)
+        wide = randomise(diagnose_torque(ROBOT, log, settings=settings).record, seed=seed)
         ranges = {(r.field, r.name): r for r in wide.ranges}
         for field, values in (("friction", fc), ("damping", fv)):
             for j, value in enumerate(values):

@@ -10,7 +10,7 @@ from torch import Tensor
 from tests.arms import arm
 from torchid.effects.base import Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
-from torchid.gap.diagnosis import Diagnosis, Finding, HowFar, Trace
+from torchid.gap.diagnosis import Finding, HowFar, TorqueDiagnosis, Trace
 from torchid.gap.record import (
     Budget,
     Experiment,
@@ -133,7 +133,7 @@ OFFSET = replace(
 )  # fmt: skip
 
 
-def diagnosis(status: Status = "explained", **changes: object) -> Diagnosis:
+def diagnosis(status: Status = "explained", **changes: object) -> TorqueDiagnosis:
     """A diagnosis of the 3R that any status could have."""
     robot = arm("3r")
     before = torch.tensor([0.08, 0.61, 0.05], dtype=torch.float64)
@@ -156,7 +156,7 @@ def diagnosis(status: Status = "explained", **changes: object) -> Diagnosis:
         ),
         RegimeGap(0, "slow_drift", 0.1, (-0.1, 0.3), 0.02),
     ]
-    made = Diagnosis(
+    made = TorqueDiagnosis(
         robot=robot,
         corrected=robot,
         status=status,

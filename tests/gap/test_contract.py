@@ -13,8 +13,8 @@ import pytest
 
 from tests.gap.small_logs import NOISE, ONCE, ROBOT, Recording, arm, carrying, friction, logged
 from torchid.effects.registry import FAMILIES, effect_kind
-from torchid.gap.diagnose import diagnose
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.robot.model import Robot
 
 pytestmark = pytest.mark.usefixtures("types_unchecked")
@@ -195,7 +195,7 @@ LOGS: dict[str, tuple[Robot, Recording]] = {
 @cache
 def diagnosed(name: str) -> dict[str, Any]:
     real, how = LOGS[name]
-    found = diagnose(ROBOT, logged(real, how), settings=SETTINGS)
+    found = diagnose_torque(ROBOT, logged(real, how), settings=SETTINGS)
     return json.loads(json.dumps(found.plain(), allow_nan=False))
 
 

@@ -17,9 +17,9 @@ from torchid.effects.registry import FAMILIES, KINDS, nominal_effects
 from torchid.errors import LogError
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.gap.diagnose import diagnose
-from torchid.gap.diagnosis import Diagnosis
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
@@ -61,28 +61,28 @@ def without(*names: str) -> tuple[str, ...]:
     return tuple(name for name in KINDS if name not in names)
 
 
-CASES: dict[str, Callable[[], Diagnosis]] = {
-    "none": lambda: diagnose(ROBOT, logged(ROBOT), settings=QUICK),
-    "coulomb": lambda: diagnose(ROBOT, logged(REAL), settings=QUICK),
-    "again": lambda: diagnose(case("coulomb").corrected, logged(REAL), settings=QUICK),
-    "parameters": lambda: diagnose(heavier((1.1, 1.15, 1.2)), logged(ROBOT), settings=QUICK),
-    "unknown": lambda: diagnose(
+CASES: dict[str, Callable[[], TorqueDiagnosis]] = {
+    "none": lambda: diagnose_torque(ROBOT, logged(ROBOT), settings=QUICK),
+    "coulomb": lambda: diagnose_torque(ROBOT, logged(REAL), settings=QUICK),
+    "again": lambda: diagnose_torque(case("coulomb").corrected, logged(REAL), settings=QUICK),
+    "parameters": lambda: diagnose_torque(heavier((1.1, 1.15, 1.2)), logged(ROBOT), settings=QUICK),
+    "unknown": lambda: diagnose_torque(
         replace(ROBOT, parameters=None),
         logged(REAL),
         settings=replace(QUICK, background=("viscous_friction",)),
     ),
-    "one run": lambda: diagnose(ROBOT, logged(REAL, (0,)), settings=QUICK),
-    "one quiet run": lambda: diagnose(ROBOT, logged(ROBOT, (0,)), settings=QUICK),
-    "held out": lambda: diagnose(
+    "one run": lambda: diagnose_torque(ROBOT, logged(REAL, (0,)), settings=QUICK),
+    "one quiet run": lambda: diagnose_torque(ROBOT, logged(ROBOT, (0,)), settings=QUICK),
+    "held out": lambda: diagnose_torque(
         ROBOT, logged(REAL, (0, 1, 0)), held_out=logged(REAL, (5,), 7), settings=QUICK
     ),
-    "end held out": lambda: diagnose(
+    "end held out": lambda: diagnose_torque(
         ROBOT, logged(REAL), settings=replace(QUICK, held_out_fraction=0.3)
     ),
-    "not in the library": lambda: diagnose(
+    "not in the library": lambda: diagnose_torque(
         ROBOT, logged(REAL), settings=replace(QUICK, effects=without("coulomb_friction"))
     ),
-    "no sign law": lambda: diagnose(
+    "no sign law": lambda: diagnose_torque(
         ROBOT,
         logged(REAL),
         settings=replace(
@@ -90,9 +90,13 @@ CASES: dict[str, Callable[[], Diagnosis]] = {
             effects=tuple(k for k, f in FAMILIES.items() if f not in ("sign", "hysteresis")),
         ),
     ),
-    "trusted": lambda: diagnose(ROBOT, logged(REAL), settings=replace(QUICK, parameters="trusted")),
-    "free": lambda: diagnose(ROBOT, logged(REAL), settings=replace(QUICK, parameters="free")),
-    "rollout": lambda: diagnose(ROBOT, logged(REAL), settings=GapSettings()),
+    "trusted": lambda: diagnose_torque(
+        ROBOT, logged(REAL), settings=replace(QUICK, parameters="trusted")
+    ),
+    "free": lambda: diagnose_torque(
+        ROBOT, logged(REAL), settings=replace(QUICK, parameters="free")
+    ),
+    "rollout": lambda: diagnose_torque(ROBOT, logged(REAL), settings=GapSettings()),
 }
 
 SLOW = ("trusted", "free", "end held out", "not in the library", "no sign law", "rollout")
@@ -103,11 +107,11 @@ def marked(*names: str) -> list:
 
 
 @cache
-def case(name: str) -> Diagnosis:
+def case(name: str) -> TorqueDiagnosis:
     return CASES[name]()
 
 
-def is_friction(found: Diagnosis) -> None:
+def is_friction(found: TorqueDiagnosis) -> None:
     """Coulomb friction of joint 2 and nothing else, closed nearly all."""
     assert [(f.effect.name, f.joints) for f in found.findings] == [("coulomb_friction", (1,))]
     assert found.parametric == ()
@@ -131,7 +135,7 @@ def test_the_least_worthwhile_size_is_the_users():
     names = []
     for share, of_torque in ((0.05, 0.01), (0.0, 0.0)):
         settings = replace(searched, worthwhile=share, worthwhile_torque=of_torque)
-        found = diagnose(ROBOT, logged(small), settings=settings)
+        found = diagnose_torque(ROBOT, logged(small), settings=settings)
         names.append([(f.effect.name, f.joints) for f in found.findings])
     assert names == [[], [("coulomb_friction", (1,))]]
 
@@ -191,7 +195,9 @@ def test_the_corrected_model_has_no_gap():
 def test_coarse_encoders_are_no_gap():
     """Positions in steps of 0.2 degrees, differentiated twice, are no torque that the arm lacks."""
     log, step = logged(ROBOT, (0, 1, 2)), 4e-3
-    found = diagnose(ROBOT, log.replace(q=(log.q / step).round() * step, dq=None), settings=QUICK)
+    found = diagnose_torque(
+        ROBOT, log.replace(q=(log.q / step).round() * step, dq=None), settings=QUICK
+    )
     assert found.status == "no_gap"
     assert found.cutoff < 8.0
     assert found.band == found.cutoff
@@ -213,7 +219,7 @@ def test_wrong_parameters_are_no_effects():
 def test_corrected_parameters_have_no_gap():
     """They may differ from the arm's; what they predict does not."""
     found = case("parameters")
-    again = diagnose(found.corrected, logged(ROBOT), settings=QUICK)
+    again = diagnose_torque(found.corrected, logged(ROBOT), settings=QUICK)
     assert again.status == "no_gap"
 
 
@@ -257,7 +263,7 @@ def test_held_out_logs_are_judged():
 @pytest.mark.slow
 def test_held_out_logs_are_not_fitted():
     """Another one, without friction, changes what is judged and nothing that is found."""
-    other = diagnose(
+    other = diagnose_torque(
         ROBOT, logged(REAL, (0, 1, 0)), held_out=logged(ROBOT, (6,), 8), settings=QUICK
     )
     assert [f.values for f in other.findings] == [f.values for f in case("held out").findings]
@@ -288,7 +294,7 @@ def test_an_effect_that_is_not_in_the_library_is_not_another_for_sure():
 
 def test_a_log_held_out_twice_is_refused():
     with pytest.raises(LogError, match="held-out"):
-        diagnose(
+        diagnose_torque(
             ROBOT, logged(ROBOT), held_out=logged(ROBOT, (5,)),
             settings=GapSettings(held_out_fraction=0.2),
         )  # fmt: skip
@@ -296,14 +302,14 @@ def test_a_log_held_out_twice_is_refused():
 
 def test_a_held_out_log_of_another_rate_is_resampled():
     slow = logged(ROBOT, (5,)).select(torch.arange(2501) % 2 == 0)
-    found = diagnose(ROBOT, logged(ROBOT), held_out=slow, settings=QUICK)
+    found = diagnose_torque(ROBOT, logged(ROBOT), held_out=slow, settings=QUICK)
     assert found.status == "no_gap"
     assert any("resampled to" in w for w in found.warnings)
 
 
 def test_progress_is_told_to_the_end():
     told: list[tuple[str, int, int]] = []
-    diagnose(
+    diagnose_torque(
         ROBOT,
         logged(ROBOT, (0,)),
         settings=replace(QUICK, effects=("coulomb_friction",)),
@@ -316,7 +322,7 @@ def test_progress_is_told_to_the_end():
 
 @pytest.mark.slow
 def test_nothing_is_left_to_chance():
-    again = diagnose(ROBOT, logged(REAL), settings=QUICK)
+    again = diagnose_torque(ROBOT, logged(REAL), settings=QUICK)
     assert json.dumps(again.plain()) == json.dumps(case("coulomb").plain())
 
 
@@ -328,7 +334,7 @@ def test_a_joint_that_never_moves_is_no_reason_to_stop():
     )
     moved = moved.replace(**{k: v * still for k, v in moved.signals.items()})
     log = measured_log(REAL, synthetic_log(REAL, moved), [], Sensors(torque_std=NOISE))
-    found = diagnose(ROBOT, log, settings=QUICK)
+    found = diagnose_torque(ROBOT, log, settings=QUICK)
     assert any("joint 1 never moves" in w for w in found.warnings)
     assert [(f.effect.name, f.joints) for f in found.findings] == [("coulomb_friction", (1,))]
 

@@ -14,7 +14,7 @@ import torchid
 from tests.gap.small_logs import ROBOT, Recording, arm, carrying, friction, logged
 from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS
-from torchid.gap.diagnosis import Diagnosis
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.robot.chain import tool_jacobian
@@ -38,13 +38,13 @@ def log_of(robot: Robot, how: Recording) -> Log:
 
 
 @cache
-def first() -> Diagnosis:
+def first() -> TorqueDiagnosis:
     """A model of kinematics alone, fitted to the first session."""
     unknown = replace(ROBOT, parameters=None, effects=())
     return torchid.diagnose(unknown, log_of(TRUE, FIRST), settings=settings(background=FRICTION))
 
 
-def names(found: Diagnosis) -> set[tuple[str, tuple[int, ...]]]:
+def names(found: TorqueDiagnosis) -> set[tuple[str, tuple[int, ...]]]:
     return {(f.effect.name, f.located) for f in found.findings}
 
 

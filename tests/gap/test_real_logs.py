@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from tests.real_logs import FOLDER, NEEDS_LOGS
-from torchid.gap.diagnose import diagnose
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
@@ -19,7 +19,7 @@ pytestmark = [*NEEDS_LOGS, pytest.mark.usefixtures("types_unchecked")]
 
 def test_a_pandas_wrist_slides_before_it_moves():
     """Its last 40 % take part in no choice; the effect on joint 7 is most of its gap."""
-    found = diagnose(
+    found = diagnose_torque(
         load_robot(str(FOLDER / "panda_gaz" / "robot.yaml")),
         read_log(FOLDER / "panda_gaz" / "log_exciting_traj1.parquet"),
         settings=GapSettings(background=FRICTION, held_out_fraction=0.4, rollout=False),
@@ -37,10 +37,10 @@ def test_a_payload_is_named_and_weighed():
         return read_log(FOLDER / "ur10e" / f"log_{name}.parquet").with_torque(gains)
 
     settings = GapSettings(parameters="free", background=FRICTION, rollout=False)
-    empty = diagnose(
+    empty = diagnose_torque(
         load_robot(str(FOLDER / "ur10e" / "robot.urdf")), log("unloaded_dec23"), settings=settings
     )
-    loaded = diagnose(
+    loaded = diagnose_torque(
         empty.corrected, log("loaded_2p6kg_jan13"), settings=GapSettings(rollout=False)
     )
     best = max(loaded.findings, key=lambda f: f.first)

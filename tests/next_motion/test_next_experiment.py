@@ -13,8 +13,8 @@ from torchid.excitation.design import optimise_trajectory
 from torchid.excitation.informed import InformedDesign
 from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.gap.diagnose import diagnose
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.next_motion.ambiguity import open_questions
 from torchid.next_motion.design import excite_for
@@ -38,7 +38,7 @@ def driven_twice(robot, trajectory, effects):
 
 def diagnosed(robot, log):
     settings = GapSettings(effects=KNOWN, parameters="free", rollout=False)
-    return diagnose(robot, log, settings=settings)
+    return diagnose_torque(robot, log, settings=settings)
 
 
 @pytest.mark.slow
@@ -75,7 +75,7 @@ def test_a_motion_for_what_a_diagnosis_knows_least() -> None:
     """By its corrected model, which says how sure it is after this log."""
     robot = load_robot("3r")
     still = random_trajectory(robot, 3, fill=True, usage=0.3, harmonics=2, duration=10.0)
-    found = diagnose(
+    found = diagnose_torque(
         replace(robot, parameters=None),
         driven_twice(robot, still, []),
         settings=GapSettings(effects=KNOWN, rollout=False),

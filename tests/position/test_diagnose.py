@@ -14,7 +14,7 @@ from torchid.position.diagnosis import Accuracy
 from torchid.position.effects import BY_NAME
 from torchid.position.model import replay
 from torchid.position.search import Found
-from torchid.report.position import position_tables, position_verdict
+from torchid.report.position import remarks
 from torchid.results.files import load
 from torchid.simulation.servo_loop import Windows
 
@@ -56,8 +56,8 @@ def test_a_planted_cause_is_named(cause, tmp_path):
     again = load(tmp_path / "gap.json")
     assert again.plain() == result.plain()
     assert again.how_far.answered.whole_mrad < again.how_far.commanded.whole_mrad
-    assert len(position_tables(result)) >= 2
-    assert f"Held-out logs: {result.held_out[0]:.1f} mrad" in position_verdict(result)
+    assert len(tables(result.record)) >= 2
+    assert f"Held-out logs: {result.held_out[0]:.1f} mrad" in " ".join(remarks(result.record))
     assert [len(found.plot("how_far").axes) for found in (result, again)] == [1, 1]
     # Its model, moved by the commands, goes where the arm went.
     moved = replay(result.corrected, log)
@@ -133,7 +133,7 @@ def test_an_answer_says_whether_what_it_names_is_all():
     assert replace(found, findings=()).status == "detected_unexplained"
     quiet = replace(found, findings=(), plain_servo=near, answered=near)
     assert quiet.status == "no_gap"
-    assert "something else is there too" in position_verdict(found)
+    assert "The rest has no known cause" in found.answer.headline
     # A joint that never moves is neither a success nor a failure.
     assert found.answered.mean == (5.0, 2.5)
     assert found.record.how_far.answered.whole_mrad == 5.0

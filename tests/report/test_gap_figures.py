@@ -41,7 +41,7 @@ def test_no_traces_no_joint_figures():
 
 
 def test_map_shows_clear_cells_only():
-    texts = [t.get_text() for t in map_figure(diagnosis()).axes[0].texts]
+    texts = [t.get_text() for t in map_figure(diagnosis().record).axes[0].texts]
     assert sorted(t for t in texts if t != "·") == ["20\u2009%", "40\u2009%", "64\u2009%"]
     assert texts.count("·") == 1
 
@@ -55,7 +55,7 @@ def test_bars_have_the_heights_of_the_rms():
 
 
 def test_worst_joints_have_shares():
-    assert worst_joints(diagnosis()) == [1]
+    assert worst_joints(diagnosis().record) == [1]
 
 
 def test_binned_means_of_a_step():

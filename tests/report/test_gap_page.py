@@ -9,9 +9,9 @@ from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, coulomb, diagnosis, s
 from tests.report.page.reading import parsed, rows_of, text_of
 from torchid.gap.diagnosis import HowFar
 from torchid.gap.record import Budget, Parametric, Status
-from torchid.report.gap import STATUS, gap_page
+from torchid.report.diagnosis import page
+from torchid.report.gap import STATUS
 from torchid.report.gap_figures import budget_figure
-from torchid.report.gap_words import verdict
 from torchid.report.page import document as rendering
 from torchid.report.page.document import InputFile, origin, render
 
@@ -33,7 +33,7 @@ SHORT = {"traces": (trace(coulomb, some_left, seconds=12.0),)}
 
 
 def page_of(d, origin=None):
-    return parsed(render(gap_page(d, origin or made())))
+    return parsed(render(page(d, origin or made())))
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def undrawn(monkeypatch):
 def test_verdict_and_status(status, undrawn):
     d = diagnosis(status, **SHORT)
     tree = page_of(d)
-    assert text_of(tree, "verdict") == verdict(d)
+    assert text_of(tree, "verdict") == d.answer.headline
     assert STATUS[status] in text_of(tree, "facts")
     assert tree.xpath("//header/*[1]")[0].tag == "h1"
     assert tree.xpath("//header/*[2]")[0].get("class") == "verdict"
@@ -99,7 +99,7 @@ def test_numbers_are_those_of_the_json(undrawn):
 def test_the_answer_has_a_row_a_joint_the_largest_gap_first(undrawn):
     """With what stands below it: one number for one thing."""
     d = diagnosis(findings=(FRICTION, VISCOUS, OFFSET), parametric=(Parametric((2,), 0.1, 0.01),))
-    rows = rows_of(page_of(d), "RMS of what the model lacks [N m], below 20 Hz")
+    rows = rows_of(page_of(d), "RMS error [N m], below 20 Hz")
     per_joint = {str(j["joint"]): j for j in d.plain()["how_far"]["per_joint"]}
     joints = [r for r in rows if r[0] in per_joint]
     assert sorted(r[0] for r in joints) == sorted(per_joint)
@@ -109,9 +109,9 @@ def test_the_answer_has_a_row_a_joint_the_largest_gap_first(undrawn):
         assert float(r[1]) == pytest.approx(per_joint[r[0]]["before"], rel=5e-3)
         assert float(r[2]) == pytest.approx(per_joint[r[0]]["after"], rel=5e-3)
     # Every cause is there, with its action.
-    told = " ".join(r[5] for r in rows)
+    causes = " ".join(r[5] for r in rows)
     for name in ("Coulomb friction", "viscous friction", "torque offset", "inertia of link 3"):
-        assert name in told
+        assert name in causes
     assert all(r[7] for r in rows if r[5] not in ("-", ""))
 
 
@@ -152,7 +152,7 @@ def test_hostile_names():
         traces=tuple(replace(t, name=bad) for t in d.traces),
         warnings=(bad,),
     )
-    text = render(gap_page(d, made(arguments=["torchid", "gap", bad], settings={bad: bad})))
+    text = render(page(d, made(arguments=["torchid", "gap", bad], settings={bad: bad})))
     tree = parsed(text)
     assert bad in tree.xpath("//h1")[0].text_content()
     assert not list(tree.iter("img"))
@@ -163,7 +163,7 @@ def test_names_that_are_no_text():
     d = diagnosis(**SHORT)
     bad = "a\x00b\x1b[31m\udcff\uffff"
     d = replace(d, robot=replace(d.robot, name=bad), warnings=(bad,))
-    text = render(gap_page(d, made(arguments=["torchid", bad])))
+    text = render(page(d, made(arguments=["torchid", bad])))
     assert "Sim-to-real gap of a\ufffdb\ufffd[31m\ufffd\ufffd" in text
     parsed(text.encode().decode())
 

@@ -8,14 +8,14 @@ import torch
 from tests.position.diagnosed import diagnosis, finding
 from tests.report.page.reading import parsed, rows_of, text_of
 from torchid.position.diagnosis import Accuracy
+from torchid.report.diagnosis import page
 from torchid.report.page.document import origin, render
 from torchid.report.position import (
     figures,
     joint_figure,
     nominal_table,
-    position_page,
-    position_tables,
-    position_verdict,
+    remarks,
+    tables,
     worst_joints,
     worst_place,
 )
@@ -31,19 +31,18 @@ def found():
 
 def test_the_first_screen(found):
     made = origin(arguments=["torchid", "gap"], started=0.0, seeds={}, settings={}, files=())
-    tree = parsed(render(position_page(found, made)))
-    assert text_of(tree, "verdict") == position_verdict(found)
+    tree = parsed(render(page(found, made)))
+    assert text_of(tree, "verdict") == found.answer.headline
     facts = text_of(tree, "facts")
     for said in ("35.0 mrad", "11.5 mrad", "5.0 mrad", "joint 2 joint_2: 6.0 mrad"):
         assert said in facts
-    page = tree.text_content()
-    assert "It errs most on joint 2 joint_2, above all at reversal: 21.0 mrad, 7.0 mrad" in page
-    assert (
-        "set point profile on joint 2 joint_2 (acceleration 39 [35.1, 42.9] rad/s^2): 14.0 mrad "
-        "without, 6.5 with it."
-    ) in page
-    assert "plane contact on the arm" in page
-    assert "something to bear in mind" in page
+    text = tree.text_content()
+    assert "It errs most on joint 2 joint_2, above all at reversal: 21.0 mrad, 7.0 mrad" in text
+    assert "set_point_profile" in text
+    assert "acceleration 39 [35.1, 42.9] rad/s" in text
+    assert "14.0 -> 6.5" in text
+    assert "plane contact" in text
+    assert "something to bear in mind" in text
     # A regime that a joint is never in has no error.
     assert rows_of(tree, "By regime, plain -> answered [mrad]")[0][1:] == [
         "3.0 -> 1.0", "4.0 -> 1.5", "-",
@@ -57,16 +56,16 @@ def test_the_first_screen(found):
 def test_without_a_finding():
     plain = diagnosis()
     made = origin(arguments=[], started=0.0, seeds={}, settings={}, files=())
-    text = parsed(render(position_page(plain, made))).text_content()
-    assert "A gap is left that no effect closes." in text
+    text = parsed(render(page(plain, made))).text_content()
+    assert "No known effect explains a plain servo's error" in text
     assert "which" not in figures(plain)
-    assert len(position_tables(plain)) == 2
+    assert len(tables(plain.record)) == 2
     assert "nominal" not in plain.plain()
 
 
 def test_figures_by_name(found):
     assert set(figures(found)) == {"where", "which", "how_far", "gap_joint_2", "gap_joint_1"}
-    assert worst_joints(found) == [1, 0]  # the third never moves
+    assert worst_joints(found.record) == [1, 0]  # the third never moves
     drawn = found.plot("joint", joint=0)
     assert "joint 1 joint_1" in drawn.get_suptitle()
     # The joint is shown where the plain servo errs most: rows 400 to 599, in the first motion.
@@ -81,7 +80,8 @@ def test_figures_by_name(found):
 
 
 def test_nominal_beside_found(found):
-    rows = [row for row in nominal_table(found).rows if row[0] == "2"]
+    nominal = nominal_table(found.record, found.record.nominal)
+    rows = [row for row in nominal.rows if row[0] == "2"]
     assert rows == [
         ("2", "STS3215", "kp", "17.8 N m/rad", "260 [250, 270] N m/rad"),
         (
@@ -90,8 +90,10 @@ def test_nominal_beside_found(found):
         ),
         ("2", "STS3215", "resolution", "1.53 mrad", "1.53 mrad"),
     ]  # fmt: skip
-    assert ("3", "STS3215", "kp", "17.8 N m/rad", "never moves") in nominal_table(found).rows
-    assert position_tables(found)[0].rows[2][-1] == "-"
+    assert ("3", "STS3215", "kp", "17.8 N m/rad", "never moves") in nominal_table(
+        found.record, found.record.nominal
+    ).rows
+    assert tables(found.record)[0].rows[2][-1] == "-"
     assert found.plain()["where"]["joints"][2]["kp"] is None
     (first, *_) = found.plain()["nominal"]
     assert first["joint"] == 1
@@ -107,24 +109,25 @@ def test_a_plain_servo_that_is_enough_hides_what_is_small():
     assert enough.status == "no_gap"
     low, high = (float(x) for x in enough.unseen[:2].sort().values)
     assert 0.1 < low < high
-    assert f"less than {low:.1f} to {high:.1f} mrad" in position_verdict(enough)
+    assert f"less than {low:.1f} to {high:.1f} mrad" in enough.answer.headline
     assert enough.record.where.joints[0].unseen_mrad == pytest.approx(float(enough.unseen[0]))
 
 
 def test_where_an_answer_is_worse_than_a_plain_servo_is_said():
     found = diagnosis(finding("end_stop", 2, 14.0, 6.0, stop_high=0.4))
-    assert "worse" not in position_verdict(found)
+    assert "worse" not in " ".join(remarks(found.record))
     before, after = (torch.tensor(x).double() for x in ((9.0, 14.0, 2.0), (60.0, 6.0, 9.0)))
     regimes = {"holding": (before, after), "low_speed": (before, after.flip(0))}
     changed = replace(found, regimes=regimes)
-    said = position_verdict(changed)
+    said = " ".join(remarks(changed.record))
     assert "worse than a plain servo on joint 1 (holding), 9.0 -> 60.0 mrad" in said
     joint = replace(changed, answered=replace(found.answered, whole=after))
-    assert "worse than a plain servo on joint 1, 9.0 -> 60.0 mrad." in position_verdict(joint)
+    said = " ".join(remarks(joint.record))
+    assert "worse than a plain servo on joint 1, 9.0 -> 60.0 mrad." in said
 
 
 def test_a_size_whose_interval_holds_nothing_is_not_determined():
     one = finding("end_stop", 2, 14.0, 6.0, stop_high=0.4)
     unsure = replace(one, sizes=(replace(one.sizes[0], interval=(-0.1, 0.9)),))
-    texts = [str(c) for row in position_tables(diagnosis(unsure))[2].rows for c in row]
+    texts = [str(c) for row in tables(diagnosis(unsure).record)[2].rows for c in row]
     assert any("not determined" in text for text in texts)

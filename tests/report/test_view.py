@@ -9,9 +9,9 @@ import torch
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.excitation.synthetic import simulate
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.gap.diagnose import diagnose
 from torchid.gap.localise.regimes import regime_instants
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.report.view import require_viewer, viewed, write_view
 from torchid.robot.library import load_robot
 
@@ -30,7 +30,7 @@ def found():
     motion = trajectory_log(random_trajectory(robot, 3, count=2, duration=10.0, fill=True), 200.0)
     real = simulate(robot, replace(motion, t=motion.t + LATER), effects=FRICTION, seed=1)
     names = tuple(str(f["effect"]) for f in FRICTION)
-    return diagnose(robot, real, settings=GapSettings(effects=names, rollout=False))
+    return diagnose_torque(robot, real, settings=GapSettings(effects=names, rollout=False))
 
 
 @pytest.mark.slow

@@ -165,16 +165,18 @@ def _commands(
     target: Path | None,
     output: Output,
 ) -> None:
-    """Commands for an arm that logs no torque: written, and what they would tell."""
+    """Commands for an arm that logs no torque: written, and what they would show."""
     from torchid.next_motion.plan import clearance_of
+    from torchid.position.next_motion import NextCommands
     from torchid.report.position import commands_shown
 
     clearance, unknown = clearance_of(robot, room, motion.usage)
     with output.progress() as progress:
-        made = torchid.next_commands(
-            asking, robot, seconds=motion.duration, rate=motion.rate, usage=motion.usage,
+        made = torchid.excite_for(
+            asking, robot, duration=motion.duration, rate=motion.rate, usage=motion.usage,
             clearance=clearance, progress=progress,
         )  # fmt: skip
+    assert isinstance(made, NextCommands)
     output.put(target, partial(torchid.write_log, made.log))
     output.tell(
         output.keep(made.plain(), "excitation.json", lambda _: commands_shown(made, unknown))

@@ -1,6 +1,7 @@
 """`torchid export`: a result's dynamics in the formats of other programs; `torchid correct`: from
 logs to a corrected file of the simulator, in one call."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -15,16 +16,6 @@ from torchid.gap.settings import GapSettings
 
 Simulated = Literal["mjcf", "urdf", "drake", "mujoco", "mjlab", "isaaclab", "gazebo"]
 """What a corrected file can be for; the last four read one of the first two."""
-
-
-def require_servos(to: str) -> None:
-    """Raise TorchidError for files that do not say servos."""
-    if to not in ("mjcf", "mujoco", "mjlab", "isaaclab"):
-        raise TorchidError(
-            "these logs have commands and positions, and servos are written into an MJCF only.",
-            got=to,
-            available=["mjcf", "mujoco", "mjlab", "isaaclab"],
-        )
 
 
 @command
@@ -80,14 +71,7 @@ def export_command(
     """
     from torchid.export.projection import Target
     from torchid.export.results import any_diagnosis, carried
-    from torchid.position.record import PositionRecord
-    from torchid.report.robot import (
-        correction_shown,
-        drawn_servos_shown,
-        export_shown,
-        randomisation_shown,
-        servos_shown,
-    )
+    from torchid.report.robot import correction_shown, export_shown, randomisation_shown
     from torchid.robot.library import is_robot
 
     if randomise is not None:
@@ -95,17 +79,6 @@ def export_command(
             raise TorchidError("--randomise writes ranges for all simulators.", got=f"--to {to}")
         given = None if robot is None else torchid.load_robot(robot, tip=tip)
         diagnosed = opt.load(result, tip) if is_robot(result) else any_diagnosis(Path(result))
-        if isinstance(diagnosed, PositionRecord):
-            if spread:
-                raise TorchidError("--spread is of logs with torques, and these have commands.")
-            servos = torchid.randomise_positions(
-                diagnosed, randomise, robot=given, draws=draws, seed=seed
-            )
-            written = [str(file) for file in servos.write(output.out or Path(), name)]
-            told = drawn_servos_shown(servos, written)
-            plain = {**servos.plain(), "files": written}
-            output.give(plain, "randomisation.json", lambda _: told, seed=seed)
-            return
         ranges = torchid.randomise(
             diagnosed, randomise, robot=given, spread=spread or [], draws=draws, seed=seed
         )
@@ -139,18 +112,11 @@ def export_command(
         )
     read = reading.read(log, found.original)
     apart = reading.read(held_out, found.original) if held_out else None
-    if found.dynamics.arm is not None:
-        require_servos(to)
-        arm = torchid.ServoArm.read(result)
-        followed = torchid.correct_positions(
-            found.original, arm, read, output.out or Path(), name, held_out=apart, seed=seed,
-            keep=keep,
-        )  # fmt: skip
-        output.give(followed, "correction.json", servos_shown, seed=seed)
-        return
+    corrected = found.dynamics.arm or found.dynamics.robot
+    settings = replace(found.settings, seed=seed)
     made = torchid.correct(
-        found.original, found.dynamics.robot, read, to, output.out or Path(), name,
-        held_out=apart, settings=found.settings, keep=keep,
+        found.original, corrected, read, to, output.out or Path(), name,
+        held_out=apart, settings=settings, keep=keep,
     )  # fmt: skip
     output.give(made, "correction.json", correction_shown)
 
@@ -192,35 +158,22 @@ def correct_command(
         gain_std: How well the scale of each joint's torque is known, one standard deviation as a
             share of it.
     """
-    from torchid.export.correct import file_format
+    from torchid.export.correct import file_format, require_field
     from torchid.export.export import require_name
-    from torchid.report.gap_words import verdict
-    from torchid.report.position import position_verdict
-    from torchid.report.robot import correction_shown, servos_shown
+    from torchid.report.robot import correction_shown
 
     kind = file_format(to)
     beside = with_effects and (to if to == "isaaclab" or to == "mjlab" else True)
     if name is not None:
         require_name(name)
     found, log, apart, _ = trials.open(output, settings.held_out_fraction)
-    if opt.commanded(log, found):
-        require_servos(to)
-        with output.progress("preparing") as progress:
-            servos = torchid.diagnose_positions(found, log, held_out=apart, progress=progress)
-        followed = torchid.correct_positions(
-            found, servos, log, output.out or Path(), name, held_out=apart,
-            with_effects=beside, seed=settings.seed, keep=trials.inputs,
-        )  # fmt: skip
-        told = output.keep(followed, "correction.json", servos_shown, seed=settings.seed)
-        output.verdict(position_verdict(servos))
-        output.tell(told)
-        return
+    require_field(kind, found, log)
     with output.progress("preparing") as progress:
         result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
     done = torchid.correct(
         found, result, log, kind, output.out or Path(), name, held_out=apart, settings=settings,
         with_effects=beside, keep=trials.inputs,
     )  # fmt: skip
-    said = output.keep(done, "correction.json", correction_shown)
-    output.verdict(verdict(result))
-    output.tell(said)
+    shown = output.keep(done, "correction.json", correction_shown)
+    output.verdict(result.answer.headline)
+    output.tell(shown)

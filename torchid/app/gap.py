@@ -1,6 +1,6 @@
 """`torchid gap`: where simulator and arm disagree, which effects cause it, how far it shrinks."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,7 +9,7 @@ import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.export import Simulated, require_servos
+from torchid.app.export import Simulated
 from torchid.app.output import Output, Reported
 from torchid.app.project import current
 from torchid.app.signature import command
@@ -17,7 +17,7 @@ from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 
 if TYPE_CHECKING:
-    from torchid.report.page.document import InputFile
+    from torchid.results.answer import Diagnosis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +86,8 @@ def gap_command(
             share of it: ± holds it. By default 0.05 for currents times --gain, else 0.01.
         rollout: Simulate short motions with the model before and after.
     """
-    from torchid.export.correct import file_format
-    from torchid.report.gap import shown
+    from torchid.export.correct import file_format, require_field
+    from torchid.report.diagnosis import shown
     from torchid.report.robot import correction_shown
     from torchid.report.view import require_viewer
 
@@ -104,43 +104,48 @@ def gap_command(
         raise TorchidError("--for writes a file, and needs --out DIR.")
     kind = None if asked.for_ is None else file_format(asked.for_)
     found, log, apart, files = trials.open(output, settings.held_out_fraction)
-    if opt.commanded(log, found):
-        if asked.view is not None:
-            raise TorchidError("--view shows torques; these logs have commands and positions.")
-        if asked.for_ is not None:
-            require_servos(asked.for_)
-        _positions(output, found, log, apart, asked, settings, files, trials.inputs)
-        return
-    if asked.servo is not None:
-        raise TorchidError("--servo is for logs of commands and positions; these have torques.")
+    if kind is not None:
+        require_field(kind, found, log)
     # The log is handed over where it is not needed again: a long one takes half of the memory.
     handed = [log]
     if kind is None:
         del log
     with output.progress("preparing") as progress:
         result = torchid.diagnose(
-            found, handed.pop(), held_out=apart, settings=settings, progress=progress
-        )
-    used = {k: v for k, v in result.plain()["settings"].items() if k not in ("seed", "only")}
-    used["effects"] = used["effects"] or "all"
-    used |= {"band of the report [Hz]": result.band, "cut-off [Hz]": result.cutoff}
+            found, handed.pop(), held_out=apart, settings=settings, servo=asked.servo,
+            progress=progress,
+        )  # fmt: skip
     # The worst joints of an earlier run may have been others.
-    said = output.keep(
-        result, "gap.json", shown, seed=settings.seed, old=["gap_joint_*.png"], files=files,
-        settings=used,
-    )  # fmt: skip
-    output.put(asked.save_model, partial(torchid.write_robot, result.corrected))
+    to_print = [
+        output.keep(
+            result, "gap.json", shown, seed=settings.seed, old=["gap_joint_*.png", "which.png"],
+            files=files, settings=settings_of(result, asked.servo),
+        )
+    ]  # fmt: skip
+    output.put(asked.save_model, result.write_corrected)
     output.put(asked.view, partial(torchid.write_view, result))
-    told = [said]
     if kind is not None and output.out is not None:
         done = torchid.correct(
             found, result, log, kind, output.out, held_out=apart, settings=settings,
             keep=trials.inputs,
         )  # fmt: skip
         output.put(output.out / "correction.json", done.save)
-        told.append(correction_shown(done))
-    for one in told:
+        to_print.append(correction_shown(done))
+    for one in to_print:
         output.tell(one)
+
+
+def settings_of(result: "Diagnosis", servo: str | None) -> dict[str, object]:
+    """What a diagnosis was made with, for its page."""
+    given = result.plain().get("settings")
+    if given is None:
+        return {"servo": servo or "not given"}
+    used = {k: v for k, v in given.items() if k not in ("seed", "only")}
+    used["effects"] = used["effects"] or "all"
+    data = result.plain()
+    return used | {
+        "band of the report [Hz]": data["band_hz"], "cut-off [Hz]": data["cutoff_hz"],
+    }  # fmt: skip
 
 
 def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings) -> None:
@@ -179,48 +184,3 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
         simulated, real = read(asked.simulated), read(asked.real)
         result = torchid.compare_pair(simulated, real, robot, settings=settings, progress=progress)
     output.give(result, "pair.json", shown, seed=settings.seed)
-
-
-def _positions(
-    output: Output,
-    robot: "torchid.Robot",
-    log: "torchid.Log",
-    apart: "torchid.Log | None",
-    asked: _Asked,
-    settings: GapSettings,
-    files: "tuple[InputFile, ...]",
-    keep: "list[Path]",
-) -> None:
-    """The diagnosis of logs that have commands and no torques."""
-    from torchid.position.nominal import nominal_servos
-    from torchid.report.position import shown
-    from torchid.report.robot import servos_shown
-
-    default = GapSettings(seed=settings.seed)
-    changed = [
-        f.name for f in fields(settings) if getattr(settings, f.name) != getattr(default, f.name)
-    ]
-    if changed:
-        raise TorchidError(
-            "these logs have commands and positions and no torques.",
-            got=", ".join(f"--{name.replace('_', '-')}" for name in changed),
-            expected="of the options on how to search, none",
-        )
-    nominal = nominal_servos(robot, asked.servo)
-    with output.progress("preparing") as progress:
-        result = torchid.diagnose_positions(robot, log, held_out=apart, progress=progress)
-    result = replace(result, nominal=nominal)
-    said = output.keep(
-        result, "gap.json", shown, seed=settings.seed, old=["gap_joint_*.png", "which.png"],
-        files=files, settings={"servo": asked.servo or "not said"},
-    )  # fmt: skip
-    output.put(asked.save_model, result.corrected.write)
-    told = [said]
-    if asked.for_ is not None and output.out is not None:
-        done = torchid.correct_positions(
-            robot, result, log, output.out, held_out=apart, seed=settings.seed, keep=keep
-        )
-        output.put(output.out / "correction.json", done.save)
-        told.append(servos_shown(done))
-    for one in told:
-        output.tell(one)

@@ -46,7 +46,7 @@ def init(
         force: Replace the project file that is there.
     """
     from torchid.project.guess import guess
-    from torchid.report.table import count
+    from torchid.results.words import count
 
     if to.exists() and not force:
         raise TorchidError(f"'{to}' is there already.", hint="--force replaces it; or edit it")

@@ -230,11 +230,16 @@ class Reading:
             `q=pos_{j} deg,tau=-eff_{j} mNm,t=stamp ns`, `q=state[:,0:7]`.
         topic: ROS bags: the topic of joint states.
         gain: Drive gains [N m/A], for logs of currents.
+        kp: Gains [N m/rad] of the joint controllers, for logs whose torque is the commanded one:
+            kp (u - q) + kd (du/dt - dq), and tau as the feed-forward where the log has it.
+        kd: Their damping [N m s/rad].
     """
 
     columns: Annotated[str | None, typer.Option(metavar="MAP|FILE.yaml")] = None
     topic: Annotated[str | None, typer.Option(metavar="NAME")] = None
     gain: Annotated[str | None, typer.Option(metavar="K1,K2,..")] = None
+    kp: Annotated[str | None, typer.Option(metavar="K1,K2,..")] = None
+    kd: Annotated[str | None, typer.Option(metavar="D1,D2,..")] = None
 
     def request(self, joints: Sequence[str]) -> "Request":
         """As these options say, else as the project file says for the logs that need it."""
@@ -250,8 +255,18 @@ class Reading:
         return Request(mapping, self.topic or project.topic, tuple(joints), own is None)
 
     def with_torque(self, log: "torchid.Log", n: int) -> "torchid.Log":
-        """Currents of n joints times the gains that are given, or those of the project file where
-        the log has currents alone."""
+        """The torque of n joints where options make it: of the joint controllers' commands, or of
+        currents times the gains that are given, or times those of the project file where the log
+        has currents alone."""
+        from torchid.design.sensor import with_commanded_torque
+
+        if self.kd is not None and self.kp is None:
+            raise TorchidError("--kd needs --kp.")
+        if self.kp is not None:
+            if self.gain is not None:
+                raise TorchidError("--kp and --gain exclude each other.")
+            kd = numbers("--kd", self.kd or "0", n)
+            return with_commanded_torque(log, numbers("--kp", self.kp, n), kd)
         known = current().gain
         if self.gain is not None:
             return log.with_torque(numbers("--gain", self.gain, n))
@@ -335,13 +350,6 @@ class Trials(ArmAndLogs):
             log = self.read(self.logs, robot)
             held_out = self.read(apart, robot) if apart else None
         return robot, log, held_out, files
-
-
-def commanded(log: "torchid.Log", robot: "torchid.Robot") -> bool:
-    """Whether a log has commands and no torque."""
-    torque = log.tau is not None and bool(log.tau.any())
-    current = log.tau is None and log.current is not None and robot.drive_gain is not None
-    return log.u is not None and not torque and not current
 
 
 def load(name: str, tip: str | None) -> "torchid.Robot":

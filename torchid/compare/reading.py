@@ -10,7 +10,7 @@ import torch
 from torchid.effects.base import JointEffect
 from torchid.effects.registry import COLUMN_KINDS, on_every_joint
 from torchid.errors import TorchidError
-from torchid.gap.diagnosis import Diagnosis
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
@@ -91,7 +91,7 @@ class Identified:
 
 
 def read_results(
-    given: Sequence[str | Path | Identification | Diagnosis],
+    given: Sequence[str | Path | Identification | TorqueDiagnosis],
 ) -> list[Compared[Any]]:
     """Results of one kind, files or objects, in the order given.
 

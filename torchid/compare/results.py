@@ -11,7 +11,7 @@ from torchid.compare.reading import read_identification, read_results
 from torchid.compare.sets import SetComparison, compare_sets, robot_of
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import SetsRecord
-from torchid.gap.diagnosis import Diagnosis
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import GapRecord
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
@@ -22,7 +22,7 @@ Compared = Comparison | GapComparison | SetComparison
 
 
 def compare_results(
-    results: Sequence[str | Path | Identification | Diagnosis],
+    results: Sequence[str | Path | Identification | TorqueDiagnosis],
     *,
     robot: Robot | None = None,
     on: Log | None = None,

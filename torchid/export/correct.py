@@ -1,56 +1,23 @@
-"""A diagnosis carried out into the simulator: projected, run in its engine on the log, written.
+"""A corrected file of a simulator, by logs of any kind: `correct`."""
 
-    project -> files of all folds -> engine: torque of the held-out motion -> file -> engine: motion
-
-Nothing is written before the engine has run the file on the log.
-"""
-
-import math
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-import torch
-
-from torchid.design.columns import Columns, Model
-from torchid.design.repeats import find_repeats
-from torchid.design.segments import Samples, Segment
-from torchid.effects.registry import nominal_effects
+from torchid.design.sensor import sensor_of
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.export.dynamics import Dynamics, require_same_arm
-from torchid.export.export import SUFFIXES, Export, edited_of, export_dynamics, stem_of
-from torchid.export.projection import PRICE, Projection, Projector, Target
-from torchid.export.record import CorrectionRecord, correction_record
-from torchid.export.replay import InDrake, InMujoco, simulator
-from torchid.export.write_actuator import Package, adds_any
-from torchid.export.write_xml import xml_of
-from torchid.extraction.entropic import SPREAD
-from torchid.feasibility.margins import inertia_eigenvalues
-from torchid.gap.data import Data
-from torchid.gap.diagnose import read
-from torchid.gap.diagnosis import Diagnosis, Trace
+from torchid.export.correct_positions import correct_positions
+from torchid.export.correct_torque import correct_torque
+from torchid.export.correction import Correction
+from torchid.export.projection import Target
+from torchid.export.write_actuator import Package
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
-from torchid.gap.validate.folds import make_folds, traces
 from torchid.log.model import Log
-from torchid.results.record import Result
-from torchid.robot.model import Robot, joint_list
-from torchid.simulation.loads import changes_measurement
-from torchid.simulation.open_loop import true_torque
-from torchid.simulation.shooting import starts_of, windows_of
-from torchid.simulation.two_models import DIVERGED, HORIZONS, rollouts
-from torchid.typing import Float, Tensor
-
-STARTS = 128
-"""Forward simulations, as many as a diagnosis makes."""
-
-CLAIMED = 1.15
-"""Error in the engine over the claimed one, from which it is said; beside 1 % of the torque."""
-
-NO_BETTER = 1.02
-"""Mean error over that of the nominal robot from which a file is refused."""
+from torchid.position.diagnosis import PositionDiagnosis
+from torchid.position.model import ServoArm
+from torchid.results.answer import Diagnosis
+from torchid.robot.model import Robot
 
 _FILES: dict[str, Target] = {
     "mjcf": "mjcf", "urdf": "urdf", "drake": "drake", "mujoco": "mjcf", "mjlab": "mjcf",
@@ -59,123 +26,12 @@ _FILES: dict[str, Target] = {
 """Of formats, and of simulators that read one of them."""
 
 
-@dataclass(frozen=True, eq=False)
-class Forward:
-    """Where the arm is after a while, given the measured torque.
-
-    Attributes:
-        horizon: [s].
-        starts: number of simulations.
-        nominal, full: (n,) RMS error [rad; m] of the robot as given and of the diagnosed one, by
-            torchid; None where no trajectory is as long.
-        engine: (n,) of the file; None where MuJoCo (Drake, for its files) is not installed, or
-            refuses it.
-    """
-
-    horizon: float
-    starts: int
-    nominal: Float[Tensor, " n"] | None
-    full: Float[Tensor, " n"] | None
-    engine: Float[Tensor, " n"] | None
-
-
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """Errors while joints move, below the report's band: 100 |measured - model| / |measured|.
-
-    Attributes:
-        held_out: what the errors are on: `a held-out log`, `parts that were not fitted`, or
-            `the log that was fitted`.
-        nominal: (n,) of the robot as given [%]; nan of joints whose torque holds no signal.
-        full: (n,) of the diagnosed robot with all its effects.
-        claim: (n,) of the file, by its own numbers.
-        engine: (n,) of the file, by the engine that runs it.
-        run_time: (n,) of a file with the effects that are added to it at run time.
-        by: that engine.
-        band: [Hz].
-        forward: by horizon; on the log that was fitted where no other is given.
-    """
-
-    held_out: str
-    nominal: Float[Tensor, " n"]
-    full: Float[Tensor, " n"]
-    claim: Float[Tensor, " n"]
-    engine: Float[Tensor, " n"]
-    run_time: Float[Tensor, " n"]
-    by: str
-    band: float
-    forward: tuple[Forward, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Correction(Result):
-    """A corrected file.
-
-    Attributes:
-        nominal: the robot as given.
-        projection: what is in it.
-        judged: what it is worth.
-        exports: what was written: the file, and the one with effects beside it.
-        warnings: sentences for the user.
-    """
-
-    nominal: Robot
-    projection: Projection
-    judged: Judged
-    exports: tuple[Export, ...]
-    warnings: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return f"Correction('{self.nominal.name}', {', '.join(map(str, self.files))})"
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """What was written."""
-        return tuple(file for one in self.exports for file in one.files)
-
-    @cached_property
-    def record(self) -> CorrectionRecord:
-        """As the JSON has it."""
-        return correction_record(self)
-
-
-@dataclass(frozen=True, eq=False)
-class AtRunTime:
-    """What the log would read of a simulation with effects: its torque, and the sensors' own
-    effects on all of that.
-
-    Attributes:
-        model: without effects in the torque sensors.
-        gain, offset: (n, n), (n,) of the true torque for a measured one.
-    """
-
-    model: Model
-    gain: Float[Tensor, "n n"]
-    offset: Float[Tensor, " n"]
-
-    @staticmethod
-    def of(robot: Robot) -> "AtRunTime":
-        """That of a robot with all its effects."""
-        pairs = nominal_effects(robot)
-        sensed = [pair for pair in pairs if changes_measurement(pair[0])]
-        others = tuple(pair for pair in pairs if pair not in sensed)
-        gain, offset = true_torque(robot, sensed)
-        return AtRunTime(Model(robot, others), gain, offset)
-
-    def torque(self, segment: Segment, samples: Samples) -> Float[Tensor, "T n"]:
-        """Torque (T, n) [N m; N] along a segment."""
-        true = self.model.torque(segment, samples) - self.offset
-        return torch.linalg.solve(self.gain, true.T).T
-
-
 def file_format(asked: str) -> Target:
     """mjcf, urdf or drake: what a format's or simulator's files are.
 
     Raises:
         MissingExtraError: no engine that runs such files is installed.
     """
-    from importlib.util import find_spec
-
     to = _FILES[asked]
     if to == "drake" and find_spec("pydrake") is None:
         raise MissingExtraError("pydrake", "drake", "Checking a corrected MJCF in Drake on the log")
@@ -184,9 +40,19 @@ def file_format(asked: str) -> Target:
     return to
 
 
+def require_field(to: Target, robot: Robot, log: Log) -> None:
+    """Raise TorchidError where a format does not say what logs of this kind correct."""
+    if to != "mjcf" and sensor_of(log, robot) == "position":
+        raise TorchidError(
+            "these logs have commands and positions, and servos are written into an MJCF only.",
+            got=to,
+            available=["mjcf", "mujoco", "mjlab", "isaaclab"],
+        )
+
+
 def correct(
     robot: Robot,
-    full: Robot | Diagnosis,
+    full: Robot | ServoArm | Diagnosis,
     log: Log,
     to: Target,
     folder: Path | str,
@@ -197,28 +63,29 @@ def correct(
     with_effects: bool | Package = False,
     keep: Sequence[Path] = (),
 ) -> Correction:
-    """Write a robot as a simulator's file can say it, refitted to the log's torque.
+    """Write a robot as a simulator's file can say it, refitted to a log, and run in its engine.
 
     Args:
         robot: as given: its file is edited a copy of, its bodies are what the new ones are near to.
-        full: a diagnosis of it on this log, or a corrected robot.
+        full: a diagnosis of it on this log, or what it corrected: a robot, or one with servos.
         log: trajectories of the arm, which the file is fitted to.
-        to: format.
+        to: format; servos are written into an MJCF.
         folder: made if need be.
         name: of the file, without suffix; the robot's own, with `_corrected`, by default.
-        held_out: trajectories that judge it. Without them a diagnosis is judged by fits without
-            each of its folds, a corrected robot on the log it was fitted to.
-        settings: of the diagnosis, of which cut-off, band, folds and `rollout` count here: without
-            the last nothing is simulated forwards.
-        with_effects: write a second file, `_effects` after its name, fitted together with the
-            effects that have no field: they lie in its sidecar, and are added at run time. With a
-            package's name that package's actuator class is written, too, where it adds any.
+        held_out: trajectories that judge it. Without them a diagnosis of torques is judged by fits
+            without each of its folds, and all else on the log that it was fitted to.
+        settings: of the diagnosis: the cut-off, band, folds and `rollout` of one of torques
+            (without the last nothing is simulated forwards), and the seed.
+        with_effects: write a second file, `_effects` after its name, fitted together with what has
+            no field: it lies in a sidecar, and is added at run time. With a package's name that
+            package's actuator class is written, too.
         keep: files that are never overwritten.
 
     Raises:
         LogError: logs that do not fit the robot.
         MissingExtraError: no engine that runs the format is installed.
-        TorchidError: another arm, or a file that is no better than the robot as given.
+        TorchidError: another arm, servos in another format, or a file that is no better than the
+            robot as given.
 
     >>> from tempfile import TemporaryDirectory
     >>> import torchid
@@ -232,213 +99,14 @@ def correct(
     True
     """
     file_format(to)
-    settings = settings or GapSettings()
-    diagnosis = full if isinstance(full, Diagnosis) else None
-    corrected = full.corrected if isinstance(full, Diagnosis) else full
-    before = robot if diagnosis is None else diagnosis.robot
-    require_same_arm(corrected, robot, "result is")
-    if held_out is None and settings.held_out_fraction > 0:
-        log, held_out = log.split(1 - settings.held_out_fraction)
-    data, apart = read(robot, log, held_out, settings)
-    repeats = find_repeats(data.segments).groups(len(data.segments))
-    folds = make_folds(data.samples, settings.folds, repeats)
-    data = data.without_silent(Columns(Model.of(before), data.samples), folds.parts)
-    projector = Projector(robot, corrected, data, to)
-    projection = projector.projection()
-    # Fits without each fold judge the kind of file; one fit to all is written.
-    by_folds = apart is None and diagnosis is not None
-    parts = [torch.ones(len(data.samples), dtype=torch.bool)]
-    fitted = [projection.robot]
-    if by_folds:
-        parts = [folds.fitted(k) for k in range(folds.count)]
-        fitted = [projector.without(part) for part in parts]
-    running = [projector.with_effects(part) for part in parts]
-    on = data if apart is None else apart
-    shown: Sequence[Trace] = ()
-    if diagnosis is not None:
-        shown = diagnosis.traces
-    else:
-        shown = traces(on.samples, None, [Model.of(before)], [Model.of(corrected)], data.band)
-    original = edited_of(robot, to)
-    with TemporaryDirectory() as drafts:
-        whole = Path(drafts) / f"whole{SUFFIXES[to]}"
-        engines = []
-        for k, one in enumerate(fitted):
-            path = whole.with_stem(f"fold_{k}")
-            engines.append(simulator(path, _in_file(one, path, original, to), to))
-        split = folds if by_folds else None
-        own = traces(on.samples, split, [Model.of(one) for one in fitted], engines, data.band)
-        models = [AtRunTime.of(one) for one in running]
-        all_of_it = traces(on.samples, split, models[:1], models, data.band)
-        alone = "parts that were not fitted" if by_folds else "the log that was fitted"
-
-        def percent(torques: Sequence[Float[Tensor, "T n"]]) -> Tensor:
-            error = _percent(shown, torques)
-            error[list(data.silent)] = math.nan
-            return error
-
-        judged = Judged(
-            alone if apart is None else "a held-out log",
-            percent([t.before for t in shown]),
-            percent([t.after for t in shown]),
-            percent([t.before for t in own]),
-            percent([t.after for t in own]),
-            percent([t.after for t in all_of_it]),
-            engines[0].name,
-            data.band,
-            (),
-        )
-        _require_better(judged)
-        if settings.rollout:
-            inside = _in_file(projection.robot, whole, original, to)
-            forward = _forward(inside, whole, to, before, full, on, settings, data.silent)
-            judged = replace(judged, forward=forward)
-    beside = [f"{one.effect.name}{of_joints(one.joints)}" for one in projection.kept]
-    stem = f"{stem_of(robot)}_corrected" if name is None else name
-
-    def write(one: Robot, stem: str, title: str, to: Target | Package = to) -> Export:
-        return export_dynamics(
-            Dynamics(one, "robot", title),
-            to,
-            folder,
-            stem,
-            nominal=robot,
-            seed=settings.seed,
-            geometry="none",
-            keep=keep,
-        )
-
-    words = f"'{robot.name}', corrected and refitted to {to}"
-    title = words + (f"; no field for {', '.join(beside)}" if beside else "")
-    files = [write(projection.robot, stem, title)]
-    if with_effects:
-        every = torch.ones(len(data.samples), dtype=torch.bool)
-        beside_it, title = projector.with_effects(every), f"{words}, with effects beside it"
-        files.append(write(beside_it, f"{stem}_effects", title))
-        if with_effects is not True and adds_any(beside_it):
-            files.append(write(beside_it, stem, title, with_effects))
-    return Correction(
-        robot, projection, judged, tuple(files), _warnings(projection, judged, robot, data.silent)
-    )
-
-
-def _require_better(judged: Judged) -> None:
-    """Raise TorchidError for a file that is no better than the robot as given."""
-    found, given = float(judged.engine.nanmean()), float(judged.nominal.nanmean())
-    if found > NO_BETTER * given:
-        raise TorchidError(
-            "the corrected file is no better than the robot as given, so nothing was written.",
-            got=f"{found:.1f} % of the joints' torque in {judged.by}",
-            expected=f"less than {given:.1f} %, on {judged.held_out}",
-        )
-
-
-def _in_file(robot: Robot, path: Path, original: Robot | None, to: Target) -> Robot:
-    """Write a robot's file, and the robot as it is in it."""
-    written, file, _, _ = xml_of(robot, path, original, to)
-    path.write_bytes(file.to_bytes())
-    return written
-
-
-def _percent(shown: Sequence[Trace], torques: Sequence[Float[Tensor, "T n"]]) -> Tensor:
-    """(n,) of torques (one a trajectory), while joints move."""
-    left, whole = torch.zeros(2, shown[0].measured.shape[1], dtype=torch.float64)
-    for trace, torque in zip(shown, torques, strict=True):
-        counts = trace.counting.double()
-        left = left + ((trace.measured - torque).square() * counts).sum(0)
-        whole = whole + (trace.measured.square() * counts).sum(0)
-    return 100 * (left / whole.clamp(min=1e-300)).sqrt()
-
-
-def _forward(
-    robot: Robot,
-    path: Path,
-    to: Target,
-    before: Robot,
-    full: Robot | Diagnosis,
-    on: Data,
-    settings: GapSettings,
-    silent: Sequence[int],
-) -> tuple[Forward, ...]:
-    """Where the file, the robot as given and the diagnosed one are after each horizon, from the
-    same starts; of joints whose torque says nothing, nothing is known."""
-    replayed = full.how_far.rollout if isinstance(full, Diagnosis) else None
-    if replayed is None:
-        corrected = full.corrected if isinstance(full, Diagnosis) else full
-        replayed = rollouts(before, corrected, on.segments, HORIZONS, settings.seed, STARTS)
-    horizons = [row.horizon_s for row in replayed.horizons]
-    starts = starts_of(on.segments, min(HORIZONS), STARTS, settings.seed)
-    if not horizons or not len(starts.first):
-        return ()
-    windows = windows_of(on.segments, starts, max(horizons))
-    positions = None
-    with suppress(TorchidError):  # not installed, or it refuses a URDF that Pinocchio reads
-        runs = InDrake if to == "drake" else InMujoco
-        positions = runs(path, robot).positions(windows)
-    out = []
-    for row in replayed.horizons:
-        step = max(1, round(row.horizon_s / windows.dt))
-        use = windows.steps >= step
-        if not bool(use.any()):
-            out.append(Forward(row.horizon_s, 0, None, None, None))
-            continue
-        error = None
-        if positions is not None:
-            apart = (positions[use, step] - windows.q[use, step]).abs()
-            lost = torch.where(apart < DIVERGED, apart, DIVERGED)
-            error = lost.square().mean(0).sqrt()
-        known = torch.ones(robot.n, dtype=torch.float64)
-        known[list(silent)] = math.nan
-        errors = (None if x is None else x * known for x in (row.rms_before, row.rms_after, error))
-        out.append(Forward(row.horizon_s, int(use.sum()), *errors))
-    return tuple(out)
-
-
-def of_joints(joints: Sequence[int]) -> str:
-    """Which joints something is of; nothing where it is of none in particular."""
-    return f" of joint {', '.join(str(j + 1) for j in joints)}" if joints else ""
-
-
-def _warnings(
-    projection: Projection, judged: Judged, nominal: Robot, silent: Sequence[int]
-) -> tuple[str, ...]:
-    """What a person should know before using the file."""
-    said = []
-    if silent:
-        said.append(
-            f"{joint_list(silent)}: the measured torque holds no signal, "
-            "so the file keeps the friction of the robot as given, and nothing is judged there"
-        )
-    if not projection.believable:
-        said.append(
-            "masses within a factor 2 of the nominal ones, second moments of a fifth of theirs and "
-            "centres of mass within 5 cm of the links would cost "
-            f"{100 * projection.believable_price:.0f} % more torque error than any parameters "
-            f"leave; the bodies in the file cost {100 * projection.price:.0f} %"
-        )
-    elif projection.price > PRICE:
-        said.append(
-            f"the bodies cost {100 * projection.price:.0f} % more torque error than any parameters "
-            "leave, and no others would cost much less"
-        )
-    if any(one.starts and one.engine is None for one in judged.forward):
-        engine = "Drake" if projection.to == "drake" else "MuJoCo"
-        said.append(f"{engine} is missing or refuses the file: it was not simulated forwards")
-    if nominal.parameters is not None:
-        inertias = inertia_eigenvalues(projection.robot.require_parameters("a correction"))
-        ratio = inertias / inertia_eigenvalues(nominal.parameters).clamp(min=1e-12)
-        odd = ((ratio > SPREAD) | (ratio < 1 / SPREAD)).any(1).nonzero().flatten().tolist()
-        if odd:
-            names = ", ".join(str(i + 1) for i in odd)
-            why = "; a URDF has no field for the rotors, so links hold them"
-            said.append(
-                f"link {names}: a principal inertia more than {SPREAD:g} times as large, or as "
-                f"small, as the nominal one{why if projection.to == 'urdf' else ''}"
-            )
-    worse = (judged.engine > CLAIMED * judged.claim) & (judged.engine > judged.claim + 1)
-    said += [
-        f"joint {j + 1}: {judged.by} leaves {float(judged.engine[j]):.1f} % of the torque, and the "
-        f"file's own numbers {float(judged.claim[j]):.1f} %"
-        for j in worse.nonzero().flatten().tolist()
-    ]
-    return tuple(said)
+    if isinstance(full, PositionDiagnosis | ServoArm):
+        require_field(to, robot, log)
+        return correct_positions(
+            robot, full, log, folder, name, held_out=held_out, with_effects=with_effects,
+            seed=0 if settings is None else settings.seed, keep=keep,
+        )  # fmt: skip
+    assert isinstance(full, Robot | TorqueDiagnosis)
+    return correct_torque(
+        robot, full, log, to, folder, name, held_out=held_out, settings=settings,
+        with_effects=with_effects, keep=keep,
+    )  # fmt: skip

@@ -5,8 +5,7 @@ Nothing is written before the engine has run the file on the log.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
@@ -14,10 +13,9 @@ from typing import Literal
 import torch
 
 from torchid.errors import TorchidError
-from torchid.export.correct import CLAIMED, of_joints
+from torchid.export.correction import Correction, Judged, of_joints
 from torchid.export.dynamics import Dynamics, require_same_arm
 from torchid.export.export import Export, edited_of, export_dynamics, stem_of
-from torchid.export.record import PositionCorrectionRecord, position_correction_record
 from torchid.export.results import servo_dynamics
 from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid, write_servos
 from torchid.export.write_actuator import Package
@@ -27,7 +25,6 @@ from torchid.position.data import PositionData, prepare
 from torchid.position.diagnose import refitted
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import ServoArm, replay
-from torchid.results.record import Result
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of
@@ -42,75 +39,6 @@ NO_BETTER = 0.9
 """Mean error over that of the commands themselves from which a file is refused."""
 
 
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """RMS position errors, begun anew at the measured position every 10 s [mrad of the log's unit].
-
-    Attributes:
-        held_out: what they are on: `a held-out log` or `the log that was fitted`.
-        command: (n,) the position is the command.
-        full: (n,) all that was diagnosed, by torchid.
-        claim: (n,) what the file says, by torchid.
-        engine: (n,) the file, by the engine that runs it, commands held from one to the next.
-        run_time: (n,) a file with set-points made at run time, by that engine.
-        by: that engine.
-    """
-
-    held_out: str
-    command: Float[Tensor, " n"]
-    full: Float[Tensor, " n"]
-    claim: Float[Tensor, " n"]
-    engine: Float[Tensor, " n"]
-    run_time: Float[Tensor, " n"]
-    by: str
-
-
-@dataclass(frozen=True, eq=False)
-class PositionCorrection(Result):
-    """An MJCF with servos.
-
-    Attributes:
-        nominal: the robot as given.
-        refitted: the servos that are in the file.
-        followed: what it is worth.
-        no_field: parameters of servos that are not in it, with joints from 0.
-        exports: what was written: the file, and the one for set-points at run time.
-        beside: the yaml of that one's servos.
-    """
-
-    nominal: Robot
-    refitted: ServoArm
-    followed: Followed
-    no_field: dict[str, tuple[int, ...]]
-    exports: tuple[Export, ...]
-    beside: tuple[Path, ...]
-
-    def __repr__(self) -> str:
-        return f"PositionCorrection('{self.nominal.name}', {', '.join(map(str, self.files))})"
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """What was written."""
-        return (*(file for one in self.exports for file in one.files), *self.beside)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Where the engine does not do what the file's own numbers say."""
-        found, own = self.followed.engine, self.followed.claim
-        worse = (found > CLAIMED * own) & (found > own + 1)
-        said = [
-            f"joint {j + 1}: {self.followed.by} leaves {float(found[j]):.1f} mrad, and the file's "
-            f"own numbers {float(own[j]):.1f}"
-            for j in worse.nonzero().flatten().tolist()
-        ]
-        return (*said, *dict.fromkeys(words for one in self.exports for words in one.warnings))
-
-    @cached_property
-    def record(self) -> PositionCorrectionRecord:
-        """As the JSON has it."""
-        return position_correction_record(self)
-
-
 def correct_positions(
     robot: Robot,
     full: PositionDiagnosis | ServoArm,
@@ -122,7 +50,7 @@ def correct_positions(
     with_effects: bool | Package = False,
     seed: int = 0,
     keep: Sequence[Path] = (),
-) -> PositionCorrection:
+) -> Correction:
     """Write a robot with servos as MuJoCo says them, refitted to a log of commands and positions.
 
     Args:
@@ -152,7 +80,7 @@ def correct_positions(
     >>> log = torchid.replay(real, torchid.Log(t, q=u, u=u)).simulated[0]
     >>> with TemporaryDirectory() as folder:
     ...     done = correct_positions(robot, real, log, folder)
-    >>> bool(done.followed.engine.mean() < 0.1 * done.followed.command.mean())
+    >>> bool(done.judged.engine.mean() < 0.1 * done.judged.nominal.mean())
     True
     """
     arm = full.corrected if isinstance(full, PositionDiagnosis) else full
@@ -177,7 +105,8 @@ def correct_positions(
             )
     alone, running = refitted(arm, fitted, SAID, (*SAID, *AT_RUN_TIME))
     own, beside = (_in_engine(robot, _rigid(one, log), data) for one in (alone, running))
-    followed = Followed(
+    judged = Judged(
+        "mrad",
         "the log that was fitted" if held_out is None else "a held-out log",
         _rms((data.tracks.u - data.q) / data.scale),
         replay(arm, on, windows=WINDOW_S).error[0],
@@ -186,14 +115,12 @@ def correct_positions(
         beside[1],
         own[2],
     )
-    found, none = (
-        float(x.nan_to_num(torch.inf).mean()) for x in (followed.engine, followed.command)
-    )
+    found, none = (float(x.nan_to_num(torch.inf).mean()) for x in (judged.engine, judged.nominal))
     if not found < NO_BETTER * none:
         raise TorchidError(
             "the file follows hardly better than its commands, so nothing was written.",
-            got=f"{found:.3g} mrad in {followed.by}",
-            expected=f"less than {NO_BETTER:g} times {none:.3g} mrad, on {followed.held_out}",
+            got=f"{found:.3g} mrad in {judged.by}",
+            expected=f"less than {NO_BETTER:g} times {none:.3g} mrad, on {judged.held_out}",
         )
     no_field = unsaid(arm.servos, SAID)
 
@@ -222,7 +149,11 @@ def correct_positions(
         title = f"{words}, all of it at run time"
         files.append(write(servo_dynamics(drives), stem, title, with_effects))
     said = (yaml,) if with_effects else ()
-    return PositionCorrection(robot, alone, followed, no_field, tuple(files), said)
+    warnings = dict.fromkeys(words for one in files for words in one.warnings)
+    return Correction(
+        robot, judged, tuple(files), (*judged.worse_than_claimed, *warnings), servos=alone,
+        no_field=no_field, beside=said,
+    )  # fmt: skip
 
 
 def _rigid(arm: ServoArm, log: Log) -> ServoArm:

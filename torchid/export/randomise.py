@@ -15,7 +15,6 @@ that are nearest in torque and to the robot as given.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args
 
@@ -34,12 +33,14 @@ from torchid.errors import TorchidError
 from torchid.export.drawn_from import DrawnFrom, of_diagnosis, of_model
 from torchid.export.dynamics import records, states
 from torchid.export.projection import PRICE
-from torchid.export.record import RandomisationRecord, RangeRow, ResidualBand, Share
+from torchid.export.randomisation import Draws, Randomisation
+from torchid.export.randomise_positions import randomise_positions
+from torchid.export.record import RangeRow, Share
 from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, room_of
 from torchid.gap.record import GapRecord, JointFit
 from torchid.identification.base_parameters import Basis, base_parameters
+from torchid.position.record import PositionRecord
 from torchid.results.files import read
-from torchid.results.record import Result
 from torchid.robot.inertia import (
     PARAMETERS_PER_LINK,
     InertialParameters,
@@ -86,82 +87,8 @@ class Spread:
     source: str
 
 
-@dataclass(frozen=True, eq=False)
-class Draws:
-    """D draws of a robot.
-
-    Attributes:
-        which: (D,) number of the explanation that each is of.
-        pi: (D, n, 10) bodies, all of them feasible.
-        effects: per draw, with coefficients drawn and physical signs.
-        nearest: how many draws belong to no body and have the nearest one; then none is drawn anew.
-        anew: share of the points that no body has, and that were drawn anew.
-    """
-
-    which: Int[Tensor, " D"]
-    pi: Float[Tensor, "D n 10"]
-    effects: tuple[tuple[Valued, ...], ...]
-    nearest: int
-    anew: float
-
-
-@dataclass(frozen=True, eq=False)
-class Randomisation(Result):
-    """How wide to randomise.
-
-    Attributes:
-        robot: the centre: the diagnosed robot with bodies.
-        level: share of what is drawn that lies in a range.
-        draws: of it.
-        ranges: per field of a joint or a link, and per coefficient without a field, of which the
-            draws differ.
-        residual: torque that stays unexplained, joint by joint.
-        explanations: that were drawn from, with how many draws each has.
-        warnings: sentences for the user.
-    """
-
-    robot: Robot
-    level: float
-    draws: Draws
-    ranges: tuple[RangeRow, ...]
-    residual: tuple[ResidualBand, ...]
-    explanations: tuple[Share, ...]
-    warnings: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return f"Randomisation('{self.robot.name}', {len(self)} draws, {len(self.ranges)} ranges)"
-
-    def __len__(self) -> int:
-        return len(self.draws.which)
-
-    @cached_property
-    def record(self) -> RandomisationRecord:
-        """As the JSON has it."""
-        return RandomisationRecord(
-            robot=self.robot.name,
-            level=self.level,
-            draws=len(self),
-            ranges=self.ranges,
-            residual=self.residual,
-            explanations=self.explanations,
-            warnings=self.warnings,
-        )
-
-    def write(self, folder: Path | str, name: str | None = None) -> list[Path]:
-        """Write NAME_ranges.csv, NAME_draws.npz, NAME_mjlab.py and NAME_isaaclab.py, and return
-        them; see `torchid.export.write_randomised`."""
-        from torchid.export.write_randomised import write_randomised
-
-        return write_randomised(self, folder, name)
-
-    def one(self, k: int) -> Robot:
-        """The robot of a draw, with its effects."""
-        robot = self.robot.with_parameters(InertialParameters(self.draws.pi[k]))
-        return replace(robot, effects=records(self.draws.effects[k]))
-
-
 def randomise(
-    found: GapRecord | Robot,
+    found: GapRecord | PositionRecord | Robot,
     level: float = 0.95,
     *,
     robot: Robot | None = None,
@@ -172,8 +99,8 @@ def randomise(
     """Draws of a diagnosed robot, and the range of each field that holds a share of them.
 
     Args:
-        found: a diagnosis (`torchid.load("gap.json")`, or `diagnosis.record`), or a robot whose
-            model says how sure it is, after any number of sessions.
+        found: a diagnosis (`torchid.load("gap.json")`, or `diagnosis.record`), of torques or of
+            positions, or a robot whose model says how sure it is, after any number of sessions.
         level: share of the draws in each range.
         robot: whose bodies the drawn ones are near to: as given to the diagnosis; what that
             records, or the model's own, if None.
@@ -201,6 +128,10 @@ def randomise(
         raise TorchidError("the level is out of range.", got=level, expected="0..1, e.g. 0.95")
     if draws < 2:
         raise TorchidError("too few draws for a range.", got=draws, expected="2 or more")
+    if isinstance(found, PositionRecord):
+        if spread:
+            raise TorchidError("`spread=...` is of logs with torques, and these have commands.")
+        return randomise_positions(found, level, robot=robot, draws=draws, seed=seed)
     if isinstance(found, Robot):
         source = of_model(found, robot, level)
     else:
@@ -222,7 +153,10 @@ def randomise(
         for f, n in zip(source.fits, used, strict=True)
     )
     ranges = _ranges(fields, beside, every, centre, between, level)
-    return Randomisation(centre, level, every, ranges, source.bands, explanations, tuple(warnings))
+    return Randomisation(
+        centre.name, level, every, ranges, centre, centre.joint_names, source.bands, explanations,
+        tuple(warnings),
+    )  # fmt: skip
 
 
 def between_of(files: Sequence[Path | str], robot: Robot) -> tuple[dict[str, Spread], list[str]]:
@@ -604,12 +538,15 @@ def _ranges(
 
 def plain_draws(done: Randomisation) -> dict[str, Any]:
     """The arrays of draws.npz; see `torchid.export.write_randomised`."""
-    bodies = InertialParameters(done.draws.pi)
-    fields, beside = _values(done.draws, done.robot)
+    drawn, robot = done.draws, done.robot
+    assert isinstance(drawn, Draws)
+    assert robot is not None
+    bodies = InertialParameters(drawn.pi)
+    fields, beside = _values(drawn, robot)
     return {
-        "joint_names": np.array(done.robot.joint_names),
-        "link_names": np.array(done.robot.link_names),
-        "explanation": done.draws.which.numpy(),
+        "joint_names": np.array(robot.joint_names),
+        "link_names": np.array(robot.link_names),
+        "explanation": drawn.which.numpy(),
         "mass": bodies.mass.numpy(),
         "com": bodies.com.numpy(),
         "inertia_about_com": bodies.inertia_about_com.numpy(),

@@ -5,12 +5,8 @@ no more than was expected beforehand), of logarithms where they are positive: ga
 inertias that only a load could tell apart move together in the draws.
 """
 
-import csv
-import io
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -19,96 +15,12 @@ from msgspec import UNSET
 from scipy.stats import norm, qmc
 
 from torchid.errors import TorchidError
-from torchid.export.export import require_name
-from torchid.export.record import RandomisationRecord, RangeRow
-from torchid.files import atomic_write
+from torchid.export.randomisation import Randomisation
+from torchid.export.record import RangeRow
 from torchid.position.fit import absolute, from_absolute
 from torchid.position.record import PositionRecord
-from torchid.results.record import Result
 from torchid.robot.model import Robot
-from torchid.simulation.servo import INDEX, NAMES, PARAMETERS, Servos
-
-MUJOCO = {
-    "damping": "dof_damping", "coulomb": "dof_frictionloss", "armature": "dof_armature",
-    "kp": "actuator_gainprm[0] / scale, -actuator_biasprm[1]", "kd": "-actuator_biasprm[2]",
-    "offset": "actuator_biasprm[0]", "clip": "actuator_forcerange about the offset",
-    "delay": "actuator_delay", "lag": "actuator_dynprm[0]", "stop_low": "jnt_range[0]",
-    "stop_high": "jnt_range[1]",
-}  # fmt: skip
-"""Fields of mjModel of what an MJCF says of servos."""
-
-
-@dataclass(frozen=True, eq=False)
-class ServoRandomisation(Result):
-    """How wide to randomise servos.
-
-    Attributes:
-        robot: its name.
-        names: of the joints.
-        level: share of the draws in each range.
-        servos: (D, n, K) values of D draws; the plane is that of the answer.
-        ranges: of each parameter of a joint in which draws differ.
-        warnings: sentences for the user.
-    """
-
-    robot: str
-    names: tuple[str, ...]
-    level: float
-    servos: Servos
-    ranges: tuple[RangeRow, ...]
-    warnings: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return f"ServoRandomisation('{self.robot}', {len(self)} draws, {len(self.ranges)} ranges)"
-
-    def __len__(self) -> int:
-        return len(self.servos.joint)
-
-    @cached_property
-    def record(self) -> RandomisationRecord:
-        """As the JSON has it."""
-        return RandomisationRecord(
-            robot=self.robot,
-            level=self.level,
-            draws=len(self),
-            ranges=self.ranges,
-            residual=(),
-            explanations=(),
-            warnings=self.warnings,
-        )
-
-    def write(self, folder: Path | str, name: str | None = None) -> list[Path]:
-        """Write NAME_ranges.csv, and NAME_servo_draws.npz for
-        `torchid.simulators.servo.drawn_servos`, and return them.
-
-        Args:
-            folder: made if need be.
-            name: without suffix; the robot's own by default.
-
-        Raises:
-            TorchidError: a name with a folder in it, or a file that cannot be written.
-        """
-        stem = self.robot if name is None else name
-        require_name(stem)
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        ranges, draws = folder / f"{stem}_ranges.csv", folder / f"{stem}_servo_draws.npz"
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(("field", "parameter", "joint", "low", "high", "centre", "unit", "why"))
-        for r in self.ranges:
-            field = MUJOCO.get(r.field, "at run time")
-            writer.writerow((field, r.field, r.name, r.low, r.high, r.centre, r.unit, r.why))
-        with atomic_write(draws, "wb") as stream:
-            np.savez_compressed(
-                stream,
-                joint_names=np.array(self.names),
-                parameters=np.array(NAMES),
-                values=self.servos.joint.numpy(),
-            )
-        with atomic_write(ranges) as stream:
-            stream.write(out.getvalue())
-        return [ranges, draws]
+from torchid.simulation.servo import INDEX, PARAMETERS, Servos
 
 
 def randomise_positions(
@@ -118,7 +30,7 @@ def randomise_positions(
     robot: Robot | None = None,
     draws: int = 256,
     seed: int = 0,
-) -> ServoRandomisation:
+) -> Randomisation:
     """Draws of the servos of a diagnosis of commands and positions, and the range of each number.
 
     Args:
@@ -139,9 +51,9 @@ def randomise_positions(
     >>> for k in range(2):
     ...     u = 0.3 * np.sin(np.outer(t, [1.1, 2.3, 3.1]) + k)
     ...     logs.append(torchid.replay(real, torchid.Log(t, q=u, u=u)).simulated[0])
-    >>> found = torchid.diagnose_positions(robot, torchid.Log.concatenate(logs))
+    >>> found = torchid.diagnose(robot, torchid.Log.concatenate(logs))
     >>> wide = randomise_positions(found.record, draws=64)
-    >>> wide.servos.of("kp").shape
+    >>> wide.draws.of("kp").shape
     torch.Size([64, 3])
     """
     if not 0 < level < 1:
@@ -183,7 +95,9 @@ def randomise_positions(
                 "as the log leaves open"
             )
     ranges = _ranges(drawn, servos, found, names, level)
-    return ServoRandomisation(found.robot, tuple(names), level, drawn, ranges, tuple(warnings))
+    return Randomisation(
+        found.robot, level, drawn, ranges, robot, tuple(names), warnings=tuple(warnings)
+    )
 
 
 def _ranges(

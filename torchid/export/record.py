@@ -9,8 +9,7 @@ from torchid.results.record import Joint, Part, Real, Record, Rows, Values
 from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:
-    from torchid.export.correct import Correction
-    from torchid.export.correct_positions import PositionCorrection
+    from torchid.export.correction import Correction
     from torchid.export.export import Export
 
 
@@ -70,7 +69,7 @@ _ERRORS = {"claim": "file_claimed", "engine": "file_in_engine", "run_time": "wit
 
 
 class TorqueErrors(Part, frozen=True, kw_only=True, rename=_ERRORS):
-    """Errors of the torque (n,) [%]; see `export.correct.Judged`."""
+    """Errors of the torque (n,) [%]; see `export.correction.Judged`."""
 
     nominal: Float[Tensor, " n"]
     full: Float[Tensor, " n"]
@@ -82,7 +81,7 @@ class TorqueErrors(Part, frozen=True, kw_only=True, rename=_ERRORS):
 class ForwardErrors(
     Part, frozen=True, kw_only=True, rename={"horizon": "horizon_s", "engine": "file_in_engine"}
 ):
-    """Errors of the motion (n,) [rad; m]; see `export.correct.Forward`."""
+    """Errors of the motion (n,) [rad; m]; see `export.correction.Forward`."""
 
     horizon: float
     starts: int
@@ -94,7 +93,7 @@ class ForwardErrors(
 class JudgedRecord(
     Part, frozen=True, kw_only=True, rename={"held_out": "on", "by": "engine", "band": "band_hz"}
 ):
-    """What a file is worth; see `export.correct.Judged`."""
+    """What a file is worth; see `export.correction.Judged`."""
 
     held_out: str
     by: str
@@ -153,7 +152,7 @@ class CorrectionRecord(Record, frozen=True, kw_only=True, tag="torchid.correctio
 
 
 class FollowedRow(Part, frozen=True, kw_only=True, rename=_ERRORS):
-    """Position errors of one joint [mrad]; see `export.correct_positions.Followed`."""
+    """Position errors of one joint [mrad]; see `export.correction.Judged`."""
 
     joint: Joint
     command: Real
@@ -309,6 +308,7 @@ def export_record(done: "Export") -> ExportRecord:
 def correction_record(done: "Correction") -> CorrectionRecord:
     """A correction as its JSON has it."""
     judged, projection = done.judged, done.projection
+    assert projection is not None
     return CorrectionRecord(
         robot=done.nominal.name,
         to=projection.to,
@@ -328,18 +328,18 @@ def correction_record(done: "Correction") -> CorrectionRecord:
     )
 
 
-def position_correction_record(done: "PositionCorrection") -> PositionCorrectionRecord:
+def position_correction_record(done: "Correction") -> PositionCorrectionRecord:
     """A correction of servos as its JSON has it."""
-    followed = done.followed
-    names = ("command", "full", "claim", "engine", "run_time")
-    columns = [getattr(followed, name).tolist() for name in names]
+    judged = done.judged
+    names = ("nominal", "full", "claim", "engine", "run_time")
+    columns = [getattr(judged, name).tolist() for name in names]
     return PositionCorrectionRecord(
         robot=done.nominal.name,
         to=done.exports[0].format,
-        on=followed.held_out,
-        engine=followed.by,
+        on=judged.held_out,
+        engine=judged.by,
         position_error_mrad=tuple(
-            FollowedRow(joint=j, **dict(zip(names, row, strict=True)))
+            FollowedRow(joint=j, **dict(zip(("command", *names[1:]), row, strict=True)))
             for j, row in enumerate(zip(*columns, strict=True))
         ),
         no_field=tuple(

@@ -15,9 +15,11 @@ import numpy as np
 
 from torchid import __version__
 from torchid.export.export import require_name, stem_of
-from torchid.export.randomise import Randomisation, plain_draws
+from torchid.export.randomisation import Randomisation
+from torchid.export.randomise import plain_draws
 from torchid.export.record import RangeRow
 from torchid.files import atomic_write
+from torchid.simulation.servo import NAMES, Servos
 from torchid.statistics.proportion import HALF_95
 
 MUJOCO = {
@@ -33,6 +35,15 @@ MUJOCO = {
 }
 """Fields of mjModel."""
 
+SERVOS = {
+    "damping": "dof_damping", "coulomb": "dof_frictionloss", "armature": "dof_armature",
+    "kp": "actuator_gainprm[0] / scale, -actuator_biasprm[1]", "kd": "-actuator_biasprm[2]",
+    "offset": "actuator_biasprm[0]", "clip": "actuator_forcerange about the offset",
+    "delay": "actuator_delay", "lag": "actuator_dynprm[0]", "stop_low": "jnt_range[0]",
+    "stop_high": "jnt_range[1]",
+}  # fmt: skip
+"""Fields of mjModel of what an MJCF says of servos."""
+
 _MJLAB = {
     "damping": "joint_damping",
     "friction": "joint_friction",
@@ -44,7 +55,8 @@ _MJLAB = {
 def write_randomised(
     done: Randomisation, folder: Path | str, name: str | None = None
 ) -> list[Path]:
-    """Write NAME_ranges.csv, NAME_draws.npz, NAME_mjlab.py and NAME_isaaclab.py.
+    """Write NAME_ranges.csv, NAME_draws.npz, NAME_mjlab.py and NAME_isaaclab.py; of servos
+    NAME_ranges.csv and NAME_servo_draws.npz, for `torchid.simulators.servo.drawn_servos`.
 
     Args:
         done: draws and ranges.
@@ -57,10 +69,24 @@ def write_randomised(
     Raises:
         TorchidError: a name with a folder in it, or a file that cannot be written.
     """
-    stem = stem_of(done.robot) if name is None else name
+    servos, robot = done.draws, done.robot
+    given = done.name if robot is None or isinstance(servos, Servos) else stem_of(robot)
+    stem = given if name is None else name
     require_name(stem)
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    if isinstance(servos, Servos):
+        ranges, draws = folder / f"{stem}_ranges.csv", folder / f"{stem}_servo_draws.npz"
+        with atomic_write(draws, "wb") as stream:
+            np.savez_compressed(
+                stream,
+                joint_names=np.array(done.joint_names),
+                parameters=np.array(NAMES),
+                values=servos.joint.numpy(),
+            )
+        with atomic_write(ranges) as stream:
+            stream.write(_servo_csv(done))
+        return [ranges, draws]
     texts = {
         f"{stem}_ranges.csv": _csv(done),
         f"{stem}_mjlab.py": _mjlab(done, stem),
@@ -76,6 +102,17 @@ def write_randomised(
     return files
 
 
+def _servo_csv(done: Randomisation) -> str:
+    """One row a range of a servo's number."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(("field", "parameter", "joint", "low", "high", "centre", "unit", "why"))
+    for r in done.ranges:
+        field = SERVOS.get(r.field, "at run time")
+        writer.writerow((field, r.field, r.name, r.low, r.high, r.centre, r.unit, r.why))
+    return out.getvalue()
+
+
 def _csv(done: Randomisation) -> str:
     """One row a range, then the torque that stays unexplained."""
     out = io.StringIO()
@@ -85,7 +122,7 @@ def _csv(done: Randomisation) -> str:
         row = (MUJOCO.get(r.field, r.field), r.name, r.low, r.high, r.centre, r.unit, r.why)
         writer.writerow(row)
     for band in done.residual:
-        joint = done.robot.joint_names[band.joint]
+        joint = done.joint_names[band.joint]
         ends = (-HALF_95 * band.unexplained, HALF_95 * band.unexplained)
         writer.writerow(("qfrc_applied", joint, *ends, 0.0, "", band.why))
     return out.getvalue()
@@ -95,7 +132,7 @@ def _said(done: Randomisation, package: str, version: str) -> list[str]:
     """The first lines of a file."""
     share = f"{100 * done.level:g} %"
     return [
-        f'"""Ranges of \'{done.robot.name}\' that hold {share} of what its log leaves open.',
+        f'"""Ranges of \'{done.name}\' that hold {share} of what its log leaves open.',
         "",
         f"Written by torchid {__version__} for {package}, of which {version} was read. Ranges of",
         "single fields take no notice of how fields vary together: the draws beside this file do.",
@@ -233,7 +270,7 @@ def _beside(done: Randomisation) -> list[str]:
         if r.field not in written
     ]
     lines += [
-        f"#   torque of {done.robot.joint_names[b.joint]}: +-{HALF_95 * b.unexplained:.3g}, "
+        f"#   torque of {done.joint_names[b.joint]}: +-{HALF_95 * b.unexplained:.3g}, "
         f"lasting {b.correlation:.2g} s, stays unexplained"
         for b in done.residual
     ]

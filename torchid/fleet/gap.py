@@ -16,8 +16,8 @@ from torchid.fleet.identify import kept, part_of, write_index
 from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
 from torchid.fleet.tasks import LogAnswer, answered
-from torchid.gap.diagnose import diagnose
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.json_data import plain
 from torchid.log.readers import open_log
 from torchid.parallel.store import Store
@@ -55,7 +55,7 @@ def answer_gap(task: GapTask) -> tuple[LogAnswer, dict[str, Any]]:
     def compute(path):  # type: ignore[no-untyped-def]
         try:
             log = with_gain(open_log(path, task.model.request)[1], task.model)
-            found = diagnose(task.model.robot, log, settings=task.settings)
+            found = diagnose_torque(task.model.robot, log, settings=task.settings)
         except TorchidError as error:
             text = " ".join(str(error).replace(str(path), task.log.path).split())
             return {"refused": text}, {}

@@ -1,8 +1,10 @@
 """The answer: where the gap lies, which effects cause it, how far it shrinks."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchid.effects.base import PLACES, Coefficient, Effect, Motion
@@ -32,8 +34,11 @@ from torchid.gap.record import (
 )
 from torchid.gap.settings import GapSettings
 from torchid.json_data import plain
-from torchid.results.record import Result, Rows
+from torchid.results.answer import Answer, Cause, Diagnosis, JointError, Size
+from torchid.results.record import Rows
+from torchid.results.words import count, effect_words, joints_words, listed
 from torchid.robot.model import JointType, Robot
+from torchid.robot.writer import write_robot
 from torchid.simulation.two_models import Rollout
 from torchid.typing import Bool, Float, Tensor
 
@@ -137,6 +142,34 @@ class Finding:
         """Effect and coefficients, for a model."""
         return self.effect, list(self.values)
 
+    def cause(self, robot: Robot) -> Cause:
+        """As the answer has it."""
+        effect, at = self.effect, self.located or self.joints
+        if self.changed:
+            sizes = [
+                Size(name=c.name, unit=c.unit, value=c.after, std=c.after_std, was=c.before)
+                for c in self.changed
+            ]
+        else:
+            sizes = [
+                Size(
+                    name=c.name,
+                    unit=unit_of(c.unit, at, robot),
+                    value=value,
+                    std=std if math.isfinite(std) else None,
+                )
+                for c, value, std in zip(effect.coefficients, self.values, self.std, strict=True)
+            ]
+        return Cause(
+            effect=effect.name,
+            joints=self.located,
+            sizes=tuple(sizes),
+            how_sure=self.how_sure,
+            ambiguous_with=self.ambiguous_with,
+            closes=self.share,
+            remedy=effect.remedy,
+        )
+
     def record(self, robot: Robot) -> FoundEffect:
         """As the JSON has it."""
         effect = self.effect
@@ -190,6 +223,7 @@ def _link(changed: Parametric) -> FoundEffect:
         effect="link_inertia",
         family="inertia",
         joints=changed.links,
+        located=changed.links,
         common=False,
         parameters={"links": [link + 1 for link in changed.links]},
         std={},
@@ -207,8 +241,8 @@ def _link(changed: Parametric) -> FoundEffect:
 
 
 @dataclass(frozen=True)
-class Diagnosis(Result):
-    """All of it.
+class TorqueDiagnosis(Diagnosis):
+    """A diagnosis of logs with torques.
 
     Attributes:
         robot: the model as given (with fitted parameters, where it had none).
@@ -301,7 +335,76 @@ class Diagnosis(Result):
             residual=self.residual,
             small=self.small,
             knowledge=self.knowledge,
+            answer=self.answer,
         )
+
+    @cached_property
+    def answer(self) -> Answer:
+        """What each joint's error is, which causes close it, and what to do."""
+        far, floor, robot = self.how_far, self.floor, self.robot
+        units = {"N" if kind is JointType.PRISMATIC else "N m" for kind in robot.joint_types}
+        causes = [f.cause(robot) for f in self.findings]
+        causes += [
+            Cause(
+                effect="link_inertia",
+                joints=p.links,
+                how_sure=p.how_sure,
+                ambiguous_with=p.ambiguous_with,
+                closes=p.share,
+                remedy=INERTIA_REMEDY,
+            )
+            for p in self.parametric
+        ]
+        levels = zip(far.rms_before.tolist(), far.rms_after.tolist(), strict=True)
+        return Answer(
+            status=self.status,
+            error="the gap",
+            unit=", ".join(sorted(units, reverse=True)),
+            before=float(far.rms_before.norm()),
+            after=float(far.rms_after.norm()),
+            noise=(float(floor.low.norm()), float(floor.high.norm())),
+            closed=far.closed,
+            closed_ci95=far.closed_ci95,
+            joints=tuple(
+                JointError(
+                    joint=j,
+                    name=robot.joint_names[j],
+                    before=before,
+                    after=after,
+                    noise=(float(floor.low[j]), float(floor.high[j])),
+                )
+                for j, (before, after) in enumerate(levels)
+            ),
+            causes=tuple(sorted(causes, key=lambda c: -c.closes)),
+            reason=self._reason,
+        )
+
+    @property
+    def _reason(self) -> str:
+        """Why nothing is named; empty where something is, or where there is no more to say."""
+        if self.findings or self.parametric:
+            return ""
+        hiding = [j for j in self.knowledge.joints if j.hides] if self.knowledge else []
+        if self.status == "negligible":
+            small = (f"{effect_words(e.effect)} of {joints_words(e.joints)}" for e in self.small)
+            return f"Small: {listed(small, most=2)}."
+        if self.status == "not_testable" and hiding:
+            where = listed(str(j.joint + 1) for j in hiding)
+            return f"the model was not sure enough of joint {where}, where a cause can hide."
+        if self.status == "not_testable":
+            why = self.not_testable[0].reason if self.not_testable else "it holds too little motion"
+            return f"{why.rstrip('.')}."
+        if self.status == "no_gap" and self.not_testable:
+            return f"{count(len(self.not_testable), 'effect')} could not have been seen in it."
+        return ""
+
+    def write_corrected(self, path: str | Path) -> None:
+        """Write the corrected robot with its effects as a .yaml.
+
+        Raises:
+            TorchidError: the file cannot be written.
+        """
+        write_robot(self.corrected, path)
 
     @property
     def effects(self) -> Rows[FoundEffect]:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 
+from torchid.results.answer import DiagnosisRecord
 from torchid.results.record import (
     FINITE,
     Ends,
@@ -12,7 +13,6 @@ from torchid.results.record import (
     Model,
     Part,
     Real,
-    Record,
     Rows,
     Values,
     face,
@@ -185,6 +185,7 @@ class FoundEffect(Part, frozen=True, kw_only=True):
         effect, family: which.
         joints: at it; of one that belongs to the whole arm those whose torque it changes.
         common: whether one coefficient is common to all joints.
+        located: joints that it acts at; none of one that belongs to the whole arm.
         ambiguous_with: names of effects the data do not separate it from.
         parameters: coefficients, shapes and places.
         p_value, how_sure, one_of_a_set, share, first: as Finding's.
@@ -201,6 +202,7 @@ class FoundEffect(Part, frozen=True, kw_only=True):
     family: str
     joints: tuple[Joint, ...]
     common: bool = False
+    located: tuple[Joint, ...] = ()
     ambiguous_with: tuple[str, ...]
     parameters: Values
     p_value: float | None
@@ -472,7 +474,7 @@ class GapSettingsRecord(Part, frozen=True, kw_only=True):
         return self.parameters == "free" or bool(self.background)
 
 
-class GapRecord(Record, frozen=True, kw_only=True, tag="torchid.gap/1"):
+class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torchid.gap/1"):
     """A diagnosis as its JSON has it.
 
     Attributes:

@@ -11,7 +11,6 @@ from torchid.excitation.design import optimise_trajectory
 from torchid.excitation.informed import Goal, InformedDesign, design_for
 from torchid.excitation.settings import DURATION, HARMONICS, RESTARTS, USAGE
 from torchid.excitation.torque import corrected_torque_limits
-from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.record import GapRecord
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
@@ -20,7 +19,9 @@ from torchid.next_motion.ambiguity import open_questions, refuse_another
 from torchid.next_motion.rivals import rivals
 from torchid.next_motion.separating_motion import Separation, design_separation
 from torchid.parallel.workers import Progress, stage
+from torchid.position.next_motion import RATE, NextCommands, next_commands
 from torchid.position.record import PositionRecord
+from torchid.results.answer import Diagnosis
 from torchid.results.files import read
 from torchid.robot.model import Robot
 
@@ -86,30 +87,33 @@ def prior_of_diagnosis(record: GapRecord, robot: Robot, source: str) -> Prior:
 
 
 def excite_for(
-    result: str | Path | Diagnosis | Identification | Asking,
+    result: str | Path | Diagnosis | Identification | Asking | PositionRecord,
     robot: Robot | None = None,
     *,
     goal: Goal | None = None,
     duration: float = DURATION,
+    rate: float = RATE,
     harmonics: int = HARMONICS,
     restarts: int = RESTARTS,
     usage: float = USAGE,
     seed: int = 0,
     clearance: Clearance | None = None,
     progress: Progress | None = None,
-) -> InformedDesign | Separation:
+) -> InformedDesign | Separation | NextCommands:
     """The motion that settles most of what a result leaves in doubt.
 
     Args:
         result: an identification, whose least known parameters it fixes, or a diagnosis: what that
             cannot tell apart it separates, or else it shows what the log could not have shown.
             Where its model left so much open that a cause could hide in it, the motion closes that.
-            Or the file of one.
+            Of a diagnosis of positions the commands that make its servos' numbers known. Or the
+            file of one.
         robot: with the limits to keep; the one that the result records if None.
         goal: `a_optimal` for the least known parameters (the default of an identification, and of
             a diagnosis that names nothing because its model left too much open), or `d_optimal` for
             all; of a diagnosis, of its corrected model.
         duration: [s].
+        rate: of the commands of servos [Hz].
         harmonics: of the Fourier series.
         restarts: of the design, and what the search for a separation tries goes with them.
         usage: share of the limits that may be used.
@@ -136,9 +140,12 @@ def excite_for(
     source = str(result) if isinstance(result, str | Path) else "the result"
     record = read_asking(result) if isinstance(result, str | Path) else result.record
     if isinstance(record, PositionRecord):
-        raise TorchidError(
-            f"'{source}' is of commands and positions.", expected="torchid.next_commands"
-        )
+        if robot is None:
+            raise TorchidError(f"'{source}' does not record its robot: `robot=...`.")
+        return next_commands(
+            record, robot, seconds=duration, rate=rate, usage=usage, clearance=clearance,
+            progress=progress,
+        )  # fmt: skip
     assert isinstance(record, Asking)
     robot = robot or record.model
     if robot is None:

@@ -13,6 +13,7 @@ from torchid.next_motion.planned import Planned
 from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.settings import MotionSettings, Room
 from torchid.parallel.workers import Progress, stage
+from torchid.position.next_motion import NextCommands
 from torchid.robot.model import Robot
 
 
@@ -81,12 +82,11 @@ def _designs(
                 got=asked.criterion,
                 available=["a_optimal", "d_optimal"],
             )
-        return [
-            excite_for(
-                asked.result, robot, goal=asked.criterion, seed=asked.seed, progress=progress,
-                **shared,
-            )
-        ]  # fmt: skip
+        made = excite_for(
+            asked.result, robot, goal=asked.criterion, seed=asked.seed, progress=progress, **shared
+        )
+        assert not isinstance(made, NextCommands), "commands of servos are no planned motion"
+        return [made]
     shared |= {
         "effects": asked.effects,
         "criterion": asked.criterion or "condition",

@@ -23,13 +23,13 @@ from torchid.effects.motion import Motion
 from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
 from torchid.gap.data import prepare
-from torchid.gap.diagnose import diagnose
-from torchid.gap.diagnosis import Diagnosis, Finding, Trace, unit_of
+from torchid.gap.diagnosis import Finding, TorqueDiagnosis, Trace, unit_of
 from torchid.gap.localise.where import where
 from torchid.gap.noise.spectrum import white_level
 from torchid.gap.record import NoiseFloor
 from torchid.gap.search.terms import PAYLOAD
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.log.filtering import central_difference, low_passed
 from torchid.log.model import Log
 from torchid.pair.align import Both, aligned
@@ -82,8 +82,8 @@ class PairDiagnosis(Result):
 
     found: PairRecord
     robot: Robot | None
-    of_simulator: Diagnosis | None = None
-    of_arm: Diagnosis | None = None
+    of_simulator: TorqueDiagnosis | None = None
+    of_arm: TorqueDiagnosis | None = None
 
     def __repr__(self) -> str:
         return repr(self.found).replace("PairRecord", "PairDiagnosis", 1)
@@ -174,7 +174,7 @@ def compare_pair(
     # One name once: the servo's law and the torque may both tell of gravity.
     faults = list({f.fault: f for f in reversed(faults)}.values())[::-1]
     which: tuple[OneSided, ...] | None = None
-    diagnoses: tuple[Diagnosis | None, Diagnosis | None] = (None, None)
+    diagnoses: tuple[TorqueDiagnosis | None, TorqueDiagnosis | None] = (None, None)
     if faults:
         warnings.append(
             "effects were not sought: mend the set-up first, whose traces look like effects"
@@ -245,7 +245,7 @@ def _where(both: Sequence[Both], name: str, seed: int) -> tuple[WherePair, Noise
 
 def _effects(
     robot: Robot, simulated: Log, real: Log, settings: GapSettings, say: Progress
-) -> tuple[tuple[OneSided, ...], tuple[Diagnosis | None, Diagnosis]]:
+) -> tuple[tuple[OneSided, ...], tuple[TorqueDiagnosis | None, TorqueDiagnosis]]:
     """Effects that one of both has more of."""
 
     def of(name: str) -> Progress:
@@ -254,9 +254,9 @@ def _effects(
     # What the simulator does beside the model; with that the model is the simulator.
     first, simulator = None, robot
     if not _as_model(robot, simulated, settings):
-        first = diagnose(robot, simulated, settings=settings, progress=of("simulator"))
+        first = diagnose_torque(robot, simulated, settings=settings, progress=of("simulator"))
         simulator = _with_its_load(first.corrected)
-    second = diagnose(simulator, real, settings=settings, progress=of("arm"))
+    second = diagnose_torque(simulator, real, settings=settings, progress=of("arm"))
     rows = [_one_sided(f, second) for f in second.findings]
     for p in second.parametric:
         rows.append(_bodies(p.links, p.share, p.p_value, p.ambiguous_with, second))
@@ -289,7 +289,7 @@ def _as_model(robot: Robot, simulated: Log, settings: GapSettings) -> bool:
     return bool((left <= settings.worthwhile_torque**2 * whole)[data.slides].all())
 
 
-def _one_sided(found: Finding, diagnosis: Diagnosis) -> OneSided:
+def _one_sided(found: Finding, diagnosis: TorqueDiagnosis) -> OneSided:
     """A finding of the arm beside the simulator as what either has of it."""
     names = [c.name for c in found.effect.coefficients]
     before, after = (_values(r, found.effect) for r in (diagnosis.robot, diagnosis.corrected))
@@ -325,7 +325,7 @@ def _bodies(
     share: float,
     p: float | None,
     ambiguous: tuple[str, ...],
-    diagnosis: Diagnosis,
+    diagnosis: TorqueDiagnosis,
 ) -> OneSided:
     """Links whose inertial parameters differ, by their masses."""
     of = links or tuple(range(diagnosis.robot.n))

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import torch
 
@@ -10,8 +11,11 @@ from torchid.position.data import PositionData
 from torchid.position.model import ServoArm
 from torchid.position.nominal import NominalServo
 from torchid.position.record import EffectRecord, PositionRecord, position_record
-from torchid.results.record import Result, Rows
+from torchid.results.answer import Answer, Cause, Diagnosis, JointError
+from torchid.results.answer import Size as AnswerSize
+from torchid.results.record import Rows
 from torchid.simulation.servo import Servos
+from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
 
 GAP = 2.0
@@ -34,6 +38,12 @@ class Size:
     unit: str
     value: float
     interval: tuple[float, float]
+
+    @property
+    def std(self) -> float | None:
+        """Of the interval, as if it were a normal variable's; None where it has no end."""
+        half = (self.interval[1] - self.interval[0]) / 2
+        return half / HALF_95 if math.isfinite(half) else None
 
 
 @dataclass(frozen=True)
@@ -61,12 +71,27 @@ class PositionFinding:
     meaning: str
     remedy: str
 
+    @property
+    def cause(self) -> Cause:
+        """As the answer has it; it closes its share of the squared error of its joint."""
+        left = (self.error_with / self.error_without) ** 2 if self.error_without > 0 else 1.0
+        return Cause(
+            effect=self.effect,
+            joints=() if self.joint is None else (self.joint - 1,),
+            sizes=tuple(
+                AnswerSize(name=s.name, unit=s.unit, value=s.value, std=s.std) for s in self.sizes
+            ),
+            ambiguous_with=self.ambiguous_with,
+            closes=1.0 - left,
+            remedy=self.remedy,
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Accuracy:
-    """RMS position errors of one way to foretell a log [mrad of the log's unit].
+    """RMS position errors of one way to predict a log [mrad of the log's unit].
 
-    A joint that never moves is NaN: to foretell it is neither a success nor a failure.
+    A joint that never moves is NaN: to predict it is neither a success nor a failure.
 
     Attributes:
         whole: (n,) whole motions from their measured start.
@@ -83,7 +108,7 @@ class Accuracy:
 
 
 @dataclass(frozen=True, eq=False)
-class PositionDiagnosis(Result):
+class PositionDiagnosis(Diagnosis):
     """Where command and position part, what causes it, and how far it goes.
 
     Attributes:
@@ -154,6 +179,38 @@ class PositionDiagnosis(Result):
             return "no_gap" if math.isnan(self.closed) else "detected_unexplained"
         return "partly_explained" if self.closed < MOST else "explained"
 
+    @cached_property
+    def answer(self) -> Answer:
+        """What each joint's error is, which causes close it, and what to do: errors of whole
+        motions that were left out, before them those of a plain servo."""
+        unseen, moves = self.unseen, ~self.still
+        before, after = self.plain_servo.whole, self.answered.whole
+        names = self.data.robot.joint_names
+        causes = [f.cause for f in self.findings]
+        low, high = (float(x) for x in unseen[moves].aminmax()) if bool(moves.any()) else (0.0, 0.0)
+        small = f"What moves a joint by less than {low:.1f} to {high:.1f} mrad could not be seen."
+        return Answer(
+            status=self.status,
+            error="a plain servo's error",
+            unit="mrad",
+            before=self.plain_servo.mean[0],
+            after=self.answered.mean[0],
+            noise=(0.0, float(unseen[moves].mean()) if bool(moves.any()) else 0.0),
+            closed=None if math.isnan(self.closed) else self.closed,
+            joints=tuple(
+                JointError(
+                    joint=j,
+                    name=names[j],
+                    before=float(before[j]),
+                    after=float(after[j]),
+                    noise=(0.0, float(unseen[j])),
+                )
+                for j in range(len(names))
+            ),
+            causes=tuple(sorted(causes, key=lambda c: -c.closes)),
+            reason=small if self.status == "no_gap" else "",
+        )
+
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(f.effect for f in self.findings)) or "no gap"
         return f"PositionDiagnosis('{self.data.robot.name}', {names})"
@@ -167,6 +224,14 @@ class PositionDiagnosis(Result):
     def corrected(self) -> ServoArm:
         """The answered model: what `replay` moves, and `write` keeps."""
         return ServoArm(self.data.robot, self.servos, self.data.scale)
+
+    def write_corrected(self, path: str | Path) -> None:
+        """Write the robot with its servos as a .yaml.
+
+        Raises:
+            TorchidError: the file cannot be written.
+        """
+        self.corrected.write(path)
 
     @property
     def effects(self) -> Rows[EffectRecord]:

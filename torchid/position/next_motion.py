@@ -153,7 +153,7 @@ def next_commands(
     >>> for k in range(2):
     ...     u = 0.3 * np.sin(np.outer(t, [1.1, 2.3, 3.1]) + k)
     ...     logs.append(torchid.replay(real, torchid.Log(t, q=u, u=u)).simulated[0])
-    >>> found = torchid.diagnose_positions(robot, torchid.Log.concatenate(logs))
+    >>> found = torchid.diagnose(robot, torchid.Log.concatenate(logs))
     >>> made = next_commands(found, robot, seconds=4.0)
     >>> made.log.u.shape, len(made.motions)
     (torch.Size([800, 3]), 4)

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from torchid.results.record import FINITE, Ends, Joint, Part, Real, Record, Rows, Values
+from torchid.results.answer import DiagnosisRecord
+from torchid.results.record import FINITE, Ends, Joint, Part, Real, Rows, Values
 from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:
@@ -14,10 +15,12 @@ if TYPE_CHECKING:
 
 
 class JointRecord(Part, frozen=True, kw_only=True):
-    """One joint: errors of whole motions [mrad of the log's unit], its gain [N m/rad], and what is
-    too little to look for a cause (missing in files of older versions)."""
+    """One joint: errors of whole motions [mrad of the log's unit], its gain [N m/rad]; missing in
+    files of older versions: its name, what is too little to look for a cause, and the step of its
+    encoder, as the log shows it [mrad]."""
 
     joint: Joint
+    name: str = ""
     commanded_mrad: Real
     plain_mrad: Real
     answered_mrad: Real
@@ -26,6 +29,7 @@ class JointRecord(Part, frozen=True, kw_only=True):
     ratio_only: bool
     never_moves: bool
     unseen_mrad: Real = math.nan
+    resolution_mrad: Real = math.nan
 
 
 class RegimeRecord(Part, frozen=True, kw_only=True):
@@ -52,6 +56,7 @@ class EffectRecord(Part, frozen=True, kw_only=True):
     joints: tuple[Joint, ...]
     ambiguous_with: tuple[str, ...]
     parameters: dict[str, Real]
+    unit: dict[str, str] = msgspec.field(default_factory=dict)
     ci95: dict[str, Ends]
     error_without_mrad: Real
     error_with_mrad: Real
@@ -120,7 +125,9 @@ class KnownRecord(Part, frozen=True, kw_only=True):
     covariance: Annotated[Float[Tensor, "_ _"], FINITE]
 
 
-class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_gap/1"):
+class PositionRecord(
+    DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torchid.position_gap/1"
+):
     """Where command and position part, what causes it, and how far it goes.
 
     Attributes:
@@ -169,6 +176,7 @@ def position_record(result: "PositionDiagnosis") -> PositionRecord:
     joints = tuple(
         JointRecord(
             joint=j,
+            name=result.data.robot.joint_names[j],
             commanded_mrad=float(result.commanded.whole[j]),
             plain_mrad=float(result.plain_servo.whole[j]),
             answered_mrad=float(result.answered.whole[j]),
@@ -177,6 +185,7 @@ def position_record(result: "PositionDiagnosis") -> PositionRecord:
             ratio_only=bool(result.ratio_only[j]),
             never_moves=bool(result.still[j]),
             unseen_mrad=float(result.unseen[j]),
+            resolution_mrad=float(1e3 * 12**0.5 * result.data.resolution[j]),
         )
         for j in range(result.servos.n)
     )
@@ -193,6 +202,7 @@ def position_record(result: "PositionDiagnosis") -> PositionRecord:
     )
     return PositionRecord(
         robot=result.data.robot.name,
+        answer=result.answer,
         motions=len(names),
         status=result.status,
         where=WhereRecord(joints=joints, regimes=regimes),
@@ -249,6 +259,7 @@ def _finding(found: "PositionFinding") -> EffectRecord:
         found,
         joints=() if found.joint is None else (found.joint - 1,),
         parameters={s.name: s.value for s in found.sizes},
+        unit={s.name: s.unit for s in found.sizes},
         ci95={s.name: s.interval for s in found.sizes},
         error_without_mrad=found.error_without,
         error_with_mrad=found.error_with,

@@ -13,7 +13,8 @@ from torchid.compare.record import Named, Range, TorqueSpread, Verdict
 from torchid.compare.sets import SetComparison
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
 from torchid.report.panels import Figure, Figures, finish, panel, rows_of
-from torchid.report.table import Cell, Shown, Table, cells, count, joint_numbers, short
+from torchid.report.table import Cell, Shown, Table, cells, joint_numbers
+from torchid.results.words import count, short
 
 ORDER: tuple[Verdict, ...] = ("drift", "differ", "agree", "never_determined", "not_compared")
 WORDS = {

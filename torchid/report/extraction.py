@@ -16,7 +16,8 @@ from torchid.extraction.record import AtlasRecord, noticeable
 from torchid.identification.values import BaseValues
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.panels import Figure, Figures, finish, panel, rows_of
-from torchid.report.table import Cell, Shown, Table, count, filled, listed
+from torchid.report.table import Cell, Shown, Table, filled
+from torchid.results.words import count, listed
 from torchid.robot.inertia import InertialParameters
 
 _SHOWN = 12

@@ -12,7 +12,8 @@ from torchid.fleet.watch import WatchRecord
 from torchid.report.colours import BLUE, GREY, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Picture, panel
-from torchid.report.table import Cell, Shown, Table, count, filled, listed, short
+from torchid.report.table import Cell, Shown, Table, filled
+from torchid.results.words import count, listed, short
 
 MOST = 20
 """Rows of logs and units that the terminal shows; the JSON has all of them."""

@@ -1,4 +1,5 @@
-"""A diagnosis as tables for people, and as a page."""
+"""A diagnosis of torques as tables and pictures for people; all of it from its record, but for
+figures of torque over time."""
 
 import math
 import re
@@ -6,28 +7,34 @@ from functools import partial
 from typing import Any
 
 from torchid.effects.registry import KINDS
-from torchid.gap.diagnosis import INERTIA_MEANING, INERTIA_REMEDY, Diagnosis, unit_of
-from torchid.gap.record import Experiment, NotTestable, Replication
+from torchid.gap.diagnosis import TorqueDiagnosis
+from torchid.gap.record import Experiment, GapRecord, NotTestable, Replication
 from torchid.report import gap_figures
-from torchid.report import gap_words as words
-from torchid.report.gap_answer import answer_table
-from torchid.report.page.document import Origin, Page
+from torchid.report.gap_words import (
+    CLEAR,
+    REGIMES,
+    change_words,
+    clear_regimes,
+    coefficients,
+    corrects,
+    excess_words,
+    shapes,
+)
 from torchid.report.panels import Picture
 from torchid.report.robot import simulator_block
-from torchid.report.table import (
-    Shown,
-    Table,
-    cells,
-    filled,
+from torchid.report.table import Table, cells, filled, joint_numbers, joint_unit, torque_unit
+from torchid.results.record import as_plain
+from torchid.results.words import (
+    effect_words,
     interval,
-    joint_numbers,
-    joint_unit,
+    joints_words,
     listed,
+    measure,
     percent,
-    torque_unit,
+    sure,
     unit_words,
 )
-from torchid.results.record import as_plain
+from torchid.robot.model import Robot
 from torchid.simulation.two_models import Rollout
 from torchid.statistics.proportion import HALF_95
 
@@ -35,54 +42,54 @@ _MOST_REGIMES = 3
 _MOST_NUMBERS = 12
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 
+STATUS = {
+    "no_gap": "no gap",
+    "negligible": "too small to matter",
+    "parametric_only": "wrong parameters only",
+    "explained": "explained",
+    "detected_unexplained": "not fully explained",
+    "not_testable": "cannot tell",
+}
+"""What a status says, in the fewest words."""
 
-def shown(diagnosis: Diagnosis) -> Shown:
-    """All that there is to see of a diagnosis."""
-    return Shown(
-        verdict=words.verdict(diagnosis),
-        parts=[*tables(diagnosis), *remarks(diagnosis)],
-        warnings=diagnosis.warnings,
-        figures=gap_figures.figures(diagnosis),
-        page=partial(gap_page, diagnosis),
-    )
 
-
-def tables(diagnosis: Diagnosis) -> list[Table]:
-    """The answer; then where, which, what it means, how far, what could not be tested, what to do
+def tables(record: GapRecord) -> list[Table]:
+    """What stands below the answer: where, which, how far, what could not be tested, what to record
     next."""
-    return filled(answer_table(diagnosis), *lower_tables(diagnosis))
-
-
-def lower_tables(diagnosis: Diagnosis) -> list[Table]:
-    """What stands below the answer."""
-    d, rollout, experiment = diagnosis, diagnosis.how_far.rollout, diagnosis.next_experiment
+    experiment, rollout = record.next_experiment, record.how_far.rollout
     return filled(
-        where_table(d) if stands_out(d) else None,
-        which_table(d),
-        small_table(d),
-        known_table(d),
-        open_table(d),
-        meaning_table(d),
-        how_far_table(d),
-        budget_table(d),
+        where_table(record) if stands_out(record) else None,
+        which_table(record),
+        small_table(record),
+        known_table(record),
+        open_table(record),
+        meaning_table(record),
+        how_far_table(record),
+        budget_table(record),
         rollout_table(rollout) if rollout else None,
-        not_testable_table(d),
+        not_testable_table(record),
         experiment_table(experiment) if experiment else None,
     )
 
 
-def stands_out(diagnosis: Diagnosis) -> bool:
+def model_of(record: GapRecord) -> Robot:
+    """The robot as given."""
+    assert record.model is not None
+    return record.model
+
+
+def stands_out(record: GapRecord) -> bool:
     """Whether a kind of motion holds more than its share of some joint's gap."""
-    return any(words.clear_regimes(diagnosis, gap.joint) for gap in diagnosis.joints)
+    return any(clear_regimes(record, gap.joint) for gap in record.where.joints)
 
 
-def where_table(diagnosis: Diagnosis) -> Table:
+def where_table(record: GapRecord) -> Table:
     """Joints: size and share of the gap, and the regimes that hold more than their share."""
     rows = []
-    for gap in diagnosis.joints:
+    for gap in record.where.joints:
         said = []
-        for r in words.clear_regimes(diagnosis, gap.joint)[:_MOST_REGIMES]:
-            text = words.excess_words(r)
+        for r in clear_regimes(record, gap.joint)[:_MOST_REGIMES]:
+            text = excess_words(r)
             if r.times:
                 starts: dict[str, list[str]] = {}
                 for window in r.times[:_MOST_REGIMES]:
@@ -93,92 +100,103 @@ def where_table(diagnosis: Diagnosis) -> Table:
         low, high = gap.noise_floor_rms
         rows.append(
             (
-                str(gap.joint + 1), f"{gap.gap_rms:.3g} {joint_unit(diagnosis.robot, gap.joint)}",
+                str(gap.joint + 1), f"{gap.gap_rms:.3g} {joint_unit(model_of(record), gap.joint)}",
                 f"{low:.3g} - {high:.3g}", percent(gap.share), ", ".join(said) or "-",
             )
         )  # fmt: skip
-    regimes = f"holds more than its share (excess [95 %], p < {words.CLEAR:g})"
+    regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"
     return Table(
-        f"where: torque the model lacks, below {diagnosis.band:g} Hz",
+        f"where: torque the model lacks, below {record.band_hz:g} Hz",
         ("joint", "gap, RMS", "noise, RMS", "share", regimes),
         rows,
         words=("joint", regimes),
     )
 
 
-def which_table(diagnosis: Diagnosis) -> Table:
+def which_table(record: GapRecord) -> Table:
     """Accepted effects with their coefficients."""
     rows = []
-    for f in diagnosis.findings:
-        values = words.coefficients(f, diagnosis.robot)
-        if f.changed:
-            values = [words.change_words(c) for c in f.changed]
-        elif words.corrects(f, diagnosis.robot):
-            values = [f"change of {value}" for value in values]
+    for f in record.which:
+        if f.effect == "link_inertia" and not f.std:
+            values = ["see the corrected model"]
+        elif f.changed:
+            values = [change_words(c) for c in f.changed]
+        else:
+            values = coefficients(f)
+            if corrects(f, model_of(record)):
+                values = [f"change of {value}" for value in values]
         values = [*values[:_MOST_NUMBERS], *(["..."] if len(values) > _MOST_NUMBERS else [])]
-        if f.effect.shapes:
-            values.append(f"({', '.join(words.shapes(f, diagnosis.robot))})")
-        joints = ", ".join(str(j + 1) for j in f.joints) or "all"
-        shares = (percent(f.share), percent(f.first), _sure(f.how_sure), _repeats(f.replication))
-        what = words.effect_words(f.effect.name)
-        rows.append((what, joints, "\n".join(values), _others(f.ambiguous_with), *shares))
-    for p in diagnosis.parametric:
-        links = [str(link + 1) for link in p.links]
-        what = f"inertia of link {listed(links)}" if links else "all base parameters"
+        if f.shape:
+            values.append(f"({', '.join(shapes(f))})")
+        links = f.effect == "link_inertia"
+        what = f"inertia of link {_numbers(f.joints)}" if links else effect_words(f.effect)
+        joints = _numbers(f.joints) or "all"
+        closes = "-" if f.share is None else percent(f.share)
         rows.append(
             (
-                what, ", ".join(links) or "all", "see the corrected model",
-                _others(p.ambiguous_with), percent(p.share), "-", _sure(p.how_sure), "-",
+                what, joints, "\n".join(values), _others(f.ambiguous_with), closes,
+                sure(f.how_sure), _repeats(f.replication),
             )
         )  # fmt: skip
-    columns = (
-        "effect", "joints", "value", "cannot be told from", "closes\nin its turn", "closes\nalone",
-        "how sure", "repeats",
-    )  # fmt: skip
-    title = "which: effects the model lacks (value ± std)"
-    return Table(title, columns, rows, names=columns[:3], words=columns[3:4])
+    rows += [
+        (
+            "all base parameters", "all", "see the corrected model", _others(p.ambiguous_with),
+            percent(p.share), sure(p.how_sure), "-",
+        )
+        for p in record.parametric
+        if not p.links
+    ]  # fmt: skip
+    columns = ("effect", "joints", "value", "or", "closes", "how sure", "repeats")
+    return Table(
+        "which: effects the model lacks (value ± std)",
+        columns,
+        rows,
+        names=columns[:3],
+        words=columns[3:4],
+        note="or: effects that this log cannot separate from it; closes: share of the gap beyond "
+        "noise, each cause beside those that close more; repeats: motions that want it, of those "
+        "that can show it",
+    )
 
 
-def small_table(diagnosis: Diagnosis) -> Table:
+def small_table(record: GapRecord) -> Table:
     """Effects that are there, of a size below what was asked for."""
     rows = []
-    for e in diagnosis.small:
+    for e in record.small:
         values = [
-            f"{name} = {words.measure(v, e.std.get(name), '' if unit == '1' else unit)}"
+            f"{name} = {measure(v, e.std.get(name), '' if unit == '1' else unit)}"
             for name, unit in e.unit.items()
             if isinstance(v := e.parameters[name], float | int)
         ]
-        place = ", ".join(str(j + 1) for j in e.joints) or "all"
-        torque = f"{e.closes_rms:.2g}"
-        sure = (_sure(e.how_sure), _repeats(e.replication))
-        rows.append((words.effect_words(e.effect), place, "\n".join(values), torque, *sure))
+        last = (f"{e.closes_rms:.2g}", sure(e.how_sure), _repeats(e.replication))
+        place = _numbers(e.joints) or "all"
+        rows.append((effect_words(e.effect), place, "\n".join(values), *last))
     columns = ("effect", "joints", "value", "takes away, RMS", "how sure", "repeats")
-    title = "small: there, and below what was asked for (`worthwhile`)"
+    title = "small effects: present, below what was asked for (`worthwhile`)"
     return Table(title, columns, rows, names=columns[:3])
 
 
-def known_table(diagnosis: Diagnosis) -> Table:
+def known_table(record: GapRecord) -> Table:
     """Coefficients of the model's effects before this log and after it."""
-    known, rows = diagnosis.knowledge, []
+    known, rows = record.knowledge, []
     for c in () if known is None else known.coefficients:
         unit = "" if c.unit == "1" else unit_words(c.unit)
-        moved = "changed" if c.changed else "as known"
         before, after = ((c.before, c.before_std), (c.after, c.after_std))
         name, place = c.name.rsplit(" ", 1)
+        moved = "changed" if c.changed else "as known"
         rows.append(
-            (f"{words.effect_words(name)} {place}", words.measure(*before, unit),
-             words.measure(*after, unit), moved)
-        )  # fmt: skip
+            (f"{effect_words(name)} {place}", measure(*before, unit), measure(*after, unit), moved)
+        )
     sources = "" if known is None else ", ".join(known.sources)
     columns = ("coefficient", "known before", "with this log", "")
     return Table(f"known: what this log adds to {sources}", columns, rows, names=columns[:1])
 
 
-def open_table(diagnosis: Diagnosis) -> Table:
+def open_table(record: GapRecord) -> Table:
     """Joints on which the model left torque open that could hide a cause."""
-    known = diagnosis.knowledge
+    known = record.knowledge
     rows = [
-        (str(j.joint + 1), f"{j.added_rms:.3g} {joint_unit(diagnosis.robot, j.joint)}", j.motion)
+        (str(j.joint + 1), f"{j.added_rms:.3g} {joint_unit(model_of(record), j.joint)}", j.motion)
         for j in (() if known is None else known.joints)
         if j.hides
     ]
@@ -187,57 +205,55 @@ def open_table(diagnosis: Diagnosis) -> Table:
     return Table(title, columns, rows, names=columns[:1], words=columns[2:])
 
 
-def meaning_table(diagnosis: Diagnosis) -> Table:
+def meaning_table(record: GapRecord) -> Table:
     """What each effect means and what to do; an effect on several joints once."""
     rows = []
-    for name in dict.fromkeys(f.effect.name for f in diagnosis.findings):
-        same = [f for f in diagnosis.findings if f.effect.name == name]
-        kind = same[0].effect
-        notes = [f"{words.joints_words(f.located)}: {note}" for f in same for note in f.notes]
-        remedy = kind.remedy
-        if any(words.corrects(f, diagnosis.robot) for f in same):
+    for name in dict.fromkeys(f.effect for f in record.which):
+        same = [f for f in record.which if f.effect == name]
+        first, remedy = same[0], same[0].remedy
+        notes = [f"{joints_words(f.located)}: {note}" for f in same for note in f.notes]
+        if name != "link_inertia" and any(corrects(f, model_of(record)) for f in same):
             remedy += " Where the model has it, the value is a change of the model's."
-        rows.append((words.effect_words(name), "\n".join([kind.meaning, *notes]), remedy))
-    if diagnosis.parametric:
-        rows.append(("inertial parameters", INERTIA_MEANING, INERTIA_REMEDY))
+        words = "inertial parameters" if name == "link_inertia" else effect_words(name)
+        rows.append((words, "\n".join([first.meaning, *notes]), remedy))
     columns = ("effect", "what it means", "what to do")
     return Table(
         "what it means, and what to do", columns, rows, names=columns[:1], words=columns[1:]
     )
 
 
-def how_far_table(diagnosis: Diagnosis) -> Table:
+def how_far_table(record: GapRecord) -> Table:
     """RMS per joint before and after, beside the noise."""
-    far, floor = diagnosis.how_far, diagnosis.floor
-    units = {joint_unit(diagnosis.robot, j) for j in range(diagnosis.robot.n)}
+    far, floor, robot = record.how_far.per_joint, record.noise_floor, model_of(record)
+    units = {joint_unit(robot, j) for j in range(robot.n)}
+    levels = (
+        ("as given", [j.before for j in far]), ("corrected", [j.after for j in far]),
+        ("noise, at least", floor.low.tolist()), ("noise, at most", floor.high.tolist()),
+    )  # fmt: skip
     rows = [
         # Newtons and newton metres have no sum.
-        (name, *cells(level), f"{float(level.norm()):.3g}" if len(units) == 1 else "-")
-        for name, level in (
-            ("as given", far.rms_before), ("corrected", far.rms_after),
-            ("noise, at least", floor.low), ("noise, at most", floor.high),
-        )
-    ]  # fmt: skip
-    title = f"how far: RMS of what the model lacks [{torque_unit(diagnosis.robot)}]"
-    columns = ("model", *joint_numbers(diagnosis.robot.n), "all")
-    return Table(title, columns, rows, words=("model",))
+        (name, *cells(level), f"{math.hypot(*level):.3g}" if len(units) == 1 else "-")
+        for name, level in levels
+    ]
+    title = f"how far: RMS of what the model lacks [{torque_unit(robot)}]"
+    return Table(title, ("model", *joint_numbers(robot.n), "all"), rows, words=("model",))
 
 
-def budget_table(diagnosis: Diagnosis) -> Table:
-    """Shares of the gap, the closed fraction, and rollouts."""
-    far, budget = diagnosis.how_far, diagnosis.budget
+def budget_table(record: GapRecord) -> Table:
+    """Shares of the gap, and the closed fraction."""
+    far, budget = record.how_far, record.budget
     parts = (budget.parametric, budget.structural, budget.unexplained)
     shares = ["-"] * 3 if far.closed is None else [percent(x) for x in parts]
     columns = ("base parameters", "effects", "unexplained", "closed [95 %]")
-    return Table("budget: what closes the gap", columns, [(*shares, closed_words(diagnosis))])
+    return Table("budget: what closes the gap", columns, [(*shares, closed_words(record))])
 
 
-def closed_words(diagnosis: Diagnosis) -> str:
+def closed_words(record: GapRecord) -> str:
     """The share of the gap that is closed, with its interval."""
-    far = diagnosis.how_far
+    far = record.how_far
     if far.closed is None or far.closed_ci95 is None:
         quiet = {"no_gap": "the gap may be noise", "negligible": "too little to say"}
-        return quiet.get(diagnosis.status, "nothing of it")
+        return quiet.get(record.status, "none")
     return f"{percent(far.closed)} {interval(far.closed_ci95)}"
 
 
@@ -255,26 +271,26 @@ def rollout_table(rollout: Rollout) -> Table:
     return Table("simulated motion: position error after to before", columns, rows)
 
 
-def remarks(diagnosis: Diagnosis) -> list[str]:
+def remarks(record: GapRecord) -> list[str]:
     """What to know about the tables, one sentence each."""
-    known = "repeats of a trajectory" if diagnosis.floor.source == "repeats" else "the residual"
+    source = "repeats of a motion" if record.noise_floor.source == "repeats" else "the residual"
     out = [
-        f"How far: on data used for no choice, while each joint moves, below {diagnosis.band:g} "
-        f"Hz; the fit is below {diagnosis.cutoff:g} Hz; noise from {known}.",
-        "Share: of the squared gap beyond the noise, each joint in units of its own noise.",
+        f"Errors are of data that no model was fitted to, while each joint moves, below "
+        f"{record.band_hz:g} Hz. The fit is below {record.cutoff_hz:g} Hz. The noise is estimated "
+        f"from {source}.",
     ]
-    if not stands_out(diagnosis):
-        out.insert(0, "Where: no kind of motion holds more of the gap than its share of time.")
-    if diagnosis.knowledge is not None:
-        out += [f"{note[0].upper()}{note[1:]}." for note in diagnosis.knowledge.notes]
-    rollout = diagnosis.how_far.rollout
+    if not stands_out(record):
+        out.append("No kind of motion holds more of the gap than its share of the time.")
+    if record.knowledge is not None:
+        out += [f"{note[0].upper()}{note[1:]}." for note in record.knowledge.notes]
+    rollout = record.how_far.rollout
     return out if rollout is None else [*out, *rollout.sentences]
 
 
-def not_testable_table(diagnosis: Diagnosis) -> Table:
+def not_testable_table(record: GapRecord) -> Table:
     """Effects these data could not show, joints of one reason on one line."""
     groups: dict[tuple[str, str], list[NotTestable]] = {}
-    for x in diagnosis.not_testable:
+    for x in record.not_testable:
         groups.setdefault((x.effect, _NUMBER.sub("#", x.reason)), []).append(x)
     rows = []
     for (effect, _), members in groups.items():
@@ -286,9 +302,9 @@ def not_testable_table(diagnosis: Diagnosis) -> Table:
                 never.append(place)
             else:
                 sizes.append(f"{place}: {x.smallest_detectable:.3g} {x.unit}".rstrip())
-        sizes += [f"{', '.join(never)}: no size"] if never else []
-        rows.append((words.effect_words(effect), "; ".join(sizes), _reason(members)))
-    columns = ("effect", "joint: smallest size that would have been seen", "why")
+        sizes += [f"{', '.join(never)}: at no size"] if never else []
+        rows.append((effect_words(effect), "; ".join(sizes), _reason(members)))
+    columns = ("effect", "joint: smallest size that this log would show", "why")
     return Table(
         "not testable with these data", columns, rows, names=columns[:1], words=columns[1:]
     )
@@ -324,115 +340,81 @@ def _value(value: Any) -> str:
         return ", ".join(_value(v) for v in value)
     if isinstance(value, float):
         return f"{value:.4g}"
-    return "" if value is None else words.effect_words(value) if value in KINDS else str(value)
+    return "" if value is None else effect_words(value) if value in KINDS else str(value)
+
+
+def _numbers(joints: tuple[int, ...]) -> str:
+    return ", ".join(str(j + 1) for j in joints)
 
 
 def _others(names: tuple[str, ...]) -> str:
-    return "\n".join(words.effect_words(name) for name in names) or "-"
+    return "\n".join(effect_words(name) for name in names) or "-"
 
 
 def _repeats(found: Replication | None) -> str:
-    """`5 of 6`: motions that want the effect with the same sign and size, of those that can
-    tell."""
+    """`5 of 6`: motions that want the effect with the same sign and size, of those that can show
+    it."""
     return "-" if found is None else f"{found.repeats} of {found.asked}"
 
 
-def _sure(value: float | None) -> str:
-    if value is None:
-        return "-"
-    return "> 99 %" if value > 0.99 else f"{100 * value:.0f} %"
+def facts(record: GapRecord) -> list[tuple[str, str]]:
+    """The few numbers beside the headline."""
+    far, unit = record.how_far, torque_unit(model_of(record))
+    low, high = far.noise_floor_rms
+    return [
+        ("Status", STATUS[record.status]),
+        ("Closed [95 %]", closed_words(record)),
+        ("Gap before, RMS", f"{far.rms_before:.3g} {unit}"),
+        ("Gap after, RMS", f"{far.rms_after:.3g} {unit}"),
+        ("Noise, RMS", f"{low:.3g} to {high:.3g} {unit}"),
+    ]
 
 
-STATUS = {
-    "no_gap": "no gap",
-    "negligible": "too small to matter",
-    "parametric_only": "wrong parameters only",
-    "explained": "explained",
-    "detected_unexplained": "not fully explained",
-    "not_testable": "cannot tell",
-}
-"""What a status says, in the fewest words."""
+def page_tables(record: GapRecord) -> list[Table]:
+    """The tables of the page: those of the terminal, with the coefficients' intervals."""
+    out = tables(record)
+    if any(f.std for f in record.which):
+        after = [k for k, table in enumerate(out) if table.title.startswith("which")]
+        out.insert(after[0] + 1, coefficient_table(record))
+    return out
 
 
-def gap_page(diagnosis: Diagnosis, origin: Origin) -> Page:
-    """The page of a diagnosis."""
-    d, far, unit = diagnosis, diagnosis.how_far, torque_unit(diagnosis.robot)
-    numbers = [table.on_page() for table in lower_tables(d)]
-    if d.findings:
-        numbers.insert(2, coefficient_table(d))
-    low, high = float(d.floor.low.norm()), float(d.floor.high.norm())
-    return Page(
-        f"Sim-to-real gap of {d.robot.name}",
-        words.verdict(d),
-        (
-            ("Status", STATUS[d.status]),
-            ("Closed [95 %]", closed_words(d)),
-            ("Gap before, RMS", f"{float(far.rms_before.norm()):.3g} {unit}"),
-            ("Gap after, RMS", f"{float(far.rms_after.norm()):.3g} {unit}"),
-            ("Noise, RMS", f"{low:.3g} to {high:.3g} {unit}"),
-        ),
-        origin,
-        answer=[answer_table(d).on_page()],
-        pictures=_pictures(d),
-        tables=numbers,
-        notes=list(dict.fromkeys([*d.warnings, *d.floor.notes, *remarks(d)])),
-        block=simulator_block(d.corrected) if d.findings else "",
-    )
+def block(record: GapRecord) -> str:
+    """The joints' attributes for a simulator's file."""
+    return simulator_block(record.corrected) if record.corrected and record.which else ""
 
 
-def coefficient_table(diagnosis: Diagnosis) -> Table:
+def coefficient_table(record: GapRecord) -> Table:
     """Every coefficient of every accepted effect, with its interval."""
     rows = []
-    for f in diagnosis.findings:
-        for c, value, std in zip(f.effect.coefficients, f.values, f.std, strict=True):
-            half = HALF_95 * std
-            spread = (f"{std:.3g}", f"[{value - half:.6g}, {value + half:.6g}]")
-            unit = unit_of(c.unit, f.located or f.joints, diagnosis.robot)
-            rows.append(
-                (
-                    words.effect_words(f.effect.name), words.joints_words(f.located), c.name,
-                    f"{value:.6g}", *(spread if math.isfinite(std) else ("-", "-")),
-                    "-" if unit == "1" else unit_words(unit),
-                )
-            )  # fmt: skip
+    for f in record.which:
+        for name, std in f.std.items():
+            value = f.parameters[name]
+            assert isinstance(value, int | float)
+            spread = ("-", "-")
+            if std is not None:
+                half = HALF_95 * std
+                spread = (f"{std:.3g}", f"[{value - half:.6g}, {value + half:.6g}]")
+            unit = "-" if f.unit[name] == "1" else unit_words(f.unit[name])
+            place = joints_words(f.located)
+            rows.append((effect_words(f.effect), place, name, f"{value:.6g}", *spread, unit))
     return Table(
         "Coefficients of the effects",
         ("effect", "place", "coefficient", "value", "std", "95 % interval", "unit"),
         rows,
         names=("effect", "place", "coefficient", "unit"),
         note=f"Interval: value ± {HALF_95} std; std over blocks of the log, because neighbouring "
-        "residuals are alike. A dash: the data do not tell.",
+        "residuals are alike. A dash: the data do not determine it.",
     )
 
 
-def _pictures(d: Diagnosis) -> list[Picture]:
-    """Where, the worst joints, what closes the gap."""
-    unit, far, budget = torque_unit(d.robot), d.how_far, d.budget
-    # The joint with the largest share, and when.
-    worst = gap_figures.worst_joints(d, 1)[0]
-    clear = words.clear_regimes(d, worst)
-    when = f"above all {listed([words.REGIMES[r.regime] for r in clear])}"
-    share = next(gap.share for gap in d.joints if gap.joint == worst)
-    shares = [f"joint {gap.joint + 1} {percent(gap.share)}" for gap in d.joints]
-    out: list[Picture] = []
-    where = [
-        Picture(
-            "where",
-            "Where the gap lies. Rows are joints, columns are kinds of motion: a blue cell holds "
-            "more of the joint's gap than its share of time would. The bars say which joints "
-            "matter, each gap beside its joint's noise: a pattern on a joint with a small share "
-            f"matters little. Joint {worst + 1} holds {percent(share)} of the gap, "
-            f"{when if clear else 'at no time more than at others'}.",
-            f"Map of joints and kinds of motion. Shares of the gap: {', '.join(shares)}.",
-            partial(gap_figures.map_figure, d),
-        )
-    ]
-    for k, joint in enumerate(gap_figures.worst_joints(d) if d.traces else ()):
-        number = joint + 1
-        change = (
-            f"RMS {float(far.rms_before[joint]):.3g} {unit} before and "
-            f"{float(far.rms_after[joint]):.3g} after"
-        )
+def pictures(d: TorqueDiagnosis) -> list[Picture]:
+    """The torque of the worst joint, where, how far, what closes the gap."""
+    record, unit, budget = d.record, torque_unit(d.robot), d.budget
+    out = []
+    for k, joint in enumerate(gap_figures.worst_joints(record) if d.traces else ()):
+        number, own = joint + 1, record.how_far.per_joint[joint]
+        change = f"RMS {own.before:.3g} {unit} before and {own.after:.3g} after"
         # The first joint's pictures say how to read them.
         out += [
             Picture(
@@ -450,18 +432,18 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 partial(gap_figures.joint_figure, d, joint),
             ),
         ]
-    # The torque of the worst joint comes first; then where the gap lies, if that says anything.
-    out[1:1] = where if stands_out(d) else []
-    pairs = zip(far.rms_before.tolist(), far.rms_after.tolist(), strict=True)
-    said = [f"joint {j} {b:.3g} to {a:.3g}" for j, (b, a) in enumerate(pairs, start=1)]
+    if stands_out(record):
+        out.insert(1, _where_picture(record))
+    levels = record.how_far.per_joint
+    each = ", ".join(f"joint {j.joint + 1} {j.before:.3g} to {j.after:.3g}" for j in levels)
     out.append(
         Picture(
             "how_far",
             "How far the gap shrinks, joint by joint, on data that took part in no choice. No "
             "model can be better than the grey noise; what of the blue bar rises above it is "
             "unexplained.",
-            f"Bars of the gap before and after [{unit}]: {', '.join(said)}.",
-            partial(gap_figures.bar_figure, d),
+            f"Bars of the gap before and after [{unit}]: {each}.",
+            partial(gap_figures.bar_figure, record),
         )
     )
     if any((budget.parametric, budget.structural, budget.unexplained)):
@@ -473,7 +455,7 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 "needs no new effect, only better numbers.",
                 f"Shares of the gap: base parameters {percent(budget.parametric)}, effects "
                 f"{percent(budget.structural)}, unexplained {percent(budget.unexplained)}.",
-                partial(gap_figures.budget_figure, d),
+                partial(gap_figures.budget_figure, record),
             )
         )
     if d.knowledge is not None and d.knowledge.coefficients:
@@ -484,7 +466,7 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 "hold the change from one session to the next. A diamond marks a coefficient that "
                 "has changed.",
                 "Known coefficients before this log and with it.",
-                partial(gap_figures.known_figure, d),
+                partial(gap_figures.known_figure, record),
             )
         )
     if any(f.replication for f in d.findings):
@@ -496,23 +478,42 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 "band is where the next motion's would lie. A law repeats; what one motion alone "
                 "wants is misfit.",
                 "Factor of each cause, part by part of the data.",
-                partial(gap_figures.repeats_figure, d),
+                partial(gap_figures.repeats_figure, record),
             )
         )
     if any(f.planted for f in d.findings):
         out.append(
             Picture(
                 "planted",
-                "What this log would show, if what is left were noise: each cause, and its "
-                "likeliest others, are planted again into shuffled blocks of it, and sought. A "
-                "cause whose row is told as another cannot be told from it here; the curve says "
-                "from which size on the cause is told, alone or in a set. It is the best that can "
-                "be hoped for: what is left of a real arm holds other causes, too.",
-                "Shares of draws in which each planted cause is told, and by size of the cause.",
-                partial(gap_figures.planted_figure, d),
+                "What this log can show, if what the answer leaves is noise. Each cause and its "
+                "likeliest alternatives are planted into shuffled blocks of it and searched for. A "
+                "cause whose row is found under another name cannot be separated from that here. "
+                "The curve gives the size from which on the cause is found, alone or in a set. It "
+                "is an upper bound: a real arm's remainder holds other causes, too.",
+                "Shares of draws in which each planted cause is found, and by size of the cause.",
+                partial(gap_figures.planted_figure, record),
             )
         )
     return out
+
+
+def _where_picture(record: GapRecord) -> Picture:
+    """The map of joints and kinds of motion."""
+    worst = gap_figures.worst_joints(record, 1)[0]
+    clear = clear_regimes(record, worst)
+    when = f"above all {listed([REGIMES[r.regime] for r in clear])}"
+    shares = {gap.joint: percent(gap.share) for gap in record.where.joints}
+    each = ", ".join(f"joint {j + 1} {share}" for j, share in shares.items())
+    return Picture(
+        "where",
+        "Where the gap lies. Rows are joints, columns are kinds of motion: a blue cell holds "
+        "more of the joint's gap than its share of time would. The bars say which joints "
+        "matter, each gap beside its joint's noise: a pattern on a joint with a small share "
+        f"matters little. Joint {worst + 1} holds {shares[worst]} of the gap, "
+        f"{when if clear else 'at no time more than at others'}.",
+        f"Map of joints and kinds of motion. Shares of the gap: {each}.",
+        partial(gap_figures.map_figure, record),
+    )
 
 
 _AGAINST = (
@@ -522,5 +523,5 @@ _AGAINST = (
 )
 _OVER_TIME = (
     " Above: measured, of the model as given, and with the effects found; below: what each of the "
-    "two models leaves. What is left should look like noise."
+    "two models leaves, which should look like noise after the correction."
 )

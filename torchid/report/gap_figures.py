@@ -7,10 +7,10 @@ from typing import Any, get_args
 import numpy as np
 import torch
 
-from torchid.gap.diagnosis import Diagnosis, Trace
-from torchid.gap.record import OFTEN, Regime
+from torchid.gap.diagnosis import TorqueDiagnosis, Trace
+from torchid.gap.record import OFTEN, GapRecord, Regime
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
-from torchid.report.gap_words import CLEAR, clear_regimes, regime_words
+from torchid.report.gap_words import CLEAR, clear_regimes
 from torchid.report.panels import (
     SMALL,
     Figure,
@@ -24,7 +24,8 @@ from torchid.report.panels import (
     styled,
     worst_stretch,
 )
-from torchid.report.table import joint_unit, percent, torque_unit
+from torchid.report.table import joint_unit
+from torchid.results.words import percent, regime_words
 from torchid.statistics.jackknife import student_quantile
 from torchid.statistics.proportion import HALF_95
 
@@ -42,35 +43,38 @@ _SHORTEST = 12.0
 """Seconds of a trajectory shown in the torque overlay, at most."""
 
 
-def figures(diagnosis: Diagnosis) -> Figures:
-    """What draws each figure, by the names of their files."""
-    d = diagnosis
-    out = {"where": partial(map_figure, d), "how_far": partial(bar_figure, d)}
-    if not d.traces:
-        return out
-    out |= {f"gap_joint_{j + 1}": partial(joint_figure, d, j) for j in worst_joints(d)}
-    out["torque"] = partial(torque_figure, d)
-    if any(f.replication for f in d.findings):
-        out["repeats"] = partial(repeats_figure, d)
-    if d.knowledge is not None and d.knowledge.coefficients:
-        out["known"] = partial(known_figure, d)
-    if any(f.planted for f in d.findings):
-        out["planted"] = partial(planted_figure, d)
+def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
+    """What draws each figure, by the names of their files; of a record those that need no torque
+    over time."""
+    record = result.record
+    assert isinstance(record, GapRecord)
+    out = {"where": partial(map_figure, record), "how_far": partial(bar_figure, record)}
+    if isinstance(result, TorqueDiagnosis) and result.traces:
+        out |= {
+            f"gap_joint_{j + 1}": partial(joint_figure, result, j) for j in worst_joints(record)
+        }
+        out["torque"] = partial(torque_figure, result)
+    if any(f.replication for f in record.which):
+        out["repeats"] = partial(repeats_figure, record)
+    if record.knowledge is not None and record.knowledge.coefficients:
+        out["known"] = partial(known_figure, record)
+    if any(f.planted for f in record.which):
+        out["planted"] = partial(planted_figure, record)
     return out
 
 
-def worst_joints(diagnosis: Diagnosis, most: int = WORST) -> list[int]:
+def worst_joints(record: GapRecord, most: int = WORST) -> list[int]:
     """Joints with the largest shares of the gap, at least one, those without a share left out."""
-    order = sorted(diagnosis.joints, key=lambda gap: -gap.share)
+    order = sorted(record.where.joints, key=lambda gap: -gap.share)
     return [gap.joint for gap in order[:most] if gap.share > 0.02] or [order[0].joint]
 
 
-def map_figure(diagnosis: Diagnosis) -> Figure:
+def map_figure(record: GapRecord) -> Figure:
     """Joints x regimes: excess as colour and number where clear, faint elsewhere; the joint's
     share of the gap beside it."""
     regimes = get_args(Regime)
-    joints = [gap.joint for gap in diagnosis.joints]
-    found = {(r.joint, r.regime): r for r in diagnosis.regimes}
+    joints = [gap.joint for gap in record.where.joints]
+    found = {(r.joint, r.regime): r for r in record.where.regimes}
     figure = new_figure(9.6, 2.0 + 0.42 * len(joints))
     axes, bars = figure.subplots(1, 2, width_ratios=(4.4, 1), sharey=True)
     clear = np.zeros((len(joints), len(regimes)))
@@ -80,7 +84,7 @@ def map_figure(diagnosis: Diagnosis) -> Figure:
             if r is None:
                 continue
             # A number where the excess is clear, else a dot.
-            if r in clear_regimes(diagnosis, j):
+            if r in clear_regimes(record, j):
                 clear[y, x] = r.excess
                 text = percent(r.excess).replace(" ", "\u2009")
                 style = {"fontsize": SMALL, "color": INK, "fontweight": "bold"}
@@ -91,7 +95,7 @@ def map_figure(diagnosis: Diagnosis) -> Figure:
     names = [f"joint {j + 1}" for j in joints]
     bar = shaded_map(axes, clear, [regime_words(r) for r in regimes], names, label, 1.0)
     bar.ax.yaxis.set_major_formatter(lambda v, _: f"{100 * v:.0f} %")
-    shares = [gap.share for gap in diagnosis.joints]
+    shares = [gap.share for gap in record.where.joints]
     words = [f" {percent(share)}" for share in shares]
     side_bars(bars, shares, words, BEFORE, "share of the gap", 1.3)
     axes.set_title(
@@ -99,14 +103,15 @@ def map_figure(diagnosis: Diagnosis) -> Figure:
         "dots: nothing beyond chance",
         fontsize=SMALL, color=INK, loc="left",
     )  # fmt: skip
-    return finish(figure, f"{diagnosis.robot.name}: where the gap lies")
+    return finish(figure, f"{record.robot}: where the gap lies")
 
 
-def bar_figure(diagnosis: Diagnosis) -> Figure:
+def bar_figure(record: GapRecord) -> Figure:
     """RMS of the gap before and after, joint by joint, over the noise bracket."""
-    far, floor, n = diagnosis.how_far, diagnosis.floor, diagnosis.robot.n
+    far, floor = record.how_far.per_joint, record.noise_floor
+    n = len(far)
     figure, axes = panel(2.4 + 0.85 * n, 4.3)
-    before, after = far.rms_before.numpy(), far.rms_after.numpy()
+    before, after = np.array([j.before for j in far]), np.array([j.after for j in far])
     place = np.arange(n)
     axes.bar(place - 0.2, before, 0.38, color=BEFORE, label="model as given")
     axes.bar(place + 0.2, after, 0.38, color=AFTER, label="with the effects found")
@@ -123,14 +128,15 @@ def bar_figure(diagnosis: Diagnosis) -> Figure:
     axes.set_xticks(place, [f"joint {j + 1}" for j in range(n)])
     axes.set(xlim=(-0.6, n - 0.4), ylim=(0, 1.12 * top if top > 0 else 1.0))
     axes.grid(axis="x", visible=False)
-    axes.set_ylabel(f"measured - model, RMS [{torque_unit(diagnosis.robot)}]")
-    title = f"{diagnosis.robot.name}: how far the gap shrinks on data not fitted"
+    unit = "" if record.answer is None else f" [{record.answer.unit}]"
+    axes.set_ylabel(f"measured - model, RMS{unit}")
+    title = f"{record.robot}: how far the gap shrinks on data not fitted"
     return finish(figure, title, axes, columns=3 if n > 5 else 1)
 
 
-def budget_figure(diagnosis: Diagnosis) -> Figure:
+def budget_figure(record: GapRecord) -> Figure:
     """One bar: what refitted parameters close, what effects close, what stays unexplained."""
-    b = diagnosis.budget
+    b = record.budget
     parts = (
         ("base parameters", b.parametric, GREY),
         ("effects", b.structural, AFTER),
@@ -146,13 +152,13 @@ def budget_figure(diagnosis: Diagnosis) -> Figure:
     axes.spines["left"].set_visible(False)
     axes.grid(axis="y", visible=False)
     axes.xaxis.set_major_formatter(lambda v, _: f"{100 * v:.0f}\u2009%")
-    return finish(figure, f"{diagnosis.robot.name}: what closes the gap", axes, columns=3)
+    return finish(figure, f"{record.robot}: what closes the gap", axes, columns=3)
 
 
-def planted_figure(diagnosis: Diagnosis) -> Figure:
-    """A row a finding: which cause is told where it or another one is planted in this log, and from
-    which size on the finding itself is."""
-    shown = [(f, f.planted) for f in diagnosis.findings if f.planted is not None][:MOST_PLANTED]
+def planted_figure(record: GapRecord) -> Figure:
+    """A row a finding: which cause is found where it or another one is planted in this log, and
+    from which size on the finding itself is."""
+    shown = [(f, f.planted) for f in record.which if f.planted is not None][:MOST_PLANTED]
     figure = new_figure(9.6, 0.7 + 2.5 * len(shown))
     rows = figure.subplots(len(shown), 2, width_ratios=(1.7, 1), squeeze=False)
     for (finding, planted), (table, curve) in zip(shown, rows, strict=True):
@@ -163,13 +169,13 @@ def planted_figure(diagnosis: Diagnosis) -> Figure:
             if share >= 0.005:
                 text = f"{100 * share:.0f}"
                 table.text(x, y, text, ha="center", va="center", fontsize=SMALL, color=INK)
-        told = [*words, "none"]
-        table.set_xticks(range(len(told)), [w.replace(" ", "\n") for w in told])
+        columns = [*words, "none"]
+        table.set_xticks(range(len(columns)), [w.replace(" ", "\n") for w in columns])
         table.set_yticks(range(len(words)), words)
-        ruled(table, len(words), len(told), 2)
+        ruled(table, len(words), len(columns), 2)
         where = ", ".join(str(j + 1) for j in finding.located)
         table.set_title(
-            f"{words[0]}{f', joint {where}' if where else ''}: told (across) where planted (down), "
+            f"{words[0]}{f', joint {where}' if where else ''}: found (across), planted (down), "
             "% of draws",
             fontsize=SMALL, color=INK, loc="left",
         )  # fmt: skip
@@ -179,15 +185,15 @@ def planted_figure(diagnosis: Diagnosis) -> Figure:
         curve.set_xscale("log", base=2)
         curve.set_xticks(sizes, ["1" if s == 1 else f"1/{1 / s:.0f}" for s in sizes])
         if planted.smallest is not None:
-            said = f"told in {100 * OFTEN:.0f} % of draws from {planted.smallest:.2g} of it on"
+            said = f"found in {100 * OFTEN:.0f} % of draws from {planted.smallest:.2g} of it on"
             curve.set_title(said, fontsize=SMALL, color=INK, loc="left")
-        curve.set(ylim=(-4, 104), xlabel="size, as a share of the one found", ylabel="told [%]")
-    return finish(figure, f"{diagnosis.robot.name}: what this log would show")
+        curve.set(ylim=(-4, 104), xlabel="size, as a share of the one found", ylabel="found [%]")
+    return finish(figure, f"{record.robot}: what this log would show")
 
 
-def repeats_figure(diagnosis: Diagnosis) -> Figure:
+def repeats_figure(record: GapRecord) -> Figure:
     """A panel a finding: by which factor each part of the data wants it, 1 as it was fitted."""
-    shown = [(f, f.replication) for f in diagnosis.findings if f.replication is not None]
+    shown = [(f, f.replication) for f in record.which if f.replication is not None]
     columns = min(ABREAST, len(shown))
     lines = -(-len(shown) // columns)
     figure = new_figure(9.6, 0.8 + 1.9 * lines)
@@ -207,7 +213,7 @@ def repeats_figure(diagnosis: Diagnosis) -> Figure:
         axes.set(xlim=(0.5, len(x) + 0.5), ylim=(-1, 3))
         axes.set_xticks(x if len(x) <= 12 else x[:: len(x) // 6])
         where = ", ".join(str(j + 1) for j in finding.located)
-        name = finding.effect.name.replace("_", " ") + (f" {where}" if where else "")
+        name = finding.effect.replace("_", " ") + (f" {where}" if where else "")
         axes.set_title(
             f"{name}: {found.repeats} of {found.asked}", fontsize=SMALL, color=INK, loc="left"
         )
@@ -215,13 +221,13 @@ def repeats_figure(diagnosis: Diagnosis) -> Figure:
         axes.set_ylabel("factor")
     for axes in grid[-1]:
         axes.set_xlabel("part of the data")
-    return finish(figure, f"{diagnosis.robot.name}: is it the same in every motion?")
+    return finish(figure, f"{record.robot}: is it the same in every motion?")
 
 
-def known_figure(diagnosis: Diagnosis) -> Figure:
+def known_figure(record: GapRecord) -> Figure:
     """Of each known coefficient what the log makes of it: its value with 95 % intervals before and
     after, as a share of the value before; what has changed is marked."""
-    known = diagnosis.knowledge
+    known = record.knowledge
     assert known is not None
     shown = [c for c in known.coefficients if c.before and c.before_std is not None]
     figure = new_figure(9.6, 1.0 + 0.24 * max(len(shown), 4))
@@ -247,13 +253,13 @@ def known_figure(diagnosis: Diagnosis) -> Figure:
     low, high = axes.get_xlim()
     axes.set_xlim(max(low, -1.0), min(high, 3.0))  # what is hardly known leaves the picture
     axes.legend(fontsize=SMALL, frameon=False)
-    return finish(figure, f"{diagnosis.robot.name}: what this log makes of what was known")
+    return finish(figure, f"{record.robot}: what this log makes of what was known")
 
 
-def torque_figure(diagnosis: Diagnosis, joint: int | None = None) -> Figure:
+def torque_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure:
     """Measured torque and both models on a joint (from 0; the worst, if None), in the stretch with
     the largest gap, and what is left over."""
-    joint = worst_joints(diagnosis)[0] if joint is None else joint
+    joint = worst_joints(diagnosis.record)[0] if joint is None else joint
     trace, rows, most = diagnosis.traces[0], slice(0, len(diagnosis.traces[0].valid)), -1.0
     for own in diagnosis.traces:
         squares = (own.measured - own.before)[:, joint].square() * own.valid
@@ -295,10 +301,10 @@ _SCATTER = 1500
 _FEWEST = 3  # blocks in a bin that is drawn
 
 
-def joint_figure(diagnosis: Diagnosis, joint: int | None = None) -> Figure:
+def joint_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure:
     """Binned means of the gap of a joint (from 0; the worst, if None) against velocity, position,
     acceleration, load and time, over a light scatter, and its spectrum over the noise."""
-    joint = worst_joints(diagnosis)[0] if joint is None else joint
+    joint = worst_joints(diagnosis.record)[0] if joint is None else joint
     unit = joint_unit(diagnosis.robot, joint)
     length = "m" if unit == "N" else "rad"
     s = samples(diagnosis.traces, joint)
@@ -422,7 +428,7 @@ def binned(
     return np.array(centre), np.array(mean), wide * np.array(half)
 
 
-def _spectrum(axes: Any, diagnosis: Diagnosis, joint: int, unit: str) -> None:
+def _spectrum(axes: Any, diagnosis: TorqueDiagnosis, joint: int, unit: str) -> None:
     """Amplitude spectral density of both gaps over that of white noise of the floor's RMS."""
     band = diagnosis.band
     lowest = np.inf

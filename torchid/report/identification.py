@@ -19,17 +19,8 @@ from torchid.identification.validation import Prediction
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Figures, Picture, finish, joint_rows, note, panel, rows_of
-from torchid.report.table import (
-    Shown,
-    Table,
-    cells,
-    filled,
-    joint_numbers,
-    joint_unit,
-    listed,
-    short,
-    unit_words,
-)
+from torchid.report.table import Shown, Table, cells, filled, joint_numbers, joint_unit
+from torchid.results.words import listed, short, unit_words
 
 _ZERO = 100.0
 """Half-width of the 95 % interval in % of the value: beyond it, zero is possible."""

@@ -16,7 +16,8 @@ from torchid.log.overview import Overview
 from torchid.log.ros import Topic, topics_of
 from torchid.report.colours import BLUE, ORANGE, RED
 from torchid.report.panels import Figure, finish, joint_rows, thin
-from torchid.report.table import Cell, Shown, Table, count, filled, joint_unit
+from torchid.report.table import Cell, Shown, Table, filled, joint_unit
+from torchid.results.words import count
 from torchid.robot.model import JointType, Robot
 
 SIGNALS = (("position", "q"), ("velocity", "dq"), ("acceleration", "ddq"))

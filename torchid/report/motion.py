@@ -11,7 +11,8 @@ from torchid.next_motion.planned import Planned, not_checked
 from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.separation import DECISIVE, Rival, beyond, named
 from torchid.report.log import trajectory_figure
-from torchid.report.table import Shown, Table, joint_unit, short
+from torchid.report.table import Shown, Table, joint_unit
+from torchid.results.words import short
 from torchid.robot.model import Robot
 
 

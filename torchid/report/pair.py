@@ -5,8 +5,9 @@ from collections.abc import Mapping
 
 from torchid.pair.pair import PairDiagnosis
 from torchid.pair.record import Fault, OneSided, WherePair
-from torchid.report.gap_words import CLEAR, effect_words, excess_words, joints_words, measure
-from torchid.report.table import Shown, Table, filled, listed, percent
+from torchid.report.gap_words import CLEAR, excess_words
+from torchid.report.table import Shown, Table, filled
+from torchid.results.words import effect_words, joints_words, listed, measure, percent
 
 _MOST_REGIMES = 3
 

@@ -4,8 +4,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import torch
-
 from torchid.compare.diagnoses import GapComparison
 from torchid.compare.identifications import Comparison
 from torchid.compare.sets import SetComparison
@@ -15,9 +13,8 @@ from torchid.extraction.convex.atlas import Atlas
 from torchid.extraction.extract import Extraction
 from torchid.extraction.found import Found
 from torchid.extraction.record import AtlasRecord
-from torchid.gap.diagnosis import Diagnosis, HowFar
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import GapRecord
-from torchid.gap.settings import GapSettings
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
 from torchid.position.diagnosis import PositionDiagnosis
@@ -89,12 +86,10 @@ def draw(result: Result, kind: str | None = None, **which: Any) -> Figure:
 def kinds(result: Result) -> Figures:
     """What can be drawn of a result, by name."""
     match result:
-        case Diagnosis():
+        case TorqueDiagnosis() | GapRecord():
             return _gap(result)
-        case GapRecord():
-            return _gap(_diagnosis(result))
-        case PositionRecord():
-            return {"how_far": partial(position.error_figure, result)}
+        case PositionDiagnosis() | PositionRecord():
+            return position.kinds(result)
         case Replay():
             return {"positions": partial(position.replay_figure, result)}
         case Identification():
@@ -109,13 +104,6 @@ def kinds(result: Result) -> Figures:
             return {"search": partial(extraction.search_figure, result, None)}
         case Found():
             return extraction.figures(result)
-        case PositionDiagnosis():
-            return {
-                "where": partial(position.where_figure, result),
-                "which": partial(position.which_figure, result),
-                **kinds(result.record),
-                "joint": partial(position.joint_figure, result),
-            }
         case Examination():
             return {"torque": partial(log.torque_figure, result)}
         case EqualTorqueStudy():
@@ -131,54 +119,16 @@ def kinds(result: Result) -> Figures:
     return {}
 
 
-def _gap(found: Diagnosis) -> Figures:
-    drawn: dict[str, Callable[..., Figure]] = {
-        "where": partial(gap.map_figure, found),
-        "how_far": partial(gap.bar_figure, found),
-        "budget": partial(gap.budget_figure, found),
-    }
-    if found.traces:
+def _gap(found: TorqueDiagnosis | GapRecord) -> Figures:
+    """By kind; those of one joint take it as `joint`."""
+    record = found.record
+    assert isinstance(record, GapRecord)
+    drawn: dict[str, Callable[..., Figure | None]] = dict(gap.figures(found))
+    drawn = {k: v for k, v in drawn.items() if not k.startswith("gap_joint")}
+    drawn["budget"] = partial(gap.budget_figure, record)
+    if isinstance(found, TorqueDiagnosis) and found.traces:
         drawn["gap"] = partial(gap.joint_figure, found)
-        drawn["torque"] = partial(gap.torque_figure, found)
-    if any(f.replication for f in found.findings):
-        drawn["repeats"] = partial(gap.repeats_figure, found)
-    if found.knowledge is not None and found.knowledge.coefficients:
-        drawn["known"] = partial(gap.known_figure, found)
-    if any(f.planted for f in found.findings):
-        drawn["planted"] = partial(gap.planted_figure, found)
     return drawn
-
-
-def _diagnosis(record: GapRecord) -> Diagnosis:
-    """What of a diagnosis its file holds: no torque over time.
-
-    Raises:
-        TorchidError: the file does not record its models.
-    """
-    if record.model is None or record.corrected is None:
-        raise TorchidError("the diagnosis does not record its models.")
-    rms = [[(j.before, j.after) for j in record.how_far.per_joint]]
-    before, after = torch.tensor(rms, dtype=torch.float64)[0].T
-    return Diagnosis(
-        robot=record.model,
-        corrected=record.corrected,
-        status=record.status,
-        joints=record.where.joints,
-        regimes=record.where.regimes,
-        findings=(),
-        parametric=record.parametric,
-        how_far=HowFar(before, after, record.how_far.closed, record.how_far.closed_ci95),
-        budget=record.budget,
-        floor=record.noise_floor,
-        not_testable=record.not_testable,
-        next_experiment=record.next_experiment,
-        traces=(),
-        band=record.band_hz,
-        cutoff=record.cutoff_hz,
-        settings=GapSettings(),
-        refitted=record.settings.free,
-        warnings=record.warnings,
-    )
 
 
 def _identification(result: Identification) -> Figures:

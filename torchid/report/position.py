@@ -1,4 +1,5 @@
-"""A diagnosis of commands and positions for people: the verdict, tables, figures, and a page."""
+"""A diagnosis of commands and positions as tables and pictures for people; all of it from its
+record, but for figures of motions over time."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -6,17 +7,15 @@ from functools import partial
 
 import numpy as np
 import torch
-from torch import Tensor
+from msgspec import UNSET
 
 from torchid.errors import TorchidError
-from torchid.position.diagnosis import PositionDiagnosis, PositionFinding, Size
+from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import Replay
 from torchid.position.next_motion import NextCommands
 from torchid.position.nominal import unit_of
-from torchid.position.record import PositionRecord
+from torchid.position.record import EffectRecord, NominalRecord, PositionRecord, RegimeRecord
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
-from torchid.report.gap_words import effect_words, regime_words
-from torchid.report.page.document import Origin, Page
 from torchid.report.panels import (
     SMALL,
     Figure,
@@ -31,7 +30,8 @@ from torchid.report.panels import (
     thin,
     worst_stretch,
 )
-from torchid.report.table import Shown, Table
+from torchid.report.table import Shown, Table, filled
+from torchid.results.words import effect_words, listed, regime_words
 
 WORST = 3
 """Joints that get a figure of their own."""
@@ -39,96 +39,73 @@ MOST_FINDINGS = 16
 """That are drawn, those that close most."""
 SHOWN_S = 8.0
 """Of a motion in a joint's figure [s]."""
-
-
-def shown(result: PositionDiagnosis) -> Shown:
-    """All that there is to see of a diagnosis."""
-    return Shown(
-        verdict=position_verdict(result),
-        parts=position_tables(result),
-        warnings=result.warnings,
-        figures=figures(result),
-        page=partial(position_page, result),
-    )
-
-
 MOST_WORSE = 3
 """Places where an answer is worse than a plain servo that are named."""
-_STATUS = {
-    "no_gap": "Nothing beside a plain servo is needed.",
-    "detected_unexplained": "A gap is left that no effect closes.",
-    "partly_explained": "That is not all: something else is there too.",
-}
 
 
-def position_verdict(result: PositionDiagnosis) -> str:
-    """How far, and by what, in two sentences."""
-    commanded, plain, answered = (
-        way.mean[0] for way in (result.commanded, result.plain_servo, result.answered)
-    )
-    names = list(dict.fromkeys(f.effect for f in result.findings))
-    said = (
-        f"Whole motions are foretold to {answered:.1f} mrad (mean of the joints that move, held "
-        f"out), a plain servo reaches {plain:.1f}, the command alone {commanded:.1f}."
-    )
-    if result.held_out is not None:
-        whole, windows = result.held_out
-        said += f" Held-out logs: {whole:.1f} mrad, in windows of 2 s {windows:.1f} mrad."
-    if not names:
-        said = f"{said} {_STATUS[result.status]}"
-        if result.status == "no_gap":
-            low, high = (float(x) for x in result.unseen[~result.still].aminmax())
-            said += (
-                f" What moves a joint by less than {low:.1f} to {high:.1f} mrad beside a refitted "
-                "plain servo would not be seen."
-            )
-        return said
-    said += f" What closes it: {', '.join(names)}."
-    worse = [f"{place}, {_change(before, after)} mrad" for place, before, after in _worse(result)]
+def label(record: PositionRecord, joint: int) -> str:
+    """A joint by number and name."""
+    return f"{joint + 1} {record.where.joints[joint].name}".rstrip()
+
+
+def regimes_of(record: PositionRecord) -> dict[str, list[RegimeRecord]]:
+    """By name, joint by joint."""
+    out: dict[str, list[RegimeRecord]] = {}
+    for one in record.where.regimes:
+        out.setdefault(one.regime, []).append(one)
+    return out
+
+
+def remarks(record: PositionRecord) -> list[str]:
+    """What to know about the answer, one sentence each."""
+    far = record.how_far
+    out = [
+        f"Errors are of whole motions that no model was fitted to, the mean of the joints that "
+        f"move: the command alone {far.commanded.whole_mrad:.1f} mrad, a plain servo "
+        f"{far.plain.whole_mrad:.1f}, the answer {far.answered.whole_mrad:.1f}; in windows of 2 s "
+        f"{far.answered.windows_2s_mrad:.1f}. A plain servo has a gain, friction, inertia, delay "
+        "and offset."
+    ]
+    if record.held_out is not UNSET:
+        held = record.held_out
+        out.append(
+            f"Held-out logs: {held.whole_mrad:.1f} mrad, in windows of 2 s "
+            f"{held.windows_2s_mrad:.1f} mrad."
+        )
+    worse = _worse(record)
     if worse:
         more = " and elsewhere" if len(worse) > MOST_WORSE else ""
-        said += f" It is worse than a plain servo on {'; '.join(worse[:MOST_WORSE])}{more}."
-    return said if result.status == "explained" else f"{said} {_STATUS[result.status]}"
+        out.append(f"It is worse than a plain servo on {'; '.join(worse[:MOST_WORSE])}{more}.")
+    return out
 
 
-def _worse(result: PositionDiagnosis) -> list[tuple[str, Tensor, Tensor]]:
-    """Joints, or regimes of them, whose error is larger by more than would be seen: where, the
-    plain servo's error, and the answer's [mrad]."""
-
-    def larger(before: Tensor, after: Tensor) -> list[int]:
-        seen = (after - before > result.unseen) & ~result.still
-        return [int(j) for j in seen.nonzero().flatten()]
-
-    before, after = result.plain_servo.whole, result.answered.whole
-    joints = larger(before, after)
-    rows = [(f"joint {j + 1}", before[j], after[j]) for j in joints]
-    return rows + [
-        (f"joint {j + 1} ({regime_words(name)})", before[j], after[j])
-        for name, (before, after) in result.regimes.items()
-        for j in larger(before, after)
-        if j not in joints
+def _worse(record: PositionRecord) -> list[str]:
+    """Joints, or regimes of them, whose error is larger by more than could be seen."""
+    joints = record.where.joints
+    worse = [j for j in joints if j.answered_mrad - j.plain_mrad > j.unseen_mrad]
+    out = [f"joint {j.joint + 1}, {j.plain_mrad:.1f} -> {j.answered_mrad:.1f} mrad" for j in worse]
+    named = {j.joint for j in worse} | {j.joint for j in joints if j.never_moves}
+    return out + [
+        f"joint {r.joint + 1} ({regime_words(r.regime)}), {r.plain_mrad:.1f} -> "
+        f"{r.answered_mrad:.1f} mrad"
+        for r in record.where.regimes
+        if r.joint not in named and r.answered_mrad - r.plain_mrad > joints[r.joint].unseen_mrad
     ]
 
 
-def position_tables(result: PositionDiagnosis) -> list[Table]:
-    """Where, which and how far."""
-    joints = [
-        (
-            str(j + 1),
-            name,
-            *(
-                "-" if result.still[j] else f"{float(x[j]):.1f}"
-                for x in (
-                    result.commanded.whole, result.plain_servo.whole, result.answered.whole,
-                    result.plain_servo.windows, result.answered.windows,
-                )
-            ),
-            "-"
-            if result.still[j]
-            else f"{float(result.gains[0][j]):.1f}" + (" (ratio)" if result.ratio_only[j] else ""),
-        )
-        for j, name in enumerate(result.data.robot.joint_names)
-    ]  # fmt: skip
+def tables(record: PositionRecord) -> list[Table]:
+    """What stands below the answer: where, which and how far."""
+    far = record.how_far
+    joints = []
+    for j in record.where.joints:
+        levels = (
+            j.commanded_mrad, j.plain_mrad, j.answered_mrad,
+            float(far.plain.windows_per_joint[j.joint]),
+            float(far.answered.windows_per_joint[j.joint]),
+        )  # fmt: skip
+        gain = f"{j.kp:.1f}" + (" (ratio)" if j.ratio_only else "")
+        cells = ["-"] * 6 if j.never_moves else [*(f"{x:.1f}" for x in levels), gain]
+        joints.append((str(j.joint + 1), j.name, *cells))
     where = Table(
         "Position error of motions left out [mrad]",
         ("joint", "name", "command", "plain", "answered", "plain 2 s", "answered 2 s", "kp"),
@@ -138,24 +115,24 @@ def position_tables(result: PositionDiagnosis) -> list[Table]:
         "factor",
     )
     regimes = [
-        (regime_words(name), *(_change(b, a) for b, a in zip(*both, strict=True)))
-        for name, both in result.regimes.items()
+        (regime_words(name), *(_change(r.plain_mrad, r.answered_mrad) for r in own))
+        for name, own in regimes_of(record).items()
     ]
     when = Table(
         "By regime, plain -> answered [mrad]",
-        ("regime", *result.data.robot.joint_names),
+        ("regime", *(j.name for j in record.where.joints)),
         regimes,
         names=("regime",),
     )
     findings = [
         (
             f.effect,
-            "all" if f.joint is None else f"{f.joint} {result.data.robot.joint_names[f.joint - 1]}",
-            ", ".join(_size(s) for s in f.sizes),
-            f"{f.error_without:.1f} -> {f.error_with:.1f}",
+            label(record, f.joints[0]) if f.joints else "all",
+            ", ".join(_sizes(f)),
+            f"{f.error_without_mrad:.1f} -> {f.error_with_mrad:.1f}",
             ", ".join(f.ambiguous_with) or "-",
         )
-        for f in result.findings
+        for f in record.which
     ]
     which = Table(
         "What lies between command and position",
@@ -165,37 +142,42 @@ def position_tables(result: PositionDiagnosis) -> list[Table]:
         words=("size (95 %)", "or"),
         note="error in windows of 2 s when all else is fitted without the effect, and with it",
     )
-    out = [where, when, *([which] if findings else [])]
-    return [*out, nominal_table(result)] if result.nominal else out
+    meant = [(effect_words(f.effect), f.meaning, f.remedy) for f in record.which]
+    columns = ("effect", "what it means", "what to do")
+    meaning = Table(
+        "What it means, and what to do", columns, list(dict.fromkeys(meant)), names=("effect",),
+        words=columns[1:],
+    )  # fmt: skip
+    nominal = () if record.nominal is UNSET else record.nominal
+    return filled(where, when, which, meaning, nominal_table(record, nominal))
 
 
-def nominal_table(result: PositionDiagnosis) -> Table:
+def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> Table:
     """What servos are said to be, beside what was found of the same numbers."""
-    steps = result.data.resolution * 12**0.5
     rows = []
-    for j, servo in enumerate(result.nominal):
-        place = (str(j + 1), servo.name)
-        sizes = {s.name: s for f in result.findings if f.joint == j + 1 for s in f.sizes}
-        if not result.still[j]:
-            value, ends = float(result.gains[0][j]), tuple(result.gains[1][j].tolist())
-            sizes["kp"] = Size("kp", "N m/rad", value, ends)
-        for name in dict.fromkeys([*servo.values, *servo.units]):
-            size, said = sizes.get(name), servo.values.get(name)
-            if size is None and said is None:
+    for servo in nominal:
+        j, joint = servo.joint, record.where.joints[servo.joint]
+        place = (str(j + 1), servo.servo)
+        own = [f for f in record.which if f.joints == (j,)]
+        found = {name: (f.parameters[name], f.ci95[name]) for f in own for name in f.parameters}
+        if not joint.never_moves:
+            found["kp"] = (joint.kp, joint.kp_ci95)
+        for name in dict.fromkeys([*servo.values, *servo.register_units]):
+            stated = servo.values.get(name)
+            if name not in found and stated is None:
                 continue
-            text = "never moves" if result.still[j] else "not needed"
-            text = text if size is None else _size(size).removeprefix(f"{name} ")
-            if size is not None and name in servo.units:
-                text += f" = {size.value / servo.units[name]:.0f} steps of the register"
-            nominal = "unknown" if said is None else f"{said:.3g} {unit_of(name)}".rstrip()
-            rows.append((*place, name, nominal, text))
-        if servo.counts is not None and result.data.scale[j] == 1:
-            rows.append(
-                (
-                    *place, "resolution", f"{2e3 * math.pi / servo.counts:.3g} mrad",
-                    f"{1e3 * float(steps[j]):.3g} mrad",
-                )
-            )  # fmt: skip
+            text = "never moves" if joint.never_moves else "not needed"
+            if name in found:
+                value, ends = found[name]
+                text = _size(value, ends, unit_of(name))
+                if name in servo.register_units:
+                    steps = value / servo.register_units[name]
+                    text += f" = {steps:.0f} steps of the register"
+            of_maker = "unknown" if stated is None else f"{stated:.3g} {unit_of(name)}".rstrip()
+            rows.append((*place, name, of_maker, text))
+        if math.isfinite(servo.counts) and float(record.log_scale[j]) == 1:
+            step = f"{2e3 * math.pi / servo.counts:.3g} mrad"
+            rows.append((*place, "resolution", step, f"{joint.resolution_mrad:.3g} mrad"))
     return Table(
         "Servos: what they are said to be, and what was found (95 %)",
         ("joint", "servo", "value", "nominal", "found"),
@@ -207,218 +189,214 @@ def nominal_table(result: PositionDiagnosis) -> Table:
     )
 
 
-def motion_table(result: PositionDiagnosis) -> Table:
+def motion_table(record: PositionRecord) -> Table:
     """Errors of the answered model in every motion, when it was left out."""
-    names, errors = result.motions
-    joints = result.data.robot.joint_names
-    rows = [
-        (name, *(f"{x:.1f}" for x in row.tolist()), f"{float(row[~result.still].mean()):.1f}")
-        for name, row in zip(names, errors, strict=True)
+    moves = torch.tensor([not j.never_moves for j in record.where.joints])
+    rows = []
+    for one in record.how_far.per_motion:
+        errors = one.answered_mrad
+        levels = [*errors.tolist(), float(errors[moves].mean())]
+        rows.append((one.motion, *(f"{x:.1f}" for x in levels)))
+    columns = ("motion", *(j.name for j in record.where.joints), "mean")
+    return Table("Error of each motion, left out [mrad]", columns, rows, names=("motion",))
+
+
+def page_tables(record: PositionRecord) -> list[Table]:
+    """The tables of the page: those of the terminal, and one of motions."""
+    return [*tables(record), motion_table(record)]
+
+
+def facts(record: PositionRecord) -> list[tuple[str, str]]:
+    """The few numbers beside the headline."""
+    far = record.how_far
+    moving = [j for j in record.where.joints if not j.never_moves]
+    worst = max(moving, key=lambda j: j.answered_mrad, default=None)
+    most = [] if worst is None else [("Most is left on", f"joint {label(record, worst.joint)}: "
+                                      f"{worst.answered_mrad:.1f} mrad")]  # fmt: skip
+    return [
+        ("Status", record.status.replace("_", " ")),
+        ("Command alone", f"{far.commanded.whole_mrad:.1f} mrad"),
+        ("Plain servo, motions left out", f"{far.plain.whole_mrad:.1f} mrad"),
+        ("With what was found", f"{far.answered.whole_mrad:.1f} mrad"),
+        ("The same, windows of 2 s", f"{far.answered.windows_2s_mrad:.1f} mrad"),
+        *most,
     ]
-    title = "Error of each motion, left out [mrad]"
-    return Table(title, ("motion", *joints, "mean"), rows, names=("motion",))
 
 
-def meaning_table(result: PositionDiagnosis) -> Table:
-    """What each effect means and what a simulator needs for it, once."""
-    said = [(effect_words(f.effect), f.meaning, f.remedy) for f in result.findings]
-    columns = ("effect", "what it means", "what to do")
-    title = "What it means, and what to do"
-    return Table(title, columns, list(dict.fromkeys(said)), names=("effect",), words=columns[1:])
-
-
-def position_page(result: PositionDiagnosis, origin: Origin) -> Page:
-    """The page of a diagnosis."""
-    r, names = result, result.data.robot.joint_names
-    order = worst_joints(r)
-    left = int(r.answered.whole.nan_to_num().argmax())
-    tables = position_tables(r)
-    if r.findings:
-        tables.insert(3, meaning_table(r))
-    return Page(
-        f"Command and position of {r.data.robot.name}",
-        position_verdict(r),
-        (
-            ("Status", r.status.replace("_", " ")),
-            ("Command alone", _mrad(r.commanded.mean[0])),
-            ("Plain servo, motions left out", _mrad(r.plain_servo.mean[0])),
-            ("With what was found", _mrad(r.answered.mean[0])),
-            ("The same, windows of 2 s", _mrad(r.answered.mean[1])),
-            (
-                "Most is left on",
-                f"joint {left + 1} {names[left]}: {_mrad(r.answered.whole[left])}",
-            ),
-        ),
-        origin,
-        pictures=_pictures(r, order),
-        findings=[_sentence(f, names) for f in r.findings],
-        tables=[table.on_page() for table in (*tables, motion_table(r))],
-        notes=list(r.warnings),
-    )
-
-
-def _pictures(r: PositionDiagnosis, order: list[int]) -> list[Picture]:
-    """Where, which, how far, and the worst joints over time."""
-    names = r.data.robot.joint_names
-    worst = order[0] if order else 0
-
-    def error_there(item: tuple[str, tuple[Tensor, Tensor]]) -> float:
-        return float(item[1][0][worst].nan_to_num())
-
-    regime, (before, after) = max(r.regimes.items(), key=error_there)
-    each = ", ".join(
-        f"joint {j + 1} {float(a):.1f} to {float(b):.1f}"
-        for j, (a, b) in enumerate(zip(r.plain_servo.whole, r.answered.whole, strict=True))
-    )
-    out = [
-        Picture(
-            "where",
-            "Where command and position part. Rows are joints, columns what the command does; a "
-            "blue cell is one that a plain servo (gain, friction, inertia, delay, offset) does not "
-            f"foretell. It errs most on joint {worst + 1} {names[worst]}, above all at "
-            f"{regime_words(regime)}: {_mrad(before[worst])}, {_mrad(after[worst])} with what was "
-            "found.",
-            f"Map of joints and regimes. Plain servo and answer [mrad]: {each}.",
-            partial(where_figure, r),
-        )
-    ]
-    if r.findings:
-        first = r.findings[0]
-        out.append(
-            Picture(
-                "which",
-                "Which effects close it: the error when one is left out and all others are fitted "
-                "again, and with it. A short bar is a cause that others can nearly replace.",
-                f"Effects by what they close; most: {_sentence(first, names)}",
-                partial(which_figure, r),
-            )
-        )
-    out.append(
-        Picture(
-            "how_far",
-            "How far, joint by joint, on motions that took no part in the fit that foretells them.",
-            f"Bars of errors of a plain servo and of the answer [mrad]: {each}.",
-            partial(error_figure, r.record),
-        )
-    )
-    return out + [
+def pictures(r: PositionDiagnosis) -> list[Picture]:
+    """The worst joint over time, where, which, how far, and the other joints."""
+    record = r.record
+    order = worst_joints(record)
+    joints = [
         Picture(
             f"joint_{j + 1}",
-            f"Joint {j + 1} {names[j]} where a plain servo errs most: "
-            f"{_mrad(r.plain_servo.whole[j])} over all motions, {_mrad(r.answered.whole[j])} with "
-            "what was found.",
+            f"Joint {label(record, j)} where a plain servo errs most: "
+            f"{record.where.joints[j].plain_mrad:.1f} mrad over all motions, "
+            f"{record.where.joints[j].answered_mrad:.1f} mrad with what was found.",
             f"Command, measured and simulated positions of joint {j + 1} over time.",
             partial(joint_figure, r, j),
         )
         for j in order
     ]
+    each = ", ".join(
+        f"joint {j.joint + 1} {j.plain_mrad:.1f} to {j.answered_mrad:.1f}"
+        for j in record.where.joints
+        if not j.never_moves
+    )
+    worst = order[0] if order else 0
+    regime = max(
+        (x for x in record.where.regimes if x.joint == worst),
+        key=lambda x: x.plain_mrad if x.plain_mrad == x.plain_mrad else -1.0,
+    )
+    out = [
+        *joints[:1],
+        Picture(
+            "where",
+            "Where command and position part. Rows are joints, columns what the command does; a "
+            "blue cell is one that a plain servo (gain, friction, inertia, delay, offset) does not "
+            f"predict. It errs most on joint {label(record, worst)}, above all at "
+            f"{regime_words(regime.regime)}: {regime.plain_mrad:.1f} mrad, "
+            f"{regime.answered_mrad:.1f} mrad with what was found.",
+            f"Map of joints and regimes. Plain servo and answer [mrad]: {each}.",
+            partial(where_figure, record),
+        ),
+    ]
+    if record.which:
+        out.append(
+            Picture(
+                "which",
+                "Which effects close it: the error when one is left out and all others are fitted "
+                "again, and with it. A short bar is a cause that others can nearly replace.",
+                f"Effects by what they close; most: {sentence(record, record.which[0])}",
+                partial(which_figure, record),
+            )
+        )
+    out.append(
+        Picture(
+            "how_far",
+            "How far, joint by joint, on motions that took no part in the fit that predicts them.",
+            f"Bars of errors of a plain servo and of the answer [mrad]: {each}.",
+            partial(error_figure, record),
+        )
+    )
+    return [*out, *joints[1:]]
 
 
-def _sentence(f: PositionFinding, names: Sequence[str]) -> str:
+def sentence(record: PositionRecord, f: EffectRecord) -> str:
     """Which, where, how much."""
-    place = "the arm" if f.joint is None else f"joint {f.joint} {names[f.joint - 1]}"
-    sizes = ", ".join(_size(s) for s in f.sizes)
-    others = ", ".join(map(effect_words, f.ambiguous_with))
+    place = f"joint {label(record, f.joints[0])}" if f.joints else "the arm"
+    others = listed(map(effect_words, f.ambiguous_with), "or")
     return (
-        f"{effect_words(f.effect)} on {place} ({sizes}): {f.error_without:.1f} mrad without, "
-        f"{f.error_with:.1f} with it{f'; cannot be told from {others}' if others else ''}."
+        f"{effect_words(f.effect)} on {place} ({', '.join(_sizes(f))}): "
+        f"{f.error_without_mrad:.1f} mrad without, {f.error_with_mrad:.1f} with it"
+        f"{f'; this log cannot separate it from {others}' if others else ''}."
     )
 
 
-def _change(before: Tensor, after: Tensor) -> str:
-    return "-" if before.isnan() else f"{float(before):.1f} -> {float(after):.1f}"
+def _change(before: float, after: float) -> str:
+    return "-" if math.isnan(before) else f"{before:.1f} -> {after:.1f}"
 
 
-def _mrad(value: Tensor | float) -> str:
-    return f"{float(value):.1f} mrad"
+def _sizes(f: EffectRecord) -> list[str]:
+    return [
+        f"{name} {_size(value, f.ci95[name], f.unit.get(name, '1'))}"
+        for name, value in f.parameters.items()
+    ]
 
 
-def _size(size: Size) -> str:
-    unit = "" if size.unit == "1" else f" {size.unit}"
-    low, high = size.interval
+def _size(value: float, ends: tuple[float, float], unit: str) -> str:
+    """`39 [35.1, 42.9] rad/s^2`."""
+    unit = "" if unit == "1" else f" {unit}".rstrip()
+    low, high = ends
     if math.isnan(low):
-        return f"{size.name} {size.value:.3g}{unit}"
+        return f"{value:.3g}{unit}"
     unsure = ", not determined" if low <= 0 <= high else ""
-    return f"{size.name} {size.value:.3g} [{low:.3g}, {high:.3g}]{unit}{unsure}"
+    return f"{value:.3g} [{low:.3g}, {high:.3g}]{unit}{unsure}"
 
 
-def figures(result: PositionDiagnosis) -> Figures:
-    """What draws each figure, by the names of their files."""
+def figures(result: PositionDiagnosis | PositionRecord) -> Figures:
+    """What draws each figure, by the names of their files; of a record those that need no motion
+    over time."""
+    record = result.record
+    assert isinstance(record, PositionRecord)
     out: dict[str, Callable[[], Figure | None]] = {
-        "where": partial(where_figure, result),
-        "how_far": partial(error_figure, result.record),
+        "where": partial(where_figure, record),
+        "how_far": partial(error_figure, record),
     }
-    if result.findings:
-        out["which"] = partial(which_figure, result)
-    return out | {
-        f"gap_joint_{j + 1}": partial(joint_figure, result, j) for j in worst_joints(result)
-    }
+    if record.which:
+        out["which"] = partial(which_figure, record)
+    if isinstance(result, PositionDiagnosis):
+        for j in worst_joints(record):
+            out[f"gap_joint_{j + 1}"] = partial(joint_figure, result, j)
+    return out
 
 
-def worst_joints(result: PositionDiagnosis, most: int = WORST) -> list[int]:
+def kinds(result: PositionDiagnosis | PositionRecord) -> Figures:
+    """By kind; that of one joint takes it as `joint`."""
+    out = {k: v for k, v in figures(result).items() if not k.startswith("gap_joint")}
+    return out | (
+        {"joint": partial(joint_figure, result)} if isinstance(result, PositionDiagnosis) else {}
+    )
+
+
+def worst_joints(record: PositionRecord, most: int = WORST) -> list[int]:
     """Joints on which a plain servo is worst, those that never move left out."""
-    order = result.plain_servo.whole.nan_to_num().argsort(descending=True).tolist()
-    return [j for j in order if not result.still[j]][:most]
+    moving = [j for j in record.where.joints if not j.never_moves]
+    return [j.joint for j in sorted(moving, key=lambda j: -j.plain_mrad)][:most]
 
 
-def labels(result: PositionDiagnosis) -> list[str]:
-    """Joints by number and name."""
-    return [f"{j + 1} {name}" for j, name in enumerate(result.data.robot.joint_names)]
-
-
-def where_figure(result: PositionDiagnosis) -> Figure:
+def where_figure(record: PositionRecord) -> Figure:
     """Joints x what the command does: the plain servo's error as colour, and what the answer leaves
     of it; beside it the joints' errors of the command alone."""
-    names, n = list(result.regimes), result.servos.n
+    regimes, joints = regimes_of(record), record.where.joints
     before, after = (
-        torch.stack([result.regimes[name][k] for name in names], 1).numpy() for k in (0, 1)
+        np.array([[getattr(r, key) for r in own] for own in regimes.values()]).T
+        for key in ("plain_mrad", "answered_mrad")
     )
-    figure = new_figure(9.0, 2.0 + 0.42 * n)
+    figure = new_figure(9.0, 2.0 + 0.42 * len(joints))
     axes, bars = figure.subplots(1, 2, width_ratios=(3, 1), sharey=True)
-    regimes = [regime_words(name) for name in names]
-    shaded_map(axes, np.nan_to_num(before), regimes, labels(result), "plain servo [mrad]")
-    for y in range(n):
-        for x in range(len(names)):
-            text = f"{before[y, x]:.1f} \u2192 {after[y, x]:.1f}"
-            text = "-" if np.isnan(before[y, x]) else text
-            axes.text(x, y, text, ha="center", va="center", fontsize=SMALL, color=INK)
-    said = result.commanded.whole.nan_to_num().tolist()
+    labels = [label(record, j.joint) for j in joints]
+    names = [regime_words(name) for name in regimes]
+    shaded_map(axes, np.nan_to_num(before), names, labels, "plain servo [mrad]")
+    for (y, x), value in np.ndenumerate(before):
+        text = "-" if np.isnan(value) else f"{value:.1f} \u2192 {after[y, x]:.1f}"
+        axes.text(x, y, text, ha="center", va="center", fontsize=SMALL, color=INK)
+    sizes = [0.0 if j.never_moves else j.commanded_mrad for j in joints]
     words = [
-        " never moves" if still else f" {value:.1f}"
-        for value, still in zip(said, result.still.tolist(), strict=True)
+        " never moves" if j.never_moves else f" {value:.1f}"
+        for j, value in zip(joints, sizes, strict=True)
     ]
     title = "command less position [mrad]"
-    side_bars(bars, said, words, GREY, title, 1.35 * max(*said, 1e-9))
+    side_bars(bars, sizes, words, GREY, title, 1.35 * max(*sizes, 1e-9))
     axes.set_title(
         "error of whole motions left out [mrad]: a plain servo \u2192 with what was found",
         fontsize=SMALL, color=INK, loc="left",
     )  # fmt: skip
-    return finish(figure, f"{result.data.robot.name}: where command and position part")
+    return finish(figure, f"{record.robot}: where command and position part")
 
 
-def which_figure(result: PositionDiagnosis) -> Figure:
+def which_figure(record: PositionRecord) -> Figure:
     """Effects: the error when each is left out and all others are fitted again, and with it."""
-    shown = result.findings[:MOST_FINDINGS]
+    shown = record.which[:MOST_FINDINGS]
     figure, axes = panel(8.0, 1.6 + 0.3 * len(shown))
-    names = result.data.robot.joint_names
     for y, f in enumerate(shown):
-        axes.plot([f.error_with, f.error_without], [y, y], color=GREY, linewidth=2, zorder=1)
-        axes.scatter([f.error_without], [y], color=BEFORE, s=28, label="without it", zorder=2)
-        axes.scatter([f.error_with], [y], color=AFTER, s=28, label="with it", zorder=2)
-        place = "arm" if f.joint is None else names[f.joint - 1]
+        with_it, without = f.error_with_mrad, f.error_without_mrad
+        axes.plot([with_it, without], [y, y], color=GREY, linewidth=2, zorder=1)
+        axes.scatter([without], [y], color=BEFORE, s=28, label="without it", zorder=2)
+        axes.scatter([with_it], [y], color=AFTER, s=28, label="with it", zorder=2)
+        place = record.where.joints[f.joints[0]].name if f.joints else "arm"
         axes.text(
-            f.error_without, y, f"  {f.error_without - f.error_with:.1f} mrad",
-            va="center", fontsize=SMALL, color=INK,
-        )  # fmt: skip
+            without, y, f"  {without - with_it:.1f} mrad", va="center", fontsize=SMALL, color=INK
+        )
         axes.text(
             -0.01, y, f"{effect_words(f.effect)}, {place}", ha="right", va="center",
             fontsize=SMALL, color=INK, transform=axes.get_yaxis_transform(),
         )  # fmt: skip
     axes.set(yticks=[], ylim=(len(shown) - 0.4, -0.6), xlabel="error in windows of 2 s [mrad]")
-    axes.set_xlim(0, 1.25 * max(f.error_without for f in shown))
-    many = len(result.findings)
+    axes.set_xlim(0, 1.25 * max(f.error_without_mrad for f in shown))
+    many = len(record.which)
     most = f" (the {len(shown)} largest of {many})" if many > len(shown) else ""
-    return finish(figure, f"what closes it: each effect left out in turn{most}", axes)
+    return finish(figure, f"what closes it: each effect left out{most}", axes)
 
 
 def error_figure(record: PositionRecord) -> Figure:
@@ -484,7 +462,7 @@ def worst_place(result: PositionDiagnosis, joint: int) -> slice:
 def joint_figure(result: PositionDiagnosis, joint: int | None = None) -> Figure:
     """One joint (from 0; the worst, if None) where a plain servo errs most: command, measured and
     simulated positions, and both models' errors below."""
-    joint = worst_joints(result)[0] if joint is None else joint
+    joint = worst_joints(result.record)[0] if joint is None else joint
     rows = worst_place(result, joint)
     log, (plain, answered) = result.data.log, result.errors
     t = log.t[rows].numpy()
@@ -503,11 +481,12 @@ def joint_figure(result: PositionDiagnosis, joint: int | None = None) -> Figure:
     above.set_ylabel("position [rad or m]")
     below.set(ylabel="simulated less\nmeasured [mrad]", xlabel="time [s]")
     motion = log.names[int(log.trajectory[rows.start])]
-    return finish(figure, f"joint {labels(result)[joint]} in {motion}, which was left out", above)
+    place = label(result.record, joint)
+    return finish(figure, f"joint {place} in {motion}, which was left out", above)
 
 
 def commands_shown(made: NextCommands, unknown: Sequence[str] = ()) -> Shown:
-    """What the next commands are and tell.
+    """What the next commands are, and what they would show.
 
     Args:
         made: the commands.
@@ -520,14 +499,14 @@ def commands_shown(made: NextCommands, unknown: Sequence[str] = ()) -> Shown:
         )
         for o in made.open
     ]  # fmt: skip
-    said = f"{len(made.motions)} motions of {made.seconds:g} s at {made.rate:g} commands a second: "
-    said += "; ".join(made.motions) + "."
+    text = f"{len(made.motions)} motions of {made.seconds:g} s at {made.rate:g} commands a second: "
+    text += "; ".join(made.motions) + "."
     if not rows:
-        said += " The diagnosis leaves nothing open; they serve all of its parameters."
+        text += " The diagnosis leaves nothing open; they serve all of its parameters."
     note = (
-        "half widths of 95 % intervals, foretold for servos like the answered ones; of gains, "
+        "half widths of 95 % intervals, predicted for servos like the answered ones; of gains, "
         "friction and inertia as shares"
     )
     columns = ("joint", "parameter", "open because of", "now +-", "then +-")
-    table = Table("What they would tell", columns, rows, names=("parameter",), note=note)
-    return Shown(verdict=said, parts=[table] if rows else [], warnings=(*made.warnings, *unknown))
+    table = Table("What they would show", columns, rows, names=("parameter",), note=note)
+    return Shown(verdict=text, parts=[table] if rows else [], warnings=(*made.warnings, *unknown))

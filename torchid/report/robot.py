@@ -9,19 +9,20 @@ from xml.sax.saxutils import quoteattr
 import torch
 from rich.text import Text
 
-from torchid.export.correct import Correction
-from torchid.export.correct_positions import WINDOW_S, PositionCorrection
+from torchid.export.correct_positions import WINDOW_S
+from torchid.export.correction import Correction
 from torchid.export.export import Export
 from torchid.export.joint_dynamics import Target, split
 from torchid.export.mjcf import ATTRIBUTES
 from torchid.export.projection import Kept
-from torchid.export.randomise import Randomisation
-from torchid.export.randomise_positions import ServoRandomisation
+from torchid.export.randomisation import Randomisation
 from torchid.export.record import RangeRow
 from torchid.feasibility.margins import inertia_eigenvalues
 from torchid.json_data import picked, plain
-from torchid.report.table import Shown, Table, cells, count, filled, joint_numbers, listed
+from torchid.report.table import Shown, Table, cells, filled, joint_numbers
+from torchid.results.words import count, listed
 from torchid.robot.model import JointType, Robot
+from torchid.simulation.servo import Servos
 from torchid.typing import Tensor
 
 _LIMITS = {
@@ -170,56 +171,48 @@ def _given(nominal: Robot) -> str:
 
 def correction_shown(done: Correction) -> Shown:
     """All that there is to see of a correction."""
+    judged = done.judged
+    means = [float(x.nanmean()) for x in (judged.engine, judged.full, judged.nominal)]
+    if judged.unit == "%":
+        parts, before = correction_tables(done), f"the {_given(done.nominal)}"
+        errors = "misses {:.1f} % of the joints' torque on average; all effects leave {:.1f} %"
+        end = f", and {before} leaves {means[2]:.0f} %."
+    else:
+        parts = servo_tables(done)
+        errors = "misses the positions by {:.1f} mrad on average; all effects leave {:.1f}"
+        end = f", and the commands themselves are {means[2]:.1f} away."
     warnings = [*done.warnings, *(w for export in done.exports for w in export.warnings)]
     return Shown(
-        verdict=correction_headline(done),
-        parts=correction_tables(done),
+        verdict=f"On {judged.held_out} {judged.by} with the corrected file "
+        f"{errors.format(*means[:2])}{end}",
+        parts=parts,
         warnings=dict.fromkeys(warnings),
         last=f"written: {', '.join(map(str, done.files))}",
     )
 
 
-def servos_shown(done: PositionCorrection) -> Shown:
-    """All that there is to see of servos in a simulator's file."""
-    followed, joints = done.followed, joint_numbers(done.nominal.n)
+def servo_tables(done: Correction) -> list[Table]:
+    """Errors of servos in a simulator's file, and what it does not say of them."""
+    judged, joints = done.judged, joint_numbers(done.nominal.n)
     rows = [
-        ("the position is the command", followed.command),
-        ("all effects", followed.full),
-        ("the file alone, claimed", followed.claim),
-        (f"the file alone, {followed.by}", followed.engine),
-        ("with set-points at run time", followed.run_time),
+        ("the position is the command", judged.nominal),
+        ("all effects", judged.full),
+        ("the file alone, claimed", judged.claim),
+        (f"the file alone, {judged.by}", judged.engine),
+        ("with set-points at run time", judged.run_time),
     ]
     errors = [(name, *cells([*v.tolist(), float(v.nanmean())], ".1f")) for name, v in rows]
     beside = [
         (name, ", ".join(str(j + 1) for j in on) or "the arm") for name, on in done.no_field.items()
     ]
-    means = [float(x.nanmean()) for x in (followed.engine, followed.full, followed.command)]
     again = f"position error, begun anew every {WINDOW_S:g} s [mrad]"
-    return Shown(
-        verdict=f"On {followed.held_out} {followed.by} with the corrected servos misses the "
-        f"positions by {means[0]:.1f} mrad on average; with all effects it would be "
-        f"{means[1]:.1f}, and the commands themselves are {means[2]:.1f} away.",
-        parts=filled(
-            Table(again, ("", *joints, "mean"), errors, words=("",)),
-            Table(
-                "of the servos, without a field in the file", ("parameter", "joints"), beside,
-                words=("parameter", "joints"),
-            ),
+    return filled(
+        Table(again, ("", *joints, "mean"), errors, words=("",)),
+        Table(
+            "of the servos, without a field in the file", ("parameter", "joints"), beside,
+            words=("parameter", "joints"),
         ),
-        warnings=done.warnings,
-        last=f"written: {', '.join(map(str, done.files))}",
     )  # fmt: skip
-
-
-def correction_headline(done: Correction) -> str:
-    """What the file is worth, in one sentence."""
-    judged = done.judged
-    means = [float(x.nanmean()) for x in (judged.engine, judged.full, judged.nominal)]
-    return (
-        f"On {judged.held_out} {judged.by} with the corrected file misses {means[0]:.1f} % of the "
-        f"joints' torque on average; with all effects it would be {means[1]:.1f} %, and with the "
-        f"{_given(done.nominal)} it is {means[2]:.0f} %."
-    )
 
 
 def correction_tables(done: Correction) -> list[Table]:
@@ -245,7 +238,9 @@ def correction_tables(done: Correction) -> list[Table]:
         )
         if away is not None
     ]  # fmt: skip
-    kept = [_kept(one, done.projection.to) for one in done.projection.kept]
+    projection = done.projection
+    assert projection is not None
+    kept = [_kept(one, projection.to) for one in projection.kept]
     band = f"error of the torque, while a joint moves, below {judged.band:.3g} Hz [%]"
     after = "simulated motion, given the measured torque: error after a while [deg; mm]"
     beside = "effects without a field, which stay beside the file"
@@ -253,7 +248,7 @@ def correction_tables(done: Correction) -> list[Table]:
         Table(band, ("", *joints, "mean"), errors, words=("",)),
         Table(after, ("after", "model", *joints), motion, words=("model",)),
         Table(beside, ("effect", "joints", "kept"), kept, words=("effect", "kept")),
-        _bodies(done.projection.robot, nominal),
+        _bodies(projection.robot, nominal),
     )
 
 
@@ -292,31 +287,24 @@ def _bodies(robot: Robot, nominal: Robot) -> Table:
 
 
 def randomisation_shown(done: Randomisation, files: Sequence[str]) -> Shown:
-    """What is shown of drawn robots, whose ranges these files hold."""
-    return Shown(
-        verdict=randomisation_headline(done),
-        parts=randomisation_tables(done),
-        warnings=done.warnings,
-        last=f"written: {', '.join(files)}",
-    )
-
-
-def randomisation_headline(done: Randomisation) -> str:
-    """What was drawn, in one sentence."""
+    """What is shown of draws, whose ranges these files hold."""
     others = sum(one.draws for one in done.explanations[1:])
-    beside = f", {others} of them of explanations that the log cannot tell apart" if others else ""
-    return (
-        f"{len(done)} draws of '{done.robot.name}'{beside}; {len(done.ranges)} fields differ, and "
-        f"{100 * done.level:g} % of the draws lie within each range."
-    )
-
-
-def drawn_servos_shown(done: ServoRandomisation, files: Sequence[str]) -> Shown:
-    """What is shown of drawn servos, whose ranges these files hold."""
+    beside = f", {others} of them of explanations that the log cannot separate" if others else ""
+    servos = isinstance(done.draws, Servos)
+    of, what = ("the servos of ", "numbers") if servos else ("", "fields")
+    residual = [
+        (done.joint_names[b.joint], f"{b.low:.3g}", f"{b.high:.3g}", b.why) for b in done.residual
+    ]
+    columns = ("joint", "low", "high", "why")
     return Shown(
-        verdict=f"{len(done)} draws of the servos of '{done.robot}'; {len(done.ranges)} numbers "
+        verdict=f"{len(done)} draws of {of}'{done.name}'{beside}; {len(done.ranges)} {what} "
         f"differ, and {100 * done.level:g} % of the draws lie within each range.",
-        parts=[ranges_table(done.ranges)],
+        parts=[
+            ranges_table(done.ranges),
+            *filled(
+                Table("torque that stays unexplained", columns, residual, words=("joint", "why"))
+            ),
+        ],
         warnings=done.warnings,
         last=f"written: {', '.join(files)}",
     )
@@ -330,20 +318,6 @@ def ranges_table(ranges: Sequence[RangeRow]) -> Table:
         [(r.field, r.name, f"{r.low:.4g}", f"{r.high:.4g}", r.unit, r.why) for r in ranges],
         words=("field", "of", "unit", "why"),
     )
-
-
-def randomisation_tables(done: Randomisation) -> list[Table]:
-    """Ranges with their reasons, and the torque that stays unexplained."""
-    names = done.robot.joint_names
-    return [
-        ranges_table(done.ranges),
-        Table(
-            "torque that stays unexplained",
-            ("joint", "low", "high", "why"),
-            [(names[b.joint], f"{b.low:.3g}", f"{b.high:.3g}", b.why) for b in done.residual],
-            words=("joint", "why"),
-        ),
-    ]
 
 
 def simulator_block(robot: Robot) -> str:

@@ -12,6 +12,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from torchid.errors import visible
+from torchid.results.words import unit_words
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
 
@@ -141,11 +142,6 @@ def compact(title: str) -> RichTable:
     return RichTable(title=shown, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
 
 
-def unit_words(unit: str) -> str:
-    """`kg m^2` as `kg m²`."""
-    return unit.replace("^2", "²").replace("^3", "³")
-
-
 def _plain(text: str) -> str:
     """Markdown that reads as the text does."""
     for mark in ("|", "*", "<"):
@@ -162,16 +158,6 @@ def printable(text: str) -> str:
     )
 
 
-def percent(value: float) -> str:
-    """A fraction in percent; with a decimal where it would be taken for none or all."""
-    if not math.isfinite(value):
-        return "-"
-    if 1 - 5e-4 < value < 1:
-        return "> 99.9 %"
-    near = min(abs(value), abs(1 - value))
-    return f"{100 * value:.1f} %" if 5e-4 <= near < 5e-3 else f"{100 * value:.0f} %"
-
-
 def cells(values: Iterable[float] | Tensor, digits: str = ".3g") -> list[str]:
     """Numbers of one row; a dash for what is not finite."""
     numbers = values.tolist() if isinstance(values, Tensor) else values
@@ -181,32 +167,6 @@ def cells(values: Iterable[float] | Tensor, digits: str = ".3g") -> list[str]:
 def joint_numbers(n: int) -> list[str]:
     """Headings of one column a joint."""
     return [str(j + 1) for j in range(n)]
-
-
-def interval(ends: tuple[float, float]) -> str:
-    """Of fractions, in percent: `[90, 95]`."""
-    low, high = (percent(x).removesuffix(" %") for x in ends)
-    return f"[{low}, {high}]"
-
-
-def short(name: str, length: int) -> str:
-    """A name cut to `length` characters."""
-    return name if len(name) <= length else name[: length - 1] + "…"
-
-
-def count(k: int, what: str, many: str = "") -> str:
-    """1 set, 2 sets."""
-    return f"{k} {what if k == 1 else many or what + 's'}"
-
-
-def listed(
-    words: Iterable[str], last: str = "and", nothing: str = "", most: int | None = None
-) -> str:
-    """`a, b and c`, or `a, b and 3 more` where there are more than `most`."""
-    every = list(words) or [nothing]
-    more = 0 if most is None else len(every) - most
-    *first, end = [*every[:most], f"{more} more"] if more > 0 else every
-    return f"{', '.join(first)} {last} {end}" if first else end
 
 
 def joint_unit(robot: Robot, joint: int) -> str:

@@ -24,10 +24,12 @@ from torchid.effects.base import Effect, Motion
 from torchid.effects.registry import EVENTS, Valued
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.files import atomic_write
-from torchid.gap.diagnosis import Diagnosis, Trace
+from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.localise.regimes import regime_instants
 from torchid.log.filtering import low_passed
+from torchid.position.diagnosis import PositionDiagnosis
 from torchid.report.table import joint_unit
+from torchid.results.answer import Diagnosis
 from torchid.typing import Bool, Float, Tensor
 
 SUFFIXES = (".mcap", ".rrd")
@@ -39,7 +41,7 @@ PER_PERIOD = 10.0
 
 @dataclass(frozen=True, eq=False)
 class JointView:
-    """One joint along one trajectory, torques [N m; N].
+    """One joint along one trajectory, torques [N m; N]; of logs of positions, positions [rad; m].
 
     Attributes:
         trajectory, joint, unit: names, and the torque's unit.
@@ -81,6 +83,9 @@ def viewed(diagnosis: Diagnosis) -> tuple[JointView, ...]:
     >>> torch.allclose(total, joint.measured), "viscous_friction" in joint.effects
     (True, True)
     """
+    if isinstance(diagnosis, PositionDiagnosis):
+        return _positions(diagnosis)
+    assert isinstance(diagnosis, TorqueDiagnosis)
     robot, out = diagnosis.robot, []
     spans = regime_instants(diagnosis.traces, diagnosis.band)
     for trace, places in zip(diagnosis.traces, spans, strict=True):
@@ -121,7 +126,33 @@ def viewed(diagnosis: Diagnosis) -> tuple[JointView, ...]:
     return tuple(out)
 
 
-def _effects(diagnosis: Diagnosis, trace: Trace) -> dict[str, Float[Tensor, "T n"]]:
+def _positions(diagnosis: PositionDiagnosis) -> tuple[JointView, ...]:
+    """The same of positions: predicted is a plain servo's motion, and what all causes add to it is
+    one effect. Both were fitted without the motion that is shown."""
+    data, out = diagnosis.data, []
+    plain, answered = diagnosis.errors
+    for k, rows in enumerate(data.log.slices()):
+        q = data.log.q[rows]
+        for j, name in enumerate(data.robot.joint_names):
+            out.append(
+                JointView(
+                    trajectory=data.log.names[k],
+                    joint=name,
+                    unit="rad",
+                    t=data.log.t[rows],
+                    q=q[:, j],
+                    dq=data.dq[rows, j] / data.scale[j],
+                    measured=q[:, j],
+                    predicted=q[:, j] + plain[rows, j],
+                    residual=-answered[rows, j],
+                    effects={"causes": (answered - plain)[rows, j]},
+                    regimes={},
+                )
+            )
+    return tuple(out)
+
+
+def _effects(diagnosis: TorqueDiagnosis, trace: Trace) -> dict[str, Float[Tensor, "T n"]]:
     """What the correction adds to the model as given along a trajectory, by name."""
     motion, given = trace.motion, Model.of(diagnosis.robot)
     events = tuple(f.valued for f in diagnosis.findings if f.effect.name in EVENTS)
@@ -143,7 +174,7 @@ def _effects(diagnosis: Diagnosis, trace: Trace) -> dict[str, Float[Tensor, "T n
 
 
 def _torque(
-    diagnosis: Diagnosis, trace: Trace, model: Model, valued: Valued, motion: Motion
+    diagnosis: TorqueDiagnosis, trace: Trace, model: Model, valued: Valued, motion: Motion
 ) -> Float[Tensor, "T n"]:
     """Torque of one effect in the model, as `Model.torque` has it."""
     effect: Effect = valued[0]

@@ -27,11 +27,11 @@ from torchid.effects.registry import (
 )
 from torchid.errors import LogError, TorchidError
 from torchid.gap.data import prepare
-from torchid.gap.diagnose import diagnose
-from torchid.gap.diagnosis import Diagnosis, Finding
+from torchid.gap.diagnosis import Finding, TorqueDiagnosis
 from torchid.gap.noise.floor import stuck
 from torchid.gap.record import GapRecord
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.gap.validate.closing import closing
 from torchid.gap.validate.folds import traces
 from torchid.identification.identify import prepared
@@ -98,12 +98,12 @@ def plantable(name: str) -> type[JointEffect]:
     return kind
 
 
-def named(found: Diagnosis, name: str, place: tuple[int, ...]) -> bool:
+def named(found: TorqueDiagnosis, name: str, place: tuple[int, ...]) -> bool:
     """Whether an effect was named at its place."""
     return any((f.effect.name, f.located) == (name, place) for f in found.findings)
 
 
-def in_set(found: Diagnosis, name: str, place: tuple[int, ...]) -> bool:
+def in_set(found: TorqueDiagnosis, name: str, place: tuple[int, ...]) -> bool:
     """Named, or among what a finding at its place, or of the whole arm, cannot be told from."""
     said = [({f.effect.name, *f.ambiguous_with}, f.located) for f in found.findings]
     said += [(set(p.ambiguous_with), p.links) for p in found.parametric]
@@ -131,7 +131,7 @@ def smallest_found(bed: Bed, planted: tuple[JointEffect, float]) -> list[Planted
 
 def _one_level(bed: Bed, effect: JointEffect, noise: float, level: float) -> Planted:
     values, log = _on_top(bed, effect, level * noise)
-    found = diagnose(bed.robot, log, settings=bed.settings)
+    found = diagnose_torque(bed.robot, log, settings=bed.settings)
     at = effect.name, (effect.joint,)
     coefficients = {c.name: v for c, v in zip(effect.coefficients, values, strict=True)}
     said = named(found, *at), in_set(found, *at), found.status
@@ -237,7 +237,7 @@ class OwnCheck(Result):
         withheld, planted: what became of both.
     """
 
-    first: Diagnosis
+    first: TorqueDiagnosis
     untouched: tuple[str, ...]
     whole: bool
     withheld: tuple[Withheld, ...]
@@ -318,7 +318,7 @@ def withheld_own(
     prepared(untouched, robot)  # what cannot be used is refused before the first part is diagnosed
     if progress is not None:
         progress("diagnosing the first part", 0, 1)
-    first = diagnose(robot, log, settings=settings)
+    first = diagnose_torque(robot, log, settings=settings)
     # From here on the corrected model is the simulator, and its parameters are given.
     again = replace(settings, background=(), parameters="auto")
     bed = Bed(first.corrected, untouched, again)
@@ -348,7 +348,7 @@ def _without(corrected: Robot, finding: Finding) -> Robot:
 def _withheld(bed: Bed, finding: Finding) -> Withheld:
     torch.set_num_threads(1)
     robbed = _without(bed.robot, finding)
-    found = diagnose(robbed, bed.log, settings=bed.settings)
+    found = diagnose_torque(robbed, bed.log, settings=bed.settings)
     given = prepare(robbed, bed.log, found.cutoff)
     before, after = map(Model.of, (robbed, bed.robot))
     reach = stuck(Columns(after, given.samples), found.floor.high)

@@ -148,12 +148,14 @@ def written(
 
 
 def _answer(job: Job) -> dict[str, Any]:
-    from torchid import diagnose, diagnose_positions, load_robot, read_log
+    from torchid import load_robot, read_log
+    from torchid.gap.torque import diagnose_torque
+    from torchid.position.diagnose import diagnose_positions
 
     robot, log = load_robot(job.robot), read_log(job.log)
     if log.tau is None and log.u is not None:
         return diagnose_positions(robot, log).plain()
-    found = diagnose(robot, log, settings=job.settings)
+    found = diagnose_torque(robot, log, settings=job.settings)
     corrected = {
         "effects": [dict(effect) for effect in found.corrected.effects],
         "pi": found.corrected.require_parameters("an answer").pi,

@@ -13,7 +13,7 @@ from tests.gap.diagnoses import diagnosis
 from tests.report.page.reading import parsed
 from tests.report.test_gap_page import SHORT, made
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.report.gap import gap_page
+from torchid.report.diagnosis import page as gap_page
 from torchid.report.page import document as rendering
 from torchid.report.page.document import input_files, render, require_page, write_page
 

@@ -11,7 +11,7 @@ import torch
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
 from torchid.report.identification import QUANTITIES
-from torchid.report.table import count, listed
+from torchid.results.words import count, listed
 from torchid.robot.inertia import InertialParameters
 from torchid.study.result import ScenarioResult, SetsOnMotion, Study
 from torchid.typing import Float, Int, Tensor

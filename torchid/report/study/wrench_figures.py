@@ -24,7 +24,7 @@ from torchid.report.panels import (
 )
 from torchid.report.study import facts
 from torchid.report.study.facts import at_joint, ids, number, rms
-from torchid.report.table import count, listed
+from torchid.results.words import count, listed
 from torchid.study.result import SetsOnMotion, Study
 from torchid.typing import Float, Tensor
 from torchid.wrenches.classes import FEASIBLE, MIXED, ordered_classes

@@ -1,0 +1,129 @@
+"""A corrected file of a simulator, and what it is worth on a log, of torques or of positions."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+from torchid.export.export import Export
+from torchid.export.projection import Projection
+from torchid.export.record import (
+    CorrectionRecord,
+    PositionCorrectionRecord,
+    correction_record,
+    position_correction_record,
+)
+from torchid.position.model import ServoArm
+from torchid.results.record import Result
+from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
+
+CLAIMED = 1.15
+"""Error in the engine over the claimed one from which a warning says so; beside 1 % or 1 mrad."""
+
+
+@dataclass(frozen=True, eq=False)
+class Forward:
+    """Where the arm is after a while, given the measured torque.
+
+    Attributes:
+        horizon: [s].
+        starts: number of simulations.
+        nominal, full: (n,) RMS error [rad; m] of the robot as given and of the diagnosed one, by
+            torchid; None where no trajectory is as long.
+        engine: (n,) of the file; None where MuJoCo (Drake, for its files) is not installed, or
+            refuses it.
+    """
+
+    horizon: float
+    starts: int
+    nominal: Float[Tensor, " n"] | None
+    full: Float[Tensor, " n"] | None
+    engine: Float[Tensor, " n"] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Errors of each joint on a log: of torque in percent of it, while the joint moves and below
+    the report's band; of positions in mrad, begun anew at the measured position every 10 s.
+
+    Attributes:
+        unit: `%` or `mrad`.
+        held_out: what the errors are on: `a held-out log`, `parts that were not fitted`, or
+            `the log that was fitted`.
+        nominal: (n,) of the robot as given; of positions, of the command itself; nan of joints
+            whose torque holds no signal.
+        full: (n,) of all that was diagnosed, by torchid.
+        claim: (n,) of the file, by its own numbers.
+        engine: (n,) of the file, by the engine that runs it.
+        run_time: (n,) of a file with the effects that are added to it at run time.
+        by: that engine.
+        band: [Hz]; None of positions.
+        forward: by horizon, of torques; on the log that was fitted where no other is given.
+    """
+
+    unit: Literal["%", "mrad"]
+    held_out: str
+    nominal: Float[Tensor, " n"]
+    full: Float[Tensor, " n"]
+    claim: Float[Tensor, " n"]
+    engine: Float[Tensor, " n"]
+    run_time: Float[Tensor, " n"]
+    by: str
+    band: float | None = None
+    forward: tuple[Forward, ...] = ()
+
+    @property
+    def worse_than_claimed(self) -> list[str]:
+        """A sentence for each joint whose error in the engine is not what the file says."""
+        worse = (self.engine > CLAIMED * self.claim) & (self.engine > self.claim + 1)
+        of = "% of the torque" if self.unit == "%" else "mrad"
+        return [
+            f"joint {j + 1}: {self.by} leaves {float(self.engine[j]):.1f} {of}, and the file's own "
+            f"numbers {float(self.claim[j]):.1f}"
+            for j in worse.nonzero().flatten().tolist()
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Correction(Result):
+    """A corrected file.
+
+    Attributes:
+        nominal: the robot as given.
+        judged: what the file is worth.
+        exports: what was written: the file, and the one with effects beside it.
+        warnings: sentences for the user.
+        projection: what is in the file, of a correction by torques.
+        servos: that are in it, of a correction by positions.
+        no_field: parameters of servos that are not in it, with joints from 0.
+        beside: other files that were written.
+    """
+
+    nominal: Robot
+    judged: Judged
+    exports: tuple[Export, ...]
+    warnings: tuple[str, ...]
+    projection: Projection | None = None
+    servos: ServoArm | None = None
+    no_field: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    beside: tuple[Path, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Correction('{self.nominal.name}', {', '.join(map(str, self.files))})"
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What was written."""
+        return (*(file for one in self.exports for file in one.files), *self.beside)
+
+    @cached_property
+    def record(self) -> CorrectionRecord | PositionCorrectionRecord:
+        """As the JSON has it."""
+        return position_correction_record(self) if self.servos else correction_record(self)
+
+
+def of_joints(joints: Sequence[int]) -> str:
+    """Which joints something is of; nothing where it is of none in particular."""
+    return f" of joint {', '.join(str(j + 1) for j in joints)}" if joints else ""

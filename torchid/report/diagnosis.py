@@ -1,0 +1,96 @@
+"""A diagnosis for people, the same for every kind of log: the answer, then what it rests on."""
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from torchid.errors import TorchidError
+from torchid.gap.diagnosis import TorqueDiagnosis
+from torchid.gap.record import GapRecord
+from torchid.position.diagnosis import PositionDiagnosis
+from torchid.position.record import PositionRecord
+from torchid.report import gap, gap_figures, position
+from torchid.report.page.document import Origin, Page
+from torchid.report.panels import Picture
+from torchid.report.table import Shown, Table
+from torchid.results.answer import COLUMNS, Answer, Diagnosis, DiagnosisRecord
+
+if TYPE_CHECKING:
+    from torchid.report.panels import Figures
+
+
+def answer_table(answer: Answer, band: float | None = None) -> Table:
+    """The answer: a row a joint, the largest error first, with its causes.
+
+    Args:
+        answer: of a diagnosis.
+        band: below which errors are counted [Hz].
+    """
+    return Table(
+        answer.title + (f", below {band:g} Hz" if band else ""),
+        COLUMNS,
+        answer.rows(),
+        names=("joint", "", "sure"),
+        words=("cause (value ± std)", "what to do"),
+        note="Bars: what stays, and what the causes close.",
+    )
+
+
+def shown(result: Diagnosis | DiagnosisRecord) -> Shown:
+    """All that there is to see of a diagnosis, or of one that was read back.
+
+    Raises:
+        TorchidError: the file of an older version, which holds no answer.
+    """
+    record = result.record
+    assert isinstance(record, DiagnosisRecord)
+    if record.answer is None:
+        raise TorchidError(
+            "this file of an older version holds no answer.", hint="diagnose its logs again"
+        )
+    figures: Figures
+    if isinstance(record, GapRecord):
+        assert isinstance(result, TorqueDiagnosis | GapRecord)
+        band, lower, notes = record.band_hz, gap.tables(record), gap.remarks(record)
+        figures = gap_figures.figures(result)
+    else:
+        assert isinstance(record, PositionRecord)
+        assert isinstance(result, PositionDiagnosis | PositionRecord)
+        band, lower, notes = None, position.tables(record), position.remarks(record)
+        figures = position.figures(result)
+    return Shown(
+        verdict=record.answer.headline,
+        parts=[answer_table(record.answer, band), *lower, *notes],
+        warnings=record.warnings,
+        figures=figures,
+        page=partial(page, result) if isinstance(result, Diagnosis) else None,
+    )
+
+
+def page(result: Diagnosis, origin: Origin) -> Page:
+    """The page of a diagnosis."""
+    answer = result.answer
+    pictures: list[Picture]
+    if isinstance(result, TorqueDiagnosis):
+        own = result.record
+        title, facts = f"Sim-to-real gap of {own.robot}", gap.facts(own)
+        tables, notes, block = gap.page_tables(own), gap.remarks(own), gap.block(own)
+        notes = [*own.warnings, *own.noise_floor.notes, *notes]
+        pictures, band = gap.pictures(result), own.band_hz
+    else:
+        assert isinstance(result, PositionDiagnosis)
+        found = result.record
+        title, facts = f"Command and position of {found.robot}", position.facts(found)
+        tables, block, band = position.page_tables(found), "", None
+        notes = [*found.warnings, *position.remarks(found)]
+        pictures = position.pictures(result)
+    return Page(
+        title,
+        answer.headline,
+        facts,
+        origin,
+        answer=[answer_table(answer, band).on_page()],
+        pictures=pictures,
+        tables=[table.on_page() for table in tables],
+        notes=list(dict.fromkeys(notes)),
+        block=block,
+    )

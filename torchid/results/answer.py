@@ -1,0 +1,355 @@
+"""The answer of a diagnosis, the same for every kind of log: what each joint's error is, which
+causes close it, how sure they are, and what to do.
+
+What a log measures decides the unit alone: torque or current gives N m (N on prismatic joints),
+positions under commands give mrad of the log's unit.
+"""
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from html import escape
+from pathlib import Path
+
+from torchid.results.record import Ends, Joint, Part, Real, Record, Result
+from torchid.results.words import (
+    effect_words,
+    joints_words,
+    listed,
+    measure,
+    percent,
+    short,
+    sure,
+    unit_words,
+)
+
+BAR = 8
+"""Characters of the longest bar."""
+MOST = 0.5
+"""Share of the joints above which a cause that they have in common is one row."""
+LONGEST = 160
+"""Characters of a headline: two lines of 80."""
+NAME = 18
+"""Characters of a joint's name in the table."""
+VALUES = 3
+"""Numbers of a cause that are shown in the table."""
+UNCHANGED = 0.99
+"""Share of the error that is left, from which on the causes have closed nothing."""
+
+COLUMNS = ("joint", "before", "after", "noise", "", "cause (value ± std)", "sure", "what to do")
+
+
+class Size(Part, frozen=True, kw_only=True):
+    """One number of a cause.
+
+    Attributes:
+        name, unit: of the number; unit 1 of a plain number.
+        value: as found.
+        std: standard deviation; None where the data do not determine it.
+        was: value that the model knew before; None of what is new.
+    """
+
+    name: str
+    unit: str
+    value: Real
+    std: float | None = None
+    was: float | None = None
+
+    @property
+    def determined(self) -> bool:
+        """Whether the data say more than its order of magnitude."""
+        return self.std is None or self.std < abs(self.value)
+
+
+class Cause(Part, frozen=True, kw_only=True):
+    """One cause of the error.
+
+    Attributes:
+        effect: its name, as `torchid effects` lists it; `link_inertia` of inertial parameters.
+        joints: at which it acts; links, of inertial parameters; none: the whole arm.
+        sizes: its numbers.
+        how_sure: probability of it, or of the set with `ambiguous_with`; None where none is known.
+        ambiguous_with: effects that this log cannot separate from it.
+        closes: share of the error that it closes, in the order of the causes [1].
+        remedy: what to do, one sentence.
+    """
+
+    effect: str
+    joints: tuple[Joint, ...]
+    sizes: tuple[Size, ...] = ()
+    how_sure: float | None = None
+    ambiguous_with: tuple[str, ...] = ()
+    closes: Real = math.nan
+    remedy: str = ""
+
+    @property
+    def changed(self) -> bool:
+        """Whether the model had it already, with other numbers."""
+        return any(s.was is not None for s in self.sizes)
+
+    @property
+    def name(self) -> str:
+        """In words."""
+        if self.effect != "link_inertia":
+            return effect_words(self.effect)
+        links = listed(str(k + 1) for k in self.joints)
+        return f"inertia of link {links}" if self.joints else "inertial parameters"
+
+    @property
+    def place(self) -> str:
+        """`on joint 2`; nothing of the whole arm, or where the name has it."""
+        named = self.effect == "link_inertia" or not self.joints
+        return "" if named else f"on {joints_words(self.joints)}"
+
+
+class JointError(Part, frozen=True, kw_only=True):
+    """The error of one joint, on data that took part in no fit [the answer's unit].
+
+    Attributes:
+        joint, name: which.
+        before, after: of the model as given, and with the causes; of positions, of a plain servo
+            and with the causes. Null of a joint that never moves.
+        noise: lowest and highest estimate of what no model can close.
+    """
+
+    joint: Joint
+    name: str
+    before: Real
+    after: Real
+    noise: Ends
+
+
+class Answer(Part, frozen=True, kw_only=True):
+    """What a diagnosis answers.
+
+    Attributes:
+        status: the verdict, as of the diagnosis.
+        error: what it is: `the gap`, or `a plain servo's error`.
+        unit: of all errors.
+        before, after, noise: of the whole arm: the root of the sum of the joints' mean squares; of
+            positions the mean of the joints that move.
+        closed, closed_ci95: share of the error beyond noise that the causes close; None where that
+            cannot be said.
+        joints: joint by joint.
+        causes: those that close most first.
+        reason: why nothing is named, where that is so.
+    """
+
+    status: str
+    error: str
+    unit: str
+    before: Real
+    after: Real
+    noise: Ends
+    closed: float | None
+    closed_ci95: tuple[float, float] | None = None
+    joints: tuple[JointError, ...]
+    causes: tuple[Cause, ...]
+    reason: str = ""
+
+    @property
+    def headline(self) -> str:
+        """The answer in at most two lines of 80 characters."""
+        change = f"{self.before:.3g} -> {self.after:.3g} {self.unit}"
+        size = f"{self.before:.3g} {self.unit}"
+        noise = " to ".join(dict.fromkeys(f"{x:.3g}" for x in self.noise))
+        if not self.causes:
+            said = {
+                "no_gap": f"No gap: {size}, within the noise ({noise}).",
+                "negligible": f"No gap that matters: {size} (noise {noise}).",
+                "not_testable": "This log cannot show what causes a gap:",
+            }
+            worst = max(self.joints, key=lambda j: -math.inf if j.before != j.before else j.before)
+            gap = (
+                f"No known effect explains {self.error} of {size} (noise "
+                f"{noise}). It is largest on joint {worst.joint + 1}."
+            )
+            return _cut(f"{said.get(self.status, gap)} {self.reason}".rstrip())
+        rest = ""
+        if self.closed is None or (self.closed_ci95 is not None and self.closed_ci95[0] <= 0):
+            verb, end = ("fits", "fit"), f"{self.error}; on new data: {change}."
+            if self.after > UNCHANGED * self.before:
+                rest = " Nothing is confirmed."
+        else:
+            share = percent(self.closed).replace("> 99.9 %", "all")
+            verb, end = ("explains", "explain"), f"{share} of {self.error} ({change})."
+            if self.status in ("detected_unexplained", "partly_explained"):
+                rest = " The rest has no known cause."
+        # The two largest causes with their numbers; fewer words where these do not fit.
+        groups = list(self.groups())
+        for most, values in ((2, True), (2, False), (1, True), (1, False)):
+            names = [self._named(same, values) for same in groups[:most]]
+            more = len(groups) - most
+            names += [f"{more} more"] if more > 0 else []
+            text = listed(names)
+            many = len(names) > 1 or (len(groups[0]) > 1 and groups[0][0].effect == "link_inertia")
+            said_all = f"{text[:1].upper()}{text[1:]} {verb[many]} {end}{rest}"
+            if len(said_all) <= LONGEST:
+                return said_all
+        return _cut(said_all)
+
+    def groups(self) -> Iterator[list[Cause]]:
+        """Causes of one name together, in the order of what they close: those that are new, and
+        those that the model had with other numbers."""
+        kinds = dict.fromkeys((c.effect, c.changed) for c in self.causes)
+        for kind in kinds:
+            same = [c for c in self.causes if (c.effect, c.changed) == kind]
+            yield sorted(same, key=lambda c: c.joints)
+
+    def _named(self, same: Sequence[Cause], values: bool) -> str:
+        """`Coulomb friction on joint 2 (0.61 ± 0.02 N m)`."""
+        joints = [j for c in same for j in c.joints]
+        first = same[0]
+        if first.effect == "link_inertia":
+            text = Cause(effect=first.effect, joints=tuple(joints)).name
+        else:
+            every = len(set(joints)) == len(self.joints) > 1
+            place = "all joints" if every else joints_words(joints)
+            text = f"{first.name} on {place}" if joints else first.name
+            if first.changed:
+                text = f"changed {text}"
+        known = [s for s in first.sizes if s.determined]
+        inner = []
+        if values and len(same) == 1 and known and (len(known) == 1 or first.effect == "payload"):
+            inner.append(size_words(known[0]))
+        others = list(dict.fromkeys(effect_words(x) for c in same for x in c.ambiguous_with))
+        if others:
+            inner.append(f"or {listed(others, 'or', most=2 if values else 1)}")
+        return f"{text} ({'; '.join(inner)})" if inner else text
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Cells under `COLUMNS`, a row a joint, the largest error first. Causes that most joints
+        have, and causes of the whole arm, have rows of their own before these."""
+        common: list[list[Cause]] = []
+        own: dict[int, list[Cause]] = {}
+        for same in self.groups():
+            local = [c for c in same if len(c.joints) == 1 and c.effect != "link_inertia"]
+            if len(local) > max(1.0, MOST * len(self.joints)):
+                common.append(local)
+            else:
+                for c in local:
+                    own.setdefault(c.joints[0], []).append(c)
+            common += [[c] for c in same if c not in local]
+        out: list[tuple[str, ...]] = [("all", "", "", "", "", *self._cells(c)) for c in common]
+        longest = max((j.before for j in self.joints if j.before == j.before), default=0.0)
+
+        def order(joint: JointError) -> float:
+            return -joint.before if joint.before == joint.before else math.inf
+
+        for joint in sorted(self.joints, key=order):
+            place = str(joint.joint + 1)
+            if joint.name not in ("", f"joint_{place}", f"joint {place}", f"joint{place}"):
+                place += f" {short(joint.name, NAME)}"
+            if joint.before != joint.before:
+                out.append((place, "-", "-", "-", "", "never moves", "-", ""))
+                continue
+            noise = " - ".join(dict.fromkeys(f"{x:.2g}" for x in joint.noise))
+            bar = _bar(joint.before, joint.after, longest)
+            numbers = (place, f"{joint.before:.3g}", f"{joint.after:.3g}", noise, bar)
+            first, *others = [self._cells([c]) for c in own.get(joint.joint, [])] or [("-", "", "")]
+            out.append((*numbers, *first))
+            out += [("", "", "", "", "", *other) for other in others]
+        return out
+
+    def _cells(self, same: Sequence[Cause]) -> tuple[str, str, str]:
+        """What a cause is, how sure, and what to do."""
+        first = same[0]
+        others = list(dict.fromkeys(effect_words(x) for c in same for x in c.ambiguous_with))
+        end = f", or {listed(others, 'or')}" if others else ""
+        known = [c.how_sure for c in same if c.how_sure is not None]
+        cells = (sure(min(known, default=None)), first_clause(first.remedy))
+        if len(same) > 1:
+            joints = [c.joints[0] for c in same]
+            every = len(joints) == len(self.joints)
+            place = "" if every else f" on joints {listed(str(j + 1) for j in joints)}"
+            values = ", ".join(f"{c.sizes[0].value:.3g}" for c in same if c.sizes)
+            unit = "" if first.sizes[0].unit == "1" else f" {unit_words(first.sizes[0].unit)}"
+            return (f"{first.name}{place}: {first.sizes[0].name} = {values}{unit}{end}", *cells)
+        if first.changed:
+            changes = "; ".join(size_words(s) for s in first.sizes if s.was is not None)
+            return (f"{first.name} changed: {changes}{end}", *cells)
+        sizes = [s for s in first.sizes if s.determined]
+        sizes = sizes[:1] if first.effect == "payload" else sizes[:VALUES]
+        one = len(first.sizes) == 1
+        texts = [size_words(s) if one else f"{s.name} = {size_words(s)}" for s in sizes]
+        return (f"{first.name} {', '.join(texts)}".rstrip() + end, *cells)
+
+    @property
+    def title(self) -> str:
+        """Of the table."""
+        return f"the answer: RMS error [{self.unit}]"
+
+    def _repr_html_(self) -> str:
+        """The headline and the table, for notebooks."""
+        head = "".join(f"<th>{escape(name)}</th>" for name in COLUMNS)
+        body = "".join(
+            f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in self.rows()
+        )
+        return (
+            f"<p><b>{escape(self.headline)}</b></p><table><caption>{escape(self.title)}</caption>"
+            f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        )
+
+
+class Diagnosis(Result):
+    """Where a model and its arm disagree, which causes explain it, how far they close it.
+
+    `torchid.diagnose` makes it of every kind of log; `answer` is the same for all.
+    """
+
+    __slots__ = ()
+
+    @property
+    def answer(self) -> Answer:
+        """What each joint's error is, which causes close it, and what to do."""
+        raise NotImplementedError
+
+    def write_corrected(self, path: str | Path) -> None:
+        """Write the corrected robot, with its effects or servos, as a .yaml.
+
+        Raises:
+            TorchidError: the file cannot be written.
+        """
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        return self.answer._repr_html_()
+
+
+class DiagnosisRecord(Record, frozen=True, eq=False, kw_only=True):
+    """A diagnosis as its JSON has it.
+
+    Attributes:
+        answer: what it answers; None in files of older versions.
+    """
+
+    answer: Answer | None = None
+
+    def _repr_html_(self) -> str:
+        return super()._repr_html_() if self.answer is None else self.answer._repr_html_()
+
+
+def size_words(size: Size) -> str:
+    """`0.61 ± 0.02 N m`, `9.1 ± 0.3 N m s/rad, was 4.0`."""
+    unit = "" if size.unit == "1" else unit_words(size.unit)
+    was = "" if size.was is None else f", was {size.was:.3g}"
+    return measure(size.value, size.std, unit) + was
+
+
+def first_clause(remedy: str) -> str:
+    """The first clause of a remedy."""
+    return re.split(r"[,;:(]", remedy, maxsplit=1)[0].strip().rstrip(".")
+
+
+def _bar(before: float, after: float, longest: float) -> str:
+    """`██░░░░░░`: what is left, and what is closed, on one scale."""
+    whole = round(BAR * before / longest) if longest > 0 else 0
+    left = min(whole, round(BAR * after / longest) if longest > 0 else 0)
+    return "█" * left + "░" * (whole - left)
+
+
+def _cut(text: str) -> str:
+    """No longer than a headline may be: whole words, and an ellipsis."""
+    if len(text) <= LONGEST:
+        return text
+    return text[: LONGEST - 2].rsplit(" ", 1)[0].rstrip(",;") + " …"

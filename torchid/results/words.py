@@ -1,0 +1,101 @@
+"""Numbers, names and lists as every sentence and table has them."""
+
+import math
+from collections.abc import Iterable
+
+_PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
+_COUNTED = (
+    "offset", "delay", "lag", "tilt", "error", "spring", "payload", "gain", "contact", "drift",
+)  # fmt: skip
+"""Last words of effects that take an article."""
+
+
+def effect_words(name: str) -> str:
+    """`coulomb_friction` as `Coulomb friction`."""
+    return " ".join(_PROPER.get(word, word) for word in name.split("_"))
+
+
+def with_article(name: str) -> str:
+    """`a torque offset`, `Coulomb friction`."""
+    words = effect_words(name)
+    if not words.endswith(_COUNTED):
+        return words
+    return f"an {words}" if words[0] in "aeiou" else f"a {words}"
+
+
+def regime_words(name: str) -> str:
+    """`low_speed` as `low speed`."""
+    return name.replace("_", " ")
+
+
+def joints_words(joints: Iterable[int]) -> str:
+    """`joint 2`, `joints 2, 3 and 5`, or `the arm` for none.
+
+    Args:
+        joints: from 0.
+    """
+    numbers = [str(j + 1) for j in joints]
+    if not numbers:
+        return "the arm"
+    return f"joint{'s' if len(numbers) > 1 else ''} {listed(numbers)}"
+
+
+def measure(value: float, std: float | None, unit: str) -> str:
+    """`0.61 ± 0.02 N m`: as many decimals as the standard deviation has one or two digits for."""
+    if std is None or not math.isfinite(std) or std <= 0 or not math.isfinite(value):
+        return f"{value:.4g} {unit}".rstrip()
+    exponent = math.floor(math.log10(std))
+    decimals = (1 if std / 10**exponent < 1.95 else 0) - exponent
+    if -6 <= decimals < 0:
+        return f"{round(value, decimals):.0f} ± {round(std, decimals):.0f} {unit}".rstrip()
+    if abs(decimals) > 6:
+        return f"{value:.4g} ± {std:.1g} {unit}".rstrip()
+    return f"{value:.{decimals}f} ± {std:.{decimals}f} {unit}".rstrip()
+
+
+def unit_words(unit: str) -> str:
+    """`kg m^2` as `kg m²`."""
+    return unit.replace("^2", "²").replace("^3", "³")
+
+
+def percent(value: float) -> str:
+    """A fraction in percent; with a decimal where it would be taken for none or all."""
+    if not math.isfinite(value):
+        return "-"
+    if 1 - 5e-4 < value < 1:
+        return "> 99.9 %"
+    near = min(abs(value), abs(1 - value))
+    return f"{100 * value:.1f} %" if 5e-4 <= near < 5e-3 else f"{100 * value:.0f} %"
+
+
+def sure(value: float | None) -> str:
+    """A probability: `> 99 %`, or a dash where there is none."""
+    if value is None or math.isnan(value):
+        return "-"
+    return "> 99 %" if value > 0.99 else f"{100 * value:.0f} %"
+
+
+def interval(ends: tuple[float, float]) -> str:
+    """Of fractions, in percent: `[90, 95]`."""
+    low, high = (percent(x).removesuffix(" %") for x in ends)
+    return f"[{low}, {high}]"
+
+
+def short(name: str, length: int) -> str:
+    """A name cut to `length` characters."""
+    return name if len(name) <= length else name[: length - 1] + "…"
+
+
+def count(k: int, what: str, many: str = "") -> str:
+    """1 set, 2 sets."""
+    return f"{k} {what if k == 1 else many or what + 's'}"
+
+
+def listed(
+    words: Iterable[str], last: str = "and", nothing: str = "", most: int | None = None
+) -> str:
+    """`a, b and c`, or `a, b and 3 more` where there are more than `most`."""
+    every = list(words) or [nothing]
+    more = 0 if most is None else len(every) - most
+    *first, end = [*every[:most], f"{more} more"] if more > 0 else every
+    return f"{', '.join(first)} {last} {end}" if first else end
