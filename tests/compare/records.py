@@ -61,7 +61,7 @@ def identification(
         cutoff_choice=None, reversal=torch.zeros(robot.n, dtype=torch.float64),
         fit=Errors((f"run {seed}",), *errors), held_out=None, bounded=(), wrong_sign=(),
         undetermined=(), dropped=(), absorbed=(), rank_gap=base.rank_gap,
-        base=Grouping(parameter_names=base.parameter_names, grouping=base.grouping),
+        grouping=Grouping(parameter_names=base.parameter_names, grouping=base.grouping),
         base_names=base.names, values=values, covariance=covariance, factor=factor,
         statistics=StatisticsRecord(
             method="", blocks=blocks, block_seconds=1.0, correlation_seconds=0.1, quantile95=2.0

@@ -104,7 +104,7 @@ def test_torque_differences_are_those_of_the_models(tmp_path):
     motion = random_motion(robot)
     tau = []
     for r in results:
-        from torchid.identification.validation import model_torque
+        from torchid.identification.model import model_torque
 
         tau.append(
             torch.cat([model_torque(robot, r.base, r.effects, r.values, m) for m in motion.motions])

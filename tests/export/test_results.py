@@ -20,7 +20,7 @@ from torchid.export.tables import read_values
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, nominal_set, sets_record
 from torchid.identification.base_parameters import base_parameters, nominal_values
-from torchid.identification.validation import model_torque
+from torchid.identification.model import model_torque
 from torchid.position.model import ServoArm
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot, named_robot

@@ -15,7 +15,7 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.export.results import dynamics_of
 from torchid.identification.asked import asked_effects
 from torchid.identification.identify import Identification, Settings, identify
-from torchid.identification.values import placed_effects, prior_of, read_base, read_identification
+from torchid.identification.values import prior_of, read_base, read_identification
 from torchid.json_data import write_json
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
@@ -189,7 +189,7 @@ def test_it_is_read_back(written, tmp_path):
     assert entry["parameters"].keys() == CASES[written].keys()
     assert set(data["effects"][0]) == {"effect", "joints", "parameters", "std"}
     write_json(data, tmp_path / "found.json")
-    assert placed_effects(found.record, found.robot) == found.effects
+    assert found.record.placed == found.effects
     read = read_base(tmp_path / "found.json", found.robot)
     assert read.effects == found.effects
     torch.testing.assert_close(read.values, found.values)

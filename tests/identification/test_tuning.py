@@ -14,6 +14,7 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification import tuning
 from torchid.identification.identify import Settings, identify
 from torchid.identification.least_squares import fit
+from torchid.identification.model import model_torque
 from torchid.identification.rows import RowSource
 from torchid.identification.tuning import (
     CUTOFFS,
@@ -22,7 +23,6 @@ from torchid.identification.tuning import (
     choose_cutoff,
     choose_reversal,
 )
-from torchid.identification.validation import model_torque
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
 

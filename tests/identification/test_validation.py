@@ -12,7 +12,8 @@ from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.registry import on_every_joint
 from torchid.excitation.synthetic import HonestNoise
 from torchid.identification.base_parameters import base_parameters, random_states, stacked_regressor
-from torchid.identification.validation import errors, model_torque, predict
+from torchid.identification.model import model_torque
+from torchid.identification.validation import errors, predict
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot

@@ -13,6 +13,7 @@ from torchid.compare.record import (
     BirgeRecord,
     ComparedParameter,
     ComparisonRecord,
+    Judged,
     TorqueSpread,
     Verdict,
 )
@@ -59,7 +60,7 @@ class Compared:
 
 
 @dataclass(frozen=True)
-class Comparison(Result):
+class Comparison(Judged[Compared], Result):
     """All of it.
 
     Attributes:
@@ -108,10 +109,6 @@ class Comparison(Result):
                 typical=self.birge,
             ),
         )
-
-    def having(self, *verdicts: Verdict) -> list[Compared]:
-        """Parameters of these verdicts."""
-        return [p for p in self.parameters if p.verdict in verdicts]
 
 
 def compare_identifications(

@@ -16,8 +16,8 @@ from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
 from torchid.results.files import read
 from torchid.results.record import Record
-from torchid.robot.inertia import PARAMETERS_PER_LINK, parameter_names, parameter_units
-from torchid.robot.model import JointType, Robot
+from torchid.robot.inertia import PARAMETERS_PER_LINK
+from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
 
 _R = TypeVar("_R", bound=Record)
@@ -147,8 +147,17 @@ def read_identification(result: Compared[IdentificationRecord]) -> Identified:
         TorchidError: the record contradicts itself.
     """
     found = result.record
+    shaped = [e.effect for e in found.effects if e.places]
+    if shaped:
+        raise TorchidError(
+            "a comparison takes identifications whose effects have no shapes, memory or load, and "
+            "are on every joint.",
+            got=", ".join(shaped),
+            available=list(COLUMN_KINDS),
+        )
+    effects = tuple(on_every_joint(found.settings.effects, len(found.reversal)))
     try:
-        base, effects = _structure(found)
+        base = found.base
         b = len(base)
         factor = found.factor[:, :b]
         unknown = _mask(base, found.undetermined)
@@ -188,47 +197,8 @@ def read_identification(result: Compared[IdentificationRecord]) -> Identified:
         reversal=found.reversal,
         trajectories=found.fit.trajectories,
         robot=found.model,
-        earlier=tuple((found.knowledge or {}).get("sources", ())[:-1]),
+        earlier=tuple((found.sure or {}).get("sources", ())[:-1]),
     )
-
-
-def _structure(found: IdentificationRecord) -> tuple[BaseParameters, tuple[JointEffect, ...]]:
-    """Base parameters from the recorded grouping; the independent one of each leads its name."""
-    shaped = [e.effect for e in found.effects if e.places]
-    if shaped:
-        raise TorchidError(
-            "a comparison takes identifications whose effects have no shapes, memory or load, and "
-            "are on every joint.",
-            got=", ".join(shaped),
-            available=list(COLUMN_KINDS),
-        )
-    names, grouping = found.base.parameter_names, found.base.grouping
-    kinds = on_every_joint(found.settings.effects, 1)
-    n = len(names) // (PARAMETERS_PER_LINK + sum(len(e.coefficients) for e in kinds))
-    effects = on_every_joint([e.name for e in kinds], n)
-    if list(names) != parameter_names(n) + [c for e in effects for c in e.coefficient_names()]:
-        raise ValueError("the parameters' names do not fit the effects")
-    independent = [names.index(text.split()[0]) for text in found.base_names]
-    if not torch.equal(grouping[:, independent], torch.eye(len(grouping), dtype=grouping.dtype)):
-        raise ValueError("a base parameter of the grouping has no column of its own")
-    types = [JointType.REVOLUTE] * n if found.model is None else found.model.joint_types
-    units = parameter_units(n) + [
-        c.unit_for(types[e.joint] is JointType.PRISMATIC) for e in effects for c in e.coefficients
-    ]
-    rigid = PARAMETERS_PER_LINK * n
-    return BaseParameters(
-        names=found.base_names,
-        units=tuple(units[k] for k in independent),
-        parameter_names=names,
-        independent=tuple(independent),
-        dependent=tuple(sorted(set(range(len(names))) - set(independent))),
-        grouping=grouping,
-        basis=found.basis,
-        rank_gap=found.rank_gap,
-        n_rigid_parameters=rigid,
-        n_rigid=sum(k < rigid for k in independent),
-        warnings=(),
-    ), tuple(effects)
 
 
 def _mask(base: BaseParameters, names: Sequence[str]) -> Bool[Tensor, " B"]:

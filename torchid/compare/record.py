@@ -1,6 +1,7 @@
 """Comparisons as their JSON has them: the schema torchid.compare/1."""
 
-from typing import Literal
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Generic, Literal, Protocol, TypeVar, runtime_checkable
 
 from msgspec import UNSET, UnsetType, field
 
@@ -9,6 +10,15 @@ from torchid.typing import Bool, Float, Tensor
 
 Verdict = Literal["agree", "drift", "differ", "never_determined", "not_compared"]
 State = Literal["named", "not_testable", "not_found"]
+
+
+@runtime_checkable
+class _Verdict(Protocol):
+    @property
+    def verdict(self) -> Verdict: ...
+
+
+_P = TypeVar("_P", bound=_Verdict)
 
 
 class TorqueSpread(Part, frozen=True):
@@ -68,7 +78,25 @@ class WholeRecord(Part, frozen=True, kw_only=True):
     birge: Real
 
 
-class ComparisonRecord(Record, frozen=True, kw_only=True, tag="torchid.compare/1"):
+class Judged(Generic[_P]):
+    """Parameters with verdicts, compared just now or read back."""
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+
+        @property
+        def parameters(self) -> Sequence[_P]:
+            """All of them."""
+
+    def having(self, *verdicts: Verdict) -> list[_P]:
+        """Parameters of these verdicts."""
+        return [p for p in self.parameters if p.verdict in verdicts]
+
+
+class ComparisonRecord(
+    Judged[ComparedParameter], Record, frozen=True, kw_only=True, tag="torchid.compare/1"
+):
     """Identifications compared, as the JSON has it."""
 
     robot: str

@@ -16,7 +16,7 @@ from torchid.effects.registry import nominal_effects
 from torchid.excitation.design import base_regressor
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.identify import prepared
-from torchid.identification.validation import model_torque
+from torchid.identification.model import model_torque
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.robot.model import Robot

@@ -1,13 +1,12 @@
 """The whole examination: every check in turn, each on the log as the ones before have mended it."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from torchid.doctor.check import VERDICTS, Check
+from torchid.doctor.check import Check
 from torchid.doctor.clock import (
     check_clock,
     check_dropouts,
@@ -26,7 +25,7 @@ from torchid.doctor.motion import (
     check_position_unit,
     check_standstill,
 )
-from torchid.doctor.record import DoctorRecord, conclusion, record
+from torchid.doctor.record import DoctorRecord, Examined, conclusion, record
 from torchid.doctor.repair import Repair, repaired
 from torchid.doctor.samples import samples
 from torchid.doctor.search import CLEAR, Search, rms, search
@@ -53,7 +52,7 @@ MODEL_CHECKS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Examination(Result):
+class Examination(Examined[Check], Result):
     """What the doctor found.
 
     Attributes:
@@ -78,20 +77,9 @@ class Examination(Result):
         return record(self)
 
     @property
-    def applied(self) -> tuple[Check, ...]:
-        """Checks whose repairs are applied: those before the first that leaves a choice, since
-        what comes after rests on it."""
-        return tuple(itertools.takewhile(lambda c: not c.undecided, self.checks))
-
-    @property
     def repairs(self) -> tuple[Repair, ...]:
         """Everything that would mend the log and is not for somebody to choose, in order."""
         return tuple(r for c in self.applied for r in c.repairs)
-
-    @property
-    def undecided(self) -> tuple[Check, ...]:
-        """Checks that leave a choice between explanations that are equally good."""
-        return tuple(c for c in self.checks if c.undecided)
 
     @property
     def waiting(self) -> int:
@@ -107,10 +95,6 @@ class Examination(Result):
     def mended(self) -> Log:
         """A copy of the log with the repairs applied."""
         return repaired(self.log, self.repairs)
-
-    def by_verdict(self) -> list[Check]:
-        """The checks, wrong ones first."""
-        return sorted(self.checks, key=lambda c: VERDICTS.index(c.verdict))
 
 
 def examine(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> Examination:

@@ -1,10 +1,11 @@
 """An examination in a sentence or two, and as its JSON has it: the schema torchid.doctor/1."""
 
-from typing import TYPE_CHECKING
+import itertools
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from msgspec import UNSET, UnsetType
 
-from torchid.doctor.check import Check, Verdict
+from torchid.doctor.check import VERDICTS, Check, Verdict
 from torchid.json_data import plain
 from torchid.results.record import Joint, Part, Record, Rows
 from torchid.robot.model import joint_list
@@ -74,8 +75,45 @@ class CheckRecord(Part, frozen=True, kw_only=True):
     choices: tuple[Choosable, ...]
     chosen: str | None
 
+    @property
+    def undecided(self) -> bool:
+        """Whether somebody has to choose."""
+        return bool(self.choices) and self.chosen is None
 
-class DoctorRecord(Record, frozen=True, kw_only=True, tag="torchid.doctor/1"):
+
+_C = TypeVar("_C", Check, CheckRecord)
+
+
+class Examined(Generic[_C]):
+    """Checks of a log, made just now or read back."""
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+
+        @property
+        def checks(self) -> tuple[_C, ...]:
+            """In the order in which they were made."""
+
+    @property
+    def applied(self) -> tuple[_C, ...]:
+        """Checks whose repairs are applied: those before the first that leaves a choice, since
+        what comes after rests on it."""
+        return tuple(itertools.takewhile(lambda c: not c.undecided, self.checks))
+
+    @property
+    def undecided(self) -> tuple[_C, ...]:
+        """Checks that leave a choice between explanations that are equally good."""
+        return tuple(c for c in self.checks if c.undecided)
+
+    def by_verdict(self) -> list[_C]:
+        """The checks, wrong ones first."""
+        return sorted(self.checks, key=lambda c: VERDICTS.index(c.verdict))
+
+
+class DoctorRecord(
+    Examined[CheckRecord], Record, frozen=True, kw_only=True, tag="torchid.doctor/1"
+):
     """An examination as its JSON has it.
 
     Attributes:

@@ -13,7 +13,7 @@ from torchid.export.checks import Comparison, check_c, compared
 from torchid.export.dynamics import Dynamics, records, robot_torque
 from torchid.export.keeping import Draft, kept, staged
 from torchid.export.tables import physical, read_values, table
-from torchid.identification.validation import model_torque
+from torchid.identification.model import model_torque
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.robot.writer import robot_yaml

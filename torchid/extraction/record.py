@@ -2,11 +2,12 @@
 
 from typing import Any
 
+import torch
 from msgspec import UNSET, UnsetType, field
 
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.problem import Problem
-from torchid.feasibility.sets import SetEntry
+from torchid.feasibility.sets import SetEntry, SetsFile
 from torchid.results.record import Ends, Part, Real, Record, Rows
 from torchid.robot.library import named_record
 from torchid.typing import Float, Tensor
@@ -78,7 +79,7 @@ class ExtractedSet(SetEntry, frozen=True, kw_only=True):
     torque_error_percent: Float[Tensor, " n"]
 
 
-class ExtractionRecord(Record, frozen=True, kw_only=True, tag="torchid.extraction/1"):
+class ExtractionRecord(SetsFile, frozen=True, kw_only=True, tag="torchid.extraction/1"):
     """An extraction as its JSON has it.
 
     Attributes:
@@ -152,6 +153,11 @@ class AtlasRecord(Record, frozen=True, kw_only=True, tag="torchid.atlas/1"):
     radius: Real
     parameters: tuple[AtlasRange, ...]
     warnings: tuple[str, ...] = ()
+
+    @property
+    def narrowed(self) -> Float[Tensor, " Q"]:
+        """(Q,) width of the range over that of the bounds alone: 0 is known, 1 is not narrowed."""
+        return torch.tensor([r.share_of_bounds for r in self.parameters], dtype=torch.float64)
 
     @property
     def table(self) -> Rows[AtlasRange]:

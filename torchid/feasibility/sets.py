@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import torch
 from msgspec import UNSET, UnsetType
@@ -22,38 +22,31 @@ from torchid.typing import Float, Tensor
 _FILE = '{"sets": [{"id", "mass", "com", "inertia_about_com", ...}, ...]}'
 
 
-@dataclass(frozen=True, eq=False)
-class ParameterSets(Result):
-    """K candidate sets of physical parameters of one robot.
+class _Candidates:
+    """What K sets can do, made here or read back from their file."""
 
-    Attributes:
-        ids: (K,) what to call each.
-        parameters: inertial parameters, pi (K, n, 10) in the link frames.
-        effects: linear effects whose coefficients belong to the sets.
-        coefficients: (K, E) the effects' coefficients, in the effects' order [see each effect].
+    __slots__ = ()
 
-    >>> import torchid
-    >>> sets = nominal_set(torchid.load_robot("3r_friction"))
-    >>> len(sets), sets.vector.shape, sets.coefficient_names()[:2]
-    (1, torch.Size([1, 39]), ('Fv1', 'Fv2'))
-    """
+    if TYPE_CHECKING:
 
-    ids: tuple[str, ...]
-    parameters: InertialParameters
-    effects: tuple[JointEffect, ...]
-    coefficients: Float[Tensor, "K E"]
+        @property
+        def ids(self) -> tuple[str, ...]:
+            """(K,) what to call each."""
+
+        @property
+        def parameters(self) -> InertialParameters:
+            """Inertial parameters, pi (K, n, 10) in the link frames."""
+
+        @property
+        def effects(self) -> tuple[JointEffect, ...]:
+            """Linear effects whose coefficients belong to the sets."""
+
+        @property
+        def coefficients(self) -> Float[Tensor, "K E"]:
+            """(K, E) in the effects' order."""
 
     def __len__(self) -> int:
         return len(self.ids)
-
-    def __repr__(self) -> str:
-        links, count = self.parameters.pi.shape[-2], self.coefficients.shape[-1]
-        return f"ParameterSets({len(self)} of {links} links and {count} coefficients of effects)"
-
-    @property
-    def record(self) -> "SetsRecord":
-        """As sets.json has it, without a robot's name."""
-        return sets_record(self, None)
 
     @property
     def vector(self) -> Float[Tensor, "K P"]:
@@ -90,6 +83,37 @@ class ParameterSets(Result):
     def to_robot(self, robot: Robot, k: int) -> Robot:
         """The robot with set k as its nominal parameters."""
         return robot.with_parameters(InertialParameters(self.parameters.pi[k].clone()))
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterSets(_Candidates, Result):
+    """K candidate sets of physical parameters of one robot.
+
+    Attributes:
+        ids: (K,) what to call each.
+        parameters: inertial parameters, pi (K, n, 10) in the link frames.
+        effects: linear effects whose coefficients belong to the sets.
+        coefficients: (K, E) the effects' coefficients, in the effects' order [see each effect].
+
+    >>> import torchid
+    >>> sets = nominal_set(torchid.load_robot("3r_friction"))
+    >>> len(sets), sets.vector.shape, sets.coefficient_names()[:2]
+    (1, torch.Size([1, 39]), ('Fv1', 'Fv2'))
+    """
+
+    ids: tuple[str, ...]
+    parameters: InertialParameters
+    effects: tuple[JointEffect, ...]
+    coefficients: Float[Tensor, "K E"]
+
+    def __repr__(self) -> str:
+        links, count = self.parameters.pi.shape[-2], self.coefficients.shape[-1]
+        return f"ParameterSets({len(self)} of {links} links and {count} coefficients of effects)"
+
+    @property
+    def record(self) -> "SetsRecord":
+        """As sets.json has it, without a robot's name."""
+        return sets_record(self, None)
 
 
 def coefficient_reasons(effects: Sequence[JointEffect]) -> tuple[str, ...]:
@@ -166,7 +190,55 @@ class SetEntry(Part, frozen=True, kw_only=True):
         return pi
 
 
-class SetsRecord(Record, frozen=True, kw_only=True, tag="torchid.parameter_sets/1"):
+class SetsFile(_Candidates, Record, frozen=True, kw_only=True):
+    """A file that holds sets, by the names that `ParameterSets` has; asked one by one, each reads
+    them anew.
+
+    Attributes:
+        sets: at least one.
+    """
+
+    if TYPE_CHECKING:
+
+        @property
+        def sets(self) -> Sequence[SetEntry]:
+            """As the file has them."""
+
+    def __len__(self) -> int:
+        return len(self.sets)
+
+    @property
+    def candidates(self) -> ParameterSets:
+        """The sets, ready to be computed with.
+
+        Raises:
+            TorchidError: no sets, or sets of different robots or effects.
+        """
+        n = len(self.sets[0].mass) if self.sets else 0
+        return sets_of(self.sets, n, "the file")
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """(K,) what to call each."""
+        return self.candidates.ids
+
+    @property
+    def parameters(self) -> InertialParameters:
+        """Inertial parameters, pi (K, n, 10) in the link frames."""
+        return self.candidates.parameters
+
+    @property
+    def effects(self) -> tuple[JointEffect, ...]:
+        """Linear effects whose coefficients belong to the sets."""
+        return self.candidates.effects
+
+    @property
+    def coefficients(self) -> Float[Tensor, "K E"]:
+        """(K, E) in the effects' order."""
+        return self.candidates.coefficients
+
+
+class SetsRecord(SetsFile, frozen=True, kw_only=True, tag="torchid.parameter_sets/1"):
     """A file of sets.
 
     Attributes:
@@ -274,32 +346,42 @@ def read_sets(path: str | Path, robot: Robot) -> ParameterSets:
     ('3r',)
     """
     path = Path(path)
-    entries = _file(path).sets
+    return sets_of(_file(path).sets, robot.n, f"'{path}'")
+
+
+def sets_of(entries: Sequence["SetEntry"], n: int, source: str) -> ParameterSets:
+    """The sets of a file, of a robot with n links; see `read_sets`.
+
+    Args:
+        entries: of the file.
+        n: number of links.
+        source: what the file is called in errors.
+    """
     if not entries:
-        raise TorchidError(f"'{path}' holds no parameter sets.", expected=_FILE)
+        raise TorchidError(f"{source} holds no parameter sets.", expected=_FILE)
     parts = []
     for k, entry in enumerate(entries, start=1):
-        where = f"'{path}': set {k}"
-        if len(entry.mass) != robot.n:
+        where = f"{source}: set {k}"
+        if len(entry.mass) != n:
             raise TorchidError(
                 f"{where} is of another robot.",
                 got=f"{len(entry.mass)} links",
-                expected=f"this robot's {robot.n} links",
+                expected=f"this robot's {n} links",
             )
-        effects, values = _read_effects(entry.effects or (), robot, where)
+        effects, values = _read_effects(entry.effects or (), n, where)
         name = k if entry.id is None else entry.id
         pi = InertialParameters(entry.pi.unsqueeze(0))
         parts.append(ParameterSets((str(name),), pi, effects, values.reshape(1, -1)))
     for part in parts[1:]:
         if part.effects != parts[0].effects:
             raise TorchidError(
-                f"'{path}': all sets must have the same effects.",
+                f"{source}: all sets must have the same effects.",
                 got=list(part.coefficient_names()),
                 expected=list(parts[0].coefficient_names()),
             )
     ids = [part.ids[0] for part in parts]
     if len(set(ids)) != len(ids):
-        raise TorchidError(f"'{path}': two sets have the same id.", got=ids)
+        raise TorchidError(f"{source}: two sets have the same id.", got=ids)
     return joined(parts)
 
 
@@ -359,7 +441,7 @@ def _file(path: Path) -> _Sets:
 
 
 def _read_effects(
-    data: Sequence[Values], robot: Robot, where: str
+    data: Sequence[Values], n: int, where: str
 ) -> tuple[tuple[JointEffect, ...], Tensor]:
     effects: list[JointEffect] = []
     values: list[float] = []
@@ -372,11 +454,11 @@ def _read_effects(
             )
         kind = column_kind(str(record["effect"]))
         joint = record.get("joint")
-        if not isinstance(joint, int) or not 1 <= joint <= robot.n:
+        if not isinstance(joint, int) or not 1 <= joint <= n:
             raise TorchidError(
                 f"{where}: {kind.name} is on a joint that does not exist.",
                 got=joint,
-                available=list(range(1, robot.n + 1)),
+                available=list(range(1, n + 1)),
             )
         if kind(joint - 1) in effects:
             raise TorchidError(f"{where}: {kind.name} of joint {joint} is listed twice.")

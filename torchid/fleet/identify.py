@@ -127,7 +127,6 @@ class Fleet(Result):
             version=__version__,
             base_names=self.base.names,
             parameters=[self._parameter(b, ci[b].tolist()) for b in range(len(self.base))],
-            odd=self.oddities,
             units=units,
             sessions=[
                 SessionRow.of(estimate, unit=u.unit, session=name)

@@ -153,7 +153,7 @@ class FleetRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet/1"):
         version: of torchid.
         base_names: (B,) of the base parameters.
         parameters: over the fleet.
-        odd: what is odd about which unit, the clearest first.
+        oddities: what is odd about which unit, the clearest first.
         units, sessions, logs: one entry each.
         values: (B,) one fit of all rows of all units.
         noise: (n,) what each joint leaves beside it [N m; N].
@@ -168,7 +168,7 @@ class FleetRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet/1"):
     version: str
     base_names: tuple[str, ...]
     parameters: tuple[PooledParameter, ...]
-    odd: tuple[Oddity, ...]
+    oddities: tuple[Oddity, ...] = field(name="odd")
     units: tuple[UnitRow, ...]
     sessions: tuple[SessionRow, ...]
     logs: tuple[LogRow, ...]
@@ -177,6 +177,11 @@ class FleetRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet/1"):
     settings: FleetSettingsRecord
     notes: tuple[str, ...]
     seed: int | UnsetType = UNSET
+
+    @property
+    def odd(self) -> tuple[str, ...]:
+        """Units that are called odd."""
+        return tuple(u.unit for u in self.units if u.odd)
 
     @property
     def table(self) -> Rows[PooledParameter]:

@@ -172,11 +172,7 @@ def base_parameters(
     motion = random_states(robot, seed, samples)
     y = stacked_regressor(robot, effects, motion)
     names = parameter_names(robot.n) + coefficient_names(effects)
-    units = parameter_units(robot.n) + [
-        c.unit_for(robot.joint_types[e.joints[0]] is JointType.PRISMATIC)
-        for e in effects
-        for c in e.coefficients
-    ]
+    units = all_units(robot.joint_types, effects)
     rigid = PARAMETERS_PER_LINK * robot.n
     basis = robot.basis if basis is None else basis
     return group_columns(y, names, units, n_rigid_parameters=rigid, basis=basis)
@@ -196,6 +192,15 @@ def nominal_values(robot: Robot, base: BaseParameters) -> Float[Tensor, " B"]:
     coefficients = torch.tensor([known.get(name, 0.0) for name in names], dtype=torch.float64)
     rigid = robot.require_parameters("its base parameters").to_paper_order().double()
     return base.project(torch.cat([rigid, coefficients]))
+
+
+def all_units(types: Sequence[JointType], effects: Sequence[Effect]) -> list[str]:
+    """Units (P,) of all parameters of an arm with these joints: the links', then the effects'."""
+    return parameter_units(len(types)) + [
+        c.unit_for(types[e.joints[0]] is JointType.PRISMATIC)
+        for e in effects
+        for c in e.coefficients
+    ]
 
 
 def coefficient_names(effects: Sequence[Effect]) -> list[str]:

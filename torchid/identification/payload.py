@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 import torch
 from msgspec import UNSET, UnsetType, field
@@ -117,13 +117,30 @@ class PayloadFrames(Part, frozen=True):
     tool: Body
 
 
-class PayloadRecord(Record, frozen=True, kw_only=True, tag="torchid.payload/1"):
+class _Carried:
+    """What a payload can say, computed or read back."""
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+
+        @property
+        def effect_changes(self) -> tuple[Change, ...]:
+            """Of friction and other effects."""
+
+    @property
+    def friction_changes(self) -> tuple[Change, ...]:
+        """Effects that changed beyond their 95 % intervals."""
+        return tuple(c for c in self.effect_changes if c.significant)
+
+
+class PayloadRecord(_Carried, Record, frozen=True, kw_only=True, tag="torchid.payload/1"):
     """A payload as its JSON has it; see Payload."""
 
     robot: str
     model: Model
     frames: PayloadFrames
-    parameters: PayloadParameters
+    estimate: PayloadParameters = field(name="parameters")
     degrees_of_freedom: Real
     quantile: Real = field(name="quantile95")
     seen: bool
@@ -140,13 +157,38 @@ class PayloadRecord(Record, frozen=True, kw_only=True, tag="torchid.payload/1"):
     seed: int | UnsetType = UNSET
 
     @property
+    def link(self) -> Body:
+        """In the last link's frame."""
+        return self.frames.last_link
+
+    @property
+    def tool(self) -> Body:
+        """In the tool's frame."""
+        return self.frames.tool
+
+    @property
+    def parameters(self) -> Float[Tensor, "10"]:
+        """(10,) in the last link's frame."""
+        return self.estimate.parameters
+
+    @property
+    def covariance(self) -> Float[Tensor, "10 10"]:
+        """Theirs."""
+        return self.estimate.covariance
+
+    @property
+    def determined(self) -> Bool[Tensor, "10"]:
+        """(10,) which of them the arm and the logs determine."""
+        return self.estimate.determined
+
+    @property
     def table(self) -> Rows[Change]:
         """What changed beside the payload."""
         return Rows((*self.effect_changes, *self.unexplained))
 
 
 @dataclass(frozen=True, eq=False)
-class Payload(Result):
+class Payload(_Carried, Result):
     """What the last link carries.
 
     Attributes:
@@ -204,13 +246,8 @@ class Payload(Result):
         return PayloadRecord.of(
             self,
             frames=PayloadFrames(self.link, self.tool),
-            parameters=PayloadParameters.of(self, names=PARAMETER_NAMES, frame="last_link"),
+            estimate=PayloadParameters.of(self, names=PARAMETER_NAMES, frame="last_link"),
         )
-
-    @property
-    def friction_changes(self) -> tuple[Change, ...]:
-        """Effects that changed beyond their 95 % intervals."""
-        return tuple(c for c in self.effect_changes if c.significant)
 
     @property
     def undetermined(self) -> tuple[str, ...]:

@@ -1,17 +1,22 @@
 """An identification as its JSON has it: the schema torchid.identification/1."""
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
+import torch
 from msgspec import UNSET, UnsetType, field
 
+from torchid.effects.base import Effect
+from torchid.effects.registry import effect_from_record, effect_kind, on_every_joint
+from torchid.errors import TorchidError
+from torchid.identification.base_parameters import BaseParameters, all_units, coefficient_names
+from torchid.identification.model import Blocks, IdentifiedModel
 from torchid.identification.settings import Rows
-from torchid.results.record import FINITE, Ends, Model, Part, Real, Record, Values, face
+from torchid.results.record import FINITE, Ends, Model, Part, Real, Record, Values
 from torchid.results.record import Rows as Table
-from torchid.robot.model import Basis, Robot
-from torchid.typing import Float, Tensor
-
-if TYPE_CHECKING:
-    from torchid.excitation.informed import InformedDesign
+from torchid.robot.inertia import PARAMETERS_PER_LINK, parameter_names
+from torchid.robot.knowledge import Knowledge, from_mapping
+from torchid.robot.model import Basis, JointType, Robot
+from torchid.typing import Bool, Float, Tensor
 
 
 class BaseParameter(Part, frozen=True, kw_only=True):
@@ -101,7 +106,7 @@ class FittedRows(Part, frozen=True):
     inflation: Float[Tensor, " B"] | None = None
 
 
-class StatisticsRecord(Part, frozen=True, kw_only=True):
+class StatisticsRecord(Blocks, Part, frozen=True, kw_only=True):
     """Of the standard deviations; quantile95 is half of the interval in them."""
 
     method: str
@@ -129,7 +134,9 @@ class SettingsRecord(Part, frozen=True, kw_only=True):
     force: bool = False
 
 
-class IdentificationRecord(Record, frozen=True, kw_only=True, tag="torchid.identification/1"):
+class IdentificationRecord(
+    IdentifiedModel, Record, frozen=True, kw_only=True, tag="torchid.identification/1"
+):
     """An identification as its JSON has it; B base parameters.
 
     Attributes:
@@ -143,12 +150,12 @@ class IdentificationRecord(Record, frozen=True, kw_only=True, tag="torchid.ident
         fit, held_out: torque errors.
         bounded, wrong_sign, undetermined, dropped, absorbed: names.
         rank_gap: singular values on both sides of the rank.
-        base: how base parameters are sums.
+        grouping: how base parameters are sums.
         base_names, base_values, covariance, factor: of all of them.
         rows, statistics, settings: how they were found.
         warnings: sentences for the user.
         model: the robot.
-        knowledge: how sure it is, as a robot's yaml has it; None in older files.
+        sure: how sure it is, as a robot's yaml has it; None in older files.
         seed: from a command.
     """
 
@@ -173,7 +180,7 @@ class IdentificationRecord(Record, frozen=True, kw_only=True, tag="torchid.ident
     dropped: tuple[str, ...]
     absorbed: tuple[str, ...]
     rank_gap: tuple[Real, Real]
-    base: Grouping = field(name="grouping")
+    grouping: Grouping
     base_names: tuple[str, ...]
     values: Annotated[Float[Tensor, " B"], FINITE] = field(name="base_values")
     covariance: Annotated[Float[Tensor, "B B"], FINITE]
@@ -183,13 +190,13 @@ class IdentificationRecord(Record, frozen=True, kw_only=True, tag="torchid.ident
     settings: SettingsRecord
     warnings: tuple[str, ...]
     model: Model | None = None
-    knowledge: dict[str, list[str]] | None = None
+    sure: dict[str, list[str]] | None = field(name="knowledge", default=None)
     seed: int | UnsetType = UNSET
 
     def __post_init__(self) -> None:
         super().__post_init__()
         b = len(self.values)
-        if (len(self.base_names), len(self.base.grouping), len(self.factor)) != (b, b, b + 1):
+        if (len(self.base_names), len(self.grouping.grouping), len(self.factor)) != (b, b, b + 1):
             raise ValueError("base_names, grouping and factor do not fit the base_values")
         strange = set(self.undetermined) - set(self.base_names)
         if strange:
@@ -200,6 +207,84 @@ class IdentificationRecord(Record, frozen=True, kw_only=True, tag="torchid.ident
         """The rigid base parameters."""
         return Table(self.parameters)
 
-    def next_motion(self, robot: Robot | None = None, **settings: Any) -> "InformedDesign":
-        """The motion after which the parameters are known best; see `excite_for`."""
-        return face("excite_for")(self, robot, **settings)
+    @property
+    def uncertainty(self) -> StatisticsRecord:
+        """Of the standard deviations, as `Identification` calls it."""
+        return self.statistics
+
+    @property
+    def free(self) -> Bool[Tensor, " B"]:
+        """(B,) estimated; the others are 0."""
+        held = {*self.bounded, *self.undetermined, *self.dropped}
+        return torch.tensor([name not in held for name in self.base_names])
+
+    @property
+    def knowledge(self) -> Knowledge | None:
+        """Of base parameters and coefficients; None in older files."""
+        where = f"an identification of '{self.robot}'"
+        return None if self.sure is None else from_mapping(self.sure, len(self.reversal), where)
+
+    @property
+    def placed(self) -> tuple[Effect, ...]:
+        """The effects, in the order of their coefficients."""
+        if any(entry.places for entry in self.effects):
+            return self.placed_on(self._robot)
+        return tuple(on_every_joint(self.settings.effects, len(self.reversal)))
+
+    def placed_on(self, robot: Robot) -> tuple[Effect, ...]:
+        """The effects on a robot, in the order of their coefficients.
+
+        Raises:
+            TorchidError: an unknown effect, or a place that the robot does not have.
+        """
+        if not any(entry.places for entry in self.effects):
+            return tuple(on_every_joint(self.settings.effects, robot.n))
+        out: list[Effect] = []
+        for entry in self.effects:
+            if not entry.places:
+                out += on_every_joint([entry.effect], robot.n)
+                continue
+            zeros = {c.name: 0.0 for c in effect_kind(entry.effect).coefficients}
+            for place in entry.places:
+                out.append(effect_from_record({"effect": entry.effect, **zeros, **place}, robot)[0])
+        return tuple(out)
+
+    @property
+    def base(self) -> BaseParameters:
+        """The base parameters' structure, as recorded: the first of each sum stands for it; in
+        older files, which do not hold the robot, units are those of revolute joints.
+
+        Raises:
+            TorchidError: the record contradicts itself.
+        """
+        names, n, effects = self.grouping.parameter_names, len(self.reversal), self.placed
+        rigid = PARAMETERS_PER_LINK * n
+        if list(names) != parameter_names(n) + coefficient_names(effects):
+            raise _incomplete("the parameters' names do not fit the effects")
+        matrix = self.grouping.grouping
+        independent = [names.index(text.split()[0]) for text in self.base_names]
+        if not torch.equal(matrix[:, independent], torch.eye(len(matrix), dtype=matrix.dtype)):
+            raise _incomplete("a base parameter of the grouping has no column of its own")
+        types = [JointType.REVOLUTE] * n if self.model is None else self.model.joint_types
+        units = all_units(types, effects)
+        return BaseParameters(
+            names=self.base_names,
+            units=tuple(units[k] for k in independent),
+            parameter_names=names,
+            independent=tuple(independent),
+            dependent=tuple(sorted(set(range(len(names))) - set(independent))),
+            grouping=matrix,
+            basis=self.basis,
+            rank_gap=self.rank_gap,
+            n_rigid_parameters=rigid,
+            n_rigid=sum(k < rigid for k in independent),
+            warnings=(),
+        )
+
+
+def _incomplete(what: str) -> TorchidError:
+    return TorchidError(
+        "this is not a complete identification.",
+        got=what,
+        hint="write it again: torchid identify ROBOT LOG... --json FILE",
+    )

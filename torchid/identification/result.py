@@ -1,18 +1,14 @@
 """What an identification found, and what its user must know about it."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-import torch
-
-from torchid.effects.base import Effect, Motion
+from torchid.effects.base import Effect
 from torchid.effects.registry import COLUMN_KINDS
-from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters, physical_signs
+from torchid.identification.model import IdentifiedModel
 from torchid.identification.record import (
     BaseParameter,
     EffectRecord,
@@ -24,17 +20,13 @@ from torchid.identification.record import (
 from torchid.identification.settings import Settings
 from torchid.identification.statistics import Uncertainty
 from torchid.identification.tuning import CutoffChoice
-from torchid.identification.validation import Prediction, model_torque
+from torchid.identification.validation import Prediction
 from torchid.json_data import plain
 from torchid.results.record import Result
 from torchid.robot.knowledge import Knowledge, to_mapping
 from torchid.robot.library import named_record
 from torchid.robot.model import Robot
-from torchid.tensors import joint_signals
-from torchid.typing import Bool, Float, Joints, Numbers, Tensor
-
-if TYPE_CHECKING:
-    from torchid.excitation.informed import InformedDesign
+from torchid.typing import Bool, Float, Tensor
 
 UNEXPLAINED = 50.0
 """Relative torque error above which a joint's model is called useless [%]."""
@@ -44,7 +36,7 @@ MUCH_STANDSTILL = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Identification(Result):
+class Identification(IdentifiedModel, Result):
     """Base parameters identified from logs.
 
     Attributes:
@@ -124,6 +116,7 @@ class Identification(Result):
             combined=[self._parameter(b) for b in combined],
             absorbed=base.absorbed_effects(),
             rank_gap=base.rank_gap,
+            grouping=base,
             base_names=base.names,
             statistics=StatisticsRecord.of(
                 uncertainty,
@@ -131,7 +124,7 @@ class Identification(Result):
                 quantile95=uncertainty.quantile(0.95),
             ),
             model=self.robot,
-            knowledge=None if self.knowledge is None else to_mapping(self.knowledge),
+            sure=None if self.knowledge is None else to_mapping(self.knowledge),
         )
 
     def _parameter(self, k: int) -> BaseParameter:
@@ -186,88 +179,15 @@ class Identification(Result):
                 )
         return [EffectRecord.of(**entry) for entry in found.values()]
 
-    def next_motion(self, robot: Robot | None = None, **settings: Any) -> "InformedDesign":
-        """The motion after which the parameters are known best; see `excite_for`."""
-        return self.record.next_motion(robot, **settings)
+    @property
+    def model(self) -> Robot:
+        """The robot, as what is loaded calls it."""
+        return self.robot
 
     @property
-    def std(self) -> Float[Tensor, " B"]:
-        """Standard deviations (B,); 0 for parameters that are not free."""
-        return self.covariance.diagonal().clamp(min=0).sqrt()
-
-    @property
-    def relative_std_percent(self) -> Float[Tensor, " B"]:
-        """100 std / |value| (B,); nan for parameters that are not free."""
-        return 100 * self.std / self.values.abs()
-
-    def interval(self, level: float = 0.95) -> Float[Tensor, "B 2"]:
-        """Confidence intervals (B, 2) of the given level, by Student's quantile.
-
-        Raises:
-            TorchidError: the level does not lie between 0 and 1.
-        """
-        if not 0 < level < 1:
-            raise TorchidError("a confidence level lies between 0 and 1.", got=level, expected=0.95)
-        half = self.uncertainty.quantile(level) * self.std
-        return torch.stack([self.values - half, self.values + half], -1)
-
-    def predict(
-        self,
-        q: Numbers,
-        dq: Numbers,
-        ddq: Numbers,
-        t: Sequence[float] | np.ndarray | Tensor | None = None,
-    ) -> Joints:
-        """Joint torques (..., n) [N m; N] of the identified model, from tensors or arrays.
-
-        The direction of motion is the sign of dq here; on logs, `validation.predict` uses the
-        direction with hysteresis, as the fit does.
-
-        Args:
-            q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints]; (T, n) along a
-                trajectory where an effect remembers its past (presliding_hysteresis).
-            t: (...,) [s] since the log began, which friction that warms up needs.
-
-        Raises:
-            TorchidError: not numbers of all joints, or no time or trajectory where an effect needs
-                one.
-        """
-        state = joint_signals(self.robot.n, q=q, dq=dq, ddq=ddq)
-        values = self.values.to(state[0])
-        for effect in self.effects:
-            if "t" in effect.needs and t is None:
-                raise TorchidError(f"{effect.name} needs the time.", expected="predict(.., t=..)")
-            if getattr(effect, "memory", False) and state[0].ndim < 2:
-                raise TorchidError(
-                    f"{effect.name} depends on the past.",
-                    got=tuple(state[0].shape),
-                    expected=f"a trajectory (T, {self.robot.n})",
-                )
-        when = None if t is None else torch.as_tensor(t).to(state[0])
-        motion = Motion(state[0], state[1], state[2], t=when)
-        return model_torque(self.robot, self.base, self.effects, values, motion)
-
-    def residual(self, q: Numbers, dq: Numbers, ddq: Numbers, tau: Numbers) -> Joints:
-        """Measured minus predicted torque (..., n)."""
-        return joint_signals(self.robot.n, tau=tau)[0] - self.predict(q, dq, ddq)
-
-    def combination(self, weights: Float[Tensor, " P"]) -> tuple[float, float]:
-        """Value and standard deviation of a linear combination of all parameters.
-
-        Args:
-            weights: (P,) over `base.parameter_names`.
-
-        Raises:
-            TorchidError: the torque, or this log, does not determine this combination.
-        """
-        row = weights[list(self.base.independent)]
-        if not torch.allclose(row @ self.base.grouping, weights, atol=1e-8):
-            raise TorchidError("the torque does not determine this combination of parameters.")
-        used = [name for name, w in zip(self.base.names, row.tolist(), strict=True) if w != 0]
-        unknown = sorted(set(used) & set(self.undetermined))
-        if unknown:
-            raise TorchidError("this log does not determine this combination.", got=unknown)
-        return float(row @ self.values), float((row @ self.covariance @ row).clamp(min=0).sqrt())
+    def placed(self) -> tuple[Effect, ...]:
+        """The effects, as what is loaded calls them."""
+        return self.effects
 
 
 def findings(result: Identification) -> list[str]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import torch
 
 from torchid.identification.least_squares import Fit, whitened_rows
+from torchid.identification.model import Blocks
 from torchid.identification.rows import RowSource
 from torchid.statistics import jackknife as blocks_jackknife
 from torchid.statistics.autocorrelation import CORRELATION_TIMES, correlation_instants
@@ -14,7 +15,7 @@ from torchid.typing import Bool, Float, Tensor
 
 
 @dataclass(frozen=True)
-class Uncertainty:
+class Uncertainty(Blocks):
     """Covariance of the coefficients, in the layout's order.
 
     Attributes:
@@ -38,11 +39,6 @@ class Uncertainty:
     def std(self) -> Float[Tensor, " B"]:
         """Standard deviations (B,)."""
         return self.covariance.diagonal().clamp(min=0).sqrt()
-
-    def quantile(self, level: float = 0.95) -> float:
-        """Half-width of a two-sided interval in standard deviations (Student, K - 1)."""
-        freedom = torch.tensor([self.blocks - 1.0])
-        return float(blocks_jackknife.student_quantile(level, freedom))
 
 
 def jackknife(source: RowSource, fit: Fit) -> Uncertainty:

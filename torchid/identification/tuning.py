@@ -20,8 +20,8 @@ import torch
 from torchid.design.motion import Measurement, fast_speed, measurements, moves
 from torchid.errors import LogError
 from torchid.identification.least_squares import factor, fit, solve, stacked_factor
+from torchid.identification.model import model_torque
 from torchid.identification.rows import Layout, RowSource
-from torchid.identification.validation import model_torque
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate

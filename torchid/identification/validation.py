@@ -8,13 +8,11 @@ from operator import add
 import torch
 
 from torchid.design.motion import Measurement, moves
-from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Effect, JointEffect, Motion
-from torchid.effects.registry import in_rounds
 from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.model import model_torque
 from torchid.identification.record import Errors
 from torchid.log.filtering import ZeroPhaseFilter, extended
-from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Samples, Tensor
 
@@ -67,42 +65,6 @@ class Prediction:
     predicted: Samples
     moving: Bool[Tensor, "T n"]
     sums: Sums
-
-
-def model_torque(
-    robot: Robot,
-    base: BaseParameters,
-    effects: Sequence[Effect],
-    values: Float[Tensor, " B"],
-    motion: Motion,
-    *,
-    load_only: bool = False,
-) -> Float[Tensor, "*batch n"]:
-    """Torque (..., n) of base parameters and effects.
-
-    Args:
-        robot, base, effects, values: the model; the values (B,) are those of `base`.
-        motion: states (..., n).
-        load_only: whether to leave out effects of the torque. The rest is the load that they see.
-    """
-    # The independent parameters carry the base values and the dependent ones are zero, which is one
-    # of the full sets with these.
-    full = values.new_zeros(len(base.parameter_names))
-    full[list(base.independent)] = values
-    rigid, rest = full.tensor_split([base.n_rigid_parameters])
-    parts = rest.split([len(e.coefficients) for e in effects])
-    valued = [(e, x.tolist()) for e, x in zip(effects, parts, strict=True)]
-    first, later = in_rounds(valued)
-    tau = inverse_dynamics(robot, *motion.state, InertialParameters.from_paper_order(rigid))
-    for effect, own in first:
-        if isinstance(effect, JointEffect):
-            tau[..., effect.joint] += effect.torque(motion, own)
-        else:
-            tau = tau + effect.all_torques(motion, own, robot)
-    if load_only or not later:
-        return tau
-    loaded = motion._replace(torque=tau)
-    return tau + sum(effect.all_torques(loaded, own, robot) for effect, own in later)
 
 
 def pieces(m: Measurement, start: int, stop: int, effects: Sequence[Effect]) -> list[slice]:

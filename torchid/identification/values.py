@@ -9,10 +9,7 @@ import torch
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.registry import (
     COLUMN_KINDS,
-    effect_from_record,
-    effect_kind,
     nominal_columns,
-    on_every_joint,
 )
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters, base_parameters, nominal_values
@@ -174,7 +171,7 @@ def recorded_base(found: IdentificationRecord, robot: Robot, source: str) -> Bas
     Raises:
         TorchidError: another robot's.
     """
-    effects = placed_effects(found, robot)
+    effects = found.placed_on(robot)
     base = base_parameters(robot, effects, basis=found.basis)
     if base.names != found.base_names:
         differing = [n for n in found.base_names if n not in base.names]
@@ -186,28 +183,9 @@ def recorded_base(found: IdentificationRecord, robot: Robot, source: str) -> Bas
             hint="of the same robot by an older torchid: identify again",
         )
     known = torch.tensor([name not in found.undetermined for name in base.names])
-    data = found.knowledge
+    data = found.sure
     sure = None if data is None else from_mapping(data, robot.n, source)
     return BaseValues(base, effects, found.values, known, found.covariance, found.factor, sure)
-
-
-def placed_effects(found: IdentificationRecord, robot: Robot) -> tuple[Effect, ...]:
-    """The effects of an identification's record, in the order of their coefficients.
-
-    Raises:
-        TorchidError: an unknown effect, or a place that the robot does not have.
-    """
-    if not any(entry.places for entry in found.effects):
-        return tuple(on_every_joint(found.settings.effects, robot.n))
-    out: list[Effect] = []
-    for entry in found.effects:
-        if not entry.places:
-            out += on_every_joint([entry.effect], robot.n)
-            continue
-        zeros = {c.name: 0.0 for c in effect_kind(entry.effect).coefficients}
-        for place in entry.places:
-            out.append(effect_from_record({"effect": entry.effect, **zeros, **place}, robot)[0])
-    return tuple(out)
 
 
 @dataclass(frozen=True, eq=False)

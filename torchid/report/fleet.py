@@ -56,7 +56,7 @@ def verdict(found: FleetRecord) -> str:
     """How many units there are, and which are odd."""
     used = [log for log in found.logs if log.verdict in USED]
     hours = sum(log.seconds for log in used) / 3600
-    odd = [u.unit for u in found.units if u.odd]
+    odd = found.odd
     said = (
         f"{found.robot}: {count(len(found.units), 'unit')}, "
         f"{count(len(found.sessions), 'session')}, {count(len(used), 'log')}, {hours:.3g} h of "
@@ -110,7 +110,7 @@ def odd_table(found: FleetRecord) -> Table:
             o.unit, short(o.parameter, LONGEST), f"{_number(o.value)} ± {_number(o.std, '.2g')}",
             _number(o.others), _number(o.spread, ".2g"), f"{o.deviation:+.1f}", f"{o.p:.1e}",
         ]
-        for o in found.odd
+        for o in found.oddities
     ]  # fmt: skip
     share = f"{100 * found.settings.level:g} %"
     note = f"Of units called odd {share} are expected to be false (Benjamini and Hochberg)."

@@ -1,0 +1,67 @@
+"""What is loaded can do what was saved: a method of a result is one of its record, too."""
+
+import inspect
+from dataclasses import fields
+from importlib import import_module
+from pkgutil import walk_packages
+
+import pytest
+
+import torchid
+from torchid.results.files import RECORDS
+from torchid.results.record import Record, Result
+
+CANNOT = {
+    # The log, or what is to be done to it, is not in the file.
+    "Examination": {"mended", "waiting"},
+    # The population of the search is not in the file; the sets that came of it are.
+    "Extraction": {"found"},
+    # How base parameters are sums is not in the file.
+    "Fleet": {"base"},
+    # The file holds the tables that were computed of these.
+    "EqualTorqueStudy": {
+        "carried", "compared", "degree", "distances", "rows", "samples", "tightest", "worst",
+    },
+    # Robots, simulators and logs that files are written from, or replayed, are not in the file.
+    "Correction": {"files"},
+    "PositionCorrection": {"files"},
+    "Randomisation": {"one", "write"},
+    "ServoRandomisation": {"write"},
+    "PositionDiagnosis": {"closed", "corrected", "unseen"},
+    "Replay": {"error"},
+}  # fmt: skip
+"""What a loaded result cannot do, and why."""
+
+
+def _all() -> dict[type[Result], type[Record]]:
+    """Every result, and what it is read back as."""
+    for module in walk_packages(torchid.__path__, "torchid."):
+        if not module.name.endswith("__main__"):
+            import_module(module.name)
+    places = (place.split(":") for place in RECORDS.values())
+    records = {name: getattr(import_module(module), name) for module, name in places}
+    found, todo = {}, [Result]
+    while todo:
+        for kind in todo.pop().__subclasses__():
+            todo.append(kind)
+            if kind.__module__.startswith("torchid.") and not issubclass(kind, Record):
+                made = inspect.getattr_static(kind, "record")
+                given = getattr(made, "fget", None) or made.func
+                record = given.__annotations__["return"]
+                found[kind] = records[record] if isinstance(record, str) else record
+    return found
+
+
+FOUND = _all()
+
+
+@pytest.mark.parametrize("kind", FOUND, ids=lambda kind: kind.__name__)
+def test_what_is_loaded_can_do_what_was_saved(kind) -> None:
+    computed = {field.name for field in fields(kind)}
+    public = {name for name in dir(kind) if not name.startswith("_")} - computed
+    missing = {name for name in public if not hasattr(FOUND[kind], name)}
+    assert missing == CANNOT.get(kind.__name__, set())
+
+
+def test_only_results_are_excused() -> None:
+    assert set(CANNOT) <= {kind.__name__ for kind in FOUND}
