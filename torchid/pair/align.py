@@ -206,13 +206,13 @@ def _alike(twos: Sequence[_Two]) -> list[tuple[float, float, float]]:
     found.sort(key=lambda x: x[:2])
     # Between the ratios and the samples: the least squares of what is left, from the best few.
     best, most = None, -math.inf
-    for _, _, score, coarse in found[:3]:
+    for _, _, score, starts in found[:3]:
         if score < found[0][2] - 0.05:
             break
-        own = [_polished(two, *at) for two, at in zip(twos, coarse, strict=True)]
-        total = sum(x[0] for x in own) / len(own)
+        ends = [_polished(two, *at) for two, at in zip(twos, starts, strict=True)]
+        total = sum(x[0] for x in ends) / len(ends)
         if best is None or total > most + EXACT:
-            best, most = own, total
+            best, most = ends, total
         if most > 1 - EXACT:
             break
     assert best is not None
