@@ -14,7 +14,7 @@ from torchid.position.diagnosis import Accuracy
 from torchid.position.effects import BY_NAME
 from torchid.position.model import replay
 from torchid.position.search import Found
-from torchid.report.position import remarks
+from torchid.report.position import remarks, tables
 from torchid.results.files import load
 from torchid.simulation.servo_loop import Windows
 

@@ -4,9 +4,13 @@ A simulator's log begins elsewhere than the arm's, has another rate, and may hav
 one that its time step was set wrong by. What both were commanded tells which instants belong
 together; where one of them holds no commands, the motion does. Commands may be numbered otherwise
 or turned round on one side, so every joint of one is held against every joint of the other.
+
+All trajectories have one rate of the clocks: a step or a ramp alone fits any. A command that stands
+throughout a trajectory is a step at its first sample, so there the first samples belong together.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +40,15 @@ SAME_CLOCK = 0.01
 
 LONGEST_STEP = 0.02
 """Of the common grid [s]."""
+
+SHORTEST = 40
+"""Samples of a trajectory that can be aligned."""
+
+STANDS = 1e-6
+"""Standard deviation below which a signal stands."""
+
+EXACT = 1e-9
+"""Of a correlation from 1, below which nothing is left to be sought."""
 
 
 @dataclass(frozen=True)
@@ -94,22 +107,22 @@ def aligned(simulated: Log, real: Log) -> list[Both]:
             got=f"{simulated.trajectory_count} of the simulator",
             expected=real.trajectory_count,
         )
-    pairs = zip(simulated.trajectories(), real.trajectories(), strict=True)
-    return [_aligned(s, r) for s, r in pairs]
+    pairs = list(zip(simulated.trajectories(), real.trajectories(), strict=True))
+    for pair in pairs:
+        shortest = min(x.samples for x in pair)
+        if shortest < SHORTEST:
+            raise LogError(
+                "a trajectory is too short to be aligned.",
+                got=f"{shortest} samples",
+                expected=f"{SHORTEST} at least",
+            )
+    clocks = _clocks(pairs)
+    return [_on_grid(*pair, clock) for pair, clock in zip(pairs, clocks, strict=True)]
 
 
-def _aligned(simulated: Log, real: Log) -> Both:
-    by = "u" if simulated.u is not None and real.u is not None else "q"
+def _on_grid(simulated: Log, real: Log, clock: Clock) -> Both:
+    """Both where they overlap, on the grid of the slower log."""
     ts, tr = (x.t.numpy() - float(x.t[0]) for x in (simulated, real))
-    if min(len(ts), len(tr)) < 50:
-        raise LogError(
-            "a trajectory is too short to be aligned.",
-            got=f"{min(len(ts), len(tr))} samples",
-            expected="50 at least",
-        )
-    xs, xr = (x.signals[by].numpy() for x in (simulated, real))
-    clock = _clock(ts, xs, tr, xr, by)
-    # The grid of the slower log, where both are.
     dt = max(_step(ts) / clock.rate, _step(tr))
     first = max(0.0, -clock.start / clock.rate)
     last = min(tr[-1], (ts[-1] - clock.start) / clock.rate)
@@ -129,41 +142,101 @@ def _aligned(simulated: Log, real: Log) -> Both:
     )
 
 
-def _clock(ts: np.ndarray, xs: np.ndarray, tr: np.ndarray, xr: np.ndarray, by: str) -> Clock:
-    """The rate and start at which the signals are most alike."""
-    dt = max(tr[-1] / COARSE, _step(tr))
-    right = _on(np.arange(0.0, tr[-1], dt), tr, xr)
-    moved = xr.std(0) > 1e-6
-    if not moved.any():
-        raise LogError("the arm's log holds no motion to align by.")
+@dataclass(frozen=True)
+class _Two:
+    """One trajectory's signals (T, n) on either side, with times from their first samples [s]."""
+
+    ts: np.ndarray
+    xs: np.ndarray
+    tr: np.ndarray
+    xr: np.ndarray
+
+    @classmethod
+    def of(cls, simulated: Log, real: Log, by: str) -> "_Two":
+        ts, tr = (x.t.numpy() - float(x.t[0]) for x in (simulated, real))
+        return cls(ts, simulated.signals[by].numpy(), tr, real.signals[by].numpy())
+
+    @property
+    def moves(self) -> bool:
+        return bool((self.xr.std(0) > STANDS).any())
+
+    @property
+    def duration(self) -> float:
+        """Of the simulator's over the arm's."""
+        return float(self.ts[-1] / self.tr[-1]) or 1.0
+
+
+def _clocks(pairs: Sequence[tuple[Log, Log]]) -> list[Clock]:
+    """The clock of each trajectory."""
+    by = "u" if all(x.u is not None for pair in pairs for x in pair) else "q"
+    twos = [_Two.of(*pair, by) for pair in pairs]
+    moving = [two for two in twos if two.moves]
+    if not moving:
+        if not any(_Two.of(*pair, "q").moves for pair in pairs):
+            raise LogError("the arm's log holds no motion to align by.")
+        # Every command is a step at its trajectory's first sample.
+        return [Clock(1.0, 0.0, 1.0, by) for _ in pairs]
+    found = iter(_alike(moving))
+    ends = [next(found) if two.moves else None for two in twos]
+    shared = float(np.median([end[1] for end in ends if end is not None]))
+    out = []
+    for end in ends:
+        likeness, rate, start = (1.0, shared, 0.0) if end is None else end
+        if likeness < ALIKE[by]:
+            raise LogError(
+                f"the logs are of different {'commands' if by == 'u' else 'motions'}: at no shift "
+                "and no ratio of their clocks are they alike.",
+                got=f"a mean correlation of {likeness:.2f}",
+                expected=f"{ALIKE[by]} at least",
+                hint="the same commands u1.. in both logs align them whatever the arms did",
+            )
+        out.append(Clock(rate, start, likeness, by))
+    return out
+
+
+def _alike(twos: Sequence[_Two]) -> list[tuple[float, float, float]]:
+    """Likeness, rate and start of each, at the ratio at which all together are most alike."""
     found = []
-    for ratio in {*RATIOS, (ts[-1] / tr[-1]) or 1.0}:
-        length = ts[-1] / ratio
-        if not 0.1 < length / tr[-1] < 10:
-            continue
-        left = _on(np.arange(0.0, length, dt) * ratio, ts, xs)
-        score, lag = _best_lag(left, right)
-        found.append((score, ratio, -lag * dt * ratio))
-    found.sort(reverse=True)
+    for ratio in (*RATIOS, None):  # None: both take the whole trajectory
+        coarse = [_coarse(two, ratio or two.duration) for two in twos]
+        score = float(np.mean([c[0] for c in coarse]))
+        # Of ratios that do as well, the one that changes least comes first.
+        away = abs(math.log(ratio or float(np.median([two.duration for two in twos]))))
+        found.append((-round(score, 3), away, score, [c[1:] for c in coarse]))
+    found.sort(key=lambda x: x[:2])
     # Between the ratios and the samples: the least squares of what is left, from the best few.
-    best = None
-    for score, ratio, start in found[:3]:
-        own = _polished(ts, xs, tr, xr, ratio, start)
-        if best is None or own[0] > best[0] + 1e-9:
-            best = own
-        if score < found[0][0] - 0.05:
+    best, most = None, -math.inf
+    for _, _, score, starts in found[:3]:
+        if score < found[0][2] - 0.05:
+            break
+        ends = [_polished(two, *at) for two, at in zip(twos, starts, strict=True)]
+        total = sum(x[0] for x in ends) / len(ends)
+        if best is None or total > most + EXACT:
+            best, most = ends, total
+        if most > 1 - EXACT:
             break
     assert best is not None
-    likeness, rate, start = best
-    if likeness < ALIKE[by]:
-        raise LogError(
-            f"the logs are of different {'commands' if by == 'u' else 'motions'}: at no shift and "
-            "no ratio of their clocks are they alike.",
-            got=f"a mean correlation of {likeness:.2f}",
-            expected=f"{ALIKE[by]} at least",
-            hint="the same commands u1.. in both logs align them whatever the arms did",
-        )
-    return Clock(rate, start, likeness, by)
+    if len(best) == 1:
+        return best
+    # What is as alike at the rate of all has that rate.
+    rate = float(np.median([x[1] for x in best]))
+    out = []
+    for two, own in zip(twos, best, strict=True):
+        same = _polished(two, *_coarse(two, rate)[1:], free=False)
+        out.append(same if 1 - same[0] <= 2 * (1 - own[0]) + 1e-6 else own)
+    return out
+
+
+def _coarse(two: _Two, ratio: float) -> tuple[float, float, float]:
+    """Likeness, the ratio, and the start at which the signals are most alike, of whole samples."""
+    length = two.ts[-1] / ratio
+    if not 0.1 < length / two.tr[-1] < 10:
+        return 0.0, ratio, 0.0
+    dt = max(two.tr[-1] / COARSE, _step(two.tr))
+    right = _on(np.arange(0.0, two.tr[-1], dt), two.tr, two.xr)
+    left = _on(np.arange(0.0, length, dt) * ratio, two.ts, two.xs)
+    score, lag = _best_lag(left, right)
+    return score, ratio, -lag * dt * ratio
 
 
 def _best_lag(left: np.ndarray, right: np.ndarray) -> tuple[float, int]:
@@ -191,7 +264,7 @@ def _best_lag(left: np.ndarray, right: np.ndarray) -> tuple[float, int]:
     vr = crossed(ones, spectrum(right**2)) - sr**2 / count[:, None]
     enough = count >= OVERLAP * min(a, b)
     total = np.zeros(len(lags))
-    moving = right.std(0) > 1e-6
+    moving = right.std(0) > STANDS
     for j in np.flatnonzero(moving):
         own = np.zeros(len(lags))
         for i in range(left.shape[1]):
@@ -203,17 +276,20 @@ def _best_lag(left: np.ndarray, right: np.ndarray) -> tuple[float, int]:
             )
         total += own
     total = np.where(enough, total / moving.sum(), -1.0)
-    best = int(total.argmax())
+    # Of shifts that do as well, as all of a ramp do, the shortest.
+    alike = np.flatnonzero(total >= total.max() - 1e-6)
+    best = alike[np.abs(lags[alike]).argmin()]
     return float(total[best]), int(lags[best])
 
 
 def _polished(
-    ts: np.ndarray, xs: np.ndarray, tr: np.ndarray, xr: np.ndarray, rate: float, start: float
+    two: _Two, rate: float, start: float, *, free: bool = True
 ) -> tuple[float, float, float]:
-    """Likeness, rate and start near a first guess."""
+    """Likeness, rate and start near a first guess; the rate as it is where it is not free."""
+    ts, xs, tr, xr = two.ts, two.xs, two.tr, two.xr
     grid = np.arange(0.0, tr[-1], max(tr[-1] / COARSE, _step(tr)))
     right = _on(grid, tr, xr)
-    moved = np.flatnonzero(xr.std(0) > 1e-6)
+    moved = np.flatnonzero(xr.std(0) > STANDS)
 
     def likeness(rate: float, start: float) -> float:
         at = grid * rate + start
@@ -221,21 +297,27 @@ def _polished(
         if both.sum() < OVERLAP * min(len(grid), ts[-1] / rate / (grid[1] - grid[0])):
             return 0.0
         left = _on(at[both], ts, xs)
-        return float(np.abs(correlations(left, right[both]))[:, moved].max(0).mean())
+        return min(1.0, float(np.abs(correlations(left, right[both]))[:, moved].max(0).mean()))
 
+    begun = likeness(rate, start)
+    if 1 - begun < EXACT:
+        return begun, rate, start
     # In units in which both matter alike: the whole log, and its duration.
     step = _step(tr)
     scale = np.array([2 * step / max(tr[-1], step), 2 * step])
 
-    def loss(x: np.ndarray) -> float:
-        value = likeness(rate * math.exp(x[0] * scale[0]), start + x[1] * scale[1])
-        return math.log(max(1 - value, 1e-13))
+    def at(x: np.ndarray) -> tuple[float, float]:
+        turned = rate * math.exp(x[0] * scale[0]) if free else rate
+        return turned, start + x[-1] * scale[1]
 
-    simplex = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]])
+    def loss(x: np.ndarray) -> float:
+        return math.log(max(1 - likeness(*at(x)), 1e-13))
+
+    corners = [[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]] if free else [[0.0], [2.0]]
+    simplex = np.array(corners)
     options = {"maxiter": 80, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
-    found = minimize(loss, np.zeros(2), method="Nelder-Mead", options=options)
-    x = found.x
-    own = rate * math.exp(x[0] * scale[0]), start + x[1] * scale[1]
+    found = minimize(loss, simplex[0], method="Nelder-Mead", options=options)
+    own = at(found.x)
     return likeness(*own), *own
 
 

@@ -7,6 +7,9 @@ Effects are sought by two diagnoses. The first asks what the simulator's log has
 with that the model is the simulator, whatever its file says. The second asks what the arm's log has
 beside the simulator: more of an effect, less of it, or one that only the arm has. It is not asked
 while the set-up is at fault, whose traces would look like effects.
+
+Logs without torque, of commands and positions alone, have servos that are compared instead: each
+side's by a diagnosis of its own log.
 """
 
 import math
@@ -49,9 +52,11 @@ from torchid.pair.record import (
     Fault,
     OneSided,
     PairRecord,
+    ServoDifference,
     Side,
     WherePair,
 )
+from torchid.pair.servos import servos_of
 from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
@@ -65,6 +70,9 @@ NOTHING = 0.15
 
 CLEAN = 100.0
 """Dry friction over the noise of a simulator's log: how far from reversals it is looked at."""
+
+NUMBERED = {"joint_order", "sign", "time_step"}
+"""Faults with which no joint's motion is its own command's."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -102,6 +110,11 @@ class PairDiagnosis(Result):
     def which(self) -> tuple[OneSided, ...]:
         """Effects that one of both has more of."""
         return self.found.which or ()
+
+    @property
+    def servos(self) -> tuple[ServoDifference, ...]:
+        """Parameters of both sides' servos, where logs have commands and positions alone."""
+        return self.found.servos or ()
 
 
 def compare_pair(
@@ -154,7 +167,11 @@ def compare_pair(
     if all("tau" in b.simulated for b in both):
         torque, floor = _where(both, "tau", settings.seed)
     else:
-        warnings.append("not both logs hold torques, so only motion is compared")
+        own = robot is not None and all("u" in b.simulated for b in both)
+        warnings.append(
+            "not both logs hold torques, so only motion is compared"
+            + (", and the servos that commands and positions show" if own else "")
+        )
     position, _ = _where(both, "q", settings.seed)
     # Faults in the order in which they are mended: each is judged with those before mended, but
     # for a clock, with which nothing that has a derivative can be judged.
@@ -175,6 +192,12 @@ def compare_pair(
     faults = list({f.fault: f for f in reversed(faults)}.values())[::-1]
     which: tuple[OneSided, ...] | None = None
     diagnoses: tuple[TorqueDiagnosis | None, TorqueDiagnosis | None] = (None, None)
+    servos: tuple[ServoDifference, ...] | None = None
+    commanded = torque is None and all("u" in b.simulated for b in both)
+    if robot is not None and commanded and not NUMBERED & {f.fault for f in faults}:
+        say("servos", 0, 1)
+        servos, more = servos_of(robot, simulated, real)
+        warnings += more
     if faults:
         warnings.append(
             "effects were not sought: mend the set-up first, whose traces look like effects"
@@ -198,6 +221,7 @@ def compare_pair(
         torque_noise=floor,
         faults=tuple(faults),
         which=which,
+        servos=servos,
         warnings=tuple(dict.fromkeys([*simulated.warnings, *real.warnings, *warnings])),
     )
     return PairDiagnosis(record, robot, *diagnoses)

@@ -121,6 +121,32 @@ class OneSided(Part, frozen=True):
     ambiguous_with: tuple[str, ...]
 
 
+class ServoDifference(Part, frozen=True):
+    """One parameter of a joint's servo on either side.
+
+    Attributes:
+        joint: which.
+        parameter: of `torchid.simulation.servo.PARAMETERS`.
+        unit: of the values.
+        per_kp: whether the values are shares of the gain kp, because the logs leave a common factor
+            of all torques open.
+        simulated, real: values; without effect on a side that does not have the parameter.
+        simulated_ci95, real_ci95: 95 % intervals; None on a side that does not have the parameter.
+        differs: whether the 95 % interval of the difference excludes zero and the difference is at
+            least 5 %; of what one side has alone, whether its motions need it.
+    """
+
+    joint: Joint
+    parameter: str
+    unit: str
+    per_kp: bool
+    simulated: Real
+    simulated_ci95: tuple[Real, Real] | None
+    real: Real
+    real_ci95: tuple[Real, Real] | None
+    differs: bool
+
+
 class PairRecord(Record, frozen=True, kw_only=True, tag="torchid.pair/1"):
     """A simulator's log against the arm's.
 
@@ -134,6 +160,8 @@ class PairRecord(Record, frozen=True, kw_only=True, tag="torchid.pair/1"):
         faults: of the set-up, in the order in which to mend them.
         which: effects that one of both has more of, most of the gap first; None where it was not
             asked, for a reason that stands in the warnings.
+        servos: parameters of both sides' servos, from commands and positions; None where logs have
+            torques, where no robot was given, or where the set-up comes first.
         warnings: sentences for the user.
         seed: from a command.
     """
@@ -147,6 +175,7 @@ class PairRecord(Record, frozen=True, kw_only=True, tag="torchid.pair/1"):
     torque_noise: NoiseFloor | None
     faults: tuple[Fault, ...]
     which: tuple[OneSided, ...] | None
+    servos: tuple[ServoDifference, ...] | None = None
     warnings: tuple[str, ...] = ()
     seed: int | UnsetType = UNSET
 
@@ -157,4 +186,5 @@ class PairRecord(Record, frozen=True, kw_only=True, tag="torchid.pair/1"):
 
     def __repr__(self) -> str:
         names = [f.fault for f in self.faults] + [w.effect for w in self.which or ()]
+        names += [f"{s.parameter} of joint {s.joint + 1}" for s in self.servos or () if s.differs]
         return f"PairRecord({self.simulated!r}, {self.real!r}: {', '.join(names) or 'nothing'})"

@@ -4,28 +4,90 @@ import math
 from collections.abc import Mapping
 
 from torchid.pair.pair import PairDiagnosis
-from torchid.pair.record import Fault, OneSided, WherePair
+from torchid.pair.record import Fault, OneSided, ServoDifference, WherePair
 from torchid.report.gap_words import CLEAR, excess_words
 from torchid.report.table import Shown, Table, filled
 from torchid.results.words import effect_words, joints_words, listed, measure, percent
 
 _MOST_REGIMES = 3
+_WORDS = {
+    "kp": ("gain", "lower", "higher"),
+    "kd": ("derivative gain", "lower", "higher"),
+    "integral": ("integral gain", "lower", "higher"),
+    "damping": ("viscous friction", "less", "more"),
+    "armature": ("rotor inertia", "smaller", "larger"),
+    "delay": ("delay", "shorter", "longer"),
+    "offset": ("torque offset", "lower", "higher"),
+    "coulomb": ("dry friction", "less", "more"),
+    "stiction": ("extra friction at rest", "less", "more"),
+    "stribeck_speed": ("speed at which stiction fades", "lower", "higher"),
+    "motor_share": ("friction share of the motor torque", "smaller", "larger"),
+    "load_share": ("friction share of the external torque", "smaller", "larger"),
+    "acceleration": ("acceleration limit", "lower", "higher"),
+    "speed": ("speed limit", "lower", "higher"),
+    "lag": ("command filter's time constant", "shorter", "longer"),
+    "clip": ("torque limit", "lower", "higher"),
+    "dead_zone": ("dead zone", "narrower", "wider"),
+    "stop_low": ("lower end stop", "lower", "higher"),
+    "stop_high": ("upper end stop", "lower", "higher"),
+    "scale": ("command factor", "smaller", "larger"),
+}
+"""Of servos' parameters: a noun, and what a smaller and a larger value is called."""
+_UNCOUNTED = ("viscous friction", "dry friction", "extra friction at rest")
 
 
 def verdict(found: PairDiagnosis) -> str:
     """The answer in plain words."""
+    servos = _servos(found)
     if found.faults:
         first, *others = found.faults
         also = [f.fault.replace("_", " ") for f in others]
         then = f" Then: {listed(also)}." if also else ""
-        return f"The set-ups differ: {first.meaning}. {first.remedy}{then}"
+        return " ".join(
+            filter(None, (f"The set-ups differ: {first.meaning}. {first.remedy}{then}", servos))
+        )
     if found.which:
         said = [f"{_more(one)} at {joints_words(one.joints)}" for one in found.which[:3]]
         more = f", and {len(found.which) - 3} more" if len(found.which) > 3 else ""
         return f"The set-ups agree; what differs: {'; '.join(said)}{more}."
+    if servos:
+        return servos
     if found.record.which is None:
         return "No fault of the set-up is seen."
     return "Nothing: set-ups and effects of simulator and arm agree within what these logs show."
+
+
+def _servos(found: PairDiagnosis) -> str:
+    """How the real servos differ from the simulated ones, one sentence a joint."""
+    if not found.servos:
+        return ""
+    out = []
+    for joint in dict.fromkeys(one.joint for one in found.servos):
+        own = [_difference(s) for s in found.servos if s.joint == joint and s.differs]
+        if own:
+            out.append(f"The real servo of joint {joint + 1} has {listed(own)}.")
+    if not out:
+        return "The servos of simulator and arm agree within what these logs show."
+    return " ".join(out)
+
+
+def _difference(one: ServoDifference) -> str:
+    """`a lower gain (8.1 instead of 17 N m/rad)`, by the real side."""
+    noun, less, more = _WORDS[one.parameter]
+    noun += " per gain" if one.per_kp else ""
+    unit = "" if one.unit == "1" else f" {one.unit}"
+    if one.simulated_ci95 is None:
+        return f"{_article(noun)} ({one.real:.3g}{unit}) that the simulated one lacks"
+    if one.real_ci95 is None:
+        return f"no {noun} ({one.simulated:.3g}{unit} in the simulator)"
+    word = more if one.real > one.simulated else less
+    phrase = f"{word} {noun}"
+    phrase = phrase if word in ("less", "more") else _article(phrase)
+    return f"{phrase} ({one.real:.3g} instead of {one.simulated:.3g}{unit})"
+
+
+def _article(noun: str) -> str:
+    return noun if noun in _UNCOUNTED else f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
 def _more(one: OneSided) -> str:
@@ -52,6 +114,13 @@ def tables(found: PairDiagnosis) -> list[Table]:
         )
         for one in record.which or ()
     ]  # fmt: skip
+    servos = [
+        (
+            str(s.joint + 1), _name(s), _with_interval(s.simulated, s.simulated_ci95, s.unit),
+            _with_interval(s.real, s.real_ci95, s.unit), "yes" if s.differs else "no",
+        )
+        for s in record.servos or ()
+    ]  # fmt: skip
     columns = ("fault", "where", "what was seen", "what to do")
     headings = ("effect", "where", "simulator", "arm", "share", "cannot be told from")
     words = [heading for heading in headings if heading != "share"]
@@ -60,7 +129,25 @@ def tables(found: PairDiagnosis) -> list[Table]:
         _where(record.position, "motion", "mrad"),
         Table("set-up, in the order in which to mend it", columns, faults, words=columns),
         Table("effects: simulator -> arm", headings, effects, words=words),
+        Table(
+            "servos, from commands and positions [95 %]",
+            ("joint", "parameter", "simulator", "arm", "differs"),
+            servos,
+            words=("parameter",),
+        ),
     )
+
+
+def _name(one: ServoDifference) -> str:
+    return f"{one.parameter} / kp" if one.per_kp else one.parameter
+
+
+def _with_interval(value: float, interval: tuple[float, float] | None, unit: str) -> str:
+    """`8.1 [7.8, 8.4] N m/rad`; `-` of a side that does not have it."""
+    if interval is None:
+        return "-"
+    low, high = interval
+    return f"{value:.3g} [{low:.3g}, {high:.3g}] {'' if unit == '1' else unit}".rstrip()
 
 
 def _place(fault: Fault) -> str:

@@ -1,0 +1,139 @@
+"""The servos of both sides, side by side: what commands and positions say where no torque is.
+
+Each side's log is diagnosed alone, so neither clock nor rate of one touches the other. Parameters
+that are part of either answer are compared on the scale on which they are searched: logarithms of
+what is positive. Where the motions, or a robot without masses, leave a common factor of all torques
+open, torques are compared as shares of kp.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+
+from torchid.log.model import Log
+from torchid.pair.record import ServoDifference
+from torchid.position.data import WINDOW_S
+from torchid.position.diagnose import MOST, WORTHWHILE, diagnose_positions, some_of
+from torchid.position.diagnosis import PositionDiagnosis
+from torchid.position.fit import errors
+from torchid.position.judge import value_interval
+from torchid.robot.model import Robot
+from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, ServoParameter
+from torchid.simulation.servo_loop import windows_of
+from torchid.statistics.proportion import HALF_95
+from torchid.typing import Float, Tensor
+
+PER_KP = {"N m": "rad", "N m s/rad": "s", "N m/(rad s)": "1/s", "kg m^2": "s^2"}
+"""Units of torques as shares of kp."""
+
+
+def servos_of(
+    robot: Robot, simulated: Log, real: Log
+) -> tuple[tuple[ServoDifference, ...], tuple[str, ...]]:
+    """What the servos are on either side, with sentences for the user.
+
+    Raises:
+        LogError: a log that `diagnose_positions` cannot use.
+    """
+    sides = [diagnose_positions(robot, log) for log in (simulated, real)]
+    worth = _worth(*sides)
+    rows: list[ServoDifference] = []
+    warnings = list(dict.fromkeys(w for side in sides for w in side.warnings))
+    for j in range(robot.n):
+        if any(bool(side.still[j]) for side in sides):
+            continue
+        ratio = any(bool(side.ratio_only[j]) for side in sides)
+        if ratio:
+            warnings.append(
+                f"joint {j + 1}: the motions leave a common factor of all torques open, so torques "
+                "are compared as shares of the gain kp"
+            )
+        rows += _joint(sides, j, ratio, worth[j])
+    loads = [any(f.effect == "payload" for f in side.findings) for side in sides]
+    if loads[0] != loads[1]:
+        whose, other = ("arm", "simulator") if loads[1] else ("simulator", "arm")
+        warnings.append(f"the {whose}'s motions show a load that the {other}'s do not show")
+    return tuple(rows), tuple(warnings)
+
+
+def _worth(simulated: PositionDiagnosis, real: PositionDiagnosis) -> Float[Tensor, "n K"]:
+    """Share of the two servos' distance that each parameter makes: how far the real servo's motion
+    moves with the simulated one's value of it, over how far with all of its values, in squares.
+    Nothing where that moves no joint that could be seen."""
+    data, own, other = real.data, real.servos.joint, simulated.servos.joint
+    sets = own.repeat(2 + len(PARAMETERS), 1, 1)
+    for k in range(len(PARAMETERS)):
+        sets[1 + k, :, k] = other[:, k]
+    sets[-1] = other
+    servos = replace(real.servos, joint=sets, plane=real.servos.plane.repeat(len(sets), 1))
+    windows = some_of(windows_of(data.tracks, WINDOW_S), MOST)
+    error = errors(data, servos, windows)
+    rows = float((windows.length * windows.weight).sum())
+    moved = (error - error[..., :1]).square() * windows.weight[:, None, None]
+    square = moved.sum((0, 1)) / rows
+    seen = square[:, 1:-1] > data.slight[:, None] ** 2
+    return seen * square[:, 1:-1] / square[:, -1:].clamp(min=1e-300)
+
+
+def _joint(
+    sides: Sequence[PositionDiagnosis], j: int, ratio: bool, worth: Float[Tensor, " K"]
+) -> list[ServoDifference]:
+    """Parameters of one joint that either side's answer has. One differs whose intervals do not
+    hold the same value, and which makes a share of the distance that is worth a name; one that a
+    single side has was searched on both."""
+    found = [_Side(side, j) for side in sides]
+    out = []
+    for p in PARAMETERS:
+        if not any(p.name in side.names for side in found) or (ratio and p.name == "kp"):
+            continue
+        shared = ratio and p.name in TORQUES
+        (a, own_a), (b, own_b) = (side.value(p, shared) for side in found)
+        interval_a, interval_b = (
+            None if std is None else value_interval(p.name, value, std)
+            for value, std in ((a, own_a), (b, own_b))
+        )
+        if own_a is None or own_b is None:
+            differs = any(p.name in side.named for side in found)
+        else:
+            differs = _differ(p, a, b, math.hypot(own_a, own_b))
+        out.append(
+            ServoDifference(
+                j, p.name, PER_KP[p.unit] if shared else p.unit, shared, a, interval_a, b,
+                interval_b, differs and bool(worth[INDEX[p.name]] > WORTHWHILE),
+            )
+        )  # fmt: skip
+    return out
+
+
+class _Side:
+    """One side's answer about one joint."""
+
+    def __init__(self, found: PositionDiagnosis, j: int) -> None:
+        self.values = found.servos.joint[j]
+        self.names, self.covariance = found.known[j]
+        self.gain = float(found.servos.of("kp")[j])
+        self.named = {s.name for f in found.findings if f.joint == j + 1 for s in f.sizes}
+
+    def value(self, p: ServoParameter, shared: bool) -> tuple[float, float | None]:
+        """A value, or its share of kp, with its standard deviation, of a logarithm where it is
+        positive; no deviation where the side does not have the parameter."""
+        value = float(self.values[INDEX[p.name]])
+        if shared:
+            value /= self.gain
+        if p.name not in self.names:
+            return value, None
+        combination = torch.zeros(len(self.names), dtype=torch.float64)
+        combination[self.names.index(p.name)] = 1.0
+        if shared and p.kind == "log":
+            combination[self.names.index("kp")] = -1.0
+        elif shared:
+            combination /= self.gain
+            combination[self.names.index("kp")] = -value
+        return value, math.sqrt(max(float(combination @ self.covariance @ combination), 0.0))
+
+
+def _differ(p: ServoParameter, a: float, b: float, std: float) -> bool:
+    """Whether the 95 % interval of the difference excludes zero."""
+    return abs(math.log(b / a) if p.kind == "log" else b - a) > HALF_95 * std
