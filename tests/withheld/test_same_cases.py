@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-mujoco = pytest.importorskip("mujoco")
+pytest.importorskip("mujoco")
 
+import mujoco
 import pyarrow.parquet as pq
 
 from torchid.json_data import plain
@@ -21,15 +22,24 @@ MADE_WITH = "4.0.0", "2.4"
 
 CASES: dict[str, tuple[dict[str, Any], str]] = {
     "torque, drawn": ({"number": 0}, "b9b91030a86c181f"),
-    "torque, one": ({"number": 1, "kind": "single", "effects": ["coulomb_friction"]}, "40ecc0058feadba4"),
+    "torque, one": (
+        {"number": 1, "kind": "single", "effects": ["coulomb_friction"]},
+        "40ecc0058feadba4",
+    ),
     "torque, release": ({"number": 2, "mix": "release"}, "dd756363b64fbd9d"),
     "torque, poor": ({"number": 3, "kind": "poor"}, "fb915d12d10d7ccb"),
     "torque, several": ({"number": 4, "kind": "several"}, "62ec3e4e34d1ec70"),
     "servos, drawn": ({"number": 0, "mix": "position"}, "3f65aa76f15507cd"),
     "servos, one": ({"number": 1, "mix": "position", "kind": "single"}, "a4af1438ce15e6d8"),
     "servos, several": ({"number": 2, "mix": "position", "kind": "several"}, "ebd4e477b90bf35b"),
-    "servos, a spring": ({"number": 3, "mix": "position", "effects": ["backlash"]}, "c192e4d78e28070a"),
-    "servos, a load": ({"number": 4, "mix": "position", "effects": ["payload"]}, "322db7608ccb2870"),
+    "servos, a spring": (
+        {"number": 3, "mix": "position", "effects": ["backlash"]},
+        "c192e4d78e28070a",
+    ),
+    "servos, a load": (
+        {"number": 4, "mix": "position", "effects": ["payload"]},
+        "322db7608ccb2870",
+    ),
 }
 
 
