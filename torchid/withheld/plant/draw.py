@@ -327,7 +327,7 @@ def _effects(rng: Rng, kind: str, n: int, wanted: Sequence[str] | None) -> tuple
 def _apart(rng: np.random.Generator, names: Sequence[str], n: int) -> tuple[EffectSpec, ...] | None:
     """Effects on joints of their own, where there are enough; None where there are too few for
     effects that exclude each other."""
-    for _ in range(100):
+    for _ in range(DRAWS.tries):
         out: list[EffectSpec] = []
         for name in names:
             taken = tuple(j for effect in out for j in effect.joints)

@@ -18,6 +18,7 @@ class DrawSettings:
         levels: of the sweep over sizes.
         alike: share of cases of several effects that are a pair that looks alike on one joint.
         pairs: share of pairs among the others; the rest are three effects.
+        tries: draws of joints until effects that exclude each other are apart.
         repeated: share of logs with a trajectory that is repeated.
         speeds: shares of the velocity limit that the motions may use.
         seconds, pauses: length of a trajectory, and rest before the next [s].
@@ -43,6 +44,7 @@ class DrawSettings:
     levels: tuple[float, ...] = tuple(float(x) for x in np.logspace(-1, 1, 9).round(4))
     alike: float = 0.35
     pairs: float = 0.7
+    tries: int = 100
     repeated: float = 0.8
     speeds: tuple[float, ...] = (0.85, 0.55, 0.3, 0.7)
     seconds: Range = (12.0, 15.0)
