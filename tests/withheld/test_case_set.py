@@ -80,7 +80,7 @@ def test_what_is_there_is_not_overwritten(made, plant, tmp_path):
 
 
 def test_cases_of_positions_have_one_mix(tmp_path):
-    with pytest.raises(TorchidError, match="one mix"):
+    with pytest.raises(TorchidError, match="unknown mix"):
         make(tmp_path / "set", 1, seed=1, kind="position", mix="release")
     assert not list(tmp_path.iterdir())
 

@@ -15,7 +15,7 @@ from torchid.withheld.case_set import write_case
 
 @pytest.mark.usefixtures("types_unchecked")
 def test_both_simulators_agree_on_plain_servos(tmp_path):
-    key = write_case(tmp_path / "case", 7, 0, "position", kind="none", arm="3r")
+    key = write_case(tmp_path / "case", 7, 0, mix="position", kind="none", arm="3r")
     assert key["effects"] == []
     robot, log = (
         load_robot(tmp_path / "case" / "robot.urdf"),

@@ -120,8 +120,7 @@ LINES = (
     Line("intervals hold coefficients", ("coverage", "coefficients", "share"), 0.9, 0.98),
 )
 
-BASELINES = {"friction": "always friction, worst joint", "stlsq": "STLSQ", "bic": "BIC stepwise"}
-SHORT = {"friction": "friction", "stlsq": "STLSQ", "bic": "BIC"}
+BASELINES = {"friction": "friction", "stlsq": "STLSQ", "bic": "BIC"}
 
 
 def shown(summary: Summary) -> Shown:
@@ -142,15 +141,15 @@ def score_table(summary: Summary) -> Table:
             rows.append((line.label, *line.parts(summary["scores"]), target, *others))
     return Table(
         f"withheld cases of seed {summary['seed']}: {summary['cases']} answers",
-        ("score", "torchid", "95 %", "cases", "target", *_names(summary, SHORT)),
+        ("score", "torchid", "95 %", "cases", "target", *_names(summary)),
         rows,
         names=("score", "target"),
     )
 
 
-def _names(summary: Summary, words: Mapping[str, str]) -> list[str]:
+def _names(summary: Summary) -> list[str]:
     """Of the simple methods."""
-    return [words.get(name, name) for name in summary["baselines"]]
+    return [BASELINES.get(name, name) for name in summary["baselines"]]
 
 
 def headline(summary: Summary) -> str:
@@ -172,9 +171,7 @@ def beaten_by(summary: Summary) -> list[str]:
     return [
         f"{line.label}: {name} {line.parts(scores)[0]}, ours {line.parts(ours)[0]}"
         for line in LINES
-        for name, scores in zip(
-            _names(summary, BASELINES), summary["baselines"].values(), strict=True
-        )
+        for name, scores in zip(_names(summary), summary["baselines"].values(), strict=True)
         if line.beats(scores, ours)
     ]
 
@@ -188,14 +185,6 @@ def markdown(summary: Summary, drawn: Sequence[str] = ()) -> str:
     """
     scores = summary["scores"]
     kinds = ", ".join(f"{kind} {count}" for kind, count in sorted(summary["kinds"].items()))
-    rows = []
-    for line in LINES:
-        value, between, count = line.parts(scores)
-        text = value + (f" ({between})" if between else "") + (f", {count}" if count else "")
-        met = line.met(scores)
-        words = "" if met is None else "yes" if met else "no"
-        others = (line.parts(other)[0] for other in summary["baselines"].values())
-        rows.append((line.label, text, line.target, words, *others))
     better = beaten_by(summary)
     comparison = "No simple method is better on any score that has a target."
     if better:
@@ -204,9 +193,7 @@ def markdown(summary: Summary, drawn: Sequence[str] = ()) -> str:
         f"# Withheld cases: seed {summary['seed']}",
         f"{headline(summary)} Kinds: {kinds}. SHA-256 of the keys: `{summary['keys_sha256']}`. "
         f"torchid {summary['scored_with']}. Intervals: 95 %.",
-        markdown_table(
-            ["score", "torchid gap", "target", "met", *_names(summary, BASELINES)], rows
-        ),
+        score_table(summary).markdown().rstrip(),
         comparison if summary["baselines"] else "",
         *(f"![{name}]({name})" for name in drawn),
         "## Status by kind",

@@ -40,8 +40,14 @@ from torchid.typing import Float, Tensor
 from torchid.withheld.run import Job, written
 
 RIDGE = 0.05
+"""Of `stlsq`, of columns and target of unit length [1]."""
+
 THRESHOLDS = (0.02, 0.05, 0.1, 0.2, 0.4)
+"""Of `stlsq`, that are tried, of the same coefficients [1]."""
+
 ITERATIONS = 20
+"""Of `stlsq` at most: each takes a column away."""
+
 MOST = 20
 """Effects at most, as in the diagnosis."""
 
@@ -49,6 +55,7 @@ FELT_SHARE = 0.01
 """Of an effect's square, from which a joint feels it."""
 
 FOLDS = 2
+"""Parts of the data, each judged by what was fitted on the other."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,6 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +33,8 @@ KEYS_SCHEMA = "torchid.withheld.keys/1"
 KEPT = ".keys"
 """Of a set that is being made: keys of its cases so far."""
 
-_PLANTS = {"torque": "case", "position": "position"}
-"""Modules that draw and simulate, by what a log has."""
+_MIXES = {"torque": ("mixed", "release"), "position": ("mixed",)}
+"""Of sets, by what their logs have."""
 
 CASES, ROBOT, LOG, ANSWER = "cases.json", "robot.urdf", "log.parquet", "answer.json"
 
@@ -192,8 +191,10 @@ def make(
         TorchidError: the folder or the key file is there already, or the keys would lie inside.
         MissingExtraError: the simulator is not installed.
     """
-    if kind == "position" and mix != "mixed":
-        raise TorchidError("cases of commands and positions have one mix.", got=mix)
+    if kind not in _MIXES:
+        raise TorchidError("unknown kind of logs.", got=kind, available=list(_MIXES))
+    if mix not in _MIXES[kind]:
+        raise TorchidError(f"unknown mix of {kind} cases.", got=mix, available=list(_MIXES[kind]))
     if count < 1:
         raise TorchidError("a set has at least one case.", got=count)
     keys = keys_beside(folder) if keys is None else keys
@@ -214,11 +215,10 @@ def make(
         if not above.is_dir():
             raise TorchidError(f"there is no folder '{above}'.", hint=f"mkdir -p '{above}'")
     # It takes the place of `folder` when all are there; until then it keeps what is made.
-    what = mix if kind == "torque" else kind
-    place = folder.resolve().parent / f".{folder.name}-{seed}-{what}"
+    drawn = mix if kind == "torque" else kind
+    place = folder.resolve().parent / f".{folder.name}-{seed}-{drawn}"
     (place / KEPT).mkdir(parents=True, exist_ok=True)
-    given = {"mix": mix} if kind == "torque" else {}
-    write = partial(write_drawn, place, seed, kind, given)
+    write = partial(write_drawn, place, seed, drawn)
     found = each(write, range(count), jobs, "simulating cases", progress)
     sealed = sha256(write_json({"schema": KEYS_SCHEMA, "seed": seed, "cases": found}, keys))
     ids = tuple(map(case_id, range(count)))
@@ -235,32 +235,28 @@ def make(
     return made
 
 
-def write_drawn(
-    folder: Path, seed: int, measured: str, given: Mapping[str, Any], number: int
-) -> dict[str, Any]:
+def write_drawn(folder: Path, seed: int, mix: str, number: int) -> dict[str, Any]:
     """Draw one case of a seed, and write it; returns its key, which is kept until all are made."""
     kept = folder / KEPT / f"{case_id(number)}.json"
     if not kept.exists():
-        write_json(write_case(folder / case_id(number), seed, number, measured, **given), kept)
+        write_json(write_case(folder / case_id(number), seed, number, mix=mix), kept)
     return read_json(kept, "a key")
 
 
-def write_case(
-    place: Path, seed: int, number: int, measured: str = "torque", **given: Any
-) -> dict[str, Any]:
+def write_case(place: Path, seed: int, number: int, **given: Any) -> dict[str, Any]:
     """Simulate one case and write what the diagnosis may see.
 
     Args:
         place: its folder, with the case's name.
         seed, number: that it is drawn from.
-        measured: what the log has, `torque` or `position`.
         given: what is not drawn, see `draw_case`.
 
     Returns:
         Its key.
     """
-    plant = import_module(f"torchid.withheld.plant.{_PLANTS[measured]}")
-    case = plant.simulate_case(plant.draw_case(seed, number, **given))
+    from torchid.withheld.plant.case import draw_case, simulate_case
+
+    case = simulate_case(draw_case(seed, number, **given))
     write_shown(case.urdf, case.columns, place)
     return {"id": place.name} | case.key | {"id": place.name}
 

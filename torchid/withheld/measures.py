@@ -226,6 +226,7 @@ def reliability(pairs: Sequence[tuple[float, bool]]) -> dict[str, Any]:
 
 
 DRAWS = 1000
+"""Of the bootstrap over cases."""
 
 
 def rate(flags: Iterable[bool]) -> dict[str, Any]:

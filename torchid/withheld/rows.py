@@ -130,29 +130,30 @@ def named_record(row: Row) -> list[dict[str, Any]]:
 
 def row_of(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Row:
     """A case from its key and its answer, as they are in files."""
-    if answer.get("schema") == POSITION_SCHEMA:
-        return Row(
-            str(answer["status"]),
-            tuple(map(_planted, key["effects"])),
-            _position_claims(answer),
-            families={effect.name: effect.family for effect in EFFECTS},
-        )
+    servos = answer.get("schema") == POSITION_SCHEMA
+    claims = _servo_claims(answer) if servos else _torque_claims(answer)
+    return Row(
+        str(answer["status"]),
+        tuple(map(_planted, key["effects"])),
+        tuple(sorted(claims, key=lambda c: -c.share)),
+        tuple((x["effect"], x["joint"]) for x in answer.get("not_testable", ()) if not servos),
+        {effect.name: effect.family for effect in EFFECTS} if servos else FAMILIES,
+    )
+
+
+def _torque_claims(answer: Mapping[str, Any]) -> list[Claim]:
+    """Effects of an answer on torques, and inertial parameters that no link alone explains."""
     claims = [_claim(c) for c in answer.get("which", ())]
     for p in answer.get("parametric", ()):
         if p["all_base_parameters"]:
             share, others = float(p.get("share") or 0.0), tuple(p["ambiguous_with"])
             claims.append(Claim("all_base", "inertia", (), (), others, share))
-    return Row(
-        str(answer["status"]),
-        tuple(_planted(e) for e in key["effects"]),
-        tuple(sorted(claims, key=lambda c: -c.share)),
-        tuple((x["effect"], x["joint"]) for x in answer.get("not_testable", ())),
-    )
+    return claims
 
 
-def _position_claims(answer: Mapping[str, Any]) -> tuple[Claim, ...]:
-    """Claims of an answer on commands and positions, which has an entry for each joint that an
-    effect is on: of each effect one, with all of its joints."""
+def _servo_claims(answer: Mapping[str, Any]) -> list[Claim]:
+    """Effects of an answer on commands and positions, which has an entry for each joint that an
+    effect is on: of each effect one claim, with all of its joints."""
     entries: dict[str, list[Mapping[str, Any]]] = {}
     for found in answer["which"]:
         entries.setdefault(found["effect"], []).append(found)
@@ -161,24 +162,16 @@ def _position_claims(answer: Mapping[str, Any]) -> tuple[Claim, ...]:
     for name, own in entries.items():
         place = tuple(sorted(j for found in own for j in found["joints"]))
         # Squares of errors in mrad, of one joint or in the mean of all.
-        gains = [
+        gain = sum(
             (found["error_without_mrad"] ** 2 - found["error_with_mrad"] ** 2)
             * (1 if found["joints"] else n)
             for found in own
-        ]
-        others = {other for found in own for other in found["ambiguous_with"]} - {name}
-        claims.append(
-            Claim(
-                name,
-                own[0]["family"],
-                place,
-                place or tuple(range(1, n + 1)),
-                tuple(sorted(others)),
-                sum(gains),
-                _from_intervals(own[0]) if len(own) == 1 else {},
-            )
         )
-    return tuple(sorted(claims, key=lambda c: -c.share))
+        others = sorted({other for found in own for other in found["ambiguous_with"]} - {name})
+        joints, family = place or tuple(range(1, n + 1)), own[0]["family"]
+        values = _from_intervals(own[0]) if len(own) == 1 else {}
+        claims.append(Claim(name, family, place, joints, tuple(others), gain, values))
+    return claims
 
 
 def _from_intervals(found: Mapping[str, Any]) -> dict[str, tuple[float, float]]:

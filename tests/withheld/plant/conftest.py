@@ -9,7 +9,7 @@ pytest.importorskip("mujoco")
 import numpy as np
 
 from torchid.withheld.plant.arms import arm_named
-from torchid.withheld.plant.draw import CaseSpec, draw_case
+from torchid.withheld.plant.draw import TorqueSpec, draw_case
 from torchid.withheld.plant.model import plant_of
 from torchid.withheld.plant.motion import MotionPlan
 from torchid.withheld.plant.plan import Plan, Scene
@@ -25,7 +25,7 @@ SHORT = MotionPlan(
 )
 
 
-def short(spec: CaseSpec) -> CaseSpec:
+def short(spec: TorqueSpec) -> TorqueSpec:
     """The case on short motions, logged without noise."""
     logger = replace(
         spec.logger,
@@ -40,7 +40,7 @@ def short(spec: CaseSpec) -> CaseSpec:
     return replace(spec, motion=motion, noise_share=1e-7, logger=logger)
 
 
-def quiet(arm: str = "3r", friction: float = 0.01, number: int = 0) -> CaseSpec:
+def quiet(arm: str = "3r", friction: float = 0.01, number: int = 0) -> TorqueSpec:
     """A case without effects, as `short`."""
     spec = short(draw_case(1, number, kind="none", arm=arm))
     n = arm_named(arm).n

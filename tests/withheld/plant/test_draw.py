@@ -9,7 +9,8 @@ import pytest
 from torchid.errors import TorchidError
 from torchid.withheld.plant.arms import arm_named
 from torchid.withheld.plant.catalogue import FOREIGN, LIBRARY, REDRAWN
-from torchid.withheld.plant.draw import BLOCK, CASE_KINDS, EXCLUSIVE, LEVELS, draw_case
+from torchid.withheld.plant.draw import EXCLUSIVE, MIXES, draw_case
+from torchid.withheld.plant.settings import DRAWS
 
 
 def test_a_case_depends_on_seed_and_number_alone():
@@ -21,9 +22,10 @@ def test_a_case_depends_on_seed_and_number_alone():
 
 def test_every_kind_has_its_share():
     kinds = Counter(draw_case(8, k).kind for k in range(200))
-    assert set(kinds) == set(CASE_KINDS)
+    block = MIXES["mixed"].block
+    assert set(kinds) == set(block)
     assert kinds["none"] == 40
-    assert all(kinds[k] == 10 * BLOCK.count(k) for k in CASE_KINDS)
+    assert all(kinds[k] == 10 * block.count(k) for k in block)
     first = [draw_case(8, k).kind for k in range(20)]
     second = [draw_case(8, k).kind for k in range(20, 40)]
     assert first != second
@@ -36,7 +38,7 @@ def test_every_effect_has_its_turn_before_any_comes_twice():
     outside = [c.effects[0].name for c in cases if c.kind == "outside"]
     assert set(outside[: len(FOREIGN)]) == set(FOREIGN)
     levels = [c.level for c in cases if c.kind == "severity"]
-    assert set(levels[: len(LEVELS)]) == set(LEVELS)
+    assert set(levels[: len(DRAWS.levels)]) == set(DRAWS.levels)
 
 
 def test_arms_do_not_matter_to_what_is_planted_elsewhere():

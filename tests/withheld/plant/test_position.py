@@ -10,26 +10,20 @@ import numpy as np
 
 from torchid.errors import TorchidError
 from torchid.withheld.plant.arms import arm_named
+from torchid.withheld.plant.case import simulate_case
+from torchid.withheld.plant.catalogue import OUTSIDE
+from torchid.withheld.plant.draw import MIXES, draw_case
 from torchid.withheld.plant.model import plant_of
-from torchid.withheld.plant.position import (
-    BLOCK,
-    KINDS,
-    LIBRARY,
-    OUTSIDE,
-    Planting,
-    Scene,
-    _with,
-    draw_case,
-    motions,
-    simulate_case,
-)
+from torchid.withheld.plant.plan import EffectSpec, Plan
 from torchid.withheld.plant.servo import NEUTRAL, Servos, moved, set_points
+from torchid.withheld.plant.servo_catalogue import SERVO_KINDS, ServoScene
+from torchid.withheld.plant.servo_scene import led, motions
 
 RATE = 50.0
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene() -> ServoScene:
     """The 3R with plain servos, on four seconds of a motion."""
     arm = arm_named("3r")
     kp = np.array([300.0, 800.0, 350.0])
@@ -38,7 +32,8 @@ def scene() -> Scene:
     servos = Servos({"kp": kp, "coulomb": 0.003 * kp}, rate_hz=RATE)
     t = np.arange(200)[:, None] / RATE
     u = 0.3 + 0.4 * np.sin(np.array([1.8, 2.4, 3.1]) * t) * np.minimum(t, 1)
-    return Scene(arm, plant, servos, kp / 300, [u], moved(plant, servos, [u]))
+    plan = Plan(plant, np.zeros(3), np.zeros(3), servos=servos)
+    return ServoScene(arm, plan, kp / 300, [u], moved(plant, servos, [u]))
 
 
 def test_a_command_is_held_until_the_next_and_late(scene):
@@ -66,15 +61,17 @@ def test_a_profile_keeps_its_limits_and_comes_to_rest():
 
 def test_at_rest_the_error_carries_the_load(scene):
     held = np.full((100, 3), 0.7)
-    (found,) = moved(scene.plant, replace(scene.servos, values={"kp": scene.kp}), [held])
+    (found,) = moved(scene.plan.plant, replace(scene.servos, values={"kp": scene.of("kp")}), [held])
     assert found.torque[-1] == pytest.approx(found.load[-1], abs=0.02 * np.abs(found.load).max())
-    assert np.abs(scene.kp * (0.7 - found.q[-1])) == pytest.approx(np.abs(found.load[-1]), abs=1.0)
+    assert np.abs(scene.of("kp") * (0.7 - found.q[-1])) == pytest.approx(
+        np.abs(found.load[-1]), abs=1.0
+    )
 
 
 def test_friction_holds_a_joint_for_minutes(scene):
-    values = {"kp": scene.kp, "coulomb": 0.05 * scene.kp}
+    values = {"kp": scene.of("kp"), "coulomb": 0.05 * scene.of("kp")}
     step = np.repeat([[0.5] * 3, [0.52] * 3], [10, 1500], axis=0)
-    (found,) = moved(scene.plant, replace(scene.servos, values=values), [step])
+    (found,) = moved(scene.plan.plant, replace(scene.servos, values=values), [step])
     # A set-point 20 mrad away is within the friction's band of 50: nothing moves.
     assert np.abs(found.q[-1] - found.q[100]).max() < 1e-4
 
@@ -82,39 +79,42 @@ def test_friction_holds_a_joint_for_minutes(scene):
 def test_ends_and_floors_are_not_passed(scene):
     u = scene.commands
     end, floor = 0.45, float(np.quantile(scene.base[0].tool, 0.3))
-    (stopped,) = moved(replace(scene.plant, stops={1: (-3.0, end)}), scene.servos, u)
+    (stopped,) = moved(replace(scene.plan.plant, stops={1: (-3.0, end)}), scene.servos, u)
     assert scene.base[0].q[:, 1].max() > end + 0.05
     assert stopped.q[:, 1].max() < end + 5e-3
-    (touching,) = moved(replace(scene.plant, floor=floor), scene.servos, u)
+    (touching,) = moved(replace(scene.plan.plant, floor=floor), scene.servos, u)
     assert scene.base[0].tool.min() < floor - 5e-3
     assert touching.tool.min() > floor - 3e-3
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", SERVO_KINDS)
 def test_every_effect_changes_the_motion_of_its_joint_most(scene, name):
-    place = () if KINDS[name].place in ("arm", "all") else (1,)
-    planting = Planting(name, place, 0.7)
-    plant, servos, numbers = _with(scene, scene.plant, scene.servos, planting, 1.0)
+    kind = SERVO_KINDS[name]
+    place = () if kind.place in ("arm", "all") else (1,)
+    effect = EffectSpec(name, place, {"variant": 0.7})
+    plan, numbers = kind.plant(scene, scene.plan, effect, 1.0)
     assert numbers
-    assert set(servos.values) <= set(NEUTRAL)
-    (found,) = moved(plant, servos, scene.commands)
+    assert set(plan.servos.values) <= set(NEUTRAL)
+    (found,) = led(scene, plan)
     change = np.sqrt(((found.logged - scene.base[0].logged) ** 2).mean(0))
     if name != "dropped_commands":  # of which four seconds may see none that matters
         assert change.max() > 2e-4
-    if place and not plant.drives:  # what lies behind a spring moves the whole arm
+    if place and not plan.plant.drives:  # what lies behind a spring moves the whole arm
         assert change.argmax() == 1
 
 
 def test_kinds_and_effects_take_turns():
-    specs = [draw_case(7, k) for k in range(60)]
-    assert sorted(s.kind for s in specs[20:40]) == sorted(BLOCK)
-    singles = [s.effects[0] for s in specs if s.kind == "single"]
-    assert set(singles[: len(LIBRARY)]) == set(LIBRARY)
-    assert all(KINDS[s.effects[0]].family == OUTSIDE for s in specs if s.kind == "outside")
+    mix = MIXES["position"]
+    specs = [draw_case(7, k, mix="position") for k in range(60)]
+    assert sorted(s.kind for s in specs[20:40]) == sorted(mix.block)
+    singles = [s.effects[0].name for s in specs if s.kind == "single"]
+    assert set(singles[: len(mix.library)]) == set(mix.library)
+    foreign = [s.effects[0].name for s in specs if s.kind == "outside"]
+    assert all(SERVO_KINDS[name].family == OUTSIDE for name in foreign)
     assert {s.arm for s in specs} == {"3r", "6r", "7r"}
-    assert [draw_case(7, k) for k in range(60)] == specs
-    with pytest.raises(TorchidError, match="no servo can have an effect 'rust'"):
-        draw_case(7, 0, effects=["rust"])
+    assert [draw_case(7, k, mix="position") for k in range(60)] == specs
+    with pytest.raises(TorchidError, match="no effect 'rust'"):
+        draw_case(7, 0, effects=["rust"], mix="position")
 
 
 def test_motions_stay_within_limits():
@@ -127,7 +127,7 @@ def test_motions_stay_within_limits():
 
 @pytest.mark.usefixtures("types_unchecked")
 def test_a_case_has_commands_positions_in_counts_and_a_key():
-    case = simulate_case(draw_case(3, 0, effects=["command_delay"], arm="3r"))
+    case = simulate_case(draw_case(3, 0, effects=["command_delay"], arm="3r", mix="position"))
     assert list(case.columns) == ["t", "u1", "u2", "u3", "q1", "q2", "q3", "traj"]
     count = 2 * np.pi / case.key["counts"]
     steps = case.columns["q2"] / count

@@ -1,5 +1,6 @@
 """Cases of the benchmark: drawn from a seed and a number, and simulated."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -7,12 +8,16 @@ import numpy as np
 
 from torchid.json_data import picked
 from torchid.withheld.plant.arms import arm_named, urdf
-from torchid.withheld.plant.catalogue import kind_named
-from torchid.withheld.plant.draw import CaseSpec, draw_case
+from torchid.withheld.plant.bodies import Array
+from torchid.withheld.plant.catalogue import KINDS, Kind
+from torchid.withheld.plant.draw import CaseSpec, ServoSpec, TorqueSpec, draw_case
 from torchid.withheld.plant.logger import logged
 from torchid.withheld.plant.model import plant_of
-from torchid.withheld.plant.plan import Plan, Scene
+from torchid.withheld.plant.plan import EffectSpec, Parameters, Plan, Scene
 from torchid.withheld.plant.scene import friction_known, moved_otherwise, nominal_of, rms, scene_of
+from torchid.withheld.plant.servo_catalogue import SERVO_KINDS
+from torchid.withheld.plant.servo_scene import led, placed, servo_scene, visible
+from torchid.withheld.plant.settings import DRAWS
 from torchid.withheld.plant.simulate import simulated
 from torchid.withheld.plant.sizes import gaps, planted, readings, size_of, sized
 
@@ -24,6 +29,9 @@ FINE = 2.5e-4
 FELT = 0.01
 """Share of a joint's torque from which on it feels an effect: the least that is worth a name."""
 
+MOVED = 0.1
+"""Share of the largest change of a joint's positions from which on a joint feels an effect."""
+
 _FINEST = 48
 """Bits of an encoder that rounds nothing."""
 
@@ -34,7 +42,8 @@ class SimulatedCase:
 
     Attributes:
         urdf: the nominal model.
-        columns: of the log: t, q1.., dq1.. where the logger has velocities, tau1.., traj (T,).
+        columns: of the log: t, q1.., dq1.. where the logger has velocities, tau1.., traj (T,); of
+            servos t, u1.., q1.., traj.
         key: what was planted; without an id.
     """
 
@@ -62,13 +71,73 @@ def simulate_case(
     """
     if bare:
         spec = replace(spec, effects=())
+    if isinstance(spec, ServoSpec):
+        return _of_servos(spec)
+    assert isinstance(spec, TorqueSpec)
+    return _of_torques(spec, ideal=ideal, fresh=fresh)
+
+
+def _record(
+    kinds: Mapping[str, Kind], effect: EffectSpec, felt: Array, parameters: Parameters, size: float
+) -> dict[str, Any]:
+    """What a key says of an effect; `felt` (n,) is whether each joint feels it."""
+    return {
+        "name": effect.name,
+        **picked(kinds[effect.name], "family acceptable=akin"),
+        "joints": [j + 1 for j in effect.joints],
+        "felt_by": (np.flatnonzero(felt) + 1).tolist(),
+        "parameters": parameters,
+        "size": size,
+    }
+
+
+def _of_servos(spec: ServoSpec) -> SimulatedCase:
+    # Effects are placed and sized one after the other, each alone on the arm.
+    rng = np.random.default_rng([spec.seed, spec.number, 2])
+    scene = servo_scene(spec, rng)
+    plan, found, count = scene.plan, scene.base, scene.servos.count
+    effects: list[dict[str, Any]] = []
+    taken: tuple[int, ...] = ()
+    for one in spec.effects:
+        effect = placed(scene, one.name, rng, taken)
+        taken += effect.joints
+        scale, rms, found = visible(scene, effect)
+        plan, own = SERVO_KINDS[effect.name].plant(scene, plan, effect, scale)
+        felt = rms > max(MOVED * rms.max(), count / 2)
+        # Of the largest change, over what an encoder rounds to.
+        size = float(rms.max() / (count / np.sqrt(12)))
+        effects.append(_record(SERVO_KINDS, effect, felt, own, size))
+    if len(effects) > 1:
+        found = led(scene, plan)
+    # What the bus carries: commands, and positions in counts.
+    n, rows = scene.arm.n, [len(u) for u in scene.commands]
+    columns = {
+        "t": np.concatenate([np.arange(k) / spec.rate_hz for k in rows]),
+        **{f"u{j + 1}": np.concatenate([u[:, j] for u in scene.commands]) for j in range(n)},
+        **{f"q{j + 1}": np.concatenate([m.logged[:, j] for m in found]) for j in range(n)},
+        "traj": np.repeat(np.arange(len(rows)), rows),
+    }
+    values = {name: scene.of(name).tolist() for name in scene.servos.values}
+    key = {
+        **picked(spec, "kind arm rate_hz"),
+        "level": None,
+        "effects": effects,
+        "background": {**values, **picked(scene.plan.plant, "damping armature")},
+        "counts": spec.counts,
+    }
+    return SimulatedCase(urdf(scene.arm, np.zeros(n), np.zeros(n)), columns, key)
+
+
+def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
     # The scene, and the arm without effects.
     arm = arm_named(spec.arm)
     known = friction_known(arm, np.array(spec.viscous), np.array(spec.coulomb))
     nominal, base = nominal_of(arm, *known), Plan(plant_of(arm, *known), *known)
     controllers = spec.bandwidth_hz, spec.damping_ratio
     scene = scene_of(arm, nominal, spec.motion, spec.noise_share, *controllers)
-    found = [sized(scene, base, nominal, effect, spec.level or 5.0) for effect in spec.effects]
+    found = [
+        sized(scene, base, nominal, effect, spec.level or DRAWS.level) for effect in spec.effects
+    ]
     if spec.poor:
         scene = moved_otherwise(scene, nominal, spec.poor)
     if fresh:
@@ -92,14 +161,7 @@ def simulate_case(
             sizes[k] = size_of(scene, alone, own_nominal, moved)
     noise_std, torque = scene.noise, scene.torque
     effects = [
-        {
-            "name": effect.name,
-            **picked(kind_named(effect.name), "family acceptable=akin"),
-            "joints": [j + 1 for j in effect.joints],
-            "felt_by": [j + 1 for j in np.flatnonzero(size * noise_std > FELT * torque).tolist()],
-            "parameters": own,
-            "size": float(size.max()),
-        }
+        _record(KINDS, effect, size * noise_std > FELT * torque, own, float(size.max()))
         for effect, own, size in zip(spec.effects, parameters, sizes, strict=True)
     ]
     logger, noise = spec.logger, scene.noise
@@ -112,7 +174,7 @@ def simulate_case(
 
 
 def _key(
-    spec: CaseSpec, scene: Scene, plan: Plan, effects: list[dict[str, Any]], gap: np.ndarray
+    spec: TorqueSpec, scene: Scene, plan: Plan, effects: list[dict[str, Any]], gap: np.ndarray
 ) -> dict[str, Any]:
     return {
         **picked(spec, "kind arm rate_hz=logger.rate_hz colour_hz=logger.colour_hz"),

@@ -1,6 +1,6 @@
 """Every effect that can be planted: its family, its place, its variants and its range of sizes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,43 +8,16 @@ import numpy as np
 from torchid.errors import TorchidError
 from torchid.withheld.plant import friction, mechanics, sensing
 from torchid.withheld.plant.friction import Planted
-from torchid.withheld.plant.plan import EffectSpec, Plan, Scene
+from torchid.withheld.plant.plan import EffectSpec, Scene
 
 Rng = np.random.Generator
-Plant = Callable[[Scene, Plan, EffectSpec, float], Planted]
+Plant = Callable[..., Planted]
+"""From a scene, a plan, an effect and its scale."""
 Size = Callable[[Scene, EffectSpec], float]
 Draws = Callable[[Rng, int, tuple[int, ...]], dict[str, float]]
 """From a generator, the number of joints and the joints."""
 
 OUTSIDE = "outside"
-
-
-@dataclass(frozen=True)
-class Kind:
-    """An effect that can be planted.
-
-    Attributes:
-        family: torchid's, or `outside`.
-        plant: adds it to a plan at a scale.
-        usual: scale at which its size is about 5 standard deviations of the noise.
-        largest: scale beyond which it would be no arm any more.
-        draws: numbers of a variant, from a generator, the number of joints and the joints.
-        place: `joint`, `pair` of neighbours, `arm`.
-        first: first joint (from 0) where it can be.
-        sensing: whether it changes what is measured, not how the arm moves.
-        akin: families of the library that an honest answer may give an effect outside of it:
-            friction that changes along the turn is friction.
-    """
-
-    family: str
-    plant: Plant
-    usual: Size
-    largest: Size
-    draws: Draws
-    place: str = "joint"
-    first: int = 0
-    sensing: bool = False
-    akin: tuple[str, ...] = ()
 
 
 def _uniform(**ranges: tuple[float, float]) -> Draws:
@@ -54,13 +27,47 @@ def _uniform(**ranges: tuple[float, float]) -> Draws:
     }
 
 
+def _fixed(value: float) -> Size:
+    return lambda scene, effect: value
+
+
+_EVER = _fixed(np.inf)
+_ONE = _fixed(1.0)
+_SAME = _uniform()
+
+
+@dataclass(frozen=True)
+class Kind:
+    """An effect that can be planted.
+
+    Attributes:
+        family: the diagnosis', or `outside`.
+        plant: adds it to a plan at a scale.
+        usual: scale at which its size is about 5 standard deviations of the noise.
+        largest: scale beyond which it would be no arm any more.
+        draws: numbers of a variant, from a generator, the number of joints and the joints.
+        place: `joint`, `pair` of neighbours, `arm`; of servos also `bus`, one joint or all; `all`;
+            `loaded`, a joint that bears gravity.
+        first: first joint (from 0) where it can be.
+        sensing: whether it changes what is measured, not how the arm moves.
+        akin: names and families that an honest answer may give it as well: friction that changes
+            along the turn is friction.
+    """
+
+    family: str
+    plant: Plant
+    usual: Size = _ONE
+    largest: Size = _EVER
+    draws: Draws = _SAME
+    place: str = "joint"
+    first: int = 0
+    sensing: bool = False
+    akin: tuple[str, ...] = ()
+
+
 def _signed(**ranges: tuple[float, float]) -> Draws:
     """Draws of numbers from ranges, and of a direction, 1 or -1."""
     return _uniform(direction=(-1.0, 1.0), **ranges)
-
-
-def _fixed(value: float) -> Size:
-    return lambda scene, effect: value
 
 
 def _column(rms: Callable[[Scene, EffectSpec, int], float]) -> Size:
@@ -98,8 +105,6 @@ def _half(size: Size) -> Size:
     return lambda scene, effect: 0.5 * size(scene, effect)
 
 
-_EVER = _fixed(np.inf)
-_ONE = _fixed(1.0)
 _GRAVITY = _fixed(0.05)
 
 KINDS: dict[str, Kind] = {
@@ -277,15 +282,15 @@ REDRAWN = ("random_load", "random_resistance", "creep", "bursts", "flexible_base
 """Those that it has not, most of them random physics: the release sets'."""
 
 
-def kind_named(name: str) -> Kind:
+def kind_named(name: str, kinds: Mapping[str, Kind] = KINDS) -> Kind:
     """An effect by name.
 
     Raises:
         TorchidError: there is none of that name.
     """
-    if name not in KINDS:
-        raise TorchidError(f"the withheld plant has no effect '{name}'.", available=list(KINDS))
-    return KINDS[name]
+    if name not in kinds:
+        raise TorchidError(f"the withheld plant has no effect '{name}'.", available=list(kinds))
+    return kinds[name]
 
 
 def drawn_effect(rng: Rng, name: str, n: int, avoid: tuple[int, ...] = ()) -> EffectSpec:

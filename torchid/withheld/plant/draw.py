@@ -1,6 +1,6 @@
 """What a case is, drawn from a seed and its number alone."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -12,67 +12,82 @@ from torchid.withheld.plant.catalogue import (
     FOREIGN,
     KINDS,
     LIBRARY,
+    OUTSIDE,
     REDRAWN,
+    Kind,
     drawn_effect,
     kind_named,
 )
 from torchid.withheld.plant.logger import Logger
 from torchid.withheld.plant.motion import MotionPlan
 from torchid.withheld.plant.plan import EffectSpec
+from torchid.withheld.plant.servo_catalogue import SERVO_KINDS
+from torchid.withheld.plant.settings import DRAWS
 
 Item = TypeVar("Item")
+Rng = np.random.Generator
 
-BLOCK = (
-    *["none"] * 4,
-    "parameters",
-    *["single"] * 7,
-    *["several"] * 3,
-    *["outside"] * 2,
-    "poor",
-    *["severity"] * 2,
-)
-"""Kinds of twenty cases in a row, in an order of their own."""
 
-CASE_KINDS = tuple(dict.fromkeys(BLOCK))
+@dataclass(frozen=True)
+class Mix:
+    """What the cases of a set are.
 
-RELEASE = (*["none"] * 4, *["single"] * 8, *["outside"] * 4, *["several"] * 3)
-"""Kinds of nineteen cases in a row of a release, whose effects outside the library are others, and
-half of whose cases without an effect have noise that is coloured or grows with speed."""
+    Attributes:
+        block: kinds of so many cases in a row, in an order of their own.
+        effects: that its arms can have.
+        foreign: those that the diagnosis cannot name.
+        servos: whether servos move the arms, and the logs have no torque.
+    """
 
-MIXES = {"mixed": BLOCK, "release": RELEASE}
+    block: tuple[str, ...]
+    effects: Mapping[str, Kind]
+    foreign: tuple[str, ...]
+    servos: bool = False
 
-LEVEL = 5.0
-"""Size of an effect, in standard deviations of the torque noise."""
+    @property
+    def library(self) -> tuple[str, ...]:
+        """Effects that the diagnosis can name."""
+        return tuple(name for name, kind in self.effects.items() if kind.family != OUTSIDE)
 
-LEVELS = tuple(float(x) for x in np.logspace(-1, 1, 9).round(4))
-"""Of the severity sweep."""
+
+def _block(**cases: int) -> tuple[str, ...]:
+    return tuple(kind for kind, count in cases.items() for _ in range(count))
+
+
+MIXES = {
+    # Of every sort, for development.
+    "mixed": Mix(
+        _block(none=4, parameters=1, single=7, several=3, outside=2, poor=1, severity=2),
+        KINDS,
+        FOREIGN,
+    ),
+    # What a release is judged by: other effects outside the library, and of the cases without an
+    # effect half have noise that is coloured or grows with speed.
+    "release": Mix(_block(none=4, single=8, outside=4, several=3), KINDS, REDRAWN),
+    # Of commands and positions.
+    "position": Mix(
+        _block(none=5, single=9, several=2, outside=4),
+        SERVO_KINDS,
+        tuple(name for name, kind in SERVO_KINDS.items() if kind.family == OUTSIDE),
+        servos=True,
+    ),
+}
 
 EXCLUSIVE = (
-    "stribeck_friction",
-    "asymmetric_friction",
-    "thermal_friction_drift",
-    "uneven_friction",
-    "uneven_damping",
-    "gear_coupling",
-    "joint_elasticity",
-    "backlash",
-)
+    "stribeck_friction", "asymmetric_friction", "thermal_friction_drift", "uneven_friction",
+    "uneven_damping", "gear_coupling", "joint_elasticity", "backlash",
+)  # fmt: skip
 """Effects that take the place of a joint's known friction or drive: one of them a joint."""
 
-_DRAWS = 100
-
 POOR = ("slow", "small", "few")
+"""Motions that tell little."""
 
 COLLINEAR = (
-    ("viscous_friction", "power_law_friction"),
-    ("viscous_friction", "coulomb_friction"),
-    ("coulomb_friction", "load_dependent_friction"),
-    ("coulomb_friction", "presliding_hysteresis"),
-    ("torque_offset", "joint_spring"),
-    ("torque_gain", "time_delay"),
-    ("rotor_inertia", "viscous_friction"),
-    ("torque_offset", "cogging"),
-)
+    ("viscous_friction", "power_law_friction"), ("viscous_friction", "coulomb_friction"),
+    ("coulomb_friction", "load_dependent_friction"), ("coulomb_friction", "presliding_hysteresis"),
+    ("torque_offset", "joint_spring"), ("torque_gain", "time_delay"),
+    ("rotor_inertia", "viscous_friction"), ("torque_offset", "cogging"),
+)  # fmt: skip
 """Pairs that look alike on one joint."""
 
 _SEVERAL = tuple(name for name in LIBRARY if name not in ("filter_lag", "link_inertia"))
@@ -86,8 +101,35 @@ class CaseSpec:
         seed, number: what it was drawn from.
         kind: none, parameters, single, several, outside, poor or severity.
         arm: 3r, 6r or 7r.
-        effects: to plant.
-        level: wanted size of each, in standard deviations of the noise; None without effects.
+        effects: to plant; servos' get their joints once the loads are known.
+    """
+
+    seed: int
+    number: int
+    kind: str
+    arm: str
+    effects: tuple[EffectSpec, ...]
+
+
+@dataclass(frozen=True)
+class ServoSpec(CaseSpec):
+    """A case of an arm of servos.
+
+    Attributes:
+        rate_hz: of the log.
+        counts: of an encoder in one turn.
+    """
+
+    rate_hz: float
+    counts: int
+
+
+@dataclass(frozen=True)
+class TorqueSpec(CaseSpec):
+    """A case of an arm whose controllers are told torques.
+
+    Attributes:
+        level: wanted size of each effect, in standard deviations of the noise; None without any.
         motion: of the trajectories; a poor case's effects have their size on these.
         poor: the motion of a poor case; None for others.
         excitation: `rich`, or what is poor about the motion.
@@ -97,11 +139,6 @@ class CaseSpec:
         logger: of the log.
     """
 
-    seed: int
-    number: int
-    kind: str
-    arm: str
-    effects: tuple[EffectSpec, ...]
     level: float | None
     motion: MotionPlan
     poor: MotionPlan | None
@@ -129,76 +166,118 @@ def draw_case(
     Args:
         seed: of the set.
         number: of the case, from 0.
-        mix: of the set: `mixed`, or `release`.
         kind: of the case.
         effects: names of the effects to plant.
-        level: their size, in standard deviations of the noise.
+        level: their size, in standard deviations of the noise; servos' have the size that shows.
         arm: 3r, 6r or 7r.
+        mix: of the set: `mixed` or `release`; `position` for arms of servos.
 
     Raises:
-        TorchidError: an unknown kind, effect or arm.
+        TorchidError: an unknown mix, kind, effect or arm.
     """
-    if kind is None and effects is not None:
-        kind = ("none", "single")[len(effects)] if len(effects) < 2 else "several"
     if mix not in MIXES:
         raise TorchidError(f"unknown mix of cases '{mix}'.", available=list(MIXES))
-    block, foreign = MIXES[mix], FOREIGN if mix == "mixed" else REDRAWN
-    kind = kind or in_turn(seed, number, block, 101)
-    if kind not in CASE_KINDS:
-        raise TorchidError(f"unknown kind of case '{kind}'.", available=list(CASE_KINDS))
+    own = MIXES[mix]
+    # The kind, and how many cases of it came before.
+    found = [kind_named(name, own.effects) for name in effects or ()]
+    if kind is None and effects is not None:
+        kind = ("none", "single", "several")[min(len(found), 2)]
+        kind = "outside" if any(f.family == OUTSIDE for f in found) else kind
+    kind = kind or in_turn(seed, number, own.block, 101)
+    if kind not in own.block:
+        raise TorchidError(f"unknown kind of case '{kind}'.", available=sorted(set(own.block)))
+    turn = turn_of(seed, number, kind, own.block)
+    # None, or one of which each comes once before any comes twice.
+    if effects is None and kind == "none":
+        effects = ()
+    elif effects is None and kind in ("single", "outside"):
+        names, salt = (own.library, 104) if kind == "single" else (own.foreign, 103)
+        effects = (in_turn(seed, turn, names, salt),)
+    if own.servos:
+        return _servo_case(seed, number, kind, effects, arm)
+    return _torque_case(
+        seed, number, kind, effects, arm, turn=turn, level=level, release=mix == "release"
+    )
+
+
+def _servo_case(
+    seed: int, number: int, kind: str, effects: Sequence[str] | None, arm: str | None
+) -> ServoSpec:
     rng = np.random.default_rng([seed, number, 1])
+    if effects is None:
+        effects = rng.choice(MIXES["position"].library, 2, replace=False).tolist()
     name = arm or str(rng.choice(list(ARMS)))
+    return ServoSpec(
+        seed, number, kind, arm_named(name).name,
+        tuple(EffectSpec(str(effect), (), {}) for effect in effects),
+        rate_hz=float(rng.choice(DRAWS.servo_rates_hz)), counts=int(rng.choice(DRAWS.counts)),
+    )  # fmt: skip
+
+
+def _torque_case(
+    seed: int,
+    number: int,
+    kind: str,
+    effects: Sequence[str] | None,
+    arm: str | None,
+    *,
+    turn: int,
+    level: float | None,
+    release: bool,
+) -> TorqueSpec:
+    # Arm, effects, motion, friction and logger each have random numbers of their own.
+    def numbers(what: int) -> Rng:
+        return np.random.default_rng([seed, number, what])
+
+    name = arm or str(numbers(1).choice(list(ARMS)))
     n = arm_named(name).n
-    turn = turn_of(seed, number, kind, block)
-    rng = np.random.default_rng([seed, number, 2])
-    planted = _effects(rng, seed, turn, kind, n, effects, foreign)
-    wanted = level or LEVEL if planted else None
+    planted = _effects(numbers(2), kind, n, effects)
+    wanted = level or DRAWS.level if planted else None
     if planted and not level and kind == "severity":
-        wanted = in_turn(seed, turn, LEVELS, 102)
-    motion = _motion(np.random.default_rng([seed, number, 3]), n)
-    poor, excitation = None, "rich"
-    if kind == "poor":
-        # A motion that tells little: slow, small, or of one or two joints.
-        rng = np.random.default_rng([seed, number, 4])
-        what = str(rng.choice(POOR))
-        levels, reach, moving = motion.levels, 1.0, motion.moving
-        if what == "slow":
-            factor = float(rng.uniform(0.06, 0.12))
-            levels = tuple(level * factor for level in levels)
-        elif what == "small":
-            reach = float(rng.uniform(0.03, 0.08))
-        else:
-            count = int(rng.integers(1, 3))
-            moving = tuple(sorted(int(j) for j in rng.choice(n, count, replace=False)))
-        poor, excitation = replace(motion, levels=levels, moving=moving, reach=reach), what
-    quiet = np.random.default_rng([seed, number, 5])
+        wanted = in_turn(seed, turn, DRAWS.levels, 102)
+    motion = _motion(numbers(3), n)
+    poor, excitation = _poor(numbers(4), motion, n) if kind == "poor" else (None, "rich")
+    quiet = numbers(5)
     # In a release several effects stand on friction that is known.
-    knows = quiet.random() < 0.7 or (mix == "release" and kind == "several")
-    viscous, coulomb = (quiet.uniform(0.003, 0.02, n) * knows for _ in range(2))
-    rng = np.random.default_rng([seed, number, 6])
+    knows = quiet.random() < DRAWS.known or (release and kind == "several")
+    viscous, coulomb = (quiet.uniform(*DRAWS.friction, n) * knows for _ in range(2))
+    rng = numbers(6)
     logger = Logger(
-        rate_hz=int(rng.choice([250, 500, 1000])),
-        encoder_bits=int(rng.integers(17, 21)),
-        colour_hz=5.0 if rng.random() < 0.5 else None,
-        jitter=float(rng.choice([0.0, 0.01, 0.03])),
-        own_velocity=bool(rng.random() < 0.35),
-        velocity_noise=float(rng.uniform(1e-4, 1e-3)),
+        rate_hz=int(rng.choice(DRAWS.rates_hz)),
+        encoder_bits=int(rng.integers(*DRAWS.bits, endpoint=True)),
+        colour_hz=DRAWS.colour_hz if rng.random() < DRAWS.coloured else None,
+        jitter=float(rng.choice(DRAWS.jitters)),
+        own_velocity=bool(rng.random() < DRAWS.velocities),
+        velocity_noise=float(rng.uniform(*DRAWS.velocity_noise)),
         clock=float(rng.uniform(0, 1000).__round__(3)),
         seed=int(rng.integers(2**31)),
     )
-    if mix == "release" and kind == "none":
+    if release and kind == "none":
         # White, white, coloured, growing with speed, in turn.
         noise = turn % 4
-        grows = float(rng.uniform(1.0, 4.0)) if noise == 3 else 0.0
-        logger = replace(logger, colour_hz=5.0 if noise == 2 else None, grows=grows)
-    return CaseSpec(
+        grows = float(rng.uniform(*DRAWS.grows)) if noise == 3 else 0.0
+        logger = replace(logger, colour_hz=DRAWS.colour_hz if noise == 2 else None, grows=grows)
+    return TorqueSpec(
         seed, number, kind, name, planted, wanted, motion, poor, excitation,
         tuple(viscous.tolist()), tuple(coulomb.tolist()),
-        noise_share=float(quiet.uniform(0.005, 0.02)),
-        bandwidth_hz=float(quiet.uniform(3.0, 8.0)),
-        damping_ratio=float(quiet.uniform(0.6, 1.0)),
+        noise_share=float(quiet.uniform(*DRAWS.noise)),
+        bandwidth_hz=float(quiet.uniform(*DRAWS.bandwidth_hz)),
+        damping_ratio=float(quiet.uniform(*DRAWS.damping)),
         logger=logger,
     )  # fmt: skip
+
+
+def _poor(rng: Rng, motion: MotionPlan, n: int) -> tuple[MotionPlan, str]:
+    """A motion that tells little, and why: slow, small, or of one or two joints."""
+    what = str(rng.choice(POOR))
+    if what == "slow":
+        factor = float(rng.uniform(*DRAWS.slow))
+        return replace(motion, levels=tuple(level * factor for level in motion.levels)), what
+    if what == "small":
+        return replace(motion, reach=float(rng.uniform(*DRAWS.small))), what
+    count = int(rng.integers(1, 3))
+    moving = sorted(int(j) for j in rng.choice(n, count, replace=False))
+    return replace(motion, moving=tuple(moving)), what
 
 
 def turn_of(seed: int, number: int, kind: str, kinds: Sequence[str]) -> int:
@@ -216,18 +295,8 @@ def in_turn(seed: int, turn: int, names: Sequence[Item], salt: int) -> Item:
     return names[int(order[place])]
 
 
-def _effects(
-    rng: np.random.Generator,
-    seed: int,
-    turn: int,
-    kind: str,
-    n: int,
-    wanted: Sequence[str] | None,
-    foreign: Sequence[str],
-) -> tuple[EffectSpec, ...]:
+def _effects(rng: Rng, kind: str, n: int, wanted: Sequence[str] | None) -> tuple[EffectSpec, ...]:
     if wanted is not None:
-        for name in wanted:
-            kind_named(name)
         found = _apart(rng, wanted, n)
         if found is None:
             raise TorchidError(
@@ -236,35 +305,29 @@ def _effects(
                 hint="an arm with more joints",
             )
         return found
-    if kind == "none":
-        return ()
     if kind == "parameters":
         links = tuple(range(n))
         return (EffectSpec("link_inertia", links, KINDS["link_inertia"].draws(rng, n, links)),)
     if kind == "several":
         # A pair that looks alike, on one joint; or two or three, each on its own.
-        if rng.random() < 0.35:
+        if rng.random() < DRAWS.alike:
             first, second = COLLINEAR[int(rng.integers(len(COLLINEAR)))]
-            one = drawn_effect(rng, first, n)
-            others = tuple(j for j in range(n) if j not in one.joints)
-            return one, drawn_effect(rng, second, n, avoid=others)
-        count = 2 if rng.random() < 0.7 else 3
+            beside = drawn_effect(rng, first, n)
+            others = tuple(j for j in range(n) if j not in beside.joints)
+            return beside, drawn_effect(rng, second, n, avoid=others)
+        count = 2 if rng.random() < DRAWS.pairs else 3
         while True:
             names = [str(x) for x in rng.choice(_SEVERAL, count, replace=False)]
             found = _apart(rng, names, n)
             if found is not None:
                 return found
-    if kind == "outside":
-        return (drawn_effect(rng, in_turn(seed, turn, foreign, 103), n),)
-    if kind == "single":
-        return (drawn_effect(rng, in_turn(seed, turn, LIBRARY, 104), n),)
     return (drawn_effect(rng, str(rng.choice(LIBRARY)), n),)
 
 
 def _apart(rng: np.random.Generator, names: Sequence[str], n: int) -> tuple[EffectSpec, ...] | None:
     """Effects on joints of their own, where there are enough; None where there are too few for
     effects that exclude each other."""
-    for _ in range(_DRAWS):
+    for _ in range(DRAWS.tries):
         out: list[EffectSpec] = []
         for name in names:
             taken = tuple(j for effect in out for j in effect.joints)
@@ -277,9 +340,9 @@ def _apart(rng: np.random.Generator, names: Sequence[str], n: int) -> tuple[Effe
 
 def _motion(rng: np.random.Generator, n: int) -> MotionPlan:
     """Four trajectories of 12 to 15 s at three or four levels of speed; mostly one is repeated."""
-    repeats = rng.random() < 0.8
+    repeats = rng.random() < DRAWS.repeated
     count = 3 if repeats else 4
-    levels = rng.permutation([0.85, 0.55, 0.3, 0.7][:count]) * rng.uniform(0.85, 1.1)
+    levels = rng.permutation(DRAWS.speeds[:count]) * rng.uniform(0.85, 1.1)
     shapes = list(range(count))
     if repeats:
         shapes.append(int(np.argmax(levels)) if rng.random() < 0.5 else int(rng.integers(count)))
@@ -287,7 +350,7 @@ def _motion(rng: np.random.Generator, n: int) -> MotionPlan:
         seed=int(rng.integers(2**31)),
         shapes=tuple(shapes),
         levels=tuple(levels.tolist()),
-        seconds=tuple(rng.uniform(12.0, 15.0, count).round(2).tolist()),
-        pauses=(0.0, *rng.uniform(2.0, 6.0, 3).round(2).tolist()),
+        seconds=tuple(rng.uniform(*DRAWS.seconds, count).round(2).tolist()),
+        pauses=(0.0, *rng.uniform(*DRAWS.pauses, 3).round(2).tolist()),
         moving=tuple(range(n)),
     )

@@ -13,7 +13,7 @@ FADE = 1.2
 SETTLE = 1.0
 """Seconds at rest before a trajectory is logged."""
 
-_HARMONICS = 5
+_HARMONICS = 5  # sinusoids a joint
 _REACH = 0.85  # share of the position range that is used
 _BRISK = 0.3  # seconds to the velocity limit, at the limit of acceleration
 

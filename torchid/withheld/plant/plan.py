@@ -10,6 +10,7 @@ from torchid.withheld.plant.arms import Arm
 from torchid.withheld.plant.bodies import Array
 from torchid.withheld.plant.model import Plant
 from torchid.withheld.plant.motion import Sum
+from torchid.withheld.plant.servo import Servos
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,7 @@ class Plan:
         laws, sensors, push, held: of the effects.
         offset: (n,) true position minus what encoder and controller take it for [rad].
         own_velocity: whether the log must have velocities of its own.
+        servos: that move it; None where its controllers are told torques.
     """
 
     plant: Plant
@@ -119,6 +121,7 @@ class Plan:
     held: tuple[Windows, ...] = ()
     offset: Array | None = None
     own_velocity: bool = False
+    servos: Servos | None = None
 
 
 @dataclass(frozen=True)

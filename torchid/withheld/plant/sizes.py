@@ -20,7 +20,7 @@ COARSE = 5e-4
 
 _GRID = 0.004  # seconds between the instants of a gap
 _CLOSE = 0.12  # a scale is found when the size is that close to the wanted one, as a share
-_TRIES = 6
+_TRIES = 6  # simulations that look for a scale
 
 
 @dataclass(frozen=True)
