@@ -23,7 +23,7 @@ from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, ServoParameter
 from torchid.simulation.servo_loop import windows_of
 from torchid.statistics.proportion import HALF_95
-from torchid.typing import Float, Tensor
+from torchid.typing import Bool, Tensor
 
 PER_KP = {"N m": "rad", "N m s/rad": "s", "N m/(rad s)": "1/s", "kg m^2": "s^2"}
 """Units of torques as shares of kp."""
@@ -38,7 +38,7 @@ def servos_of(
         LogError: a log that `diagnose_positions` cannot use.
     """
     sides = [diagnose_positions(robot, log) for log in (simulated, real)]
-    worth = _worth(*sides)
+    needed = _needed(*sides)
     rows: list[ServoDifference] = []
     warnings = list(dict.fromkeys(w for side in sides for w in side.warnings))
     for j in range(robot.n):
@@ -50,7 +50,7 @@ def servos_of(
                 f"joint {j + 1}: the motions leave a common factor of all torques open, so torques "
                 "are compared as shares of the gain kp"
             )
-        rows += _joint(sides, j, ratio, worth[j])
+        rows += _joint(sides, j, ratio, needed[j])
     loads = [any(f.effect == "payload" for f in side.findings) for side in sides]
     if loads[0] != loads[1]:
         whose, other = ("arm", "simulator") if loads[1] else ("simulator", "arm")
@@ -58,30 +58,45 @@ def servos_of(
     return tuple(rows), tuple(warnings)
 
 
-def _worth(simulated: PositionDiagnosis, real: PositionDiagnosis) -> Float[Tensor, "n K"]:
-    """Share of the two servos' distance that each parameter makes: how far the real servo's motion
-    moves with the simulated one's value of it, over how far with all of its values, in squares.
-    Nothing where that moves no joint that could be seen."""
-    data, own, other = real.data, real.servos.joint, simulated.servos.joint
-    sets = own.repeat(2 + len(PARAMETERS), 1, 1)
-    for k in range(len(PARAMETERS)):
-        sets[1 + k, :, k] = other[:, k]
-    sets[-1] = other
-    servos = replace(real.servos, joint=sets, plane=real.servos.plane.repeat(len(sets), 1))
+def _needed(simulated: PositionDiagnosis, real: PositionDiagnosis) -> Bool[Tensor, "n K"]:
+    """The few parameters of each joint that make the real servo move as the simulated one does.
+
+    One after the other, the parameter whose simulated value brings the real servo's motion nearest
+    to the simulated servo's takes that value, until what is left of the distance is no more than
+    could be seen. What follows from an inaccurate common factor of all
+    torques moves nothing, and is not taken.
+    """
+    data, other = real.data, simulated.servos.joint
+    now, k, n = real.servos.joint.clone(), len(PARAMETERS), real.servos.n
     windows = some_of(windows_of(data.tracks, WINDOW_S), MOST)
-    error = errors(data, servos, windows)
     rows = float((windows.length * windows.weight).sum())
-    moved = (error - error[..., :1]).square() * windows.weight[:, None, None]
-    square = moved.sum((0, 1)) / rows
-    seen = square[:, 1:-1] > data.slight[:, None] ** 2
-    return seen * square[:, 1:-1] / square[:, -1:].clamp(min=1e-300)
+    taken = torch.zeros(n, k, dtype=torch.bool)
+    for _ in range(k):
+        # The simulated servo, the real one, and the real one with each parameter of the other.
+        sets = now.repeat(2 + k, 1, 1)
+        sets[0] = other
+        for p in range(k):
+            sets[2 + p, :, p] = other[:, p]
+        plane = real.servos.plane.repeat(2 + k, 1)
+        error = errors(data, replace(real.servos, joint=sets, plane=plane), windows)
+        apart = (error - error[..., :1]).square() * windows.weight[:, None, None]
+        square = apart.sum((0, 1)) / rows
+        best, which = square[:, 2:].min(1)
+        better = square[:, 1] > data.slight**2
+        better &= square[:, 1] - best > WORTHWHILE * square[:, 1]
+        if not bool(better.any()):
+            break
+        joints = better.nonzero().flatten()
+        now[joints, which[joints]] = other[joints, which[joints]]
+        taken[joints, which[joints]] = True
+    return taken
 
 
 def _joint(
-    sides: Sequence[PositionDiagnosis], j: int, ratio: bool, worth: Float[Tensor, " K"]
+    sides: Sequence[PositionDiagnosis], j: int, ratio: bool, needed: Bool[Tensor, " K"]
 ) -> list[ServoDifference]:
-    """Parameters of one joint that either side's answer has. One differs whose intervals do not
-    hold the same value, and which makes a share of the distance that is worth a name; one that a
+    """Parameters of one joint that either side's answer has. One differs that is needed
+    to make one servo move as the other, and whose intervals do not hold the same value; one that a
     single side has was searched on both."""
     found = [_Side(side, j) for side in sides]
     out = []
@@ -101,7 +116,7 @@ def _joint(
         out.append(
             ServoDifference(
                 j, p.name, PER_KP[p.unit] if shared else p.unit, shared, a, interval_a, b,
-                interval_b, differs and bool(worth[INDEX[p.name]] > WORTHWHILE),
+                interval_b, differs and bool(needed[INDEX[p.name]]),
             )
         )  # fmt: skip
     return out

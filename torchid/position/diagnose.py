@@ -241,7 +241,10 @@ def _answer(
             float(losses_of(*model, few).sum())
             for model in ((load.data, heavy.servos), (data, found.servos))
         )
-        if bool(known.all()) and (with_it < without or not bool(explained.all())):
+        # Of two complete explanations the one of fewer causes counts, then the one that fits better.
+        fewer = 1 + _causes(heavy) < _causes(found)
+        as_few = 1 + _causes(heavy) == _causes(found) and with_it < without
+        if bool(known.all()) and (fewer or as_few or not bool(explained.all())):
             if bool(explained.all()) and without < ALIKE * with_it:
                 named = (e for e in EFFECTS if e.name not in KEPT)
                 others = tuple(e.name for e in named if bool(_present(found, e).any()))
@@ -341,6 +344,12 @@ def _present(found: Found, effect: PositionEffect) -> Tensor:
     for name in effect.parameters:
         on |= found.free.get(name, on)
     return on
+
+
+def _causes(found: Found) -> int:
+    """Effects beside plain servos, joint by joint; a plane is one."""
+    named = (e for e in EFFECTS if e.name not in KEPT)
+    return sum(int(_present(found, e).sum()) if e.parameters else int(found.plane) for e in named)
 
 
 def _without(found: Found, effect: PositionEffect, joints: Tensor, sample: float) -> Found:

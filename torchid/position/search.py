@@ -344,6 +344,13 @@ def alone(data: PositionData, simple: Found, windows: Windows) -> tuple[Found, T
         servos = fit(data, servos, free, windows, plane=now.plane, iterations=3)
         now = Found(servos, free, now.plane)
         cost_now = _one(data, now, windows)
+    # Where one effect is nearly enough, the fit is brought to its end before that is judged.
+    near = given & (cost_now > least) & (cost_now < NEAR * least)
+    if bool(near.any()):
+        rest = {name: on & near for name, on in now.free.items()}
+        servos = fit(data, now.servos, rest, windows, plane=now.plane, iterations=15)
+        now = replace(now, servos=servos)
+        cost_now = _one(data, now, windows)
     return now, cost_now <= least, rivals
 
 
