@@ -272,26 +272,20 @@ def fit(
             extra = (damping * factor)[:, None] * gram.diagonal(dim1=1, dim2=2)
             step = -torch.linalg.solve(gram + torch.diag_embed(extra), pull[..., None])[..., 0]
             steps.append(torch.where(logs, step.clamp(-LONGEST, LONGEST), step))
-        tried = here.repeat(len(DAMPINGS), 1, 1)
-        tried[:, :, at] += torch.stack(steps)
+        tried = here.repeat(len(DAMPINGS) + 1, 1, 1)
+        tried[1:, :, at] += torch.stack(steps)
         batch = moved(servos, tried)
         if plane and s.plane is not None:
             planes = _plane_steps(s.plane, s.residual, w, plane_damping)
-            batch.plane.add_(planes)
+            batch.plane[1:] += planes
             batch.plane[:, 4].clamp_(min=50.0)
         cost = loss(errors(data, batch, windows), windows)
-        # Where it is has been simulated already.
-        cost = torch.cat([loss(s.residual[..., None], windows), cost], 1)
-        joint, planes = (
-            torch.cat([own[None], others])
-            for own, others in ((servos.joint, batch.joint), (servos.plane, batch.plane))
-        )
-        away = (torch.cat([here[None], tried])[..., at] - begun).nan_to_num(nan=0.0)
+        away = (tried[..., at] - begun).nan_to_num(nan=0.0)
         cost = cost + (precision * away**2).sum(-1).T
         best = cost.argmin(1)
-        joint = joint[best, torch.arange(servos.n)]
+        joint = batch.joint[best, torch.arange(servos.n)]
         better = int(cost.sum(0).argmin())
-        servos = replace(servos, joint=joint, plane=planes[better].clone())
+        servos = replace(servos, joint=joint, plane=batch.plane[better].clone())
         factors = torch.tensor([8.0, 0.1, *DAMPINGS[1:]], dtype=torch.float64)
         damping = (damping * factors[best]).clamp(1e-6, 1e3)
         gain = float((1 - cost.amin(1) / cost[:, 0].clamp(min=1e-300)).max())
