@@ -243,6 +243,8 @@ def fit(
             takes longer than all the rest.
         iterations: of Gauss-Newton, at most; they end where no joint's loss falls much.
     """
+    if not plane and not any(bool(joints.any()) for joints in free.values()):
+        return servos
     origin, damping = searched(servos), torch.full((servos.n,), 1e-3, dtype=torch.float64)
     plane_damping = 1e-2
     for k in range(iterations):
