@@ -19,7 +19,7 @@ from torchid.app.init import init_command
 from torchid.app.log import log_app
 from torchid.app.output import in_options
 from torchid.app.project import add
-from torchid.app.show import effects_command, robot_command
+from torchid.app.show import effects_command, explain_command, robot_command
 from torchid.app.signature import Debug, Option
 from torchid.app.simulate import simulate_command
 from torchid.app.study import demo_command, study_command
@@ -35,8 +35,8 @@ app = typer.Typer(
 for _one in (
     init_command, robot_command, excite_command, simulate_command, log_app, identify_command,
     extract_command, check_command, atlas_command, wrenches_command, payload_command, gap_command,
-    correct_command, effects_command, export_command, compare_command, study_command,
-    fleet_app, withheld_app, demo_command,
+    correct_command, explain_command, effects_command, export_command, compare_command,
+    study_command, fleet_app, withheld_app, demo_command,
 ):  # fmt: skip
     if isinstance(_one, typer.Typer):
         app.add_typer(_one, name=_one.info.name)

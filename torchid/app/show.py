@@ -1,12 +1,13 @@
 """`torchid robot` and `torchid effects`: what a robot description says, what effects there are."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Kept
+from torchid.app.output import Kept, Printed
 from torchid.app.signature import command
 
 
@@ -46,3 +47,21 @@ def effects_command(
     if output.out is not None:
         output.written.append(write_catalogue(output.out))
     output.say(effects_table() if name is None else Markdown(effect_text(kinds[0])))
+
+
+@command
+def explain_command(
+    *, result: Annotated[Path, typer.Argument(metavar="RESULT")], output: Printed
+) -> None:
+    """Print a result again from its JSON: the answer, and what it rests on.
+
+    Example: `torchid explain result/gap.json`
+
+    Args:
+        result: JSON of any command.
+    """
+    from torchid.report.explain import shown
+    from torchid.results.files import load
+
+    record = load(result)
+    output.give(record, "result.json", shown)

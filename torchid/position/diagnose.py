@@ -241,7 +241,7 @@ def _answer(
             float(losses_of(*model, few).sum())
             for model in ((load.data, heavy.servos), (data, found.servos))
         )
-        # Of two complete explanations the one of fewer causes counts, then the one that fits better.
+        # Of two complete explanations the one of fewer causes counts, then the nearer one.
         fewer = 1 + _causes(heavy) < _causes(found)
         as_few = 1 + _causes(heavy) == _causes(found) and with_it < without
         if bool(known.all()) and (fewer or as_few or not bool(explained.all())):
