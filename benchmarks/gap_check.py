@@ -55,10 +55,10 @@ from gap_cases import (  # fmt: skip
 from gap_oracle import EVENTS, coverage, fresh_closed, model_of, oracle
 
 from torchid.effects.registry import FAMILIES, KINDS
-from torchid.gap.torque import diagnose_torque
 from torchid.gap.diagnosis import Diagnosis, Finding
 from torchid.gap.record import Parametric
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.parallel.workers import opened
 
 

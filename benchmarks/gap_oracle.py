@@ -22,10 +22,10 @@ from gap_plant import on_clock
 from torchid.design.columns import Columns, Model
 from torchid.effects.registry import EVENTS, KINDS, Valued, effect_from_record, nominal_effects
 from torchid.gap.data import prepare
-from torchid.gap.torque import diagnose_torque
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.noise.floor import stuck
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.gap.validate.folds import traces
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters

@@ -29,8 +29,8 @@ from gap_real import FRICTION, UR10E, logs
 
 from torchid.effects.registry import KINDS, model_torque, nominal_effects
 from torchid.gap.data import prepare
-from torchid.gap.torque import diagnose_torque
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot

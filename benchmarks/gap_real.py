@@ -16,9 +16,9 @@ from pathlib import Path
 import torch
 from real_logs import UR10E_GAINS
 
-from torchid.gap.torque import diagnose_torque
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.log.readers import read_log

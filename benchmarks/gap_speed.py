@@ -30,8 +30,8 @@ import torch
 
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.gap.torque import diagnose_torque
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot

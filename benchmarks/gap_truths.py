@@ -18,8 +18,8 @@ from typing import Any
 import torch
 from gap_real import FRICTION, logs
 
-from torchid.gap.torque import diagnose_torque
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 

@@ -30,9 +30,9 @@ from torchid.excitation.design import optimise_trajectory
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory
-from torchid.gap.torque import diagnose_torque
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.next_motion.ambiguity import open_questions
 from torchid.next_motion.rivals import rivals

@@ -24,9 +24,9 @@ from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.export.randomise import Randomisation, randomise
 from torchid.gap.data import prepare
-from torchid.gap.torque import diagnose_torque
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
+from torchid.gap.torque import diagnose_torque
 from torchid.gap.validate.folds import traces
 from torchid.identification.base_parameters import base_parameters
 from torchid.log.model import Log

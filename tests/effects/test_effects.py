@@ -43,7 +43,7 @@ ON_A_SLIDER = {
     "rad/(N m)": "m/(N)",
 }
 """Units in use, so that a new one gets a line in Coefficient.unit_for and here."""
-OF_THE_ARM = {"kg", "kg m", "kg m^2", "m", "rad", "m/s^2", "N", "N m"}
+OF_THE_ARM = {"N/m", "N s/m", "kg", "kg m", "kg m^2", "m", "rad", "m/s^2", "N", "N m"}
 """Units of coefficients that are the same on any joint."""
 DISSIPATIVE = (
     "viscous_friction",

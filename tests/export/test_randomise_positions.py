@@ -31,7 +31,7 @@ def found():
 
 def test_draws_have_the_covariance_of_what_the_log_told(found):
     wide = randomise_positions(found.record, 0.9, draws=1024, seed=2)
-    moved = absolute(wide.servos) - absolute(found.servos)
+    moved = absolute(wide.draws) - absolute(found.servos)
     own = moved[:, 0, [INDEX[name] for name in NAMES]]
     assert float(found.servos.of("delay")[0]) > 6 * COVARIANCE[2, 2] ** 0.5  # none is cut at zero
     size = COVARIANCE.diagonal().sqrt()
@@ -45,7 +45,7 @@ def test_draws_have_the_covariance_of_what_the_log_told(found):
         ("kp", "joint 1"), ("armature", "joint 1"), ("delay", "joint 1"), ("delay", "joint 2")
     ]  # fmt: skip
     first = wide.ranges[0]
-    inside = (wide.servos.of("kp")[:, 0] >= first.low) & (wide.servos.of("kp")[:, 0] <= first.high)
+    inside = (wide.draws.of("kp")[:, 0] >= first.low) & (wide.draws.of("kp")[:, 0] <= first.high)
     assert float(inside.double().mean()) == pytest.approx(0.9, abs=0.002)
     assert first.high / first.centre == pytest.approx(np.exp(1.645 * 0.2), rel=0.02)
     assert "one standard deviation is a factor of 1.22 by the log" in first.why
@@ -54,7 +54,7 @@ def test_draws_have_the_covariance_of_what_the_log_told(found):
 def test_what_is_positive_stays_so(found):
     joints = ((NAMES[2:], torch.ones(1, 1).double()), *found.known[1:])
     wide = randomise_positions(replace(found, known=joints).record, draws=64)
-    assert float(wide.servos.of("delay").min()) == 0
+    assert float(wide.draws.of("delay").min()) == 0
 
 
 def test_by_command(found, tmp_path):
@@ -72,7 +72,7 @@ def test_by_command(found, tmp_path):
     ]  # fmt: skip
     drawn = drawn_servos(tmp_path / "arm_servo_draws.npz", found.servos)
     again = randomise_positions(torchid.load(tmp_path / "gap.json"), 0.9, draws=64)
-    assert torch.allclose(drawn.joint, again.servos.joint)
+    assert torch.allclose(drawn.joint, again.draws.joint)
     rows = (tmp_path / "arm_ranges.csv").read_text().splitlines()
     assert rows[1].startswith('"actuator_gainprm[0] / scale, -actuator_biasprm[1]",kp,joint_1,')
     assert rows[2].startswith("dof_armature,armature,joint_1,")

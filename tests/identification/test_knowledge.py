@@ -126,7 +126,7 @@ def test_what_is_known_is_written_and_read(tmp_path) -> None:
     assert found.knowledge is not None
     assert_close(robot.knowledge.information, found.knowledge.information)
     read = torchid.load(tmp_path / "identification.json")
-    assert read.knowledge["sources"] == list(found.knowledge.sources)
+    assert read.knowledge.sources == found.knowledge.sources
 
 
 def test_base_parameters_of_a_model_that_knows_are_as_sure_as_it_is() -> None:

@@ -138,7 +138,7 @@ def test_every_figure_is_drawn(status):
 
 
 def test_worse_after_than_before_is_drawn():
-    (axes,) = budget_figure(diagnosis(budget=Budget(0.0, -0.3, 1.3))).axes
+    (axes,) = budget_figure(diagnosis(budget=Budget(0.0, -0.3, 1.3)).record).axes
     assert [p.get_width() for p in axes.patches] == [0.0, 0.0, 1.3]
     assert axes.get_xlim()[1] == 1.3
 

@@ -4,10 +4,13 @@ import inspect
 from dataclasses import fields
 from importlib import import_module
 from pkgutil import walk_packages
+from types import UnionType
+from typing import get_args
 
 import pytest
 
 import torchid
+from torchid.results.answer import Diagnosis
 from torchid.results.files import RECORDS
 from torchid.results.record import Record, Result
 
@@ -24,10 +27,8 @@ CANNOT = {
     },
     # Robots, simulators and logs that files are written from, or replayed, are not in the file.
     "Correction": {"files"},
-    "PositionCorrection": {"files"},
     "Randomisation": {"one", "write"},
-    "ServoRandomisation": {"write"},
-    "PositionDiagnosis": {"closed", "corrected", "unseen"},
+    "PositionDiagnosis": {"closed", "corrected", "unseen", "write_corrected"},
     "Replay": {"error"},
 }  # fmt: skip
 """What a loaded result cannot do, and why."""
@@ -44,10 +45,13 @@ def _all() -> dict[type[Result], type[Record]]:
     while todo:
         for kind in todo.pop().__subclasses__():
             todo.append(kind)
-            if kind.__module__.startswith("torchid.") and not issubclass(kind, Record):
+            abstract = kind is Diagnosis or issubclass(kind, Record)
+            if kind.__module__.startswith("torchid.") and not abstract:
                 made = inspect.getattr_static(kind, "record")
                 given = getattr(made, "fget", None) or made.func
                 record = given.__annotations__["return"]
+                if isinstance(record, UnionType):  # of either kind of log
+                    record = get_args(record)[0]
                 found[kind] = records[record] if isinstance(record, str) else record
     return found
 

@@ -93,3 +93,45 @@ class PreslidingHysteresis(JointEffect):
         (length,) = shapes
         exponent = -step.abs() / length
         return torch.exp(exponent), -torch.sign(step) * torch.expm1(exponent)
+
+
+@dataclass(frozen=True)
+class LoadHysteresis(PreslidingHysteresis):
+    """Dahl's friction whose level grows with the joint's torque: geared joints, harmonic drives.
+
+    As `presliding_hysteresis`, with mu |tau| in the place of Fh.
+    """
+
+    name = "load_hysteresis"
+    needs = frozenset({"torque"})
+    coefficients = (
+        Coefficient("mu_h", "1", True, "friction per torque when the bristles slide", 0.5),
+    )
+    meaning = "Teeth under load deflect before they slide: a loop that is wider under more torque."
+    equation = "mu_h |tau| z with dz/dt = (dq - |dq| z)/length"
+    signature = "a loop over position after each reversal, in proportion to the torque"
+    experiment = "make many small reversals under several payloads"
+    remedy = "Scale a Dahl or LuGre model's friction with the joint's torque in the simulator."
+    example = Example((0.05,), "position", {"length": 0.1})
+
+    @property
+    def becomes(self) -> str | None:
+        """Load-dependent friction, where it builds up over less than a log usually resolves."""
+        return "load_dependent_friction" if super().becomes else None
+
+    @classmethod
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
+        """|torque of the model| z (..., T, n, 1); shapes: length."""
+        return super().formula(motion, *shapes) * _load(motion)
+
+    @classmethod
+    def advance(
+        cls, motion: Motion, dt: float, state: Tensor | None, *shapes: Tensor
+    ) -> tuple[Columns, Tensor | None]:
+        """The same after the displacement dq dt."""
+        columns, state = super().advance(motion, dt, state, *shapes)
+        return columns * _load(motion), state
+
+
+def _load(motion: Motion) -> Tensor:
+    return motion.require("torque", LoadHysteresis.name).abs().unsqueeze(-1)

@@ -8,6 +8,7 @@ from typing import Any
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.backlash import Backlash
 from torchid.effects.base import PLACES, Effect, JointEffect, Motion
+from torchid.effects.bearing import AxialLoadFriction, BearingMomentFriction
 from torchid.effects.coupling import GearCoupling
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import (
@@ -24,12 +25,13 @@ from torchid.effects.gravity import (
     TorqueCrosstalk,
     TorqueGain,
 )
-from torchid.effects.hysteresis import PreslidingHysteresis
+from torchid.effects.hysteresis import LoadHysteresis, PreslidingHysteresis
 from torchid.effects.inertia import LinkInertia, Payload, RotorInertia
 from torchid.effects.periodic import Cogging, MotorRipple, PositionDependentFriction
 from torchid.effects.phase import FilterLag, JointElasticity, TimeDelay
 from torchid.effects.spring import JointSpring
-from torchid.effects.transient import Contact, DroppedSamples, Saturation
+from torchid.effects.surroundings import EndStop, PlaneContact
+from torchid.effects.transient import Contact, DriveSaturation, DroppedSamples, Saturation
 from torchid.errors import RobotError, TorchidError
 from torchid.robot.model import Robot
 from torchid.robot.yaml_values import number
@@ -43,11 +45,14 @@ KINDS: dict[str, type[Effect]] = {
         CoulombFriction,
         StribeckFriction,
         LoadDependentFriction,
+        BearingMomentFriction,
+        AxialLoadFriction,
         TorqueOffset,
         AsymmetricFriction,
         JointSpring,
         RotorInertia,
         PreslidingHysteresis,
+        LoadHysteresis,
         Cogging,
         MotorRipple,
         PositionDependentFriction,
@@ -65,6 +70,9 @@ KINDS: dict[str, type[Effect]] = {
         JointElasticity,
         Backlash,
         Saturation,
+        DriveSaturation,
+        EndStop,
+        PlaneContact,
         Contact,
         DroppedSamples,
     )

@@ -89,6 +89,40 @@ class Saturation(JointEffect):
 
 
 @dataclass(frozen=True)
+class DriveSaturation(Saturation):
+    """Above a knee only a part of the motor's current becomes torque: iron saturates, or a drive
+    limits the torque that it does not measure. The log says more than acts.
+
+    Attributes:
+        limit: torque at the knee [N m or N].
+    """
+
+    name = "drive_saturation"
+    coefficients = (
+        Coefficient(
+            "excess", "1", True, "torque logged beyond the knee over torque that acts, less 1", 10.0
+        ),
+    )
+    meaning = "Above a knee the current's torque constant falls, so the log says more than acts."
+    equation = "excess max(|tau| - limit, 0) sgn(tau)"
+    signature = "peaks of the logged torque are too high"
+    remedy = "Keep the torque below the knee, or use a torque curve of the current."
+    source = (
+        "Vas 1990, Vector Control of AC Machines (magnetic saturation); Khalil 2002, Nonlinear "
+        "Systems, section 1.2.7"
+    )
+
+    @classmethod
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
+        """The excess over the knee, (|tau| - limit)+ sign(tau)."""
+        return -super().formula(motion, *shapes)
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        return super().c_code([-values[0]])
+
+
+@dataclass(frozen=True)
 class Contact(ModelEffect):
     """The tool pushes on something with a constant force, all the time or in a window.
 

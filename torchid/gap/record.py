@@ -1,10 +1,12 @@
 """A diagnosis as its JSON has it: the schema torchid.gap/1."""
 
 import itertools
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 
+from torchid.errors import TorchidError
 from torchid.results.answer import DiagnosisRecord
 from torchid.results.record import (
     FINITE,
@@ -18,6 +20,7 @@ from torchid.results.record import (
     face,
 )
 from torchid.robot.model import Robot
+from torchid.robot.writer import write_robot
 from torchid.simulation.two_models import Rollout
 from torchid.typing import Float, Tensor
 
@@ -535,6 +538,17 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
         closed = self.how_far.closed
         share = "" if closed is None else f", {100 * closed:.0f} % closed"
         return f"GapRecord('{self.robot}', {self.status}: {effects}{share})"
+
+    def write_corrected(self, path: str | Path) -> None:
+        """Write the corrected robot with its effects as a .yaml.
+
+        Raises:
+            TorchidError: a file of an older version, which does not hold it, or one that cannot be
+                written.
+        """
+        if self.corrected is None:
+            raise TorchidError("the diagnosis does not hold the corrected model.")
+        write_robot(self.corrected, path)
 
     def next_motion(self, robot: Robot | None = None, **settings: Any) -> "Separation":
         """The motion that separates what this diagnosis cannot tell apart; see `excite_for`."""

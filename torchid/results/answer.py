@@ -166,14 +166,16 @@ class Answer(Part, frozen=True, kw_only=True):
             )
             return _cut(f"{said.get(self.status, gap)} {self.reason}".rstrip())
         rest = ""
-        if self.closed is None or (self.closed_ci95 is not None and self.closed_ci95[0] <= 0):
+        if self.closed is None or self.after > UNCHANGED * self.before:
             verb, end = ("fits", "fit"), f"{self.error}; on new data: {change}."
             if self.after > UNCHANGED * self.before:
                 rest = " Nothing is confirmed."
         else:
             share = percent(self.closed).replace("> 99.9 %", "all")
             verb, end = ("explains", "explain"), f"{share} of {self.error} ({change})."
-            if self.status in ("detected_unexplained", "partly_explained"):
+            if self.closed_ci95 is not None and self.closed_ci95[0] <= 0:
+                rest = " Other motions may not confirm it."
+            elif self.status in ("detected_unexplained", "partly_explained"):
                 rest = " The rest has no known cause."
         # The two largest causes with their numbers; fewer words where these do not fit.
         groups = list(self.groups())
@@ -295,6 +297,16 @@ class Diagnosis(Result):
     """Where a model and its arm disagree, which causes explain it, how far they close it.
 
     `torchid.diagnose` makes it of every kind of log; `answer` is the same for all.
+
+    >>> import torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> motion = torchid.excite(robot, duration=8.0, restarts=1, iterations=0).log()
+    >>> log = torchid.simulate(robot, motion, effects=[
+    ...     {"effect": "viscous_friction", "joint": 2, "Fv": 0.5}])
+    >>> settings = torchid.GapSettings(effects=("viscous_friction",), rollout=False)
+    >>> found = torchid.diagnose(robot, log, settings=settings)
+    >>> isinstance(found, Diagnosis), found.answer.unit, len(found.answer.joints)
+    (True, 'N m', 3)
     """
 
     __slots__ = ()

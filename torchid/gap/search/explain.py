@@ -9,6 +9,7 @@ import torch
 from torchid.design.columns import Columns, Model, Place, on_joint
 from torchid.design.gram import Normal, visible_root
 from torchid.effects.base import Effect, JointEffect, ModelEffect
+from torchid.effects.surroundings import PlaneContact
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
 from torchid.gap.search.climb import (
@@ -21,7 +22,7 @@ from torchid.gap.search.climb import (
     swapped,
     worthy,
 )
-from torchid.gap.search.events import contacts
+from torchid.gap.search.events import contacts, planes
 from torchid.gap.search.evidence import (
     Fitted,
     Question,
@@ -106,8 +107,12 @@ def explained(
         columns = given.at(at) if attempt else given
         question = asked(columns)
         # Events first: no law may explain a push.
-        if attempt == 0 and Contact.name in wanted.names:
-            found = contacts(question)
+        if attempt == 0:
+            found: list[Effect] = []
+            if Contact.name in wanted.names:
+                found += contacts(question)
+            if PlaneContact.name in wanted.names:
+                found += planes(question)
             if found:
                 extra += found
                 question = asked(columns)
