@@ -77,7 +77,7 @@ def test_by_command(found, tmp_path):
     assert rows[1].startswith('"actuator_gainprm[0] / scale, -actuator_biasprm[1]",kp,joint_1,')
     assert rows[2].startswith("dof_armature,armature,joint_1,")
     refused = CliRunner().invoke(app, [*asked, "--out", str(tmp_path), "--spread", "x.json"])
-    assert "--spread is of logs with torques" in str(refused.exception)
+    assert "is of logs with torques" in str(refused.exception)
 
 
 @pytest.mark.parametrize(

@@ -101,6 +101,8 @@ class Effect(ABC):
         essential: numbers of the coefficients without which it would be another, simpler effect.
         event: whether it happened once in one log, and is no property of the arm.
         windowed: whether it is there in a window of time only, which must be found first.
+        at_ends: whether it acts at an end of the travel alone, so that few stretches of a log show
+            it.
         by_motion: whether a motion of some seconds brings it about.
         on_all: whether nearly all joints of an arm have it.
         shared: whether one coefficient may be common to all joints.
@@ -132,6 +134,7 @@ class Effect(ABC):
     essential: ClassVar[tuple[int, ...]] = ()
     event: ClassVar[bool] = False
     windowed: ClassVar[bool] = False
+    at_ends: ClassVar[bool] = False
     by_motion: ClassVar[bool] = True
     on_all: ClassVar[bool] = False
     shared: ClassVar[bool] = False

@@ -64,6 +64,7 @@ class PlaneContact(ModelEffect):
         "vibroimpact (J. Applied Mechanics 42), with a linear spring"
     )
     example = Example((2000.0, 0.0), "time", {"height": 0.6})
+    at_ends = True
 
     def __post_init__(self) -> None:
         if self.side not in SIDES:
@@ -167,6 +168,7 @@ class EndStop(JointEffect):
     remedy = "Put a joint limit of this position and stiffness into the simulator."
     source = "Khalil 2002, Nonlinear Systems, section 1.2.7 (a dead zone)"
     example = Example((200.0,), "position", {"limit": 0.5})
+    at_ends = True
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:

@@ -1,7 +1,7 @@
 """A corrected file of a simulator, by logs of any kind: `correct`."""
 
 from collections.abc import Sequence
-from importlib.util import find_spec
+from importlib import util
 from pathlib import Path
 
 from torchid.design.sensor import sensor_of
@@ -33,9 +33,9 @@ def file_format(asked: str) -> Target:
         MissingExtraError: no engine that runs such files is installed.
     """
     to = _FILES[asked]
-    if to == "drake" and find_spec("pydrake") is None:
+    if to == "drake" and util.find_spec("pydrake") is None:
         raise MissingExtraError("pydrake", "drake", "Checking a corrected MJCF in Drake on the log")
-    if find_spec("mujoco") is None and (to != "urdf" or find_spec("pinocchio") is None):
+    if util.find_spec("mujoco") is None and (to != "urdf" or util.find_spec("pinocchio") is None):
         raise MissingExtraError("mujoco", "mjcf", f"Checking a corrected {to} on the log")
     return to
 

@@ -170,16 +170,19 @@ def _windows(
     likely: list[tuple[int, int, int]] = []
     spans: Spans = []
     while len(likely) < MOST:
-        best: tuple[float, int, int] | None = None
+        best: tuple[bool, float, int, int] | None = None
         for i, (gain, start, length) in enumerate(looked):
             masked = gain.masked_fill(~_free(start, length, spans), -math.inf)
             for k in masked.argsort(descending=True)[:CLOSELY].tolist():
                 level = level_of(gain, start, length, k, spans)
-                if level is not None and (best is None or level.score > best[0]):
-                    best = level.score, i, k
+                if level is None:
+                    continue
+                # One that stands out already comes before one that others may hide.
+                now = level.chance < alpha, level.score, i, k
+                best = max(best, now) if best else now
         if best is None:
             break
-        _, i, k = best
+        i, k = best[2:]
         _, start, length = looked[i]
         likely.append((i, k, length))
         spans.append((int(start[k]), int(start[k]) + length))
