@@ -39,14 +39,31 @@ def effects_command(
     from rich.markdown import Markdown
 
     from torchid.effects.registry import KINDS, effect_kind
-    from torchid.report.catalogue import effect_record, effect_text, effects_table, write_catalogue
+    from torchid.effects.servo import SERVO_KINDS
+    from torchid.report.catalogue import (
+        effect_record,
+        effect_text,
+        effects_table,
+        servo_text,
+        write_catalogue,
+    )
 
-    kinds = list(KINDS.values()) if name is None else [effect_kind(name)]
-    record = {"schema": "torchid.effects/1", "effects": [effect_record(kind) for kind in kinds]}
+    # A name may be that of an effect on torque, of a cause under a servo, or of both.
+    servos = [kind for kind in SERVO_KINDS.values() if name in (None, kind.name)]
+    kinds = [kind for kind in KINDS.values() if name in (None, kind.name)]
+    if name is not None and not (kinds or servos):
+        effect_kind(name)  # the error that lists all
+    record = {
+        "schema": "torchid.effects/1",
+        "effects": [*map(effect_record, kinds), *map(effect_record, servos)],
+    }
     replace(output, out=None).write_json(record, "effects.json")
     if output.out is not None:
         output.written.append(write_catalogue(output.out))
-    output.say(effects_table() if name is None else Markdown(effect_text(kinds[0])))
+    if name is None:
+        output.say(effects_table())
+        return
+    output.say(Markdown("\n".join([*map(effect_text, kinds), *map(servo_text, servos)])))
 
 
 @command

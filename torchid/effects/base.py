@@ -103,6 +103,9 @@ class Effect(ABC):
         windowed: whether it is there in a window of time only, which must be found first.
         at_ends: whether it acts at an end of the travel alone, so that few stretches of a log show
             it.
+        servo: numbers of a position servo (`torchid.simulation.servo.PARAMETERS`) that it is in
+            logs of commands and positions, the one that gives its size first.
+        positions: whether such logs show it.
         by_motion: whether a motion of some seconds brings it about.
         on_all: whether nearly all joints of an arm have it.
         shared: whether one coefficient may be common to all joints.
@@ -135,6 +138,8 @@ class Effect(ABC):
     event: ClassVar[bool] = False
     windowed: ClassVar[bool] = False
     at_ends: ClassVar[bool] = False
+    servo: ClassVar[tuple[str, ...]] = ()
+    positions: ClassVar[bool] = False
     by_motion: ClassVar[bool] = True
     on_all: ClassVar[bool] = False
     shared: ClassVar[bool] = False

@@ -19,6 +19,8 @@ class ViscousFriction(JointEffect):
     name = "viscous_friction"
     family = "speed"
     coefficients = (Coefficient("Fv", "N m s/rad", True, "viscous friction"),)
+    servo = ("damping",)
+    positions = True
     meaning = "Lubricant shear, or a drive's back-EMF, resists in proportion to speed."
     equation = "Fv dq"
     signature = "odd in the joint's speed, and grows with it"
@@ -56,6 +58,8 @@ class CoulombFriction(JointEffect):
     family = "sign"
     jumps = True
     coefficients = (Coefficient("Fc", "N m", True, "Coulomb friction"),)
+    servo = ("coulomb",)
+    positions = True
     meaning = "Dry contact in gears and bearings resists with a constant torque."
     equation = "Fc sgn(dq)"
     signature = "a step where the joint reverses, of the same height everywhere"
@@ -96,6 +100,8 @@ class TorqueOffset(JointEffect):
     name = "torque_offset"
     family = "constant"
     coefficients = (Coefficient("F0", "N m", False, "offset"),)
+    servo = ("offset",)
+    positions = True
     meaning = "A torque sensor or current sensor reads a constant too much."
     equation = "F0"
     signature = "the same torque everywhere, at rest too"

@@ -93,6 +93,8 @@ class StribeckFriction(JointEffect):
             "vs", "rad/s", 0.005, 0.8, (0.03, 0.06, 0.1, 0.17, 0.3), "Stribeck speed", scale="speed"
         ),
     )
+    servo = ("stiction", "stribeck_speed")
+    positions = True
     meaning = "At low speed the lubricant film breaks down, so friction is higher than at speed."
     equation = "Fs exp(-|dq/vs|^d) sgn(dq)"
     signature = "friction in excess at low speed, gone at a few vs"
@@ -146,6 +148,8 @@ class LoadDependentFriction(JointEffect):
     coefficients = (
         Coefficient("mu", "1", True, "friction as a fraction of the transmitted torque", 1.0),
     )
+    servo = ("load_share",)
+    positions = True
     meaning = "Tooth and bearing forces press harder under load, so friction rises."
     equation = "mu |tau| sgn(dq)"
     signature = "a step at reversals that is higher where the joint carries more"

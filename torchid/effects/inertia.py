@@ -74,6 +74,7 @@ class Payload(BodyEffect):
 
     name = "payload"
     coefficients = _body("of the payload", positive_mass=True)
+    positions = True
     meaning = "The arm carries a tool or load that the model does not know."
     equation = "Y_n (m, mx, my, mz, Jxx, Jxy, Jxz, Jyy, Jyz, Jzz)"
     signature = "on all joints that carry the tool; exactly an error of the last link"
@@ -118,6 +119,8 @@ class RotorInertia(JointEffect):
     name = "rotor_inertia"
     family = "inertia"
     coefficients = (Coefficient("Ia", "kg m^2", True, "reflected rotor inertia"),)
+    servo = ("armature",)
+    positions = True
     meaning = "The motor's rotor, seen through the gear, resists acceleration."
     equation = "Ia ddq"
     signature = "follows the joint's own acceleration; for the first joints exactly as J_zz does"

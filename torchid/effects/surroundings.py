@@ -53,6 +53,7 @@ class PlaneContact(ModelEffect):
         ArmCoefficient("c", "N s/m", True, "damping while they touch", 1e4),
     )
     essential = (0,)
+    positions = True
     meaning = "The tool touches a table or a wall whenever it comes there."
     equation = "-J(q)' n (k depth + c d(depth)/dt) while depth > 0; n points to the free side"
     signature = "on all joints at once, wherever the tool is beyond one plane"
@@ -160,6 +161,8 @@ class EndStop(JointEffect):
             logarithmic=False,
         ),
     )  # fmt: skip
+    servo = ("stop_low", "stop_high")
+    positions = True
     meaning = "The joint runs into a stop, a cable or a bellows at an end of its travel."
     equation = "ks max(towards (q - limit), 0) towards"
     signature = "torque that rises at one end of the joint's travel"

@@ -402,8 +402,8 @@ def check(
 def harmful(found: Explanation, checked: Checked, least: Float[Tensor, " n"]) -> list[Term]:
     """Terms that do no good on data that was not fitted: those of a joint that gets worse; those
     that several joints feel, where the one they are located at gets worse by what would be worth a
-    name; and all that belong to the whole arm where the gap does not shrink at all, or, of what acts
-    at an end of the travel alone, where some joint gets worse. What happened once is not asked."""
+    name; and all that belong to the whole arm where the gap does not shrink at all; of what acts at
+    ends of the travel alone, where some joint gets worse. What happened once is not asked."""
     far = checked.far
     rise = far.rms_after - far.rms_before
     own, shared = (set(x.nonzero().flatten().tolist()) for x in (rise > 0, rise >= least))

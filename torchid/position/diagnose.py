@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchid.effects.servo import ServoEffect
 from torchid.log.checks import STILL
 from torchid.log.model import Log
 from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare
 from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
-from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, PositionEffect
+from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, neutral
 from torchid.position.fit import NOISE, TOGETHER, errors, fit
 from torchid.position.judge import (
     Equations,
@@ -336,7 +337,7 @@ def _telling(data: PositionData, model: Found, windows: Windows) -> Tensor:
     return own + own.median() / 2
 
 
-def _present(found: Found, effect: PositionEffect) -> Tensor:
+def _present(found: Found, effect: ServoEffect) -> Tensor:
     """(n,) joints on which an effect is part of the model."""
     if not effect.parameters:
         return torch.full((found.servos.n,), found.plane)
@@ -352,14 +353,14 @@ def _causes(found: Found) -> int:
     return sum(int(_present(found, e).sum()) if e.parameters else int(found.plane) for e in named)
 
 
-def _without(found: Found, effect: PositionEffect, joints: Tensor, sample: float) -> Found:
+def _without(found: Found, effect: ServoEffect, joints: Tensor, sample: float) -> Found:
     """The model without an effect on some joints; of a delay without what is beyond a sample."""
     if not effect.parameters:
         plane = found.servos.plane.clone()
         plane[4] = 0.0
         return Found(replace(found.servos, plane=plane), found.free, False)
     joint, free = found.servos.joint.clone(), dict(found.free)
-    for name, value in effect.neutral().items():
+    for name, value in neutral(effect).items():
         column = joint[joints, INDEX[name]]
         # A command that is held until the next one, from some instant of the bus's cycle on, is
         # late by less than a sample: that is no cause, and no row of a log tells it from another.

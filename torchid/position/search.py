@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchid.effects.servo import ServoEffect
 from torchid.position.data import PositionData
-from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PositionEffect
+from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT
 from torchid.position.fit import errors, fit, huber, loss
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import PROFILE, Windows
@@ -412,7 +413,7 @@ def _one(data: PositionData, model: Found, windows: Windows) -> Tensor:
     return _tried(data, _batch(model.servos, 1), windows)[:, 0]
 
 
-def _beside(data: PositionData, simple: Found, windows: Windows, effect: PositionEffect) -> Found:
+def _beside(data: PositionData, simple: Found, windows: Windows, effect: ServoEffect) -> Found:
     """Plain servos with one more effect, on every joint that is better with it."""
     if not effect.parameters:
         return _with_plane(data, simple, windows)

@@ -15,6 +15,7 @@ from torchid.effects.base import Abscissa, Effect, Family, ModelEffect, Motion
 from torchid.effects.parameters import Scale
 from torchid.effects.registry import KINDS, not_fitted
 from torchid.effects.rivals import ALIKE, Rival, aged, rivals
+from torchid.effects.servo import SERVO_KINDS, ServoEffect
 from torchid.effects.variation import JointPairEffect, OneJointEffect
 from torchid.excitation.trajectories import random_trajectory
 from torchid.files import write_text
@@ -72,6 +73,10 @@ near; *exactly* means that at a place some torque of the one is one of the other
 computes it for your log, beside all else that is fitted.
 """
 
+_SERVOS = """What lies between a command and a position, in logs that hold no torque. Effects above
+whose entry names positions are looked for there, too.
+"""
+
 
 def catalogue_page(images: str = "img") -> str:
     """The page in Markdown.
@@ -89,6 +94,9 @@ def catalogue_page(images: str = "img") -> str:
         parts += [f"## {family}\n\n{FAMILY_WORDS[family]}\n"]
         parts += [f"![Effects of the family {family}]({images}/{picture_name(family)}.png)\n"]
         parts += map(effect_text, members)
+    links = ", ".join(f"[{name}](#{name})" for name in SERVO_KINDS)
+    contents.append(("[command and servo](#command-and-servo)", links))
+    parts += ["## command and servo\n", _SERVOS, *map(servo_text, SERVO_KINDS.values())]
     return "\n".join([head, pipe_table(("family", "effects"), contents) + "\n", *parts])
 
 
@@ -125,7 +133,7 @@ def effect_text(kind: type[Effect]) -> str:
             f"{_SCALES[s.scale]}"
             for s in kind.shapes
         ),
-        f"- place: {_place(kind)}; fitted by: {fitted}",
+        f"- place: {_place(kind)}; logs: {' and '.join(logs_of(kind))}; fitted by: {fitted}",
         f"- signature: {kind.signature}",
         f"- confused with: {', '.join(alike)}",
         f"- to tell them apart: {kind.experiment}",
@@ -152,19 +160,41 @@ def _all_rivals(kinds: tuple[tuple[str, type[Effect]], ...]) -> dict[str, tuple[
     return rivals(robot, [motion], CUTOFF, joints=joints, kinds=dict(kinds))
 
 
+def logs_of(kind: type[Effect] | ServoEffect) -> tuple[str, ...]:
+    """Which logs can show an effect: of torques, of commands and positions, or both."""
+    if isinstance(kind, ServoEffect):
+        return ("positions",)
+    return ("torque", "positions") if kind.positions else ("torque",)
+
+
 def effects_table() -> Table:
-    """All effects by name, family, coefficients and meaning."""
+    """All effects by name, family, coefficients, logs that can show them, and meaning."""
     rows = []
-    for kind in KINDS.values():
-        names = [c.name for c in kind.coefficients]
-        told = ", ".join(names) if len(names) < 6 else f"{', '.join(names[:2])}, .. {names[-1]}"
-        rows.append((kind.name, kind.family, told, kind.meaning))
-    columns = ("effect", "family", "coefficients", "what it is")
-    return Table(f"{len(KINDS)} effects", columns, rows, words=columns)
+    kinds: list[type[Effect] | ServoEffect] = [*KINDS.values(), *SERVO_KINDS.values()]
+    for kind in kinds:
+        if isinstance(kind, ServoEffect):
+            names = list(kind.parameters)
+        else:
+            names = [c.name for c in kind.coefficients]
+        numbers = ", ".join(names) if len(names) < 6 else f"{', '.join(names[:2])}, .. {names[-1]}"
+        rows.append((kind.name, kind.family, numbers, " ".join(logs_of(kind)), kind.meaning))
+    columns = ("effect", "family", "numbers", "logs", "what it is")
+    return Table(f"{len(rows)} effects", columns, rows, words=columns)
 
 
-def effect_record(kind: type[Effect]) -> dict[str, Any]:
+def effect_record(kind: type[Effect] | ServoEffect) -> dict[str, Any]:
     """One effect as plain data."""
+    if isinstance(kind, ServoEffect):
+        return {
+            **picked(kind, "effect=name family meaning equation"),
+            "coefficients": [{"name": name} for name in kind.parameters],
+            "shapes": [],
+            "signature": "",
+            "confused_with": [kind.twin] if kind.twin else [],
+            **picked(kind, "experiment remedy"),
+            "source": "",
+            "logs": list(logs_of(kind)),
+        }
     return {
         **picked(kind, "effect=name family meaning equation"),
         "coefficients": [picked(c, "name unit non_negative meaning") for c in kind.coefficients],
@@ -172,7 +202,27 @@ def effect_record(kind: type[Effect]) -> dict[str, Any]:
         "signature": kind.signature,
         "confused_with": [r.name for r in known_rivals(kind)],
         **picked(kind, "experiment remedy source"),
+        "logs": list(logs_of(kind)),
     }
+
+
+def servo_text(effect: ServoEffect) -> str:
+    """One cause under a servo in Markdown."""
+    lines = [
+        f"### {effect.name}",
+        "",
+        effect.meaning,
+        "",
+        f"    {effect.equation}",
+        "",
+        f"- numbers: {', '.join(f'`{name}`' for name in effect.parameters)}",
+        "- logs: of commands and positions; fitted by: `gap`",
+        *([f"- confused with: {effect.twin}, always"] if effect.twin else []),
+        f"- experiment: {effect.experiment}",
+        f"- remedy: {effect.remedy}",
+        "",
+    ]
+    return "\n".join(lines)
 
 
 def write_catalogue(folder: Path) -> Path:
