@@ -13,8 +13,7 @@ from tests.arms import mixed_arm, states
 from tests.oracles import PinocchioOracle
 from torchid.effects.base import Motion
 from torchid.errors import TorchidError
-from torchid.extraction.equal_torque.sample import null_space
-from torchid.extraction.equal_torque.space import equal_torque_space
+from torchid.extraction.equal_torque.space import equal_torque_space, kernel
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
 from torchid.identification.base_parameters import base_parameters
@@ -213,7 +212,7 @@ def test_forces_along_prismatic_axes_are_known(seed: int, letters: str) -> None:
     robot = mixed_arm(letters, seed)
     rigid = base_parameters(robot, nominal_set(robot).effects)
     n = 10 * robot.n
-    directions = InertialParameters.from_paper_order(null_space(rigid).T[:, :n].contiguous())
+    directions = InertialParameters.from_paper_order(kernel(rigid.grouping).T[:, :n].contiguous())
     errors = wrench_errors(
         robot,
         *states(robot, 6, seed=seed),

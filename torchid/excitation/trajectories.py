@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import torch
 import yaml
@@ -20,7 +19,6 @@ from torchid.excitation.fourier import (
 from torchid.excitation.limits import largest_scale, motion_limits
 from torchid.excitation.settings import HARMONICS
 from torchid.log.model import Log
-from torchid.log.readers import write_log
 from torchid.robot.config_files import config_folder
 from torchid.robot.model import Robot
 from torchid.typing import Float
@@ -215,15 +213,3 @@ def trajectory_log(
         source="trajectory",
         warnings=trajectory.warnings,
     )
-
-
-def write_trajectory(
-    trajectory: FourierTrajectory | Sinusoid, path: str | Path, *, rate: float = 100.0
-) -> None:
-    """Write t, q1.., dq1.., ddq1.. and, for several trajectories, traj, as .csv, .parquet, .npz.
-
-    Raises:
-        LogError: unknown suffix.
-        TorchidError: the file cannot be written, or the rate is too low.
-    """
-    write_log(trajectory_log(trajectory, rate), path)
