@@ -21,8 +21,7 @@ from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import JointType, Robot
 from torchid.study.equal_torque.force_reach import force_reach, force_squares
-from torchid.study.equal_torque.given_sets import given_sets
-from torchid.study.equal_torque.record import given_record
+from torchid.study.equal_torque.given_sets import given_record, given_sets
 from torchid.study.equal_torque.setting import (
     Setting,
     equal_torque_setting,
