@@ -171,7 +171,8 @@ def sinusoid(robot: Robot, seed: int, *, duration: float = 10.0, usage: float = 
         4, robot.n, generator=generator, dtype=torch.float64
     ).unbind()
     period = duration * (_SHORTEST_PERIOD_SHARE + (1 - _SHORTEST_PERIOD_SHARE) * period)
-    speed, acceleration = (_symmetric(x) for x in (limits.velocity, limits.acceleration))
+    # A sinusoid goes as far up as down: of both limits the smaller counts.
+    speed, acceleration = (x.abs().amin(-1) for x in (limits.velocity, limits.acceleration))
     largest = torch.minimum(
         torch.minimum(speed, acceleration * period / (2 * math.pi)),
         2 * limits.half_range * math.pi / period,
@@ -183,11 +184,6 @@ def sinusoid(robot: Robot, seed: int, *, duration: float = 10.0, usage: float = 
     highest = limits.position[:, 1] - stroke.clamp(min=0)
     start = lowest + place * (highest - lowest)
     return Sinusoid(amplitude, period, start, duration, limits.warnings)
-
-
-def _symmetric(bounds: Float[Tensor, "n 2"]) -> Tensor:
-    """The smaller of both limits' sizes: a sinusoid goes as far up as down."""
-    return bounds.abs().amin(-1)
 
 
 def trajectory_log(
