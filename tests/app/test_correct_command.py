@@ -36,8 +36,8 @@ def runs(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def _few_simulations(monkeypatch):
-    monkeypatch.setattr("torchid.export.correct.STARTS", 8)
-    monkeypatch.setattr("torchid.export.correct.HORIZONS", (0.1,))
+    monkeypatch.setattr("torchid.export.correct_torque.STARTS", 8)
+    monkeypatch.setattr("torchid.export.correct_torque.HORIZONS", (0.1,))
 
 
 @pytest.mark.slow

@@ -15,7 +15,8 @@ from torchid.effects.registry import model_torque, nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.export.correct import CLAIMED, Correction, correct
+from torchid.export.correct import correct
+from torchid.export.correction import CLAIMED, Correction
 from torchid.export.projection import Projector
 from torchid.export.replay import InDrake, InMujoco, InPinocchio
 from torchid.export.write_xml import xml_of
@@ -67,8 +68,8 @@ def log_of(robot: Robot, seed: int = 0) -> Log:
 @pytest.fixture(scope="module", autouse=True)
 def _few_simulations():  # type: ignore[no-untyped-def]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("torchid.export.correct.STARTS", 12)
-        patch.setattr("torchid.export.correct.HORIZONS", (0.1, 0.5))
+        patch.setattr("torchid.export.correct_torque.STARTS", 12)
+        patch.setattr("torchid.export.correct_torque.HORIZONS", (0.1, 0.5))
         yield
 
 
