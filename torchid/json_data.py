@@ -45,13 +45,12 @@ def write_json(data: Mapping[str, Any], path: Path) -> bytes:
     return content
 
 
-def read_json(path: Path, what: str, hint: str | None = None) -> dict[str, Any]:
+def read_json(path: Path, what: str) -> dict[str, Any]:
     """A JSON object from a file.
 
     Args:
         path: of the file.
         what: it should be, for the errors.
-        hint: how such a file is made.
 
     Raises:
         TorchidError: no such file, or no JSON object in it.
@@ -60,16 +59,14 @@ def read_json(path: Path, what: str, hint: str | None = None) -> dict[str, Any]:
         content = path.read_bytes()
     except OSError as error:
         raise TorchidError(
-            f"'{path}' cannot be read: {error.strerror or error}.", expected=what, hint=hint
+            f"'{path}' cannot be read: {error.strerror or error}.", expected=what
         ) from error
     try:
         data = json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise TorchidError(
-            f"'{path}' is not JSON.", got=str(error), expected=what, hint=hint
-        ) from error
+        raise TorchidError(f"'{path}' is not JSON.", got=str(error), expected=what) from error
     if not isinstance(data, dict):
         raise TorchidError(
-            f"'{path}' is not {what}.", got=type(data).__name__, expected="a JSON object", hint=hint
+            f"'{path}' is not {what}.", got=type(data).__name__, expected="a JSON object"
         )
     return data

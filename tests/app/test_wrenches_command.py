@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from torchid.app.wrenches import wrenches_command
 from torchid.errors import TorchidError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
-from torchid.excitation.trajectories import random_trajectory, trajectory_log, write_trajectory
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.feasibility.sets import joined, nominal_set, sets_record
 from torchid.log.readers import write_log
 from torchid.robot.inertia import InertialParameters
@@ -27,7 +27,7 @@ def folder(tmp_path_factory):
     heavy = type(own)(("heavy",), InertialParameters(pi), (), own.coefficients)
     (path / "sets.json").write_text(json.dumps(sets_record(joined([own, heavy]), robot).plain()))
     motion = random_trajectory(robot, 0, duration=4.0)
-    write_trajectory(motion, path / "motion.csv")
+    write_log(trajectory_log(motion, 100.0), path / "motion.csv")
     log = synthetic_log(robot, trajectory_log(motion, 100.0), HonestNoise(), 0)
     write_log(log.replace(dq=None, ddq=None, tau=None), path / "positions.csv")
     return path

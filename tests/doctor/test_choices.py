@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from tests.doctor.synthetic import clean, log_faults
-from torchid.doctor.examine import examine
-from torchid.doctor.record import conclusion, untold
+from torchid.doctor.examine import conclusion, examine, untold
 from torchid.dynamics.regressor import regressor
 from torchid.errors import LogError
 

@@ -11,12 +11,13 @@ import pytest
 import torch
 
 from tests.excitation.shaped import loaded
+from tests.excitation.usage import limit_usage
 from torchid.errors import RobotError, TorchidError
 from torchid.excitation.clearance import FAR, motion_clearance
 from torchid.excitation.design import optimise_trajectory
 from torchid.excitation.distances import Distances
 from torchid.excitation.fourier import FourierTrajectory
-from torchid.excitation.limits import limit_usage, motion_limits
+from torchid.excitation.limits import motion_limits
 from torchid.excitation.restriction import restricted
 from torchid.excitation.torque import nominal_torque_limits
 from torchid.excitation.trajectories import random_trajectory, sinusoid

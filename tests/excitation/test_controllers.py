@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from tests.excitation.usage import limit_usage
 from torchid.errors import RobotError
 from torchid.excitation.controllers import AT_START, joint_trajectory, urscript
-from torchid.excitation.limits import limit_usage, motion_limits
+from torchid.excitation.limits import motion_limits
 from torchid.excitation.trajectories import random_trajectory, sinusoid
 from torchid.robot.library import load_robot
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from tests.excitation.usage import limit_usage
 from tests.marks import some
 from torchid.effects.base import Motion
 from torchid.effects.registry import on_every_joint
@@ -15,16 +16,15 @@ from torchid.excitation.design import (
     row_weights,
 )
 from torchid.excitation.fourier import FourierTrajectory, sample_times
-from torchid.excitation.limits import largest_scale, limit_usage, motion_limits
+from torchid.excitation.limits import largest_scale, motion_limits
 from torchid.excitation.trajectories import (
     paper_trajectories_3r,
     random_trajectory,
     sinusoid,
     trajectory_log,
-    write_trajectory,
 )
 from torchid.identification.base_parameters import base_parameters
-from torchid.log.readers import read_log
+from torchid.log.readers import read_log, write_log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Limits, Robot
 from torchid.robot.yaml_file import from_mapping
@@ -398,7 +398,7 @@ def test_the_condition_number_of_too_few_rows():
 def test_trajectories_come_back_from_a_file(tmp_path, suffix):
     trajectories = paper_trajectories_3r()
     path = tmp_path / f"exciting{suffix}"
-    write_trajectory(trajectories, path, rate=50)
+    write_log(trajectory_log(trajectories, 50), path)
     log = read_log(path)
     assert log.trajectory_count == 3
     assert log.tau is None

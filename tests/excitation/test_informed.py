@@ -6,10 +6,11 @@ import pytest
 import torch
 
 from tests.compare.records import identification
+from tests.excitation.usage import limit_usage
 from torchid.errors import TorchidError
 from torchid.excitation.design import base_regressor
 from torchid.excitation.informed import design_for, information, least_known, predicted_std
-from torchid.excitation.limits import limit_usage, motion_limits
+from torchid.excitation.limits import motion_limits
 from torchid.excitation.trajectories import random_trajectory
 from torchid.identification.values import prior_of, read_identification
 from torchid.robot.library import load_robot

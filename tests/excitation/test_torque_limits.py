@@ -10,18 +10,19 @@ import torch
 
 from tests.arms import mixed_arm
 from tests.compare.records import identification
+from tests.excitation.usage import limit_usage
 from tests.oracles import PinocchioOracle
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.registry import on_every_joint
 from torchid.errors import RobotError
 from torchid.excitation.design import base_regressor, optimise_trajectory
 from torchid.excitation.informed import design_for
-from torchid.excitation.limits import limit_usage, motion_limits
+from torchid.excitation.limits import motion_limits
 from torchid.excitation.torque import identified_torque_limits, nominal_torque_limits
-from torchid.excitation.trajectories import random_trajectory, sinusoid, write_trajectory
+from torchid.excitation.trajectories import random_trajectory, sinusoid, trajectory_log
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.values import prior_of, read_identification
-from torchid.log.readers import read_log
+from torchid.log.readers import read_log, write_log
 from torchid.next_motion.rows import Setting
 from torchid.next_motion.separating_motion import design_separation
 from torchid.next_motion.separation import Explanation, Rival
@@ -90,7 +91,7 @@ def test_the_written_trajectory_keeps_them(robot, usage, tmp_path):
     made = optimise_trajectory(
         robot, on_every_joint(FRICTION, robot.n), seed=0, restarts=2, iterations=30, usage=usage
     )
-    write_trajectory(made.trajectory, tmp_path / "motion.csv", rate=237.0)
+    write_log(trajectory_log(made.trajectory, 237.0), tmp_path / "motion.csv")
     own = share(robot, expected_torque(robot, read_log(tmp_path / "motion.csv")))
     assert float(own.max()) < usage
     said = made.torque.use([made.trajectory])

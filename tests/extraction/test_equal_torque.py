@@ -18,9 +18,8 @@ from torchid.extraction.equal_torque import sample as equal_torque
 from torchid.extraction.equal_torque.sample import (
     EqualTorqueSets,
     equal_torque_sets,
-    null_space,
 )
-from torchid.extraction.equal_torque.space import equal_torque_space
+from torchid.extraction.equal_torque.space import equal_torque_space, kernel
 from torchid.feasibility.bounds import Bounds, read_bounds
 from torchid.feasibility.conditions import Conditions, conditions
 from torchid.feasibility.margins import feasibility, kinds
@@ -119,9 +118,9 @@ def of_kind(found: EqualTorqueSets, kind: str) -> ParameterSets:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_null_space_is_orthonormal_and_changes_no_torque(name: str) -> None:
+def test_the_kernel_is_orthonormal_and_changes_no_torque(name: str) -> None:
     case = setting(name)
-    directions = null_space(case.base)
+    directions = kernel(case.base.grouping)
     p, b = len(case.base.parameter_names), len(case.base)
     assert directions.shape == (p, p - b)
     torch.testing.assert_close(directions.T @ directions, torch.eye(p - b, dtype=torch.float64))

@@ -20,8 +20,9 @@ from torchid.fleet.factors import (
 from torchid.fleet.model import FleetModel
 from torchid.fleet.reading import stretches
 from torchid.fleet.settings import FleetSettings
-from torchid.identification.identify import identify, prepared
+from torchid.identification.identify import identify
 from torchid.identification.least_squares import combined_factor
+from torchid.identification.logs import prepared
 from torchid.identification.rows import RowSource
 from torchid.identification.settings import Settings
 from torchid.log.readers import read_log

@@ -7,6 +7,7 @@ from itertools import permutations
 import pytest
 import torch
 
+from tests.excitation.usage import limit_usage
 from tests.gap_files import found as found_effect
 from tests.gap_files import hidden, open_gap
 from torchid.dynamics.regressor import regressor
@@ -16,7 +17,7 @@ from torchid.effects.friction_laws import AsymmetricFriction, StribeckFriction
 from torchid.effects.gravity import EncoderOffset
 from torchid.effects.inertia import Payload
 from torchid.errors import TorchidError
-from torchid.excitation.limits import limit_usage, motion_limits
+from torchid.excitation.limits import motion_limits
 from torchid.excitation.trajectories import random_trajectory
 from torchid.gap.record import GapRecord
 from torchid.identification.base_parameters import base_parameters

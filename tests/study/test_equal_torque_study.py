@@ -13,8 +13,7 @@ from tests.arms import mixed_arm, states
 from tests.oracles import PinocchioOracle
 from torchid.effects.base import Motion
 from torchid.errors import TorchidError
-from torchid.extraction.equal_torque.sample import null_space
-from torchid.extraction.equal_torque.space import equal_torque_space
+from torchid.extraction.equal_torque.space import equal_torque_space, kernel
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
 from torchid.identification.base_parameters import base_parameters
@@ -22,8 +21,7 @@ from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import JointType, Robot
 from torchid.study.equal_torque.force_reach import force_reach, force_squares
-from torchid.study.equal_torque.given_sets import given_sets
-from torchid.study.equal_torque.record import given_record
+from torchid.study.equal_torque.given_sets import given_record, given_sets
 from torchid.study.equal_torque.setting import (
     Setting,
     equal_torque_setting,
@@ -213,7 +211,7 @@ def test_forces_along_prismatic_axes_are_known(seed: int, letters: str) -> None:
     robot = mixed_arm(letters, seed)
     rigid = base_parameters(robot, nominal_set(robot).effects)
     n = 10 * robot.n
-    directions = InertialParameters.from_paper_order(null_space(rigid).T[:, :n].contiguous())
+    directions = InertialParameters.from_paper_order(kernel(rigid.grouping).T[:, :n].contiguous())
     errors = wrench_errors(
         robot,
         *states(robot, 6, seed=seed),

@@ -32,8 +32,8 @@ def doctor_command(
         fix: Of fixes that are equally good, the one to take, by the name that is said. May be
             given several times; without it --apply takes none of them.
     """
+    from torchid.doctor.examine import record
     from torchid.doctor.flag import flag_for
-    from torchid.doctor.record import record
     from torchid.report.log import doctor_shown
 
     opt.require_log_file("--apply", apply)

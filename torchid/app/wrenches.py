@@ -53,7 +53,7 @@ def wrenches_command(
     """
     from torchid.feasibility.sets import other_robot, read_all_sets
     from torchid.report import equal_torque, given_sets
-    from torchid.study.equal_torque.record import given_record
+    from torchid.study.equal_torque.given_sets import given_record
     from torchid.study.equal_torque.setting import equal_torque_setting, logged_motion
 
     robot = opt.limited(arm.load(), None, max_acceleration)

@@ -15,7 +15,7 @@ from torchid.effects.registry import model_torque as full_torque
 from torchid.effects.registry import nominal_effects
 from torchid.excitation.design import base_regressor
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.identification.identify import prepared
+from torchid.identification.logs import prepared
 from torchid.identification.model import model_torque
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log

@@ -25,7 +25,7 @@ from torchid.doctor.motion import (
     check_position_unit,
     check_standstill,
 )
-from torchid.doctor.record import DoctorRecord, Examined, conclusion, record
+from torchid.doctor.record import CheckRecord, DoctorRecord, Examined
 from torchid.doctor.repair import Repair, repaired
 from torchid.doctor.samples import samples
 from torchid.doctor.search import CLEAR, Search, rms, search
@@ -39,9 +39,10 @@ from torchid.doctor.torque import (
 )
 from torchid.doctor.velocity import check_velocity
 from torchid.errors import LogError
+from torchid.json_data import plain
 from torchid.log.model import Log
 from torchid.results.record import Result
-from torchid.robot.model import Robot
+from torchid.robot.model import Robot, joint_list
 
 LEAST_SAMPLES = 10
 """Of the longest trajectory: fewer have no usual step, nor a usual change."""
@@ -49,6 +50,8 @@ MODEL_CHECKS = (
     "torque explained", "joint order", "torque sign", "position sign", "gain of a joint", "gravity",
     "lag", "torque unit", "torque side", "excitation",
 )  # fmt: skip
+_MINOR = ("torque side", "unseen joint sign")
+"""No fault is hidden where these cannot be told: a mirrored arm has the same torques."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,3 +234,63 @@ def _with_model(
         *unseen(judge, found),
     ]
     return Examination(robot, log, (*checks, *more), found, judge)
+
+
+def record(examination: Examination, columns: str | None = None) -> DoctorRecord:
+    """The examination as the JSON has it.
+
+    Args:
+        examination: of a log.
+        columns: what `--columns` must be to read it mended, where that can be said.
+    """
+    return DoctorRecord(
+        robot=examination.robot.name,
+        log=examination.log.source,
+        conclusion=conclusion(examination),
+        silent=examination.silent,
+        untold=untold(examination),
+        checks=tuple(
+            CheckRecord.of(
+                check,
+                estimate=plain(check.estimate) if check.estimate is not None else None,
+                interval=plain(check.interval) if check.interval is not None else None,
+                applicable=check in examination.applied and bool(check.repairs),
+            )
+            for check in examination.checks
+        ),
+        repairs=tuple(str(repair) for repair in examination.repairs),
+        columns=columns,
+    )
+
+
+def conclusion(examination: Examination) -> str:
+    """What is wrong, or that nothing is, and what this log cannot show."""
+    said = [
+        f"{word}: {', '.join(names)}"
+        for word, verdict in (("wrong", "wrong"), ("to look at", "doubtful"))
+        if (
+            names := list(dict.fromkeys(c.name for c in examination.checks if c.verdict == verdict))
+        )
+    ]
+    hidden = _hidden(examination)
+    if not said and not hidden:
+        return "Nothing speaks against this log."
+    found = "; ".join(said) or "no fault found in what could be checked"
+    text = f"{found[0].upper()}{found[1:]}."
+    if not hidden:
+        return text
+    reasons = {c.evidence for c in hidden}
+    reason = f" ({reasons.pop()})" if len(reasons) == 1 < len(hidden) else ""
+    return f"{text} This log cannot tell: {', '.join(untold(examination))}{reason}."
+
+
+def untold(examination: Examination) -> tuple[str, ...]:
+    """What may hide a fault since this log cannot tell."""
+    kinds = [(c.name.removeprefix("unseen "), c) for c in _hidden(examination)]
+    return tuple(
+        kind if kind == c.name else f"{kind} of {joint_list(c.joints)}" for kind, c in kinds
+    )
+
+
+def _hidden(examination: Examination) -> list[Check]:
+    return [c for c in examination.checks if c.verdict == "cannot tell" and c.name not in _MINOR]

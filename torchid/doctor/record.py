@@ -1,4 +1,4 @@
-"""An examination in a sentence or two, and as its JSON has it: the schema torchid.doctor/1."""
+"""An examination as its JSON has it: the schema torchid.doctor/1."""
 
 import itertools
 from typing import TYPE_CHECKING, Generic, TypeVar
@@ -6,48 +6,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from msgspec import UNSET, UnsetType
 
 from torchid.doctor.check import VERDICTS, Check, Verdict
-from torchid.json_data import plain
 from torchid.results.record import Joint, Part, Record, Rows
-from torchid.robot.model import joint_list
-
-if TYPE_CHECKING:
-    from torchid.doctor.examine import Examination
-
-_MINOR = ("torque side", "unseen joint sign")
-"""No fault is hidden where these cannot be told: a mirrored arm has the same torques."""
-
-
-def conclusion(examination: "Examination") -> str:
-    """What is wrong, or that nothing is, and what this log cannot show."""
-    said = [
-        f"{word}: {', '.join(names)}"
-        for word, verdict in (("wrong", "wrong"), ("to look at", "doubtful"))
-        if (
-            names := list(dict.fromkeys(c.name for c in examination.checks if c.verdict == verdict))
-        )
-    ]
-    hidden = _hidden(examination)
-    if not said and not hidden:
-        return "Nothing speaks against this log."
-    found = "; ".join(said) or "no fault found in what could be checked"
-    text = f"{found[0].upper()}{found[1:]}."
-    if not hidden:
-        return text
-    reasons = {c.evidence for c in hidden}
-    reason = f" ({reasons.pop()})" if len(reasons) == 1 < len(hidden) else ""
-    return f"{text} This log cannot tell: {', '.join(untold(examination))}{reason}."
-
-
-def untold(examination: "Examination") -> tuple[str, ...]:
-    """What may hide a fault since this log cannot tell."""
-    kinds = [(c.name.removeprefix("unseen "), c) for c in _hidden(examination)]
-    return tuple(
-        kind if kind == c.name else f"{kind} of {joint_list(c.joints)}" for kind, c in kinds
-    )
-
-
-def _hidden(examination: "Examination") -> list[Check]:
-    return [c for c in examination.checks if c.verdict == "cannot tell" and c.name not in _MINOR]
 
 
 class Choosable(Part, frozen=True):
@@ -144,30 +103,3 @@ class DoctorRecord(
     def table(self) -> Rows[CheckRecord]:
         """The checks."""
         return Rows(self.checks)
-
-
-def record(examination: "Examination", columns: str | None = None) -> DoctorRecord:
-    """The examination as the JSON has it.
-
-    Args:
-        examination: of a log.
-        columns: what `--columns` must be to read it mended, where that can be said.
-    """
-    return DoctorRecord(
-        robot=examination.robot.name,
-        log=examination.log.source,
-        conclusion=conclusion(examination),
-        silent=examination.silent,
-        untold=untold(examination),
-        checks=tuple(
-            CheckRecord.of(
-                check,
-                estimate=plain(check.estimate) if check.estimate is not None else None,
-                interval=plain(check.interval) if check.interval is not None else None,
-                applicable=check in examination.applied and bool(check.repairs),
-            )
-            for check in examination.checks
-        ),
-        repairs=tuple(str(repair) for repair in examination.repairs),
-        columns=columns,
-    )

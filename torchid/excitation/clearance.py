@@ -286,7 +286,7 @@ def motion_clearance(
     centre, radius = (torch.stack(part) for part in zip(*balls, strict=True))
     where = torch.tensor(link + [0] * len(planes))
     # Links without shapes, as between the joints of one body, leave their neighbours adjacent.
-    drawn = [k for k in range(count) if not _is_point(solids[k])]
+    drawn = [k for k, s in enumerate(solids) if s.corners is not None or bool(s.size.any())]
     shaped = sorted({0, *(link[k] for k in drawn)})
     adjacent = set(pairwise(shaped))
     pairs = [
@@ -380,10 +380,6 @@ def _ball(solid: Solid) -> tuple[Float[Tensor, "3"], Float[Tensor, ""]]:
         return _moved(solid.pose, centre), radius
     sizes = {"box": size.norm(), "ellipsoid": size.amax(), "cylinder": size.norm()}
     return solid.pose[:3, 3], sizes.get(solid.kind, size.sum())
-
-
-def _is_point(solid: Solid) -> bool:
-    return solid.corners is None and not bool(solid.size.any())
 
 
 def _arms(

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from torchid.errors import RobotError
-from torchid.excitation.fourier import Extremes, FourierTrajectory
+from torchid.excitation.fourier import FourierTrajectory
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float
 
@@ -141,20 +141,3 @@ def largest_scale(trajectory: FourierTrajectory, limits: MotionLimits) -> Float[
         down = bounds[..., 0] / extremes[..., 0].clamp(max=-1e-12)
         scale = torch.minimum(scale, torch.minimum(up, down))
     return scale * (1 - _ROUNDING)
-
-
-def limit_usage(extremes: Extremes, limits: MotionLimits) -> Float[Tensor, "3 *batch n"]:
-    """Share of the limits used (3, ..., n): position, velocity, acceleration; above 1 is too much.
-
-    Args:
-        extremes: lower and upper values, each (..., n, 2), as `FourierTrajectory.extremes`.
-        limits: of the robot; positions are measured from the middle of their range.
-    """
-    bounds = limits.all.to(extremes.q)
-    middle = torch.zeros_like(bounds[..., :1])
-    middle[0] = bounds[0].mean(-1, keepdim=True)
-    shares = [
-        ((value - centre) / (bound - centre)).amax(-1)
-        for value, bound, centre in zip(extremes, bounds, middle, strict=True)
-    ]
-    return torch.stack(shares)

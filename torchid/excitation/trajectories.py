@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import torch
 import yaml
@@ -20,7 +19,6 @@ from torchid.excitation.fourier import (
 from torchid.excitation.limits import largest_scale, motion_limits
 from torchid.excitation.settings import HARMONICS
 from torchid.log.model import Log
-from torchid.log.readers import write_log
 from torchid.robot.config_files import config_folder
 from torchid.robot.model import Robot
 from torchid.typing import Float
@@ -173,7 +171,8 @@ def sinusoid(robot: Robot, seed: int, *, duration: float = 10.0, usage: float = 
         4, robot.n, generator=generator, dtype=torch.float64
     ).unbind()
     period = duration * (_SHORTEST_PERIOD_SHARE + (1 - _SHORTEST_PERIOD_SHARE) * period)
-    speed, acceleration = (_symmetric(x) for x in (limits.velocity, limits.acceleration))
+    # A sinusoid goes as far up as down: of both limits the smaller counts.
+    speed, acceleration = (x.abs().amin(-1) for x in (limits.velocity, limits.acceleration))
     largest = torch.minimum(
         torch.minimum(speed, acceleration * period / (2 * math.pi)),
         2 * limits.half_range * math.pi / period,
@@ -185,11 +184,6 @@ def sinusoid(robot: Robot, seed: int, *, duration: float = 10.0, usage: float = 
     highest = limits.position[:, 1] - stroke.clamp(min=0)
     start = lowest + place * (highest - lowest)
     return Sinusoid(amplitude, period, start, duration, limits.warnings)
-
-
-def _symmetric(bounds: Float[Tensor, "n 2"]) -> Tensor:
-    """The smaller of both limits' sizes: a sinusoid goes as far up as down."""
-    return bounds.abs().amin(-1)
 
 
 def trajectory_log(
@@ -215,15 +209,3 @@ def trajectory_log(
         source="trajectory",
         warnings=trajectory.warnings,
     )
-
-
-def write_trajectory(
-    trajectory: FourierTrajectory | Sinusoid, path: str | Path, *, rate: float = 100.0
-) -> None:
-    """Write t, q1.., dq1.., ddq1.. and, for several trajectories, traj, as .csv, .parquet, .npz.
-
-    Raises:
-        LogError: unknown suffix.
-        TorchidError: the file cannot be written, or the rate is too low.
-    """
-    write_log(trajectory_log(trajectory, rate), path)

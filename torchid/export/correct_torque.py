@@ -8,7 +8,7 @@ Nothing is written before the engine has run the file on the log.
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,27 +16,21 @@ import torch
 
 from torchid.design.columns import Columns, Model
 from torchid.design.repeats import find_repeats
-from torchid.design.segments import Samples, Segment
-from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
 from torchid.export.correction import Correction, Forward, Judged, of_joints
 from torchid.export.dynamics import Dynamics, require_same_arm
 from torchid.export.export import SUFFIXES, Export, edited_of, export_dynamics, stem_of
 from torchid.export.projection import PRICE, Projection, Projector, Target
-from torchid.export.replay import InDrake, InMujoco, simulator
+from torchid.export.replay import AtRunTime, InDrake, InMujoco, simulator
 from torchid.export.write_actuator import Package, adds_any
 from torchid.export.write_xml import xml_of
 from torchid.extraction.entropic import SPREAD
-from torchid.feasibility.margins import inertia_eigenvalues
-from torchid.gap.data import Data
+from torchid.gap.data import Data, read
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.settings import GapSettings
-from torchid.gap.torque import read
 from torchid.gap.validate.folds import make_folds, traces
 from torchid.log.model import Log
 from torchid.robot.model import Robot, joint_list
-from torchid.simulation.loads import changes_measurement
-from torchid.simulation.open_loop import true_torque
 from torchid.simulation.shooting import starts_of, windows_of
 from torchid.simulation.two_models import DIVERGED, HORIZONS, rollouts
 from torchid.typing import Float, Tensor
@@ -46,35 +40,6 @@ STARTS = 128
 
 NO_BETTER = 1.02
 """Mean error over that of the nominal robot from which a file is refused."""
-
-
-@dataclass(frozen=True, eq=False)
-class AtRunTime:
-    """What the log would read of a simulation with effects: its torque, and the sensors' own
-    effects on all of that.
-
-    Attributes:
-        model: without effects in the torque sensors.
-        gain, offset: (n, n), (n,) of the true torque for a measured one.
-    """
-
-    model: Model
-    gain: Float[Tensor, "n n"]
-    offset: Float[Tensor, " n"]
-
-    @staticmethod
-    def of(robot: Robot) -> "AtRunTime":
-        """That of a robot with all its effects."""
-        pairs = nominal_effects(robot)
-        sensed = [pair for pair in pairs if changes_measurement(pair[0])]
-        others = tuple(pair for pair in pairs if pair not in sensed)
-        gain, offset = true_torque(robot, sensed)
-        return AtRunTime(Model(robot, others), gain, offset)
-
-    def torque(self, segment: Segment, samples: Samples) -> Float[Tensor, "T n"]:
-        """Torque (T, n) [N m; N] along a segment."""
-        true = self.model.torque(segment, samples) - self.offset
-        return torch.linalg.solve(self.gain, true.T).T
 
 
 def correct_torque(
@@ -312,9 +277,7 @@ def _warnings(
         engine = "Drake" if projection.to == "drake" else "MuJoCo"
         said.append(f"{engine} is missing or refuses the file: it was not simulated forwards")
     if nominal.parameters is not None:
-        inertias = inertia_eigenvalues(projection.robot.require_parameters("a correction"))
-        ratio = inertias / inertia_eigenvalues(nominal.parameters).clamp(min=1e-12)
-        odd = ((ratio > SPREAD) | (ratio < 1 / SPREAD)).any(1).nonzero().flatten().tolist()
+        odd = projection.odd_links(nominal.parameters)
         if odd:
             names = ", ".join(str(i + 1) for i in odd)
             why = "; a URDF has no field for the rotors, so links hold them"

@@ -9,10 +9,15 @@ from typing import Literal
 from torchid.export.export import Export
 from torchid.export.projection import Projection
 from torchid.export.record import (
+    BodiesRecord,
     CorrectionRecord,
+    FollowedRow,
+    ForwardErrors,
+    JudgedRecord,
+    KeptRecord,
     PositionCorrectionRecord,
-    correction_record,
-    position_correction_record,
+    TorqueErrors,
+    UnsaidRow,
 )
 from torchid.position.model import ServoArm
 from torchid.results.record import Result
@@ -127,3 +132,48 @@ class Correction(Result):
 def of_joints(joints: Sequence[int]) -> str:
     """Which joints something is of; nothing where it is of none in particular."""
     return f" of joint {', '.join(str(j + 1) for j in joints)}" if joints else ""
+
+
+def correction_record(done: Correction) -> CorrectionRecord:
+    """A correction as its JSON has it."""
+    judged, projection = done.judged, done.projection
+    assert projection is not None
+    return CorrectionRecord(
+        robot=done.nominal.name,
+        to=projection.to,
+        judged=JudgedRecord.of(
+            judged,
+            torque_error_percent=TorqueErrors.of(judged),
+            forward=tuple(map(ForwardErrors.of, judged.forward)),
+        ),
+        no_field=tuple(KeptRecord.of(kept, effect=kept.effect.name) for kept in projection.kept),
+        bodies=BodiesRecord.of(
+            projection,
+            projection.robot.require_parameters("a correction"),
+            fields=projection.robot.effects,
+        ),
+        exports=tuple(one.record for one in done.exports),
+        warnings=done.warnings,
+    )
+
+
+def position_correction_record(done: Correction) -> PositionCorrectionRecord:
+    """A correction of servos as its JSON has it."""
+    judged = done.judged
+    names = ("nominal", "full", "claim", "engine", "run_time")
+    columns = [getattr(judged, name).tolist() for name in names]
+    return PositionCorrectionRecord(
+        robot=done.nominal.name,
+        to=done.exports[0].format,
+        on=judged.held_out,
+        engine=judged.by,
+        position_error_mrad=tuple(
+            FollowedRow(joint=j, **dict(zip(("command", *names[1:]), row, strict=True)))
+            for j, row in enumerate(zip(*columns, strict=True))
+        ),
+        no_field=tuple(
+            UnsaidRow(parameter=name, joints=joints) for name, joints in done.no_field.items()
+        ),
+        exports=tuple(one.record for one in done.exports),
+        warnings=done.warnings,
+    )

@@ -11,7 +11,7 @@ from torchid.export.checks import Comparison
 from torchid.export.dynamics import Dynamics, described, nearest_representative, states
 from torchid.export.joint_dynamics import Target
 from torchid.export.nearest import nearest_bodies
-from torchid.export.record import ExportRecord, export_record
+from torchid.export.record import ExportRecord, Places, Reader
 from torchid.export.results import Exportable, dynamics_of
 from torchid.export.servo_mjcf import JOINTS, SAID, unsaid
 from torchid.export.write_actuator import Package, write_actuator
@@ -262,3 +262,24 @@ def explained(found: Check, reason: str) -> str:
         at = float(parameters.com[0, link, axis])
         return f"{reason} ({at:.3g} m, outside {low:.3g} to {high:.3g})"
     return reason
+
+
+def export_record(done: Export) -> ExportRecord:
+    """An export as its JSON has it."""
+    check = done.check
+    return ExportRecord(
+        robot=done.dynamics.robot.name,
+        what=done.dynamics.kind,
+        result=done.dynamics.title,
+        format=done.format,
+        files=tuple(map(str, done.files)),
+        original=None if done.original is None else str(done.original),
+        feasible=None if check is None else bool(check.feasibility.feasible[0]),
+        reasons=() if check is None else check.feasibility.reasons(0),
+        checks=tuple(
+            Reader.of(one, ok=None if one.difference is None else one.ok)
+            for one in done.comparisons
+        ),
+        effects=Places.of(done),
+        warnings=done.warnings,
+    )

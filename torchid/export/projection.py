@@ -18,7 +18,15 @@ from torchid.effects.registry import Valued, nominal_effects
 from torchid.effects.spring import JointSpring
 from torchid.export.dynamics import folded, records
 from torchid.export.joint_dynamics import Target, attributes_in
-from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, response, room_of
+from torchid.extraction.entropic import (
+    SPREAD,
+    NearBodies,
+    Quadratic,
+    nearest_bodies,
+    response,
+    room_of,
+)
+from torchid.feasibility.margins import inertia_eigenvalues
 from torchid.gap.data import Data
 from torchid.identification.knowledge import known_coefficients
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
@@ -96,6 +104,13 @@ class Projection:
     believable: bool
     price: float
     believable_price: float
+
+    def odd_links(self, nominal: InertialParameters) -> list[int]:
+        """Links with a principal inertia more than `SPREAD` times as large, or as small, as the
+        nominal one."""
+        inertias = inertia_eigenvalues(self.robot.require_parameters("a correction"))
+        ratio = inertias / inertia_eigenvalues(nominal).clamp(min=1e-12)
+        return ((ratio > SPREAD) | (ratio < 1 / SPREAD)).any(1).nonzero().flatten().tolist()
 
 
 class Projector:

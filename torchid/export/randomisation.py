@@ -1,18 +1,39 @@
 """How wide to randomise a simulator: what a randomisation holds, of torques or of servos."""
 
+import json
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import torch
+
+from torchid.effects.base import Effect
+from torchid.effects.friction import CoulombFriction, ViscousFriction
+from torchid.effects.inertia import RotorInertia
 from torchid.effects.registry import Valued
+from torchid.effects.spring import JointSpring
 from torchid.errors import TorchidError
 from torchid.export.dynamics import records
+from torchid.export.export import require_name, stem_of
 from torchid.export.record import RandomisationRecord, RangeRow, ResidualBand, Share
+from torchid.export.write_randomised import isaaclab, mjlab, ranges_csv, servo_csv
+from torchid.files import atomic_write
 from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters
-from torchid.robot.model import Robot
-from torchid.simulation.servo import Servos
+from torchid.robot.model import JointType, Robot
+from torchid.simulation.servo import NAMES, Servos
 from torchid.typing import Float, Int, Tensor
+
+FIELDS: dict[str, tuple[type[Effect], int]] = {
+    "damping": (ViscousFriction, 0),
+    "friction": (CoulombFriction, 0),
+    "armature": (RotorInertia, 0),
+    "stiffness": (JointSpring, 0),
+    "offset": (JointSpring, 1),
+}
+"""What files say of a joint, and the coefficient whose unit it has (see `Effect.attributes`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +104,50 @@ class Randomisation(Result):
         )
 
     def write(self, folder: Path | str, name: str | None = None) -> list[Path]:
-        """Write the ranges, NAME_ranges.csv, and what has the draws: NAME_draws.npz, NAME_mjlab.py
-        and NAME_isaaclab.py; of servos NAME_servo_draws.npz. Return the files; see
-        `torchid.export.write_randomised`."""
-        from torchid.export.write_randomised import write_randomised
+        """Write NAME_ranges.csv, NAME_draws.npz, NAME_mjlab.py and NAME_isaaclab.py; of servos
+        NAME_ranges.csv and NAME_servo_draws.npz, for `torchid.simulators.servo.drawn_servos`.
 
-        return write_randomised(self, folder, name)
+        Args:
+            folder: made if need be.
+            name: without suffix; the robot's own by default.
+
+        Returns:
+            The files.
+
+        Raises:
+            TorchidError: a name with a folder in it, or a file that cannot be written.
+        """
+        servos, robot = self.draws, self.robot
+        given = self.name if robot is None or isinstance(servos, Servos) else stem_of(robot)
+        stem = given if name is None else name
+        require_name(stem)
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        if isinstance(servos, Servos):
+            ranges, draws = folder / f"{stem}_ranges.csv", folder / f"{stem}_servo_draws.npz"
+            with atomic_write(draws, "wb") as stream:
+                np.savez_compressed(
+                    stream,
+                    joint_names=np.array(self.joint_names),
+                    parameters=np.array(NAMES),
+                    values=servos.joint.numpy(),
+                )
+            with atomic_write(ranges) as stream:
+                stream.write(servo_csv(self.record))
+            return [ranges, draws]
+        texts = {
+            f"{stem}_ranges.csv": ranges_csv(self.record, self.joint_names),
+            f"{stem}_mjlab.py": mjlab(self.record, stem, self.joint_names),
+            f"{stem}_isaaclab.py": isaaclab(self.record, stem, self.joint_names),
+        }
+        files = [folder / f"{stem}_draws.npz", *(folder / file for file in texts)]
+        robots = [json.dumps([dict(r) for r in self.one(k).effects]) for k in range(len(self))]
+        with atomic_write(files[0], "wb") as stream:
+            np.savez_compressed(stream, **_plain_draws(self), effects=np.array(robots))
+        for file, text in zip(files[1:], texts.values(), strict=True):
+            with atomic_write(file) as stream:
+                stream.write(text)
+        return files
 
     def one(self, k: int) -> Robot:
         """The robot of a draw, with its effects.
@@ -100,3 +159,54 @@ class Randomisation(Result):
             raise TorchidError("these are draws of servos.", hint="`draws.joint[k]`")
         robot = self.robot.with_parameters(InertialParameters(self.draws.pi[k]))
         return replace(robot, effects=records(self.draws.effects[k]))
+
+
+def drawn_values(
+    every: Draws, centre: Robot
+) -> tuple[dict[str, Float[Tensor, "D n"]], list[tuple[str, str, Float[Tensor, " D"]]]]:
+    """Fields of joints (D, n), and coefficients without a field: name, unit, (D,)."""
+    count, n = len(every.which), centre.n
+    fields = {name: torch.zeros(count, n, dtype=torch.float64) for name in FIELDS}
+    beside: dict[str, tuple[str, Tensor]] = {}
+    for d, pairs in enumerate(every.effects):
+        for effect, values in pairs:
+            added = effect.attributes(values)
+            if added is not None:
+                for key, value in added.items():
+                    fields[key][d, effect.joints[0]] += value
+                continue
+            sliding = all(centre.joint_types[j] is JointType.PRISMATIC for j in effect.joints)
+            prismatic = bool(effect.joints) and sliding
+            for c, name, value in zip(
+                effect.coefficients, effect.coefficient_names(), values, strict=True
+            ):
+                full = f"{effect.name} {name}"
+                unit = c.unit_for(prismatic)
+                beside.setdefault(full, (unit, torch.zeros(count, dtype=torch.float64)))
+                beside[full][1][d] += value
+    return fields, [(name, unit, x) for name, (unit, x) in beside.items()]
+
+
+def _plain_draws(done: Randomisation) -> dict[str, Any]:
+    """The arrays of draws.npz; see `Randomisation.write`."""
+    drawn, robot = done.draws, done.robot
+    assert isinstance(drawn, Draws)
+    assert robot is not None
+    bodies = InertialParameters(drawn.pi)
+    fields, beside = drawn_values(drawn, robot)
+    return {
+        "joint_names": np.array(robot.joint_names),
+        "link_names": np.array(robot.link_names),
+        "explanation": drawn.which.numpy(),
+        "mass": bodies.mass.numpy(),
+        "com": bodies.com.numpy(),
+        "inertia_about_com": bodies.inertia_about_com.numpy(),
+        **{name: x.numpy() for name, x in fields.items()},
+        "coefficient_names": np.array([name for name, _, _ in beside], dtype=str),
+        "coefficients": np.stack([x.numpy() for *_, x in beside], 1)
+        if beside
+        else np.zeros((len(done), 0)),
+        "residual": np.array([[band.low, band.high] for band in done.residual]),
+        "residual_unexplained_rms": np.array([band.unexplained for band in done.residual]),
+        "residual_correlation_s": np.array([band.correlation for band in done.residual]),
+    }

@@ -16,7 +16,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import torch
@@ -24,16 +24,13 @@ from scipy.stats import norm, qmc
 
 from torchid.design.bodies import INSIDE, usual_bodies
 from torchid.dynamics.regressor import regressor
-from torchid.effects.base import Effect
-from torchid.effects.friction import CoulombFriction, ViscousFriction
-from torchid.effects.inertia import BodyEffect, LinkInertia, RotorInertia
+from torchid.effects.inertia import BodyEffect, LinkInertia
 from torchid.effects.registry import Valued, nominal_effects
-from torchid.effects.spring import JointSpring
 from torchid.errors import TorchidError
 from torchid.export.drawn_from import DrawnFrom, of_diagnosis, of_model
 from torchid.export.dynamics import records, states
 from torchid.export.projection import PRICE
-from torchid.export.randomisation import Draws, Randomisation
+from torchid.export.randomisation import FIELDS, Draws, Randomisation, drawn_values
 from torchid.export.randomise_positions import randomise_positions
 from torchid.export.record import RangeRow, Share
 from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, room_of
@@ -49,15 +46,6 @@ from torchid.robot.inertia import (
 )
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Bool, Float, Int, Tensor
-
-FIELDS: dict[str, tuple[type[Effect], int]] = {
-    "damping": (ViscousFriction, 0),
-    "friction": (CoulombFriction, 0),
-    "armature": (RotorInertia, 0),
-    "stiffness": (JointSpring, 0),
-    "offset": (JointSpring, 1),
-}
-"""What files say of a joint, and the coefficient whose unit it has (see `Effect.attributes`)."""
 
 BODY_FIELDS = {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m"}
 
@@ -139,7 +127,7 @@ def randomise(
     between, warnings = between_of(spread, source.given)
     centre, every, more = _drawn(source, between, draws, seed)
     warnings = [*source.warnings, *warnings, *more]
-    fields, beside = _values(every, centre)
+    fields, beside = drawn_values(every, centre)
     missing = set(between) - {n for f in source.fits for c in f.coefficients for n in c.names}
     missing -= {name for name, _, _ in beside} | set(_known_names(centre))
     if missing:
@@ -448,32 +436,6 @@ class _Near:
         ] * int(off[worst] > PRICE)
 
 
-def _values(
-    every: Draws, centre: Robot
-) -> tuple[dict[str, Float[Tensor, "D n"]], list[tuple[str, str, Float[Tensor, " D"]]]]:
-    """Fields of joints (D, n), and coefficients without a field: name, unit, (D,)."""
-    count, n = len(every.which), centre.n
-    fields = {name: torch.zeros(count, n, dtype=torch.float64) for name in FIELDS}
-    beside: dict[str, tuple[str, Tensor]] = {}
-    for d, pairs in enumerate(every.effects):
-        for effect, values in pairs:
-            added = effect.attributes(values)
-            if added is not None:
-                for key, value in added.items():
-                    fields[key][d, effect.joints[0]] += value
-                continue
-            sliding = all(centre.joint_types[j] is JointType.PRISMATIC for j in effect.joints)
-            prismatic = bool(effect.joints) and sliding
-            for c, name, value in zip(
-                effect.coefficients, effect.coefficient_names(), values, strict=True
-            ):
-                full = f"{effect.name} {name}"
-                unit = c.unit_for(prismatic)
-                beside.setdefault(full, (unit, torch.zeros(count, dtype=torch.float64)))
-                beside[full][1][d] += value
-    return fields, [(name, unit, x) for name, (unit, x) in beside.items()]
-
-
 def _known_names(robot: Robot) -> list[str]:
     """Names of everything that a robot has."""
     links = [x for k in range(robot.n) for x in LinkInertia(k).coefficient_names()]
@@ -534,28 +496,3 @@ def _ranges(
     for name, unit, x in beside:
         row(name.rpartition(" ")[0], name, unit, x, name.rpartition(" ")[2])
     return tuple(out)
-
-
-def plain_draws(done: Randomisation) -> dict[str, Any]:
-    """The arrays of draws.npz; see `torchid.export.write_randomised`."""
-    drawn, robot = done.draws, done.robot
-    assert isinstance(drawn, Draws)
-    assert robot is not None
-    bodies = InertialParameters(drawn.pi)
-    fields, beside = _values(drawn, robot)
-    return {
-        "joint_names": np.array(robot.joint_names),
-        "link_names": np.array(robot.link_names),
-        "explanation": drawn.which.numpy(),
-        "mass": bodies.mass.numpy(),
-        "com": bodies.com.numpy(),
-        "inertia_about_com": bodies.inertia_about_com.numpy(),
-        **{name: x.numpy() for name, x in fields.items()},
-        "coefficient_names": np.array([name for name, _, _ in beside], dtype=str),
-        "coefficients": np.stack([x.numpy() for *_, x in beside], 1)
-        if beside
-        else np.zeros((len(done), 0)),
-        "residual": np.array([[band.low, band.high] for band in done.residual]),
-        "residual_unexplained_rms": np.array([band.unexplained for band in done.residual]),
-        "residual_correlation_s": np.array([band.correlation for band in done.residual]),
-    }

@@ -1,16 +1,10 @@
 """What was exported or corrected, as JSON: schemas torchid.export/1 and torchid.correction/1."""
 
-from typing import TYPE_CHECKING
-
 import msgspec
 from msgspec import UNSET, UnsetType
 
 from torchid.results.record import Joint, Part, Real, Record, Rows, Values
 from torchid.typing import Float, Tensor
-
-if TYPE_CHECKING:
-    from torchid.export.correction import Correction
-    from torchid.export.export import Export
 
 
 class Reader(Part, frozen=True, kw_only=True, rename={"difference": "largest_relative_difference"}):
@@ -282,69 +276,3 @@ class RandomisationRecord(Record, frozen=True, kw_only=True, tag="torchid.random
     def table(self) -> Rows[RangeRow]:
         """The ranges."""
         return Rows(self.ranges)
-
-
-def export_record(done: "Export") -> ExportRecord:
-    """An export as its JSON has it."""
-    check = done.check
-    return ExportRecord(
-        robot=done.dynamics.robot.name,
-        what=done.dynamics.kind,
-        result=done.dynamics.title,
-        format=done.format,
-        files=tuple(map(str, done.files)),
-        original=None if done.original is None else str(done.original),
-        feasible=None if check is None else bool(check.feasibility.feasible[0]),
-        reasons=() if check is None else check.feasibility.reasons(0),
-        checks=tuple(
-            Reader.of(one, ok=None if one.difference is None else one.ok)
-            for one in done.comparisons
-        ),
-        effects=Places.of(done),
-        warnings=done.warnings,
-    )
-
-
-def correction_record(done: "Correction") -> CorrectionRecord:
-    """A correction as its JSON has it."""
-    judged, projection = done.judged, done.projection
-    assert projection is not None
-    return CorrectionRecord(
-        robot=done.nominal.name,
-        to=projection.to,
-        judged=JudgedRecord.of(
-            judged,
-            torque_error_percent=TorqueErrors.of(judged),
-            forward=tuple(map(ForwardErrors.of, judged.forward)),
-        ),
-        no_field=tuple(KeptRecord.of(kept, effect=kept.effect.name) for kept in projection.kept),
-        bodies=BodiesRecord.of(
-            projection,
-            projection.robot.require_parameters("a correction"),
-            fields=projection.robot.effects,
-        ),
-        exports=tuple(one.record for one in done.exports),
-        warnings=done.warnings,
-    )
-
-
-def position_correction_record(done: "Correction") -> PositionCorrectionRecord:
-    """A correction of servos as its JSON has it."""
-    judged = done.judged
-    names = ("nominal", "full", "claim", "engine", "run_time")
-    columns = [getattr(judged, name).tolist() for name in names]
-    return PositionCorrectionRecord(
-        robot=done.nominal.name,
-        to=done.exports[0].format,
-        on=judged.held_out,
-        engine=judged.by,
-        position_error_mrad=tuple(
-            FollowedRow(joint=j, **dict(zip(("command", *names[1:]), row, strict=True)))
-            for j, row in enumerate(zip(*columns, strict=True))
-        ),
-        no_field=tuple(
-            UnsaidRow(parameter=name, joints=joints) for name, joints in done.no_field.items()
-        ),
-        exports=tuple(one.record for one in done.exports),
-        warnings=done.warnings,
-    )

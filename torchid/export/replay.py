@@ -8,6 +8,7 @@ them. All else is as the file has it, dry friction as the engine's own constrain
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,15 @@ from typing import Any
 import numpy as np
 import torch
 
+from torchid.design.columns import Model
 from torchid.design.segments import Samples, Segment
+from torchid.effects.registry import nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.engines import Drake, mujoco_model, mujoco_places, pinocchio_torque
 from torchid.export.joint_dynamics import Target
 from torchid.robot.model import Robot
+from torchid.simulation.loads import changes_measurement
+from torchid.simulation.open_loop import true_torque
 from torchid.simulation.shooting import Windows
 from torchid.typing import Float
 
@@ -42,6 +47,35 @@ def simulator(path: Path, robot: Robot, to: Target) -> "InMujoco | InPinocchio |
         except MissingExtraError:
             pass
     return InMujoco(path, robot)
+
+
+@dataclass(frozen=True, eq=False)
+class AtRunTime:
+    """What the log would read of a simulation with effects: its torque, and the sensors' own
+    effects on all of that.
+
+    Attributes:
+        model: without effects in the torque sensors.
+        gain, offset: (n, n), (n,) of the true torque for a measured one.
+    """
+
+    model: Model
+    gain: Float[torch.Tensor, "n n"]
+    offset: Float[torch.Tensor, " n"]
+
+    @staticmethod
+    def of(robot: Robot) -> "AtRunTime":
+        """That of a robot with all its effects."""
+        pairs = nominal_effects(robot)
+        sensed = [pair for pair in pairs if changes_measurement(pair[0])]
+        others = tuple(pair for pair in pairs if pair not in sensed)
+        gain, offset = true_torque(robot, sensed)
+        return AtRunTime(Model(robot, others), gain, offset)
+
+    def torque(self, segment: Segment, samples: Samples) -> Float[torch.Tensor, "T n"]:
+        """Torque (T, n) [N m; N] along a segment."""
+        true = self.model.torque(segment, samples) - self.offset
+        return torch.linalg.solve(self.gain, true.T).T
 
 
 class LoadedInMujoco:

@@ -6,20 +6,11 @@ after 2.3 (`isaaclab.envs.mdp.randomize_joint_parameters` and `Articulation.writ
 
 import csv
 import io
-import json
 import math
-from collections.abc import Iterator
-from pathlib import Path
-
-import numpy as np
+from collections.abc import Iterator, Sequence
 
 from torchid import __version__
-from torchid.export.export import require_name, stem_of
-from torchid.export.randomisation import Randomisation
-from torchid.export.randomise import plain_draws
-from torchid.export.record import RangeRow
-from torchid.files import atomic_write
-from torchid.simulation.servo import NAMES, Servos
+from torchid.export.record import RandomisationRecord, RangeRow
 from torchid.statistics.proportion import HALF_95
 
 MUJOCO = {
@@ -52,57 +43,7 @@ _MJLAB = {
 }
 
 
-def write_randomised(
-    done: Randomisation, folder: Path | str, name: str | None = None
-) -> list[Path]:
-    """Write NAME_ranges.csv, NAME_draws.npz, NAME_mjlab.py and NAME_isaaclab.py; of servos
-    NAME_ranges.csv and NAME_servo_draws.npz, for `torchid.simulators.servo.drawn_servos`.
-
-    Args:
-        done: draws and ranges.
-        folder: made if need be.
-        name: without suffix; the robot's own by default.
-
-    Returns:
-        The files.
-
-    Raises:
-        TorchidError: a name with a folder in it, or a file that cannot be written.
-    """
-    servos, robot = done.draws, done.robot
-    given = done.name if robot is None or isinstance(servos, Servos) else stem_of(robot)
-    stem = given if name is None else name
-    require_name(stem)
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    if isinstance(servos, Servos):
-        ranges, draws = folder / f"{stem}_ranges.csv", folder / f"{stem}_servo_draws.npz"
-        with atomic_write(draws, "wb") as stream:
-            np.savez_compressed(
-                stream,
-                joint_names=np.array(done.joint_names),
-                parameters=np.array(NAMES),
-                values=servos.joint.numpy(),
-            )
-        with atomic_write(ranges) as stream:
-            stream.write(_servo_csv(done))
-        return [ranges, draws]
-    texts = {
-        f"{stem}_ranges.csv": _csv(done),
-        f"{stem}_mjlab.py": _mjlab(done, stem),
-        f"{stem}_isaaclab.py": _isaaclab(done, stem),
-    }
-    files = [folder / f"{stem}_draws.npz", *(folder / file for file in texts)]
-    robots = [json.dumps([dict(r) for r in done.one(k).effects]) for k in range(len(done))]
-    with atomic_write(files[0], "wb") as stream:
-        np.savez_compressed(stream, **plain_draws(done), effects=np.array(robots))
-    for file, text in zip(files[1:], texts.values(), strict=True):
-        with atomic_write(file) as stream:
-            stream.write(text)
-    return files
-
-
-def _servo_csv(done: Randomisation) -> str:
+def servo_csv(done: RandomisationRecord) -> str:
     """One row a range of a servo's number."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -113,7 +54,7 @@ def _servo_csv(done: Randomisation) -> str:
     return out.getvalue()
 
 
-def _csv(done: Randomisation) -> str:
+def ranges_csv(done: RandomisationRecord, joints: Sequence[str]) -> str:
     """One row a range, then the torque that stays unexplained."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -122,17 +63,17 @@ def _csv(done: Randomisation) -> str:
         row = (MUJOCO.get(r.field, r.field), r.name, r.low, r.high, r.centre, r.unit, r.why)
         writer.writerow(row)
     for band in done.residual:
-        joint = done.joint_names[band.joint]
+        joint = joints[band.joint]
         ends = (-HALF_95 * band.unexplained, HALF_95 * band.unexplained)
         writer.writerow(("qfrc_applied", joint, *ends, 0.0, "", band.why))
     return out.getvalue()
 
 
-def _said(done: Randomisation, package: str, version: str) -> list[str]:
+def _said(done: RandomisationRecord, package: str, version: str) -> list[str]:
     """The first lines of a file."""
     share = f"{100 * done.level:g} %"
     return [
-        f'"""Ranges of \'{done.name}\' that hold {share} of what its log leaves open.',
+        f'"""Ranges of \'{done.robot}\' that hold {share} of what its log leaves open.',
         "",
         f"Written by torchid {__version__} for {package}, of which {version} was read. Ranges of",
         "single fields take no notice of how fields vary together: the draws beside this file do.",
@@ -141,7 +82,7 @@ def _said(done: Randomisation, package: str, version: str) -> list[str]:
     ]
 
 
-def _terms(done: Randomisation, wanted: tuple[str, ...]) -> Iterator[tuple[str, RangeRow]]:
+def _terms(done: RandomisationRecord, wanted: tuple[str, ...]) -> Iterator[tuple[str, RangeRow]]:
     """Ranges of fields with a Python name each."""
     for r in done.ranges:
         if r.field in wanted:
@@ -153,7 +94,7 @@ def _pair(r: RangeRow) -> str:
     return f"({r.low!r}, {r.high!r})"
 
 
-def _mjlab(done: Randomisation, stem: str) -> str:
+def mjlab(done: RandomisationRecord, stem: str, joints: Sequence[str]) -> str:
     """EVENTS: one term a range, to be merged into an environment's `events`."""
     lines = [
         *_said(done, "mjlab", "v1.6"),
@@ -193,10 +134,10 @@ def _mjlab(done: Randomisation, stem: str) -> str:
             "        },",
             "    ),",
         ]
-    return "\n".join([*lines, "}", *_beside(done), ""])
+    return "\n".join([*lines, "}", *_beside(done, joints), ""])
 
 
-def _isaaclab(done: Randomisation, stem: str) -> str:
+def isaaclab(done: RandomisationRecord, stem: str, joints: Sequence[str]) -> str:
     """Events: one term for all joints, which takes whole draws, and one a mass."""
     lines = [
         *_said(done, "Isaac Lab", "the main branch after 2.3"),
@@ -258,10 +199,10 @@ def _isaaclab(done: Randomisation, stem: str) -> str:
             "        },",
             "    )",
         ]
-    return "\n".join([*lines, *_beside(done), ""])
+    return "\n".join([*lines, *_beside(done, joints), ""])
 
 
-def _beside(done: Randomisation) -> list[str]:
+def _beside(done: RandomisationRecord, joints: Sequence[str]) -> list[str]:
     """What no event sets, as comments: fields of other simulators, effects, unexplained torque."""
     written = (*_MJLAB, "mass")
     lines = [
@@ -270,7 +211,7 @@ def _beside(done: Randomisation) -> list[str]:
         if r.field not in written
     ]
     lines += [
-        f"#   torque of {done.joint_names[b.joint]}: +-{HALF_95 * b.unexplained:.3g}, "
+        f"#   torque of {joints[b.joint]}: +-{HALF_95 * b.unexplained:.3g}, "
         f"lasting {b.correlation:.2g} s, stays unexplained"
         for b in done.residual
     ]

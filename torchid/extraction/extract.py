@@ -15,9 +15,7 @@ import zipfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -26,20 +24,15 @@ from torchid.errors import TorchidError
 from torchid.extraction.cma.batched import BatchedCmaEs
 from torchid.extraction.cma.pycma import PycmaEngine
 from torchid.extraction.cma.search import Engine, SearchState, default_population, start
+from torchid.extraction.found import Extraction
 from torchid.extraction.penalty import gamma
 from torchid.extraction.polish.polish import polish
 from torchid.extraction.polish.region import Region, region
 from torchid.extraction.problem import Problem
 from torchid.extraction.settings import SearchSettings
-from torchid.feasibility.sets import ParameterSets
 from torchid.files import atomic_write
 from torchid.parallel.workers import Executor, Workers, each, opened
-from torchid.results.record import Result
 from torchid.typing import Float, Tensor
-
-if TYPE_CHECKING:
-    from torchid.extraction.found import Found
-    from torchid.extraction.record import ExtractionRecord
 
 ENGINES: dict[str, Engine] = {"batched": BatchedCmaEs(), "cma": PycmaEngine()}
 
@@ -149,57 +142,6 @@ def fingerprint(problem: Problem, settings: SearchSettings) -> str:
     ):  # fmt: skip
         digest.update(np.ascontiguousarray(tensor.cpu().numpy()).tobytes())
     return digest.hexdigest()
-
-
-@dataclass(frozen=True, eq=False)
-class Extraction(Result):
-    """What a search found, all runs.
-
-    Attributes:
-        problem, settings: as given.
-        sets: one set a run, ids run_1, run_2, ...
-        phi, gamma: (R,) loss and penalty of the sets.
-        searched_phi, searched_gamma: (R,) before the polish.
-        history_phi, history_gamma: (R, K) of the best so far, after each stage.
-        contradictions: conditions that no point of the bounds meets.
-        seconds: the search took, without time before an interruption.
-    """
-
-    problem: Problem
-    settings: SearchSettings
-    sets: ParameterSets
-    phi: Float[Tensor, " R"]
-    gamma: Float[Tensor, " R"]
-    searched_phi: Float[Tensor, " R"]
-    searched_gamma: Float[Tensor, " R"]
-    history_phi: Float[Tensor, "R K"]
-    history_gamma: Float[Tensor, "R K"]
-    contradictions: tuple[str, ...]
-    seconds: float
-
-    def __repr__(self) -> str:
-        name, best = self.problem.robot.name, float(self.phi[self.best])
-        return f"Extraction('{name}', {len(self.sets)} sets, best {self.best} with phi {best:.4g})"
-
-    @cached_property
-    def found(self) -> "Found":
-        """Its sets, judged."""
-        from torchid.extraction.found import Found, judged
-
-        judgement = judged(self.problem, self.sets)
-        return Found(self.problem, "cma-es", *judgement, self, self.seconds)
-
-    @property
-    def record(self) -> "ExtractionRecord":
-        """As the JSON has it."""
-        return self.found.record
-
-    @property
-    def best(self) -> int:
-        """The run with the lowest final loss phi + xi gamma (phi alone if partial)."""
-        # The weight of the next stage: with one stage only, the last one's would be zero.
-        weight = self.settings.weight(self.settings.stages)
-        return int((self.phi + weight * self.gamma).argmin())
 
 
 def require_possible(problem: Problem) -> None:

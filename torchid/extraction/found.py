@@ -9,7 +9,6 @@ from msgspec import UNSET
 
 from torchid.errors import TorchidError
 from torchid.extraction.convex.certificate import Certificate, certificate
-from torchid.extraction.extract import Extraction
 from torchid.extraction.log_cholesky.extract import extract_log_cholesky
 from torchid.extraction.penalty import gamma
 from torchid.extraction.polish.polish import polish
@@ -22,6 +21,7 @@ from torchid.extraction.record import (
     certificate_record,
     problem_fields,
 )
+from torchid.extraction.settings import SearchSettings
 from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets, sets_record
 from torchid.results.record import Result
@@ -30,6 +30,55 @@ from torchid.typing import Float, Tensor
 
 _ON_A_BOUND = 1e-4
 """Share of a bound's span within which a parameter counts as lying on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Extraction(Result):
+    """What a search found, all runs.
+
+    Attributes:
+        problem, settings: as given.
+        sets: one set a run, ids run_1, run_2, ...
+        phi, gamma: (R,) loss and penalty of the sets.
+        searched_phi, searched_gamma: (R,) before the polish.
+        history_phi, history_gamma: (R, K) of the best so far, after each stage.
+        contradictions: conditions that no point of the bounds meets.
+        seconds: the search took, without time before an interruption.
+    """
+
+    problem: Problem
+    settings: SearchSettings
+    sets: ParameterSets
+    phi: Float[Tensor, " R"]
+    gamma: Float[Tensor, " R"]
+    searched_phi: Float[Tensor, " R"]
+    searched_gamma: Float[Tensor, " R"]
+    history_phi: Float[Tensor, "R K"]
+    history_gamma: Float[Tensor, "R K"]
+    contradictions: tuple[str, ...]
+    seconds: float
+
+    def __repr__(self) -> str:
+        name, best = self.problem.robot.name, float(self.phi[self.best])
+        return f"Extraction('{name}', {len(self.sets)} sets, best {self.best} with phi {best:.4g})"
+
+    @cached_property
+    def found(self) -> "Found":
+        """Its sets, judged."""
+        judgement = judged(self.problem, self.sets)
+        return Found(self.problem, "cma-es", *judgement, self, self.seconds)
+
+    @property
+    def record(self) -> ExtractionRecord:
+        """As the JSON has it."""
+        return self.found.record
+
+    @property
+    def best(self) -> int:
+        """The run with the lowest final loss phi + xi gamma (phi alone if partial)."""
+        # The weight of the next stage: with one stage only, the last one's would be zero.
+        weight = self.settings.weight(self.settings.stages)
+        return int((self.phi + weight * self.gamma).argmin())
 
 
 @dataclass(frozen=True, eq=False)

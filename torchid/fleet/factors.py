@@ -17,7 +17,6 @@ import torch
 
 from torchid.design.motion import measurements
 from torchid.fleet.model import FleetModel
-from torchid.identification.identify import prepared
 from torchid.identification.least_squares import (
     block_factors,
     combined_factor,
@@ -25,6 +24,7 @@ from torchid.identification.least_squares import (
     stacked_factor,
     undetermined_columns,
 )
+from torchid.identification.logs import prepared
 from torchid.identification.rows import Layout, RowSource
 from torchid.log.model import Log
 from torchid.statistics.autocorrelation import correlation_instants

@@ -18,7 +18,7 @@ import torch
 
 from torchid import __version__
 from torchid.errors import IdentificationError, TorchidError, visible
-from torchid.fleet.factors import Estimate, Solved
+from torchid.fleet.factors import Solved
 from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
 from torchid.fleet.record import (
@@ -46,7 +46,6 @@ from torchid.parallel.workers import Failure, Progress, Workers, attempted
 from torchid.results.record import Result
 from torchid.robot.library import named_record
 from torchid.statistics.random_effects import FEWEST_UNITS, Pooled, Sessions, pooled
-from torchid.typing import Tensor
 
 INDEX = "index.parquet"
 """Of a store: one row a log, for duckdb or pandas."""
@@ -388,7 +387,8 @@ def _notes(
     signs = physical_signs(base, model.layout.effects).double()
     for unit in units:
         for name, e in unit.sessions:
-            bad = _impossible(e, signs)
+            beyond = signs * e.values + FAR_FROM_PHYSICAL * e.std < 0
+            bad = beyond.nonzero().flatten().tolist()
             if bad:
                 worst = base.names[bad[0]]
                 said.append(
@@ -397,8 +397,3 @@ def _notes(
                     "its joints, signs and gains those of the type?"
                 )
     return said
-
-
-def _impossible(e: Estimate, signs: Tensor) -> list[int]:
-    beyond = signs * e.values + FAR_FROM_PHYSICAL * e.std < 0
-    return beyond.nonzero().flatten().tolist()

@@ -3,7 +3,7 @@
 import itertools
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -100,7 +100,8 @@ def read_manifest(file: str | Path) -> tuple[FleetLog, ...]:
             expected="log, unit, session",
             available=list(table.columns),
         )
-    columns = {name: _words(a) for name, a in table.read([*_known(table.columns)]).items()}
+    known = [name for name in COLUMNS if name in table.columns]
+    columns = {name: _words(a) for name, a in table.read(known).items()}
     columns.setdefault("session", [Path(path).stem for path in columns["log"]])
     for name in COLUMNS:
         if "" in columns[name]:
@@ -113,11 +114,6 @@ def read_manifest(file: str | Path) -> tuple[FleetLog, ...]:
             for unit, session, log in rows
         ]
     )
-
-
-def _known(names: Iterable[str]) -> list[str]:
-    there = set(names)
-    return [name for name in COLUMNS if name in there]
 
 
 def _words(array: np.ndarray) -> list[str]:

@@ -1,7 +1,6 @@
 """What drifts: each parameter of each unit over its sessions, with an alarm that holds its rate."""
 
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -228,8 +227,4 @@ def _temperatures(fleet: Fleet) -> dict[tuple[str, str], float]:
     for a in fleet.logs:
         if a.verdict in USED and a.temperature is not None:
             found[a.log.unit, a.log.session].append(a.temperature)
-    return {key: _mean(own) for key, own in found.items()}
-
-
-def _mean(values: Sequence[float]) -> float:
-    return sum(values) / len(values)
+    return {key: sum(own) / len(own) for key, own in found.items()}

@@ -33,7 +33,8 @@ from torchid.design.segments import (
 from torchid.design.signal import DRIVE_GAIN, SENSOR_GAIN, from_current, without_signal
 from torchid.effects.phase import JointElasticity
 from torchid.errors import LogError
-from torchid.identification.identify import prepared
+from torchid.gap.settings import GapSettings
+from torchid.identification.logs import prepared, refuse_repeated
 from torchid.log.model import Log
 from torchid.log.sampling import at_rate, sampling_rate
 from torchid.robot.model import Robot, joint_list
@@ -205,7 +206,7 @@ def prepare(
         rate: to which faster trajectories are resampled [Hz]; that of the slowest at most.
 
     Raises:
-        LogError: what `torchid.identification.identify.prepared` refuses.
+        LogError: what `torchid.identification.logs.prepared` refuses.
     """
     even, warnings = prepared(log, robot, standing=True)
     even = at_rate(even, min(rate, *sampling_rate(even)))
@@ -274,3 +275,28 @@ def prepare(
         samples, keep, slides, missing, still, (), band, known, positions, tuple(said), lag,
         gain_said=gain_std is not None,
     )  # fmt: skip
+
+
+def read(
+    robot: Robot, log: Log, held_out: Log | None, settings: GapSettings
+) -> tuple[Data, Data | None]:
+    """The logs as data: the one searched, and the one held out.
+
+    Raises:
+        LogError: logs that do not fit the robot or each other.
+    """
+    if log.tau is not None and (held_out is None or held_out.tau is not None):
+        refuse_repeated(log, held_out)
+    cutoff = None if settings.cutoff == "auto" else settings.cutoff
+    # What is searched and what is held out have one rate, the lower of the two.
+    rates = [] if held_out is None else [*sampling_rate(log), *sampling_rate(held_out)]
+    rate = min(rates, default=math.inf)
+    data = prepare(
+        robot, log, cutoff, widest=settings.report_band, gain_std=settings.gain_std, rate=rate
+    )
+    if held_out is None:
+        return data, None
+    judged = prepare(
+        robot, held_out, data.samples.cutoff, data.end + 1.0, data.band, data.gain_std, rate
+    )
+    return data, judged

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from msgspec import structs
 
-from torchid.design.motion import Measurement, fast_speed, measurements, no_torque, timed
+from torchid.design.motion import Measurement, fast_speed, measurements, timed
 from torchid.effects.base import Effect
 from torchid.errors import IdentificationError, LogError
 from torchid.identification.asked import Asked, asked_effects, search_shapes
@@ -20,6 +20,7 @@ from torchid.identification.knowledge import (
     pooled,
 )
 from torchid.identification.least_squares import Fit, fit
+from torchid.identification.logs import prepared, refuse_repeated
 from torchid.identification.record import FittedRows
 from torchid.identification.result import Identification, findings
 from torchid.identification.rows import Layout, RowSource, layout
@@ -40,11 +41,9 @@ from torchid.identification.validation import (
     pieces,
     predict,
 )
-from torchid.log.checks import check_log
 from torchid.log.model import Log
-from torchid.log.sampling import resample
 from torchid.parallel.workers import Progress, stage
-from torchid.robot.model import JointType, Robot, joint_list
+from torchid.robot.model import Robot, joint_list
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
 
@@ -52,9 +51,6 @@ FEWEST_DIGITS = 1e-4
 """Relative error at which a number is no result: four digits, as many as a good torque log has.
 Rounding makes that of eps times the condition number of columns of length one, even of a log
 without noise; so a fit is refused from a condition number of 4.5e11 on."""
-
-BEYOND_LIMIT = 5.0
-"""Times the torque limit from which a torque is taken for one in another unit."""
 
 NO_BETTER = 100.0
 """Error relative to the torque from which a model is worse than none [%]."""
@@ -379,65 +375,6 @@ def _loaded(
     for _ in range(LOAD_FITS):
         measured = _with_load(training, measured, _plain_fit(training, measured, settings))
     return measured
-
-
-def prepared(log: Log, robot: Robot, *, standing: bool = False) -> tuple[Log, tuple[str, ...]]:
-    """A log checked against the robot, with torques, on a uniform grid; and its warnings.
-
-    Args:
-        log: as it was read.
-        robot: that it is of.
-        standing: whether a log in which nothing moves may be of use.
-
-    Raises:
-        LogError: see `check_log`; or no torque and no gain.
-    """
-    if log.tau is None and log.current is not None and robot.drive_gain is not None:
-        log = log.with_torque(robot.drive_gain)
-    noticed = check_log(
-        log,
-        n=robot.n,
-        robot_name=robot.name,
-        position_limits=robot.limits.position,
-        prismatic=[t is JointType.PRISMATIC for t in robot.joint_types],
-        standing=standing,
-    )
-    even = resample(log)
-    if even.tau is None:
-        raise no_torque(even)
-    # Torques far beyond the robot's limits: the wrong unit, or the wrong robot.
-    beyond = []
-    if robot.limits.torque is not None:
-        limits, largest = robot.limits.torque.abs().amax(-1).tolist(), even.tau.abs().amax(0)
-        beyond = [
-            f"{even.source}: torque of joint {j} reaches {reached:.3g}, {reached / limit:.0f} "
-            "times its limit: is it in another unit?"
-            for j, (reached, limit) in enumerate(zip(largest.tolist(), limits, strict=True), 1)
-            if reached > BEYOND_LIMIT * limit
-        ]
-    return even, (*noticed, *beyond, *even.warnings)
-
-
-def refuse_repeated(log: Log, held_out: Log | None) -> None:
-    """Raise if a trajectory is there twice: fitted twice, it would look twice as certain; fitted
-    and held out, its errors would mean nothing."""
-    parts = [(part, "is given twice") for part in log.trajectories()]
-    kept = [] if held_out is None else held_out.trajectories()
-    parts += [(part, "is held out and also among those to fit") for part in kept]
-    # Of thousands of trajectories only those that begin alike are compared.
-    alike: dict[tuple[float, ...], list[Log]] = {}
-    for part, how in parts:
-        others = alike.setdefault((part.samples, *part.q[0].tolist()), [])
-        for other in others:
-            pairs = (part.q, other.q), (part.tau, other.tau)
-            if all(a is not None and b is not None and torch.equal(a, b) for a, b in pairs):
-                raise LogError(
-                    f"trajectory '{part.names[0]}' {how}.",
-                    got=f"the same positions and torques as '{other.names[0]}'",
-                    expected="every trajectory once",
-                    hint="with one log only, hold out its end: `held_out_fraction=0.3`",
-                )
-        others.append(part)
 
 
 def _on(log: Log, device: torch.device | str) -> Log:

@@ -397,10 +397,8 @@ def solve(
     return x, bounded
 
 
-def undetermined_columns(
-    r: Float[Tensor, "C C"], held: Bool[Tensor, " B"], tolerance: float = _UNDETERMINED
-) -> Bool[Tensor, " B"]:
+def undetermined_columns(r: Float[Tensor, "C C"], held: Bool[Tensor, " B"]) -> Bool[Tensor, " B"]:
     """Columns that are combinations of earlier ones in these data, or zero; from left to right."""
     kept = torch.zeros_like(held)
-    kept[~held], _ = independent_columns(r[:, :-1][:, ~held], tolerance)
+    kept[~held], _ = independent_columns(r[:, :-1][:, ~held], _UNDETERMINED)
     return ~kept & ~held

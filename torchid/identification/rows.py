@@ -196,7 +196,7 @@ class RowSource:
     @cached_property
     def boundaries(self) -> list[int]:
         """First instant of each trajectory, and the end of the last."""
-        counts = (_kept_instants(m) for m in self.measured)
+        counts = (-(-(m.samples - 2 * m.edge) // _step(m)) for m in self.measured)
         return list(itertools.accumulate(counts, initial=0))
 
     @property
@@ -223,10 +223,6 @@ def _every(m: Measurement) -> int:
         if step % d == 0 and m.cutoff is not None and m.rate / d >= SMOOTH * m.cutoff * (1 - 1e-6)
     ]
     return max(enough, default=1)
-
-
-def _kept_instants(m: Measurement) -> int:
-    return -(-(m.samples - 2 * m.edge) // _step(m))
 
 
 def _tail(m: Measurement) -> int:

@@ -38,9 +38,6 @@ ALIKE = {"u": 0.95, "q": 0.8}
 SAME_CLOCK = 0.01
 """Difference of the clocks' rates below which they are one: crystals differ by 1e-4."""
 
-LONGEST_STEP = 0.02
-"""Of the common grid [s]."""
-
 SHORTEST = 40
 """Samples of a trajectory that can be aligned."""
 

@@ -12,30 +12,24 @@ Logs without torque, of commands and positions alone, have servos that are compa
 side's by a diagnosis of its own log.
 """
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
 
-from torchid.design.columns import Columns, Model
-from torchid.design.segments import EDGE, Segment, moving_samples, reach_of
-from torchid.effects.base import Effect
+from torchid.design.segments import EDGE, Segment
 from torchid.effects.motion import Motion
-from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
-from torchid.gap.data import prepare
-from torchid.gap.diagnosis import Finding, TorqueDiagnosis, Trace, unit_of
+from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.localise.where import where
 from torchid.gap.noise.spectrum import white_level
 from torchid.gap.record import NoiseFloor
-from torchid.gap.search.terms import PAYLOAD
 from torchid.gap.settings import GapSettings
-from torchid.gap.torque import diagnose_torque
 from torchid.log.filtering import central_difference, low_passed
 from torchid.log.model import Log
 from torchid.pair.align import Both, aligned
+from torchid.pair.effects import Progress, effects_of
 from torchid.pair.faults import (
     body_faults,
     clipped,
@@ -53,28 +47,18 @@ from torchid.pair.record import (
     OneSided,
     PairRecord,
     ServoDifference,
-    Side,
     WherePair,
 )
 from torchid.pair.servos import servos_of
 from torchid.results.record import Result
-from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
 BAND = 20.0
 """Of what is compared [Hz]."""
 
-NOTHING = 0.15
-"""Share of one side's coefficient below which the other one has none."""
-
-CLEAN = 100.0
-"""Dry friction over the noise of a simulator's log: how far from reversals it is looked at."""
-
 NUMBERED = {"joint_order", "sign", "time_step"}
 """Faults with which no joint's motion is its own command's."""
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +190,7 @@ def compare_pair(
         if robot is None:
             warnings.append("without a ROBOT no effect can be named")
     else:
-        which, diagnoses = _effects(robot, simulated, real, settings, say)
+        which, diagnoses = effects_of(robot, simulated, real, settings, say)
     say("done", 1, 1)
     clocks = tuple(
         ClockRecord(b.name, b.clock.rate, b.clock.start, b.clock.likeness, b.clock.by) for b in both
@@ -265,107 +249,3 @@ def _where(both: Sequence[Both], name: str, seed: int) -> tuple[WherePair, Noise
         for x in joints
     ]
     return WherePair(tuple(rows), regimes), floor
-
-
-def _effects(
-    robot: Robot, simulated: Log, real: Log, settings: GapSettings, say: Progress
-) -> tuple[tuple[OneSided, ...], tuple[TorqueDiagnosis | None, TorqueDiagnosis]]:
-    """Effects that one of both has more of."""
-
-    def of(name: str) -> Progress:
-        return lambda stage, done, total: say(f"{name}: {stage}", done, total)
-
-    # What the simulator does beside the model; with that the model is the simulator.
-    first, simulator = None, robot
-    if not _as_model(robot, simulated, settings):
-        first = diagnose_torque(robot, simulated, settings=settings, progress=of("simulator"))
-        simulator = _with_its_load(first.corrected)
-    second = diagnose_torque(simulator, real, settings=settings, progress=of("arm"))
-    rows = [_one_sided(f, second) for f in second.findings]
-    for p in second.parametric:
-        rows.append(_bodies(p.links, p.share, p.p_value, p.ambiguous_with, second))
-    return tuple(sorted(rows, key=lambda x: -x.share)), (first, second)
-
-
-def _with_its_load(robot: Robot) -> Robot:
-    """The robot whose last link holds what it carries, so that less of it can be found, too."""
-    pi = robot.require_parameters("a pair").pi.clone()
-    others = []
-    for effect, values in nominal_effects(robot):
-        if effect.name == PAYLOAD:
-            pi[-1] += torch.tensor(values, dtype=torch.float64)
-        else:
-            others.append(effect.record(values))
-    return replace(robot.with_parameters(InertialParameters(pi)), effects=tuple(others))
-
-
-def _as_model(robot: Robot, simulated: Log, settings: GapSettings) -> bool:
-    """Whether the simulator's torque is the model's, but for less than is worth a name."""
-    if robot.parameters is None:
-        return False
-    data = prepare(robot, simulated, None if settings.cutoff == "auto" else settings.cutoff)
-    columns = Columns(Model.of(robot), data.samples)
-    torque = data.samples.of([s.tau.T for s in data.segments])
-    # Only where joints surely slide: of one that friction holds no law says the torque.
-    never = torch.full((robot.n,), CLEAN, dtype=torch.float64)
-    sliding = moving_samples(data.samples, reach_of(data.samples, never))
-    left, whole = ((x.square() * sliding).sum(1) for x in (columns.gap, torque))
-    return bool((left <= settings.worthwhile_torque**2 * whole)[data.slides].all())
-
-
-def _one_sided(found: Finding, diagnosis: TorqueDiagnosis) -> OneSided:
-    """A finding of the arm beside the simulator as what either has of it."""
-    names = [c.name for c in found.effect.coefficients]
-    before, after = (_values(r, found.effect) for r in (diagnosis.robot, diagnosis.corrected))
-    had, has = max(map(abs, before)), max(map(abs, after))
-    less, more = sorted((had, has))
-    located = found.located or found.joints
-    return OneSided(
-        effect=found.effect.name,
-        joints=located,
-        more="arm" if has > had else "simulator",
-        only=less < NOTHING * more,
-        simulator=dict(zip(names, before, strict=True)),
-        arm=dict(zip(names, after, strict=True)),
-        std=dict(zip(names, found.std, strict=True)),
-        unit={c.name: unit_of(c.unit, located, diagnosis.robot) for c in found.effect.coefficients},
-        share=found.share,
-        p=found.p_value,
-        ambiguous_with=found.ambiguous_with,
-    )
-
-
-def _values(robot: Robot, effect: Effect) -> list[float]:
-    """Coefficients that a robot has of an effect, whatever its shape; zeros of none."""
-    total = [0.0] * len(effect.coefficients)
-    for other, values in nominal_effects(robot):
-        if other.identity == effect.identity:
-            total = [a + b for a, b in zip(total, values, strict=True)]
-    return total
-
-
-def _bodies(
-    links: tuple[int, ...],
-    share: float,
-    p: float | None,
-    ambiguous: tuple[str, ...],
-    diagnosis: TorqueDiagnosis,
-) -> OneSided:
-    """Links whose inertial parameters differ, by their masses."""
-    of = links or tuple(range(diagnosis.robot.n))
-    sides = [r.require_parameters("a pair").mass for r in (diagnosis.robot, diagnosis.corrected)]
-    simulator, arm = ({f"m{k + 1}": float(m[k]) for k in of} for m in sides)
-    side: Side = "arm" if sum(arm.values()) >= sum(simulator.values()) else "simulator"
-    return OneSided(
-        effect="link_inertia",
-        joints=links,
-        more=side,
-        only=False,
-        simulator=simulator,
-        arm=arm,
-        std={},
-        unit=dict.fromkeys(arm, "kg"),
-        share=share,
-        p=math.nan if p is None else p,
-        ambiguous_with=ambiguous,
-    )

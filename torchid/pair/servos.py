@@ -112,7 +112,9 @@ def _joint(
         if own_a is None or own_b is None:
             differs = any(p.name in side.named for side in found)
         else:
-            differs = _differ(p, a, b, math.hypot(own_a, own_b))
+            # Where the 95 % interval of the difference excludes zero.
+            apart = abs(math.log(b / a) if p.kind == "log" else b - a)
+            differs = apart > HALF_95 * math.hypot(own_a, own_b)
         out.append(
             ServoDifference(
                 j, p.name, PER_KP[p.unit] if shared else p.unit, shared, a, interval_a, b,
@@ -147,8 +149,3 @@ class _Side:
             combination /= self.gain
             combination[self.names.index("kp")] = -value
         return value, math.sqrt(max(float(combination @ self.covariance @ combination), 0.0))
-
-
-def _differ(p: ServoParameter, a: float, b: float, std: float) -> bool:
-    """Whether the 95 % interval of the difference excludes zero."""
-    return abs(math.log(b / a) if p.kind == "log" else b - a) > HALF_95 * std

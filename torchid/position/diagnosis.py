@@ -5,12 +5,27 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import msgspec
 import torch
+from msgspec import UNSET
 
 from torchid.position.data import PositionData
 from torchid.position.model import ServoArm
 from torchid.position.nominal import NominalServo
-from torchid.position.record import EffectRecord, PositionRecord, position_record
+from torchid.position.record import (
+    AccuracyRecord,
+    EffectRecord,
+    HeldOutRecord,
+    HowFarRecord,
+    JointRecord,
+    KnownRecord,
+    MotionRecord,
+    NominalRecord,
+    PositionRecord,
+    RegimeRecord,
+    ServosRecord,
+    WhereRecord,
+)
 from torchid.results.answer import Answer, Cause, Diagnosis, JointError
 from torchid.results.answer import Size as AnswerSize
 from torchid.results.record import Rows
@@ -237,3 +252,99 @@ class PositionDiagnosis(Diagnosis):
     def effects(self) -> Rows[EffectRecord]:
         """What was found, one row an effect and joint."""
         return self.record.table
+
+
+def position_record(result: PositionDiagnosis) -> PositionRecord:
+    """A diagnosis as its JSON has it."""
+    kp, intervals = result.gains
+    joints = tuple(
+        JointRecord(
+            joint=j,
+            name=result.data.robot.joint_names[j],
+            commanded_mrad=float(result.commanded.whole[j]),
+            plain_mrad=float(result.plain_servo.whole[j]),
+            answered_mrad=float(result.answered.whole[j]),
+            kp=float(kp[j]),
+            kp_ci95=(float(intervals[j, 0]), float(intervals[j, 1])),
+            ratio_only=bool(result.ratio_only[j]),
+            never_moves=bool(result.still[j]),
+            unseen_mrad=float(result.unseen[j]),
+            resolution_mrad=float(1e3 * 12**0.5 * result.data.resolution[j]),
+        )
+        for j in range(result.servos.n)
+    )
+    regimes = tuple(
+        RegimeRecord(joint=j, regime=name, plain_mrad=float(before), answered_mrad=float(after))
+        for name, both in result.regimes.items()
+        for j, (before, after) in enumerate(zip(*both, strict=True))
+    )
+    names, errors = result.motions
+    known = tuple(
+        KnownRecord(joint=j, names=told, covariance=covariance)
+        for j, (told, covariance) in enumerate(result.known)
+        if told
+    )
+    return PositionRecord(
+        robot=result.data.robot.name,
+        answer=result.answer,
+        motions=len(names),
+        status=result.status,
+        where=WhereRecord(joints=joints, regimes=regimes),
+        which=tuple(map(_finding, result.findings)),
+        how_far=HowFarRecord(
+            commanded=_accuracy(result.commanded),
+            plain=_accuracy(result.plain_servo),
+            answered=_accuracy(result.answered),
+            closed=result.closed,
+            per_motion=tuple(
+                MotionRecord(motion=name, answered_mrad=row)
+                for name, row in zip(names, errors, strict=True)
+            ),
+        ),
+        servos=msgspec.convert(result.servos.record(), ServosRecord),
+        log_scale=result.data.scale,
+        warnings=result.warnings,
+        seconds=result.seconds,
+        known=known or UNSET,
+        held_out=(
+            UNSET
+            if result.held_out is None
+            else HeldOutRecord(whole_mrad=result.held_out[0], windows_2s_mrad=result.held_out[1])
+        ),
+        nominal=(
+            UNSET
+            if not result.nominal
+            else tuple(
+                NominalRecord(
+                    joint=j,
+                    servo=servo.name,
+                    values=dict(servo.values),
+                    counts=math.nan if servo.counts is None else servo.counts,
+                    register_units=dict(servo.units),
+                )
+                for j, servo in enumerate(result.nominal)
+            )
+        ),
+    )
+
+
+def _accuracy(way: Accuracy) -> AccuracyRecord:
+    whole, windows = way.mean
+    return AccuracyRecord(
+        whole_mrad=whole,
+        windows_2s_mrad=windows,
+        whole_per_joint=way.whole,
+        windows_per_joint=way.windows,
+    )
+
+
+def _finding(found: PositionFinding) -> EffectRecord:
+    return EffectRecord.of(
+        found,
+        joints=() if found.joint is None else (found.joint - 1,),
+        parameters={s.name: s.value for s in found.sizes},
+        unit={s.name: s.unit for s in found.sizes},
+        ci95={s.name: s.interval for s in found.sizes},
+        error_without_mrad=found.error_without,
+        error_with_mrad=found.error_with,
+    )

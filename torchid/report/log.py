@@ -9,8 +9,7 @@ import torch
 from rich.text import Text
 
 from torchid.design.repeats import Repeat
-from torchid.doctor.examine import Examination
-from torchid.doctor.record import conclusion
+from torchid.doctor.examine import Examination, conclusion
 from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.overview import Overview
 from torchid.log.ros import Topic, topics_of

@@ -1,6 +1,7 @@
 """What every figure is built of. matplotlib is imported when a figure is drawn, never before."""
 
 import io
+import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -12,7 +13,6 @@ import torch
 
 from torchid.files import atomic_write
 from torchid.report.colours import BLUE, GREY, GRID, INK
-from torchid.report.table import printable
 from torchid.typing import Tensor
 
 if TYPE_CHECKING:
@@ -303,6 +303,15 @@ def thin(signal: Tensor) -> np.ndarray:
 def spread(k: int, seed: int, width: float = 0.3) -> np.ndarray:
     """k offsets that keep the marks of one column apart."""
     return np.random.default_rng(seed).uniform(-width, width, k)
+
+
+def printable(text: str) -> str:
+    """A text without what XML and UTF-8 cannot hold: control characters, and bytes of a file's
+    name that are no text."""
+    return "".join(
+        c if c in "\n\t" or unicodedata.category(c) not in ("Cc", "Cs", "Cn") else "\ufffd"
+        for c in text
+    )
 
 
 def literal(figure: Figure) -> None:

@@ -1,8 +1,7 @@
-"""A table as plain cells, with its three writers: the terminal, the page and Markdown; all that is
-shown of a result; and numbers and names as tables, pictures and pages show them."""
+"""A table as plain cells, with its three writers: the terminal, the page and Markdown; a whole page
+and all that is shown of a result; and numbers and names as tables, pictures and pages show them."""
 
 import math
-import unicodedata
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -12,14 +11,13 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from torchid.errors import visible
+from torchid.report.panels import Picture
 from torchid.results.words import unit_words
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from torchid.report.page.document import Origin, Page
 
 Cell = str | Text
 """Plain text; a `Text` where the terminal shows it in a colour."""
@@ -106,6 +104,74 @@ def filled(*tables: Table | None) -> list[Table]:
     return [table for table in tables if table is not None and table.rows]
 
 
+@dataclass(frozen=True)
+class InputFile:
+    """A file as it was when it was read.
+
+    Attributes:
+        role: `robot`, `log`, `held-out log`, ...
+        name: as the user gave it.
+        size: [bytes].
+        sha256: hexadecimal.
+    """
+
+    role: str
+    name: str
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What is needed to obtain a result again.
+
+    Attributes:
+        command: the command line, or empty for a result of the library.
+        finished: date and time, in UTC.
+        seconds: taken, reading and figures included.
+        versions: (package, version).
+        seeds, settings: (name, value).
+        files: inputs.
+    """
+
+    command: str
+    finished: str
+    seconds: float
+    versions: tuple[tuple[str, str], ...]
+    seeds: tuple[tuple[str, str], ...]
+    settings: tuple[tuple[str, str], ...]
+    files: tuple[InputFile, ...]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole page; what is empty is left out.
+
+    Attributes:
+        title: what was done to what: `Sim-to-real gap of panda`.
+        verdict: one sentence.
+        facts: (label, value) the few numbers beside it.
+        origin: how to repeat it.
+        pictures, findings, tables: the figures, what they say, and the numbers.
+        notes: what to bear in mind, one sentence each.
+        answer: the numbers that come first.
+        sortable: whether its tables can be sorted by a click.
+        block: text to copy.
+    """
+
+    title: str
+    verdict: str
+    facts: Sequence[tuple[str, str]]
+    origin: Origin
+    pictures: Sequence[Picture]
+    tables: Sequence[Table]
+    notes: Sequence[str]
+    findings: Sequence[str] = ()
+    answer: Sequence[Table] = ()
+    sortable: bool = False
+    block: str = ""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Shown:
     """A result for people.
@@ -124,7 +190,7 @@ class Shown:
     warnings: Iterable[str] = ()
     last: str = ""
     figures: "Mapping[str, Callable[[], Figure | None]]" = field(default_factory=dict)
-    page: "Callable[[Origin], Page] | None" = None
+    page: Callable[[Origin], Page] | None = None
 
 
 def pipe_table(
@@ -147,15 +213,6 @@ def _plain(text: str) -> str:
     for mark in ("|", "*", "<"):
         text = text.replace(mark, f"\\{mark}")
     return text
-
-
-def printable(text: str) -> str:
-    """A text without what XML and UTF-8 cannot hold: control characters, and bytes of a file's
-    name that are no text."""
-    return "".join(
-        c if c in "\n\t" or unicodedata.category(c) not in ("Cc", "Cs", "Cn") else "\ufffd"
-        for c in text
-    )
 
 
 def cells(values: Iterable[float] | Tensor, digits: str = ".3g") -> list[str]:

@@ -4,23 +4,11 @@ import math
 from collections.abc import Iterable
 
 _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
-_COUNTED = (
-    "offset", "delay", "lag", "tilt", "error", "spring", "payload", "gain", "contact", "drift",
-)  # fmt: skip
-"""Last words of effects that take an article."""
 
 
 def effect_words(name: str) -> str:
     """`coulomb_friction` as `Coulomb friction`."""
     return " ".join(_PROPER.get(word, word) for word in name.split("_"))
-
-
-def with_article(name: str) -> str:
-    """`a torque offset`, `Coulomb friction`."""
-    words = effect_words(name)
-    if not words.endswith(_COUNTED):
-        return words
-    return f"an {words}" if words[0] in "aeiou" else f"a {words}"
 
 
 def regime_words(name: str) -> str:

@@ -2,10 +2,9 @@
 
 from msgspec import field
 
-from torchid.extraction.record import CertificateRecord, certificate_record
+from torchid.extraction.record import CertificateRecord
 from torchid.identification.payload import PayloadRecord
 from torchid.results.record import Part, Real, Record, Rows
-from torchid.study.result import ScenarioResult, Study
 from torchid.typing import Float, Tensor
 
 
@@ -103,58 +102,3 @@ class StudyRecord(Record, frozen=True, kw_only=True, tag="torchid.study/1"):
     def table(self) -> Rows[ScenarioRecord]:
         """The scenarios."""
         return Rows(self.sets)
-
-
-def record(study: Study) -> StudyRecord:
-    """The result as the JSON has it."""
-    result = study.identification
-    errors = result.held_out
-    return StudyRecord(
-        study=study.settings.name,
-        robot=study.robot.name,
-        section=study.settings.section,
-        identification=StudyIdentification(
-            names=result.base.names,
-            values=result.values,
-            true=study.truth,
-            largest_error=float((result.values - study.truth).abs().max()),
-            rows=int(study.log.samples * study.robot.n),
-            validation_error_percent=(
-                () if errors is None else tuple(errors.relative_percent.tolist())
-            ),
-        ),
-        sets=tuple(_scenario(study, s) for s in study.scenarios),
-        certificate={
-            group: certificate_record(proof) for group, proof in study.certificates.items()
-        },
-        wrenches=WrenchesRecord(
-            classes=tuple(
-                ClassRecord.of(c, quartiles=(c.lower_quartile, c.upper_quartile))
-                for c in study.comparison.classes
-            ),
-            unit="N, largest joint's rms against the true set, all runs of all scenarios",
-        ),
-        payload=StudyPayload.of(study.payload.estimate.record, true=study.payload.true),
-        search=StudySearch.of(study.settings.search),
-        seconds=dict(study.seconds),
-        warnings=study.warnings,
-    )
-
-
-def _scenario(study: Study, result: ScenarioResult) -> ScenarioRecord:
-    found, scenario = result.extraction, result.scenario
-    at = study.wrench_motion.labels.index(scenario.id)
-    force = study.wrench_motion.force
-    return ScenarioRecord.of(
-        result,
-        scenario,
-        force_norm_difference_rms=(force[at] - force[0]).square().mean(0).sqrt(),
-        runs=RunsRecord.of(
-            found,
-            feasible=int(result.feasibility.feasible.sum()),
-            gamma_zero=int((found.gamma == 0).sum()),
-            reasons=[result.feasibility.reasons(k) for k in range(len(found.phi))],
-            degree=result.feasibility.degree,
-        ),
-        contradictions=found.contradictions,
-    )

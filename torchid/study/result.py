@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.extract import Extraction
+from torchid.extraction.record import certificate_record
 from torchid.feasibility.margins import Feasibility
 from torchid.feasibility.sets import ParameterSets
 from torchid.identification.identify import Identification
@@ -14,13 +14,20 @@ from torchid.identification.payload import Payload
 from torchid.log.model import Log
 from torchid.results.record import Result
 from torchid.robot.model import Robot
+from torchid.study.record import (
+    ClassRecord,
+    RunsRecord,
+    ScenarioRecord,
+    StudyIdentification,
+    StudyPayload,
+    StudyRecord,
+    StudySearch,
+    WrenchesRecord,
+)
 from torchid.study.settings import Scenario, StudySettings
 from torchid.typing import Float, Tensor
 from torchid.wrenches.compare import Comparison
 from torchid.wrenches.deviation import WrenchErrors
-
-if TYPE_CHECKING:
-    from torchid.study.record import StudyRecord
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +153,61 @@ class Study(Result):
         )
 
     @cached_property
-    def record(self) -> "StudyRecord":
+    def record(self) -> StudyRecord:
         """As the JSON has it."""
-        from torchid.study.record import record
+        return study_record(self)
 
-        return record(self)
+
+def study_record(study: Study) -> StudyRecord:
+    """The result as the JSON has it."""
+    result = study.identification
+    errors = result.held_out
+    return StudyRecord(
+        study=study.settings.name,
+        robot=study.robot.name,
+        section=study.settings.section,
+        identification=StudyIdentification(
+            names=result.base.names,
+            values=result.values,
+            true=study.truth,
+            largest_error=float((result.values - study.truth).abs().max()),
+            rows=int(study.log.samples * study.robot.n),
+            validation_error_percent=(
+                () if errors is None else tuple(errors.relative_percent.tolist())
+            ),
+        ),
+        sets=tuple(_scenario(study, s) for s in study.scenarios),
+        certificate={
+            group: certificate_record(proof) for group, proof in study.certificates.items()
+        },
+        wrenches=WrenchesRecord(
+            classes=tuple(
+                ClassRecord.of(c, quartiles=(c.lower_quartile, c.upper_quartile))
+                for c in study.comparison.classes
+            ),
+            unit="N, largest joint's rms against the true set, all runs of all scenarios",
+        ),
+        payload=StudyPayload.of(study.payload.estimate.record, true=study.payload.true),
+        search=StudySearch.of(study.settings.search),
+        seconds=dict(study.seconds),
+        warnings=study.warnings,
+    )
+
+
+def _scenario(study: Study, result: ScenarioResult) -> ScenarioRecord:
+    found, scenario = result.extraction, result.scenario
+    at = study.wrench_motion.labels.index(scenario.id)
+    force = study.wrench_motion.force
+    return ScenarioRecord.of(
+        result,
+        scenario,
+        force_norm_difference_rms=(force[at] - force[0]).square().mean(0).sqrt(),
+        runs=RunsRecord.of(
+            found,
+            feasible=int(result.feasibility.feasible.sum()),
+            gamma_zero=int((found.gamma == 0).sum()),
+            reasons=[result.feasibility.reasons(k) for k in range(len(found.phi))],
+            degree=result.feasibility.degree,
+        ),
+        contradictions=found.contradictions,
+    )

@@ -11,7 +11,6 @@ from types import MappingProxyType
 
 import torch
 
-from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.extraction.convex.certificate import Certificate, certificate_where_possible
 from torchid.extraction.extract import Extraction, extract
 from torchid.extraction.problem import Problem, extraction_problem, two_step
@@ -22,25 +21,26 @@ from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import joined, nominal_set
 from torchid.identification.base_parameters import nominal_values
 from torchid.identification.identify import Settings, identify
-from torchid.identification.payload import estimate_payload, with_payload
 from torchid.identification.values import plain_effects
-from torchid.log.model import Log
 from torchid.parallel.workers import Workers, each
-from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
-from torchid.robot.model import Robot
-from torchid.study.motions import excitation, new_motion, sets_torque, simulated, state, with_real
-from torchid.study.result import PayloadResult, ScenarioResult, SetsOnMotion, Study
+from torchid.study.motions import (
+    excitation,
+    new_motion,
+    payload_part,
+    sets_on_motion,
+    sets_torque,
+    simulated,
+    state,
+    with_real,
+)
+from torchid.study.result import ScenarioResult, Study
 from torchid.study.settings import StudySettings
 from torchid.wrenches.compare import compare
 from torchid.wrenches.deviation import alike, wrench_errors
-from torchid.wrenches.regressor import wrench_norms
 
 Report = Callable[[str, int, int], None]
 
-PAYLOAD_RATE = 200.0
-"""Sampling rate [Hz] of the logs of the payload part, which have the noise of real sensors and are
-filtered: the report's 29 Hz would be too slow."""
 _BELOW = 1e-6
 """Share of phi_min by which a feasible set's loss may be below it: the solver's rounding."""
 
@@ -142,17 +142,9 @@ def run_study(
         torch.cat([s.feasibility.degree for s in scenarios]),
         cluster=alike(errors.force_rms, torch.arange(len(errors.force_rms)) // runs),
     )
-    on_sets, on_reference = (
-        SetsOnMotion(
-            plan,
-            shown.ids,
-            sets_torque(robot, shown, plan),
-            *wrench_norms(robot, *state(plan), shown.parameters),
-        )
-        for plan in (test, reference)
-    )
+    on_sets, on_reference = (sets_on_motion(robot, shown, plan) for plan in (test, reference))
     clock.start("payload")
-    payload = _payload(robot, settings, reference)
+    payload = payload_part(robot, settings, reference)
     return Study(
         settings=settings,
         robot=robot,
@@ -233,26 +225,3 @@ class _Clock:
             self._seconds[self._part] = time.monotonic() - self._began
             self._part = ""
         return self._seconds
-
-
-def _payload(robot: Robot, settings: StudySettings, motion: Log) -> PayloadResult:
-    """The same exciting motion with and without a payload, with the noise of real sensors."""
-    body = settings.payload
-    com = torch.tensor([body.com], dtype=torch.float64)
-    inertia = torch.tensor([body.inertia_about_com], dtype=torch.float64)
-    mass = torch.tensor([body.mass], dtype=torch.float64)
-    true = InertialParameters.from_com(mass, com, inertia).pi[0]
-    loaded = with_payload(robot, true)
-    plan = excitation(robot, replace(settings.excitation, rate=PAYLOAD_RATE))
-    chosen = Settings(effects=settings.effects, signs="free")
-    results = []
-    for k, arm in enumerate((robot, loaded)):
-        log = synthetic_log(arm, plan, HonestNoise(), settings.excitation.seed + 10 + k)
-        results.append(identify(arm, log, settings=chosen))
-        chosen = replace(chosen, cutoff=results[0].cutoff)
-    estimate = estimate_payload(*results)
-    guessed = with_payload(robot, estimate.tool.parameters.value.nan_to_num(0.0))
-    arms = (robot, loaded, guessed)
-    pi = torch.stack([arm.require_parameters("the study").pi for arm in arms])
-    force, moment = wrench_norms(robot, *state(motion), InertialParameters(pi))
-    return PayloadResult(true, estimate, force, moment)

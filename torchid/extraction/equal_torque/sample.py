@@ -38,7 +38,6 @@ from torchid.extraction.equal_torque.space import (
     EqualTorqueSpace,
     Limits,
     equal_torque_space,
-    kernel,
 )
 from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.conditions import Conditions
@@ -47,7 +46,7 @@ from torchid.feasibility.margins import kinds as kinds_of
 from torchid.feasibility.sets import ParameterSets, joined
 from torchid.identification.base_parameters import BaseParameters
 from torchid.robot.model import Robot
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Int, Tensor
 
 SLIGHTEST = 0.02
 """Relaxation of the first chain of a kind; the last has 1, those between a geometric sequence."""
@@ -188,11 +187,6 @@ class EqualTorqueSets:
     cluster: Int[Tensor, " K"]
     reference: ParameterSets
     warnings: tuple[str, ...]
-
-
-def null_space(base: BaseParameters) -> Float[Tensor, "P D"]:
-    """Orthonormal basis (P, P - B) of the changes of the parameters that change no torque."""
-    return kernel(base.grouping)
 
 
 def equal_torque_sets(

@@ -50,7 +50,7 @@ class LogCholeskyRuns:
         p: (K, D) search vectors, strictly within bounds and conditions; nan for a run that could
             not start (a start that is not finite).
         phi: (K,) their losses.
-        converged: (K,) whether the barrier holds less than the gap asked for.
+        converged: (K,) whether the barrier holds less than `GAP` of phi.
         steps: taken by the slowest.
     """
 
@@ -67,7 +67,6 @@ def extract_log_cholesky(
     runs: int = 10,
     seed: int = 0,
     with_conditions: bool = True,
-    gap: float = GAP,
     centring: float = CENTRING,
     steps: int = 300,
 ) -> LogCholeskyRuns:
@@ -79,7 +78,6 @@ def extract_log_cholesky(
         runs: how many random starts within the bounds, if no start is given.
         seed: of the random starts.
         with_conditions: whether the problem's conditions count beside physics and bounds.
-        gap: share of phi at which a run ends.
         centring: share of phi that the barrier holds at first. Large: fewer steps, and runs meet
             at the centre of the sets of least loss; small: they end nearer to where they started,
             and may not converge where the least loss is on the boundary of what is feasible.
@@ -108,13 +106,13 @@ def extract_log_cholesky(
     mass, com, inertia, rest = problem.split(inside)
     theta = theta_of(mass, com, second_moment(inertia))
     merit = Merit(problem, room)
-    theta, rest, converged, taken = _descend(merit, theta, rest, gap, centring, steps)
+    theta, rest, converged, taken = _descend(merit, theta, rest, centring, steps)
     p = torch.where(usable.unsqueeze(-1), merit.search_vector(theta, rest), torch.nan)
     return LogCholeskyRuns(p, problem.phi(p), converged & usable, taken)
 
 
 def _descend(
-    merit: Merit, theta: Tensor, rest: Tensor, gap: float, centring: float, steps: int
+    merit: Merit, theta: Tensor, rest: Tensor, centring: float, steps: int
 ) -> tuple[Tensor, Tensor, Tensor, int]:
     """Follow mu to zero: theta, coefficients, which runs have converged, and steps taken."""
     phi = merit.residual(theta, rest).square().sum(-1)
@@ -130,7 +128,7 @@ def _descend(
         decrement = -(gradient * step).sum(-1)
         # Within mu of the central path, the barrier's share bounds what is left to gain.
         near = decrement <= mu
-        holds = (mu * merit.count <= gap * phi) & near
+        holds = (mu * merit.count <= GAP * phi) & near
         done |= holds | (phi <= floor)
         if bool(done.all()):
             break
@@ -140,7 +138,7 @@ def _descend(
         held = phi / merit.count
         lower = torch.minimum(torch.where(near | ~moved, _SHRINK * mu, mu), centring * held)
         lower = torch.where(near | ~moved, torch.minimum(lower, _SHRINK * held), lower)
-        mu = torch.where(done, mu, torch.maximum(lower, 0.5 * gap * held))
+        mu = torch.where(done, mu, torch.maximum(lower, 0.5 * GAP * held))
     return theta, rest, done, taken
 
 

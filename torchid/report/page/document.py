@@ -15,7 +15,6 @@ import shlex
 import time
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -28,8 +27,8 @@ import torchid
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.files import write_text
 from torchid.report.colours import AFTER, BEFORE, BLUE, GREEN, GREY, GRID, INK, ORANGE, RED
-from torchid.report.panels import Picture, literal
-from torchid.report.table import Table, printable
+from torchid.report.panels import Picture, literal, printable
+from torchid.report.table import InputFile, Origin, Page
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -40,74 +39,6 @@ MOST_BYTES = 3_000_000
 _WORDS_AND_TABLES = 400_000
 """Bytes of it that figures leave free."""
 _PACKAGES = ("numpy", "scipy", "scikit-learn", "pytorch-kinematics", "clarabel", "matplotlib")
-
-
-@dataclass(frozen=True)
-class InputFile:
-    """A file as it was when it was read.
-
-    Attributes:
-        role: `robot`, `log`, `held-out log`, ...
-        name: as the user gave it.
-        size: [bytes].
-        sha256: hexadecimal.
-    """
-
-    role: str
-    name: str
-    size: int
-    sha256: str
-
-
-@dataclass(frozen=True)
-class Origin:
-    """What is needed to obtain a result again.
-
-    Attributes:
-        command: the command line, or empty for a result of the library.
-        finished: date and time, in UTC.
-        seconds: taken, reading and figures included.
-        versions: (package, version).
-        seeds, settings: (name, value).
-        files: inputs.
-    """
-
-    command: str
-    finished: str
-    seconds: float
-    versions: tuple[tuple[str, str], ...]
-    seeds: tuple[tuple[str, str], ...]
-    settings: tuple[tuple[str, str], ...]
-    files: tuple[InputFile, ...]
-
-
-@dataclass(frozen=True)
-class Page:
-    """A whole page; what is empty is left out.
-
-    Attributes:
-        title: what was done to what: `Sim-to-real gap of panda`.
-        verdict: one sentence.
-        facts: (label, value) the few numbers beside it.
-        origin: how to repeat it.
-        pictures, findings, tables: the figures, what they say, and the numbers.
-        notes: what to bear in mind, one sentence each.
-        answer: the numbers that come first.
-        sortable: whether its tables can be sorted by a click.
-        block: text to copy.
-    """
-
-    title: str
-    verdict: str
-    facts: Sequence[tuple[str, str]]
-    origin: Origin
-    pictures: Sequence[Picture]
-    tables: Sequence[Table]
-    notes: Sequence[str]
-    findings: Sequence[str] = ()
-    answer: Sequence[Table] = ()
-    sortable: bool = False
-    block: str = ""
 
 
 def require_page(file: Path) -> None:

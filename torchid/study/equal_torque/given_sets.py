@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
@@ -15,6 +14,7 @@ from torchid.log.model import Log
 from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
+from torchid.study.equal_torque.record import GivenReference, GivenSetsRecord, set_errors
 from torchid.study.equal_torque.setting import (
     corrected_group,
     logged_motion,
@@ -23,9 +23,6 @@ from torchid.study.equal_torque.setting import (
 from torchid.typing import Float, Tensor
 from torchid.wrenches.compare import RESAMPLES, Comparison, compare
 from torchid.wrenches.deviation import WrenchErrors, alike, wrench_errors
-
-if TYPE_CHECKING:
-    from torchid.study.equal_torque.record import GivenSetsRecord
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +54,8 @@ class GivenSets(Result):
         return f"GivenSets('{self.robot.name}', {len(self.sets)} sets)"
 
     @cached_property
-    def record(self) -> "GivenSetsRecord":
+    def record(self) -> GivenSetsRecord:
         """As the JSON has it."""
-        from torchid.study.equal_torque.record import given_record
-
         return given_record(self)
 
 
@@ -170,5 +165,34 @@ def given_sets(
             cluster=alike(errors.force_rms),
             resamples=resamples,
             seed=seed,
+        ),
+    )
+
+
+def given_record(found: GivenSets, source: tuple[str, ...] = ()) -> GivenSetsRecord:
+    """A comparison of given sets with a reference.
+
+    Args:
+        found: what was found.
+        source: files of the sets.
+    """
+    return GivenSetsRecord(
+        robot=found.robot.name,
+        source=source,
+        reference=GivenReference(
+            id=found.reference.ids[0],
+            force_rms=found.errors.reference_force_rms,
+            moment_rms=found.errors.reference_moment_rms,
+        ),
+        instants=found.motion.q.shape[0],
+        torque_relative_max=float(found.torque_relative.max()),
+        comparison=found.comparison,
+        sets=set_errors(
+            found.sets.ids,
+            found.checked.degree,
+            found.checked,
+            found.errors,
+            found.torque_relative,
+            found.carried,
         ),
     )

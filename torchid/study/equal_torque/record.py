@@ -1,13 +1,13 @@
 """Comparisons of internal wrenches as their JSON has them: the schema torchid.wrenches/1."""
 
+from dataclasses import dataclass
 from typing import Literal
 
-import torch
 from msgspec import UNSET, UnsetType, field
 
+from torchid.feasibility.margins import Feasibility
 from torchid.results.record import Ends, Part, Real, Record, Rows
 from torchid.study.equal_torque.force_reach import ForceReach
-from torchid.study.equal_torque.given_sets import GivenSets
 from torchid.study.equal_torque.statistics import (
     Across,
     FirmTruths,
@@ -17,9 +17,9 @@ from torchid.study.equal_torque.statistics import (
     Range,
     ThirdSummary,
 )
-from torchid.study.equal_torque.study import EqualTorqueStudy, Variant
 from torchid.typing import Float, Tensor
 from torchid.wrenches.compare import Comparison
+from torchid.wrenches.deviation import WrenchErrors
 
 
 class SetErrors(Part, frozen=True, kw_only=True):
@@ -56,6 +56,25 @@ class KindRecord(Part, frozen=True, kw_only=True):
     force_rms: Float[Tensor, "n 3"]
     moment_rms: Float[Tensor, "n 3"]
     degree: Ends
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """The same question with other outer bounds.
+
+    Attributes:
+        name: what is different.
+        medians: of the error, per kind that was found [N].
+        deltas: Cliff's delta against the feasible sets, per other kind.
+        rho: Spearman's, degree and error over all sets; value, low, high.
+        reach: greatest errors of each kind; empty without Clarabel.
+    """
+
+    name: str
+    medians: dict[str, Real]
+    deltas: dict[str, Range]
+    rho: Range
+    reach: tuple[ForceReach, ...]
 
 
 class ReferenceOfStudy(Part, frozen=True, kw_only=True):
@@ -130,100 +149,29 @@ class GivenSetsRecord(Record, frozen=True, kw_only=True, tag="torchid.wrenches/1
         return Rows(self.sets)
 
 
-def study_record(study: EqualTorqueStudy) -> EqualTorqueRecord:
-    """A study of sets with equal torque; numbers that are not known are null."""
-    setting, statistics = study.setting, study.statistics
-    total = setting.conditions.total_mass.tolist()
-    return EqualTorqueRecord(
-        robot=setting.robot.name,
-        seed=study.seed,
-        geometry=setting.geometry,
-        outer=setting.outer.name,
-        total_mass=(total[0], total[1]),
-        reference=ReferenceOfStudy(
-            origin=setting.origin,
-            mass=setting.reference.parameters.mass[0],
-            torque_change_rms=setting.torque_change,
-            force_rms=study.errors.reference_force_rms,
-            force_rms_to_nominal=float(study.reference_to_nominal),
-        ),
-        instants=study.motion.q.shape[0],
-        torque_relative_max=float(study.torque_relative.max()),
-        static_share=study.static_share,
-        kinds=tuple(_kind(study, kind) for kind in study.kinds),
-        comparison=study.comparison,
-        comparison_to_nominal=study.to_nominal,
-        thirds=statistics.thirds,
-        correlations=statistics.correlations,
-        matched=statistics.matched,
-        across=statistics.across,
-        other_truths=study.truths,
-        firm_truths=study.firm_truths,
-        reach=study.reach,
-        variants=study.variants,
-        warnings=study.warnings,
-        sets=_sets(study, study.family.sets.ids, study.degree, study.family.kind),
-    )
-
-
-def given_record(found: GivenSets, source: tuple[str, ...] = ()) -> GivenSetsRecord:
-    """A comparison of given sets with a reference.
-
-    Args:
-        found: what was found.
-        source: files of the sets.
-    """
-    return GivenSetsRecord(
-        robot=found.robot.name,
-        source=source,
-        reference=GivenReference(
-            id=found.reference.ids[0],
-            force_rms=found.errors.reference_force_rms,
-            moment_rms=found.errors.reference_moment_rms,
-        ),
-        instants=found.motion.q.shape[0],
-        torque_relative_max=float(found.torque_relative.max()),
-        comparison=found.comparison,
-        sets=_sets(found, found.sets.ids, found.checked.degree),
-    )
-
-
-def _kind(study: EqualTorqueStudy, kind: str) -> KindRecord:
-    rows = study.rows(kind)
-
-    def three(x: torch.Tensor) -> torch.Tensor:
-        return torch.quantile(x[rows], x.new_tensor([0.25, 0.5, 0.75]), dim=0).movedim(0, -1)
-
-    return KindRecord(
-        kind=kind,
-        sets=len(rows),
-        largest_force_rms=three(study.worst),
-        force_rms=three(study.errors.force_rms),
-        moment_rms=three(study.errors.moment_rms),
-        degree=(float(study.degree[rows].min()), float(study.degree[rows].max())),
-    )
-
-
-def _sets(
-    found: EqualTorqueStudy | GivenSets,
+def set_errors(
     ids: tuple[str, ...],
     degree: Float[Tensor, " K"],
+    checked: Feasibility,
+    errors: WrenchErrors,
+    torque_relative: Float[Tensor, "K n"],
+    carried: Float[Tensor, "K n"],
     kinds: tuple[str, ...] = (),
 ) -> tuple[SetErrors, ...]:
-    errors = found.errors
+    """Sets one by one, with errors as of `EqualTorqueStudy` and `GivenSets`."""
     return tuple(
         SetErrors(
             id=name,
             kind=kinds[k] if kinds else UNSET,
-            feasible=bool(found.checked.feasible[k]),
-            reasons=found.checked.reasons(k),
+            feasible=bool(checked.feasible[k]),
+            reasons=checked.reasons(k),
             degree=float(degree[k]),
             force_rms=errors.force_rms[k],
             force_max=errors.force_max[k],
             force_norm_rms=errors.force_norm_rms[k],
             moment_rms=errors.moment_rms[k],
-            torque_relative=found.torque_relative[k],
-            carried=found.carried[k],
+            torque_relative=torque_relative[k],
+            carried=carried[k],
         )
         for k, name in enumerate(ids)
     )

@@ -79,7 +79,6 @@ def equal_torque_setting(
     robot: Robot,
     *,
     geometry: str | None = None,
-    outer: str | None = None,
     total_mass: tuple[float, float] | None = None,
     margin: float = MARGIN,
 ) -> Setting:
@@ -89,7 +88,6 @@ def equal_torque_setting(
         robot: with inertial parameters and bounds.
         geometry: group whose CoM boxes are the links' geometry; by default `normal_corrected`, or
             `normal` where there is no such group.
-        outer: group that limits all sets; by default `loose_corrected` or `loose`.
         total_mass: interval [kg]; by default the robot's, or `TOTAL_MASS` of the nominal one.
         margin: of a reference that has to be found, see `MARGIN`.
 
@@ -99,7 +97,7 @@ def equal_torque_setting(
     """
     nominal = nominal_set(robot)
     geometry = geometry or corrected_group(robot, "normal")
-    outer_bounds = read_bounds(robot, outer or corrected_group(robot, "loose"))
+    outer_bounds = read_bounds(robot, corrected_group(robot, "loose"))
     mass = float(nominal.parameters.mass.sum())
     interval = total_mass or read_total_mass(robot) or (TOTAL_MASS[0] * mass, TOTAL_MASS[1] * mass)
     asked = conditions(robot, com_box=read_bounds(robot, geometry).com, total_mass=interval)
@@ -140,13 +138,13 @@ def equal_torque_setting(
     )
 
 
-def reference_motion(robot: Robot, seed: int = 0, *, duration: float = 10.0) -> Motion:
+def reference_motion(robot: Robot, seed: int = 0) -> Motion:
     """A sinusoid within the robot's limits (eq. 5.2), sampled at `RATE`.
 
     Raises:
         RobotError: the limits are incomplete.
     """
-    sampled = sinusoid(robot, seed, duration=duration).sample(RATE)
+    sampled = sinusoid(robot, seed).sample(RATE)
     return Motion(sampled.q, sampled.dq, sampled.ddq)
 
 

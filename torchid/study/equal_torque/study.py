@@ -15,7 +15,6 @@ whether it matters which of the feasible sets is the true arm (`other_truths`).
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -32,10 +31,17 @@ from torchid.extraction.equal_torque.sample import (
 from torchid.extraction.equal_torque.space import equal_torque_space
 from torchid.feasibility.margins import LINK_CONDITIONS, Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets
-from torchid.results.record import Real, Result
+from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.study.equal_torque.force_reach import ForceReach, force_reach, force_squares
+from torchid.study.equal_torque.record import (
+    EqualTorqueRecord,
+    KindRecord,
+    ReferenceOfStudy,
+    Variant,
+    set_errors,
+)
 from torchid.study.equal_torque.setting import (
     MARGIN,
     RATE,
@@ -46,7 +52,6 @@ from torchid.study.equal_torque.setting import (
 from torchid.study.equal_torque.statistics import (
     FirmTruths,
     OtherTruths,
-    Range,
     Samples,
     Statistics,
     middle_range,
@@ -57,9 +62,6 @@ from torchid.typing import Float, Tensor
 from torchid.wrenches.classes import class_of, ordered_classes
 from torchid.wrenches.compare import RESAMPLES, Comparison, compare
 from torchid.wrenches.deviation import WrenchErrors, wrench_errors
-
-if TYPE_CHECKING:
-    from torchid.study.equal_torque.record import EqualTorqueRecord
 
 _OTHER_BOUNDS = (
     ("outer bounds a quarter as far", 0.25, True),
@@ -214,25 +216,6 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Variant:
-    """The same question with other outer bounds.
-
-    Attributes:
-        name: what is different.
-        medians: of the error, per kind that was found [N].
-        deltas: Cliff's delta against the feasible sets, per other kind.
-        rho: Spearman's, degree and error over all sets; value, low, high.
-        reach: greatest errors of each kind; empty without Clarabel.
-    """
-
-    name: str
-    medians: dict[str, Real]
-    deltas: dict[str, Range]
-    rho: Range
-    reach: tuple[ForceReach, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class EqualTorqueStudy(Drawn, Result):
     """What was found of a family. All errors of forces are against `setting.reference`.
 
@@ -275,10 +258,8 @@ class EqualTorqueStudy(Drawn, Result):
         return f"EqualTorqueStudy('{name}', {len(self.z)} sets of {len(self.kinds)} kinds)"
 
     @cached_property
-    def record(self) -> "EqualTorqueRecord":
+    def record(self) -> EqualTorqueRecord:
         """As the JSON has it."""
-        from torchid.study.equal_torque.record import study_record
-
         return study_record(self)
 
 
@@ -395,3 +376,63 @@ def _reach(setting: Setting, squares: Float[Tensor, "n D D"]) -> tuple[ForceReac
 
 def _first(one: ParameterSets) -> InertialParameters:
     return InertialParameters(one.parameters.pi[0])
+
+
+def study_record(study: EqualTorqueStudy) -> EqualTorqueRecord:
+    """A study of sets with equal torque; numbers that are not known are null."""
+    setting, found = study.setting, study.statistics
+    total = setting.conditions.total_mass.tolist()
+    return EqualTorqueRecord(
+        robot=setting.robot.name,
+        seed=study.seed,
+        geometry=setting.geometry,
+        outer=setting.outer.name,
+        total_mass=(total[0], total[1]),
+        reference=ReferenceOfStudy(
+            origin=setting.origin,
+            mass=setting.reference.parameters.mass[0],
+            torque_change_rms=setting.torque_change,
+            force_rms=study.errors.reference_force_rms,
+            force_rms_to_nominal=float(study.reference_to_nominal),
+        ),
+        instants=study.motion.q.shape[0],
+        torque_relative_max=float(study.torque_relative.max()),
+        static_share=study.static_share,
+        kinds=tuple(_kind(study, kind) for kind in study.kinds),
+        comparison=study.comparison,
+        comparison_to_nominal=study.to_nominal,
+        thirds=found.thirds,
+        correlations=found.correlations,
+        matched=found.matched,
+        across=found.across,
+        other_truths=study.truths,
+        firm_truths=study.firm_truths,
+        reach=study.reach,
+        variants=study.variants,
+        warnings=study.warnings,
+        sets=set_errors(
+            study.family.sets.ids,
+            study.degree,
+            study.checked,
+            study.errors,
+            study.torque_relative,
+            study.carried,
+            study.family.kind,
+        ),
+    )
+
+
+def _kind(study: EqualTorqueStudy, kind: str) -> KindRecord:
+    rows = study.rows(kind)
+
+    def three(x: torch.Tensor) -> torch.Tensor:
+        return torch.quantile(x[rows], x.new_tensor([0.25, 0.5, 0.75]), dim=0).movedim(0, -1)
+
+    return KindRecord(
+        kind=kind,
+        sets=len(rows),
+        largest_force_rms=three(study.worst),
+        force_rms=three(study.errors.force_rms),
+        moment_rms=three(study.errors.moment_rms),
+        degree=(float(study.degree[rows].min()), float(study.degree[rows].max())),
+    )
