@@ -39,12 +39,12 @@ napoleon_custom_sections = [("Class attributes", "Attributes")]
 napoleon_numpy_docstring = False
 
 NAVIGATION = {
-    "How to": ("your-log", "lerobot", "robots", "log-doctor", "python", "export", "pair", "report",
-               "compare", "fleet", "next-experiment"),
-    "What it means": ("concepts", "knowledge", "effects", "equal-torque"),
-    "How good it is": ("results", "gap-results", "position-results", "withheld", "trust"),
-    "Python": ("api/*",),
-    "The project": ("design", "../CONTRIBUTING", "../CHANGELOG"),
+    "Tutorial": ("tutorial",),
+    "How to": ("your-log", "lerobot", "log-doctor", "python", "export", "pair", "report", "compare",
+               "fleet", "next-experiment"),
+    "Reference": ("robots", "effects", "glossary", "equations", "results", "gap-results",
+                  "position-results", "withheld", "trust", "api/*", "../CHANGELOG"),
+    "Explanation": ("concepts", "knowledge", "equal-torque", "design", "../CONTRIBUTING"),
 }  # fmt: skip
 """Captions, and the pages below each."""
 

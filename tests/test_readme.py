@@ -1,4 +1,5 @@
-"""A new user's way: every command and the Python of the README run, in its order, on a small arm.
+"""A new user's way: every command and the Python of the README run, in its order, and all those of
+the tutorial on a small arm.
 
 The arm is the report's 3R as a URDF; its logs are simulated, with friction that grows with load.
 """
@@ -9,6 +10,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -24,10 +26,11 @@ from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
 
 README = ROOT / "README.md"
+TUTORIAL = ROOT / "docs/tutorial.md"
 SMALLER = {
     " --cases 40": " --cases 1",
     " --runs 10": " --runs 2 --stages 2",
-    "kuka_lwr4 --kind random": "kuka_lwr4 --kind random --duration 5",
+    "3r --kind random": "3r --kind random --duration 5",
     "--workers 8": "--workers 1",
     "torchid withheld leave-out": "true leave-out",  # long, and tested elsewhere
     # In a folder of its own: a project file holds for every command below it.
@@ -108,8 +111,8 @@ def _servo_logs(folder: Path) -> None:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shell]:
-    """A folder with all files that the README's commands name."""
-    out = tmp_path_factory.mktemp("readme")
+    """A folder with all files that the tutorial's commands name."""
+    out = tmp_path_factory.mktemp("tutorial")
     with shell(out) as place:
         place.run(PREPARE)
         _logs(out)
@@ -122,7 +125,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shell]:
 
 
 def test_after_init_six_short_commands_lead_to_a_corrected_model() -> None:
-    (block,) = (b for b in blocks(README, "") if b.lstrip().startswith("torchid init "))
+    (block,) = (b for b in blocks(TUTORIAL, "") if b.lstrip().startswith("torchid init "))
     first, *rest = (line.split("#")[0].strip() for line in block.strip().splitlines())
     assert first == "torchid init"
     assert len(rest) <= 6
@@ -130,14 +133,42 @@ def test_after_init_six_short_commands_lead_to_a_corrected_model() -> None:
     assert any("--save-model" in line for line in rest)
 
 
-@pytest.mark.slow
-def test_commands_and_python_of_the_readme_run(place: Shell) -> None:
-    found = [
-        block for block in blocks(README, "") if block.lstrip().startswith(("torchid ", "for "))
-    ]
-    assert len(found) >= 10
+def _commands_run(page: Path, place: Shell) -> int:
+    """How many blocks of commands a page has; all of them are run."""
+    found = [block for block in blocks(page, "") if block.lstrip().startswith(("torchid ", "for "))]
     for block in found:
         place.run(_small(block))
+    return len(found)
+
+
+def _python_runs(page: Path, folder: Path, names: dict[str, Any]) -> None:
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        exec(compile("\n".join(blocks(page, "python")), page.name, "exec"), names)
+    finally:
+        os.chdir(before)
+
+
+@pytest.mark.slow
+def test_commands_and_python_of_the_readme_run(tmp_path: Path) -> None:
+    """In an empty folder: the README needs no robot or log of anybody's."""
+    with shell(tmp_path) as place:
+        assert _commands_run(README, place) == 7
+    for name in ("gap/gap.json", "corrected.yaml", "exported/3r.urdf", "next/trajectory.csv"):
+        assert (tmp_path / name).stat().st_size > 0, name
+    names: dict[str, Any] = dict(
+        zip(("q", "dq", "ddq"), torch.zeros(3, 5, 3, dtype=torch.float64), strict=True)
+    )
+    _python_runs(README, tmp_path, names)
+    assert names["tau"].shape == (5, 3)
+    assert torch.isfinite(names["tau"]).all()
+    assert (tmp_path / "from_python/3r.urdf").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_commands_and_python_of_the_tutorial_run(place: Shell) -> None:
+    assert _commands_run(TUTORIAL, place) >= 10
     for name in (
         "run1.csv",
         "mended.parquet",
@@ -147,16 +178,6 @@ def test_commands_and_python_of_the_readme_run(place: Shell) -> None:
         "corrected.yaml",
     ):
         assert (place.folder / name).stat().st_size > 0, name
-    code = "\n".join(blocks(README, "python"))
-    before = Path.cwd()
-    os.chdir(place.folder)
-    try:
-        names = dict(
-            zip(("q", "dq", "ddq"), torch.zeros(3, 5, 3, dtype=torch.float64), strict=True)
-        )
-        exec(compile(code, "README.md", "exec"), names)
-    finally:
-        os.chdir(before)
-    assert names["tau"].shape == (5, 3)
-    assert torch.isfinite(names["tau"]).all()
+    names: dict[str, Any] = {}
+    _python_runs(TUTORIAL, place.folder, names)
     assert names["best"].ids == (f"run_{names['found'].best + 1}",)
