@@ -179,7 +179,7 @@ def case(kind: str, number: int, name: str) -> tuple[Robot, torchid.Log, float, 
     noise = Columns(Model.of(robot), data.samples).gap.square().mean(1).sqrt().numpy()
     # The wrist's own torque, of which its noise is a share, is next to nothing.
     heard = noise > 0.1 * noise.max()
-    joint = 0 if kind == "moment" else int(rng.choice(heard.nonzero()[0]))
+    joint = 0 if kind in ("moment", "axial") else int(rng.choice(heard.nonzero()[0]))
     size = rng.uniform(2.0, 8.0)
     signals = (x.numpy() for x in (clean.q, clean.dq, clean.ddq, exact.tau))
     m = Truth(robot, *signals, clean.slices(), rng)

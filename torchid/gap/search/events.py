@@ -15,6 +15,7 @@ from typing import NamedTuple
 import torch
 from scipy.stats import chi2, f
 
+from torchid.effects.motion import Motion
 from torchid.effects.surroundings import PlaneContact
 from torchid.effects.transient import Contact
 from torchid.gap.search.evidence import Question, fit_terms, residual
@@ -76,26 +77,29 @@ def planes(question: Question) -> list[PlaneContact]:
     """
     candidates = question.candidates
     columns, samples = candidates.columns, candidates.columns.samples
+    robot = columns.model.robot
     left, unit = _beside_laws(question)
-    keep = candidates.keep / unit
+    # At the samples themselves: for a proposal the filter does not matter.
+    signals = zip(*(m.state for m in columns.motions), strict=True)
+    motion = Motion(*(samples.of([x.T for x in some]).T for some in signals))
+    weight, target = (candidates.keep / unit).T, (left * candidates.keep / unit).T
 
     def gains(some: Sequence[PlaneContact]) -> list[float]:
         """How far the push of each takes the squares down, beside bodies and friction."""
         out = []
-        for place, x in columns.of_several(some):
-            if place is not None or not bool(x.any()):
-                out.append(0.0)
-                continue
-            flat = (x[:1] * keep).flatten(1)
-            square = float(flat.square().sum())
-            pull = float((flat * (left / unit).flatten()).sum())
-            out.append(max(pull, 0.0) ** 2 / max(square, 1e-300))
+        for x in PlaneContact.columns_of(some, motion, robot):
+            push = x[..., 0] * weight
+            square, pull = float(push.square().sum()), float((push * target).sum())
+            out.append(max(pull, 0.0) ** 2 / square if square > 0 else 0.0)
         return out
 
-    tried = PlaneContact.near_ends(columns.model.robot, columns.motions)
+    tried = PlaneContact.near_ends(robot, [motion])
+    # What chance does, of samples that are alike for a while, over all planes that were looked at.
+    slow = correlation_instants(left.T, samples.bounds)
+    least = slow * float(chi2.isf(question.settings.alpha / len(tried), 1))
     best: dict[str, tuple[float, PlaneContact]] = {}
     for plane, gain in zip(tried, gains(tried), strict=True):
-        if gain > best.get(plane.side, (0.0, plane))[0]:
+        if gain > best.get(plane.side, (least, plane))[0]:
             best[plane.side] = gain, plane
     out = []
     for likely in sorted(best.values(), key=lambda x: -x[0])[:MOST_PLANES]:
