@@ -189,10 +189,12 @@ def case(kind: str, number: int, name: str) -> tuple[Robot, torchid.Log, float, 
     mean = (torque**2).sum(0) / np.maximum(acts.sum(0), 1)
     rms = np.where(heard, np.sqrt(mean) / np.maximum(noise, 1e-12), 0.0)
     worst = int(rms.argmax())
-    # No less than is worth a name: twice 1 % of the joint's torque.
-    own = 0.02 * np.sqrt((exact.tau.numpy()[:, worst] ** 2).mean()) / noise[worst]
-    size = max(size, own)
     scale = size / rms[worst] if rms[worst] > 0 else 0.0
+    # No less than is worth a name: 1.5 % of the joint's torque over all of the log.
+    over_all = scale * np.sqrt((torque[:, worst] ** 2).mean())
+    least = 0.015 * np.sqrt((exact.tau.numpy()[:, worst] ** 2).mean())
+    if 0 < over_all < least:
+        scale, size = scale * least / over_all, size * least / over_all
     return robot, noisy.replace(tau=noisy.tau + torch.from_numpy(scale * torque)), size, worst
 
 

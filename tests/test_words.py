@@ -1,5 +1,6 @@
 """The pages in plain words: no forbidden ones, short sentences, a short README."""
 
+import ast
 import re
 import statistics
 from pathlib import Path
@@ -76,3 +77,22 @@ def test_the_readme_is_short() -> None:
     lines = README.read_text().splitlines()
     assert len(lines) <= 200
     assert max(map(len, lines)) <= 130
+
+
+def _strings() -> list[tuple[str, str]]:
+    """What the program prints: strings of its sources that are no docstrings, with their places."""
+    out = []
+    for path in sorted((ROOT / "torchid").rglob("*.py")):
+        tree = ast.parse(path.read_text())
+        alone = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
+        out += [
+            (f"{path.relative_to(ROOT)}:{n.lineno}", n.value)
+            for n in ast.walk(tree)
+            if isinstance(n, ast.Constant) and isinstance(n.value, str) and id(n) not in alone
+        ]
+    return out
+
+
+def test_no_forbidden_words_are_printed() -> None:
+    found = re.compile(rf"\b({'|'.join(map(re.escape, FORBIDDEN))})\b", re.IGNORECASE)
+    assert [(place, text) for place, text in _strings() if found.search(text)] == []

@@ -250,7 +250,7 @@ def check_stamps(log: Log) -> Check:
             f"a tenth of the time lies in steps of {long:.2g} medians and more ({text})",
             estimate=long,
             unit="ratio",
-            fix="record at an even rate; nothing faster than the longest steps can be told",
+            fix="record at an even rate; nothing faster than the longest steps can be resolved",
         )
     return Check(
         "stamps",

@@ -204,7 +204,7 @@ def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
         return ()
     hint = ""
     if to == "mjcf":
-        hint = "; `log=...` refits what is left to a log, and moves it there in MuJoCo"
+        hint = "; `log=...` refits the remainder to a log, and moves it there in MuJoCo"
     elif said == JOINTS:
         hint = '; `to="mjcf"` says gains, delays, clips and stops, too'
     return (f"of the servos {', '.join(names)} are not in it{hint}",)

@@ -431,8 +431,8 @@ class _Near:
         size, share = float(off[worst] * self.left[worst]), 100 * float(off[worst])
         return [
             f"the corrected parameters belong to no body: the nearest bodies' torque is up to "
-            f"{size:.2g} off on joint {worst + 1} (RMS at random states), {share:.0f} % of what "
-            "is left there of the log's"
+            f"{size:.2g} off on joint {worst + 1} (RMS at random states), {share:.0f} % of the "
+            "log's remainder there"
         ] * int(off[worst] > PRICE)
 
 

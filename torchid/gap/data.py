@@ -135,9 +135,9 @@ class Data:
             return self
         joints = tuple(silent.nonzero().flatten().tolist())
         said = (
-            f"{joint_list(joints)}: neither the model nor any rigid body with friction foretells "
-            "the measured torque better than its mean does, so nothing is told there; all of the "
-            "gap there counts as noise"
+            f"Mind this number: {joint_list(joints)}: neither the model nor any rigid body with "
+            "friction predicts the measured torque better than its mean does, so no cause is "
+            "sought there, and all of the gap there counts as noise."
         )
         keep = self.keep & ~silent.unsqueeze(1)
         return replace(self, keep=keep, silent=joints, warnings=(*self.warnings, said))
@@ -241,7 +241,10 @@ def prepare(
     still = still_joints(long)
     said = [*warnings, *(w for m in measured for w in m.warnings)]
     if still:
-        said.append(f"at rest in all of the log: {joint_list(still)}, of which nothing can be told")
+        said.append(
+            f"Change your log: {joint_list(still)} is at rest in all of it, so no cause can be "
+            "found there."
+        )
     if highest < CUTOFF:
         said.append(
             f"above {highest:.2g} Hz noise of the positions, twice differentiated, is more than "
@@ -256,8 +259,8 @@ def prepare(
     if gain_std is None and from_current(log):
         gain_std = DRIVE_GAIN
         said.append(
-            f"torque is current times a gain, taken to be known to {DRIVE_GAIN:.0%}, which every ± "
-            "holds: `gain_std=...`"
+            "Mind this number: torque is computed from current. Its gain is assumed known to "
+            f"{DRIVE_GAIN:.0%} (`gain_std=...`); every ± includes that."
         )
     samples = Samples(long, narrow)
     # What the log cannot show: joints that hardly slide, velocities and ages it does not hold.

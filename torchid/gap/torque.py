@@ -32,6 +32,7 @@ from torchid.gap.validate.folds import make_folds
 from torchid.gap.validate.judge import blocks_of, check, harmful, refitted, status_of, warnings_of
 from torchid.identification.knowledge import known_names
 from torchid.log.model import Log
+from torchid.results.answer import ordered
 from torchid.robot.model import Robot
 from torchid.simulation.two_models import rollouts
 
@@ -204,9 +205,7 @@ def diagnose_torque(
         cutoff=data.samples.cutoff,
         settings=settings,
         refitted=wanted.free,
-        warnings=tuple(
-            dict.fromkeys(warnings_of(found, data, judged, checked, folds, settings, robot))
-        ),
+        warnings=ordered(warnings_of(found, data, judged, checked, folds, settings, robot)),
         joint_fits=joint_fits(found, said, data, block),
         residual=residuals(checked.shown),
         small=small,

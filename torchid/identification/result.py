@@ -205,7 +205,9 @@ def findings(result: Identification) -> list[str]:
     if result.wrong_sign:
         said.append("kept with a sign that physics forbids: " + ", ".join(result.wrong_sign))
     if result.dropped:
-        said.append("cannot be told from 0, dropped as not essential: " + ", ".join(result.dropped))
+        said.append(
+            "not distinguishable from 0, dropped as not essential: " + ", ".join(result.dropped)
+        )
     # Sums whose 95 % interval lies where no body's value can.
     signs = physical_signs(result.base, result.effects).to(result.values)
     far = (signs * result.values + result.uncertainty.quantile() * result.std < 0) & result.free

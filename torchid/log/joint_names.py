@@ -49,7 +49,7 @@ def in_robot_order(
             f"numbers: {_listed(ordered)}",
         )
     raise LogError(
-        f"{label}: its joints cannot be told from their names.",
+        f"{label}: the names do not identify its joints.",
         got=_listed(names),
         expected=_listed(joints),
         hint="give the joints these names in the robot's description, or say which is which: "

@@ -181,7 +181,7 @@ def _in_order(
         arm = [name for name in names if "gripper" not in name.lower()]
         if len(arm) != len(joints):
             raise LogError(
-                f"'{path}': which elements of {feature} are the robot's joints cannot be told.",
+                f"'{path}': which elements of {feature} are the robot's joints is not clear.",
                 got=", ".join(names[:30]),
                 expected=", ".join(joints),
                 hint=f'say it: `columns="q={feature}[:,0:{len(joints)}]"`, counted from 0',

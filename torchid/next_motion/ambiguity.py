@@ -82,7 +82,7 @@ def open_questions(record: GapRecord, robot: Robot, source: str) -> Open:
         raise TorchidError(
             f"'{source}' leaves nothing open that a motion could settle: "
             + ("every effect that a motion can bring about was testable, and every one found has "
-               "one name." if not notes else "what is left is no matter of motion."),
+               "one name." if not notes else "no motion settles the remainder."),
             got="; ".join([f"status {record.status}", *(found or ["no effect found"]), *notes]),
             hint=_unexplained(record.status),
         )  # fmt: skip

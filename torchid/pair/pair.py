@@ -144,7 +144,7 @@ def compare_pair(
     if both[0].clock.by == "q":
         warnings.append(
             "not both logs hold commands u1.., so they are aligned by their motion: a servo that "
-            "follows badly cannot be told from another command"
+            "follows badly looks like another command"
         )
     say("locating", 0, 1)
     torque, floor = None, None

@@ -165,7 +165,7 @@ def _held(log: Log) -> Float[Tensor, "T n"]:
             f"{log.label}: '{log.names[motion]}' begins without commands.",
             got=f"no number in u{j + 1} in its first {count} rows",
             expected="a command from the first row on",
-            hint="cut these rows: what the arm was told before is not known",
+            hint="cut these rows: the command before them is not known",
         )
     return log.u.gather(0, last)
 

@@ -107,7 +107,7 @@ def diagnose_positions(
     ]
     names = data.robot.joint_names
     warnings += tuple(
-        f"joint {j + 1} {names[j]} never moves: nothing of its servo is told."
+        f"joint {j + 1} {names[j]} never moves, so its servo is not identified."
         for j in torch.nonzero(still).flatten().tolist()
     )
     warnings += missing_commands(data.log)

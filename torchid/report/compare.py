@@ -63,7 +63,7 @@ def verdict(result: Comparison) -> str:
             f"of {chance:.2g} would be in order by chance)"
         )
     if never:
-        parts.append(f"{never} cannot be told from zero in any, and agree in that")
+        parts.append(f"{never} are not distinguishable from zero in any, and agree in that")
     said = [
         f"{len(result.labels)} identifications of {result.robot}, {common} parameters in common: "
         f"{', '.join(parts)} (5 %, Holm)."

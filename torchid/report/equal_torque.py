@@ -273,7 +273,7 @@ def _effect_sentence(effect: EffectSize) -> str:
         return f"{who}, against {against}: too few independent chains to tell."
     how = f"{ratio.value:.2f} times the force error (95 %: {ratio.low:.2f} to {ratio.high:.2f})"
     if ratio.low <= 1 <= ratio.high:
-        return f"{who} cannot be told from {against}: {how}."
+        return f"{who} are not distinguishable from {against}: {how}."
     return f"{who} have {how} of {against}."
 
 
@@ -283,7 +283,7 @@ def _degree_sentence(kind: str, rho: Estimate) -> str:
         return f"Among {among}: too few independent chains to tell whether the degree matters."
     how = f"rho = {rho.value:.2f} (95 %: {rho.low:.2f} to {rho.high:.2f})"
     if rho.low <= 0 <= rho.high:
-        return f"Among {among} no effect of the degree can be told: {how}."
+        return f"Among {among} no effect of the degree is visible: {how}."
     which = "firmer" if kind == "feasible" else "less violating"
     side = "smaller" if rho.value < 0 else "larger"
     return f"Among {among} {which} ones have {side} errors: {how}."
@@ -296,7 +296,7 @@ def _across_sentence(across: Across) -> str:
         return f"{what}: too few independent chains to tell whether the error jumps."
     how = f"{across.ratio.value:.2f} times (95 %: {low:.2f} to {high:.2f})"
     if low <= 1 <= high:
-        return f"{what} no jump of the error can be told: {how}."
+        return f"{what} no jump of the error is visible: {how}."
     return f"{what} the errors differ: {how}; their tightest conditions need not be the same ones."
 
 

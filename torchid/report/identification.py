@@ -60,7 +60,7 @@ def headline(result: Identification) -> str:
         errors = f"while moving: {moving} (all rows: {every_row})"
     cutoff = "no filter" if result.cutoff is None else f"cut-off {result.cutoff:g} Hz"
     bad, every = len(poor_names(result)), len(result.base)
-    poor = f" {bad} of {every} cannot be told from zero (95 %)." if bad else ""
+    poor = f" {bad} of {every} not distinguishable from zero (95 %)." if bad else ""
     return (
         f"{result.base.n_rigid} base parameters of {result.robot.name} and "
         f"{every - result.base.n_rigid} coefficients of effects ({cutoff}, condition "
@@ -245,7 +245,7 @@ def parameter_figure(result: IdentificationRecord) -> Figure:
     rows_of(axes, [short(result.base_names[k], 44) for k in order])
     axes.axvline(100, color=INK, linewidth=0.8)
     axes.set_xlabel(
-        "half-width of the 95 % interval, % of the value (100 %: cannot be told from zero)"
+        "half-width of the 95 % interval, % of the value (100 %: not distinguishable from zero)"
     )
     return finish(figure, f"{result.robot}: how well each parameter is known")
 
@@ -320,11 +320,11 @@ def verdict(result: Identification) -> str:
     never, poor = result.undetermined, poor_names(result)
     parts = [f"{len(never)} not determined at all ({_named(never)})"] if never else []
     if poor:
-        parts.append(f"{len(poor)} cannot be told from zero ({_named(poor)})")
+        parts.append(f"{len(poor)} not distinguishable from zero ({_named(poor)})")
     known_of = (
         f"of {total}, {listed(parts)}"
         if parts
-        else f"all {total} that were estimated can be told from zero"
+        else f"all {total} that were estimated are distinguishable from zero"
     )
     return f"{said[0].upper()}{said[1:]}; {known_of}."
 
@@ -393,8 +393,8 @@ def _pictures(result: Identification) -> list[Picture]:
             "parameters",
             "How well each coefficient is known: half of its 95 % interval in percent of its "
             "value, on a logarithmic scale. Green is well known, orange roughly; red bars beyond "
-            f"the line at 100 % cannot be told from zero ({poor}).",
-            f"Bars, one a coefficient: {poor} cannot be told from zero.",
+            f"the line at 100 % not distinguishable from zero ({poor}).",
+            f"Bars, one a coefficient: {poor} not distinguishable from zero.",
             partial(parameter_figure, result.record),
         )
     )

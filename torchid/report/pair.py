@@ -122,7 +122,7 @@ def tables(found: PairDiagnosis) -> list[Table]:
         for s in record.servos or ()
     ]  # fmt: skip
     columns = ("fault", "where", "what was seen", "what to do")
-    headings = ("effect", "where", "simulator", "arm", "share", "cannot be told from")
+    headings = ("effect", "where", "simulator", "arm", "share", "not separable from")
     words = [heading for heading in headings if heading != "share"]
     return filled(
         None if record.torque is None else _where(record.torque, "torque", "N m"),

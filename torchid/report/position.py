@@ -179,7 +179,7 @@ def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> T
             step = f"{2e3 * math.pi / servo.counts:.3g} mrad"
             rows.append((*place, "resolution", step, f"{joint.resolution_mrad:.3g} mrad"))
     return Table(
-        "Servos: what they are said to be, and what was found (95 %)",
+        "Servos: nominal values, and what was found (95 %)",
         ("joint", "servo", "value", "nominal", "found"),
         rows,
         names=("servo", "value"),

@@ -113,8 +113,8 @@ LINES = (
     Line("two effects, F1, first names", ("several", "pairs", "strict", "f1"), percent=False),
     Line("three effects, F1", ("several", "triples", "with_sets", "f1"), percent=False),
     Line("outside: wrong family for sure", ("outside", "confident_wrong", "share"), high=0.05),
-    Line("poor data: said so, or right", ("poor", "honest", "share")),
-    Line("poor data: said so", ("poor", "not_testable_or_hedged", "share")),
+    Line("poor data: reported so, or right", ("poor", "honest", "share")),
+    Line("poor data: reported so", ("poor", "not_testable_or_hedged", "share")),
     Line("gap closed, of the oracle's", ("closing", "ratio", "median"), low=0.97),
     Line("intervals hold the closed share", ("coverage", "closed", "share"), 0.9, 0.98),
     Line("intervals hold coefficients", ("coverage", "coefficients", "share"), 0.9, 0.98),
@@ -284,10 +284,10 @@ def listed(effects: Iterable[Mapping[str, Any]]) -> str:
 _WORDS = {
     "right_family": "the right family is named",
     "hedged": "it is among the alternatives",
-    "detected_unexplained": "detected, and said to be unexplained",
+    "detected_unexplained": "detected, and reported as unexplained",
     "confident_wrong": "another family, for sure",
-    "missed": "nothing is said to be there",
-    "not_testable": "said to be invisible in these data",
+    "missed": "nothing is reported",
+    "not_testable": "reported as invisible in these data",
 }
 
 
@@ -415,7 +415,7 @@ def figures(summary: Mapping[str, Any]) -> Figures:
 def reliability_figure(curve: Sequence[Mapping[str, Any]]) -> Figure:
     """Shares of right names over the probability that was given, with 95 % intervals."""
     figure, axes = panel(4.2, 3.4)
-    axes.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, label="as often as said")
+    axes.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, label="as often as stated")
     x, y = ([100 * point[name] for point in curve] for name in ("mean", "share"))
     ends = np.array([[100 * e for e in point["ci95"]] for point in curve]).T
     axes.errorbar(
@@ -423,7 +423,7 @@ def reliability_figure(curve: Sequence[Mapping[str, Any]]) -> Figure:
         capsize=2, label="names (95 %)",
     )  # fmt: skip
     axes.set(xlim=(-2, 102), ylim=(-2, 102))
-    axes.set_xlabel("how sure it was said to be [%]", fontsize=SMALL, color=INK)
+    axes.set_xlabel("stated probability [%]", fontsize=SMALL, color=INK)
     axes.set_ylabel("right [%]", fontsize=SMALL, color=INK)
     return finish(figure, "How sure, and how often right", axes)
 

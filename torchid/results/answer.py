@@ -7,7 +7,7 @@ positions under commands give mrad of the log's unit.
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from pathlib import Path
 
@@ -35,6 +35,9 @@ VALUES = 3
 """Numbers of a cause that are shown in the table."""
 UNCHANGED = 0.99
 """Share of the error that is left, from which on the causes have closed nothing."""
+
+KINDS = ("Change your log", "Mind this number")
+"""How warnings begin that ask for something; all others are for information."""
 
 COLUMNS = ("joint", "before", "after", "noise", "", "cause (value ± std)", "sure", "what to do")
 
@@ -339,6 +342,18 @@ class DiagnosisRecord(Record, frozen=True, eq=False, kw_only=True):
 
     def _repr_html_(self) -> str:
         return super()._repr_html_() if self.answer is None else self.answer._repr_html_()
+
+
+def ordered(warnings: Iterable[str]) -> tuple[str, ...]:
+    """Warnings once each: first what asks for another log, then what qualifies a number, then the
+    rest."""
+    return tuple(sorted(dict.fromkeys(warnings), key=_kind))
+
+
+def _kind(warning: str) -> int:
+    """Place of a warning's kind."""
+    kinds = [k for k, start in enumerate(KINDS) if warning.startswith(start)]
+    return kinds[0] if kinds else len(KINDS)
 
 
 def size_words(size: Size) -> str:

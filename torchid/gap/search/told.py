@@ -294,8 +294,8 @@ def _notes(
         margin = InertialParameters(values.unsqueeze(0)).consistency_margin()
         if float(margin) < 0:
             out.append(
-                "these ten parameters have the right torque, but no body has them: "
-                "`torchid payload` gives one that does"
+                "these ten load parameters fit the torque but are not physically possible; use "
+                "`torchid payload`"
             )
     pairs = zip(term.coefficients, values.tolist(), std.tolist(), term.known, strict=True)
     for c, v, s, own in pairs:
@@ -402,9 +402,9 @@ def not_testable(found: Explanation, robot: Robot, data: Data) -> list[NotTestab
         elif size <= 1e-9:
             smallest, reason = None, "the motion does not excite it"
         elif share < 1e-6:
-            smallest, reason = None, "exactly a combination of parameters that are fitted"
+            smallest, reason = None, "it cannot be separated from the inertial parameters"
         elif share < VISIBLE:
-            reason = f"only {100 * share:.2g} % of it is not a combination of what is fitted"
+            reason = f"only {100 * share:.2g} % of it can be separated from the inertial parameters"
         elif term.place is not None:
             square = size / float(weight[term.place] * normal.rows[term.place].clamp(min=1))
             torque = float(question.torque[term.place].sqrt())

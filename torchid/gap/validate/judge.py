@@ -211,43 +211,51 @@ def warnings_of(
     if 2 * int(useless.sum()) > len(useless):
         joints = ", ".join(str(j + 1) for j in useless.nonzero().flatten().tolist())
         out.append(
-            f"the model explains nothing of the torque of joints {joints}: is the log of this "
-            "robot, its joints in this order, in these units? `torchid log doctor ROBOT LOG` looks"
+            f"Change your log: the model explains nothing of the torque of joints {joints}. Is the "
+            "log of this robot, its joints in this order, in these units? `torchid log doctor "
+            "ROBOT LOG` checks it."
         )
     if checked.noise.floor.source != "repeats":
         out.append(
-            "no motion is repeated, so the noise is known only between bounds: drive one "
-            "trajectory twice to know it"
+            "Change your log: drive one motion twice. No motion is repeated, so the noise is known "
+            "only between bounds."
         )
     if len(found.terms) >= settings.max_effects:
-        out.append(f"the search ended at {settings.max_effects} effects: `max_effects=...`")
+        out.append(
+            f"Mind this number: stopped at {settings.max_effects} effects; there may be more "
+            "(`max_effects=...`)."
+        )
     # What holds for this log alone.
     events = sorted({e.name for e, _ in solution.model.effects if e.name in EVENTS})
     if events:
-        out.append(f"of this log alone, not part of the corrected model: {', '.join(events)}")
+        out.append(f"For this log alone, not part of the corrected model: {', '.join(events)}.")
     changed = any(t.inertial for t in solution.terms)
     # Corrected parameters that no body has.
     margins = solution.model.robot.require_parameters("a check").consistency_margin()
     if changed and bool((margins < 0).any()):
         out.append(
-            "the corrected inertial parameters give the right torque but belong to no body: "
-            "`torchid check corrected.yaml --nearest near.json` finds feasible ones near in torque"
+            "Mind this number: the corrected inertial parameters fit the torque but are not "
+            "physically possible. `torchid check corrected.yaml --nearest near.json` finds "
+            "possible ones near in torque."
         )
     if robot.parameters is None:
         out.append(
-            "the robot has no inertial parameters: base parameters were fitted first, so the gap "
-            "is what even the best rigid body leaves"
+            "The robot has no inertial parameters. Base parameters were fitted first, so the gap "
+            "is what even the best rigid body leaves."
         )
     if judged is None and not folds.whole:
         out.append(
-            "fewer than three different trajectories: held-out data are stretches of the same "
-            "trajectories, and intervals are wider than they look"
+            "Change your log: record three different motions. With fewer, held-out data are "
+            "stretches of the same motions, and intervals are wider than they look."
         )
     # Joints on which the corrected model is worse.
     worse = checked.far.rms_after > checked.far.rms_before
     if found.terms and bool(worse.any()):
         joints = joint_list(worse.nonzero().flatten().tolist())
-        out.append(f"on data that was not fitted the corrected model is worse on {joints}")
+        out.append(
+            "Mind this number: on data that was not fitted, the corrected model is worse on "
+            f"{joints}."
+        )
     return out + needs_trust(found)
 
 
@@ -269,6 +277,6 @@ def needs_trust(found: Explanation) -> list[str]:
     if not lost:
         return []
     return [
-        "with base parameters refitted these effects are not needed, so they hold only if the "
-        f"robot's parameters are right: {', '.join(lost)}"
+        "Mind this number: if the robot's inertial parameters are wrong, they explain these "
+        f"effects as well: {', '.join(lost)}."
     ]

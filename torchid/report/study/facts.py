@@ -298,7 +298,7 @@ def _class(study: Study, e: EffectSize) -> str:
     elif high < 1:
         told = "smaller"
     else:
-        told = "not told apart"
+        told = "not distinguished"
     interval = "" if math.isnan(low) else f", 95 % interval {number(low)} to {number(high)}"
     return (
         f"Internal forces: the errors of the {e.sets[0]} '{e.first}' sets are "

@@ -166,7 +166,7 @@ def _errors(study: Study) -> Picture:
         said = (
             "Over the infeasible sets the rank correlation of degree and error is "
             f"{number(rho.value)}{interval}: "
-            f"{meaning if sure else 'that is not told from no relation.'}"
+            f"{meaning if sure else 'that is no different from no relation.'}"
         )
     caption = (
         "Force error of every run (root mean square of the vector difference from the real arm, "
