@@ -56,7 +56,8 @@ def test_columns_are_what_the_torque_changes_by(name: str, columns: Columns) -> 
     more = Model(ROBOT, (*FRICTION, (effect, values.tolist())))
     change = torque(more, columns.samples) - torque(columns.model, columns.samples)
     size = float(change.abs().max())
-    assert size > 0 or name == "saturation"  # the limit of the example is far above this arm's
+    # The limit of the examples is far above this arm's torque.
+    assert size > 0 or name in ("saturation", "drive_saturation")
     assert torch.allclose(found, change, atol=1e-8 * max(size, 1.0))
 
 

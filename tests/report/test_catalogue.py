@@ -23,7 +23,7 @@ CLOSED_FORM = {
     for name, kind in KINDS.items()
     if issubclass(kind, JointEffect) and not kind.memory and name != "joint_spring"
 }
-SHAPES = {"a": 1.7, "vs": 0.3, "T": 5.0, "k": 3.0, "limit": 0.4}
+SHAPES = {"a": 1.7, "vs": 0.3, "T": 5.0, "k": 3.0, "limit": 0.4, "towards": -1.0}
 
 
 def test_committed_page_is_what_the_program_writes() -> None:
