@@ -55,40 +55,8 @@ def correct_torque(
     with_effects: bool | Package = False,
     keep: Sequence[Path] = (),
 ) -> Correction:
-    """Write a robot as a simulator's file can say it, refitted to the log's torque.
-
-    Args:
-        robot: as given: its file is edited a copy of, its bodies are what the new ones are near to.
-        full: a diagnosis of it on this log, or a corrected robot.
-        log: trajectories of the arm, which the file is fitted to.
-        to: format.
-        folder: made if need be.
-        name: of the file, without suffix; the robot's own, with `_corrected`, by default.
-        held_out: trajectories that judge it. Without them a diagnosis is judged by fits without
-            each of its folds, a corrected robot on the log it was fitted to.
-        settings: of the diagnosis, of which cut-off, band, folds and `rollout` count here: without
-            the last nothing is simulated forwards.
-        with_effects: write a second file, `_effects` after its name, fitted together with the
-            effects that have no field: they lie in its sidecar, and are added at run time. With a
-            package's name that package's actuator class is written, too, where it adds any.
-        keep: files that are never overwritten.
-
-    Raises:
-        LogError: logs that do not fit the robot.
-        MissingExtraError: no engine that runs the format is installed.
-        TorchidError: another arm, or a file that is no better than the robot as given.
-
-    >>> from tempfile import TemporaryDirectory
-    >>> import torchid
-    >>> simulated, arm = torchid.load_robot("3r"), torchid.load_robot("3r_friction")
-    >>> motion = torchid.excite(arm, duration=6.0, restarts=1, iterations=5).log()
-    >>> log = torchid.simulate(arm, motion)
-    >>> settings = torchid.GapSettings(rollout=False)
-    >>> with TemporaryDirectory() as folder:
-    ...     done = correct_torque(simulated, arm, log, "mjcf", folder, settings=settings)
-    >>> bool(done.judged.engine.mean() < 0.3 * done.judged.nominal.mean())
-    True
-    """
+    """Write a robot as a simulator's file can say it, refitted to the log's torque; arguments and
+    errors are those of `torchid.correct`."""
     settings = settings or GapSettings()
     diagnosis = full if isinstance(full, TorqueDiagnosis) else None
     corrected = full.corrected if isinstance(full, TorqueDiagnosis) else full

@@ -50,33 +50,10 @@ def diagnose_torque(
     settings: GapSettings | None = None,
     progress: Progress | None = None,
 ) -> TorqueDiagnosis:
-    """Where the simulator disagrees with the arm, which effects cause it, how far they close it.
-
-    Args:
-        robot: the simulator: nominal parameters and effects. Without parameters they are fitted
-            first, together with `settings.background`.
-        log: trajectories of the real arm.
-        held_out: trajectories that take part in no choice. If None, every trajectory (or stretch)
-            is left out in turn.
-        settings: how; defaults if None.
-        progress: called with (stage, done, total).
+    """A diagnosis of logs with torques; arguments and errors are those of `torchid.diagnose`.
 
     Raises:
         LogError: logs that do not fit the robot or cannot be used.
-
-    >>> import torch, torchid
-    >>> robot = torchid.load_robot("3r")
-    >>> t = torch.arange(1500, dtype=torch.float64) / 100
-    >>> w = torch.tensor([1.9, 2.7, 3.3], dtype=torch.float64)
-    >>> q, dq, ddq = (f(t[:, None] * w) * w**k for k, f in
-    ...               ((0, torch.sin), (1, torch.cos), (2, lambda x: -torch.sin(x))))
-    >>> noise = 0.02 * torch.randn(1500, 3, generator=torch.Generator().manual_seed(1)).double()
-    >>> tau = torchid.inverse_dynamics(robot, q, dq, ddq) + noise
-    >>> tau[:, 1] += 0.5 * dq[:, 1]  # the arm has viscous friction, the model has none
-    >>> settings = GapSettings(effects=("viscous_friction", "coulomb_friction"), rollout=False)
-    >>> found = diagnose_torque(robot, torchid.Log(t, q, dq=dq, tau=tau), settings=settings)
-    >>> [(f.effect.name, f.effect.joint + 1) for f in found.findings]
-    [('viscous_friction', 2)]
     """
     settings = settings or GapSettings()
     if held_out is None and settings.held_out_fraction > 0:
