@@ -34,7 +34,7 @@ CASES = {
     "stribeck_friction:joint=2,vs=0.3": {"Fs": 0.8},
     "load_dependent_friction:joint=2": {"mu": 0.08},
     "presliding_hysteresis:joint=2,length=0.1": {"Fh": 0.6},
-    "load_hysteresis:joint=2,length=0.1": {"mu_h": 0.06},
+    "load_hysteresis:joint=2,length=0.05": {"mu_h": 0.06},
     "end_stop:joint=1,limit=2,towards=1": {"ks": 20.0},
     "cogging:joint=3,k=9": {"a_s": 0.2, "a_c": 0.1},
     "motor_ripple:joint=2,k=9": {"a_s": 0.04, "a_c": 0.02},

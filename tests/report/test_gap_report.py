@@ -149,6 +149,22 @@ def test_tables_hold_the_numbers():
     assert "slow drift" not in text  # p = 0.6
 
 
+def test_the_first_25_lines_say_it_all():
+    """Joint, error before and after with its unit, cause, value, how sure, and what to do."""
+    d = diagnosis(findings=(VISCOUS, FRICTION, OFFSET))
+    console = Console(width=120, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    made = shown(d)
+    console.print(made.verdict)
+    for part in made.parts:
+        console.print(part)
+    lines = console.export_text().splitlines()[:25]
+    assert all(len(line.rstrip()) <= 120 for line in lines)
+    worst = next(line for line in lines if line.split()[:1] == ["2"])
+    for part in ("0.61", "0.07", "Coulomb friction", "> 99 %", "Set the joint's dry friction"):
+        assert part in worst, (part, worst)
+    assert "[N m]" in " ".join(lines)
+
+
 def test_tables_of_every_status_are_drawn():
     for status in SENTENCES:
         text = text_of(diagnosis(status))

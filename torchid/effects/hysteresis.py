@@ -112,7 +112,7 @@ class LoadHysteresis(PreslidingHysteresis):
     signature = "a loop over position after each reversal, in proportion to the torque"
     experiment = "make many small reversals under several payloads"
     remedy = "Scale a Dahl or LuGre model's friction with the joint's torque in the simulator."
-    example = Example((0.05,), "position", {"length": 0.1})
+    example = Example((0.05,), "position", {"length": 0.04})
 
     @property
     def becomes(self) -> str | None:

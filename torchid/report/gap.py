@@ -423,6 +423,7 @@ def pictures(d: TorqueDiagnosis) -> list[Picture]:
                 f"{'' if k else _OVER_TIME}",
                 f"Measured and modelled torque of joint {number} over time: {change}.",
                 partial(gap_figures.torque_figure, d, joint),
+                narrow=partial(gap_figures.torque_figure, d, joint, gap_figures.NARROW),
             ),
             Picture(
                 f"joint_{number}",

@@ -32,6 +32,9 @@ from torchid.statistics.proportion import HALF_95
 WORST = 3
 """Joints that get a figure of their own."""
 
+NARROW = 4.2
+"""Width of a figure on a phone [inch]."""
+
 ABREAST = 4
 """Panels in a line of findings' replications."""
 
@@ -256,9 +259,11 @@ def known_figure(record: GapRecord) -> Figure:
     return finish(figure, f"{record.robot}: what this log makes of what was known")
 
 
-def torque_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure:
+def torque_figure(
+    diagnosis: TorqueDiagnosis, joint: int | None = None, width: float = 10.0
+) -> Figure:
     """Measured torque and both models on a joint (from 0; the worst, if None), in the stretch with
-    the largest gap, and what is left over."""
+    the largest gap, and what stays of it; `width` [inch]."""
     joint = worst_joints(diagnosis.record)[0] if joint is None else joint
     trace, rows, most = diagnosis.traces[0], slice(0, len(diagnosis.traces[0].valid)), -1.0
     for own in diagnosis.traces:
@@ -274,7 +279,7 @@ def torque_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figur
         np.where(valid, x[pick, joint].numpy(), np.nan)
         for x in (trace.measured, trace.before, trace.after)
     )
-    figure, (upper, lower) = panel(10, 5.4, 2, 1, sharex=True, height_ratios=(3, 2))
+    figure, (upper, lower) = panel(width, 5.4, 2, 1, sharex=True, height_ratios=(3, 2))
     upper.plot(t, measured, color=INK, linewidth=2.2, label="measured")
     upper.plot(t, before, color=BEFORE, linewidth=1.3, label="model as given")
     upper.plot(
@@ -289,8 +294,9 @@ def torque_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figur
     upper.set_ylabel(f"torque [{unit}]")
     lower.set(xlabel=f"time in {trace.name} [s]", ylabel=f"measured - model [{unit}]")
     lower.set_xlim(t[0], t[-1])
-    title = f"{diagnosis.robot.name}: torque of joint {joint + 1} on data not fitted"
-    return finish(figure, title, upper, lower)
+    where = " on data not fitted" if width > NARROW else ""
+    title = f"{diagnosis.robot.name}: torque of joint {joint + 1}{where}"
+    return finish(figure, title, upper, lower, columns=4 if width > NARROW else 1)
 
 
 BINS = 24

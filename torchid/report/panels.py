@@ -40,6 +40,7 @@ class Picture:
         alt: what those who do not see it must know.
         draw: the figure.
         section: of a page of several, by key.
+        narrow: the same figure for a phone; None where the wide one scrolls sideways there.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Picture:
     alt: str
     draw: Callable[[], Figure]
     section: str = ""
+    narrow: Callable[[], Figure] | None = None
 
     @property
     def file(self) -> str:

@@ -15,6 +15,7 @@ import shlex
 import time
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -71,6 +72,10 @@ def render(page: Page) -> str:
     room, drawn = MOST_BYTES - _WORDS_AND_TABLES, {}
     for picture in page.pictures:
         svg = inline_svg(picture)
+        if picture.narrow is not None:
+            # The style sheet shows one of the two, by the width of the screen.
+            own = replace(picture, name=f"{picture.name}_narrow", draw=picture.narrow)
+            svg = f'<div class="wide">{svg}</div><div class="narrow">{inline_svg(own)}</div>'
         room -= len(svg.encode())
         if room < 0:
             break
