@@ -397,7 +397,8 @@ def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, 
         gain, total = without - whole, without.sum(0)
         if not effect.parameters:
             gain, total = gain.sum(1, keepdim=True).expand(-1, n), total.sum().expand(n)
-        keep = on & (gain.sum(0) > WORTHWHILE * total) & (gain.sum(0) > least) & _sure(gain)
+        often = _mostly(gain) if effect.family == "world" else _sure(gain)
+        keep = on & (gain.sum(0) > WORTHWHILE * total) & (gain.sum(0) > least) & often
         if effect.name == "command_delay":
             keep &= found.servos.of("delay") > data.tracks.dt
         worth[effect.name] = without.sum(0), whole.sum(0)
@@ -417,6 +418,12 @@ def _sure(gain: Tensor) -> Tensor:
     matters = gain.abs() > 0.02 * gain.abs().amax(0)
     better = ((gain > 0) & matters).sum(0)
     return (better > 0.7 * matters.sum(0)) & (gain.sum(0) > 0)
+
+
+def _mostly(gain: Tensor) -> Tensor:
+    """(n,) whether motions (m, n) gain more than others lose: what acts at the ends of the travel
+    alone matters to few motions, by how much and not to how many counts."""
+    return gain.clamp(min=0).sum(0) > 0.7 * gain.abs().sum(0)
 
 
 def _returned(
