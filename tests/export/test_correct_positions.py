@@ -37,8 +37,8 @@ def test_a_stop_is_where_positions_end(tmp_path):
     log = planted(arm.servos, motions=3, seconds=8.0, seed=2)
     done = correct_positions(robot(), arm, log, tmp_path)
     last = 1e3 * float((log.q - log.u)[:, 2].square().mean().sqrt())
-    assert float(done.followed.command[2]) == pytest.approx(last)
-    assert float(done.followed.engine[2]) < 0.5 * last
+    assert float(done.judged.nominal[2]) == pytest.approx(last)
+    assert float(done.judged.engine[2]) < 0.5 * last
     model = mujoco.MjModel.from_xml_path(str(done.files[0]))
     assert model.joint("joint_3").range[1] == pytest.approx(float(log.q[:, 2].max()))
 
@@ -50,9 +50,9 @@ def test_the_file_moves_as_the_arm_did(name, tmp_path):
     log = planted(arm.servos, motions=3, seconds=6.0, seed=2)
     other = planted(arm.servos, motions=3, seconds=6.0, seed=5)
     done = correct_positions(robot(), arm, log, tmp_path, held_out=other, with_effects="mjlab")
-    found = done.followed
+    found = done.judged
     assert found.held_out == "a held-out log"
-    assert float(found.command.min()) > 20.0
+    assert float(found.nominal.min()) > 20.0
     # MuJoCo's own solution of dry friction, and encoder counts of 1.5 mrad.
     assert float(found.run_time.max()) < 1.5
     assert set(done.no_field) == set(unsaid(arm.servos, SAID))
@@ -109,7 +109,7 @@ def test_actuators_of_a_file_are_replaced_where_they_stand(tmp_path):
     model = mujoco.MjModel.from_xml_path(str(done.files[0]))
     names = [model.actuator(k).name for k in range(model.nu)]
     assert names == ["other", "servo_1", "joint_3"]
-    found = done.refitted.servos
+    found = done.servos.servos
     kp, clip, offset = (found.of(name).numpy() for name in ("kp", "clip", "offset"))
     for k, j in enumerate((1, 0, 2)):
         assert model.actuator_trnid[k, 0] == j

@@ -46,7 +46,7 @@ def test_the_cell_of_a_notebook(tmp_path: Path) -> None:
 
     d = torchid.diagnose(robot, log, settings=settings)
     assert "coulomb_friction" in repr(d)
-    assert "coulomb_friction" in d._repr_html_()
+    assert "Coulomb friction on joint 2" in d._repr_html_()
     frame = d.effects.to_frame()
     assert frame["effect"].tolist() == ["coulomb_friction"]
     assert frame["joints"].tolist() == [[2]]  # as people count
@@ -63,7 +63,7 @@ def test_the_cell_of_a_notebook(tmp_path: Path) -> None:
         assert len(again.plot(kind).axes) == len(d.plot(kind).axes)
     with pytest.raises(TorchidError, match="no such figure") as caught:
         again.plot("torque")
-    assert caught.value.available == ["where", "how_far", "budget"]
+    assert {"where", "how_far", "budget"} <= set(caught.value.available)
     assert d.plot("torque", joint=1).axes
     with pytest.raises(TorchidError, match="takes no joint"):
         d.plot("where", joint=1)
