@@ -141,7 +141,7 @@ def test_essential_parameters_drop_what_is_zero():
     zero = {"F01", "F02", "F03", "Ia3"}
     assert len(zero & set(found.dropped)) >= 3
     assert not {"Fv1", "Fv2", "Fv3", "Fc1", "Fc2", "Fc3"} & set(found.dropped)
-    assert any("cannot be told from 0" in w for w in found.warnings)
+    assert any("not distinguishable from 0" in w for w in found.warnings)
     kept = found.free
     ratio = found.values[kept].abs() / found.std[kept]
     assert float(ratio.min()) > found.uncertainty.quantile()

@@ -86,7 +86,7 @@ def test_names_that_are_not_the_robots(tmp_path: Path, log: Log) -> None:
     read = read_log(path, joints=("a", "b", "c"))
     assert close(read.q, log.q)
     assert any("order of the dataset: shoulder, elbow, wrist" in w for w in read.warnings)
-    with pytest.raises(LogError, match="cannot be told") as info:
+    with pytest.raises(LogError, match="is not clear") as info:
         read_log(path, joints=("a", "b"))
     assert "q=observation.state[:,0:2]" in str(info.value.hint)
 

@@ -256,7 +256,7 @@ def test_time_that_begins_again_begins_a_trajectory(tmp_path: Path) -> None:
 
 def test_names_that_are_not_the_robots(tmp_path: Path, log: Log) -> None:
     path = write_bag(tmp_path / "bag", "mcap", {TOPIC: messages_of(log, UR, (2, 1, 0))})
-    with pytest.raises(LogError, match="cannot be told from their names") as info:
+    with pytest.raises(LogError, match="the names do not identify its joints") as info:
         read_log(path, joints=("joint_1", "joint_2", "joint_3"))
     assert "elbow_joint" in str(info.value.got)
     order = [f"{name}.{{}}" for name in UR]

@@ -329,7 +329,7 @@ def test_untestable_effects_are_asked_for_at_a_tenth_of_the_torque(robot):
         ({"which": []}, "(?s)leaves nothing open.*has one name.*no effect found"),
         ({"corrected": None}, "(?s)corrected model.*write it again"),
         ({"which": [found_effect("contact", 1, ambiguous_with=["saturation"])]},
-         "(?s)no matter of motion.*contact of joint"),
+         "(?s)no motion settles.*contact of joint"),
         ({"which": [], "status": "detected_unexplained"}, "(?s)drive one trajectory twice"),
     ],
 )  # fmt: skip

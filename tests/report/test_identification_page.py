@@ -61,7 +61,7 @@ def test_verdict(result, tree):
     assert f"(joint {worst + 1}) of its size while the joint moves; " in said
     half = result.uncertainty.quantile() * result.relative_std_percent
     poor = int((half[result.free] > 100).sum())
-    assert (f"{poor} cannot be told from zero" in said) == (poor > 0)
+    assert (f"{poor} are not distinguishable from zero" in said) == (poor > 0)
     assert said.count(". ") == 0
 
 

@@ -76,7 +76,9 @@ def test_headline_counts_what_may_be_zero(result):
     half = result.uncertainty.quantile() * result.std
     assert len(poor) == int((half > result.values.abs())[result.free].sum())
     line = headline(replace(result, covariance=1e6 * result.covariance))
-    assert f"{int(result.free.sum())} of {len(result.base)} cannot be told from zero" in line
+    assert (
+        f"{int(result.free.sum())} of {len(result.base)} are not distinguishable from zero" in line
+    )
 
 
 def test_everything_prints_as_one_line(result):

@@ -60,7 +60,7 @@ def headline(result: Identification) -> str:
         errors = f"while moving: {moving} (all rows: {every_row})"
     cutoff = "no filter" if result.cutoff is None else f"cut-off {result.cutoff:g} Hz"
     bad, every = len(poor_names(result)), len(result.base)
-    poor = f" {bad} of {every} not distinguishable from zero (95 %)." if bad else ""
+    poor = f" {bad} of {every} are not distinguishable from zero (95 %)." if bad else ""
     return (
         f"{result.base.n_rigid} base parameters of {result.robot.name} and "
         f"{every - result.base.n_rigid} coefficients of effects ({cutoff}, condition "
@@ -320,7 +320,7 @@ def verdict(result: Identification) -> str:
     never, poor = result.undetermined, poor_names(result)
     parts = [f"{len(never)} not determined at all ({_named(never)})"] if never else []
     if poor:
-        parts.append(f"{len(poor)} not distinguishable from zero ({_named(poor)})")
+        parts.append(f"{len(poor)} are not distinguishable from zero ({_named(poor)})")
     known_of = (
         f"of {total}, {listed(parts)}"
         if parts
@@ -393,8 +393,8 @@ def _pictures(result: Identification) -> list[Picture]:
             "parameters",
             "How well each coefficient is known: half of its 95 % interval in percent of its "
             "value, on a logarithmic scale. Green is well known, orange roughly; red bars beyond "
-            f"the line at 100 % not distinguishable from zero ({poor}).",
-            f"Bars, one a coefficient: {poor} not distinguishable from zero.",
+            f"the line at 100 % are not distinguishable from zero ({poor}).",
+            f"Bars, one a coefficient: {poor} are not distinguishable from zero.",
             partial(parameter_figure, result.record),
         )
     )
