@@ -1,6 +1,5 @@
 """Tables, sentences and figures of wrench comparisons carry the numbers of what they show."""
 
-import re
 from dataclasses import replace
 from functools import lru_cache
 
@@ -98,10 +97,9 @@ def with_ratio(low: float, high: float) -> EqualTorqueStudy:
 
 def test_sentences_follow_the_intervals() -> None:
     clear = " ".join(findings(with_ratio(1.2, 3.0)))
-    unclear = re.compile("not distinguishable|is visible: ")
-    assert not unclear.search(clear)
+    assert "not distinguishable" not in clear
     vague = " ".join(findings(with_ratio(0.8, 3.0)))
-    assert len(unclear.findall(vague)) == 3
+    assert vague.count("not distinguishable") == 3
     nan = float("nan")
     none = " ".join(findings(with_ratio(nan, nan)))
     assert "too few independent chains" in none
