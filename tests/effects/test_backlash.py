@@ -17,10 +17,11 @@ def test_column_is_a_secant_of_pinocchios_torque(width: float) -> None:
     motion = smooth_motion(robot, 600)
     assert motion.t is not None
     effect = Backlash(4, at=width)
-    load, column = joint_load(robot, motion.state, 4)
-    gear = Gear.ringing(float(column[:, 4].mean()), effect.contact, effect.ratio, width)
+    load, column = (x[:, None] for x in joint_load(robot, motion.state, 4))
+    column = column[..., 4]
+    gear = Gear.ringing(float(column.mean()), effect.contact, effect.ratio, width)
     lagging = [x.clone() for x in motion.state]
-    for x, lag in zip(lagging, link_lag(load, column[:, 4], motion.t, gear), strict=True):
+    for x, lag in zip(lagging, link_lag(load, column, motion.t, gear), strict=True):
         x[:, 4] -= lag[:, 0]
     oracle = PinocchioOracle(robot)
     change = oracle.inverse_dynamics(*lagging) - oracle.inverse_dynamics(*motion.state)
@@ -46,3 +47,20 @@ def test_columns_of_several_are_those_of_each() -> None:
     for k in (0, len(plays) - 1):
         alone = plays[k].torque_columns(motion, robot)
         torch.testing.assert_close(together[k], alone, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("rotor", [0.0, 0.3])
+def test_a_rotor_stays_with_its_motor(rotor: float) -> None:
+    """Without play in sight of the motion the two masses are one, whichever has how much."""
+    robot = arm("3r")
+    motion = smooth_motion(robot, 400, rate=250.0)
+    held = Backlash(2, at=1e-9, rotor=rotor).all_torques(motion, [1e-9], robot)
+    scale = Backlash(2, at=1e-2, rotor=rotor).all_torques(motion, [1e-2], robot)
+    assert float(held.abs().mean()) < 0.1 * float(scale.abs().mean())
+
+
+def test_sharp_shapes_keep_size_and_place() -> None:
+    effect = Backlash(1, at=3e-3)
+    shapes = effect.sharp()
+    assert {(e.identity, e.at) for e in shapes} == {(effect.identity, 3e-3)}
+    assert len(set(shapes)) == len(shapes)

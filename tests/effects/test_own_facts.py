@@ -56,7 +56,6 @@ def test_its_example_can_be_made(kind: type[Effect]) -> None:
         ("shared", {"time_delay", "torque_gain"}),
         ("inertial", {"payload", "link_inertia"}),
         ("smooth", {"time_delay", "filter_lag", "joint_elasticity"}),
-        ("blurred", {"backlash"}),
         (
             "on_all",
             {
@@ -80,10 +79,10 @@ def test_flags_agree_with_each_other(kind: type[Effect]) -> None:
     assert not (kind.event and kind.by_motion)
     assert (kind.name in EVENTS) == kind.event
     differentiates = kind.family in ("phase", "hysteresis") and "t" in kind.needs
-    assert (kind.smooth or kind.blurred) == (differentiates and issubclass(kind, ModelEffect))
-    assert not (kind.smooth and kind.blurred)
+    impacts = kind is Backlash
+    assert (kind.smooth or impacts) == (differentiates and issubclass(kind, ModelEffect))
     secant = any(f.name == "at" for f in fields(kind))
-    assert kind.linearised == (secant and not kind.blurred)
+    assert kind.linearised == (secant and not impacts)
 
 
 def test_a_secant_is_taken_at_the_estimate_and_nowhere_else() -> None:

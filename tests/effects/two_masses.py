@@ -56,10 +56,13 @@ def gear_torque(
     damping: float,
     play: float = 0.0,
 ) -> torch.Tensor:
-    """Torque that the gear transmits to the link (T,)."""
+    """Torque that the gear transmits to the link (T,); a flank pushes and does not pull, and the
+    bearing's drag is as large as the flanks' damping."""
 
     def transmitted(lag: float, rate: float) -> float:
-        return stiffness * (lag - min(max(lag, -play / 2), play / 2)) + damping * rate
+        beyond = lag - min(max(lag, -play / 2), play / 2)
+        force = stiffness * beyond + damping * rate
+        return force if play == 0 or force * beyond > 0 else damping * rate
 
     def slope(now: float, state: np.ndarray) -> list[float]:
         motor, acceleration = at(now)

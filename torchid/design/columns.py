@@ -53,14 +53,10 @@ class Model:
     def torque(self, segment: Segment, samples: Samples) -> Float[Tensor, "T n"]:
         """Torque along a segment. Effects that differentiate the model's torque see the motion
         low-passed like the samples, as their columns do: twice differentiated, the encoder's noise
-        would be all that is left of them. Of blurred ones the torque is low-passed so."""
+        would be all that is left of them."""
         rough = [p for p in self.effects if p[0].smooth]
-        blurred = [p for p in self.effects if p[0].blurred]
-        others = [p for p in self.effects if not (p[0].smooth or p[0].blurred)]
+        others = [p for p in self.effects if not p[0].smooth]
         tau = model_torque(self.robot, others, segment.motion)
-        for effect, v in blurred:
-            torque = effect.all_torques(segment.motion, v, self.robot)
-            tau = tau + samples.low_passed(torque)
         if rough:
             motion = segment.motion._replace(torque=self.load(segment.motion))
             low = smoothed(motion, samples)
@@ -70,8 +66,7 @@ class Model:
     def load(self, motion: Motion) -> Float[Tensor, "T n"]:
         """Torque that effects see: of the body and of the sharp effects that need no torque
         themselves."""
-        sharp = [p for p in self.effects if not p[0].blurred]
-        return model_torque(self.robot, in_rounds(sharp)[0], motion)
+        return model_torque(self.robot, in_rounds(self.effects)[0], motion)
 
     def described(self) -> Robot:
         """The model as a robot description."""
@@ -230,16 +225,7 @@ class Columns:
         if kind.windowed or not kind.needs & {"t", "age"}:
             motions = [together(motions)]
         for parts in zip(*(kind.columns_of(effects, m, robot) for m in motions), strict=True):
-            columns = [self._blurred(kind, x) for x in parts]
-            yield list(torch.cat(columns, -1).split(lengths, -1))
-
-    def _blurred(
-        self, kind: type[ModelEffect], columns: Float[Tensor, "T n C"]
-    ) -> Float[Tensor, "C n T"]:
-        """Columns as a model with such an effect has them."""
-        if kind.blurred:
-            columns = self.samples.low_passed(columns.flatten(1)).reshape(columns.shape)
-        return columns.permute(2, 1, 0)
+            yield list(torch.cat([x.permute(2, 1, 0) for x in parts], -1).split(lengths, -1))
 
     @cached_property
     def _all_the_time(self) -> list[Float[Tensor, "C n _"]]:

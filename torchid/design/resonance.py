@@ -228,9 +228,10 @@ class _Spectra:
     def torques(self, joint: int, pairs: Sequence[Pair]) -> list[list[Tensor]]:
         """What swings of a joint do to the spectra of every joint, freed from the laws there."""
         gear = self.gear(joint, pairs)
+        times = [m.require("t", "a swing") for m in self.motions]
         lags = [
-            (column, link_lag(load, column[:, joint], m.require("t", "a swing"), gear))
-            for (load, column), m in zip(self.joints[joint].driven, self.motions, strict=True)
+            (column, link_lag(load[:, None], column[:, joint, None], t, gear))
+            for (load, column), t in zip(self.joints[joint].driven, times, strict=True)
         ]
         return [
             j.freed([-(column[:, i] * lag.acceleration.T) for column, lag in lags])

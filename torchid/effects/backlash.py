@@ -1,9 +1,11 @@
 """Backlash of a gear: the link flies from one flank to the other."""
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from torchid.effects.base import Coefficient, Columns, Example, ModelEffect, Motion
 from torchid.effects.gear import Gear, joint_load, link_lag
@@ -17,6 +19,19 @@ from torchid.robot.model import Robot
 
 STEP = 1.5
 """Ratio of plays that are tried, one to the next."""
+
+IMPACTS = ((40.0, 0.5, 0.0), (20.0, 0.1, 0.1))
+"""Contact [Hz], damping and drag [1] that a search begins with: a stiff flank that takes up the
+impact, and a soft one on which the link bounces and swings in a bearing that brakes it."""
+
+CONTACTS = tuple((10.0 * 1.2 ** np.arange(12)).tolist())
+"""Contacts that are compared where impacts can be heard [Hz]."""
+
+ROTORS = (0.0, 0.15, 0.3)
+"""Rotors that are compared there [1]."""
+
+FACTORS = {"at": STEP, "contact": 3.0, "ratio": 9.0, "drag": 9.0, "rotor": 2.0}
+"""By which shapes are varied at first."""
 
 WIDTHS = tuple((2e-4 * STEP ** np.arange(13)).tolist())
 """Plays that a search begins with [rad or m]: when a link lands depends on how far it flew, so that
@@ -35,22 +50,26 @@ class Backlash(OneJointEffect):
         at: width of the play the secant is taken at [rad or m].
         contact: resonance of the link on its gear, at the mean of its inertia [Hz].
         ratio: damping of that, relative to the critical one.
+        drag: damping of the flight between the flanks, relative to the same.
+        rotor: inertia of the motor that the model has in its links, so that the flying link is
+            lighter by it, relative to the least inertia that the joint moves.
     """
 
     at: float = 1e-3
-    contact: float = 20.0
-    ratio: float = 0.1
+    contact: float = IMPACTS[0][0]
+    ratio: float = IMPACTS[0][1]
+    drag: float = IMPACTS[0][2]
+    rotor: float = 0.0
 
     name = "backlash"
     family = "hysteresis"
     needs = frozenset({"robot", "t"})
     jumps = True
-    blurred = True
     coefficients = (Coefficient("width", "rad", True, "angle between the flanks", 0.05),)
     meaning = "Gear teeth lose contact and cross the play when the torque reverses."
     equation = (
-        "tau(q - d e_j, ..) - tau(q, ..), M_jj d'' + D d' + k dz(d) = tau_j(q, ..), dz what of d "
-        "is beyond width/2"
+        "tau(q - d e_j, ..) - tau(q, ..), M_jj d'' + k dz(d) + D d' = tau_j(q, ..), dz what of d "
+        "is beyond width/2, where alone k and D act"
     )
     signature = "pulses where the joint's torque, not its speed, changes sign"
     experiment = "bias the joint with a gravity load so that its torque does not change sign"
@@ -66,8 +85,9 @@ class Backlash(OneJointEffect):
 
     @classmethod
     def starts(cls, robot: Robot) -> list[ModelEffect]:
-        """Plays of every width on every joint."""
-        return [cls(joint, at=width) for joint in range(robot.n) for width in WIDTHS]
+        """Plays of every width on every joint, with each kind of impact."""
+        places = itertools.product(range(robot.n), WIDTHS, IMPACTS)
+        return [cls(joint, width, *impact) for joint, width, impact in places]
 
     def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Secant of the torque of all joints over the width of the play (T, n, 1)."""
@@ -84,11 +104,17 @@ class Backlash(OneJointEffect):
             own = [e for e in plays if e.joint == joint]
             widths = [secant_at(e.at, 1e-7) for e in own]
             load, inertia = joint_load(arm, motion.state, joint)
-            inertia = inertia[:, joint]
-            contact, ratio = [e.contact for e in own], [e.ratio for e in own]
-            gear = Gear.ringing(float(inertia.abs().mean()), contact, ratio, widths)
-            lags = link_lag(load, inertia, motion.require("t", cls.name), gear)
+            inertia = inertia[:, joint, None]
+            contact, ratio, drag = zip(*((e.contact, e.ratio, e.drag) for e in own), strict=True)
+            gear = Gear.ringing(float(inertia.abs().mean()), contact, ratio, widths, drag)
+            # The motor has a part of the inertia, which does not fly.
+            rotor = float(inertia.abs().min()) * torch.tensor([e.rotor for e in own]).double()
+            there = motion.ddq[:, joint, None].double() * rotor
+            lags = link_lag(
+                load[:, None] - there, inertia - rotor, motion.require("t", cls.name), gear
+            )
             change = link_lag_torque(arm, motion, joint, *(x.T for x in lags))
+            change[..., joint] += (rotor * lags.acceleration).T
             for at, torque in zip(widths, change, strict=True):
                 yield (torque / at).to(motion.q).unsqueeze(-1)
 
@@ -97,8 +123,18 @@ class Backlash(OneJointEffect):
         0, a third of that at 1, ..."""
         return [
             replace(self, **{name: getattr(self, name) * factor ** (sign * 3.0 ** -(level + 1))})
-            for name, factor in (("at", STEP), ("contact", 3.0), ("ratio", 9.0))
+            for name, factor in FACTORS.items()
+            if getattr(self, name) > 0
             for sign in (-2, -1, 1, 2)
+        ]
+
+    def sharp(self) -> "list[Backlash]":
+        """Contacts from soft to stiff, with rotors, and dampings of both kinds of impact."""
+        kinds = [(ratio, drag) for _, ratio, drag in IMPACTS]
+        kinds.append((kinds[1][0] / 2, kinds[1][1] / 2))
+        return [
+            replace(self, contact=contact, ratio=ratio, drag=drag, rotor=rotor)
+            for contact, (ratio, drag), rotor in itertools.product(CONTACTS, kinds, ROTORS)
         ]
 
     @property

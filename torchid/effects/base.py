@@ -112,8 +112,6 @@ class Effect(ABC):
         inertial: whether it is a change of the bodies' inertial parameters.
         smooth: whether its columns differentiate the model's torque, so that it is evaluated on a
             motion that is low-passed as the rows are.
-        blurred: whether what its columns hold above the rows' band is of no use: the time of an
-            impact, say, is known less well than that.
         linearised: whether its columns are a secant, taken at the field `at`.
         scale_of_torque: whether it is the error of a measured torque's scale.
         of_bodies: whether its columns need the links' own parameters: the same base parameters,
@@ -145,7 +143,6 @@ class Effect(ABC):
     shared: ClassVar[bool] = False
     inertial: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
-    blurred: ClassVar[bool] = False
     linearised: ClassVar[bool] = False
     scale_of_torque: ClassVar[bool] = False
     of_bodies: ClassVar[bool] = False
@@ -400,6 +397,11 @@ class ModelEffect(Effect):
             level: from 0.
             interval: between samples [s].
         """
+        return []
+
+    def sharp(self) -> "Sequence[ModelEffect]":
+        """The effect with other shapes at the same size `at` that only the torque above the
+        fit's band tells apart, as that of an impact; none where there is no such thing."""
         return []
 
     def plant(self, robot: "Robot", values: Sequence[float]) -> "Robot":

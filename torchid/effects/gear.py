@@ -1,13 +1,16 @@
 """A gear that gives way between two masses: how far the link is behind the motor whose encoder is
 logged.
 
-    M(q) d'' + D d' + k dz(d) = tau,    d = q_motor - q_link
+    M(q) d'' + k dz(d) + D d' = tau,    d = q_motor - q_link
 
 tau is the torque that a rigid link would ask for along the motor's motion, M the inertia that its
 joint moves, k and D the gear's stiffness and damping, and dz(d) what of d lies beyond the play. So
 the motor's motion alone drives the link: no measured torque enters (Spong 1987, Modeling and
 control of elastic joint robots, J. Dyn. Sys. Meas. Control 109(4); with play Nordin and Gutman
 2002, Controlling mechanical systems with backlash: a survey, Automatica 38(10), section 2).
+
+Within the play no flank touches: there D is the bearing's drag, and the link flies. A flank pushes
+and does not pull: k dz(d) + D d' has the sign of dz(d), or is zero.
 """
 
 import math
@@ -41,13 +44,15 @@ class Gear(NamedTuple):
 
     Attributes:
         stiffness: (B,) [N m/rad; N/m].
-        damping: (B,) [N m s/rad; N s/m].
+        damping: (B,) while a flank touches [N m s/rad; N s/m].
         play: (B,) between the flanks [rad; m].
+        drag: (B,) damping while none touches [N m s/rad; N s/m].
     """
 
     stiffness: Float[np.ndarray, " B"]
     damping: Float[np.ndarray, " B"]
     play: Float[np.ndarray, " B"]
+    drag: Float[np.ndarray, " B"]
 
     @classmethod
     def ringing(
@@ -56,12 +61,14 @@ class Gear(NamedTuple):
         hertz: Sequence[float] | float,
         ratio: Sequence[float] | float,
         play: Sequence[float] | float = 0.0,
+        drag: Sequence[float] | float = 0.0,
     ) -> "Gear":
         """Gears by their resonance [Hz] with a link of this inertia before a held motor, and their
-        damping relative to the critical one."""
-        given = [np.atleast_1d(np.asarray(x, dtype=float)) for x in (hertz, ratio, play)]
-        omega, ratios, plays = np.broadcast_arrays(2 * math.pi * given[0], *given[1:])
-        return cls(inertia * omega**2, 2 * ratios * inertia * omega, plays)
+        damping and drag relative to the critical damping."""
+        given = [np.atleast_1d(np.asarray(x, dtype=float)) for x in (hertz, ratio, play, drag)]
+        omega, ratios, plays, drags = np.broadcast_arrays(2 * math.pi * given[0], *given[1:])
+        critical = 2 * inertia * omega
+        return cls(inertia * omega**2, ratios * critical, plays, drags * critical)
 
 
 class Lag(NamedTuple):
@@ -85,13 +92,16 @@ def joint_load(
 
 
 def link_lag(
-    load: Float[Tensor, " T"], inertia: Float[Tensor, " T"], t: Float[Tensor, " T"], gear: Gear
+    load: Float[Tensor, "T ..."],
+    inertia: Float[Tensor, "T ..."],
+    t: Float[Tensor, " T"],
+    gear: Gear,
 ) -> Lag:
     """How links lag behind their motor, one a gear.
 
     Args:
-        load: (T,) torque that a rigid link would ask for [N m; N].
-        inertia: (T,) that the joint moves; one that no body has, zero or less, is raised.
+        load: (T, 1) or (T, B) torque that a rigid link would ask for [N m; N].
+        inertia: (T, 1) or (T, B) of the links; one that no body has, zero or less, is raised.
         t: (T,) uniform grid [s].
         gear: B of them.
     """
@@ -100,18 +110,16 @@ def link_lag(
     piece, lead = max(1, round(PIECE * rate)), round(LEAD * rate)
     starts = np.arange(0, total, piece)
     index = np.clip(starts + np.arange(-lead, piece)[:, None], 0, total - 1)
-    u = load.double().numpy()[index][..., None]
+    u = load.double().numpy()[index]
     least = max(LEAST_INERTIA * float(inertia.abs().mean()), 1e-12)
-    m = inertia.double().clamp(min=least).numpy()[index][..., None]
+    m = inertia.double().clamp(min=least).numpy()[index]
     # At rest on the flank that the torque presses against.
     x = u[0] / gear.stiffness + np.sign(u[0]) * gear.play / 2
     integrate = _flights if gear.play.any() else _swings
-    x, v = integrate(u, m, gear, rate, x)
-    spring = gear.stiffness * _beyond(x, gear.play / 2)
-    parts = x, v, (u - spring - gear.damping * v) / m
     # Pieces one after the other again, without their leads.
     flat = [
-        p[lead:].transpose(1, 0, 2).reshape(len(starts) * piece, -1)[:total].copy() for p in parts
+        p[lead:].transpose(1, 0, 2).reshape(len(starts) * piece, -1)[:total].copy()
+        for p in integrate(u, m, gear, rate, x)
     ]
     return Lag(*map(torch.from_numpy, flat))
 
@@ -123,12 +131,12 @@ def _beyond(x: np.ndarray, half: np.ndarray) -> np.ndarray:
 
 def _swings(
     u: np.ndarray, m: np.ndarray, gear: Gear, rate: float, x: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Angle and rate (W, P, B) without play: exact where the torque is linear and the inertia
-    constant from one sample to the next.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angle, rate and acceleration (W, P, B) without play: exact where the torque is linear and the
+    inertia constant from one sample to the next.
 
     Args:
-        u, m: (W, P, 1) torque and inertia of P pieces.
+        u, m: (W, P, 1 or B) torque and inertia of P pieces.
         gear: B gears, damped less than critically.
         rate: of the samples [Hz].
         x: (P, B) angle at the first sample, at rest.
@@ -137,12 +145,11 @@ def _swings(
     # The deflection that follows a torque which grows so, and how the link swings about it.
     slope = np.diff(u, axis=0) * rate / k
     still = u[:-1] / k - damping / k * slope
-    m = m[:-1]
-    decay = damping / (2 * m)
-    omega = np.sqrt(np.maximum(k / m - decay**2, 1e-12))
+    decay = damping / (2 * m[:-1])
+    omega = np.sqrt(np.maximum(k / m[:-1] - decay**2, 1e-12))
     fade = np.exp(-decay / rate)
     sine, cosine = fade * np.sin(omega / rate) / omega, fade * np.cos(omega / rate)
-    own, cross, back, rest = cosine + decay * sine, sine, -k / m * sine, cosine - decay * sine
+    own, cross, back, rest = cosine + decay * sine, sine, -k / m[:-1] * sine, cosine - decay * sine
     xs, vs = np.empty((2, len(u), *x.shape))
     v = np.zeros_like(x)
     xs[0], vs[0] = x, v
@@ -151,29 +158,41 @@ def _swings(
         x = still[i] + slope[i] / rate + own[i] * away + cross[i] * speed
         v = slope[i] + back[i] * away + rest[i] * speed
         xs[i + 1], vs[i + 1] = x, v
-    return xs, vs
+    return xs, vs, (u - k * xs - damping * vs) / m
 
 
 def _flights(
     u: np.ndarray, m: np.ndarray, gear: Gear, rate: float, x: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The same with play, by leapfrog steps (angles at the samples, rates half a step before), the
-    damping implicit."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same with play, by leapfrog steps (rates half a step from angles), the damping implicit.
+
+    An impact may be shorter than the time between two samples: accelerations are means from the
+    middle before a sample to the middle after it, so that none is lost.
+    """
     k, half = gear.stiffness, gear.play / 2
-    # So many steps between two samples as the stiffest gear with the lightest link needs.
+    # So many steps between two samples as the stiffest gear with the lightest link needs; odd, so
+    # that a rate is known in the middle.
     fastest = math.sqrt(float(k.max() / m.min())) / (2 * math.pi)
     steps = max(1, math.ceil(STEPS * fastest / rate))
+    steps += 1 - steps % 2
     h = 1 / (steps * rate)
     slope = np.diff(u, axis=0) / steps
     gain = h / m
-    brake = 1 / (1 + gain * gear.damping)
-    xs, vs = np.empty((2, len(u), *x.shape))
+    held, free = 1 / (1 + gain * gear.damping), 1 / (1 + gain * gear.drag)
+    xs, vs, middle = np.zeros((3, len(u), *x.shape))
     v = np.zeros_like(x)
-    xs[0], vs[0] = x, v
+    xs[0] = x
     for i in range(len(slope)):
         for step in range(steps):
-            now = u[i] + step * slope[i]
-            v = (v + gain[i] * (now - k * _beyond(x, half))) * brake[i]
+            push = v + gain[i] * (u[i] + step * slope[i])
+            beyond = _beyond(x, half)
+            flying = push * free[i]
+            # A flank pushes, or else the link flies.
+            touching = (push - gain[i] * k * beyond) * held[i]
+            v = np.where((push - touching) * beyond > 0, touching, flying)
             x = x + h * v
+            if step == steps // 2:
+                middle[i + 1] = v
         xs[i + 1], vs[i + 1] = x, v
-    return xs, vs
+    after = np.concatenate([middle[1:], middle[-1:]])
+    return xs, vs, (after - middle) * rate

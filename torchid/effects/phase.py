@@ -179,8 +179,8 @@ class JointElasticity(OneJointEffect):
         at = secant_at(self.at, 1e-10)
         if self.damping > 0:
             rigid, column = joint_load(arm, motion.state, self.joint)
-            gear = Gear(*np.array([[1 / at], [self.damping], [0.0]]))
-            lag = link_lag(rigid, column[:, self.joint], t, gear)
+            gear = Gear(*np.array([[1 / at], [self.damping], [0.0], [0.0]]))
+            lag = link_lag(rigid[:, None], column[:, self.joint, None], t, gear)
             change = link_lag_torque(arm, motion, self.joint, *(x[:, 0] for x in lag))
             return (change / at).to(motion.q).unsqueeze(-1)
         load = motion.require("torque", self.name)[:, self.joint].double()

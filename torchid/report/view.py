@@ -184,8 +184,7 @@ def _torque(
 
     if effect.smooth:
         motion = motion._replace(**{k: low(getattr(motion, k)) for k in SMOOTHED})
-    torque = effect.all_torques(motion, valued[1], model.robot)
-    return low(torque) if effect.blurred else torque
+    return effect.all_torques(motion, valued[1], model.robot)
 
 
 def write_view(diagnosis: Diagnosis, path: str | Path) -> None:

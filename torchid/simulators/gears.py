@@ -3,8 +3,8 @@
     I th'' = tau - f        f = k dz(th - q) + D (th' - q')
 
 th is the motor's angle, which the encoder reads, I its inertia (the joint's armature), q the link's
-and dz(..) what of the twist lies beyond the play. Written at the end of a step of length h, with G
-= D + h k, the motor's new speed can be eliminated:
+and dz(..) what of the twist lies beyond the play, within which D is the bearing's drag. Written at
+the end of a step of length h, with G = D + h k, the motor's new speed can be eliminated:
 
     f = a - b q',    a = (I push + G (I th' + h tau)) / (I + h G),    b = G I / (I + h G)
 
@@ -49,7 +49,7 @@ class Gears:
         joints: from 0.
         effects: per joint its elasticity and its play, those that it has.
         inertia: (J,) of the motors [kg m^2; kg].
-        stiffness, damping, play: (B, J) once started.
+        stiffness, damping, play, drag: (B, J) once started.
         angle, rate: (B, J) of the motors [rad, rad/s; m, m/s].
     """
 
@@ -59,6 +59,7 @@ class Gears:
     stiffness: Float[Tensor, "B J"] = field(init=False)
     damping: Float[Tensor, "B J"] = field(init=False)
     play: Float[Tensor, "B J"] = field(init=False)
+    drag: Float[Tensor, "B J"] = field(init=False)
     angle: Float[Tensor, "B J"] = field(init=False)
     rate: Float[Tensor, "B J"] = field(init=False)
 
@@ -87,16 +88,17 @@ class Gears:
             mass: matrix there, by which gears that are known by their resonance ring.
         """
         self.play = torch.zeros(len(q), len(self.joints), dtype=torch.float64)
-        self.stiffness, self.damping = torch.zeros_like(self.play), torch.zeros_like(self.play)
+        self.stiffness, self.damping, self.drag = (torch.zeros_like(self.play) for _ in range(3))
         for k, (j, own) in enumerate(zip(self.joints, self.effects, strict=True)):
             link = mass[:, j, j]
             if Backlash in own:
                 effect, values = own[Backlash]
                 assert isinstance(effect, Backlash)
-                unit = Gear.ringing(1.0, effect.contact, effect.ratio)
+                unit = Gear.ringing(1.0, effect.contact, effect.ratio, drag=effect.drag)
                 self.play[:, k] = values[0]
                 self.stiffness[:, k] = link * float(unit.stiffness[0])
                 self.damping[:, k] = link * float(unit.damping[0])
+                self.drag[:, k] = link * float(unit.drag[0])
             if JointElasticity in own:
                 effect, values = own[JointElasticity]
                 assert isinstance(effect, JointElasticity)
@@ -128,9 +130,12 @@ class Gears:
         # On which flank, if on any, the gear is when the step ends.
         then = twist + h * (self.rate - dq[:, self.joints])
         touching = then.abs() >= self.play / 2
-        k = self.stiffness * touching
-        push = k * (twist - then.sign() * self.play / 2)
-        stiff = self.damping + h * k
+        push = self.stiffness * (twist - then.sign() * self.play / 2)
+        # A flank pushes and does not pull.
+        pull = push + self.damping * (self.rate - dq[:, self.joints])
+        touching &= (self.play == 0) | (pull * then.sign() >= 0)
+        k, push = self.stiffness * touching, push * touching
+        stiff = torch.where(touching, self.damping, self.drag) + h * k
         i = self.inertia
         force = (i * push + stiff * (i * self.rate + h * tau)) / (i + h * stiff)
         return Law(force, stiff * i / (i + h * stiff), push, stiff, tau)

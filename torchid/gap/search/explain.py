@@ -8,6 +8,7 @@ import torch
 
 from torchid.design.columns import Columns, Model, Place, on_joint
 from torchid.design.gram import Normal, visible_root
+from torchid.design.segments import Samples, Segment
 from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.surroundings import PlaneContact
 from torchid.effects.transient import Contact
@@ -35,7 +36,8 @@ from torchid.gap.search.evidence import (
 from torchid.gap.search.solve import Solution, at_estimate, corrected, solved
 from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, Wanted, candidates_of
 from torchid.gap.settings import GapSettings
-from torchid.typing import Int, Tensor
+from torchid.robot.model import Robot
+from torchid.typing import Float, Int, Tensor
 
 PASSES = 2
 """Times the columns are taken at the model found and the search goes on."""
@@ -43,6 +45,9 @@ PASSES = 2
 CHANGED = 0.02
 """Relative change of a joint's model torque from which columns are taken anew; at half of it more
 diagnoses take a second pass, at double load-dependent friction is 1 % off."""
+
+LONGEST = 120.0
+"""Length of a log beyond which one trajectory shows how impacts are [s]."""
 
 FINEST = 5
 """Times a shape is searched around the best one, each time three times more closely."""
@@ -120,7 +125,11 @@ def explained(
         start = tuple(t for t in (_again(question.candidates, s) for s in start) if t is not None)
         fit = best_explanation(question, start)
         # Shapes between those of the grid, secants of rivals, and the search once more with both.
-        finer = refined(question, fit) + at_their_size(question, fit)
+        finer = [
+            *refined(question, fit),
+            *at_their_size(question, fit),
+            *sharpened(question, fit, model, data, wanted),
+        ]
         if finer:
             extra += finer
             again = fit.terms[len(question.fixed) :]
@@ -330,6 +339,54 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
         if best is not None and best != effect:
             out.append(best)
     return out
+
+
+def sharpened(
+    question: Question, fit: Fitted, start: Model, data: Data, wanted: Wanted
+) -> list[Effect]:
+    """Causes with impacts, each with the shape that explains most of the gap in the band of the
+    report, where an impact shows how it is; all other terms keep their coefficients.
+
+    Args:
+        question, fit: of the search.
+        start: model whose gap is explained.
+        data: of the log.
+        wanted: what is looked for.
+    """
+    own = list(zip(fit.terms, fit.values(), strict=True))
+    some = data.segments[:1] if data.seconds > LONGEST else data.segments
+    samples = Samples(some, data.band)
+    out: list[Effect] = []
+    for term, values in own[len(question.fixed) :]:
+        effect = term.effects[0] if len(term.effects) == 1 else None
+        if not (isinstance(effect, ModelEffect) and effect.sharp()):
+            continue
+        # What all other terms leave.
+        others = [(t, v) for t, v in own if t is not term]
+        rest = corrected(start, [t for t, _ in others], [v for _, v in others], wanted)
+        left = samples.of([(s.tau - rest.torque(s, data.samples)).T for s in some])
+
+        best = replace(effect, at=float(values[0]))  # type: ignore[call-arg]
+        # Every joint's squares count by what the present shape leaves there.
+        present = left - _torques_at_size([best], some, samples, rest.robot)
+        weight = 1 / present.square().mean((0, 2), keepdim=True)
+        for level in range(-1, FINEST):
+            tried = [best, *(best.sharp() if level < 0 else best.around(level, samples.interval))]
+            losses = (left - _torques_at_size(tried, some, samples, rest.robot)).square() * weight
+            best = tried[int(losses.sum((1, 2)).argmin())]
+        if best != effect:
+            out.append(best)
+    return out
+
+
+def _torques_at_size(
+    effects: Sequence[ModelEffect], segments: Sequence[Segment], samples: Samples, robot: Robot
+) -> Float[Tensor, "B n N"]:
+    """Torques of B effects of one class, each of its own size `at`, on the samples."""
+    kind = type(effects[0])
+    found = [torch.cat(list(kind.columns_of(effects, s.motion, robot)), -1) for s in segments]
+    sizes = torch.tensor([e.at for e in effects]).reshape(-1, 1, 1)  # type: ignore[attr-defined]
+    return sizes * samples.of([x.permute(2, 1, 0) for x in found])
 
 
 def at_their_size(question: Question, fit: Fitted) -> list[Effect]:
