@@ -37,8 +37,9 @@ STEP = 5e-4
 HERTZ = 8.0
 """Of the controller with the rotor and a rigid link."""
 
-LEAST = 0.015
-"""Size at least, as a share of the torque of the joint that feels most."""
+LEAST = {"backlash": 0.015, "elastic": 0.03}
+"""Size at least, as a share of the torque of the joint that feels most: a cause is worth a name if
+the error falls by 1 % of the torque."""
 
 RIGHT = {
     "backlash": "backlash",
@@ -141,6 +142,13 @@ def driven(
     omega = 2 * np.pi * HERTZ
     kp, kd = (inertia + rotors) * omega**2, 2 * 0.7 * (inertia + rotors) * omega
     data.qpos[at], data.qvel[at] = q[0], dq[0]
+    if gear is not None:
+        # The link begins at rest on its gear.
+        load = float(
+            torchid.inverse_dynamics(robot, motion.q, motion.dq, motion.ddq)[0, gear.joint]
+        )
+        where = load * gear.compliance + np.sign(load) * gear.play / 2
+        data.qpos[model.joint("gear").qposadr[0]] = -where
     every = round(1 / (RATE * STEP))
     out = []
     for k in range(len(times)):
@@ -240,7 +248,7 @@ def case(kind: str, number: int, name: str) -> tuple[Robot, torchid.Log, float, 
         gap = (gap_of(known, log).square() - clean.square()).clamp(min=0).sqrt()
         now = float((gap / noise).max())
         # No less than is worth a name.
-        least = LEAST * now / float((gap / torque).max())
+        least = LEAST[kind.split("_")[0]] * now / float((gap / torque).max())
         if abs(now / max(size, least) - 1) < 0.15:
             break
         value *= float(np.clip(max(size, least) / now, 0.2, 5.0))

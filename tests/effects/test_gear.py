@@ -96,3 +96,29 @@ def test_a_joint_that_no_body_has_stays_finite() -> None:
     assert all(bool(torch.isfinite(x).all()) for x in lag)
     assert lag.angle.shape == (500, 2)
     assert np.isfinite(gear.stiffness).all()
+
+
+def test_swings_side_by_side_are_swings_alone(tmp_path: Path) -> None:
+    """And the shapes that are tried hold the true one: resonance and damping."""
+    robot = pendulum(tmp_path)
+    motion, at = driven([0.4, 0.1, 0.01], [0.3, 1.1, 6.0], 6.0, RATE)
+    assert motion.t is not None
+    rigid = inverse_dynamics(robot, *motion.state)
+    motion = motion._replace(torque=rigid)
+    gear = Gear.ringing(INERTIA, 9.0, 0.05)
+    compliance, damping = 1 / float(gear.stiffness[0]), float(gear.damping[0])
+    tried = JointElasticity(0, at=1.5 * compliance).sharp()
+    columns = list(JointElasticity.columns_of(tried, motion, robot))
+    for e, column in list(zip(tried, columns, strict=True))[::20]:
+        torch.testing.assert_close(column, e.torque_columns(motion, robot))
+    true = gear_torque(at, motion.t, 1 / compliance, damping) - rigid[:, 0]
+    left = [
+        float((true - e.at * x[:, 0, 0])[500:].norm()) for e, x in zip(tried, columns, strict=True)
+    ]
+    best = tried[int(np.argmin(left))]
+    assert abs(math.log(best.at / compliance)) < math.log(1.2)
+    assert abs(math.log(best.damping / damping)) < math.log(2.1)
+    finer = best.around(0, 0.01)
+    assert {e.joint for e in finer} == {0}
+    assert len(finer) == 8
+    assert JointElasticity(0).around(0, 0.01) == []

@@ -43,6 +43,9 @@ STOP = 0.1
 NEVER = 1e-3
 """A joint that travels less than this never moves [rad or m]."""
 
+YIELDS = 0.02
+"""A joint that is held gives way to a push by less than this [rad or m]."""
+
 HARDLY = 0.1
 """Share of the time below which a joint hardly moves: what holds it is then most of what is known
 about it, and all its samples count."""
@@ -186,9 +189,12 @@ class Samples:
 
 
 def still_joints(segments: Sequence[Segment]) -> tuple[int, ...]:
-    """Joints, from 0, that never move."""
-    q = torch.cat([s.motion.q for s in segments])
-    return tuple(((q.amax(0) - q.amin(0)) < NEVER).nonzero().flatten().tolist())
+    """Joints, from 0, that never move; or that hardly ever do, and no farther than a push moves a
+    joint that is held."""
+    q, dq = (torch.cat(x) for x in zip(*((s.motion.q, s.motion.dq) for s in segments), strict=True))
+    travel = q.amax(0) - q.amin(0)
+    hardly = (dq.abs() > MOVING).double().mean(0) < HARDLY
+    return tuple(((travel < NEVER) | (hardly & (travel < YIELDS))).nonzero().flatten().tolist())
 
 
 def reach_of(samples: Samples, dry: Float[Tensor, " n"]) -> Float[Tensor, " n"]:

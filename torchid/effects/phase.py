@@ -1,7 +1,8 @@
 """Effects seen as phase: torque or motion that is measured late, and joints that give way."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from torch import Tensor
@@ -21,6 +22,14 @@ from torchid.effects.variation import (
 from torchid.log.filtering import low_passed
 from torchid.robot.model import Robot
 from torchid.typing import Float
+
+LOSSES = tuple((5e-4 * 2.0 ** np.arange(7)).tolist())
+"""Damping over stiffness of gears that are tried where a link may swing [s]: at 10 Hz a damping
+ratio of 1.6 % to 1."""
+
+SOFTER = tuple((0.25 * 1.2 ** np.arange(11)).tolist())
+"""Compliances that are tried there, relative to the one that a quasi-static fit finds: near the
+resonance it takes the swing for more deflection."""
 
 
 @dataclass(frozen=True)
@@ -173,22 +182,56 @@ class JointElasticity(OneJointEffect):
     smooth = True
     linearised = True
 
+    @classmethod
+    def columns_of(
+        cls, effects: Sequence[ModelEffect], motion: Motion, robot: Robot | None = None
+    ) -> Iterator[Columns]:
+        """Those of several; links that swing on one joint side by side."""
+        arm, t = needed(robot, cls.name), motion.require("t", cls.name)
+        elastic = [e for e in effects if isinstance(e, cls)]
+        found: dict[JointElasticity, Columns] = {}
+        for joint in dict.fromkeys(e.joint for e in elastic if e.damping > 0):
+            own = [e for e in elastic if e.joint == joint and e.damping > 0]
+            at = np.array([secant_at(e.at, 1e-10) for e in own])
+            load, column = joint_load(arm, motion.state, joint)
+            gear = Gear(1 / at, np.array([e.damping for e in own]), 0 * at, 0 * at)
+            lags = link_lag(load[:, None], column[:, joint, None], t, gear)
+            change = link_lag_torque(arm, motion, joint, *(x.T for x in lags))
+            for e, a, torque in zip(own, at.tolist(), change, strict=True):
+                found[e] = (torque / a).to(motion.q).unsqueeze(-1)
+        for e in elastic:
+            yield found[e] if e in found else e.torque_columns(motion, robot)
+
     def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Secant of the torque of all joints over the joint's compliance (T, n, 1)."""
+        if self.damping > 0:
+            return next(self.columns_of([self], motion, robot))
         arm, t = needed(robot, self.name), motion.require("t", self.name)
         at = secant_at(self.at, 1e-10)
-        if self.damping > 0:
-            rigid, column = joint_load(arm, motion.state, self.joint)
-            gear = Gear(*np.array([[1 / at], [self.damping], [0.0], [0.0]]))
-            lag = link_lag(rigid[:, None], column[:, self.joint, None], t, gear)
-            change = link_lag_torque(arm, motion, self.joint, *(x[:, 0] for x in lag))
-            return (change / at).to(motion.q).unsqueeze(-1)
         load = motion.require("torque", self.name)[:, self.joint].double()
         # Twice: the deflection changes the torque that causes it.
         change = self._change(arm, motion, t, at * load)[:, self.joint]
         # Two instants are needed for a rate to filter at.
         load = load + (low_passed(change, 1 / interval(t), self.band) if len(t) > 1 else change)
         return (self._change(arm, motion, t, at * load) / at).to(motion.q).unsqueeze(-1)
+
+    def sharp(self) -> "list[JointElasticity]":
+        """Links that swing, of several compliances and dampings."""
+        tried = itertools.product(SOFTER, LOSSES)
+        return [replace(self, at=self.at * c, damping=d / (self.at * c)) for c, d in tried]
+
+    def around(self, level: int, interval: float) -> "list[JointElasticity]":
+        """Of a link that swings compliances and dampings a little larger and smaller: by a tenth
+        and a third at 0, a third of that at 1, ..."""
+        if self.damping == 0:
+            return []
+        fine = 3.0**-level
+        steps = [
+            (1.1 ** (a * fine), 1.4 ** (b * fine))
+            for a, b in itertools.product((-1, 0, 1), repeat=2)
+            if a or b
+        ]
+        return [replace(self, at=self.at * c, damping=self.damping * d) for c, d in steps]
 
     def _change(
         self, robot: Robot, motion: Motion, t: Float[Tensor, " T"], lag: Float[Tensor, " T"]

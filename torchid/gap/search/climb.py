@@ -17,6 +17,7 @@ from torchid.gap.search.evidence import (
     Fitted,
     Offer,
     Question,
+    acting,
     apart,
     cause_groups,
     common_names,
@@ -213,10 +214,11 @@ def _added(question: Question, fit: Fitted) -> Fitted | None:
         rise = then.evidence - now.evidence
         # Of a step it is asked whether its torque is worth it on some joint, not yet whether the
         # error falls by as much: what is still missing may be larger.
-        size = ((now.losses - then.losses).clamp(min=0) / rows.clamp(min=1.0)).sqrt()
+        new = [t for t in _own(question, then) if all(t is not o for o in own)]
+        fall = (now.losses - then.losses).clamp(min=0) / acting(question, new)
+        size = (fall / rows.clamp(min=1.0)).sqrt()
         least = question.least(now.losses / rows.clamp(min=1.0))
         if question.known:
-            new = [t for t in _own(question, then) if all(t is not o for o in own)]
             size = torch.maximum(size, relief(question, then, now, new))
         worth = bool((size >= least).any()) or any(map(question.shows, _own(question, then)))
         if rise > 0 and worth and (best is None or rise > best[0]):
@@ -281,6 +283,8 @@ def worthy(
         that is worth a name: of their own joints, or of all; the largest first."""
         rest = [t for t in own if all(t is not g for g in gone)]
         lost = held_out_losses(question, folds, fit, rest) / rows
+        # The error while they act.
+        lost = (now + (lost - now) / acting(question, gone)).clamp(min=0)
         least = question.least(lost)
         fall = (lost.sqrt() - now.sqrt()) / least
         if question.known:

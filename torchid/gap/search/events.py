@@ -9,7 +9,8 @@ corrected for all windows that were looked at.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -18,25 +19,35 @@ from scipy.stats import chi2, f
 from torchid.effects.motion import Motion
 from torchid.effects.surroundings import PlaneContact
 from torchid.effects.transient import Contact
-from torchid.gap.search.evidence import Question, fit_terms, residual
-from torchid.gap.search.terms import BASE
+from torchid.gap.search.evidence import (
+    Fitted,
+    Question,
+    fit_terms,
+    prior_of,
+    residual,
+    rows_of,
+)
+from torchid.gap.search.terms import BASE, Term
 from torchid.statistics.autocorrelation import correlation_instants
 from torchid.statistics.blocks import FEWEST_BLOCKS
 from torchid.statistics.resampling import LEVEL
-from torchid.statistics.robust import robust_std
+from torchid.statistics.robust import HUBER, robust_std
 from torchid.typing import Bool, Float, Int, Tensor
 
 LAWS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
 """What is taken out of the gap on every joint before windows are compared."""
 
 LENGTHS = (3, 6, 12, 24, 48, 96, 192)
-"""Lengths of windows [samples], up to a quarter of a trajectory."""
+"""Lengths of windows [samples], up to half of a trajectory."""
 
 MOST = 5
 """Contacts at most; the search decides which of them stay."""
 
 CLOSELY = 3
 """Windows of each length that are looked at closely for each contact."""
+
+ROUNDS = 6
+"""Times that wild samples are tamed; each leaves a seventh of what a push moves the fit by."""
 
 MOST_PLANES = 2
 """Planes that the search is offered."""
@@ -46,7 +57,8 @@ FINER = 5
 
 
 def contacts(question: Question) -> list[Contact]:
-    """Contacts that stand out from the rest of a log, the clearest first; they do not overlap."""
+    """Contacts that stand out from the rest of a log, the clearest first, and other windows for
+    the same pushes."""
     candidates = question.candidates
     columns, samples = candidates.columns, candidates.columns.samples
     # Laws on every joint, and bodies, are taken out of the gap.
@@ -54,18 +66,45 @@ def contacts(question: Question) -> list[Contact]:
     # What remains, and the pull of a force at the tool, in units of the joints' usual misfit.
     r = left / unit
     pull = columns.on_all_joints(Contact()) * candidates.keep / unit
-    # Windows that stand out, as contacts that do not overlap.
-    found = _windows(pull, r, samples.bounds, question.settings.alpha)
-    half = 0.5 * samples.interval
-    out: list[Contact] = []
-    for first, last in found:
-        contact = Contact(float(samples.t[first]) - half, float(samples.t[last - 1]) + half)
-        apart = all(
-            contact.start >= c.stop or contact.stop <= c.start  # type: ignore[operator]
-            for c in out
-        )
-        if apart and len(out) < MOST:
-            out.append(contact)
+    # Windows that stand out, and others for the same pushes: which of them it is, the search
+    # decides.
+    windows = _Windows(pull, r, samples.bounds)
+    likely = windows.standing_out(question.settings.alpha)
+    found = dict.fromkeys(w for span in likely for w in windows.about(span))
+    t, half = samples.t, 0.5 * samples.interval
+    return [Contact(float(t[a]) - half, float(t[b - 1]) + half) for a, b in found]
+
+
+def hidden_contacts(question: Question, fit: Fitted) -> list[Term]:
+    """Contacts of an explanation that do not stand out from what it leaves elsewhere in the log:
+    what a law leaves at its peaks is no push."""
+    columns, samples = question.candidates.columns, question.candidates.columns.samples
+    own = list(zip(fit.terms, fit.values(), strict=True))
+    events = [t for t, _ in own if t.effects and t.effects[0].windowed]
+    if not events:
+        return []
+    # What all but the contacts leaves, with the coefficients beside them.
+    laws = [(t, x) for t, x in own if all(t is not e for e in events)]
+    left = residual(question, [t for t, _ in laws], torch.cat([x for _, x in laws] or [fit.x[:0]]))
+    unit = torch.nan_to_num(robust_std(left), nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
+    pull = columns.on_all_joints(Contact()) * question.candidates.keep / unit
+    windows = _Windows(pull, left / unit, samples.bounds)
+    # Their windows, as samples.
+    spans = []
+    for t in events:
+        inside = (t.effects[0].window(samples.t) > 0).nonzero().flatten()  # type: ignore[attr-defined]
+        spans.append((int(inside[0]), int(inside[-1]) + 1) if len(inside) else None)
+    out = []
+    for t, span in zip(events, spans, strict=True):
+        if span is None:
+            continue
+        beside = [s for s in spans if s is not None and s != span]
+        length = span[1] - span[0]
+        i = min(range(len(windows.looked)), key=lambda k: abs(windows.looked[k][2] - length))
+        gain = float(windows.gains(torch.tensor([span[0]]), torch.tensor([span[1]])))
+        level = windows.level(span, gain, i, beside)
+        if level is not None and level.chance >= question.settings.alpha:
+            out.append(t)
     return out
 
 
@@ -114,96 +153,44 @@ def planes(question: Question) -> list[PlaneContact]:
 
 
 def _beside_laws(question: Question) -> tuple[Float[Tensor, "n N"], Float[Tensor, "n 1"]]:
-    """What laws on every joint, and bodies, leave of the gap, and the joints' usual misfit."""
+    """What laws on every joint, and bodies, leave of the gap, and the joints' usual misfit.
+
+    The fit is Huber's, by pseudo-values (Huber 1981, Robust Statistics, section 7.8): a push of the
+    tenth part of a log would move an offset by a tenth of its force.
+    """
     candidates = question.candidates
     ones = torch.ones(candidates.columns.n, dtype=torch.float64)
     laws = [t for t in candidates.terms if t.name in LAWS and len(t.effects) == 1]
     base = [t for t in (*candidates.terms, *candidates.fixed) if t.name == BASE]
     fixed = {id(t) for t in candidates.fixed}
     fit = fit_terms(question, [t for t in (*base, *laws) if id(t) not in fixed], ones)
-    left = residual(question, fit.terms, fit.x)
+    prior, equations = prior_of(fit.terms), question.normal.of(fit.subset)
+    # Each joint's columns (k, N) in the order of its equations.
+    rows = [
+        torch.cat([rows_of(question, t)[:, 0 if t.place == j else j] for t in fit.terms
+                   if t.place in (None, j)])
+        for j in range(candidates.columns.n)
+    ]  # fmt: skip
+    x = fit.x
+    for _ in range(ROUNDS):
+        left = residual(question, fit.terms, x)
+        unit = torch.nan_to_num(robust_std(left), nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
+        # The gap, its wild samples brought to the edge of the usual misfit.
+        tamed = residual(question, (), x[:0]) - left + left.clamp(-HUBER * unit, HUBER * unit)
+        joints = [
+            (of, a, row @ y, y @ y)
+            for (of, a, _, _), row, y in zip(equations.joints, rows, tamed, strict=True)
+        ]
+        x = prior.solve_of(replace(equations, joints=tuple(joints)), unit[:, 0] ** -2).x
+    left = residual(question, fit.terms, x)
     unit = torch.nan_to_num(robust_std(left), nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
     return left, unit
 
 
-def _windows(
-    columns: Float[Tensor, "C n N"], r: Float[Tensor, "n N"], bounds: Sequence[slice], alpha: float
-) -> list[tuple[int, int]]:
-    """Samples (first, last + 1) of windows apart whose gain stands out, the clearest first. Sums
-    over windows are differences of running sums."""
-    c = len(columns)
-    products = (columns.unsqueeze(0) * columns.unsqueeze(1)).sum(2)
-    pulls = (columns * r).sum(1)
-    running = [torch.nn.functional.pad(x.cumsum(-1), (1, 0)) for x in (products, pulls)]
-    looked: list[tuple[Tensor, Tensor, int]] = []
-    for length in LENGTHS:
-        starts = [
-            torch.arange(b.start, b.stop - length + 1, max(1, length // 2))
-            for b in bounds
-            if length <= max(LENGTHS[0], (b.stop - b.start) // 4)
-        ]
-        if not starts:
-            continue
-        # The force that fits best within each window, and what it gains there.
-        start = torch.cat(starts)
-        gram = (running[0][..., start + length] - running[0][..., start]).permute(2, 0, 1)
-        pull = (running[1][:, start + length] - running[1][:, start]).T.unsqueeze(-1)
-        inner = torch.linalg.pinv(gram, rtol=1e-6, hermitian=True)
-        looked.append(((pull.transpose(1, 2) @ inner @ pull).flatten(), start, length))
-    total = sum(len(gain) for gain, _, _ in looked)
+Span = tuple[int, int]
+"""Window: first sample, and the one after the last."""
 
-    def level_of(gain: Tensor, start: Tensor, length: int, k: int, beside: Spans) -> Level | None:
-        """Chance of window k, and its score, with the windows `beside` left out of the scale; None
-        where too few others are there."""
-        free = _free(start, length, beside)
-        # The scale of chance is that of the log's other windows, heavy tails included: chi^2
-        # through their 95 % quantile. Those next to it may be of the same push.
-        others = gain[free & ((start - start[k]).abs() >= 2 * length)]
-        if not free[k] or len(others) < FEWEST_BLOCKS:
-            return None
-        # How slow chance is there, too: a push in the window is no noise.
-        outside = _outside(bounds, [(int(start[k]), int(start[k]) + length), *beside])
-        slow = correlation_instants(r.T, outside)
-        apart = len(others) * max(1, length // 2) / max(length, slow)
-        usual = max(1.0, float(others.quantile(LEVEL)) / float(chi2.ppf(LEVEL, c)))
-        # A scale known from so many windows apart: F in the place of chi^2.
-        chance = float(f.sf(float(gain[k]) / (c * usual), c, max(apart, 1.0)))
-        return Level(total * chance, float(gain[k]) / usual - c * math.log(length))
-
-    # The windows that stand out most, one after the other.
-    likely: list[tuple[int, int, int]] = []
-    spans: Spans = []
-    while len(likely) < MOST:
-        best: tuple[bool, float, int, int] | None = None
-        for i, (gain, start, length) in enumerate(looked):
-            masked = gain.masked_fill(~_free(start, length, spans), -math.inf)
-            for k in masked.argsort(descending=True)[:CLOSELY].tolist():
-                level = level_of(gain, start, length, k, spans)
-                if level is None:
-                    continue
-                # One that stands out already comes before one that others may hide.
-                now = level.chance < alpha, level.score, i, k
-                best = max(best, now) if best else now
-        if best is None:
-            break
-        i, k = best[2:]
-        _, start, length = looked[i]
-        likely.append((i, k, length))
-        spans.append((int(start[k]), int(start[k]) + length))
-    # Several pushes hide each other, for each is part of the scale of the others: as many are
-    # taken as the last of them stands out beside a log without any of them (Rosner 1983, Percentage
-    # points for a generalized ESD many-outlier procedure).
-    for count in range(len(likely), 0, -1):
-        i, k, length = likely[count - 1]
-        gain, start, _ = looked[i]
-        level = level_of(gain, start, length, k, spans[: count - 1])
-        if level is not None and level.chance < alpha:
-            return spans[:count]
-    return []
-
-
-Spans = list[tuple[int, int]]
-"""Windows: first sample, and the one after the last."""
+Spans = list[Span]
 
 
 class Level(NamedTuple):
@@ -218,12 +205,140 @@ class Level(NamedTuple):
     score: float
 
 
+class _Windows:
+    """Windows of a log, and what the force that fits best within each gains there. Sums over
+    windows are differences of running sums.
+
+    Attributes:
+        every: per length the gains, first samples, and the length.
+        looked: those that may stand out of others like them: up to a quarter of a trajectory.
+    """
+
+    def __init__(
+        self,
+        columns: Float[Tensor, "C n N"],
+        r: Float[Tensor, "n N"],
+        bounds: Sequence[slice],
+    ):
+        self.r, self.bounds, self.directions = r, bounds, len(columns)
+        products = (columns.unsqueeze(0) * columns.unsqueeze(1)).sum(2)
+        pulls = (columns * r).sum(1)
+        self.running = [torch.nn.functional.pad(x.cumsum(-1), (1, 0)) for x in (products, pulls)]
+        self.every: list[tuple[Tensor, Tensor, int]] = []
+        for length in LENGTHS:
+            starts = [
+                torch.arange(b.start, b.stop - length + 1, max(1, length // 2))
+                for b in bounds
+                if length <= max(LENGTHS[0], (b.stop - b.start) // 2)
+            ]
+            start = torch.cat(starts) if starts else torch.zeros(0, dtype=torch.long)
+            if len(start):
+                self.every.append((self.gains(start, start + length), start, length))
+        longest = max(LENGTHS[0], max(b.stop - b.start for b in bounds) // 4)
+        self.looked = [x for x in self.every if x[2] <= longest]
+
+    def gains(self, start: Int[Tensor, " W"], stop: Int[Tensor, " W"]) -> Float[Tensor, " W"]:
+        """What the force that fits best within each window gains there."""
+        gram = (self.running[0][..., stop] - self.running[0][..., start]).permute(2, 0, 1)
+        pull = (self.running[1][:, stop] - self.running[1][:, start]).T.unsqueeze(-1)
+        inner = torch.linalg.pinv(gram, rtol=1e-6, hermitian=True)
+        return (pull.transpose(1, 2) @ inner @ pull).flatten()
+
+    def level(self, window: Span, gain: float, i: int, beside: Spans) -> "Level | None":
+        """How a window stands out of those of the i-th length, with the windows `beside` left out
+        of the scale; None where too few others are there."""
+        gains, start, length = self.looked[i]
+        c = self.directions
+        # The scale of chance is that of the log's other windows, heavy tails included: chi^2
+        # through their 95 % quantile. Those next to it may be of the same push.
+        others = gains[_free(start, length, beside) & ((start - window[0]).abs() >= 2 * length)]
+        if not _apart(window, beside) or len(others) < FEWEST_BLOCKS:
+            return None
+        # How slow chance is there, too: a push in the window is no noise.
+        slow = correlation_instants(self.r.T, _outside(self.bounds, [window, *beside]))
+        apart = len(others) * max(1, length // 2) / max(length, slow)
+        usual = max(1.0, float(others.quantile(LEVEL)) / float(chi2.ppf(LEVEL, c)))
+        # A scale known from so many windows apart: F in the place of chi^2.
+        chance = float(f.sf(gain / (c * usual), c, max(apart, 1.0)))
+        total = sum(len(g) for g, _, _ in self.looked)
+        return Level(total * chance, gain / usual - c * math.log(length))
+
+    def standing_out(self, alpha: float) -> Spans:
+        """Windows apart that stand out, the clearest first."""
+        # The windows that stand out most, one after the other.
+        likely: list[tuple[int, float]] = []
+        spans: Spans = []
+        while len(likely) < MOST:
+            best: tuple[bool, float, int, int] | None = None
+            for i, (gain, start, length) in enumerate(self.looked):
+                masked = gain.masked_fill(~_free(start, length, spans), -math.inf)
+                for k in masked.argsort(descending=True)[:CLOSELY].tolist():
+                    window = int(start[k]), int(start[k]) + length
+                    level = self.level(window, float(gain[k]), i, spans)
+                    if level is None:
+                        continue
+                    # One that stands out already comes before one that others may hide.
+                    now = level.chance < alpha, level.score, i, k
+                    best = max(best, now) if best else now
+            if best is None:
+                break
+            i, k = best[2:]
+            gain, start, length = self.looked[i]
+            likely.append((i, float(gain[k])))
+            spans.append((int(start[k]), int(start[k]) + length))
+        # Several pushes hide each other, for each is part of the scale of the others: as many are
+        # taken as the last of them stands out beside a log without any of them (Rosner 1983,
+        # Percentage points for a generalized ESD many-outlier procedure).
+        for count in range(len(likely), 0, -1):
+            i, own = likely[count - 1]
+            level = self.level(spans[count - 1], own, i, spans[: count - 1])
+            if level is not None and level.chance < alpha:
+                return spans[:count]
+        return []
+
+    def about(self, span: Span) -> Spans:
+        """A window, and others for the same push: those that gain most near it and among all
+        lengths, with their ends moved to where the gain is largest."""
+        over = [
+            (float(gain[k]), (int(start[k]), int(start[k]) + length))
+            for gain, start, length in self.every
+            for k in ((start < span[1]) & (start + length > span[0])).nonzero().flatten().tolist()
+        ]
+        run = next(b for b in self.bounds if b.start <= span[0] < b.stop)
+        moved = [_moved(w, run, self.gains) for w in (span, max(over)[1])]
+        return list(dict.fromkeys([span, *moved]))
+
+
+def _moved(
+    window: tuple[int, int], run: slice, gains: Callable[[Tensor, Tensor], Tensor]
+) -> tuple[int, int]:
+    """A window with the ends that gain most, ever finer, to a sample; within its trajectory."""
+    first, last = window
+    step = max(1, (last - first) // 2)
+    while step:
+        ends = [(a, b) for a in (first - step, first, first + step)
+                for b in (last - step, last, last + step)
+                if run.start <= a and a + LENGTHS[0] <= b <= run.stop]  # fmt: skip
+        start, stop = torch.tensor(ends).unbind(1)
+        best = ends[int(gains(start, stop).argmax())]
+        if best == (first, last):
+            step //= 2
+        first, last = best
+    return first, last
+
+
 def _free(start: Int[Tensor, " W"], length: int, found: Spans) -> Bool[Tensor, " W"]:
     """Windows apart from those found, with as much on either side, for a push may be longer."""
     free = torch.ones(len(start), dtype=torch.bool)
     for first, last in found:
         free &= (start >= 2 * last - first) | (start + length <= 2 * first - last)
     return free
+
+
+def _apart(window: Span, found: Spans) -> bool:
+    """Whether a window is apart from those found, in the same sense."""
+    first, last = window
+    return bool(_free(torch.tensor([first]), last - first, found)[0])
 
 
 def _outside(bounds: Sequence[slice], windows: Sequence[tuple[int, int]]) -> list[slice]:

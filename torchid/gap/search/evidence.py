@@ -225,6 +225,16 @@ def residual(
     return left * question.candidates.keep
 
 
+def acting(question: Question, terms: Sequence[Term]) -> float:
+    """Share of the samples in which terms act: all, but for what acts in a window of time. How
+    large an event is, is its torque while it lasts."""
+    t = question.candidates.columns.samples.t
+    inside = torch.zeros(len(t), dtype=torch.bool)
+    for effect in (term.effects[0] if term.effects else None for term in terms):
+        inside |= effect.window(t) > 0 if isinstance(effect, Contact) else True
+    return max(float(inside.double().mean()), 1 / len(t)) if terms else 1.0
+
+
 def slack_torque(question: Question, fit: Fitted) -> Float[Tensor, "n N"]:
     """Samples of the torque of what the model as given leaves open of itself, as a fit takes it."""
     fixed = question.fixed

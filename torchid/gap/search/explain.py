@@ -8,8 +8,9 @@ import torch
 
 from torchid.design.columns import Columns, Model, Place, on_joint
 from torchid.design.gram import Normal, visible_root
-from torchid.design.segments import Samples, Segment
+from torchid.design.segments import Samples
 from torchid.effects.base import Effect, JointEffect, ModelEffect
+from torchid.effects.motion import Motion
 from torchid.effects.surroundings import PlaneContact
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
@@ -23,10 +24,11 @@ from torchid.gap.search.climb import (
     swapped,
     worthy,
 )
-from torchid.gap.search.events import contacts, planes
+from torchid.gap.search.events import contacts, hidden_contacts, planes
 from torchid.gap.search.evidence import (
     Fitted,
     Question,
+    acting,
     apart,
     common_names,
     fit_terms,
@@ -142,6 +144,7 @@ def explained(
         # Where a cause has left or bodies have joined, another one may say the rest better.
         fit, left = exchanged(question, folds, fit, left)
         fit, left = resumed(question, folds, fit, left)
+        fit = standing_out(question, fit, left)
         whole = with_bodies(question, folds, fit)
         if whole is not fit:
             fit, left = exchanged(question, folds, whole, left)
@@ -183,7 +186,8 @@ def vanished(question: Question, solution: Solution) -> list[Term]:
     for term, values, a in list(zip(solution.terms, solution.values, columns, strict=True))[
         len(question.fixed) :
     ]:
-        torque = (torch.tensordot(values, a, 1).square().sum(1) / rows).sqrt()
+        there = rows * acting(question, [term])
+        torque = (torch.tensordot(values, a, 1).square().sum(1) / there).sqrt()
         small = bool((torque < least).all()) and term.name not in common
         if small and not question.shows(term):
             gone.append(term)
@@ -264,6 +268,19 @@ def resumed(
     return fit, out
 
 
+def standing_out(question: Question, fit: Fitted, left: Sequence[Term]) -> Fitted:
+    """Without the events that do not stand out from what the laws leave elsewhere in the log: these
+    laws, and those that have evidence but are not worth a name."""
+    own = list(fit.terms[len(question.fixed) :])
+    small = [t for t in left if all(t.key != o.key for o in own)]
+    beside = fit_terms(question, [*own, *small], fit.effective, fit.weight)
+    gone = hidden_contacts(question, beside)
+    if not gone:
+        return fit
+    kept = [t for t in own if all(t is not g for g in gone)]
+    return allowed(question, fit_terms(question, kept, fit.effective, fit.weight))
+
+
 def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted) -> Fitted:
     """All base parameters beside what was found, if they are worth it: last, for they hold a share
     of every cause. They displace what the evidence does not need beside them."""
@@ -326,7 +343,8 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
             further.setdefault(term.place, term)
     out: list[Effect] = []
     for term in (*own, *further.values()):
-        effect = term.effects[0] if len(term.effects) == 1 else None
+        # What another sensor shows already has its shape from there.
+        effect = term.effects[0] if len(term.effects) == 1 and term.seen is None else None
         if isinstance(effect, JointEffect):
             movable = term.shapes > 0
         else:
@@ -359,32 +377,33 @@ def sharpened(
     out: list[Effect] = []
     for term, values in own[len(question.fixed) :]:
         effect = term.effects[0] if len(term.effects) == 1 else None
-        if not (isinstance(effect, ModelEffect) and effect.sharp()):
+        if term.seen is not None or not (isinstance(effect, ModelEffect) and effect.sharp()):
             continue
         # What all other terms leave.
         others = [(t, v) for t, v in own if t is not term]
         rest = corrected(start, [t for t, _ in others], [v for _, v in others], wanted)
         left = samples.of([(s.tau - rest.torque(s, data.samples)).T for s in some])
+        motions = Columns(rest, samples).motions
 
         best = replace(effect, at=float(values[0]))  # type: ignore[call-arg]
         # Every joint's squares count by what the present shape leaves there.
-        present = left - _torques_at_size([best], some, samples, rest.robot)
+        present = left - _torques_at_size([best], motions, samples, rest.robot)
         weight = 1 / present.square().mean((0, 2), keepdim=True)
         for level in range(-1, FINEST):
             tried = [best, *(best.sharp() if level < 0 else best.around(level, samples.interval))]
-            losses = (left - _torques_at_size(tried, some, samples, rest.robot)).square() * weight
-            best = tried[int(losses.sum((1, 2)).argmin())]
+            misfit = left - _torques_at_size(tried, motions, samples, rest.robot)
+            best = tried[int((misfit.square() * weight).sum((1, 2)).argmin())]
         if best != effect:
             out.append(best)
     return out
 
 
 def _torques_at_size(
-    effects: Sequence[ModelEffect], segments: Sequence[Segment], samples: Samples, robot: Robot
+    effects: Sequence[ModelEffect], motions: Sequence[Motion], samples: Samples, robot: Robot
 ) -> Float[Tensor, "B n N"]:
     """Torques of B effects of one class, each of its own size `at`, on the samples."""
     kind = type(effects[0])
-    found = [torch.cat(list(kind.columns_of(effects, s.motion, robot)), -1) for s in segments]
+    found = [torch.cat(list(kind.columns_of(effects, m, robot)), -1) for m in motions]
     sizes = torch.tensor([e.at for e in effects]).reshape(-1, 1, 1)  # type: ignore[attr-defined]
     return sizes * samples.of([x.permute(2, 1, 0) for x in found])
 

@@ -474,12 +474,10 @@ def known_terms(
 
 
 def fixed_terms(columns: Columns, wanted: Wanted) -> tuple[Term, ...]:
-    """Terms that are always in the model where base parameters are free: these, and a background.
+    """Terms that are always in the model: base parameters where they are free, and a background.
     Their rows in any matrix are still to be given."""
-    if not wanted.free:
-        return ()
     # Base parameters, and the background on every joint.
-    out = [t for t in _bodies(columns, wanted) if t.name == BASE]
+    out = [t for t in _bodies(columns, wanted) if t.name == BASE] if wanted.free else []
     for name in wanted.background:
         for joint in range(columns.n):
             effect: Effect = KINDS[name](joint)  # type: ignore[call-arg]

@@ -42,11 +42,11 @@ def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:
 
 
 def pushes(wanted: Wanted) -> Wanted:
-    """Of an arm that stands nothing but a push: whatever else its torque is, gravity and what
-    friction holds, is fitted with it."""
+    """Of an arm that stands in one pose nothing but a push: whatever else its torque is, gravity
+    and what friction holds, is an offset that is fitted with it."""
     names = tuple(name for name in wanted.names if name == Contact.name)
     return replace(
-        wanted, names=names, free=True, background=(TorqueOffset.name,), inertial=False,
+        wanted, names=names, free=False, background=(TorqueOffset.name,), inertial=False,
         knowledge=None,
     )  # fmt: skip
 
