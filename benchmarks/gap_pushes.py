@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from gap_planted import FRICTION, SOURCES, Source, answer, halves, settings_of
 from gap_plant import generator
+from gap_planted import FRICTION, SOURCES, Source, answer, halves, settings_of
 
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
