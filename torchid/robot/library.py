@@ -1,7 +1,6 @@
 """Find a robot by built-in name or by path."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,15 +32,25 @@ def robot_file(name: str | Path) -> Path:
     return _folder() / f"{text}.yaml" if text in built_in_robots() else Path(text)
 
 
-def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
+def load_robot(
+    name: str | Path,
+    *,
+    tip: str | None = None,
+    root: str | None = None,
+    lock: Mapping[str, float] | None = None,
+) -> Robot:
     """A robot by built-in name, or from a .yaml (ours), .urdf or .xml (MJCF) file.
+
+    A URDF or MJCF is read whole, with all its branches, unless a part is chosen.
 
     Args:
         name: `3r`, `kuka_lwr4`, ... or a path.
-        tip: for URDF and MJCF: the last link of the chain, where the tree branches.
+        tip: for URDF and MJCF: the last link of a chain, which alone is read.
+        root: for URDF and MJCF: the link that is the base of what is read.
+        lock: for URDF and MJCF: joints that are held, and where [rad or m].
 
     Raises:
-        RobotError: no such robot, or a file that cannot be read as one.
+        RobotError: no such robot, or a file that cannot be read as one; no such link or joint.
 
     >>> load_robot("3r").joint_names
     ('joint_1', 'joint_2', 'joint_3')
@@ -62,20 +71,22 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
     for read in (path, sidecar_path(path)):
         add_input(read)
     if suffix in (".yaml", ".yml"):
-        if tip is not None:
-            raise RobotError(
-                f"`tip=...` chooses a chain in a URDF or MJCF; '{text}' is one chain.", got=tip
-            )
+        for option, given in (("tip", tip), ("root", root), ("lock", lock or None)):
+            if given is not None:
+                raise RobotError(
+                    f"`{option}=...` chooses a part of a URDF or MJCF; '{text}' is read whole.",
+                    got=given,
+                )
         return read_yaml(path)
     if suffix == ".urdf":
         from torchid.robot.urdf import read_urdf
 
-        robot = read_urdf(path, tip=tip)
+        robot = read_urdf(path, tip=tip, root=root, lock=lock)
     else:
         from torchid.robot.mjcf import read_mjcf
 
-        robot = read_mjcf(path, tip=tip)
-    return replace(with_sidecar(robot, path), tip=tip)
+        robot = read_mjcf(path, tip=tip, root=root, lock=lock)
+    return with_sidecar(robot, path)
 
 
 def load_both(params: str, robot: str | None, tip: str | None) -> tuple[Robot, Robot]:
