@@ -1,8 +1,9 @@
 """Axis names of tensors, used in annotations throughout (checked while testing by jaxtyping).
 
-T instants, n joints, L moving links (n, and one for each joint that mimics another), K candidate parameter sets, P columns of a regressor,
-B base parameters. `*batch` stands for any number of leading axes, the same in all tensors of a
-call; `*#batch` for leading axes that are broadcast, to the `*batch` of the result.
+T instants, n joints, L moving links (n, and one for each joint that mimics another), K candidate
+parameter sets, P columns of a regressor, B base parameters. `*batch` stands for any number of
+leading axes, the same in all tensors of a call; `*#batch` for leading axes that are broadcast, to
+the `*batch` of the result.
 """
 
 from collections.abc import Sequence

@@ -60,7 +60,7 @@ def show_command(
     logs: opt.LogArguments,
     robot: opt.RobotOption = None,
     reading: opt.Reading,
-    tip: opt.Tip = None,
+    part: opt.Part,
     out: opt.Written = None,
     output: Printed,
 ) -> None:
@@ -81,7 +81,7 @@ def show_command(
 
     opt.require_log_file("--out", out)
     checked: dict[str, Any] = {}
-    found = None if robot is None else opt.load(robot, tip)
+    found = None if robot is None else opt.load(robot, part)
     if found is not None:
         checked = {
             "robot_name": found.name,

@@ -140,7 +140,7 @@ class IdentificationRecord(
     """An identification as its JSON has it; B base parameters.
 
     Attributes:
-        robot, robot_source, robot_tip: its name, and what it is loaded by.
+        robot, robot_source, robot_tip, robot_root, robot_lock: its name, and what it is loaded by.
         n_base: how many parameters are rigid.
         basis: report or conditioned.
         parameters, effects, combined: rigid ones, coefficients of effects, and sums led by one.
@@ -162,6 +162,8 @@ class IdentificationRecord(
     robot: str
     robot_source: str | None = None
     robot_tip: str | UnsetType = UNSET
+    robot_root: str | UnsetType = UNSET
+    robot_lock: dict[str, float] | UnsetType = UNSET
     n_base: int
     basis: Basis = "report"
     parameters: tuple[BaseParameter, ...]

@@ -51,9 +51,7 @@ def assemble(
     """
     part = choose(tree, choice)
     carriers = part.carriers
-    steps = [
-        _step(part.groups[k], joint) for k, joint in zip(carriers, part.joints, strict=True)
-    ]
+    steps = [_step(part.groups[k], joint) for k, joint in zip(carriers, part.joints, strict=True)]
     parameters, noticed = merged_parameters(tree, part)
     own = [joint for joint in part.joints if joint.mimic is None]
     place = {joint.name: k for k, joint in enumerate(own)}
@@ -133,9 +131,7 @@ def _step(group: Group, joint: TreeJoint) -> tuple[Tensor, Tensor]:
     return before, pose(turn.T) @ joint.child_pose
 
 
-def merged_parameters(
-    tree: Tree, part: Part
-) -> tuple[InertialParameters | None, tuple[str, ...]]:
+def merged_parameters(tree: Tree, part: Part) -> tuple[InertialParameters | None, tuple[str, ...]]:
     """Parameters (L, 10) of each moving group in its first link's frame, and warnings.
 
     None, with a warning, where no link has any.

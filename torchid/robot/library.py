@@ -9,6 +9,7 @@ from torchid.files import add_input
 from torchid.robot.config_files import ROBOT_FILES, config_folder, names_robot
 from torchid.robot.model import Robot
 from torchid.robot.sidecar import sidecar_path, with_sidecar
+from torchid.robot.tree import Choice
 from torchid.robot.yaml_file import read_yaml
 
 
@@ -89,50 +90,54 @@ def load_robot(
     return with_sidecar(robot, path)
 
 
-def load_both(params: str, robot: str | None, tip: str | None) -> tuple[Robot, Robot]:
+def load_both(params: str, robot: str | None, choice: Choice) -> tuple[Robot, Robot]:
     """The robot whose parameters are asked about, and another one, or the same one without it.
 
     Args:
         params: name or file of the first.
         robot: of the second, if it is another.
-        tip: of those of the two that can branch.
+        choice: of the part of those of the two that can branch.
     """
     both = [params] if robot is None else [params, robot]
-    # A tip is for the files that can branch; where none can, the reader refuses it.
+    # A part is chosen of the files that can branch; where none can, the reader refuses it.
     trees = [name for name in both if Path(name).suffix.lower() in (".urdf", ".xml")]
-    found = [load_robot(name, tip=tip if name in trees or not trees else None) for name in both]
+    found = [
+        load_robot(name, **(choice if name in trees or not trees else Choice()).options)
+        for name in both
+    ]
     return found[0], found[-1]
 
 
-def named_record(robot: Robot) -> dict[str, str]:
+def named_record(robot: Robot) -> dict[str, Any]:
     """A robot's name, and what `load_robot` finds it again by: its built-in name or its file, and
-    the tip that its chain was chosen by."""
+    how its part was chosen."""
     path = Path(robot.source)
     source = path.stem if path.parent == _folder() else robot.source
-    tip = {} if robot.tip is None else {"robot_tip": robot.tip}
-    return {"robot": robot.name, "robot_source": source, **tip}
+    chosen = {"tip": robot.tip, "root": robot.root, "lock": dict(robot.locked) or None}
+    part = {f"robot_{key}": value for key, value in chosen.items() if value is not None}
+    return {"robot": robot.name, "robot_source": source, **part}
 
 
-def named_robot(result: Path, data: Mapping[str, Any], tip: str | None = None) -> Robot:
+def named_robot(result: Path, data: Mapping[str, Any], choice: Choice | None = None) -> Robot:
     """The robot that a result's data name, as `named_record` writes it: its file or built-in name,
-    with the tip that it records unless another is given.
+    and the part that it records unless another is chosen.
 
     Args:
         result: file of the data; the robot may lie beside it.
         data: of the result.
-        tip: in place of the recorded one.
+        choice: in place of the recorded one.
 
     Raises:
         TorchidError: it names none, or one that is not where it was.
     """
     source, name = data.get("robot_source"), data.get("robot")
-    tip = data.get("robot_tip") if tip is None else tip
+    recorded = Choice(data.get("robot_tip"), data.get("robot_root"), data.get("robot_lock") or {})
     for place in (source, name):
         if not isinstance(place, str):
             continue
         for found in (place, str(result.parent / place)):
             if found in built_in_robots() or (is_robot(found) and Path(found).is_file()):
-                return load_robot(found, tip=tip)
+                return load_robot(found, **(choice or recorded).options)
     raise TorchidError(
         f"`robot=...` is needed: the robot of '{result}' was not found.",
         got=source or name,

@@ -233,11 +233,10 @@ class _Reader:
         for k in range(model.neq):
             if not model.eq_active0[k] or int(model.eq_type[k]) not in bodies:
                 continue
+            ids = [model.eq_obj1id[k], model.eq_obj2id[k]]
             if int(model.eq_objtype[k]) == int(self.mujoco.mjtObj.mjOBJ_SITE):
-                ids = (int(model.site_bodyid[s]) for s in (model.eq_obj1id[k], model.eq_obj2id[k]))
-            else:
-                ids = (int(model.eq_obj1id[k]), int(model.eq_obj2id[k]))
-            pair = [self.bodies[body] for body in ids]
+                ids = [model.site_bodyid[s] for s in ids]
+            pair = [self.bodies[int(body)] for body in ids]
             if place.get(pair[0], 0) != place.get(pair[1], 0):
                 raise RobotError(
                     f"{tree.source}: bodies '{pair[0]}' and '{pair[1]}' are held together by an "
@@ -277,7 +276,7 @@ class _Reader:
             refused = f"joint '{name}' is a {word} joint; only hinge and slide joints are known"
             free = word == "free"
             return TreeJoint(name, parent, below, origin=placed, refused=refused, floating=free)
-        followed = {first: way for first, way in self.mimics.values()}
+        followed = dict(self.mimics.values())
         anchor = torch.tensor(model.jnt_pos[joint].tolist(), dtype=torch.float64)
         dof = int(model.jnt_dofadr[joint])
         limited = bool(model.jnt_limited[joint])

@@ -361,7 +361,7 @@ class Robot:
         """Unit vectors along the joint axes, in the link frames."""
         return self.after[:, 2, :3].clone()
 
-    def frames_apart(self, other: "Robot") -> Float[Tensor, "L"]:
+    def frames_apart(self, other: "Robot") -> Float[Tensor, " L"]:
         """Largest difference of entries of each link's two poses [1; m] in a robot of as many
         links."""
         pairs = ((self.before, other.before), (self.after, other.after))

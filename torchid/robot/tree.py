@@ -8,11 +8,12 @@ movable joints between them: all that the base carries, or the chain from the ba
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 from torch import Tensor
 
 from torchid.errors import RobotError
-from torchid.robot.model import JointType
+from torchid.robot.model import JointType, Robot
 from torchid.robot.placement import align_z, pose, rotation_z
 from torchid.typing import Float
 
@@ -21,7 +22,7 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class Following:
-    """How a joint mimics another: its position is ratio times that one's, plus offset [rad or m]."""
+    """How a joint mimics another: its position is ratio times that one's plus offset [rad or m]."""
 
     joint: str
     ratio: float = 1.0
@@ -41,6 +42,15 @@ class Choice:
     tip: str | None = None
     root: str | None = None
     lock: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """As keywords of `load_robot`."""
+        return {"tip": self.tip, "root": self.root, "lock": self.lock}
+
+    def __bool__(self) -> bool:
+        """Whether anything is chosen."""
+        return bool(self.tip or self.root or self.lock)
 
 
 @dataclass(frozen=True)
@@ -258,10 +268,9 @@ def choose(tree: Tree, choice: Choice) -> Part:
     own_root = tree.root()
     if not any(joint.movable for joint in tree.joints):
         raise RobotError(f"{tree.source}: no joint can move, so there is nothing to identify.")
-    tree, alone = _without_lost(tree)
-    tree = _locked(tree, choice.lock)
-    tree, floating = _on_a_fixed_base(tree)
-    root, placed, above = own_root, pose(), []
+    tree, noticed = held(tree, choice.lock)
+    root, placed = own_root, pose()
+    above: list[str] = []
     if choice.root is not None:
         root = _known_link(tree, choice.root, "root")
         placed, above = _at_rest(tree, root)
@@ -270,15 +279,28 @@ def choose(tree: Tree, choice: Choice) -> Part:
         if joint.refused is not None:
             raise RobotError(f"{tree.source}: {joint.refused}")
     part = replace(part, joints=tuple(_followed(tree, part, joint) for joint in part.joints))
-    held = (
+    at_rest = [
         f"'{root}' is the base; joints {', '.join(map(repr, above))} between it and '{own_root}' "
-        "are held at 0 (--lock holds them elsewhere)",
-    )
+        "are held at 0 (--lock holds them elsewhere)"
+    ] * bool(above)
     return replace(
         part,
         pose=placed,
-        warnings=(*alone, *floating, *(held if above else ()), *part.warnings),
+        warnings=(*noticed, *at_rest, *part.warnings),
     )
+
+
+def choice_of(robot: Robot) -> Choice:
+    """What a robot was chosen by from its file."""
+    return Choice(robot.tip, robot.root, robot.locked)
+
+
+def held(tree: Tree, lock: Mapping[str, float]) -> tuple[Tree, list[str]]:
+    """The tree with joints held where a user says and a base that floats fixed, and what there is
+    to say on it; links that are held together are one group then."""
+    tree, alone = _without_lost(tree)
+    tree, floating = _on_a_fixed_base(_locked(tree, lock))
+    return tree, [*alone, *floating]
 
 
 def _known_link(tree: Tree, name: str, what: str) -> str:
@@ -322,22 +344,14 @@ def _locked(tree: Tree, lock: Mapping[str, float]) -> Tree:
             raise RobotError(f"{tree.source}: joint '{name}' cannot be locked there.", got=position)
     # Where each joint is held: as the user says, at 0 if it is fixed in the file, or as what it
     # follows.
-    held = {name: 0.0 for name, joint in known.items() if not joint.movable} | dict(lock)
-    waiting = [joint for joint in tree.joints if joint.mimic and joint.name not in held]
-    while waiting:
-        onward = [joint for joint in waiting if joint.mimic and joint.mimic.joint in held]
-        for joint in onward:
-            assert joint.mimic is not None
-            held[joint.name] = joint.mimic.ratio * held[joint.mimic.joint] + joint.mimic.offset
-        still = [joint for joint in waiting if joint.mimic and not joint.mimic.ratio]
-        for joint in still:
-            assert joint.mimic is not None
-            held[joint.name] = joint.mimic.offset
-        waiting = [joint for joint in waiting if joint.name not in held]
-        if not (onward or still):
-            break
+    still = {name: 0.0 for name, joint in known.items() if not joint.movable} | dict(lock)
+    followers = [(joint.name, joint.mimic) for joint in tree.joints if joint.mimic]
+    for _ in followers:  # one that follows a follower takes another round
+        for name, way in followers:
+            if name not in still and (way.joint in still or not way.ratio):
+                still[name] = way.ratio * still.get(way.joint, 0.0) + way.offset
     joints = tuple(
-        joint.held(held[joint.name]) if joint.movable and joint.name in held else joint
+        joint.held(still[joint.name]) if joint.movable and joint.name in still else joint
         for joint in tree.joints
     )
     return replace(tree, joints=joints)

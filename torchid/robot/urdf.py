@@ -34,6 +34,7 @@ _MOTIONS = {
     "fixed": None,
 }
 _REFUSED = ("floating", "planar")
+_REFUSED_AS = "joint '{}' is {}; only revolute, continuous and prismatic joints are known"
 _RANGE = ("lower", "upper")
 _LIMITS = {"position": _RANGE, "velocity": ("velocity",), "effort": ("effort",)}
 
@@ -174,9 +175,7 @@ def _joint(element: Any, source: str, warnings: list[str]) -> TreeJoint:
         torque=torque,
         damping=losses["damping"],
         friction=losses["friction"],
-        refused=f"joint '{name}' is {kind}; only revolute, continuous and prismatic joints are known"
-        if kind in _REFUSED
-        else None,
+        refused=_REFUSED_AS.format(name, kind) if kind in _REFUSED else None,
         floating=kind == "floating",
         mimic=_following(element, where),
     )

@@ -45,7 +45,7 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
     if "name" not in data:
         raise RobotError(f"{source}: 'name' is missing.", available=list(data))
     kinematics = read_kinematics(data, source)
-    n = len(kinematics["joint_types"])
+    n, links = len(kinematics["joint_types"]), len(kinematics["before"])
     gravity = numbers(data.get("gravity", STANDARD_GRAVITY), (3,), f"{source}: gravity")
     tool = numbers(data.get("tool", torch.eye(4).tolist()), (4, 4), f"{source}: tool")
     gain = data.get("drive_gain")
@@ -58,13 +58,13 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
         gravity=gravity,
         tool=tool,
         limits=_limits(data.get("limits") or {}, n, source),
-        parameters=_parameters(data.get("parameters"), n, source),
+        parameters=_parameters(data.get("parameters"), links, source),
         effects=read_effects(data.get("effects") or (), n, source),
         drive_gain=None if gain is None else numbers(gain, (n,), f"{source}: drive_gain"),
         bounds=_bounds(data.get("bounds") or {}, source),
         basis=basis,
         source=source,
-        knowledge=_knowledge(data.get(_KNOWLEDGE), n, source),
+        knowledge=_knowledge(data.get(_KNOWLEDGE), links, source),
     )
 
 
