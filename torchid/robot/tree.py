@@ -413,7 +413,7 @@ def _whole(tree: Tree, root: str) -> Part:
     for name in groups[0].poses:
         place[name] = 0
     reached = set(tree.descendants(root))
-    waiting = [joint for joint in tree.joints if joint.movable and joint.child in reached]
+    waiting = [joint for joint in tree.joints if joint.movable and joint.parent in reached]
     joints: list[TreeJoint] = []
     while waiting:
         joint = next(joint for joint in waiting if joint.parent in place)
