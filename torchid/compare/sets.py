@@ -105,8 +105,8 @@ def compare_sets(
         robot=robot.name,
         physical=_ranges(
             vectors,
-            [*parameter_names(robot.n), *sets[0].coefficient_names()],
-            [*parameter_units(robot.n), *units],
+            [*parameter_names(robot.n_links), *sets[0].coefficient_names()],
+            [*parameter_units(robot.n_links), *units],
         ),
         base=_ranges([base.project(v) for v in vectors], base.names, base.units),
         torque=torque_spread(models, motion),

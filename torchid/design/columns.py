@@ -181,23 +181,27 @@ class Columns:
         return torch.cat(parts)
 
     @property
-    def regressor(self) -> Float[Tensor, "n 10 n N"]:
+    def regressor(self) -> Float[Tensor, "L 10 n N"]:
         """The rigid body's columns, link by link; zero where a joint does not feel a link. They
         depend on the kinematics alone."""
         if not self._rigid:
             self._rigid.append(self._regressor())
         return self._rigid[0]
 
-    def _regressor(self) -> Float[Tensor, "n 10 n N"]:
-        n = self.n
-        out = torch.zeros(n, PARAMETERS_PER_LINK, n, len(self.samples), dtype=torch.float64)
-        for motions, own in self._in_groups(AT_ONCE // (n * n * PARAMETERS_PER_LINK)):
-            chunks = list(regressor_chunks(self.model.robot, *together(motions).state))
+    def _regressor(self) -> Float[Tensor, "L 10 n N"]:
+        n, robot = self.n, self.model.robot
+        links = robot.n_links
+        out = torch.zeros(links, PARAMETERS_PER_LINK, n, len(self.samples), dtype=torch.float64)
+        for motions, own in self._in_groups(AT_ONCE // (links * n * PARAMETERS_PER_LINK)):
+            chunks = list(regressor_chunks(robot, *together(motions).state))
             lengths = [len(m.q) for m in motions]
             for j in range(n):
-                pairs = [(link, k) for link in range(j, n) for k in range(PARAMETERS_PER_LINK)]
+                moved = list(robot.moved_by(j))
+                pairs = [(link, k) for link in moved for k in range(PARAMETERS_PER_LINK)]
                 rows = torch.cat([c.row(j, pairs) for c in chunks], -1).split(lengths, -1)
-                out[j:, :, j, own] = self._sampled(rows).unflatten(0, (n - j, PARAMETERS_PER_LINK))
+                sampled = self._sampled(rows).unflatten(0, (len(moved), PARAMETERS_PER_LINK))
+                for link, values in zip(moved, sampled, strict=True):
+                    out[link, :, j, own] = values
         return out
 
     def _in_groups(self, instants: int) -> Iterator[tuple[list[Motion], slice]]:

@@ -90,7 +90,7 @@ def problem_of(
         box = None if has_normal else limits.com
     else:
         none = geometry == "none"
-        box = physics_only(robot.n).com_box if none else read_bounds(robot, geometry).com
+        box = physics_only(robot.n_links).com_box if none else read_bounds(robot, geometry).com
     asked = conditions(robot, com_box=box, shapes=shapes, total_mass=total_mass)
     # A set that is found is as sure as the base parameters that it is for.
     problem = extraction_problem(replace(robot, knowledge=found.knowledge), target, limits, asked)

@@ -67,11 +67,11 @@ def asked_about(params: str, robot: str | None, choice: Choice) -> Asked:
         return Asked(found, sets, others, (), () if noticed is None else (noticed,))
     own, found = load_both(params, robot, choice)
     nominal_effects(found)  # known, complete and in range, though they do not count here
-    if own.n != found.n:
+    if own.n_links != found.n_links:
         raise TorchidError(
             f"'{own.name}' and the robot '{found.name}' have different numbers of links.",
-            got=own.n,
-            expected=found.n,
+            got=own.n_links,
+            expected=found.n_links,
         )
     also = own_inertial_findings(own_inertials(own))
     # The parameters' link frames need not be those of the robot that counts.

@@ -349,7 +349,7 @@ def read_sets(path: str | Path, robot: Robot) -> ParameterSets:
     ('3r',)
     """
     path = Path(path)
-    return sets_of(_file(path).sets, robot.n, f"'{path}'")
+    return sets_of(_file(path).sets, robot.n_links, f"'{path}'")
 
 
 def sets_of(entries: Sequence["SetEntry"], n: int, source: str) -> ParameterSets:
@@ -427,7 +427,7 @@ def read_sets_knowledge(path: Path, robot: Robot) -> Knowledge | None:
         RobotError: knowledge of another robot, or damaged.
     """
     found = _file(path).knowledge
-    return None if not found else from_mapping(found, robot.n, str(path))
+    return None if not found else from_mapping(found, robot.n_links, str(path))
 
 
 def other_robot(path: Path, robot: Robot) -> str | None:

@@ -37,7 +37,6 @@ _LIMITS = {
 def robot_record(robot: Robot) -> dict[str, Any]:
     """The schema torchid.robot/1; infinite limits are null."""
     p = robot.parameters
-    own = [drive.link for drive in robot.drives if drive not in robot.mimics]
     return {
         "schema": "torchid.robot/1",
         **picked(robot, "name source"),
@@ -47,7 +46,7 @@ def robot_record(robot: Robot) -> dict[str, Any]:
                 "joint": i + 1,
                 "name": robot.joint_names[i],
                 "type": str(robot.joint_types[i]),
-                "link": robot.link_names[own[i]],
+                "link": robot.link_names[robot.own_links[i]],
                 **{name: _limit(getattr(robot.limits, name), i) for name in _LIMITS},
             }
             for i in range(robot.n)

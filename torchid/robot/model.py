@@ -279,6 +279,12 @@ class Robot:
         return tuple(drives)
 
     @cached_property
+    def own_links(self) -> tuple[int, ...]:
+        """The link (from 0) that each coordinate moves by its own joint, n."""
+        follow = {mimic.link for mimic in self.mimics}
+        return tuple(link for link in range(self.n_links) if link not in follow)
+
+    @cached_property
     def _lines(self) -> tuple[tuple[int, ...], ...]:
         out: list[tuple[int, ...]] = []
         for link, parent in enumerate(self.parents):

@@ -205,8 +205,9 @@ def term_columns(columns: Columns, term: Term) -> Float[Tensor, "C n N"]:
         return flat[term.at]
     if term.name in (LINK, PAYLOAD):
         # A body is the ten rows of its link; the payload those of the last one.
-        link = columns.n - 1 if term.name == PAYLOAD else term.effects[0].joints[0]
-        return columns.regressor[link]
+        robot = columns.model.robot
+        last = term.name == PAYLOAD
+        return columns.regressor[-1 if last else robot.own_links[term.effects[0].joints[0]]]
     return torch.stack([columns.on_all_joints(e) for e in term.effects]).sum(0)
 
 
@@ -321,19 +322,21 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
     """Payload, links and all base parameters: rows of the regressor, link by link. Links that are
     bodies stay bodies, near to what they were; of numbers that no body has only the size is
     known."""
-    n, robot = columns.n, columns.model.robot
+    robot = columns.model.robot
+    n = robot.n_links
     pi = robot.require_parameters("a diagnosis").pi.double()
     sigma, usual = PRIOR * body_sizes(pi), usual_bodies(pi)
     links = links_near(pi, usual, PRIOR)
     out = []
     for link in range(n):
         at = torch.arange(link * PARAMETERS_PER_LINK, (link + 1) * PARAMETERS_PER_LINK)
-        if link == n - 1 and PAYLOAD in wanted.names:
+        # With several tips, what one of them carries is an error of its link.
+        if link == n - 1 and PAYLOAD in wanted.names and not robot.tips:
             effect: Effect = KINDS[PAYLOAD]()
             known, body = (0.0,) * len(at), some_body(usual[-1])
             out.append(Term(PAYLOAD, (effect,), None, at, effect.coefficients, known, bodies=body))
-        if wanted.inertial and LINK in wanted.names:
-            effect = KINDS[LINK](link)  # type: ignore[call-arg]
+        if wanted.inertial and LINK in wanted.names and link in robot.own_links:
+            effect = KINDS[LINK](robot.own_links.index(link))  # type: ignore[call-arg]
             known, near = tuple(pi[link].tolist()), links[link] if links else None
             out.append(
                 Term(LINK, (effect,), None, at, effect.coefficients, known, (), sigma[link], near)
