@@ -81,8 +81,8 @@ class GearCoupling(JointPairEffect):
         return [
             cls(j, i, ratio)
             for j in range(robot.n)
-            for i in (j - 1, j + 1)
-            if 0 <= i < robot.n and kinds[i] is kinds[j]
+            for i in robot.neighbours(j)
+            if kinds[i] is kinds[j]
             for ratio in cls.shapes[0].grid
         ]
 

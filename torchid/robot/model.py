@@ -307,6 +307,14 @@ class Robot:
                 out[above].append(link)
         return tuple(map(tuple, out))
 
+    def neighbours(self, coordinate: int) -> tuple[int, ...]:
+        """Coordinates (from 0) of the joints next to a coordinate's own: the one that carries it,
+        and those on its link."""
+        place = {link: k for k, link in enumerate(self.own_links)}
+        link = self.own_links[coordinate]
+        near = [self.parents[link], *(k for k, p in enumerate(self.parents) if p == link)]
+        return tuple(place[k] for k in near if k in place)
+
     def moved_by(self, coordinate: int) -> tuple[int, ...]:
         """Links (from 0) that a coordinate (from 0) moves, in order."""
         return self._moved[coordinate]

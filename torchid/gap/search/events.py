@@ -51,22 +51,28 @@ def contacts(question: Question) -> list[Contact]:
     columns, samples = candidates.columns, candidates.columns.samples
     # Laws on every joint, and bodies, are taken out of the gap.
     left, unit = _beside_laws(question)
-    # What remains, and the pull of a force at the tool, in units of the joints' usual misfit.
+    # What remains, and the pull of a force at a tip, in units of the joints' usual misfit.
     r = left / unit
-    pull = columns.on_all_joints(Contact()) * candidates.keep / unit
-    # Windows that stand out, as contacts that do not overlap.
-    found = _windows(pull, r, samples.bounds, question.settings.alpha)
     half = 0.5 * samples.interval
-    out: list[Contact] = []
-    for first, last in found:
-        contact = Contact(float(samples.t[first]) - half, float(samples.t[last - 1]) + half)
-        apart = all(
-            contact.start >= c.stop or contact.stop <= c.start  # type: ignore[operator]
-            for c in out
-        )
-        if apart and len(out) < MOST:
-            out.append(contact)
-    return out
+    every: list[Contact] = []
+    lasting = [c for c in Contact.candidates(columns.model.robot) if isinstance(c, Contact)]
+    # Chance has as many windows more as there are tips.
+    alpha = question.settings.alpha / len(lasting)
+    for of_tip in lasting:
+        pull = columns.on_all_joints(of_tip) * candidates.keep / unit
+        # Windows that stand out, as contacts that do not overlap. Those of several tips may: the
+        # search decides which of them pushed.
+        out: list[Contact] = []
+        for first, last in _windows(pull, r, samples.bounds, alpha):
+            start, stop = float(samples.t[first]) - half, float(samples.t[last - 1]) + half
+            apart = all(
+                start >= c.stop or stop <= c.start  # type: ignore[operator]
+                for c in out
+            )
+            if apart and len(out) < MOST:
+                out.append(Contact(start, stop, of_tip.tip))
+        every += out
+    return every
 
 
 def planes(question: Question) -> list[PlaneContact]:
@@ -94,6 +100,8 @@ def planes(question: Question) -> list[PlaneContact]:
         return out
 
     tried = PlaneContact.near_ends(robot, [motion])
+    if not tried:
+        return []
     # What chance does, of samples that are alike for a while, over all planes that were looked at.
     slow = correlation_instants(left.T, samples.bounds)
     least = slow * float(chi2.isf(question.settings.alpha / len(tried), 1))
