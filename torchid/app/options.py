@@ -156,6 +156,10 @@ Lock = Annotated[
         help="URDF, MJCF: a joint that is held, and where [rad or m]. May be given several times.",
     ),
 ]
+Base = Annotated[
+    Literal["fixed", "moving"],
+    typer.Option(help="URDF, MJCF: a base that is held, or moves and is measured (base_x ..)."),
+]
 RobotOption = Annotated[str | None, typer.Option(metavar="ROBOT")]
 LOGS = typer.Argument(
     metavar="LOG...",
@@ -302,6 +306,7 @@ class Part:
     tip: Tip = None
     root: Root = None
     lock: Lock = None
+    base: Base = "fixed"
 
     @property
     def choice(self) -> "Choice":
@@ -320,7 +325,7 @@ class Part:
                     "--lock names a joint and a position.", got=text, expected="JOINT=VALUE"
                 )
             held[joint] = number("--lock", position, "JOINT=VALUE, in rad or m")
-        return Choice(self.tip, self.root, held)
+        return Choice(self.tip, self.root, held, self.base)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -86,11 +86,13 @@ class ChainGeometry:
         joints: one a link, each behind the one that carries it.
         gravity: in the base frame [m/s^2].
         moved: for each coordinate the links that it moves, in order.
+        frames: links that are no bodies, which have no columns.
     """
 
     joints: tuple[JointGeometry, ...]
     gravity: Vec3
     moved: tuple[tuple[int, ...], ...]
+    frames: frozenset[int] = frozenset()
 
 
 class Link(NamedTuple):
@@ -142,7 +144,8 @@ def chain_geometry(robot: Robot) -> ChainGeometry:
             )
         )
     moved = tuple(robot.moved_by(j) for j in range(robot.n))
-    return ChainGeometry(tuple(joints), Vec3(*robot.gravity.double().tolist()), moved)
+    frames = frozenset(range(robot.n_links)) - set(robot.bodies)
+    return ChainGeometry(tuple(joints), Vec3(*robot.gravity.double().tolist()), moved, frames)
 
 
 def _clean(x: Tensor) -> Tensor:
@@ -278,7 +281,8 @@ def regressor_rows(
             carried = None if above is None else _carried(joint, links[link], *above)
             own = _own_screw(joint, links[link]) if joint.coordinate == i else None
             screws[link] = _together(carried, own)
-            row[link] = _parameter_columns(links[link], *screws[link])
+            if link not in geometry.frames:
+                row[link] = _parameter_columns(links[link], *screws[link])
         rows.append(row)
     return rows
 

@@ -80,9 +80,9 @@ class GearCoupling(JointPairEffect):
         kinds = robot.joint_types
         return [
             cls(j, i, ratio)
-            for j in range(robot.n)
+            for j in robot.driven
             for i in robot.neighbours(j)
-            if kinds[i] is kinds[j]
+            if kinds[i] is kinds[j] and i in robot.driven
             for ratio in cls.shapes[0].grid
         ]
 

@@ -56,6 +56,7 @@ def problem_of(
     >>> problem.size
     30
     """
+    robot.require_fixed_base("the extraction of bodies")
     found = identified_base(result) if isinstance(result, Identification) else result
     effects = plain_effects(found.effects, "an extraction")
     has_normal = "normal" in bounds_groups(robot)

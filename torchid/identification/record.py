@@ -140,7 +140,8 @@ class IdentificationRecord(
     """An identification as its JSON has it; B base parameters.
 
     Attributes:
-        robot, robot_source, robot_tip, robot_root, robot_lock: its name, and what it is loaded by.
+        robot, robot_source, robot_tip, robot_root, robot_lock, robot_base: its name, and what it is
+            loaded by.
         n_base: how many parameters are rigid.
         basis: report or conditioned.
         parameters, effects, combined: rigid ones, coefficients of effects, and sums led by one.
@@ -164,6 +165,7 @@ class IdentificationRecord(
     robot_tip: str | UnsetType = UNSET
     robot_root: str | UnsetType = UNSET
     robot_lock: dict[str, float] | UnsetType = UNSET
+    robot_base: str | UnsetType = UNSET
     n_base: int
     basis: Basis = "report"
     parameters: tuple[BaseParameter, ...]

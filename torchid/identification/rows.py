@@ -261,6 +261,8 @@ def _blocks(
         before, after = tail - (start - lo), tail - (hi - stop)
         motion = m.motion.part(slice(lo, hi))
         keep = moves(motion.part(slice(start - lo, stop - lo, step))).cpu()
+        # Nothing rubs on a base that nothing holds: its rows count at rest, too.
+        keep[:, list(layout.robot.free)] = True
         augmented = []
         # Row by row: of many joints the columns of all rows would not all fit, with their spectra.
         for parts in _columns(motion, m.tau[lo:hi], layout, chunks, whole, lo, every):

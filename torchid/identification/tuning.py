@@ -172,7 +172,10 @@ def _cross_validated(
         for m in measured:
             e, t = _left_out(m, training.layout, x, k, filtered)
             error, energy = error + e, energy + t
-    return 100 * (error / energy).sqrt()
+    relative = 100 * (error / energy).sqrt()
+    # Of coordinates that no motor drives an error is relative to nothing.
+    relative[list(training.layout.robot.free)] = torch.nan
+    return relative
 
 
 def _left_out(

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, move
-from torchid.robot.model import JointType, Limits, Mimic, Robot, Tip
+from torchid.robot.model import BaseLink, JointType, Limits, Mimic, Robot, Tip
 from torchid.robot.placement import align_z, pose, rotation_z
 from torchid.robot.tree import Choice, Group, Interval, Part, Tree, TreeJoint, choose
 from torchid.typing import Float
@@ -93,6 +93,7 @@ def assemble(
         tips=tips if len(tips) > 1 else (),
         root=choice.root,
         locked=MappingProxyType(dict(choice.lock)),
+        base=BaseLink(part.groups[0].link, _merged(tree, part.groups[0]), down),
     )
 
 

@@ -7,9 +7,10 @@ from typing import Any
 from torchid.errors import RobotError, TorchidError
 from torchid.files import add_input
 from torchid.robot.config_files import ROBOT_FILES, config_folder, names_robot
+from torchid.robot.floating import on_moving_base
 from torchid.robot.model import Robot
 from torchid.robot.sidecar import sidecar_path, with_sidecar
-from torchid.robot.tree import Choice
+from torchid.robot.tree import Base, Choice
 from torchid.robot.yaml_file import read_yaml
 
 
@@ -39,6 +40,7 @@ def load_robot(
     tip: str | None = None,
     root: str | None = None,
     lock: Mapping[str, float] | None = None,
+    base: Base = "fixed",
 ) -> Robot:
     """A robot by built-in name, or from a .yaml (ours), .urdf or .xml (MJCF) file.
 
@@ -49,6 +51,8 @@ def load_robot(
         tip: for URDF and MJCF: the last link of a chain, which alone is read.
         root: for URDF and MJCF: the link that is the base of what is read.
         lock: for URDF and MJCF: joints that are held, and where [rad or m].
+        base: for URDF and MJCF: whether the base is held, or moves and is measured: its pose is
+            then six coordinates before those of the joints (`torchid.robot.floating`).
 
     Raises:
         RobotError: no such robot, or a file that cannot be read as one; no such link or joint.
@@ -72,7 +76,8 @@ def load_robot(
     for read in (path, sidecar_path(path)):
         add_input(read)
     if suffix in (".yaml", ".yml"):
-        for option, given in (("tip", tip), ("root", root), ("lock", lock or None)):
+        chosen = {"tip": tip, "root": root, "lock": lock or None}
+        for option, given in (chosen | {"base": None if base == "fixed" else base}).items():
             if given is not None:
                 raise RobotError(
                     f"`{option}=...` chooses a part of a URDF or MJCF; '{text}' is read whole.",
@@ -82,12 +87,13 @@ def load_robot(
     if suffix == ".urdf":
         from torchid.robot.urdf import read_urdf
 
-        robot = read_urdf(path, tip=tip, root=root, lock=lock)
+        robot = read_urdf(path, tip=tip, root=root, lock=lock, base=base)
     else:
         from torchid.robot.mjcf import read_mjcf
 
-        robot = read_mjcf(path, tip=tip, root=root, lock=lock)
-    return with_sidecar(robot, path)
+        robot = read_mjcf(path, tip=tip, root=root, lock=lock, base=base)
+    robot = with_sidecar(robot, path)
+    return on_moving_base(robot) if base == "moving" else robot
 
 
 def load_both(params: str, robot: str | None, choice: Choice) -> tuple[Robot, Robot]:
@@ -113,7 +119,12 @@ def named_record(robot: Robot) -> dict[str, Any]:
     how its part was chosen."""
     path = Path(robot.source)
     source = path.stem if path.parent == _folder() else robot.source
-    chosen = {"tip": robot.tip, "root": robot.root, "lock": dict(robot.locked) or None}
+    chosen = {
+        "tip": robot.tip,
+        "root": robot.root,
+        "lock": dict(robot.locked) or None,
+        "base": "moving" if robot.floating else None,
+    }
     part = {f"robot_{key}": value for key, value in chosen.items() if value is not None}
     return {"robot": robot.name, "robot_source": source, **part}
 
@@ -131,7 +142,12 @@ def named_robot(result: Path, data: Mapping[str, Any], choice: Choice | None = N
         TorchidError: it names none, or one that is not where it was.
     """
     source, name = data.get("robot_source"), data.get("robot")
-    recorded = Choice(data.get("robot_tip"), data.get("robot_root"), data.get("robot_lock") or {})
+    recorded = Choice(
+        data.get("robot_tip"),
+        data.get("robot_root"),
+        data.get("robot_lock") or {},
+        data.get("robot_base") or "fixed",
+    )
     for place in (source, name):
         if not isinstance(place, str):
             continue

@@ -16,7 +16,7 @@ from torchid.robot.assemble import assemble
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import JointType, Robot, free_name
 from torchid.robot.placement import pose, quaternion
-from torchid.robot.tree import Choice, Following, Interval, Tree, TreeJoint, choose
+from torchid.robot.tree import Base, Choice, Following, Interval, Tree, TreeJoint, choose
 from torchid.robot.xml_numbers import parse_xml
 
 _OLDEST = (3, 15)
@@ -36,6 +36,7 @@ def read_mjcf(
     tip: str | None = None,
     root: str | None = None,
     lock: Mapping[str, float] | None = None,
+    base: Base = "fixed",
 ) -> Robot:
     """Read the robot of an MJCF file: the tree that the world carries, or a part of it.
 
@@ -51,6 +52,7 @@ def read_mjcf(
         tip: last body, or site, of a chain, which alone is read.
         root: body that is the base of what is read.
         lock: joints that are held, and where [rad or m].
+        base: whether the base is held, or moves: one that floats in the file is then the base.
 
     Raises:
         MissingExtraError: MuJoCo is not installed.
@@ -75,7 +77,7 @@ def read_mjcf(
         if not (abs(getattr(model, name)) < LARGEST).all():
             raise RobotError(f"{path}: not all finite: {name}, as MuJoCo compiles it.")
     read = _Reader(mujoco, model)
-    choice = Choice(tip, root, dict(lock or {}))
+    choice = Choice(tip, root, dict(lock or {}), base)
     links, joints = read.links_and_joints(choice.tip)
     off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     tree = Tree(links, tuple(joints), str(path))

@@ -39,6 +39,8 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 Basis = Literal["report", "conditioned"]
 """Which base parameters stand for the others: the report's, or those of the best conditioning."""
 LIMITS = ("position", "velocity", "acceleration", "torque")
+FREE = 6
+"""Coordinates of a base that moves."""
 
 
 def joint_list(joints: Sequence[int]) -> str:
@@ -135,6 +137,21 @@ class Tip:
     pose: Float[Tensor, "4 4"]
 
 
+@dataclass(frozen=True)
+class BaseLink:
+    """What carries a robot: the link that a pose of the base is of, and its body.
+
+    Attributes:
+        name: of the link.
+        parameters: (10,) in its own frame, or None where the file tells nothing of it.
+        gravity: (3,) in the axes of the file's world [m/s^2].
+    """
+
+    name: str
+    parameters: Float[Tensor, "10"] | None
+    gravity: Float[Tensor, "3"]
+
+
 def _make_tensor(thing: object, name: str, what: str) -> None:
     """Of a field that may be given as an array or lists; None stays."""
     if getattr(thing, name) is not None:
@@ -179,6 +196,9 @@ class Robot:
         mimics: joints without a coordinate of their own.
         tips: ends of the branches; empty where the tool on the last link is the only one.
         locked: joints that are held, and where [rad or m], of a URDF or MJCF.
+        base: the link that carries it, of a URDF or MJCF.
+        floating: whether the base moves: the first six coordinates are then its pose (see
+            `torchid.robot.floating`), which no motor drives.
 
     Raises:
         RobotError: the links form no tree in this order, or a mimic follows nothing.
@@ -214,6 +234,8 @@ class Robot:
     tips: tuple[Tip, ...] = ()
     root: str | None = None
     locked: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    base: BaseLink | None = None
+    floating: bool = False
 
     def __post_init__(self) -> None:
         for name in ("before", "after", "gravity", "tool", "drive_gain"):
@@ -234,6 +256,11 @@ class Robot:
             )
         followers = [mimic.link for mimic in self.mimics]
         followed = all(0 <= m.coordinate < self.n and m.ratio != 0 for m in self.mimics)
+        if self.floating and (self.n < FREE or self.parents[:FREE] != tuple(range(-1, FREE - 1))):
+            raise RobotError(
+                f"{where}: a base that moves has six coordinates, before all others.",
+                got=f"{self.n} coordinates, links carried by {list(self.parents)}",
+            )
         distinct = len(set(followers)) == len(followers) and set(followers) <= set(range(count))
         if not (distinct and followed and self.n + len(followers) == count):
             raise RobotError(
@@ -252,6 +279,31 @@ class Robot:
     def n(self) -> int:
         """Number of coordinates: of joints that move by themselves."""
         return len(self.joint_types)
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """Coordinates (from 0) that no motor drives: the six of a base that moves, or none."""
+        return tuple(range(FREE)) if self.floating else ()
+
+    @property
+    def driven(self) -> tuple[int, ...]:
+        """Coordinates (from 0) that a motor drives."""
+        return tuple(range(len(self.free), self.n))
+
+    @property
+    def bodies(self) -> tuple[int, ...]:
+        """Links (from 0) that are bodies: all but those between the coordinates of a base that
+        moves, which are frames alone."""
+        return tuple(range(FREE - 1 if self.floating else 0, self.n_links))
+
+    def require_fixed_base(self, purpose: str) -> None:
+        """Raise RobotError where the base moves and the purpose cannot have that."""
+        if self.floating:
+            raise RobotError(
+                f"robot '{self.name}' has a base that moves, which {purpose} does not take.",
+                got="base='moving'",
+                expected="a base that is held: base='fixed', the default",
+            )
 
     @property
     def n_links(self) -> int:

@@ -8,7 +8,7 @@ movable joints between them: all that the base carries, or the chain from the ba
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 from torch import Tensor
 
@@ -18,6 +18,7 @@ from torchid.robot.placement import align_z, pose, rotation_z
 from torchid.typing import Float
 
 Interval = tuple[float, float]
+Base = Literal["fixed", "moving"]
 
 
 @dataclass(frozen=True)
@@ -37,20 +38,22 @@ class Choice:
         tip: last link of a chain; None for all that the root carries.
         root: link that is the base; None for the file's own.
         lock: joints that are held, and where [rad or m].
+        base: whether the base is held (`fixed`) or moves and is measured (`moving`).
     """
 
     tip: str | None = None
     root: str | None = None
     lock: Mapping[str, float] = field(default_factory=dict)
+    base: Base = "fixed"
 
     @property
     def options(self) -> dict[str, Any]:
         """As keywords of `load_robot`."""
-        return {"tip": self.tip, "root": self.root, "lock": self.lock}
+        return {"tip": self.tip, "root": self.root, "lock": self.lock, "base": self.base}
 
     def __bool__(self) -> bool:
         """Whether anything is chosen."""
-        return bool(self.tip or self.root or self.lock)
+        return bool(self.tip or self.root or self.lock or self.base != "fixed")
 
 
 @dataclass(frozen=True)
@@ -259,7 +262,8 @@ class Tree:
 def choose(tree: Tree, choice: Choice) -> Part:
     """All that the root carries, or the chain to a tip.
 
-    A base that floats is held where the file puts it. A mimic of a joint that is held is held, too.
+    A base that floats is held where the file puts it; where it is to move, it is the base link. A
+    mimic of a joint that is held is held, too.
 
     Raises:
         RobotError: no joint can move, an unknown link or joint, a joint that is not revolute or
@@ -268,8 +272,11 @@ def choose(tree: Tree, choice: Choice) -> Part:
     own_root = tree.root()
     if not any(joint.movable for joint in tree.joints):
         raise RobotError(f"{tree.source}: no joint can move, so there is nothing to identify.")
+    floating = [j.child for j in tree.joints if j.floating and not tree.joints_to(j.parent)]
     tree, noticed = held(tree, choice.lock)
     root, placed = own_root, pose()
+    if choice.base == "moving" and choice.root is None and floating:
+        root = floating[0]
     above: list[str] = []
     if choice.root is not None:
         root = _known_link(tree, choice.root, "root")
@@ -292,7 +299,7 @@ def choose(tree: Tree, choice: Choice) -> Part:
 
 def choice_of(robot: Robot) -> Choice:
     """What a robot was chosen by from its file."""
-    return Choice(robot.tip, robot.root, robot.locked)
+    return Choice(robot.tip, robot.root, robot.locked, "moving" if robot.floating else "fixed")
 
 
 def held(tree: Tree, lock: Mapping[str, float]) -> tuple[Tree, list[str]]:

@@ -14,7 +14,7 @@ from torchid.errors import RobotError
 from torchid.robot.assemble import assemble
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import STANDARD_GRAVITY, JointType, Robot
-from torchid.robot.tree import Choice, Following, Interval, Tree, TreeJoint
+from torchid.robot.tree import Base, Choice, Following, Interval, Tree, TreeJoint
 from torchid.robot.xml_numbers import (
     attribute,
     child,
@@ -45,6 +45,7 @@ def read_urdf(
     tip: str | None = None,
     root: str | None = None,
     lock: Mapping[str, float] | None = None,
+    base: Base = "fixed",
 ) -> Robot:
     """Read the robot of a URDF: the tree that its root link carries, or a part of it.
 
@@ -60,6 +61,7 @@ def read_urdf(
             a warning.
         root: link that is the base of what is read.
         lock: joints that are held, and where [rad or m].
+        base: whether the base is held, or moves: one that floats in the file is then the base.
 
     Raises:
         RobotError: a file that cannot be read, xacro or MJCF in it, a structure that is not a
@@ -82,7 +84,7 @@ def read_urdf(
     warnings: list[str] = []
     return assemble(
         urdf_tree(document, source, warnings),
-        Choice(tip, root, dict(lock or {})),
+        Choice(tip, root, dict(lock or {}), base),
         name=(document.get("name") or path.stem).strip(),
         gravity=STANDARD_GRAVITY,
         path=path,

@@ -64,6 +64,7 @@ def to_mapping(robot: Robot) -> dict[str, Any]:
     out["gravity"] = robot.gravity.tolist()
     if not _is_identity(robot.tool):
         out["tool"] = robot.tool.tolist()
+    out |= _unless_empty("floating", robot.floating)
     known = {name: getattr(robot.limits, name) for name in LIMITS}
     out |= _unless_empty(
         "limits", {name: value.tolist() for name, value in known.items() if value is not None}

@@ -17,7 +17,17 @@ from torchid.robot.yaml_kinematics import read_kinematics
 from torchid.robot.yaml_values import known, numbers, parsed_yaml
 
 _KINEMATICS = ("dh", "placements")
-_REST = ("gravity", "limits", "parameters", "effects", "drive_gain", "bounds", "basis", "tool")
+_REST = (
+    "gravity",
+    "limits",
+    "parameters",
+    "effects",
+    "drive_gain",
+    "bounds",
+    "basis",
+    "tool",
+    "floating",
+)
 _KNOWLEDGE = "knowledge"
 _BESIDE = ("servo", "servos")
 """What a robot's yaml may hold and other readers take: `torchid.position`."""
@@ -56,6 +66,7 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
         name=str(data["name"]),
         **kinematics,
         gravity=gravity,
+        floating=_floating(data.get("floating", False), source),
         tool=tool,
         limits=_limits(data.get("limits") or {}, n, source),
         parameters=_parameters(data.get("parameters"), links, source),
@@ -139,6 +150,12 @@ def read_effects(data: Any, n: int, source: str) -> tuple[Mapping[str, Any], ...
                 available=list(range(1, n + 1)),
             )
     return tuple(MappingProxyType(dict(record)) for record in data)
+
+
+def _floating(data: Any, source: str) -> bool:
+    if not isinstance(data, bool):
+        raise RobotError(f"{source}: floating is true or false.", got=data)
+    return data
 
 
 def _bounds(data: Any, source: str) -> Mapping[str, Any]:

@@ -280,7 +280,7 @@ def candidates_of(
     # the joint's matrix, its columns are not needed any more.
     gram = Gram(filled, n, int(parts.max()) + 1)
     for joint in range(n):
-        for kind in _joint_kinds(wanted, data, joint):
+        for kind in _joint_kinds(wanted, data, joint) if joint in robot.driven else ():
             shapes = kind.grid(columns.motions, joint, columns.samples.cutoff)
             if not len(shapes):  # a ripple on a joint that never moves
                 continue
@@ -328,7 +328,7 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
     sigma, usual = PRIOR * body_sizes(pi), usual_bodies(pi)
     links = links_near(pi, usual, PRIOR)
     out = []
-    for link in range(n):
+    for link in robot.bodies:
         at = torch.arange(link * PARAMETERS_PER_LINK, (link + 1) * PARAMETERS_PER_LINK)
         # With several tips, what one of them carries is an error of its link.
         if link == n - 1 and PAYLOAD in wanted.names and not robot.tips:
@@ -344,10 +344,11 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
     described = (Coefficient("", "", False, "a base parameter"),)
     if links and not wanted.free:
         # All links at once: whatever base parameters do, and no more.
-        at = torch.arange(n * PARAMETERS_PER_LINK)
-        every = together([b.shifted(k * PARAMETERS_PER_LINK) for k, b in enumerate(links)])
-        zero = (0.0,) * len(at)
-        out.append(Term(BASE, (), None, at, described * len(at), zero, (), sigma.flatten(), every))
+        first = robot.bodies[0]
+        at = torch.arange(first * PARAMETERS_PER_LINK, n * PARAMETERS_PER_LINK)
+        every = together([b.shifted(k * PARAMETERS_PER_LINK) for k, b in enumerate(links[first:])])
+        zero, free = (0.0,) * len(at), sigma[first:].flatten()
+        out.append(Term(BASE, (), None, at, described * len(at), zero, (), free, every))
         return out
     # A base parameter's prior is that of the parameters grouped into it, link by link.
     numbers = wanted.independent

@@ -422,7 +422,7 @@ def not_testable(found: Explanation, robot: Robot, data: Data) -> list[NotTestab
     wanted = found.solution.wanted
     known = {*accepted, *best}
     still = (~data.slides).nonzero().flatten().tolist()
-    for j, kind in ((j, KINDS[name]) for j in still for name in wanted.names):
+    for j, kind in ((j, KINDS[name]) for j in still if j in robot.driven for name in wanted.names):
         if not issubclass(kind, JointEffect) or kind.needs & data.missing:
             continue
         if (kind.name, (j,)) not in known and wanted.asks(kind.name, (j,)):
