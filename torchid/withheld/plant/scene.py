@@ -112,9 +112,11 @@ def scene_of(
     torque = rigid + nominal.damping * dq + nominal.friction * np.sign(dq)
     strength = np.sqrt((torque**2).mean(0))
     mass = nominal.inertia(q[::10])
+    # The controllers move rotors and links, a gear has the link alone behind it.
+    typical = np.diagonal(mass, axis1=1, axis2=2).mean(0)
+    mass = mass - np.diag([joint.rotor for joint in arm.joints])
     inertia = np.diagonal(mass, axis1=1, axis2=2)
     omega = 2 * np.pi * bandwidth
-    typical = inertia.mean(0)
     return Scene(
         arm=arm,
         shapes=shapes,
