@@ -28,7 +28,6 @@ import torchid
 from torchid.effects.base import Motion
 from torchid.effects.registry import effect_torque, nominal_effects
 from torchid.identification.base_parameters import nominal_values
-from torchid.log.columns import log_from_columns
 from torchid.robot.model import Robot
 
 NOISE = 0.01
@@ -113,10 +112,14 @@ def identify(options: argparse.Namespace) -> None:
     off = (found.values - nominal_values(robot, found.base)) / found.covariance.diagonal().sqrt()
     held = found.held_out or found.fit
     print(f"{robot.name}: {robot.n} joints, {len(found.base)} base parameters and coefficients")
-    print(f"{options.seconds:g} s at {options.rate:g} Hz: {cpu:.1f} CPU s ({wall:.1f} s), "
-          f"{memory:.2f} GB at most")
-    print(f"held-out error: {float(held.relative_percent.nanmedian()):.2f} % in the median joint, "
-          f"{float(held.relative_percent.max()):.2f} % in the worst")
+    print(
+        f"{options.seconds:g} s at {options.rate:g} Hz: {cpu:.1f} CPU s ({wall:.1f} s), "
+        f"{memory:.2f} GB at most"
+    )
+    print(
+        f"held-out error: {float(held.relative_percent.nanmedian()):.2f} % in the median joint, "
+        f"{float(held.relative_percent.max()):.2f} % in the worst"
+    )
     print(f"errors in standard deviations: {float(off.square().mean().sqrt()):.2f} RMS")
 
 
@@ -142,10 +145,15 @@ def arms(options: argparse.Namespace) -> None:
         beside = [j // 8 for one in found.findings for j in one.joints]
         right += bool(named) and named[0] == side
         other += any(k != side for k in [*named, *beside])
-        print(f"{number}: joint {key['effects'][0]['joints']}, said links "
-              f"{[k + 1 for one in found.parametric for k in one.links]}, {found.status}", flush=True)
-    print(f"the arm named {right} of {options.cases}; the other arm {other} times; "
-          f"{np.mean(costs):.0f} CPU s a case")
+        print(
+            f"{number}: joint {key['effects'][0]['joints']}, said links "
+            f"{[k + 1 for one in found.parametric for k in one.links]}, {found.status}",
+            flush=True,
+        )
+    print(
+        f"the arm named {right} of {options.cases}; the other arm {other} times; "
+        f"{np.mean(costs):.0f} CPU s a case"
+    )
 
 
 def _heavier(place: Path, seed: int, number: int, joint: int, write_case) -> dict:
@@ -157,9 +165,7 @@ def _heavier(place: Path, seed: int, number: int, joint: int, write_case) -> dic
     kept = drawing.drawn_effect
     drawing.drawn_effect = lambda *_, **__: EffectSpec("link_inertia", (joint,), draws)
     try:
-        return write_case(
-            place, seed, number, effects=["link_inertia"], arm="two_arms", mix="tree"
-        )
+        return write_case(place, seed, number, effects=["link_inertia"], arm="two_arms", mix="tree")
     finally:
         drawing.drawn_effect = kept
 

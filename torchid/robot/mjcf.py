@@ -244,8 +244,8 @@ class _Reader:
                     f"{tree.source}: bodies '{pair[0]}' and '{pair[1]}' are held together by an "
                     "equality constraint, which closes a loop.",
                     expected="a tree of bodies; joints that follow others in proportion",
-                    hint="lock the joints of the loop (--lock JOINT=VALUE), or choose a part "
-                    "without it (--tip, --root)",
+                    hint="lock the joints of the loop (`lock=...`), or choose a part "
+                    "without it (`tip=...`, `root=...`)",
                 )
 
     def _steps(self, body: int) -> list[TreeJoint]:

@@ -288,7 +288,7 @@ def choose(tree: Tree, choice: Choice) -> Part:
     part = replace(part, joints=tuple(_followed(tree, part, joint) for joint in part.joints))
     at_rest = [
         f"'{root}' is the base; joints {', '.join(map(repr, above))} between it and '{own_root}' "
-        "are held at 0 (--lock holds them elsewhere)"
+        "are held at 0 (`lock=...` holds them elsewhere)"
     ] * bool(above)
     return replace(
         part,
@@ -409,7 +409,7 @@ def _followed(tree: Tree, part: Part, joint: TreeJoint) -> TreeJoint:
             f"{tree.source}: joint '{joint.name}' mimics joint '{joint.mimic.joint}', which is not "
             "one of the joints that move here.",
             available=independent,
-            hint=f"lock '{joint.name}' (--lock {joint.name}=0), or choose a part with both",
+            hint=f"lock '{joint.name}' (`lock=...`), or choose a part with both",
         )
     return joint
 
