@@ -88,8 +88,9 @@ def show_command(
             "position_limits": found.limits.position,
             "torque_limits": found.limits.torque,
             "prismatic": [kind is JointType.PRISMATIC for kind in found.joint_types],
+            "moving_base": found.floating,
         }
-    request = reading.request(() if found is None else found.joint_names)
+    request = reading.request(() if found is None else found.driven_names)
     seen = look_at(logs, request, **checked)
     repeats = repeated_motion(seen.log) if seen.problem is None else ()
     record = overview_record(seen)

@@ -295,7 +295,7 @@ class Reading:
 
         if self.gain is not None:
             numbers("--gain", self.gain, robot.n)
-        opened = open_logs(paths, self.request(robot.joint_names))
+        opened = open_logs(paths, self.request(robot.driven_names))
         return self.with_torque(torchid.Log.concatenate([log for _, log in opened]), robot.n)
 
 

@@ -291,6 +291,11 @@ class Robot:
         return tuple(range(len(self.free), self.n))
 
     @property
+    def driven_names(self) -> tuple[str, ...]:
+        """Names of the joints that a motor drives: those that logs know."""
+        return self.joint_names[len(self.free) :]
+
+    @property
     def bodies(self) -> tuple[int, ...]:
         """Links (from 0) that are bodies: all but those between the coordinates of a base that
         moves, which are frames alone."""
