@@ -35,6 +35,8 @@ def read(arm, tmp_path):
 def test_torchid_reads_the_same_dynamics(arm, tmp_path):
     robot = read(arm, tmp_path)
     assert (robot.n, robot.parents, robot.is_serial) == (arm.n, arm.parents, False)
+    assert [tip.link for tip in robot.ends] == [k for k in range(arm.n) if k not in arm.parents]
+    assert robot.ends[-1].pose[:3, 3].tolist() == list(arm.tool)
     rng = np.random.default_rng(0)
     q, dq, ddq = (rng.uniform(-1.5, 1.5, (20, arm.n)) for _ in range(3))
     # MuJoCo's inverse dynamics, armature included.

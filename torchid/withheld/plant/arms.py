@@ -58,7 +58,7 @@ class Arm:
     Attributes:
         name: 3r, 6r or 7r; of `trees.py` quadruped, two_arms or torso.
         joints: from the base, branch by branch: each behind the one that carries it.
-        tool: point of the last link where tools are [m].
+        tool: point of the last link where tools are, and of the last of every branch [m].
         bus: how late a command reaches the motors [s].
     """
 
@@ -248,15 +248,17 @@ def urdf(arm: Arm, damping: Array, friction: Array) -> str:
         if viscous or coulomb:
             mount.append(E.dynamics(damping=spaced([viscous]), friction=spaced([coulomb])))
         robot.extend([E.link(inertial, name=name), mount])
-    tool = E.joint(
-        E.parent(link=f"link{arm.n}"),
-        E.child(link="tool"),
-        E.origin(xyz=spaced(arm.tool), rpy="0 0 0"),
-        name="tool_mount",
-        type="fixed",
-    )
-    if not branching:
-        robot.extend([E.link(name="tool"), tool])
+    # A tool at the end of every branch: a hand, a foot.
+    for k in [k for k in range(arm.n) if k not in arm.parents]:
+        end = f"tip{k + 1}" if branching else "tool"
+        mount = E.joint(
+            E.parent(link=f"link{k + 1}"),
+            E.child(link=end),
+            E.origin(xyz=spaced(arm.tool), rpy="0 0 0"),
+            name=f"{end}_mount",
+            type="fixed",
+        )
+        robot.extend([E.link(name=end), mount])
     text: str = etree.tostring(robot, pretty_print=True, encoding="unicode")
     return f'<?xml version="1.0"?>\n{text}'
 
