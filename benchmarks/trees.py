@@ -9,7 +9,7 @@ Pinocchio's, with friction, rotors and 1 % noise. Printed are CPU seconds and th
 the process, and how far base parameters and coefficients are from what was put in.
 
 `arms`: two arms with grippers (`torchid withheld make --robots two_arms`), one forearm, hand or jaw
-of which is heavier than the model says, by 8 to 25 % of the arm; the simulator is MuJoCo. Counted
+of which is heavier than the model says, at five times the noise; the simulator is MuJoCo. Counted
 is whether a link of that arm is named first, and of the other arm none.
 """
 
