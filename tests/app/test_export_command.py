@@ -81,7 +81,7 @@ def test_a_corrected_model_goes_into_the_users_file(tmp_path):
     assert "package://none.stl" in (tmp_path / "o" / "arm.urdf").read_text()
     with pytest.raises(TorchidError, match="take the place"):
         run(model, "--to", "yaml", "--out", tmp_path, "--name", "corrected")
-    with pytest.raises(TorchidError, match="chooses a chain"):
+    with pytest.raises(TorchidError, match="chooses a part"):
         run(model, "--to", "yaml", "--out", tmp_path, "--tip", "l4")
 
 

@@ -109,14 +109,17 @@ def test_it_asks_on_a_terminal(command, place, answers) -> None:
     assert (found.robot, found.gain) == ("arm.yaml", "2.0,4.0,5.0")
 
 
-def test_it_asks_for_the_tip(command, place, answers) -> None:
+@pytest.mark.parametrize(
+    ("part", "tip", "lock"),
+    [((), None, ()), (("--tip", "left"), "left", ()), (("--lock", "l=0.5"), None, ("l=0.5",))],
+)
+def test_it_keeps_the_part_that_is_chosen(command, place, part, tip, lock) -> None:
     Path("arm.yaml").unlink()
     Path("two.urdf").write_text(BRANCHING)
-    answers("left")
-    done = command("init")
+    done = command("init", *part)
     assert done.code == 0, done.err
     found = read_project(Path("torchid.toml"))
-    assert (found.robot, found.tip, found.logs) == ("two.urdf", "left", ())
+    assert (found.robot, found.tip, found.root, found.lock) == ("two.urdf", tip, None, lock)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +127,11 @@ def test_it_asks_for_the_tip(command, place, answers) -> None:
     [
         (lambda: Path("arm.yaml").unlink(), (), ("no robot here", "--robot", "kuka_lwr4")),
         (lambda: Path("two.urdf").write_text(BRANCHING), (), ("which robot", "arm.yaml, two.urdf")),
-        (lambda: Path("two.urdf").write_text(BRANCHING), ("--robot", "two.urdf"), ("tip", "left")),
+        (
+            lambda: Path("two.urdf").write_text(BRANCHING),
+            ("--robot", "two.urdf", "--tip", "no"),
+            ("no link to be the tip", "left"),
+        ),
         (lambda: None, ("notes.csv",), ("notes.csv",)),
         (lambda: None, ("--robot", "kuka_lwr4", "run1.csv"), ("run1.csv", "3 joints", "7")),
         (lambda: None, ("--gain", "1,2"), ("--gain", "expected: 3")),

@@ -42,5 +42,5 @@ def test_one_error_has_two_wordings(command) -> None:
         load_robot("3r", tip="link_1")
     done = command("robot", "3r", "--tip", "link_1")
     assert done.code == 1
-    assert "--tip chooses a chain" in done.err
+    assert "--tip chooses a part" in done.err
     assert "`" not in done.err

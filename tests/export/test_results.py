@@ -24,6 +24,7 @@ from torchid.identification.model import model_torque
 from torchid.position.model import ServoArm
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot, named_robot
+from torchid.robot.tree import Choice
 from torchid.simulation.servo import Servos
 
 EFFECTS = ("viscous_friction", "rotor_inertia")
@@ -315,7 +316,7 @@ def test_servos_are_exported_as_far_as_joints_have_fields(tmp_path):
     ServoArm(load_robot("3r"), servos, torch.ones(3, dtype=torch.float64)).write(
         tmp_path / "a.yaml"
     )
-    found = carried(str(tmp_path / "a.yaml"), None, None, None, None).dynamics
+    found = carried(str(tmp_path / "a.yaml"), None, Choice(), None, None).dynamics
     sizes = {(e["effect"], e["joint"]) for e in found.robot.effects}
     names = ("viscous_friction", "coulomb_friction", "rotor_inertia")
     assert sizes == {(name, j) for name in names for j in (1, 2, 3)}

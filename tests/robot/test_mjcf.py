@@ -247,19 +247,21 @@ def two_arms(tmp_path: Path, second: str = "<joint name='k'/>") -> Path:
     )
 
 
-def test_branching_lists_the_tips(tmp_path):
-    with pytest.raises(RobotError, match="branches") as raised:
-        read_mjcf(two_arms(tmp_path))
-    assert raised.value.available == ["a (1 joint)", "b (1 joint)"]
+def test_several_bodies_are_read_whole_or_one_chain(tmp_path):
+    both = read_mjcf(two_arms(tmp_path))
+    assert (both.joint_names, both.parents) == (("j", "k"), (-1, -1))
+    assert [tip.name for tip in both.tips] == ["a", "b"]
     robot = read_mjcf(two_arms(tmp_path), tip="b")
     assert robot.joint_names == ("k",)
     assert robot.warnings == ()
 
 
-def test_a_free_object_beside_the_arm_is_left_out(tmp_path):
+def test_a_free_object_beside_the_arm_is_part_of_the_base(tmp_path):
     path = two_arms(tmp_path, "<freejoint name='k'/>")
-    assert read_mjcf(path, tip="a").joint_names == ("j",)
-    with pytest.raises(RobotError, match="'k' is a free joint"):
+    robot = read_mjcf(path)
+    assert robot.joint_names == ("j",)
+    assert "'b' (joint 'k') can float: it is taken as fixed" in robot.warnings[0]
+    with pytest.raises(RobotError, match="no joint can move between the root 'world'"):
         read_mjcf(path, tip="b")
 
 

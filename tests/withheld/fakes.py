@@ -70,6 +70,7 @@ class Simulated:
     urdf: str
     columns: dict[str, np.ndarray]
     key: dict[str, Any] = field(default_factory=dict)
+    rotors: tuple[float, ...] = ()
 
 
 def draw_case(seed: int, number: int, *, mix: str = "mixed") -> Spec:

@@ -19,7 +19,7 @@ def check_command(
     total_mass: Annotated[str | None, typer.Option(metavar="LO,HI|none")] = None,
     bounds: opt.Bounds = None,
     nearest: opt.Written = None,
-    tip: opt.Tip = None,
+    part: opt.Part,
     seed: opt.Seed = 0,
     output: Computed,
 ) -> None:
@@ -48,7 +48,7 @@ def check_command(
     from torchid.feasibility.record import check_sets
     from torchid.report.feasibility import findings_lines, shown
 
-    asked = asked_about(params, robot, tip)
+    asked = asked_about(params, robot, part.choice)
     found = asked.robot
     total = None
     if total_mass is None:

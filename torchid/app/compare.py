@@ -19,7 +19,7 @@ def compare_command(
     on: opt.LogFiles = None,
     robot: opt.RobotOption = None,
     logs: opt.Reading,
-    tip: opt.Tip = None,
+    part: opt.Part,
     seed: opt.Seed = 0,
     output: Computed,
 ) -> None:
@@ -39,7 +39,11 @@ def compare_command(
     from torchid.report.compare import shown
 
     read = read_results(results)
-    arm = common_robot(read, tip) if robot is None else torchid.load_robot(robot, tip=tip)
+    arm = (
+        common_robot(read, part.choice)
+        if robot is None
+        else torchid.load_robot(robot, **part.choice.options)
+    )
     if on and arm is None:
         raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
     log = logs.read(on, arm) if on and arm is not None else None

@@ -92,7 +92,7 @@ def excite_command(
     files: _Controllers,
     max_velocity: opt.Velocities = None,
     max_acceleration: opt.Accelerations = None,
-    tip: opt.Tip = None,
+    part: opt.Part,
     output: Computed,
 ) -> None:
     """Design an exciting trajectory within the robot's limits, at rest at both ends.
@@ -125,7 +125,7 @@ def excite_command(
             "nowhere to write the trajectory.",
             expected="--to FILE, --out DIR, --ros2 FILE, --urscript FILE or --json FILE",
         )
-    found = None if robot is None else opt.load(robot, tip)
+    found = None if robot is None else opt.load(robot, part)
     asking = None if motion.result is None else read_asking(motion.result)
     if isinstance(asking, PositionRecord):
         if found is None:

@@ -34,7 +34,7 @@ def export_command(
     spread: Annotated[list[Path] | None, typer.Option(metavar="FILE")] = None,
     draws: opt.Count = 256,
     reading: opt.Reading,
-    tip: opt.Tip = None,
+    part: opt.Part,
     seed: opt.Seed = 0,
     output: Computed,
 ) -> None:
@@ -77,8 +77,8 @@ def export_command(
     if randomise is not None:
         if to is not None:
             raise TorchidError("--randomise writes ranges for all simulators.", got=f"--to {to}")
-        given = None if robot is None else torchid.load_robot(robot, tip=tip)
-        diagnosed = opt.load(result, tip) if is_robot(result) else any_diagnosis(Path(result))
+        given = None if robot is None else torchid.load_robot(robot, **part.choice.options)
+        diagnosed = opt.load(result, part) if is_robot(result) else any_diagnosis(Path(result))
         ranges = torchid.randomise(
             diagnosed, randomise, robot=given, spread=spread or [], draws=draws, seed=seed
         )
@@ -91,7 +91,7 @@ def export_command(
         raise TorchidError(
             "there is nothing to write.", expected="--to FORMAT or --randomise LEVEL"
         )
-    found = carried(result, robot, tip, chosen, geometry)
+    found = carried(result, robot, part.choice, chosen, geometry)
     keep = [Path(file) for file in (result, robot, *(log or ()), *(held_out or ())) if file]
     if log is None:
         if found.diagnosed and to in get_args(Target):

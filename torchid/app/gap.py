@@ -174,7 +174,7 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
             got=", ".join(name for name, given in others.items() if given),
         )
     robot = trials.load() if trials.robot else None
-    names = () if robot is None else robot.joint_names
+    names = () if robot is None else robot.driven_names
 
     def read(paths: list[Path]) -> "torchid.Log":
         opened = open_logs(paths, trials.request(names))

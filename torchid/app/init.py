@@ -20,7 +20,7 @@ def init(
     *,
     logs: Annotated[list[Path] | None, typer.Argument(metavar="[LOG...]")] = None,
     robot: opt.RobotOption = None,
-    tip: opt.Tip = None,
+    part: opt.Part,
     reading: opt.Reading,
     held_out: opt.LogFiles = None,
     out: str = "results",
@@ -53,7 +53,7 @@ def init(
     people = all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout))
     asking = ask and people and not output.silent
     choose = _choose if asking else None
-    found = guess(robot, tip, logs or (), held_out or (), reading.request(()), choose)
+    found = guess(robot, part.choice, logs or (), held_out or (), reading.request(()), choose)
     said, given, n = "the logs hold currents and no torque", reading.gain, found.robot.n
     if given is None and found.needs_gains and asking:
         question = f"{said}: drive gains [N m/A] of {n} joints, or Enter"

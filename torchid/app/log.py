@@ -60,7 +60,7 @@ def show_command(
     logs: opt.LogArguments,
     robot: opt.RobotOption = None,
     reading: opt.Reading,
-    tip: opt.Tip = None,
+    part: opt.Part,
     out: opt.Written = None,
     output: Printed,
 ) -> None:
@@ -81,15 +81,16 @@ def show_command(
 
     opt.require_log_file("--out", out)
     checked: dict[str, Any] = {}
-    found = None if robot is None else opt.load(robot, tip)
+    found = None if robot is None else opt.load(robot, part)
     if found is not None:
         checked = {
             "robot_name": found.name,
             "position_limits": found.limits.position,
             "torque_limits": found.limits.torque,
             "prismatic": [kind is JointType.PRISMATIC for kind in found.joint_types],
+            "moving_base": found.floating,
         }
-    request = reading.request(() if found is None else found.joint_names)
+    request = reading.request(() if found is None else found.driven_names)
     seen = look_at(logs, request, **checked)
     repeats = repeated_motion(seen.log) if seen.problem is None else ()
     record = overview_record(seen)

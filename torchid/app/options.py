@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from torchid.log.table import Request
     from torchid.parallel.workers import Workers
     from torchid.report.page.document import InputFile
+    from torchid.robot.tree import Choice
 
 LARGEST_SEED = 2**63 - 1
 LARGE = 50e6
@@ -143,7 +144,21 @@ Device = Annotated[
     Parsed(device, "cpu"),
 ]
 Tip = Annotated[
-    str | None, typer.Option(metavar="LINK", help="URDF, MJCF: last link of the chain.")
+    str | None, typer.Option(metavar="LINK", help="URDF, MJCF: last link of a chain, alone.")
+]
+Root = Annotated[
+    str | None, typer.Option(metavar="LINK", help="URDF, MJCF: the base of what is read.")
+]
+Lock = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="JOINT=VALUE",
+        help="URDF, MJCF: a joint that is held, and where [rad or m]. May be given several times.",
+    ),
+]
+Base = Annotated[
+    Literal["fixed", "moving"],
+    typer.Option(help="URDF, MJCF: a base that is held, or moves and is measured (base_x ..)."),
 ]
 RobotOption = Annotated[str | None, typer.Option(metavar="ROBOT")]
 LOGS = typer.Argument(
@@ -280,12 +295,41 @@ class Reading:
 
         if self.gain is not None:
             numbers("--gain", self.gain, robot.n)
-        opened = open_logs(paths, self.request(robot.joint_names))
+        opened = open_logs(paths, self.request(robot.driven_names))
         return self.with_torque(torchid.Log.concatenate([log for _, log in opened]), robot.n)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arm:
+class Part:
+    """The part of a robot's file that is meant."""
+
+    tip: Tip = None
+    root: Root = None
+    lock: Lock = None
+    base: Base = "fixed"
+
+    @property
+    def choice(self) -> "Choice":
+        """As the readers take it.
+
+        Raises:
+            TorchidError: a joint that is to be held without a number.
+        """
+        from torchid.robot.tree import Choice
+
+        held = {}
+        for text in self.lock or ():
+            joint, _, position = text.rpartition("=")
+            if not joint:
+                raise TorchidError(
+                    "--lock names a joint and a position.", got=text, expected="JOINT=VALUE"
+                )
+            held[joint] = number("--lock", position, "JOINT=VALUE, in rad or m")
+        return Choice(self.tip, self.root, held, self.base)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arm(Part):
     """One robot.
 
     Attributes:
@@ -293,11 +337,10 @@ class Arm:
     """
 
     robot: Annotated[str, typer.Argument(metavar="ROBOT")]
-    tip: Tip = None
 
     def load(self) -> "torchid.Robot":
         """The robot."""
-        return load(self.robot, self.tip)
+        return load(self.robot, self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -352,11 +395,11 @@ class Trials(ArmAndLogs):
         return robot, log, held_out, files
 
 
-def load(name: str, tip: str | None) -> "torchid.Robot":
+def load(name: str, part: Part) -> "torchid.Robot":
     """A robot; one that the project file names with the limits and the payload that it says."""
     from torchid.effects.registry import nominal_effects
 
-    robot = current().on(torchid.load_robot(name, tip=tip))
+    robot = current().on(torchid.load_robot(name, **part.choice.options))
     nominal_effects(robot)  # known, complete and in range, also where they are not used
     return robot
 

@@ -83,7 +83,8 @@ class ProjectCommand(TyperCommand):
             whole = given.get("robot") is None
         defaults: dict[str, Any] = dict(project.options.get(_path(ctx), {}))
         if whole:
-            defaults |= {"robot": project.robot, "tip": project.tip}
+            defaults |= {"robot": project.robot, "tip": project.tip, "root": project.root}
+            defaults["lock"] = list(project.lock) or None
         if self.name in _FITTED:
             defaults.setdefault("effects", project.effects)
         defaults.setdefault("background", project.background)

@@ -41,8 +41,8 @@ Debug = Annotated[
 LARGEST_WHOLE, LARGEST_REAL = 10**6, 1e9
 """Of counts, and of sizes in SI units, times and frequencies."""
 _LAST = (
-    "held_out", "columns", "topic", "gain", "jobs", "tip", "json_file", "out", "report", "seed",
-    "quiet", "threads", "device_name", "project_file", "debug",
+    "held_out", "columns", "topic", "gain", "jobs", "tip", "root", "lock", "json_file", "out",
+    "report", "seed", "quiet", "threads", "device_name", "project_file", "debug",
 )  # fmt: skip
 """Options that many commands have stand at the end of the help, always in this order."""
 

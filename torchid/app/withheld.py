@@ -67,6 +67,7 @@ def make_command(
     seed: RequiredSeed,
     kind: Literal["torque", "position"] = "torque",
     mix: Literal["mixed", "release"] = "mixed",
+    robots: Literal["arms", "tree", "quadruped", "two_arms", "torso"] = "arms",
     keys: Annotated[Path | None, _KEYS, WRITTEN] = None,
     workers: Workers,
     output: Printed,
@@ -80,14 +81,15 @@ def make_command(
         cases: Number of cases.
         kind: What the logs have: torques, or commands and positions alone.
         mix: Kinds of cases: of every sort, or those that a release is judged by.
+        robots: Arms; robots that branch, their base held in the air; or one of these.
     """
     from torchid.withheld.case_set import keys_beside, make
 
     sealed = keys_beside(out) if keys is None else keys
     with output.progress() as progress:
         made = make(
-            out, cases, seed, kind=kind, mix=mix, keys=sealed, jobs=workers.count,
-            progress=progress,
+            out, cases, seed, kind=kind, mix=mix, robots=robots, keys=sealed,
+            jobs=workers.count, progress=progress,
         )  # fmt: skip
     output.write_json(
         {"folder": str(out), "keys": str(sealed), "keys_sha256": made.keys_sha256, "seed": seed},

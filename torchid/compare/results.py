@@ -17,6 +17,7 @@ from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
 from torchid.log.model import Log
 from torchid.robot.model import Robot
+from torchid.robot.tree import Choice
 
 Compared = Comparison | GapComparison | SetComparison
 
@@ -59,19 +60,19 @@ def compare_results(
     return compared(read, robot or common_robot(read), on=on, seed=seed)
 
 
-def common_robot(results: Sequence[Given[Any]], tip: str | None = None) -> Robot | None:
+def common_robot(results: Sequence[Given[Any]], choice: Choice | None = None) -> Robot | None:
     """The robot that results record or name; of identifications and diagnoses None where none
     records it.
 
     Args:
         results: of one kind.
-        tip: of a named URDF or MJCF: in place of the recorded one.
+        choice: of the part of a named URDF or MJCF: in place of the recorded one.
 
     Raises:
         TorchidError: files of sets that name different robots, or one that is not where it was.
     """
     if isinstance(results[0].record, SetsRecord):
-        return robot_of(results, tip)
+        return robot_of(results, choice)
     return next((r.record.model for r in results if r.record.model is not None), None)
 
 

@@ -19,6 +19,7 @@ from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters, parameter_names, parameter_units
 from torchid.robot.library import named_robot
 from torchid.robot.model import Robot
+from torchid.robot.tree import Choice
 from torchid.typing import Float, Tensor
 
 UNKNOWN = 0.5
@@ -57,7 +58,7 @@ class SetComparison(Result):
         return SetComparisonRecord.of(self, results=self.labels, compared="parameter sets")
 
 
-def robot_of(results: Sequence[Compared[SetsRecord]], tip: str | None = None) -> Robot:
+def robot_of(results: Sequence[Compared[SetsRecord]], choice: Choice | None = None) -> Robot:
     """The robot that files of sets name.
 
     Raises:
@@ -66,7 +67,7 @@ def robot_of(results: Sequence[Compared[SetsRecord]], tip: str | None = None) ->
     names = list(dict.fromkeys(str(r.record.robot) for r in results))
     if len(names) > 1:
         raise TorchidError("the sets are of different robots.", got=", ".join(names))
-    return named_robot(results[0].path, results[0].record.named, tip)
+    return named_robot(results[0].path, results[0].record.named, choice)
 
 
 def compare_sets(
@@ -104,8 +105,8 @@ def compare_sets(
         robot=robot.name,
         physical=_ranges(
             vectors,
-            [*parameter_names(robot.n), *sets[0].coefficient_names()],
-            [*parameter_units(robot.n), *units],
+            [*parameter_names(robot.n_links), *sets[0].coefficient_names()],
+            [*parameter_units(robot.n_links), *units],
         ),
         base=_ranges([base.project(v) for v in vectors], base.names, base.units),
         torque=torque_spread(models, motion),

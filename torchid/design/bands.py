@@ -5,6 +5,7 @@ yet noise; they are fitted in the narrow one.
 """
 
 import math
+from collections.abc import Sequence
 
 import torch
 from scipy.signal import welch
@@ -69,18 +70,34 @@ def position_noise(log: Log, robot: Robot) -> Float[Tensor, " n"]:
         top = (frequency > 0.375 * rate) & (frequency < 0.475 * rate)
         if top.any():
             level += len(q) / log.samples * torch.from_numpy(power[top]).median(0).values
+    # A base goes far while its noise is small: what its spectrum ends with is leakage. Third
+    # differences, of which white noise has twenty times its variance, see the noise alone.
+    for k in robot.free:
+        level[k] = _noise_of_differences(log, k)
     # Inertia in some postures.
     mass = mass_matrix(robot, log.q[:: max(1, log.samples // 50)].double()).square().mean(0)
     return ((mass @ level) * (2 * math.pi) ** 4 / 5).sqrt()
 
 
-def resolved(log: Log, noise: Float[Tensor, " n"]) -> float:
+def _noise_of_differences(log: Log, joint: int) -> float:
+    """Spectral density [rad^2/Hz; m^2/Hz] of white noise as third differences have it."""
+    out = 0.0
+    for rows, rate in zip(log.slices(), sampling_rate(log), strict=True):
+        jumps = log.q[rows, joint].double().diff(n=3)
+        if len(jumps):
+            share = (rows.stop - rows.start) / log.samples
+            out += share * float(jumps.square().mean()) / 20 * 2 / rate
+    return out
+
+
+def resolved(log: Log, noise: Float[Tensor, " n"], free: Sequence[int] = ()) -> float:
     """Highest frequency [Hz] up to which the log resolves the model's torque on every joint that
     slides: below it, `position_noise` makes up no more than `ATTENUATED` of the torque's variance.
 
     Args:
         log: on a uniform grid, with torque.
         noise: (n,) of the positions, below 1 Hz [N m; N].
+        free: coordinates (from 0) that no motor drives: there is no torque to be resolved.
     """
     # How much of the time each joint moves, over steps that its noise does not reach.
     moving = torch.zeros_like(noise)
@@ -88,6 +105,7 @@ def resolved(log: Log, noise: Float[Tensor, " n"]) -> float:
         q, step = log.q[rows], max(1, round(DWELL * rate))
         moving += ((q[step:] - q[:-step]).abs() > MOVING * step / rate).sum(0) / log.samples
     slides = (moving >= HARDLY) & (noise > 0)
+    slides[list(free)] = False
     if log.tau is None or not bool(slides.any()):
         return math.inf
     highest = (ATTENUATED * log.tau.double().var(0) / noise.square()) ** 0.2

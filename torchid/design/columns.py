@@ -93,6 +93,7 @@ class Columns:
         short = len(samples) * model.robot.n <= KEPT
         # The rigid body's columns, once evaluated: of all models of the arm.
         self._rigid: list[Tensor] = []
+        self._lasting: dict[str | None, list[Tensor]] = {}
         # By effect, or by a kind and its shapes.
         self._kept: dict[object, tuple[type[Effect], Place, Tensor]] | None = {} if short else None
 
@@ -181,23 +182,27 @@ class Columns:
         return torch.cat(parts)
 
     @property
-    def regressor(self) -> Float[Tensor, "n 10 n N"]:
+    def regressor(self) -> Float[Tensor, "L 10 n N"]:
         """The rigid body's columns, link by link; zero where a joint does not feel a link. They
         depend on the kinematics alone."""
         if not self._rigid:
             self._rigid.append(self._regressor())
         return self._rigid[0]
 
-    def _regressor(self) -> Float[Tensor, "n 10 n N"]:
-        n = self.n
-        out = torch.zeros(n, PARAMETERS_PER_LINK, n, len(self.samples), dtype=torch.float64)
-        for motions, own in self._in_groups(AT_ONCE // (n * n * PARAMETERS_PER_LINK)):
-            chunks = list(regressor_chunks(self.model.robot, *together(motions).state))
+    def _regressor(self) -> Float[Tensor, "L 10 n N"]:
+        n, robot = self.n, self.model.robot
+        links = robot.n_links
+        out = torch.zeros(links, PARAMETERS_PER_LINK, n, len(self.samples), dtype=torch.float64)
+        for motions, own in self._in_groups(AT_ONCE // (links * n * PARAMETERS_PER_LINK)):
+            chunks = list(regressor_chunks(robot, *together(motions).state))
             lengths = [len(m.q) for m in motions]
             for j in range(n):
-                pairs = [(link, k) for link in range(j, n) for k in range(PARAMETERS_PER_LINK)]
+                moved = list(robot.moved_by(j))
+                pairs = [(link, k) for link in moved for k in range(PARAMETERS_PER_LINK)]
                 rows = torch.cat([c.row(j, pairs) for c in chunks], -1).split(lengths, -1)
-                out[j:, :, j, own] = self._sampled(rows).unflatten(0, (n - j, PARAMETERS_PER_LINK))
+                sampled = self._sampled(rows).unflatten(0, (len(moved), PARAMETERS_PER_LINK))
+                for link, values in zip(moved, sampled, strict=True):
+                    out[link, :, j, own] = values
         return out
 
     def _in_groups(self, instants: int) -> Iterator[tuple[list[Motion], slice]]:
@@ -215,10 +220,12 @@ class Columns:
         """Columns of model effects of one kind along every segment, one effect after the other; of
         all segments in one call where time plays no part."""
         kind, robot = type(effects[0]), self.model.robot
-        if kind.windowed and effects[0] != kind():
+        if isinstance(effects[0], Contact) and effects[0] != Contact(tip=effects[0].tip):
             for effect in effects:
-                gates = [effect.window(m.require("t", kind.name)) for m in self.motions]  # type: ignore[attr-defined]
-                yield [x * gate for x, gate in zip(self._all_the_time, gates, strict=True)]
+                assert isinstance(effect, Contact)
+                gates = [effect.window(m.require("t", kind.name)) for m in self.motions]
+                whole = self._all_the_time(effect.tip)
+                yield [x * gate for x, gate in zip(whole, gates, strict=True)]
             return
         motions = self._smooth if kind.smooth else self.motions
         lengths = [len(m.q) for m in motions]
@@ -227,10 +234,11 @@ class Columns:
         for parts in zip(*(kind.columns_of(effects, m, robot) for m in motions), strict=True):
             yield list(torch.cat([x.permute(2, 1, 0) for x in parts], -1).split(lengths, -1))
 
-    @cached_property
-    def _all_the_time(self) -> list[Float[Tensor, "C n _"]]:
-        """A contact that lasts, of which windows are parts."""
-        return next(self._signals([Contact()]))
+    def _all_the_time(self, tip: str | None) -> list[Float[Tensor, "C n _"]]:
+        """A contact of a tip that lasts, of which windows are parts."""
+        if tip not in self._lasting:
+            self._lasting[tip] = next(self._signals([Contact(tip=tip)]))
+        return self._lasting[tip]
 
     @cached_property
     def _smooth(self) -> list[Motion]:

@@ -191,7 +191,8 @@ class _Spectra:
         chunks = [list(regressor_chunks(self.robot, *m.state)) for m in self.motions]
         self.joints = []
         for i in range(self.n if self.usable else 0):
-            pairs = [(link, k) for link in range(i, self.n) for k in range(PARAMETERS_PER_LINK)]
+            moved = self.robot.moved_by(i)
+            pairs = [(link, k) for link in moved for k in range(PARAMETERS_PER_LINK)]
             laws = [
                 torch.cat(
                     [

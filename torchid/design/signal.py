@@ -57,7 +57,8 @@ def without_signal(
     out = []
     for joint, (y, error) in enumerate(zip(torque, gap, strict=True)):
         own: Sequence[Tensor] = [columns.of(law(joint))[1] for law in laws]
-        a = torch.cat([columns.regressor[joint:, :, joint].flatten(0, 1), *own])
+        moved = list(columns.model.robot.moved_by(joint))
+        a = torch.cat([columns.regressor[moved, :, joint].flatten(0, 1), *own])
         # A push is no law: what is far off what fits the usual torques takes no part.
         telling = keep[joint] & ~_far(y - y.median(), keep[joint])
         telling &= ~_far(y - least_squares(a[:, telling], y[telling], EXCITED) @ a, telling)

@@ -81,7 +81,7 @@ class CompiledDynamics:
         self._sizes = {"torques": chunk or TORQUE_CHUNK, "regressor": chunk or REGRESSOR_CHUNK}
         self._geometry = chain_geometry(robot)
         self._kernels: dict[tuple[str, torch.dtype, torch.device], Kernel] = {}
-        self._layout: list[list[tuple[int | float, ...]]] = []
+        self._layout: list[dict[int, tuple[int | float, ...]]] = []
 
     @torch.no_grad()
     def inverse_dynamics(
@@ -95,7 +95,7 @@ class CompiledDynamics:
 
         Args:
             q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints].
-            parameters: one set (n, 10); the robot's nominal ones if None.
+            parameters: one set (L, 10); the robot's nominal ones if None.
 
         Raises:
             RobotError: no parameters given and none in the robot.
@@ -106,7 +106,7 @@ class CompiledDynamics:
             raise TorchidError(
                 "the compiled inverse dynamics takes one set of parameters at a time.",
                 got=f"parameters of shape {tuple(given.pi.shape)}",
-                expected=f"({self.robot.n}, {PARAMETERS_PER_LINK})",
+                expected=f"({self.robot.n_links}, {PARAMETERS_PER_LINK})",
                 hint="call it set by set, or use torchid.dynamics.inverse_dynamics",
             )
         pi = given.pi.detach().to(q).contiguous()
@@ -149,14 +149,14 @@ class CompiledDynamics:
             n = self.robot.n
             motion = [like.new_zeros(n, self._sizes[name]) for _ in range(3)]
             if name == "torques":
-                pi = like.new_zeros(n, PARAMETERS_PER_LINK)
+                pi = like.new_zeros(self.robot.n_links, PARAMETERS_PER_LINK)
                 self._kernels[key] = _compile(self._torques, *motion, pi)
             else:
                 self._kernels[key] = _compile(self._entries, *motion)
         return self._kernels[key]
 
     def _torques(self, q: Tensor, dq: Tensor, ddq: Tensor, pi: Tensor) -> Tensor:
-        """Torques (n, m) of motions (n, m) and parameters (n, 10)."""
+        """Torques (n, m) of motions (n, m) and parameters (L, 10)."""
         links = kinematics(self._geometry, q.unbind(0), dq.unbind(0), ddq.unbind(0))
         torques, _ = forces(self._geometry, links, [link.unbind(0) for link in pi.unbind(0)])
         full = [t if isinstance(t, Tensor) else torch.full_like(q[0], t) for t in torques]
@@ -174,7 +174,10 @@ class CompiledDynamics:
 
         links = kinematics(self._geometry, q.unbind(0), dq.unbind(0), ddq.unbind(0))
         rows = regressor_rows(self._geometry, links)
-        self._layout = [[tuple(place(e) for e in link) for link in row] for row in rows]
+        self._layout = [
+            {link: tuple(place(e) for e in entries) for link, entries in row.items()}
+            for row in rows
+        ]
         return torch.stack(found)
 
 

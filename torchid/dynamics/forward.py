@@ -31,7 +31,7 @@ def mass_matrix(
     Args:
         robot: kinematics.
         q: (..., n) [rad; m for prismatic joints]; arrays and lists too, in float64.
-        parameters: (..., n, 10), leading axes broadcast against those of q; the robot's nominal
+        parameters: (..., L, 10), leading axes broadcast against those of q; the robot's nominal
             ones if None.
 
     Returns:
@@ -94,7 +94,7 @@ def forward_dynamics(
         robot: kinematics and gravity.
         q, dq: (..., n) [rad, rad/s; m, m/s for prismatic joints]; arrays and lists too, in float64.
         tau: (..., n) [N m; N for prismatic joints], positive along the axis.
-        parameters: (..., n, 10), leading axes broadcast against those of q; the robot's nominal
+        parameters: (..., L, 10), leading axes broadcast against those of q; the robot's nominal
             ones if None.
 
     Returns:

@@ -87,7 +87,7 @@ def inverse_dynamics(
     Args:
         robot: kinematics and gravity.
         q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints].
-        parameters: one set (n, 10); the robot's nominal ones if None.
+        parameters: one set (L, 10); the robot's nominal ones if None.
 
     Raises:
         RobotError: no parameters given and none in the robot.

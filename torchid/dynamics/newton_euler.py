@@ -33,7 +33,7 @@ def inverse_dynamics(
         robot: kinematics and gravity.
         q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints]; arrays and lists too,
             in float64. Of tensors the widest dtype counts.
-        parameters: (..., n, 10), leading axes broadcast against those of q; the robot's nominal
+        parameters: (..., L, 10), leading axes broadcast against those of q; the robot's nominal
             ones if None.
 
     Returns:
@@ -70,17 +70,18 @@ def joint_wrenches(
     ddq: Numbers,
     parameters: InertialParameters | None = None,
 ) -> Wrenches:
-    """Internal wrenches: what link i-1 exerts on link i through joint i (eqs. 2.13, 2.32).
+    """Internal wrenches: what each link is given through its joint by the link that carries it
+    (eqs. 2.13, 2.32).
 
     Args:
         robot: kinematics and gravity.
         q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints]; arrays and lists too,
             in float64.
-        parameters: (..., n, 10), leading axes broadcast against those of q; the robot's nominal
+        parameters: (..., L, 10), leading axes broadcast against those of q; the robot's nominal
             ones if None.
 
     Returns:
-        (..., n, 6): force [N], then moment [N m] about the origin of joint frame i (O_{i-1} for
+        (..., L, 6): force [N], then moment [N m] about the origin of joint frame i (O_{i-1} for
         classical DH), both in axes of link frame i. The component along the axis is the torque.
 
     Raises:

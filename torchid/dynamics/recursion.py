@@ -1,6 +1,6 @@
-"""The recursive dynamics of a serial chain, written once on components.
+"""The recursive dynamics of a tree of links, written once on components.
 
-Two passes, as in Newton-Euler (eqs. 2.12, 2.13): `kinematics` goes from the base to the tip and
+Two passes, as in Newton-Euler (eqs. 2.12, 2.13): `kinematics` goes from the base to the tips and
 knows no inertial parameters; `forces` goes back and is linear in them. With
 
     S = [wd]x + [w]x [w]x        (3x3, in the link frame)
@@ -9,7 +9,9 @@ every point r of a link accelerates by a + S r, so a link of mass m, first momen
 about the frame's origin needs the force f = m a + S h and the moment n = h x a + J wd + w x J w.
 
 Quantities of link i are in the axes of link frame i, about its origin. Gravity enters as the
-acceleration -g of the base.
+acceleration -g of the base. What is not on a link's way to the base does not move it and is
+nowhere computed. A joint that mimics another moves by ratio * q + offset of that one's coordinate,
+and its own torque times the ratio is part of that one's (virtual work).
 """
 
 from collections.abc import Sequence
@@ -44,14 +46,20 @@ class JointGeometry:
     """Constants of one joint, as Python floats.
 
     Attributes:
+        parent: link that carries the joint, -1 for the base.
+        coordinate, ratio, offset: the joint's position is ratio * q + offset of that coordinate.
         revolute: or prismatic.
-        constant, cosine, sine: (3, 3) each; the rotation from link to previous link axes is
+        constant, cosine, sine: (3, 3) each; the rotation from link to parent link axes is
             constant + cosine cos q + sine sin q.
-        previous_offset: joint frame's origin in the previous link frame [m].
+        previous_offset: joint frame's origin in the parent link frame [m].
         link_offset: link frame's origin from the joint frame's, in link axes [m] (q = 0).
         axis: unit vector along the joint, in link axes.
     """
 
+    parent: int
+    coordinate: int
+    ratio: float
+    offset: float
     revolute: bool
     constant: tuple[tuple[float, ...], ...]
     cosine: tuple[tuple[float, ...], ...]
@@ -60,13 +68,31 @@ class JointGeometry:
     link_offset: Vec3
     axis: Vec3
 
+    def position(self, q: Sequence[Tensor]) -> Tensor:
+        """Of the joint, from those of the coordinates."""
+        own = q[self.coordinate]
+        return own if self.ratio == 1.0 and self.offset == 0.0 else own * self.ratio + self.offset
+
+    def rate(self, rates: Sequence[Scalar]) -> Scalar:
+        """Velocity or acceleration of the joint, from those of the coordinates."""
+        return mul(rates[self.coordinate], self.ratio)
+
 
 @dataclass(frozen=True)
 class ChainGeometry:
-    """Constants of the whole chain, made once per robot."""
+    """Constants of the whole tree, made once per robot.
+
+    Attributes:
+        joints: one a link, each behind the one that carries it.
+        gravity: in the base frame [m/s^2].
+        moved: for each coordinate the links that it moves, in order.
+        frames: links that are no bodies, which have no columns.
+    """
 
     joints: tuple[JointGeometry, ...]
     gravity: Vec3
+    moved: tuple[tuple[int, ...], ...]
+    frames: frozenset[int] = frozenset()
 
 
 class Link(NamedTuple):
@@ -76,7 +102,7 @@ class Link(NamedTuple):
         w, wd: angular velocity and acceleration.
         a: acceleration of the link frame's origin, gravity included.
         s: S = [wd]x + [w]x [w]x.
-        rotation: link axes to previous link axes.
+        rotation: link axes to parent link axes.
         offset: link frame's origin from the joint frame's, in link axes.
     """
 
@@ -92,18 +118,22 @@ class Link(NamedTuple):
 def chain_geometry(robot: Robot) -> ChainGeometry:
     """The robot's geometry as floats; entries of the rotations within 1e-15 of 0 are 0."""
     joints = []
-    for i, kind in enumerate(robot.joint_types):
+    for i, drive in enumerate(robot.drives):
         before, after = robot.before[i].double().cpu(), robot.after[i].double().cpu()
         b, a = before[:3, :3], after[:3, :3]
         # R = B Rz(q) A, expanded in 1, cos q, sin q.
         constant = b[:, 2:3] @ a[2:3, :]
         cosine = b[:, 0:1] @ a[0:1, :] + b[:, 1:2] @ a[1:2, :]
         sine = b[:, 1:2] @ a[0:1, :] - b[:, 0:1] @ a[1:2, :]
-        revolute = kind is JointType.REVOLUTE
+        revolute = drive.joint_type is JointType.REVOLUTE
         if not revolute:
             constant, cosine, sine = constant + cosine, 0 * cosine, 0 * sine
         joints.append(
             JointGeometry(
+                robot.parents[i],
+                drive.coordinate,
+                drive.ratio,
+                drive.offset,
                 revolute,
                 _rows(constant),
                 _rows(cosine),
@@ -113,7 +143,9 @@ def chain_geometry(robot: Robot) -> ChainGeometry:
                 Vec3(*_clean(a[2]).tolist()),
             )
         )
-    return ChainGeometry(tuple(joints), Vec3(*robot.gravity.double().tolist()))
+    moved = tuple(robot.moved_by(j) for j in range(robot.n))
+    frames = frozenset(range(robot.n_links)) - set(robot.bodies)
+    return ChainGeometry(tuple(joints), Vec3(*robot.gravity.double().tolist()), moved, frames)
 
 
 def _clean(x: Tensor) -> Tensor:
@@ -127,17 +159,19 @@ def _rows(x: Tensor) -> tuple[tuple[float, ...], ...]:
 def kinematics(
     geometry: ChainGeometry, q: Sequence[Tensor], dq: Sequence[Scalar], ddq: Sequence[Scalar]
 ) -> list[Link]:
-    """Forward pass (eq. 2.12): motion of every link, base to tip.
+    """Forward pass (eq. 2.12): motion of every link, from the base to the tips.
 
     Args:
         geometry: of the robot.
         q, dq, ddq: n tensors of one shape [rad, rad/s, rad/s^2 or m, ...]; dq and ddq may be 0.0.
     """
-    w, wd = ZERO, ZERO
-    a = Vec3(-geometry.gravity.x, -geometry.gravity.y, -geometry.gravity.z)
-    s: Matrix = (ZERO, ZERO, ZERO)
-    links = []
-    for joint, qi, dqi, ddqi in zip(geometry.joints, q, dq, ddq, strict=True):
+    still: Matrix = (ZERO, ZERO, ZERO)
+    lifted = Vec3(-geometry.gravity.x, -geometry.gravity.y, -geometry.gravity.z)
+    base = Link(ZERO, ZERO, lifted, still, still, ZERO)
+    links: list[Link] = []
+    for joint in geometry.joints:
+        qi, dqi, ddqi = joint.position(q), joint.rate(dq), joint.rate(ddq)
+        w, wd, a, s, *_ = links[joint.parent] if joint.parent >= 0 else base
         rotation = _rotation(joint, qi)
         a = add3(a, _apply(s, joint.previous_offset))
         w, wd, a = (_transposed(rotation, v) for v in (w, wd, a))
@@ -167,22 +201,25 @@ def forces(
 
     Returns:
         torques: n scalars.
-        wrenches: for each joint the force and the moment about the joint frame's origin that link
-            i-1 exerts on link i, in axes of link frame i.
+        wrenches: for each link the force and the moment about its joint frame's origin that the
+            link that carries it exerts on it, in axes of its frame.
     """
-    n = len(links)
-    torques: list[Scalar] = [0.0] * n
-    wrenches: list[tuple[Vec3, Vec3]] = [(ZERO, ZERO)] * n
-    force, moment = ZERO, ZERO
-    for i in reversed(range(n)):
+    torques: list[Scalar] = [0.0] * len(geometry.moved)
+    # At first what each link must give to those that it carries, then what it is given.
+    wrenches: list[tuple[Vec3, Vec3]] = [(ZERO, ZERO)] * len(links)
+    for i in reversed(range(len(links))):
         link, joint = links[i], geometry.joints[i]
         own_force, own_moment = _newton_euler(link, pi[i])
-        force, moment = add3(force, own_force), add3(moment, own_moment)
+        force, moment = add3(wrenches[i][0], own_force), add3(wrenches[i][1], own_moment)
         moment = add_cross(moment, link.offset, force)
-        torques[i] = dot(joint.axis, moment if joint.revolute else force)
+        torque = dot(joint.axis, moment if joint.revolute else force)
+        torques[joint.coordinate] = fma(torques[joint.coordinate], torque, joint.ratio)
         wrenches[i] = (force, moment)
-        force, moment = _turned(link.rotation, force), _turned(link.rotation, moment)
-        moment = add_cross(moment, joint.previous_offset, force)
+        if joint.parent >= 0:
+            force, moment = _turned(link.rotation, force), _turned(link.rotation, moment)
+            moment = add_cross(moment, joint.previous_offset, force)
+            others = wrenches[joint.parent]
+            wrenches[joint.parent] = (add3(others[0], force), add3(others[1], moment))
     return torques, wrenches
 
 
@@ -219,41 +256,56 @@ def _half_sum(a: Scalar, b: Scalar, minus: Scalar) -> Scalar:
 
 def regressor_rows(
     geometry: ChainGeometry, links: Sequence[Link]
-) -> list[list[tuple[Scalar, ...]]]:
-    """Closed form of the regressor: for every torque i, for every link l >= i, ten entries.
+) -> list[dict[int, tuple[Scalar, ...]]]:
+    """Closed form of the regressor: for every torque i, for every link that it moves, ten entries.
 
-    Torque i feels link l by virtual work: a unit rate of joint i gives link l the angular velocity
-    w and its frame's origin the velocity v, and the torque is v . f + w . n. Links before the joint
-    do not move and are left out.
+    Torque i feels a link by virtual work: a unit rate of coordinate i gives the link the angular
+    velocity w and its frame's origin the velocity v, and the torque is v . f + w . n. Links that do
+    not move with the coordinate, on the way to the base or in other branches, are left out.
 
     Args:
         geometry: of the robot.
         links: from `kinematics`.
 
     Returns:
-        rows[i][l - i][k]: derivative of torque i with respect to parameter k of link l, in
-        torchid's order; a float where it does not depend on the motion (mostly 0.0).
+        rows[i][l][k]: derivative of torque i with respect to parameter k of link l, in torchid's
+        order; a float where it does not depend on the motion (mostly 0.0).
     """
     rows = []
-    for i, joint in enumerate(geometry.joints):
-        v, w = _own_screw(joint, links[i])
-        row = [_parameter_columns(links[i], v, w)]
-        for next_joint, link in zip(geometry.joints[i + 1 :], links[i + 1 :], strict=True):
-            v, w = _carried(next_joint, link, v, w)
-            row.append(_parameter_columns(link, v, w))
+    for i, moved in enumerate(geometry.moved):
+        screws: dict[int, tuple[Vec3, Vec3]] = {}
+        row = {}
+        for link in moved:
+            joint = geometry.joints[link]
+            above = screws.get(joint.parent)
+            carried = None if above is None else _carried(joint, links[link], *above)
+            own = _own_screw(joint, links[link]) if joint.coordinate == i else None
+            screws[link] = _together(carried, own)
+            if link not in geometry.frames:
+                row[link] = _parameter_columns(links[link], *screws[link])
         rows.append(row)
     return rows
 
 
+def _together(*screws: tuple[Vec3, Vec3] | None) -> tuple[Vec3, Vec3]:
+    """Sum of those that are there."""
+    there = [screw for screw in screws if screw is not None]
+    if len(there) == 1:
+        return there[0]
+    (v, w), (other_v, other_w) = there
+    return add3(v, other_v), add3(w, other_w)
+
+
 def _own_screw(joint: JointGeometry, link: Link) -> tuple[Vec3, Vec3]:
-    """(v, w) of the link that a unit rate of its own joint gives."""
-    if joint.revolute:
-        return cross(joint.axis, link.offset), joint.axis
-    return joint.axis, ZERO
+    """(v, w) of the link that a unit rate of its own joint's coordinate gives."""
+    axis = joint.axis
+    if joint.ratio != 1.0:
+        axis = add_scaled(ZERO, axis, joint.ratio)
+    return (cross(axis, link.offset), axis) if joint.revolute else (axis, ZERO)
 
 
 def _carried(joint: JointGeometry, link: Link, v: Vec3, w: Vec3) -> tuple[Vec3, Vec3]:
-    """(v, w) of a link from those of the link before it, its own joint at rest."""
+    """(v, w) of a link from those of the link that carries it, its own joint at rest."""
     v = _transposed(link.rotation, add_cross(v, w, joint.previous_offset))
     w = _transposed(link.rotation, w)
     return add_cross(v, w, link.offset), w

@@ -7,8 +7,9 @@ The torque is linear in the parameters, so the regressor is its derivative. Two 
 - `closed` (the default, and the faster): the same derivative written out, by virtual work.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Literal
 
 import torch
@@ -38,7 +39,7 @@ _TILE = 1000
 """Samples transposed at a time, so that source and destination stay in the cache."""
 
 
-Rows = Sequence[Sequence[Sequence[Tensor | float | int]]]
+Rows = Sequence[Mapping[int, Sequence[Tensor | float | int]]]
 
 
 @dataclass(frozen=True)
@@ -46,9 +47,9 @@ class RegressorChunk:
     """Non-zero part of the regressor for M samples.
 
     Attributes:
-        rows: rows[i][l - i][k] is the entry of torque i for parameter k (torchid's order) of link
-            l >= i, from 0: a tensor (M,), a float where it is the same in all samples, or an int
-            for that row of `stacked`. Links before i do not enter torque i.
+        rows: rows[i][l][k] is the entry of torque i for parameter k (torchid's order) of link l,
+            from 0: a tensor (M,), a float where it is the same in all samples, or an int for that
+            row of `stacked`. Links that coordinate i does not move do not enter torque i.
         like: (M,), any tensor of the samples' dtype and device.
         stacked: (E, M) entries in one piece, or None.
     """
@@ -59,7 +60,8 @@ class RegressorChunk:
 
     def entry(self, i: int, link: int, k: int) -> Float[Tensor, " M"]:
         """Column of parameter k of a link (from 0) in torque row i (M,)."""
-        value = 0.0 if link < i else self.rows[i][link - i][k]
+        entries = self.rows[i].get(link)
+        value = 0.0 if entries is None else entries[k]
         if isinstance(value, Tensor):
             return value
         if isinstance(value, int):
@@ -103,7 +105,7 @@ def regressor(
     *,
     method: Method = "closed",
 ) -> Float[Tensor, "*batch n P"]:
-    """Y (..., n, 10 n) with Y pi = tau, pi in the paper's order (eq. 2.5).
+    """Y (..., n, 10 L) with Y pi = tau, pi in the paper's order (eq. 2.5).
 
     Args:
         robot: kinematics and gravity.
@@ -112,7 +114,7 @@ def regressor(
         method: `closed` or `autograd`.
 
     Returns:
-        (..., n, 10 n), dense. For long logs prefer `regressor_chunks`, which keeps the non-zeros.
+        (..., n, 10 L), dense. For long logs prefer `regressor_chunks`, which keeps the non-zeros.
 
     Raises:
         TorchidError: not numbers of all joints.
@@ -128,26 +130,39 @@ def regressor(
     motion = torch.broadcast_tensors(*joint_signals(robot.n, q=q, dq=dq, ddq=ddq))
     batch, n = motion[0].shape[:-1], motion[0].shape[-1]
     flat = [x.reshape(-1, n) for x in motion]
-    dense = flat[0].new_zeros(flat[0].shape[0], n, PARAMETERS_PER_LINK * n)
+    columns = PARAMETERS_PER_LINK * robot.n_links
+    dense = flat[0].new_zeros(flat[0].shape[0], n, columns)
     start = 0
     for chunk in regressor_chunks(robot, *flat, method=method):
         stop = start + chunk.like.shape[0]
         _write_dense(dense[start:stop], chunk)
         start = stop
-    return dense.reshape(*batch, n, PARAMETERS_PER_LINK * n)
+    return dense.reshape(*batch, n, columns)
 
 
 def _write_dense(out: Float[Tensor, "M n P"], chunk: RegressorChunk) -> None:
-    """Write a chunk's non-zeros into zeros (M, n, 10 n), columns in the paper's order: all masses,
+    """Write a chunk's non-zeros into zeros (M, n, 10 L), columns in the paper's order: all masses,
     then all first moments, then all inertias."""
-    n = out.shape[1]
-    for i in range(n):
-        for first, last in _KINDS:
-            wanted = [(link, k) for link in range(i, n) for k in range(first, last)]
-            block = chunk.row(i, wanted)
-            own = out[:, i, first * n + (last - first) * i : last * n]
-            for start in range(0, out.shape[0], _TILE):
-                own[start : start + _TILE] = block[:, start : start + _TILE].T
+    links = out.shape[-1] // PARAMETERS_PER_LINK
+    for i, entries in enumerate(chunk.rows):
+        for run in _runs(list(entries)):
+            for first, last in _KINDS:
+                wanted = [(link, k) for link in run for k in range(first, last)]
+                block = chunk.row(i, wanted)
+                column = first * links + (last - first) * run[0]
+                own = out[:, i, column : column + len(wanted)]
+                for start in range(0, out.shape[0], _TILE):
+                    own[start : start + _TILE] = block[:, start : start + _TILE].T
+
+
+def _runs(links: Sequence[int]) -> list[list[int]]:
+    """Links in order as pieces without gaps."""
+    out: list[list[int]] = []
+    for link in links:
+        if not out or link != out[-1][-1] + 1:
+            out.append([])
+        out[-1].append(link)
+    return out
 
 
 def _closed(
@@ -162,16 +177,16 @@ def _by_autograd(
     links = kinematics(geometry, q, dq, ddq)
     with torch.enable_grad():
         leaves = [
-            [torch.zeros_like(q[0]).requires_grad_() for _ in range(PARAMETERS_PER_LINK)] for _ in q
+            [torch.zeros_like(q[0]).requires_grad_() for _ in range(PARAMETERS_PER_LINK)]
+            for _ in links
         ]
         torques, _ = forces(geometry, links, leaves)
     rows = []
     one = torch.ones_like(q[0])
-    for i, torque in enumerate(torques):
-        felt = [leaf for link in leaves[i:] for leaf in link]
-        gradient = _gradient(torque, felt, one)
-        k = PARAMETERS_PER_LINK
-        rows.append([gradient[j : j + k] for j in range(0, len(gradient), k)])
+    for torque, moved in zip(torques, geometry.moved, strict=True):
+        felt = [leaf for link in moved for leaf in leaves[link]]
+        gradient = iter(_gradient(torque, felt, one))
+        rows.append({link: list(islice(gradient, PARAMETERS_PER_LINK)) for link in moved})
     return rows
 
 

@@ -2,9 +2,11 @@
 
 The recursion of `recursion.py` handles one robot on many samples: its cost is the number of kernel
 calls, some thousand, whatever the batch. A simulation steps a few states many times; here only the
-chain of poses is sequential, and everything else is a handful of products of small matrices.
+poses are sequential, level by level of the tree, and everything else is a handful of products of
+small matrices.
 
-With everything in base axes about the base's origin, sums along the chain need no transformation.
+With everything in base axes about the base's origin, sums along the tree need no transformation;
+`i <= l` below means that joint i is on the way from the base to link l.
 Let T_l be the pose of link l (4x4), S_i the twist of a unit rate of joint i as a matrix [w]x, v
 (its last row of zeros left out: 3x4), and P_l = T_l P0_l T_l' the pseudo-inertia
 
@@ -16,7 +18,8 @@ A point r (homogeneous) of link l accelerates by A_l r, A_l = sum_{i<=l} (S_i dd
     tau_i = sum_{l>=i} <S_i, A_l P_l>,     M_ij = <S_i, S_j sum_{l>=max(i,j)} P_l>
 
 with <,> the sum of products of entries (Uicker 1965; Hollerbach 1980; the sums are the composite
-bodies of Walker and Orin 1982).
+bodies of Walker and Orin 1982). Joints that mimic others follow q_links = F q + offset: torques
+and masses of the coordinates are F' tau and F' M F.
 """
 
 from collections.abc import Sequence
@@ -39,16 +42,17 @@ class Arms:
     """What does not move, of one arm for the whole batch or of one arm per element of it.
 
     Attributes:
-        constant, cosine, sine, slide: (*arms, n, 4, 4); the pose of link i in link i-1 is
-            constant + cosine cos q + sine sin q + slide q.
-        pose_of_axis: (*arms, n, 3, 2): in link axes, the unit vector along the joint's axis, and a
+        constant, cosine, sine, slide: (*arms, L, 4, 4); the pose of link i in the one that carries
+            it is constant + cosine cos q + sine sin q + slide q.
+        pose_of_axis: (*arms, L, 3, 2): in link axes, the unit vector along the joint's axis, and a
             point of it at q = 0, from the link frame's origin.
-        revolute: (n,) 1 or 0.
-        inertia: (*arms, n, 4, 4) pseudo-inertias about the link frames.
+        revolute: (L,) 1 or 0.
+        inertia: (*arms, L, 4, 4) pseudo-inertias about the link frames.
         gravity: (*arms, 3) in the base frame [m/s^2].
-        above: (n, n) true above the diagonal.
+        above: (L, L) true where the link of the column is carried by that of the row.
         cross: (3, 9) takes w to the rows of [w]x.
         slides: whether any joint is prismatic.
+        tree: which link carries which; None for a serial chain.
     """
 
     constant: Tensor
@@ -62,14 +66,17 @@ class Arms:
     above: Tensor
     cross: Tensor
     slides: bool
+    tree: "Branches | None" = None
 
     @property
     def n(self) -> int:
-        """Number of joints."""
-        return self.revolute.shape[0]
+        """Number of coordinates."""
+        return self.revolute.shape[0] if self.tree is None else self.tree.n
 
     def at(self, q: Float[Tensor, "*batch n"]) -> "Posture":
         """The arms at positions q (*batch, n); the batch ends with the axes of the arms."""
+        if self.tree is not None:
+            q = self.tree.on_links(q)
         poses = self._poses(q)
         axis = poses[..., :3, :3] @ self.pose_of_axis
         along, point = axis[..., 0], axis[..., 1] + poses[..., :3, 3]
@@ -84,17 +91,97 @@ class Arms:
         return Posture(self, screws, poses @ self.inertia @ poses.transpose(-1, -2))
 
     def _poses(self, q: Tensor) -> Tensor:
-        """T_l (*batch, n, 4, 4), in the base frame."""
+        """T_l (*batch, L, 4, 4), in the base frame."""
         x = q[..., None, None]
         steps = torch.addcmul(
             torch.addcmul(self.constant, self.cosine, x.cos()), self.sine, x.sin()
         )
         if self.slides:
             steps = torch.addcmul(steps, self.slide, x)
+        if self.tree is not None:
+            return self.tree.chained(steps)
         chain = list(steps.unbind(-3))
         for i in range(1, len(chain)):
             chain[i] = chain[i - 1] @ chain[i]
         return torch.stack(chain, -3)
+
+
+@dataclass(frozen=True, eq=False)
+class Branches:
+    """Sums over a tree in place of sums along a chain.
+
+    Attributes:
+        n: number of coordinates.
+        levels: for each step away from the base the places, in the order of the levels, of the
+            links that carry those of the level; None for the first.
+        order: (L,) the place of each link in the order of the levels.
+        carries: (L, L) 1 where link l (row) is carried by link i (column), itself included.
+        follow: (L, n) F; None where no joint mimics another.
+        offset: (L,) [rad or m].
+    """
+
+    n: int
+    levels: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]
+    order: Tensor
+    carries: Tensor
+    follow: Tensor | None
+    offset: Tensor
+
+    @classmethod
+    def of(cls, robot: Robot, like: Tensor) -> "Branches":
+        """Those of a robot, with the dtype and on the device of a tensor."""
+        count = robot.n_links
+        place = {link: k for k, link in enumerate(sum(robot.levels, ()))}
+        carries, follow = like.new_zeros(count, count), like.new_zeros(count, robot.n)
+        for link, drive in enumerate(robot.drives):
+            carries[link, list(robot.ancestors(link))] = 1.0
+            follow[link, drive.coordinate] = drive.ratio
+        levels = tuple(
+            (links, tuple(robot.levels[k - 1].index(robot.parents[link]) for link in links))
+            if k
+            else (links, ())
+            for k, links in enumerate(robot.levels)
+        )
+        return cls(
+            n=robot.n,
+            levels=levels,
+            order=torch.tensor([place[link] for link in range(count)], device=like.device),
+            carries=carries,
+            follow=follow if robot.mimics else None,
+            offset=like.new_tensor([drive.offset for drive in robot.drives]),
+        )
+
+    def on_links(self, q: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch L"]:
+        """Positions of the joints that move the links."""
+        return q if self.follow is None else q @ self.follow.T + self.offset
+
+    def rates(self, dq: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch L"]:
+        """Velocities or accelerations of the joints that move the links."""
+        return dq if self.follow is None else dq @ self.follow.T
+
+    def torque(self, tau: Float[Tensor, "*batch L"]) -> Float[Tensor, "*batch n"]:
+        """Torques of the coordinates from those of the links' joints."""
+        return tau if self.follow is None else tau @ self.follow
+
+    def mass(self, m: Float[Tensor, "*batch L L"]) -> Float[Tensor, "*batch n n"]:
+        """Mass matrix of the coordinates from that of the links' joints."""
+        return m if self.follow is None else self.follow.T @ m @ self.follow
+
+    def chained(self, steps: Float[Tensor, "*batch L 4 4"]) -> Float[Tensor, "*batch L 4 4"]:
+        """Poses in the base frame from those in the links that carry, level by level."""
+        done: list[Tensor] = []
+        for links, above in self.levels:
+            own = steps[..., list(links), :, :]
+            done.append(done[-1][..., list(above), :, :] @ own if above else own)
+        return torch.cat(done, -3)[..., self.order, :, :]
+
+    def from_the_base(self, x: Float[Tensor, "*batch L a b"]) -> Float[Tensor, "*batch L a b"]:
+        """Sums over the joints on the way to each link."""
+        return (self.carries @ x.flatten(-2)).unflatten(-1, x.shape[-2:])
+
+    def towards_the_base(self, x: Float[Tensor, "*batch L a b"]) -> Float[Tensor, "*batch L a b"]:
+        """Sums over all that each link carries."""
+        return (self.carries.T @ x.flatten(-2)).unflatten(-1, x.shape[-2:])
 
 
 class Posture:
@@ -102,36 +189,47 @@ class Posture:
 
     def __init__(self, arms: Arms, screws: Tensor, inertia: Tensor):
         self._arms = arms
-        self._screws = screws  # S_i (*batch, n, 3, 4)
-        self._inertia = inertia  # P_l (*batch, n, 4, 4)
+        self._screws = screws  # S_i (*batch, L, 3, 4)
+        self._inertia = inertia  # P_l (*batch, L, 4, 4)
         self._flat = screws.flatten(-2)
 
     def mass_matrix(self) -> JointMatrix:
         """M(q) [kg m^2]."""
-        composite = _towards_the_base(self._inertia)
+        tree, above = self._arms.tree, self._arms.above
+        composite = self._towards_the_base(self._inertia)
         # <S_i, S_j sum_{l>=j} P_l> is M_ij for i <= j only.
         half = self._flat @ (self._screws @ composite).flatten(-2).transpose(-1, -2)
-        return torch.where(self._arms.above, half, half.transpose(-1, -2))
+        whole = torch.where(above, half, half.transpose(-1, -2))
+        # Two joints of which neither carries the other have no mass in common.
+        return whole if tree is None else tree.mass(whole * (tree.carries + above))
 
     def torque(self, dq: BroadcastJoints, ddq: BroadcastJoints | None = None) -> Joints:
         """M ddq + S dq + g [N m; N]; the bias alone if ddq is None."""
         arms, s = self._arms, self._screws
-        rate = dq[..., None, None]
-        v = (s * rate).cumsum(-3)
+        tree = arms.tree
+        rate = (dq if tree is None else tree.rates(dq))[..., None, None]
+        v = self._from_the_base(s * rate)
         turning = v[..., :3]
         # dS/dt dq, in which S dq's own part of V cancels.
         change = (turning @ s - s[..., :3] @ v) * rate
         if ddq is not None:
+            ddq = ddq if tree is None else tree.rates(ddq)
             change = torch.addcmul(change, s, ddq[..., None, None])
-        a = change.cumsum(-3) + turning @ v
+        a = self._from_the_base(change) + turning @ v
         a[..., 3] -= arms.gravity.unsqueeze(-2)
-        force = _towards_the_base(a @ self._inertia)
-        return (self._flat * force.flatten(-2)).sum(-1)
+        force = self._towards_the_base(a @ self._inertia)
+        torque = (self._flat * force.flatten(-2)).sum(-1)
+        return torque if tree is None else tree.torque(torque)
 
+    def _from_the_base(self, x: Tensor) -> Tensor:
+        """Sums over the joints i <= l (*batch, L, ., .), for every l."""
+        tree = self._arms.tree
+        return x.cumsum(-3) if tree is None else tree.from_the_base(x)
 
-def _towards_the_base(x: Tensor) -> Tensor:
-    """Sums over the links l >= i (*batch, n, ., .), for every i."""
-    return x.flip(-3).cumsum(-3).flip(-3)
+    def _towards_the_base(self, x: Tensor) -> Tensor:
+        """Sums over the links l >= i (*batch, L, ., .), for every i."""
+        tree = self._arms.tree
+        return x.flip(-3).cumsum(-3).flip(-3) if tree is None else tree.towards_the_base(x)
 
 
 def arms_of(
@@ -140,9 +238,9 @@ def arms_of(
     """A batch of arms, (B,) with one robot an element; () arms if there is one robot only.
 
     Args:
-        robots: with the same joint types.
+        robots: with the same tree and joint types.
         like: dtype and device of the result.
-        parameters: (..., n, 10) each, in place of the robots' own.
+        parameters: (..., L, 10) each, in place of the robots' own.
 
     Raises:
         RobotError: a robot has no inertial parameters, and none are given.
@@ -154,7 +252,10 @@ def arms_of(
     constant, cosine, sine, slide, axis = (
         joined(list(parts)).to(like) for parts in zip(*frames, strict=True)
     )
-    revolute = torch.tensor([t is JointType.REVOLUTE for t in robots[0].joint_types])
+    first = robots[0]
+    revolute = torch.tensor([drive.joint_type is JointType.REVOLUTE for drive in first.drives])
+    tree = None if first.is_serial else Branches.of(first, like)
+    above = torch.ones(first.n_links, first.n_links, device=like.device).triu(1).bool()
     return Arms(
         constant=constant,
         cosine=cosine,
@@ -164,9 +265,10 @@ def arms_of(
         revolute=revolute.to(like),
         inertia=joined([pseudo_inertia(p.pi) for p in parameters]).to(like),
         gravity=joined([robot.gravity for robot in robots]).to(like),
-        above=torch.ones(robots[0].n, robots[0].n, device=like.device).triu(1).bool(),
+        above=above if tree is None else above & tree.carries.T.bool(),
         cross=torch.tensor(_CROSS).to(like),
         slides=not bool(revolute.all()),
+        tree=tree,
     )
 
 
@@ -190,7 +292,8 @@ def _frames(robot: Robot) -> tuple[Tensor, ...]:
     """constant, cosine, sine, slide and pose_of_axis of one robot."""
     before, after = robot.before.double().cpu(), robot.after.double().cpu()
     eye = torch.eye(4, dtype=torch.float64)
-    revolute = torch.tensor([t is JointType.REVOLUTE for t in robot.joint_types])[:, None, None]
+    kinds = [drive.joint_type for drive in robot.drives]
+    revolute = torch.tensor([t is JointType.REVOLUTE for t in kinds])[:, None, None]
     turned, quarter, lift = (torch.zeros(4, 4, dtype=torch.float64) for _ in range(3))
     turned[0, 0] = turned[1, 1] = quarter[1, 0] = lift[2, 3] = 1.0
     quarter[0, 1] = -1.0

@@ -80,9 +80,9 @@ class GearCoupling(JointPairEffect):
         kinds = robot.joint_types
         return [
             cls(j, i, ratio)
-            for j in range(robot.n)
-            for i in (j - 1, j + 1)
-            if 0 <= i < robot.n and kinds[i] is kinds[j]
+            for j in robot.driven
+            for i in robot.neighbours(j)
+            if kinds[i] is kinds[j] and i in robot.driven
             for ratio in cls.shapes[0].grid
         ]
 

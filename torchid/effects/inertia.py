@@ -45,7 +45,7 @@ class BodyEffect(ModelEffect):
 
     def link(self, robot: Robot) -> int:
         """Index of the link, from 0."""
-        return robot.n - 1
+        return robot.n_links - 1
 
     def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """The link's columns of the regressor (T, n, 10)."""
@@ -55,7 +55,7 @@ class BodyEffect(ModelEffect):
         start = 0
         for chunk in regressor_chunks(arm, *motion.state):
             stop = start + chunk.like.shape[0]
-            for i in range(link + 1):
+            for i in [i for i, row in enumerate(chunk.rows) if link in row]:
                 row = chunk.row(i, [(link, k) for k in range(PARAMETERS_PER_LINK)])
                 out[start:stop, i] = row.T
             start = stop
@@ -104,8 +104,8 @@ class LinkInertia(BodyEffect, OneJointEffect):
     source = "eq. 2.18; Atkeson, An and Hollerbach 1986, IJRR 5(3)"
 
     def link(self, robot: Robot) -> int:
-        """Index of the link, which is its joint's."""
-        return self.joint
+        """Index of the link, which is its joint's but for mimics before it."""
+        return robot.own_links[self.joint]
 
 
 @dataclass(frozen=True)

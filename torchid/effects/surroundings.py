@@ -125,8 +125,11 @@ class PlaneContact(ModelEffect):
     def near_ends(cls, robot: Robot, motions: Sequence[Motion]) -> "list[PlaneContact]":
         """Planes that the tool could meet: on every side a little short of where it turns back.
 
-        A plane acts at an end of the tool's travel alone, or the tool would go farther.
+        A plane acts at an end of the tool's travel alone, or the tool would go farther. Of a robot
+        with several tips there is no such tool, and none is looked for.
         """
+        if len(robot.ends) > 1:
+            return []
         place = torch.cat([tool_pose(robot, m.q)[:, :3, 3] for m in motions])
         out = []
         for side in SIDES:

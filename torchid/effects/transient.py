@@ -131,10 +131,12 @@ class Contact(ModelEffect):
 
     Attributes:
         start, stop: window [s] on the motion's clock; None where it has no such end.
+        tip: the end of the robot that pushes, by its name; None where it has one only.
     """
 
     start: float | None = None
     stop: float | None = None
+    tip: str | None = None
 
     name = "contact"
     family = "transient"
@@ -165,7 +167,7 @@ class Contact(ModelEffect):
         # Loading pytorch-kinematics takes a second, so it waits for the first contact.
         from torchid.robot.chain import tool_jacobian
 
-        columns = tool_jacobian(needed(robot, self.name), motion.q)[..., :3, :].mT
+        columns = tool_jacobian(needed(robot, self.name), motion.q, self.tip)[..., :3, :].mT
         if self.start is None and self.stop is None:
             return columns
         return columns * self.window(motion.require("t", self.name))[:, None, None].to(columns)
@@ -173,7 +175,11 @@ class Contact(ModelEffect):
     @property
     def identity(self) -> tuple[str, tuple[int, ...]]:
         """Name and second of its start: contacts at different times are different."""
-        return self.name, () if self.start is None else (round(self.start),)
+        return self._of_tip, () if self.start is None else (round(self.start),)
+
+    @property
+    def _of_tip(self) -> str:
+        return self.name if self.tip is None else f"{self.name} of {self.tip}"
 
     def around(self, level: int, interval: float) -> "list[Contact]":
         """Contacts whose window begins and ends a little earlier or later, ever less so with
@@ -190,7 +196,14 @@ class Contact(ModelEffect):
         ends = (
             (self.start + a * step, self.stop + b * step) for a, b in product((-1, 0, 1), repeat=2)
         )
-        return [Contact(start, stop) for start, stop in ends if stop > start]
+        return [Contact(start, stop, self.tip) for start, stop in ends if stop > start]
+
+    @classmethod
+    def candidates(cls, robot: Robot) -> list[ModelEffect]:
+        """One an end of the robot."""
+        if len(robot.ends) == 1:
+            return [cls()]
+        return [cls(tip=end.name) for end in robot.ends]
 
     def window(self, t: Float[Tensor, " T"]) -> Float[Tensor, " T"]:
         """1 inside, 0 outside, smooth (3 u^2 - 2 u^3) within."""

@@ -36,8 +36,8 @@ class OneJointEffect(ModelEffect):
 
     @classmethod
     def candidates(cls, robot: Robot) -> list[ModelEffect]:
-        """One on every joint."""
-        return [cls(joint) for joint in range(robot.n)]
+        """One on every joint that a motor drives."""
+        return [cls(joint) for joint in robot.driven]
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,8 @@ class JointPairEffect(OneJointEffect):
 
     @classmethod
     def candidates(cls, robot: Robot) -> list[ModelEffect]:
-        """One on every ordered pair of joints."""
-        joints = range(robot.n)
+        """One on every ordered pair of joints that motors drive."""
+        joints = robot.driven
         return [cls(j, source) for j in joints for source in joints if j != source]
 
 

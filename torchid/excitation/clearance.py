@@ -288,7 +288,7 @@ def motion_clearance(
     # Links without shapes, as between the joints of one body, leave their neighbours adjacent.
     drawn = [k for k, s in enumerate(solids) if s.corners is not None or bool(s.size.any())]
     shaped = sorted({0, *(link[k] for k in drawn)})
-    adjacent = set(pairwise(shaped))
+    adjacent = {(_carrier(robot, k, shaped), k) for k in shaped if k}
     pairs = [
         (a, b)
         for a in drawn
@@ -306,6 +306,12 @@ def motion_clearance(
     return _sensible(made) if pairs else made
 
 
+def _carrier(robot: Robot, link: int, shaped: Sequence[int]) -> int:
+    """The next link (from 1) with a shape on the way to the base, or the base, 0."""
+    line = [k + 1 for k in robot.ancestors(link - 1)[:-1]]
+    return max((k for k in line if k in shaped), default=0)
+
+
 def _solids(robot: Robot, shapes: LinkShapes | None) -> tuple[list[Solid], list[int], list[str]]:
     """All shapes, the base's first, the numbers of their links, and what is not known of them.
 
@@ -313,16 +319,16 @@ def _solids(robot: Robot, shapes: LinkShapes | None) -> tuple[list[Solid], list[
     """
     warnings, points = [], joint_points(robot)
     if shapes is None:
-        shapes = assembled([None] * robot.n, ())
+        shapes = assembled([None] * robot.n_links, ())
     solids, link = list(shapes.base or ()), [0] * len(shapes.base or ())
-    for k in range(robot.n):
+    for k in range(robot.n_links):
         own = list(shapes.solids[k]) if shapes.solids else []
         if not shapes.known[k]:
             own += [capsule(pose(None, point), 0.0, 0.0) for point in points[k]]
         solids += own
         link += [k + 1] * len(own)
     # A link without mass is there to hold joints together; a DH table draws nothing at all.
-    heavy = [True] * robot.n
+    heavy = [True] * robot.n_links
     if robot.parameters is not None and any(shapes.known):
         heavy = (robot.parameters.mass > 0).tolist()
     every = zip(robot.link_names, shapes.known, heavy, strict=True)
@@ -396,22 +402,47 @@ def _arms(
     between the links acts alike on either point: the one nearer to its axis bounds what it can do.
     No configuration takes a point further from a joint than the chain between them is long.
     """
-    slides = torch.tensor([kind is JointType.PRISMATIC for kind in robot.joint_types])
-    reach = position_limits(robot, usage)[0].abs().amax(-1) * slides
-    # Lengths from each joint's origin to the next one's.
-    steps = (robot.after[:-1] @ robot.before[1:])[:, :3, 3].norm(dim=-1) + reach[:-1]
-    along = torch.cat([steps.new_zeros(1), steps.cumsum(0)])
-    out = steps.new_zeros((len(pairs), robot.n))
+    drives = robot.drives
+    slides = torch.tensor([drive.joint_type is JointType.PRISMATIC for drive in drives])
+    reach = robot.on_links(position_limits(robot, usage)[0].T).abs().amax(0) * slides
+    out = reach.new_zeros((len(pairs), robot.n))
     for p, (a, b) in enumerate(pairs.tolist()):
-        i, j = int(link[a]), int(link[b])
-        last = _moved(robot.after[j - 1], centre[b]).norm() + reach[j - 1] + radius[b]
-        behind = along[j - 1] - along[i:j] + last
-        first = (centre[a] - robot.before[i, :3, 3]).norm() + radius[a]
-        ahead = first + along[i:j] - along[i]
+        i, j = int(link[a]) - 1, int(link[b]) - 1
+        before, between = _between_links(robot, i, j)
+        joints = [*before, *between]
+        # Lengths along the way between the two, from each joint's origin to the next one's.
+        steps = [_step(robot, reach, one, other) for one, other in pairwise(joints)]
+        along = torch.cat([reach.new_zeros(1), torch.stack(steps).cumsum(0)]) if steps else None
+        along = reach.new_zeros(1) if along is None else along
+        last = _moved(robot.after[j], centre[b]).norm() + reach[j] + radius[b]
+        behind = along[-1] - along + last
+        if before:
+            first = _moved(robot.after[i], centre[a]).norm() + reach[i] + radius[a]
+        else:
+            first = (centre[a] - robot.before[joints[0], :3, 3]).norm() + radius[a]
         # A half-space has no centre: only the shape before it counts.
-        arms = torch.fmin(behind, ahead)
-        out[p, i:j] = torch.where(slides[i:j], torch.ones_like(arms), arms)
+        arms = torch.fmin(behind, first + along)
+        arms = torch.where(slides[joints], torch.ones_like(arms), arms)
+        for joint, arm in zip(joints, arms, strict=True):
+            out[p, drives[joint].coordinate] += abs(drives[joint].ratio) * arm
     return out
+
+
+def _between_links(robot: Robot, i: int, j: int) -> tuple[list[int], list[int]]:
+    """Joints between two links (from 0, -1 the base) that move them against each other: those from
+    the first to the link that carries both, and from there to the second."""
+    up = robot.ancestors(i) if i >= 0 else ()
+    down = robot.ancestors(j)
+    return [k for k in up if k not in down][::-1], [k for k in down if k not in up]
+
+
+def _step(robot: Robot, reach: Tensor, one: int, other: int) -> Tensor:
+    """Largest distance between the origins of two joints of which one carries the other, or that
+    one link carries both of."""
+    for near, far in ((one, other), (other, one)):
+        if robot.parents[far] == near:
+            return (robot.after[near] @ robot.before[far])[:3, 3].norm() + reach[near]
+    return (robot.before[one] - robot.before[other])[:3, 3].norm()
 
 
 def _sensible(made: Clearance) -> Clearance:

@@ -140,6 +140,7 @@ def excite(
     >>> found.condition_after <= found.start_condition, found.log(50).samples
     (True, 201)
     """
+    robot.require_fixed_base("the design of motions")
     return optimise_trajectory(
         robot,
         on_every_joint(effects, robot.n),

@@ -126,6 +126,7 @@ def simulate(
     >>> log.samples, log.tau is not None, log.ddq is None
     (200, True, True)
     """
+    robot.require_fixed_base("a simulated log")
     own = [effect_from_record(one, robot) if isinstance(one, Mapping) else one for one in effects]
     if not (own or closed_loop):
         if rate is not None or controller is not None:

@@ -111,7 +111,7 @@ def c_file(dynamics: Dynamics, file_name: str) -> CFile:
     torque = "".join(f"    {line}\n" for line in [*(x.format(n=robot.n) for x in local), *body])
     parts = [
         "\n".join(["/*", *words, " */"]),
-        f'#include <math.h>\n\n#include "{file_name}.h"\n\n#define N {robot.n}\n',
+        f'#include <math.h>\n\n#include "{file_name}.h"\n\n#define N {robot.n_links}\n',
         _constants(robot),
         HELPERS,
         RECURSION.format(name=name, n=robot.n),
@@ -135,8 +135,9 @@ def _about(dynamics: Dynamics, file_name: str, left_out: Sequence[Valued]) -> st
         "tau = Y_R(q, dq, ddq) beta + effects, torque positive along the joint's axis.",
         *units,
         "Frames: link i moves about (along) the z axis of its joint frame; BEFORE[i] is the pose",
-        "of joint frame i in link frame i-1 (the base for i = 0), AFTER[i] that of link frame i in",
-        "the moved joint frame. GRAVITY is in axes of the base [m/s^2].",
+        "of joint frame i in the frame of link PARENT[i] (the base if -1), AFTER[i] that of link",
+        "frame i in the moved joint frame. The joint is at RATIO[i] q[FOLLOWS[i]] + OFFSET[i].",
+        "GRAVITY is in axes of the base [m/s^2].",
         "",
     ]
     # What LINK[][] holds.
@@ -154,7 +155,13 @@ def _about(dynamics: Dynamics, file_name: str, left_out: Sequence[Valued]) -> st
 
 
 def _constants(robot: Robot) -> str:
-    prismatic = ", ".join(str(int(k is JointType.PRISMATIC)) for k in robot.joint_types)
+    drives = robot.drives
+    prismatic = ", ".join(str(int(d.joint_type is JointType.PRISMATIC)) for d in drives)
+    parents = ", ".join(map(str, robot.parents))
+    follows = ", ".join(str(d.coordinate) for d in drives)
+    ratios, offsets = (
+        ", ".join(number(getattr(d, name)) for d in drives) for name in ("ratio", "offset")
+    )
     pi = robot.require_parameters("an export").pi.double()
     links = "\n".join(
         f"    {{{', '.join(number(v) for v in row)}}}, /* {_plain(name)} */"
@@ -163,6 +170,10 @@ def _constants(robot: Robot) -> str:
     gravity = ", ".join(number(v) for v in robot.gravity.tolist())
     return (
         f"static const int PRISMATIC[N] = {{{prismatic}}};\n"
+        f"static const int PARENT[N] = {{{parents}}};\n"
+        f"static const int FOLLOWS[N] = {{{follows}}};\n"
+        f"static const double RATIO[N] = {{{ratios}}};\n"
+        f"static const double OFFSET[N] = {{{offsets}}};\n"
         f"static const double GRAVITY[3] = {{{gravity}}};\n"
         f"static const double BEFORE[N][3][4] = {_poses(robot.before)};\n"
         f"static const double AFTER[N][3][4] = {_poses(robot.after)};\n"

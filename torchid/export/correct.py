@@ -98,6 +98,7 @@ def correct(
     >>> bool(done.judged.engine.mean() < 0.3 * done.judged.nominal.mean())
     True
     """
+    robot.require_fixed_base("a correction")
     file_format(to)
     if isinstance(full, PositionDiagnosis | ServoArm):
         require_field(to, robot, log)

@@ -81,7 +81,7 @@ def of_model(model: Robot, robot: Robot | None, level: float) -> DrawnFrom:
     given = model if robot is None else robot
     require_same_arm(given, model, "model is")
     # Of base parameters and coefficients together, what is determined.
-    base, order = base_parameters(model), paper_order(model.n).tolist()
+    base, order = base_parameters(model), paper_order(model.n_links).tolist()
     at = [order[k] for k in base.independent]
     own = {
         name: (effect.name, coefficient, value)

@@ -82,14 +82,14 @@ def nearest_representative(robot: Robot, values: BaseValues) -> Robot:
     grouping = values.base.grouping
     start = torch.zeros(grouping.shape[1], dtype=torch.float64)
     if robot.parameters is not None:
-        start[: PARAMETERS_PER_LINK * robot.n] = robot.parameters.to_paper_order().double()
+        start[: PARAMETERS_PER_LINK * robot.n_links] = robot.parameters.to_paper_order().double()
     change = torch.linalg.lstsq(grouping, values.values - grouping @ start, driver="gelsd").solution
     return _with(robot, values, start + change)
 
 
 def _with(robot: Robot, values: BaseValues, full: Float[Tensor, " P"]) -> Robot:
     """The robot with a full vector of parameters and coefficients (the paper's order)."""
-    rigid = PARAMETERS_PER_LINK * robot.n
+    rigid = PARAMETERS_PER_LINK * robot.n_links
     coefficients = full[rigid:].split([len(e.coefficients) for e in values.effects])
     records = [e.record(c.tolist()) for e, c in zip(values.effects, coefficients, strict=True)]
     parameters = InertialParameters.from_paper_order(full[:rigid])

@@ -137,6 +137,7 @@ def export_dynamics(
     >>> [file.name for file in done.files], all(c.difference < 1e-9 for c in done.comparisons)
     (['3r.urdf'], True)
     """
+    nominal.require_fixed_base("an export")
     dynamics, folder = dynamics_of(result, nominal), Path(folder)
     name = stem_of(nominal) if name is None else name
     require_name(name)

@@ -49,6 +49,15 @@ def attributes_in(to: Target, effect: Effect, values: Sequence[float]) -> dict[s
     return added if added is not None and SAID[to].issuperset(added) else None
 
 
+def dynamics_of_links(robot: Robot, joints: Sequence[JointDynamics]) -> tuple[JointDynamics, ...]:
+    """Attributes of the joints that move the L links, from those of the n coordinates: a joint that
+    follows another has none, as they are part of that one's."""
+    return tuple(
+        JointDynamics() if drive in robot.mimics else joints[drive.coordinate]
+        for drive in robot.drives
+    )
+
+
 def split(robot: Robot, to: Target) -> tuple[tuple[JointDynamics, ...], tuple[Valued, ...]]:
     """Attributes of the n joints, and the effects that are not among them."""
     joints = [JointDynamics() for _ in range(robot.n)]

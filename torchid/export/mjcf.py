@@ -15,7 +15,7 @@ from lxml import etree
 from torchid.digits import number
 from torchid.errors import TorchidError
 from torchid.export.exact_text import principal, quaternion_of, text
-from torchid.export.joint_dynamics import JointDynamics
+from torchid.export.joint_dynamics import JointDynamics, dynamics_of_links
 from torchid.export.urdf import refuse_moment_without_mass
 from torchid.export.xml_tree import (
     DECLARATION,
@@ -92,6 +92,12 @@ def edited_mjcf(
             compiler.set("inertiafromgeom", "auto")
         angles += [compiler.get("angle")] if compiler.get("angle") else []
     degrees = not angles or angles[-1] == "degree"
+    if robot.locked:
+        raise TorchidError(
+            "joints that are held have no place in an MJCF.",
+            got=", ".join(robot.locked),
+            hint="the formats urdf and yaml take them",
+        )
     _write_chain(_Bodies(file.root, str(original)), robot, joints, degrees)
     if gravity:
         child_or_new(file.root, "option", first=True).set("gravity", text(robot.gravity))
@@ -105,6 +111,7 @@ def _write_chain(
 ) -> None:
     """Inertials and joints of the chain; a body with several joints is several links."""
     parameters = robot.require_parameters("an export")
+    dynamics = dynamics_of_links(robot, joints)
     waiting: list[int] = []
     for i, name in enumerate(robot.link_names):
         waiting.append(i)
@@ -127,12 +134,12 @@ def _write_chain(
         for node, k in zip(own, waiting, strict=True):
             # All of them, so that defaults of a class do not count.
             for key, attribute in ATTRIBUTES.items():
-                node.set(key, number(getattr(joints[k], attribute)))
-            if joints[k].friction:
+                node.set(key, number(getattr(dynamics[k], attribute)))
+            if dynamics[k].friction:
                 node.set("solimpfriction", SHARP)
-            if joints[k].stiffness:
-                turns = degrees and robot.joint_types[k] is JointType.REVOLUTE
-                node.set("springref", number(joints[k].rest * (_DEGREES if turns else 1.0)))
+            if dynamics[k].stiffness:
+                turns = degrees and robot.drives[k].joint_type is JointType.REVOLUTE
+                node.set("springref", number(dynamics[k].rest * (_DEGREES if turns else 1.0)))
         waiting = []
     if waiting:
         raise bodies.not_written(robot.link_names[-1])
@@ -244,7 +251,8 @@ def _relocate(root: Any, old: Path, new: Path) -> None:
 
 
 def new_mjcf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
-    """An MJCF of the chain: one body a link, a motor a joint, the site `tool`.
+    """An MJCF of the robot: one body a link, a motor a joint, the site `tool`, or one a tip; an
+    equality where a joint follows another.
 
     Body frames are the robot's link frames, so a joint has the anchor and the axis that it has in
     them.
@@ -256,15 +264,32 @@ def new_mjcf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
     root = etree.Element("mujoco", model=robot.name)
     etree.SubElement(root, "compiler", angle="radian", autolimits="true")
     etree.SubElement(root, "option", gravity=text(robot.gravity))
-    body = etree.SubElement(root, "worldbody")
+    world = etree.SubElement(root, "worldbody")
     parameters = robot.require_parameters("an export")
+    own = dynamics_of_links(robot, joints)
+    bodies: list[Any] = []
     for i, name in enumerate(robot.link_names):
-        # Pose of the link in the previous one at q = 0.
+        # Pose of the link in the one that carries it, its joint at 0.
         pose = robot.before[i].double() @ robot.after[i].double()
-        body = etree.SubElement(body, "body", name=name, **_placed(pose))
+        above = robot.parents[i]
+        body = etree.SubElement(
+            world if above < 0 else bodies[above], "body", name=name, **_placed(pose)
+        )
         etree.SubElement(body, "inertial", **_inertial(parameters, i, name))
-        etree.SubElement(body, "joint", **_joint(robot, i, joints[i]))
-    etree.SubElement(body, "site", name="tool", **_placed(robot.tool.double()))
+        etree.SubElement(body, "joint", **_joint(robot, i, own[i]))
+        bodies.append(body)
+    for end in robot.ends:
+        site = etree.SubElement(bodies[end.link], "site", name=end.name if robot.tips else "tool")
+        site.attrib.update(_placed(end.pose.double()))
+    equalities = etree.SubElement(root, "equality") if robot.mimics else None
+    for mimic in robot.mimics:
+        etree.SubElement(
+            equalities,
+            "joint",
+            joint1=mimic.joint,
+            joint2=robot.joint_names[mimic.coordinate],
+            polycoef=f"{number(mimic.offset)} {number(mimic.ratio)} 0 0 0",
+        )
     actuators = etree.SubElement(root, "actuator")
     for name in robot.joint_names:
         etree.SubElement(actuators, "motor", name=name, joint=name)
@@ -292,19 +317,20 @@ def _placed(pose: Tensor) -> dict[str, str]:
 
 
 def _joint(robot: Robot, i: int, values: JointDynamics) -> dict[str, str]:
-    after = robot.after[i].double()
-    prismatic = robot.joint_types[i] is JointType.PRISMATIC
+    after, drive = robot.after[i].double(), robot.drives[i]
+    prismatic = drive.joint_type is JointType.PRISMATIC
     out: dict[str, Any] = {
-        "name": robot.joint_names[i],
+        "name": drive.joint,
         "type": "slide" if prismatic else "hinge",
         # The joint frame's origin and z axis, in the link frame at q = 0.
         "pos": text(-after[:3, :3].T @ after[:3, 3]),
         "axis": text(after[2, :3]),
     }
     for key, limits in (("range", "position"), ("actuatorfrcrange", "torque")):
-        known = getattr(robot.limits, limits)
-        if known is not None and bool(torch.isfinite(known[i]).all()):
-            out[key] = text(known[i])
+        # Limits are those of coordinates.
+        known = None if drive in robot.mimics else getattr(robot.limits, limits)
+        if known is not None and bool(torch.isfinite(known[drive.coordinate]).all()):
+            out[key] = text(known[drive.coordinate])
     attributes = {**ATTRIBUTES, "springref": "rest"}
     sizes = {key: getattr(values, attribute) for key, attribute in attributes.items()}
     if values.friction:

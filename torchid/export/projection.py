@@ -283,7 +283,7 @@ class Projector:
             if not isinstance(effect, BodyEffect) and not self._has_field(effect, values):
                 key = (effect.name, tuple(values), effect.shape_values)
                 alike.setdefault(key, []).append((effect, values))
-        matrix, bodies = self._matrix(self.fields), PARAMETERS_PER_LINK * self.nominal.n
+        matrix, bodies = self._matrix(self.fields), PARAMETERS_PER_LINK * self.nominal.n_links
         weighted = (matrix * self.weight).flatten(1)
         # Of each coefficient its field, and where that field's first one is.
         names = [f for f in self.fields for _ in f.coefficients]

@@ -157,7 +157,7 @@ def between_of(files: Sequence[Path | str], robot: Robot) -> tuple[dict[str, Spr
     unknown: list[str] = []
     carriers: dict[str, str] = {}
     if files:
-        order = paper_order(robot.n).tolist()
+        order = paper_order(robot.n_links).tolist()
         for basis in get_args(Basis):
             base = base_parameters(robot, basis=basis)
             for name, k in zip(base.names, base.independent, strict=True):
@@ -268,7 +268,7 @@ class _Explained:
         """Of a corrected model, its fit, and the spread between sessions or units."""
         pairs, others = nominal_effects(model), list[Valued]()
         robot, known = model, dict[tuple[str, str], tuple[int, int | None]]()
-        for link in range(model.n):
+        for link in range(model.n_links):
             names = LinkInertia(link).coefficient_names()
             known |= {("link_inertia", x): (10 * link + k, None) for k, x in enumerate(names)}
         for effect, values in pairs:
@@ -341,7 +341,7 @@ class _Bodies:
     @staticmethod
     def of(source: DrawnFrom, asked: Sequence[Float[Tensor, " P"]]) -> "_Bodies":
         """About bodies with the torque that each explanation asks for."""
-        given, n, order = source.given, source.given.n, paper_order(source.given.n)
+        given, n, order = source.given, source.given.n, paper_order(source.given.n_links)
         base = base_parameters(given)
         grouping = torch.zeros(len(base), PARAMETERS_PER_LINK * n, dtype=torch.float64)
         grouping[:, order] = base.grouping
@@ -438,7 +438,7 @@ class _Near:
 
 def _known_names(robot: Robot) -> list[str]:
     """Names of everything that a robot has."""
-    links = [x for k in range(robot.n) for x in LinkInertia(k).coefficient_names()]
+    links = [x for k in range(robot.n_links) for x in LinkInertia(k).coefficient_names()]
     return links + [x for e, _ in nominal_effects(robot) for x in e.coefficient_names()]
 
 

@@ -34,6 +34,7 @@ from torchid.position.record import PositionRecord
 from torchid.results.files import read
 from torchid.robot.library import is_robot, load_both, load_robot, named_robot
 from torchid.robot.model import Robot
+from torchid.robot.tree import Choice
 from torchid.typing import Float, Tensor
 
 Exportable = Dynamics | Identification | ParameterSets | Robot
@@ -64,14 +65,14 @@ class Carried:
 
 
 def carried(
-    result: str, robot: str | None, tip: str | None, chosen: str | None, geometry: str | None
+    result: str, robot: str | None, choice: Choice, chosen: str | None, geometry: str | None
 ) -> Carried:
     """What is exported for a name on the command line.
 
     Args:
         result: a robot, or the file of a result.
         robot: that the result is of, where it is another than the one it records.
-        tip: last link of its chain.
+        choice: of its part.
         chosen: set of a file of several; see `set_dynamics`.
         geometry: bounds of the centres of mass that count when a set is chosen.
 
@@ -79,7 +80,7 @@ def carried(
         TorchidError: neither a robot nor a result that carries dynamics.
     """
     if is_robot(result):
-        nominal, original = load_both(result, robot, tip)
+        nominal, original = load_both(result, robot, choice)
         servos = ServoArm.of_file(result)
         found = robot_dynamics(nominal) if servos is None else servo_dynamics(servos)
         return Carried(found, nominal, original)
@@ -87,9 +88,11 @@ def carried(
     data = load(path)
     if CORRECTED in data:
         dynamics, settings = diagnosis_dynamics(path)
-        nominal = model_of(path, robot, tip)
+        nominal = model_of(path, robot, choice)
         return Carried(dynamics, nominal, nominal, settings, diagnosed=True)
-    nominal = named_robot(path, data, tip) if robot is None else load_robot(robot, tip=tip)
+    nominal = (
+        named_robot(path, data, choice) if robot is None else load_robot(robot, **choice.options)
+    )
     if "sets" in data:
         return Carried(set_dynamics(path, data, nominal, chosen, geometry), nominal, nominal)
     return Carried(base_dynamics(path, nominal), nominal, nominal)
@@ -169,12 +172,12 @@ def diagnosis_dynamics(path: Path) -> tuple[Dynamics, GapSettings]:
     return replace(robot_dynamics(found.corrected), title=title), settings
 
 
-def model_of(path: Path, robot: str | None, tip: str | None) -> Robot:
+def model_of(path: Path, robot: str | None, choice: Choice) -> Robot:
     """The robot that a diagnosis corrects: the one given, else as it was recorded."""
     if robot is not None:
-        return load_robot(robot, tip=tip)
+        return load_robot(robot, **choice.options)
     found = diagnosis(path)
-    return named_robot(path, {"robot": found.robot}, tip) if found.model is None else found.model
+    return named_robot(path, {"robot": found.robot}, choice) if found.model is None else found.model
 
 
 def set_dynamics(

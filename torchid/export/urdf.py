@@ -15,7 +15,7 @@ from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued
 from torchid.errors import TorchidError
 from torchid.export.exact_text import roll_pitch_yaw_of, text
-from torchid.export.joint_dynamics import JointDynamics
+from torchid.export.joint_dynamics import JointDynamics, dynamics_of_links
 from torchid.export.xml_tree import (
     DECLARATION,
     XmlFile,
@@ -28,15 +28,15 @@ from torchid.export.xml_tree import (
     replace,
 )
 from torchid.robot.inertia import InertialParameters, move
-from torchid.robot.model import JointType, Robot, free_name
-from torchid.robot.tree import choose_chain
+from torchid.robot.model import JointType, Limits, Robot, free_name
+from torchid.robot.tree import Choice, choose
 from torchid.robot.urdf import urdf_tree
 from torchid.robot.xml_numbers import TENSOR, parse_xml
 from torchid.typing import Tensor
 
 
 def edited_urdf(
-    original: Path, tip: str | None, robot: Robot, joints: Sequence[JointDynamics], folder: Path
+    original: Path, choice: Choice, robot: Robot, joints: Sequence[JointDynamics], folder: Path
 ) -> XmlFile:
     """The original with the robot's parameters and the joints' damping and friction.
 
@@ -47,17 +47,18 @@ def edited_urdf(
 
     Args:
         original: the user's file, which is only read.
-        tip: as the robot was read with.
+        choice: as the robot was read with.
         robot: parameters in the frames of the original's links.
         joints: attributes of its n joints.
         folder: where the copy will lie, for relative references to meshes.
     """
     file = read_xml(original)
-    chain = choose_chain(urdf_tree(parse_xml(original), str(original), []), tip)
+    part = choose(urdf_tree(parse_xml(original), str(original), []), choice)
     links = {node.get("name", "").strip(): node for node in children(file.root, "link")}
     by_name = {node.get("name", "").strip(): node for node in children(file.root, "joint")}
     parameters = robot.require_parameters("an export")
-    for i, (group, joint) in enumerate(zip(chain.groups[1:], chain.joints, strict=True)):
+    own = dynamics_of_links(robot, joints)
+    for i, (group, joint) in enumerate(zip(part.groups[1:], part.joints, strict=True)):
         for name in [name for name in group.poses if name != group.link]:
             for inertial in children(links[name], "inertial"):
                 mass = child(inertial, "mass")
@@ -70,7 +71,7 @@ def edited_urdf(
             node.attrib.pop("quat_xyzw", None)
             node.attrib.update(attributes)
         # <dynamics>, where it is there or needed.
-        values, element = joints[i], by_name[joint.name]
+        values, element = own[i], by_name[joint.name]
         if child(element, "dynamics") is not None or values.damping or values.friction:
             node = child_or_new(element, "dynamics")
             node.set("damping", number(values.damping))
@@ -105,7 +106,7 @@ def refuse_moment_without_mass(parameters: InertialParameters, i: int, name: str
 
 
 def new_urdf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
-    """A URDF of the chain: `base`, the moving links, `tool`.
+    """A URDF of the robot: `base`, the moving links, `tool`, or the names of several tips.
 
     A URDF's link frame is the moved joint frame, so link frames that are elsewhere (`after`, as in
     classical DH) are left out and the inertias are moved. Joints turn about z.
@@ -118,21 +119,26 @@ def new_urdf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
     taken = set(robot.link_names)
     base = free_name("base", taken)
     SubElement(root, "link", name=base)
-    parent, behind = base, torch.eye(4, dtype=torch.float64)
     pi = robot.require_parameters("an export").pi.double()
     parameters = InertialParameters(move(pi, robot.after.double()))
+    own = dynamics_of_links(robot, joints)
     for i, name in enumerate(robot.link_names):
         inertial = SubElement(SubElement(root, "link", name=name), "inertial")
         for tag, attributes in _inertial(parameters, i, name).items():
             SubElement(inertial, tag, **attributes)
-        _joint(root, robot, i, (parent, name), behind @ robot.before[i].double(), joints[i])
-        parent, behind = name, robot.after[i].double()
-    tool = free_name("tool", taken)
-    SubElement(root, "link", name=tool)
-    fixed = SubElement(
-        root, "joint", name=free_name("tool_mount", set(robot.joint_names)), type="fixed"
-    )
-    _mounted(fixed, behind @ robot.tool.double(), parent, tool)
+        above, origin = robot.parents[i], robot.before[i].double()
+        if above >= 0:
+            origin = robot.after[above].double() @ origin
+        ends = (base if above < 0 else robot.link_names[above], name)
+        _joint(root, robot, i, ends, origin, own[i])
+    used = {drive.joint for drive in robot.drives}
+    for end in robot.ends:
+        tool = free_name(end.name if robot.tips else "tool", taken)
+        SubElement(root, "link", name=tool)
+        mount = free_name(f"{end.name}_mount" if robot.tips else "tool_mount", used)
+        fixed = SubElement(root, "joint", name=mount, type="fixed")
+        placed = robot.after[end.link].double() @ end.pose.double()
+        _mounted(fixed, placed, robot.link_names[end.link], tool)
     indent(root)
     return XmlFile(root, DECLARATION)
 
@@ -159,19 +165,23 @@ def _mounted(joint: Any, pose: Tensor, parent: str, link: str) -> None:
 def _joint(
     root: Any, robot: Robot, i: int, ends: tuple[str, str], origin: Tensor, values: JointDynamics
 ) -> None:
-    limits = robot.limits.position
-    known = limits is not None and bool(torch.isfinite(limits[i]).all())
-    low, high = limits[i].tolist() if limits is not None and known else (0.0, 0.0)
-    kind = "prismatic" if robot.joint_types[i] is JointType.PRISMATIC else "revolute"
+    drive = robot.drives[i]
+    follows = drive in robot.mimics
+    # Limits are those of coordinates.
+    own = Limits() if follows else robot.limits
+    j, limits = drive.coordinate, own.position
+    known = limits is not None and bool(torch.isfinite(limits[j]).all())
+    low, high = limits[j].tolist() if limits is not None and known else (0.0, 0.0)
+    kind = "prismatic" if drive.joint_type is JointType.PRISMATIC else "revolute"
     if kind == "revolute" and not known:
         kind = "continuous"
-    joint = SubElement(root, "joint", name=robot.joint_names[i], type=kind)
+    joint = SubElement(root, "joint", name=drive.joint, type=kind)
     _mounted(joint, origin, *ends)
     SubElement(joint, "axis", xyz="0 0 1")
     # 0 is what exporters write for a limit that is not known; readers need the attributes.
     limit = {
-        "effort": _symmetric(robot.limits.torque, i),
-        "velocity": _symmetric(robot.limits.velocity, i),
+        "effort": _symmetric(own.torque, j),
+        "velocity": _symmetric(own.velocity, j),
     }
     if kind != "continuous":
         limit |= {"lower": number(low), "upper": number(high)}
@@ -180,6 +190,9 @@ def _joint(
     if values.damping or values.friction:
         damping, friction = number(values.damping), number(values.friction)
         SubElement(joint, "dynamics", damping=damping, friction=friction)
+    if follows:
+        followed, ratio, offset = robot.joint_names[j], number(drive.ratio), number(drive.offset)
+        SubElement(joint, "mimic", joint=followed, multiplier=ratio, offset=offset)
 
 
 def _symmetric(limits: Tensor | None, i: int) -> str:

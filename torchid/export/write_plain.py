@@ -45,7 +45,7 @@ def write_table(dynamics: Dynamics, path: Path, motion: Motion) -> Written:
             words = ("torque of m, m c, J (link frames)", "torque of m, c, I (centres of mass)")
             found = {
                 what: robot_torque(robot.with_parameters(p), motion)
-                for what, p in zip(words, physical(values, robot.n), strict=True)
+                for what, p in zip(words, physical(values, robot.n_links), strict=True)
             }
         expected = dynamics.torque(motion)
         return draft, kept(

@@ -19,6 +19,7 @@ from torchid.export.xml_tree import XmlFile, set_head
 from torchid.robot.library import load_robot
 from torchid.robot.model import STANDARD_GRAVITY, Robot
 from torchid.robot.sidecar import sidecar_path, sidecar_yaml
+from torchid.robot.tree import Choice, choice_of
 
 SAME_FRAMES = 1e-9
 """Largest difference of entries of two poses of a frame that counts as the same [-; m]."""
@@ -103,7 +104,7 @@ def xml_of(
         turned = robot.gravity.tolist() != original.gravity.tolist()
         file = edited_mjcf(Path(original.source), robot, joints, turned, path.parent)
     else:
-        file = edited_urdf(Path(original.source), original.tip, robot, joints, path.parent)
+        file = edited_urdf(Path(original.source), choice_of(original), robot, joints, path.parent)
     if to == "drake":
         add_motors(file, robot, joints)
     return robot, file, joints, rest
@@ -112,7 +113,9 @@ def xml_of(
 def _read_back(staged_path: Path, path: Path, original: Robot | None) -> Robot:
     """The robot of the file, under its hidden name."""
     try:
-        return load_robot(staged_path, tip=None if original is None else original.tip)
+        return load_robot(
+            staged_path, **(Choice() if original is None else choice_of(original)).options
+        )
     except MissingExtraError:
         raise
     except TorchidError as error:
@@ -125,14 +128,20 @@ def _read_back(staged_path: Path, path: Path, original: Robot | None) -> Robot:
         ) from error
 
 
+def _structure(robot: Robot) -> tuple[object, ...]:
+    """What links and joints a robot has, but for names and places."""
+    follows = [(mimic.link, mimic.coordinate, mimic.ratio, mimic.offset) for mimic in robot.mimics]
+    return robot.n, robot.joint_types, robot.parents, follows
+
+
 def _require_same_frames(robot: Robot, other: Robot) -> None:
     """Raise TorchidError where parameters are not in the frames of the original's links."""
-    if robot.n != other.n or robot.joint_types != other.joint_types:
+    if _structure(robot) != _structure(other):
         raise TorchidError(
             f"the result is of another arm than '{other.source}'.",
             got=" ".join(robot.joint_types),
             expected=" ".join(other.joint_types),
-            hint="choose the chain with `tip=...`",
+            hint="choose the part with `tip=...`, `root=...` and `lock=...`",
         )
     apart = (robot.frames_apart(other) > SAME_FRAMES).nonzero().flatten().tolist()
     if apart:

@@ -56,6 +56,7 @@ def problem_of(
     >>> problem.size
     30
     """
+    robot.require_fixed_base("the extraction of bodies")
     found = identified_base(result) if isinstance(result, Identification) else result
     effects = plain_effects(found.effects, "an extraction")
     has_normal = "normal" in bounds_groups(robot)
@@ -90,7 +91,7 @@ def problem_of(
         box = None if has_normal else limits.com
     else:
         none = geometry == "none"
-        box = physics_only(robot.n).com_box if none else read_bounds(robot, geometry).com
+        box = physics_only(robot.n_links).com_box if none else read_bounds(robot, geometry).com
     asked = conditions(robot, com_box=box, shapes=shapes, total_mass=total_mass)
     # A set that is found is as sure as the base parameters that it is for.
     problem = extraction_problem(replace(robot, knowledge=found.knowledge), target, limits, asked)

@@ -218,7 +218,7 @@ def extraction_problem(
     Raises:
         TorchidError: base parameters of another robot, or an effect without bounds.
     """
-    expected = 10 * robot.n + sum(len(e.coefficients) for e in target.effects)
+    expected = 10 * robot.n_links + sum(len(e.coefficients) for e in target.effects)
     if len(target.base.parameter_names) != expected:
         raise TorchidError(
             f"the base parameters do not belong to robot '{robot.name}'.",

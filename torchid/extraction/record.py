@@ -83,7 +83,7 @@ class ExtractionRecord(SetsFile, frozen=True, kw_only=True, tag="torchid.extract
     """An extraction as its JSON has it.
 
     Attributes:
-        robot, robot_source, robot_tip: its name, and what it is loaded by.
+        robot, robot_source, robot_tip, robot_root, robot_lock: its name, and what it is loaded by.
         loss, bounds: what was asked for, and within what.
         base_names, base_values: the base parameters asked for.
         search_variables: their number. total_mass: interval [kg], or None.
@@ -100,6 +100,8 @@ class ExtractionRecord(SetsFile, frozen=True, kw_only=True, tag="torchid.extract
     robot: str
     robot_source: str
     robot_tip: str | UnsetType = UNSET
+    robot_root: str | UnsetType = UNSET
+    robot_lock: dict[str, float] | UnsetType = UNSET
     loss: str
     bounds: str
     base_names: tuple[str, ...]
@@ -143,6 +145,8 @@ class AtlasRecord(Record, frozen=True, kw_only=True, tag="torchid.atlas/1"):
     robot: str
     robot_source: str
     robot_tip: str | UnsetType = UNSET
+    robot_root: str | UnsetType = UNSET
+    robot_lock: dict[str, float] | UnsetType = UNSET
     loss: str
     bounds: str
     base_names: tuple[str, ...]

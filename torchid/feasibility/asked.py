@@ -18,6 +18,7 @@ from torchid.json_data import read_json
 from torchid.robot.library import is_robot, load_both, load_robot, named_robot
 from torchid.robot.model import Robot
 from torchid.robot.shapes import own_inertials
+from torchid.robot.tree import Choice
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,13 @@ class Asked:
     warnings: tuple[str, ...]
 
 
-def asked_about(params: str, robot: str | None, tip: str | None) -> Asked:
+def asked_about(params: str, robot: str | None, choice: Choice) -> Asked:
     """The sets, or the robot, that a name or a file stands for.
 
     Args:
         params: a file of parameter sets (.json), or a robot, whose nominal parameters are meant.
         robot: whose bounds, shapes and limits count, if it is another than the file says.
-        tip: last link of its chain.
+        choice: of its part.
 
     Raises:
         TorchidError: neither a file nor a robot; or robots with different numbers of links.
@@ -57,20 +58,20 @@ def asked_about(params: str, robot: str | None, tip: str | None) -> Asked:
                 expected="a .json of parameter sets, or a robot",
             )
         if robot is None:
-            found = named_robot(Path(params), read_json(Path(params), "parameter sets"), tip)
+            found = named_robot(Path(params), read_json(Path(params), "parameter sets"), choice)
         else:
-            found = load_robot(robot, tip=tip)
+            found = load_robot(robot, **choice.options)
         sets = read_sets(Path(params), found)
         noticed = other_robot(Path(params), found)
         others = read_other_effects(Path(params), found)
         return Asked(found, sets, others, (), () if noticed is None else (noticed,))
-    own, found = load_both(params, robot, tip)
+    own, found = load_both(params, robot, choice)
     nominal_effects(found)  # known, complete and in range, though they do not count here
-    if own.n != found.n:
+    if own.n_links != found.n_links:
         raise TorchidError(
             f"'{own.name}' and the robot '{found.name}' have different numbers of links.",
-            got=own.n,
-            expected=found.n,
+            got=own.n_links,
+            expected=found.n_links,
         )
     also = own_inertial_findings(own_inertials(own))
     # The parameters' link frames need not be those of the robot that counts.

@@ -85,7 +85,7 @@ def read_bounds(robot: Robot, group: str) -> Bounds:
     sides = [data.get(side) for side in ("lower", "upper")] if isinstance(data, Mapping) else []
     if not sides or not all(isinstance(side, Mapping) for side in sides):
         raise RobotError(f"{where}: must have `lower` and `upper`, each with mass, com, inertia.")
-    n = robot.n
+    n = robot.n_links
     shapes = {"mass": (n,), "com": (n, 3), "inertia": (n, 6)}
     known = {key: (n,) for key in COEFFICIENT_KEYS if key in data["lower"] or key in data["upper"]}
     found = {key: _pair(data, key, shape, where) for key, shape in {**shapes, **known}.items()}

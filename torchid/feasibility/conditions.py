@@ -83,7 +83,7 @@ def conditions(
         RobotError: `shapes` for a robot without geometry, or a geometry that cannot be read; a
             total mass whose bounds are crossed.
     """
-    none = physics_only(robot.n)
+    none = physics_only(robot.n_links)
     if com_box is None and GEOMETRY_GROUP in bounds_groups(robot):
         com_box = read_bounds(robot, GEOMETRY_GROUP).com
     box = none.com_box if com_box is None else com_box
@@ -98,7 +98,12 @@ def conditions(
 
 def _add_round_shapes(robot: Robot, found: Conditions) -> None:
     """Fill in the cylinders and spheres of the robot's yaml."""
-    n, centre, axes, radius = robot.n, found.round_centre, found.round_axes, found.round_radius
+    n, centre, axes, radius = (
+        robot.n_links,
+        found.round_centre,
+        found.round_axes,
+        found.round_radius,
+    )
     geometry = robot.bounds.get("geometry")
     where = f"robot '{robot.name}': bounds geometry"
     if not isinstance(geometry, Mapping):

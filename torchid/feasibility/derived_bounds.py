@@ -98,9 +98,9 @@ def open_bounds(robot: Robot, *, wide: bool) -> Bounds:
             dense = LEAD * shapes.volumes
             most = torch.where(dense > typical, torch.minimum(most, dense), most)
     else:
-        most = (NONE_MASS * typical.sum()).expand(robot.n)
+        most = (NONE_MASS * typical.sum()).expand(robot.n_links)
         far = reach(robot)
-        box = torch.tensor([-far, far], dtype=torch.float64).expand(robot.n, 3, 2)
+        box = torch.tensor([-far, far], dtype=torch.float64).expand(robot.n_links, 3, 2)
     masses = torch.stack([torch.zeros_like(most), most], -1)
     inertia = inertia_bounds(most, box[..., 1] - box[..., 0])
     return Bounds(WIDE if wide else NONE, masses, box, inertia, {})
@@ -143,11 +143,11 @@ def derive_bounds(
         )
     share = mass_percent / 100
     mass_bounds = torch.stack([mass * max(1 - share, 0.0), mass * (1 + share)], -1)
-    margin = torch.full((robot.n, 1), com_margin or 0.0, dtype=torch.float64)
+    margin = torch.full((robot.n_links, 1), com_margin or 0.0, dtype=torch.float64)
     if com_margin is None:
         margin = MARGIN_OF_LENGTH * link_lengths(robot).unsqueeze(-1)
     # Boxes of the shapes, none thinner than `_THINNEST`; nan where unknown.
-    boxes = torch.full((robot.n, 3, 2), torch.nan, dtype=torch.float64)
+    boxes = torch.full((robot.n_links, 3, 2), torch.nan, dtype=torch.float64)
     shapes = link_shapes(robot) if shapes is None else shapes
     if shapes is not None:
         low, high = shapes.boxes.unbind(-1)
@@ -190,7 +190,7 @@ def bounds_notes(robot: Robot, bounds: Bounds, shapes: LinkShapes | None = None)
         shapes: as given to `derive_bounds`.
     """
     found = link_shapes(robot) if shapes is None else shapes
-    known = (False,) * robot.n if found is None else found.known
+    known = (False,) * robot.n_links if found is None else found.known
     notes = [] if found is None else list(found.warnings)
     without = [str(i) for i, k in enumerate(known, start=1) if not k]
     if without:

@@ -145,7 +145,7 @@ def _sizes(
 ) -> None:
     """Matter spread further than the link's box allows."""
     com = parameters.com
-    boxes = torch.full((robot.n, 3, 2), torch.nan).to(com) if shapes is None else shapes.boxes
+    boxes = torch.full((robot.n_links, 3, 2), torch.nan).to(com) if shapes is None else shapes.boxes
     below, above = com - boxes[..., 0], boxes[..., 1] - com
     half = (boxes[..., 1] - boxes[..., 0]) / 2
     inside = (below >= 0) & (above >= 0)
@@ -205,7 +205,7 @@ def _distances(
     com = parameters.com
     ends = joint_points(robot).to(com)
     limits = link_lengths(robot).to(com)
-    known = torch.zeros(robot.n, dtype=torch.bool)
+    known = torch.zeros(robot.n_links, dtype=torch.bool)
     boxes = torch.stack([ends.amin(1), ends.amax(1)], -1)
     if shapes is not None:
         known = torch.isfinite(shapes.boxes).all(-1).all(-1)

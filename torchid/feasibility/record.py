@@ -291,7 +291,7 @@ def _com_boxes(
         geometry = GEOMETRY_GROUP
     if geometry is not None and geometry != NO_GEOMETRY:
         return read_bounds(robot, geometry).com, f"bounds '{geometry}'"
-    free = physics_only(robot.n).com_box
+    free = physics_only(robot.n_links).com_box
     if geometry == NO_GEOMETRY or shapes is None or not any(shapes.known):
         return free, NO_GEOMETRY
     kinds = " and ".join(dict.fromkeys(kind for kind in shapes.kinds if kind is not None))
@@ -312,7 +312,7 @@ def _set(check: Check, k: int) -> SetVerdict:
         degree=float(found.degree[k]),
         degrees=_named(*degrees, found.coefficient_reasons),
         total_mass=float(check.sets.parameters.mass[k].sum()),
-        links=tuple(_link(check, k, i) for i in range(check.robot.n)),
+        links=tuple(_link(check, k, i) for i in range(check.robot.n_links)),
         plausibility=check.findings[k],
     )
 

@@ -242,7 +242,8 @@ class SetsRecord(SetsFile, frozen=True, kw_only=True, tag="torchid.parameter_set
     """A file of sets.
 
     Attributes:
-        robot, robot_source, robot_tip: name of the robot, and what it is loaded by.
+        robot, robot_source, robot_tip, robot_root, robot_lock: its name, and what it is loaded
+            by.
         sets: at least one.
         other_effects: that hold beside every set, which has no columns for them.
         knowledge: of the base parameters that the sets were extracted from, as a robot's yaml has
@@ -252,6 +253,8 @@ class SetsRecord(SetsFile, frozen=True, kw_only=True, tag="torchid.parameter_set
     robot: str | None = None
     robot_source: str | None = None
     robot_tip: str | UnsetType = UNSET
+    robot_root: str | UnsetType = UNSET
+    robot_lock: dict[str, float] | UnsetType = UNSET
     sets: tuple[SetEntry, ...]
     other_effects: tuple[Values, ...] | UnsetType = UNSET
     knowledge: dict[str, list[str]] | UnsetType = UNSET
@@ -259,7 +262,7 @@ class SetsRecord(SetsFile, frozen=True, kw_only=True, tag="torchid.parameter_set
     @property
     def named(self) -> dict[str, Any]:
         """The robot, as `named_record` names it."""
-        keys = ("robot", "robot_source", "robot_tip")
+        keys = ("robot", "robot_source", "robot_tip", "robot_root", "robot_lock")
         return {key: value for key in keys if (value := getattr(self, key))}
 
     @property
@@ -346,7 +349,7 @@ def read_sets(path: str | Path, robot: Robot) -> ParameterSets:
     ('3r',)
     """
     path = Path(path)
-    return sets_of(_file(path).sets, robot.n, f"'{path}'")
+    return sets_of(_file(path).sets, robot.n_links, f"'{path}'")
 
 
 def sets_of(entries: Sequence["SetEntry"], n: int, source: str) -> ParameterSets:
@@ -424,7 +427,7 @@ def read_sets_knowledge(path: Path, robot: Robot) -> Knowledge | None:
         RobotError: knowledge of another robot, or damaged.
     """
     found = _file(path).knowledge
-    return None if not found else from_mapping(found, robot.n, str(path))
+    return None if not found else from_mapping(found, robot.n_links, str(path))
 
 
 def other_robot(path: Path, robot: Robot) -> str | None:

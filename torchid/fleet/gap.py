@@ -132,7 +132,7 @@ class FleetGapRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet_gap/1
     """A fleet's gaps as the JSON has them.
 
     Attributes:
-        robot, robot_source, robot_tip: the type.
+        robot, robot_source, robot_tip, robot_root, robot_lock: the type.
         version: of torchid.
         units: that have a diagnosis.
         effects: the most common first.
@@ -144,6 +144,8 @@ class FleetGapRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet_gap/1
     robot: str
     robot_source: str | None = None
     robot_tip: str | UnsetType = UNSET
+    robot_root: str | UnsetType = UNSET
+    robot_lock: dict[str, float] | UnsetType = UNSET
     version: str
     units: tuple[str, ...]
     effects: tuple[FleetEffect, ...]

@@ -149,7 +149,7 @@ class FleetRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet/1"):
     """A fleet of one robot type.
 
     Attributes:
-        robot, robot_source, robot_tip: the type, and what it is loaded by.
+        robot, robot_source, robot_tip, robot_root, robot_lock: the type, and what it is loaded by.
         version: of torchid.
         base_names: (B,) of the base parameters.
         parameters: over the fleet.
@@ -165,6 +165,8 @@ class FleetRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet/1"):
     robot: str
     robot_source: str | None = None
     robot_tip: str | UnsetType = UNSET
+    robot_root: str | UnsetType = UNSET
+    robot_lock: dict[str, float] | UnsetType = UNSET
     version: str
     base_names: tuple[str, ...]
     parameters: tuple[PooledParameter, ...]

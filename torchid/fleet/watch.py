@@ -74,6 +74,8 @@ class WatchRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet_watch/1"
     robot: str
     robot_source: str | None = None
     robot_tip: str | UnsetType = UNSET
+    robot_root: str | UnsetType = UNSET
+    robot_lock: dict[str, float] | UnsetType = UNSET
     version: str
     false_alarm_every: float = field(name="sessions_per_false_alarm")
     alarms: tuple[Alarm, ...]

@@ -131,6 +131,8 @@ class Data:
         """
         torque = self.samples.of([s.tau.T for s in self.segments])
         silent = without_signal(columns, torque, columns.gap, self.keep, parts)
+        # What holds a base that moves is nothing, whatever its motion.
+        silent[list(columns.model.robot.free)] = False
         if not bool(silent.any()):
             return self
         joints = tuple(silent.nonzero().flatten().tolist())
@@ -215,7 +217,7 @@ def prepare(
     warnings = (*warnings, *spread)
     # Differentiated in a wide band, from which all is filtered later.
     noise = position_noise(even, robot)
-    highest = resolved(even, noise)
+    highest = resolved(even, noise, robot.free)
     narrow, wide = bands(even, cutoff, highest)
     measured = measurements(even, wide)
     segments = segments_of(measured, wide, clock)
@@ -269,6 +271,7 @@ def prepare(
     there["age"] = all(s.motion.age is not None for s in long)
     missing = frozenset(name for name, holds in there.items() if not holds)
     keep, slides = moving_samples(samples), moves >= HARDLY
+    keep[list(robot.free)] = True
     band = report_band(samples, min(widest, highest))
     positions = noise * band**2.5
     lags = [s.motion.lag.T for s in long if s.motion.lag is not None]

@@ -188,7 +188,7 @@ def diagnose_torque(
         small=small,
         knowledge=known,
     )
-    if settings.rollout:
+    if settings.rollout and not robot.floating:
         say("simulating forwards", 0, 1)
         on, here = (data, True) if judged is None else (judged, False)
         replayed = rollouts(

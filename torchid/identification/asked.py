@@ -62,7 +62,7 @@ def asked_effects(written: Sequence[str], robot: Robot) -> tuple[Asked, ...]:
         raise TorchidError(
             "an effect is named twice.", got=f"{name} of {where}", expected="each place once"
         )
-    if sum(a.effect.name == "torque_gain" for a in found) == robot.n:
+    if sum(a.effect.name == "torque_gain" for a in found) == len(robot.driven):
         raise TorchidError(
             "torque gains of all joints cannot be identified: a gain that they share is the same "
             "as heavier bodies.",
@@ -91,7 +91,7 @@ def _places(text: str, robot: Robot) -> list[Asked]:
     values = {**shapes, **{k: v for k, v in given.items() if k not in PLACES}}
     where = {k: v for k, v in given.items() if k in PLACES}
     # Joints, from 1, of every place where the effect can be.
-    places = [{"joint": j + 1} for j in range(robot.n)]
+    places = [{"joint": j + 1} for j in robot.driven]
     if issubclass(kind, ModelEffect):
         names = [p for p in PLACES if p in own]
         found = dict.fromkeys(e.identity[1] for e in kind.candidates(robot))

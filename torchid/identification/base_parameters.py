@@ -103,7 +103,7 @@ class BaseParameters:
     Attributes:
         names: (B,) readable sums, e.g. `m3 + m4 - 5 m3c3y`.
         units: (B,).
-        parameter_names: (P,) all parameters: the paper's 10 n, then the effects' coefficients.
+        parameter_names: (P,) all parameters: the paper's 10 L, then the effects' coefficients.
         independent, dependent: indices into the P parameters.
         grouping: (B, P) matrix G, base = G parameters.
         basis: how the independent ones were chosen.
@@ -171,9 +171,9 @@ def base_parameters(
     """
     motion = random_states(robot, seed, samples)
     y = stacked_regressor(robot, effects, motion)
-    names = parameter_names(robot.n) + coefficient_names(effects)
-    units = all_units(robot.joint_types, effects)
-    rigid = PARAMETERS_PER_LINK * robot.n
+    names = parameter_names(robot.n_links) + coefficient_names(effects)
+    units = all_units(robot.n_links, robot.joint_types, effects)
+    rigid = PARAMETERS_PER_LINK * robot.n_links
     basis = robot.basis if basis is None else basis
     return group_columns(y, names, units, n_rigid_parameters=rigid, basis=basis)
 
@@ -194,9 +194,10 @@ def nominal_values(robot: Robot, base: BaseParameters) -> Float[Tensor, " B"]:
     return base.project(torch.cat([rigid, coefficients]))
 
 
-def all_units(types: Sequence[JointType], effects: Sequence[Effect]) -> list[str]:
-    """Units (P,) of all parameters of an arm with these joints: the links', then the effects'."""
-    return parameter_units(len(types)) + [
+def all_units(links: int, types: Sequence[JointType], effects: Sequence[Effect]) -> list[str]:
+    """Units (P,) of all parameters of a robot of so many links with these joints: the links', then
+    the effects'."""
+    return parameter_units(links) + [
         c.unit_for(types[e.joints[0]] is JointType.PRISMATIC)
         for e in effects
         for c in e.coefficients

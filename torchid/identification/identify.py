@@ -185,7 +185,7 @@ def identify(
     )
 
     if not settings.force:
-        refuse_useless(fitted, condition, training.log)
+        refuse_useless(fitted, condition, training.log, robot.free)
     knowledge = over_parameters(root, base, effects, ", ".join(training.log.names))
     knowledge = replace(knowledge, left=moving_rms(fitted))
     if robot.knowledge is not None:
@@ -215,8 +215,8 @@ def identify(
         undetermined=tuple(n for n, k in zip(base.names, undetermined.tolist(), strict=True) if k),
         dropped=named(estimate.dropped),
         wrong_sign=named(physical & (estimate.fit.x < 0)),
-        fit=errors(fitted),
-        held_out=errors(checked) if checked else None,
+        fit=errors(fitted, robot.free),
+        held_out=errors(checked, robot.free) if checked else None,
         fit_predictions=tuple(fitted),
         held_out_predictions=tuple(checked),
         condition_number=estimate.fit.condition_number,
@@ -240,16 +240,18 @@ def identify(
     return replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *findings(result)])))
 
 
-def refuse_useless(fitted: Sequence[Prediction], condition: float, log: Log) -> None:
+def refuse_useless(
+    fitted: Sequence[Prediction], condition: float, log: Log, free: Sequence[int] = ()
+) -> None:
     """Raise if the fitted model is worse than none on the very log that it was fitted to: on more
     than half of the joints with torque the error over all rows is larger than the torque itself.
     Least squares never are on the rows that they fit; on those left out, at rest, a fit is that
-    hardly any motion determines.
+    hardly any motion determines. `free` coordinates, which no motor drives, have no say.
 
     Raises:
         IdentificationError: what the log lacks.
     """
-    percent = errors(fitted).relative_percent
+    percent = errors(fitted, free).relative_percent
     worse = (percent > NO_BETTER).nonzero().flatten().tolist()
     if 2 * len(worse) <= int(percent.isfinite().sum()):
         return

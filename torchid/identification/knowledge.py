@@ -6,6 +6,7 @@ import torch
 
 from torchid.design.columns import Columns
 from torchid.effects.base import Effect
+from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import KINDS, Valued, nominal_effects
 from torchid.identification.base_parameters import BaseParameters
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
@@ -110,9 +111,11 @@ def learned(
     # One coefficient of two effects of the same name and place cannot be told by its name.
     once = [k for k, name in enumerate(names) if names.count(name) == 1]
     parts = [columns.regressor.flatten(0, 1)[independent]]
-    # A load's are those of the last link.
-    last = columns.regressor[-1]
-    parts += [last if e.inertial else columns.on_all_joints(e) for e in effects]
+    robot = columns.model.robot
+    parts += [
+        columns.regressor[e.link(robot)] if isinstance(e, BodyEffect) else columns.on_all_joints(e)
+        for e in effects
+    ]
     a = torch.cat(parts) * keep
     left = columns.gap * keep
     # Rows in units of what an independent sample leaves; those far out count as their limit.
@@ -121,7 +124,9 @@ def learned(
     table = (a * weight).flatten(1).T
     root = robust_root(table, (left * weight).flatten(), block.repeat(n))
     rms = (left.square().sum(1) / keep.sum(1).clamp(min=1)).sqrt()
-    known = Knowledge(n, tuple(names), of_links(root, base, n), (source,), rms)
+    known = Knowledge(
+        robot.n_links, tuple(names), of_links(root, base, robot.n_links), (source,), rms
+    )
     return known.over([names[k] for k in once]) if len(once) < len(names) else known
 
 

@@ -33,6 +33,7 @@ def prepared(log: Log, robot: Robot, *, standing: bool = False) -> tuple[Log, tu
         position_limits=robot.limits.position,
         prismatic=[t is JointType.PRISMATIC for t in robot.joint_types],
         standing=standing,
+        moving_base=robot.floating,
     )
     even = resample(log)
     if even.tau is None:

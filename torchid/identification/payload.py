@@ -363,6 +363,7 @@ def payload(
     >>> bool((found.tool.mass.value - 1.5).abs() < 0.1)
     True
     """
+    robot.require_fixed_base("a payload")
     settings = settings or Settings(rows="moving")
     # The arm with the payload is another one than the one that is known.
     unknown = replace(robot, knowledge=None)

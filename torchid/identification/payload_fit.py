@@ -85,7 +85,7 @@ class Fitted:
 
 def last_link_columns(robot: Robot, base: BaseParameters) -> Float[Tensor, "B 10"]:
     """The last link's columns of the grouping matrix, in torchid's order of the ten."""
-    order = paper_order(robot.n).argsort()
+    order = paper_order(robot.n_links).argsort()
     return base.grouping[:, order[-PARAMETERS_PER_LINK:]]
 
 

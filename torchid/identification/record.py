@@ -140,7 +140,8 @@ class IdentificationRecord(
     """An identification as its JSON has it; B base parameters.
 
     Attributes:
-        robot, robot_source, robot_tip: its name, and what it is loaded by.
+        robot, robot_source, robot_tip, robot_root, robot_lock, robot_base: its name, and what it is
+            loaded by.
         n_base: how many parameters are rigid.
         basis: report or conditioned.
         parameters, effects, combined: rigid ones, coefficients of effects, and sums led by one.
@@ -162,6 +163,9 @@ class IdentificationRecord(
     robot: str
     robot_source: str | None = None
     robot_tip: str | UnsetType = UNSET
+    robot_root: str | UnsetType = UNSET
+    robot_lock: dict[str, float] | UnsetType = UNSET
+    robot_base: str | UnsetType = UNSET
     n_base: int
     basis: Basis = "report"
     parameters: tuple[BaseParameter, ...]
@@ -258,15 +262,16 @@ class IdentificationRecord(
             TorchidError: the record contradicts itself.
         """
         names, n, effects = self.grouping.parameter_names, len(self.reversal), self.placed
-        rigid = PARAMETERS_PER_LINK * n
-        if list(names) != parameter_names(n) + coefficient_names(effects):
+        links = n if self.model is None else self.model.n_links
+        rigid = PARAMETERS_PER_LINK * links
+        if list(names) != parameter_names(links) + coefficient_names(effects):
             raise _incomplete("the parameters' names do not fit the effects")
         matrix = self.grouping.grouping
         independent = [names.index(text.split()[0]) for text in self.base_names]
         if not torch.equal(matrix[:, independent], torch.eye(len(matrix), dtype=matrix.dtype)):
             raise _incomplete("a base parameter of the grouping has no column of its own")
         types = [JointType.REVOLUTE] * n if self.model is None else self.model.joint_types
-        units = all_units(types, effects)
+        units = all_units(links, types, effects)
         return BaseParameters(
             names=self.base_names,
             units=tuple(units[k] for k in independent),

@@ -1,7 +1,8 @@
 """The rows of the least-squares problem, in pieces: filtered regressor and torque.
 
 The regressor's columns and the torque pass through the same zero-phase filter and are decimated
-with it. Each torque row keeps only its own non-zero columns: joint i does not feel links before it.
+with it. Each torque row keeps only its own non-zero columns: joint i does not feel links
+that it does not move.
 Rigid columns are smooth functions of a motion that the same filter has smoothed, so they are worked
 out at `SMOOTH` times the cut-off only: what then folds into the filter's band is less than what its
 tail leaves out, 1e-8 of them. Friction has edges, and torque is measured: theirs are taken at all
@@ -74,7 +75,7 @@ class Layout:
 
 def layout(robot: Robot, base: BaseParameters, effects: Sequence[Effect]) -> Layout:
     """The columns of each torque row, for the base parameters of a robot with effects."""
-    flat = paper_order(robot.n).tolist()
+    flat = paper_order(robot.n_links).tolist()
     coefficients = [
         (e, c) for e, effect in enumerate(effects) for c in range(len(effect.coefficients))
     ]
@@ -90,7 +91,8 @@ def layout(robot: Robot, base: BaseParameters, effects: Sequence[Effect]) -> Lay
     rigid, own, columns = [], [], []
     of_effects = [(j, d[3]) for j, d in enumerate(described) if d[1] == 1]
     for i in range(robot.n):
-        r = [(j, d[3]) for j, d in enumerate(described) if d[1] == 0 and d[0] >= i]
+        moved = set(robot.moved_by(i))
+        r = [(j, d[3]) for j, d in enumerate(described) if d[1] == 0 and d[0] in moved]
         o = [(j, pair) for j, pair in of_effects if i in effects[pair[0]].joints]
         rigid.append(tuple(pair for _, pair in r))
         own.append(tuple(pair for _, pair in o))
@@ -259,6 +261,8 @@ def _blocks(
         before, after = tail - (start - lo), tail - (hi - stop)
         motion = m.motion.part(slice(lo, hi))
         keep = moves(motion.part(slice(start - lo, stop - lo, step))).cpu()
+        # Nothing rubs on a base that nothing holds: its rows count at rest, too.
+        keep[:, list(layout.robot.free)] = True
         augmented = []
         # Row by row: of many joints the columns of all rows would not all fit, with their spectra.
         for parts in _columns(motion, m.tau[lo:hi], layout, chunks, whole, lo, every):

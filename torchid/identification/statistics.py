@@ -1,13 +1,14 @@
 """Standard deviations of base parameters, by the block jackknife of torchid.statistics."""
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
 
 from torchid.identification.least_squares import Fit, whitened_rows
 from torchid.identification.model import Blocks
-from torchid.identification.rows import RowSource
+from torchid.identification.rows import RowBlock, RowSource
 from torchid.statistics import jackknife as blocks_jackknife
 from torchid.statistics.autocorrelation import CORRELATION_TIMES, correlation_instants
 from torchid.statistics.blocks import block_length, block_numbers, block_products
@@ -41,6 +42,27 @@ class Uncertainty(Blocks):
         return self.covariance.diagonal().clamp(min=0).sqrt()
 
 
+def _in_coordinates(
+    source: RowSource, piece: RowBlock, kept: Tensor, fit: Fit, free: Tensor, inverse: Tensor
+) -> Iterator[tuple[Float[Tensor, " m"], Float[Tensor, "m F"]]]:
+    """Per joint the whitened residual of its rows, and its rows times the inverse."""
+    scale = fit.whitening.diagonal()
+    mixes = bool((fit.whitening - torch.diag(scale)).abs().max() > 0)
+    if mixes or source.layout.robot.is_serial:
+        for rows in whitened_rows(source, piece, kept, fit.whitening):
+            yield rows[:, -1] - rows[:, :-1] @ fit.x, rows[:, free] @ inverse
+        return
+    # A joint of a tree has few columns of all, and only these are multiplied.
+    place = torch.full((source.layout.size,), -1)
+    place[free] = torch.arange(len(free))
+    for i, (own, columns) in enumerate(zip(piece.augmented, source.layout.columns, strict=True)):
+        weight = scale[i] * piece.keep[:, i] * kept[piece.instant, i]
+        rows, at = own * weight.unsqueeze(-1), torch.tensor(columns, dtype=torch.long)
+        there = place[at] >= 0
+        z = rows[:, :-1][:, there] @ inverse[place[at[there]]]
+        yield rows[:, -1] - rows[:, :-1] @ fit.x[at], z
+
+
 def jackknife(source: RowSource, fit: Fit) -> Uncertainty:
     """Covariance of `fit` from the spread between blocks of its rows."""
     bounds = [slice(first, last) for first, last in itertools.pairwise(source.boundaries)]
@@ -72,9 +94,7 @@ def jackknife(source: RowSource, fit: Fit) -> Uncertainty:
         own = slice(int(owner.min()), int(owner.max()) + 1)
         held = own.stop - own.start
         weight = fit.robust[piece.instant].square()
-        for i, rows in enumerate(whitened_rows(source, piece, kept, fit.whitening)):
-            residual = rows[:, -1] - rows[:, :-1] @ fit.x
-            z = rows[:, free] @ inverse
+        for i, (residual, z) in enumerate(_in_coordinates(source, piece, kept, fit, free, inverse)):
             informative = z * (weight[:, i] == 1).unsqueeze(-1)
             pull = (weight[:, i] * residual).unsqueeze(-1)
             hessians[own] += block_products(informative, z, owner - own.start, held)

@@ -43,7 +43,11 @@ LEFT_OUT = 0.1
 stretch excites (a joint that moves once), instead of rounding."""
 
 LONGEST = 40_000
-"""Samples of the training data that take part in a choice."""
+"""Samples of the training data that take part in a choice, of robots of up to `MANY` joints."""
+
+MANY = 10
+"""Joints from which on fewer samples take part: the work for one grows with the rows and with their
+columns, about as the square of the joints."""
 
 Report = Callable[[int, int], None] | None
 
@@ -133,18 +137,19 @@ def choose_reversal(
 
 
 def shortened(log: Log) -> Log:
-    """Whole trajectories, evenly spread, `LONGEST` samples in all; the first part of a single one
-    that is longer."""
-    if log.samples <= LONGEST:
+    """Whole trajectories, evenly spread, `LONGEST` samples in all, or less of many joints; of a
+    single one that is longer the first part."""
+    longest = round(LONGEST * min(1.0, MANY / log.n) ** 2)
+    if log.samples <= longest:
         return log
     rows = log.slices()
     keep = torch.zeros(log.samples, dtype=torch.bool)
-    step = max(1, round(log.samples / LONGEST))
-    budget = LONGEST
+    step = max(1, round(log.samples / longest))
+    budget = longest
     for part in (part for first in range(step) for part in rows[first::step]):
         size = part.stop - part.start
         length = min(size, budget)
-        if length < size and budget < LONGEST // 2:
+        if length < size and budget < longest // 2:
             break
         keep[part.start : part.start + length] = True
         budget -= length
@@ -172,7 +177,10 @@ def _cross_validated(
         for m in measured:
             e, t = _left_out(m, training.layout, x, k, filtered)
             error, energy = error + e, energy + t
-    return 100 * (error / energy).sqrt()
+    relative = 100 * (error / energy).sqrt()
+    # Of coordinates that no motor drives an error is relative to nothing.
+    relative[list(training.layout.robot.free)] = torch.nan
+    return relative
 
 
 def _left_out(

@@ -149,16 +149,27 @@ def predict(
     return Prediction(m.name, t, measured, predicted, moving, reduce(add, sums))
 
 
-def errors(predictions: Sequence[Prediction]) -> Errors:
-    """Errors over whole trajectories together."""
+def errors(predictions: Sequence[Prediction], free: Sequence[int] = ()) -> Errors:
+    """Errors over whole trajectories together.
+
+    Args:
+        predictions: of the trajectories.
+        free: coordinates (from 0) that no motor drives: an error relative to no torque is nan.
+    """
     total = reduce(add, (p.sums for p in predictions))
     standing_error = total.error - total.moving_error
+
+    def percent(error: Tensor, torque: Tensor) -> Tensor:
+        relative = 100 * (error / torque).sqrt()
+        relative[list(free)] = torch.nan
+        return relative
+
     return Errors(
         tuple(p.name for p in predictions),
         (total.error / total.instants).sqrt(),
-        100 * (total.error / total.torque).sqrt(),
-        100 * (total.moving_error / total.moving_torque).sqrt(),
-        100 * (total.raw_error / total.raw_torque).sqrt(),
+        percent(total.error, total.torque),
+        percent(total.moving_error, total.moving_torque),
+        percent(total.raw_error, total.raw_torque),
         1 - total.moving / total.instants,
         standing_error / total.error.clamp(min=1e-300),
     )

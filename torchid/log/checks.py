@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from torchid.errors import LogError
+from torchid.log.base_motion import COORDINATES, POSITION, QUATERNION
 from torchid.log.columns import columns_of
 from torchid.log.model import Log
 from torchid.statistics.robust import column_quantile
@@ -37,6 +38,7 @@ def check_log(
     position_limits: Float[Tensor, "n 2"] | None = None,
     prismatic: Sequence[bool] = (),
     standing: bool = False,
+    moving_base: bool = False,
 ) -> tuple[str, ...]:
     """Refuse a log that cannot be what it should be; return what is odd about the others.
 
@@ -47,6 +49,7 @@ def check_log(
         position_limits: (n, 2) lower and upper [rad or m]; not finite where unknown.
         prismatic: n times whether the joint slides; empty: none does.
         standing: whether a log in which nothing moves may be of use.
+        moving_base: whether the first six coordinates are those of a base that moves.
 
     Returns:
         Warnings, one sentence each: joints that never move or have no torque, or those of another
@@ -60,14 +63,26 @@ def check_log(
     if len(slides) != n or (position_limits is not None and position_limits.shape != (n, 2)):
         raise ValueError(f"prismatic and position_limits must have {n} entries")
     if log.n != n:
+        hint = None
+        if moving_base and log.n == n - COORDINATES:
+            raise LogError(
+                f"{log.label} does not hold the motion of the base, which moves.",
+                got=f"{log.n} joints",
+                expected=f"{log.n} joints, and the base's pose: {', '.join(POSITION + QUATERNION)}",
+                hint="for a base that is held: `base='fixed'`",
+            )
+        if not moving_base and log.n == n + COORDINATES:
+            hint = "does it hold the motion of the base? Then `base='moving'`"
         raise LogError(
             f"{log.label} has another number of joints than robot '{robot_name}'.",
             got=f"{log.n} (q1..q{log.n})",
             expected=f"{n} (q1..q{n})",
+            hint=hint,
         )
     _check_finite(log)
     check_increasing(log)
-    _check_position_units(log, position_limits, slides)
+    first = COORDINATES if moving_base else 0
+    _check_position_units(log, position_limits, slides, first)
     agreement = velocity_agreement(log)
     # Refuse time in milli-, micro- or nanoseconds, or counted in samples.
     step = max(float(log.t[rows].diff().median()) for rows in log.slices())
@@ -94,10 +109,10 @@ def check_log(
             f"joint {k + 1} never moves (q{k + 1} varies by {float(extent[k]):.1g}): "
             "its parameters cannot be identified from this log."
             for k in range(log.n)
-            if float(extent[k]) < STILL
+            if float(extent[k]) < STILL and k >= first
         ],
         *_copied(log),
-        *_no_torque(log),
+        *_no_torque(log, first),
         *_velocity_warnings(log, agreement),
     )
 
@@ -148,8 +163,12 @@ def check_increasing(log: Log) -> None:
         )
 
 
-def _check_position_units(log: Log, limits: Tensor | None, slides: Sequence[bool]) -> None:
+def _check_position_units(
+    log: Log, limits: Tensor | None, slides: Sequence[bool], first: int
+) -> None:
     for k, slide in enumerate(slides):
+        if k < first:  # a base may go anywhere
+            continue
         low, high = float(log.q[:, k].min()), float(log.q[:, k].max())
         own = None if limits is None else limits[k]
         limit = largest_slide(own) if slide else largest_angle(own)
@@ -343,7 +362,7 @@ def _copied(log: Log) -> list[str]:
     return found
 
 
-def _no_torque(log: Log) -> list[str]:
+def _no_torque(log: Log, first: int) -> list[str]:
     signal, name = (log.tau, "tau") if log.tau is not None else (log.current, "i")
     if signal is None:
         return []
@@ -356,7 +375,7 @@ def _no_torque(log: Log) -> list[str]:
         )
     return [
         f"joint {k + 1} has no torque: {name}{k + 1} is zero throughout."
-        for k in range(log.n)
+        for k in range(first, log.n)
         if bool(zero[k])
     ]
 

@@ -2,7 +2,8 @@
 
 Columns: t [s]; q1..qn [rad or m]; and, where there are any, dq1.. ddq1.. tau1.. [N m or N],
 i1.. [A], ql1.. [rad or m] of encoders on the links' side, u1.. [rad or m] commanded; traj, an
-integer that separates trajectories. Any other column is ignored.
+integer that separates trajectories; and, of a base that moves, its pose and twist (`base_motion`),
+whose six coordinates come before the joints'. Any other column is ignored.
 """
 
 import re
@@ -14,6 +15,7 @@ import numpy as np
 import torch
 
 from torchid.errors import LARGEST, LogError
+from torchid.log.base_motion import COORDINATES, NAMES, base_signals, has_base
 from torchid.log.model import JOINT_SIGNALS, Log
 
 Columns = Mapping[str, np.ndarray]
@@ -54,13 +56,44 @@ def log_from_columns(columns: Columns, path: str | Path) -> Log:
         wanted = "samples" if samples == 0 else "a trajectory"
         raise LogError(f"'{path}' has {what}.", got=samples, expected=wanted)
     trajectory, names = _trajectories(columns.get("traj"), samples, path)
+    warnings: tuple[str, ...] = ()
+    if has_base(columns, f"'{path}'"):
+        signals, warnings = _with_base(signals, columns, trajectory, path)
     return Log(
         t=torch.from_numpy(t),
         **signals,
         trajectory=torch.from_numpy(trajectory),
         names=names,
         source=str(path),
+        warnings=warnings,
     )
+
+
+def _with_base(
+    signals: dict[str, Any], columns: Columns, trajectory: np.ndarray, path: Path
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Signals with the base's six coordinates before the joints', and what to say of it: nothing
+    holds the base, and its velocities are those of the log or none."""
+    samples = len(trajectory)
+    own = {}
+    for name in NAMES:
+        if name in columns:
+            own[name] = _numeric(columns[name], name, path)
+            _same_length(own[name], name, samples, path)
+    starts = np.flatnonzero(np.diff(trajectory, prepend=-1))
+    base = base_signals(own, starts, f"'{path}'")
+    still = np.zeros((samples, COORDINATES))
+    first = {"q": base["q"], "dq": base["dq"], "tau": still, "current": still}
+    out, left = {}, []
+    for signal, values in signals.items():
+        lead = first.get(signal)
+        if lead is None:
+            left.append(PREFIXES[signal])
+        else:
+            out[signal] = torch.cat([torch.from_numpy(lead), values], 1)
+    if not left:
+        return out, ()
+    return out, (f"{', '.join(left)} left out: '{path}' does not have it of the base.",)
 
 
 def columns_of(log: Log) -> dict[str, np.ndarray]:
@@ -81,7 +114,7 @@ def column_names(log: Log) -> list[str]:
 
 def is_wanted(name: str) -> bool:
     """Whether a log has a place for a column of this name."""
-    return name in ("t", "traj") or _JOINT_COLUMN.fullmatch(name) is not None
+    return name in ("t", "traj", *NAMES) or _JOINT_COLUMN.fullmatch(name) is not None
 
 
 def joint_columns(names: Iterable[str], path: Path) -> dict[str, list[str]]:

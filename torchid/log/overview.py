@@ -10,6 +10,7 @@ import numpy as np
 from torchid.errors import LogError
 from torchid.json_data import plain
 from torchid.log.assemble import fitting, unused_columns
+from torchid.log.base_motion import COORDINATES
 from torchid.log.checks import check_log
 from torchid.log.columns import PREFIXES
 from torchid.log.limits import beyond_limits, finite_range
@@ -96,6 +97,7 @@ def look_at(
     position_limits: Float[Tensor, "n 2"] | None = None,
     torque_limits: Float[Tensor, "n 2"] | None = None,
     prismatic: Sequence[bool] = (),
+    moving_base: bool = False,
 ) -> Overview:
     """Read logs and say what is in them.
 
@@ -104,7 +106,7 @@ def look_at(
         request: mapping, topic, names of the robot's joints.
         robot_name: of the robot they are checked for; without it they are checked as far as that
             goes.
-        position_limits, prismatic: as for `check_log`.
+        position_limits, prismatic, moving_base: as for `check_log`.
         torque_limits: as for `beyond_limits`.
 
     Raises:
@@ -115,7 +117,7 @@ def look_at(
     if opened[0][0] is not None:
         request = fitting(opened[0][0], request)
     tables = tuple(table for table, _ in opened)
-    n = len(request.joints) or log.n
+    n = len(request.joints) + COORDINATES * moving_base if request.joints else log.n
     problem: str | None = None
     found: tuple[str, ...] = ()
     try:
@@ -125,6 +127,7 @@ def look_at(
             robot_name=robot_name or "of this log",
             position_limits=position_limits,
             prismatic=prismatic,
+            moving_base=moving_base,
         )
     except LogError as error:
         problem = str(error)

@@ -80,6 +80,7 @@ def diagnose_positions(
     >>> answered < 0.1 * found.commanded.mean[0]
     True
     """
+    robot.require_fixed_base("a diagnosis of positions")
     begun, stages = time.perf_counter(), itertools.count()
 
     def say(stage: str) -> None:

@@ -9,6 +9,7 @@ import torch
 
 from torchid.robot.inertia import InertialParameters, six
 from torchid.robot.model import Robot
+from torchid.robot.shapes import next_origins
 
 PER_METRE = 1.0
 """Mass of a rod [kg/m]."""
@@ -26,7 +27,7 @@ def with_rods(robot: Robot) -> Robot:
     """
     # Ends of each rod, in its link's frame: the axis it turns about, and where the next one begins.
     near = -(robot.after[:, :3, :3].mT @ robot.after[:, :3, 3:])[..., 0]
-    far = torch.cat([robot.before[1:, :3, 3], robot.tool[None, :3, 3]])
+    far = next_origins(robot)
     along = far - near
     length = along.norm(dim=-1).clamp(min=SHORTEST)
     mass = PER_METRE * length

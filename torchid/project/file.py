@@ -1,7 +1,9 @@
 """The project file `torchid.toml`: what is the same in every command about one robot.
 
     robot = "arm.urdf"              # built-in name or file
-    tip = "wrist_3"                 # URDF, MJCF: last link of the chain
+    tip = "wrist_3"                 # URDF, MJCF: last link of a chain, alone
+    root = "torso"                  # URDF, MJCF: the base of what is read
+    lock = {wheel = 0.0}            # URDF, MJCF: joints that are held, and where [rad or m]
     columns = "t=ms ms,q=pos_{j} deg,i=amp_{j}"     # of logs that have no columns of our names
     gain = [11.4, 11.4, 8.2]        # N m/A, for logs without torque
     logs = ["run1.csv", "run2.csv"]
@@ -20,7 +22,8 @@
     cutoff = 6
 
 The command line goes before it. It is sought in the working directory and above; paths in it are
-relative to it. What belongs to the robot (tip, limits, payload) holds for the robot that it names.
+relative to it. What belongs to the robot (tip, root, lock, limits, payload) holds for the robot
+that it names.
 """
 
 import math
@@ -40,7 +43,7 @@ if TYPE_CHECKING:
     from torchid.robot.model import Robot
 
 NAME = "torchid.toml"
-TEXTS = ("robot", "tip", "columns", "topic", "gain", "effects", "background", "out")
+TEXTS = ("robot", "tip", "root", "columns", "topic", "gain", "effects", "background", "out")
 LISTS = ("logs", "held-out")
 LIMITS = ("position", "velocity", "acceleration", "torque")
 
@@ -71,9 +74,10 @@ class Project:
     Attributes:
         file: the project file.
         robot: built-in name or file.
-        tip, columns, topic, gain, effects, background: as the options of these names.
+        tip, root, columns, topic, gain, effects, background: as the options of these names.
         out: folder of results.
         logs, held_out: files.
+        lock: joints that are held, as --lock has them.
         payload: mass [kg], com (3,) [m], inertia (6,) about it [kg m^2], as `Robot.with_payload`.
         limits: by name, as `Robot.with_limits`.
         options: of one command, by its name and theirs.
@@ -82,6 +86,8 @@ class Project:
     file: Path | None = None
     robot: str | None = None
     tip: str | None = None
+    root: str | None = None
+    lock: tuple[str, ...] = ()
     columns: str | None = None
     topic: str | None = None
     gain: str | None = None
@@ -144,7 +150,7 @@ def read_project(file: Path, commands: Commands) -> Project:
     except (OSError, ValueError, RecursionError) as error:
         raise TorchidError(f"the project file '{file}' cannot be read.", got=error) from error
     page = _Page(file, text)
-    own = (*TEXTS, *LISTS, "payload", "limits")
+    own = (*TEXTS, *LISTS, "lock", "payload", "limits")
     # `torchid robot` and `torchid payload` have no table: these names mean what they name.
     groups = [g for g in dict.fromkeys(name.partition(" ")[0] for name in commands) if g not in own]
     page.require(data, (*own, *groups))
@@ -158,6 +164,11 @@ def read_project(file: Path, commands: Commands) -> Project:
     for name in LISTS:
         if name in data:
             found[name.replace("-", "_")] = page.paths(data, name)
+    if "lock" in data:
+        held = data["lock"]
+        if not isinstance(held, dict) or any(isinstance(v, list) for v in held.values()):
+            raise page.wrong("lock", "", "lock is a table of joints and positions.", got=held)
+        found["lock"] = tuple(f"{k}={v}" for k, v in page.numbers(held, "lock").items())
     for name, keys in (("payload", ("mass", "com", "inertia")), ("limits", LIMITS)):
         if name in data:
             page.require(data[name], keys, name)

@@ -3,7 +3,7 @@
 import json
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from torchid.log.table import Request
 from torchid.robot.config_files import ROBOT_FILES
 from torchid.robot.library import built_in_robots, load_robot
 from torchid.robot.model import Robot
+from torchid.robot.tree import Choice
 
 Choose = Callable[[str, Sequence[str]], str]
 """Asks which one of several things is meant."""
@@ -27,7 +28,7 @@ _TEXT = """\
 # --project none leaves it aside. Paths are relative to this file.
 
 robot = {robot}
-{tip}
+{part}
 # Logs: which columns are what (--columns) where they have other names than t, q1.., dq1.., tau1..
 {columns}
 {gain}
@@ -103,7 +104,7 @@ class Guess:
         apart = "# held-out = [..]    # whole runs that take part in no choice"
         return _TEXT.format(
             robot=path(self.name) if os.path.isfile(self.name) else _quoted(self.name),
-            tip=f"tip = {_quoted(self.robot.tip)}" if self.robot.tip else "# tip = ..",
+            part="\n".join(self._part()) or "# tip = ..",
             columns=f"columns = {_quoted(self.columns)}" if self.columns else "# columns = ..",
             gain=f"gain = {list(gain)}" if gain else "# gain = [..]    # N m/A, of currents",
             logs=f"logs = {paths(self.logs)}" if self.logs else "# logs = [..]",
@@ -113,6 +114,16 @@ class Guess:
             or "# acceleration = ..",
         )
 
+    def _part(self) -> Iterator[str]:
+        """What chooses the part of a URDF or MJCF."""
+        if self.robot.tip:
+            yield f"tip = {_quoted(self.robot.tip)}"
+        if self.robot.root:
+            yield f"root = {_quoted(self.robot.root)}"
+        if self.robot.locked:
+            held = ", ".join(f"{_quoted(k)} = {v!r}" for k, v in self.robot.locked.items())
+            yield f"lock = {{{held}}}"
+
 
 def _quoted(text: str) -> str:
     """A string of TOML, whose escapes are those of JSON."""
@@ -121,7 +132,7 @@ def _quoted(text: str) -> str:
 
 def guess(
     robot: str | None,
-    tip: str | None,
+    choice: Choice,
     logs: Sequence[Path],
     held_out: Sequence[Path],
     request: Request,
@@ -131,7 +142,7 @@ def guess(
 
     Args:
         robot: built-in name or file; the one in the folder if None.
-        tip: last link of its chain.
+        choice: of its part.
         logs: those in the folder if there are none.
         held_out: those whose names say so if there are none.
         request: how the logs are read.
@@ -141,7 +152,7 @@ def guess(
         TorchidError: no robot, or one of several; a log that was given cannot be read, or is of
             another robot.
     """
-    name, arm = _robot(robot, tip, choose)
+    name, arm = _robot(robot, choice, choose)
     given = [*logs, *held_out]
     paths = given if logs else [p for p in sorted(Path().iterdir()) if is_log(p)] + given
     asked = replace(request, joints=arm.joint_names, spare=True)
@@ -162,7 +173,7 @@ def guess(
     return Guess(name, arm, fitted, apart, columns, needs_gains, tuple(warnings))
 
 
-def _robot(asked: str | None, tip: str | None, choose: Choose | None) -> tuple[str, Robot]:
+def _robot(asked: str | None, choice: Choice, choose: Choose | None) -> tuple[str, Robot]:
     """The robot that is asked for, or the one in the folder.
 
     Raises:
@@ -170,16 +181,15 @@ def _robot(asked: str | None, tip: str | None, choose: Choose | None) -> tuple[s
     """
 
     def loaded(name: str) -> Robot | RobotError:
+        branches = name.endswith((".urdf", ".xml"))
         try:
-            return load_robot(name, tip=tip if name.endswith((".urdf", ".xml")) else None)
+            return load_robot(name, **(choice if branches else Choice()).options)
         except RobotError as error:
             return error
 
     files = [path.name for path in sorted(Path().iterdir()) if path.suffix.lower() in ROBOT_FILES]
     robots = {name: loaded(name) for name in ([asked] if asked else files)}
-    # One that branches into several chains is a robot, too.
-    branching = {n for n, r in robots.items() if "as tip" in str(getattr(r, "expected", ""))}
-    fit = [n for n, r in robots.items() if n in branching or not isinstance(r, RobotError)]
+    fit = [name for name, robot in robots.items() if not isinstance(robot, RobotError)]
     if asked is None and (not fit or (len(fit) > 1 and choose is None)):
         raise TorchidError(
             "which robot? There are several here." if fit else "there is no robot here.",
@@ -188,11 +198,6 @@ def _robot(asked: str | None, tip: str | None, choose: Choose | None) -> tuple[s
         )
     name = asked or (choose("robots", fit) if choose and len(fit) > 1 else fit[0])
     found = robots[name]
-    if isinstance(found, RobotError) and name in branching and found.available and choose:
-        tips = [str(tip) for tip in found.available]
-        question = f"it branches; last links of its chains are {', '.join(tips)}"
-        tip = choose(question, [tip.rsplit(" (", 1)[0] for tip in tips])
-        found = loaded(name)
     if isinstance(found, RobotError):
         raise found
     return name, found

@@ -67,7 +67,7 @@ def verdict(check: Check, k: int) -> str:
     # The condition with the smallest degree is the nearest.
     named = {
         f"{condition} of link {i + 1}": float(found.degrees[k, i, c])
-        for i in range(check.robot.n)
+        for i in range(check.robot.n_links)
         for c, condition in enumerate(LINK_CONDITIONS)
     }
     named["the total mass"] = float(found.total_mass_degree[k])
@@ -92,7 +92,7 @@ def conditions_line(check: Check) -> str:
 
 def _violations(check: Check, k: int) -> list[str]:
     """Phrases, those of the same kind together."""
-    found, links = check.feasibility, range(check.robot.n)
+    found, links = check.feasibility, range(check.robot.n_links)
     broken = [found.inertia_violation(k, i) for i in links]
     bad = found.violated_coefficients[k].tolist()
     kinds = (

@@ -40,12 +40,13 @@ def robot_record(robot: Robot) -> dict[str, Any]:
     return {
         "schema": "torchid.robot/1",
         **picked(robot, "name source"),
+        **({} if robot.is_serial else {"tree": _tree_record(robot)}),
         "joints": [
             {
                 "joint": i + 1,
                 "name": robot.joint_names[i],
                 "type": str(robot.joint_types[i]),
-                "link": robot.link_names[i],
+                "link": robot.link_names[robot.own_links[i]],
                 **{name: _limit(getattr(robot.limits, name), i) for name in _LIMITS},
             }
             for i in range(robot.n)
@@ -61,6 +62,48 @@ def robot_record(robot: Robot) -> dict[str, Any]:
         "bounds": sorted(robot.bounds),
         "warnings": list(robot_warnings(robot)),
     }
+
+
+def _tree_record(robot: Robot) -> dict[str, Any]:
+    """Which link carries which, what follows what, and where branches end."""
+    return {
+        "links": [
+            {
+                "link": i + 1,
+                "name": robot.link_names[i],
+                "carried_by": None if parent < 0 else parent + 1,
+                "joint": drive.coordinate + 1,
+                "ratio": drive.ratio,
+                "offset": drive.offset,
+            }
+            for i, (parent, drive) in enumerate(zip(robot.parents, robot.drives, strict=True))
+        ],
+        "tips": [{"name": tip.name, "link": tip.link + 1} for tip in robot.ends],
+    }
+
+
+def _tree_table(robot: Robot) -> Table:
+    """The links as they carry one another, each branch to its end."""
+    rows = []
+    ends = {tip.link: tip.name for tip in robot.ends}
+
+    def walk(parent: int, depth: int) -> None:
+        for i in [k for k, above in enumerate(robot.parents) if above == parent]:
+            drive, name = robot.drives[i], robot.link_names[i]
+            joint = str(drive.coordinate + 1)
+            if drive in robot.mimics:
+                moves = f"{drive.joint} = {drive.ratio:g} x joint {joint}"
+                joint, moves = "", moves + (f" {drive.offset:+g}" if drive.offset else "")
+            else:
+                moves = drive.joint
+            end = ends.get(i, "")
+            rows.append((joint, moves, str(i + 1), "  " * depth + name, end))
+            walk(i, depth + 1)
+
+    walk(-1, 0)
+    columns = ("", "joint", "", "link, behind the one that carries it", "tip")
+    title = f"{count(robot.n_links, 'link')}, {count(len(robot.ends), 'tip')}"
+    return Table(title, columns, rows, words=("joint", columns[3], "tip"))
 
 
 def robot_warnings(robot: Robot) -> tuple[str, ...]:
@@ -84,7 +127,7 @@ def shown(robot: Robot) -> Shown:
 
 
 def robot_tables(robot: Robot) -> list[Table]:
-    """Joints with limits, and links with parameters."""
+    """Joints with limits, the tree of a robot that branches, and links with parameters."""
     rows = []
     for i in range(robot.n):
         limits = (_interval(_limit(getattr(robot.limits, name), i)) for name in _LIMITS)
@@ -98,8 +141,9 @@ def robot_tables(robot: Robot) -> list[Table]:
     columns = ("", "joint", "type", *(f"{name} [{unit}]" for name, unit in units.items()))
     joints = Table(f"{robot.name}: {count(robot.n, 'joint')}", columns, rows, words=columns)
     p = robot.parameters
+    first = [joints] if robot.is_serial else [joints, _tree_table(robot)]
     if p is None:
-        return [joints]
+        return first
     links, margins = [], p.consistency_margin().tolist()
     for i, name in enumerate(robot.link_names):
         fine = margins[i] >= 0
@@ -109,7 +153,7 @@ def robot_tables(robot: Robot) -> list[Table]:
         )
         links.append((str(i + 1), name, f"{float(p.mass[i]):.5g}", *vectors, verdict))
     columns = ("", "link", "mass [kg]", "CoM [m]", "inertia about CoM [kg m^2]", "consistent")
-    return [joints, Table("links (axes of the link frame)", columns, links, words=columns)]
+    return [*first, Table("links (axes of the link frame)", columns, links, words=columns)]
 
 
 def _limit(limits: Tensor | None, i: int) -> list[float | None] | None:

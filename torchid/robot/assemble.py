@@ -1,17 +1,18 @@
 """From a tree of links and joints to a Robot: fixed joints folded, inertias merged."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, move
-from torchid.robot.model import JointType, Limits, Robot
+from torchid.robot.model import BaseLink, JointType, Limits, Mimic, Robot, Tip
 from torchid.robot.placement import align_z, pose, rotation_z
-from torchid.robot.tree import Chain, Group, Interval, Tree, TreeJoint, choose_chain
+from torchid.robot.tree import Choice, Group, Interval, Part, Tree, TreeJoint, choose
 from torchid.typing import Float
 
 # Below this share of the largest eigenvalue a negative one is rounding, as for a point mass.
@@ -25,59 +26,98 @@ _EFFECTS = (
 
 def assemble(
     tree: Tree,
+    choice: Choice,
     *,
-    tip: str | None,
     name: str,
     gravity: Sequence[float],
     path: Path,
     warnings: Sequence[str] = (),
 ) -> Robot:
-    """The Robot of a tree's chain; link frames are those of the file's links.
+    """The Robot of a tree, or of a part of it; link frames are those of the file's links.
+
+    Joints that mimic others have no coordinate of their own: their damping, friction, armature and
+    springs are part of the followed joint's, as virtual work has it.
 
     Args:
         tree: links and joints.
-        tip: the last link, or None where there is only one chain.
+        choice: of the part.
         name: of the robot.
         gravity: (3,) in the root link's frame [m/s^2].
         path: file it was read from.
         warnings: what the reader noticed so far.
 
     Raises:
-        RobotError: not a tree, or no unambiguous serial chain (see `choose_chain`).
+        RobotError: not a tree, or no such part (see `choose`).
     """
-    chain = choose_chain(tree, tip)
-    steps = [_step(group, joint) for group, joint in zip(chain.groups, chain.joints, strict=False)]
-    parameters, noticed = merged_parameters(tree, chain)
-    linear = tuple(
-        MappingProxyType({"effect": effect, "joint": i, symbol: getattr(joint, field)})
-        for effect, symbol, field in _EFFECTS
-        for i, joint in enumerate(chain.joints, start=1)
-        if getattr(joint, field)
+    part = choose(tree, choice)
+    carriers = part.carriers
+    steps = [_step(part.groups[k], joint) for k, joint in zip(carriers, part.joints, strict=True)]
+    parameters, noticed = merged_parameters(tree, part)
+    own = [joint for joint in part.joints if joint.mimic is None]
+    place = {joint.name: k for k, joint in enumerate(own)}
+    mimics = tuple(
+        Mimic(
+            link,
+            joint.name,
+            JointType(joint.motion),
+            place[joint.mimic.joint],
+            joint.mimic.ratio,
+            joint.mimic.offset,
+        )
+        for link, joint in enumerate(part.joints)
+        if joint.mimic is not None and joint.motion is not None
     )
-    springs = (
-        MappingProxyType({"effect": "joint_spring", "joint": i, "k": k, "c0": -k * joint.rest})
-        for i, joint in enumerate(chain.joints, start=1)
-        if (k := joint.stiffness)
-    )
+    tips = tuple(Tip(end, k - 1, part.groups[k].poses[end]) for end, k in part.tips)
+    down = torch.tensor(list(gravity), dtype=torch.float64)
     return Robot(
         name=name,
-        joint_names=tuple(joint.name for joint in chain.joints),
-        link_names=tuple(group.link for group in chain.groups[1:]),
-        joint_types=tuple(JointType(joint.motion) for joint in chain.joints if joint.motion),
+        joint_names=tuple(joint.name for joint in own),
+        link_names=tuple(group.link for group in part.groups[1:]),
+        joint_types=tuple(JointType(joint.motion) for joint in own if joint.motion),
         before=torch.stack([before for before, _ in steps]),
         after=torch.stack([after for _, after in steps]),
-        gravity=torch.tensor(list(gravity), dtype=torch.float64),
-        tool=chain.groups[-1].poses[chain.tip],
+        gravity=down if choice.root is None else part.pose[:3, :3].T @ down,
+        tool=tips[-1].pose,
         limits=Limits(
-            position=_intervals([joint.position for joint in chain.joints]),
-            velocity=_intervals([joint.velocity for joint in chain.joints]),
-            torque=_intervals([joint.torque for joint in chain.joints]),
+            position=_intervals([joint.position for joint in own]),
+            velocity=_intervals([joint.velocity for joint in own]),
+            torque=_intervals([joint.torque for joint in own]),
         ),
         parameters=parameters,
-        effects=(*linear, *springs),
-        warnings=(*warnings, *chain.warnings, *noticed),
+        effects=tuple(_effects(part, own)),
+        warnings=(*warnings, *part.warnings, *noticed),
         source=str(path),
+        tip=choice.tip,
+        parents=tuple(k - 1 for k in carriers),
+        mimics=mimics,
+        tips=tips if len(tips) > 1 else (),
+        root=choice.root,
+        locked=MappingProxyType(dict(choice.lock)),
+        base=BaseLink(part.groups[0].link, _merged(tree, part.groups[0]), down),
     )
+
+
+def _effects(part: Part, own: Sequence[TreeJoint]) -> Iterator[Mapping[str, Any]]:
+    """Records of the joints' dynamics: those of joints that follow act on the joint that they
+    follow, a torque times their ratio."""
+    followers = [(joint, joint.mimic) for joint in part.joints if joint.mimic is not None]
+    for effect, symbol, field in _EFFECTS:
+        power = 1 if field == "friction" else 2
+        for i, joint in enumerate(own, start=1):
+            value = getattr(joint, field)
+            for other, way in followers:
+                if way.joint == joint.name:
+                    value += abs(way.ratio) ** power * getattr(other, field)
+            if value:
+                yield MappingProxyType({"effect": effect, "joint": i, symbol: value})
+    for i, joint in enumerate(own, start=1):
+        k, c0 = joint.stiffness, -joint.stiffness * joint.rest
+        for other, way in followers:
+            if way.joint == joint.name:
+                k += way.ratio**2 * other.stiffness
+                c0 -= way.ratio * other.stiffness * (other.rest - way.offset)
+        if k:
+            yield MappingProxyType({"effect": "joint_spring", "joint": i, "k": k, "c0": c0})
 
 
 def _step(group: Group, joint: TreeJoint) -> tuple[Tensor, Tensor]:
@@ -92,24 +132,22 @@ def _step(group: Group, joint: TreeJoint) -> tuple[Tensor, Tensor]:
     return before, pose(turn.T) @ joint.child_pose
 
 
-def merged_parameters(
-    tree: Tree, chain: Chain
-) -> tuple[InertialParameters | None, tuple[str, ...]]:
-    """Parameters (n, 10) of each moving group in its first link's frame, and warnings.
+def merged_parameters(tree: Tree, part: Part) -> tuple[InertialParameters | None, tuple[str, ...]]:
+    """Parameters (L, 10) of each moving group in its first link's frame, and warnings.
 
-    None, with a warning, where no link of the chain has any.
+    None, with a warning, where no link has any.
     """
-    rows = [_merged(tree, group) for group in chain.groups[1:]]
+    rows = [_merged(tree, group) for group in part.groups[1:]]
     if all(row is None for row in rows):
         return None, ("no link of the chain has inertial parameters",)
     warnings = []
     zeros = torch.zeros(PARAMETERS_PER_LINK, dtype=torch.float64)
-    for group, row in zip(chain.groups[1:], rows, strict=True):
+    for group, row in zip(part.groups[1:], rows, strict=True):
         if row is None:
             warnings.append(f"link '{group.link}' has no inertial parameters: zeros are used")
     parameters = InertialParameters(torch.stack([zeros if row is None else row for row in rows]))
     eigenvalues = torch.linalg.eigvalsh(parameters.pseudo_inertia)
-    for group, values in zip(chain.groups[1:], eigenvalues, strict=True):
+    for group, values in zip(part.groups[1:], eigenvalues, strict=True):
         if values[0] < -_ROUNDING * values.abs().max():
             warnings.append(
                 f"link '{group.link}' is not physically consistent: no body has its mass, centre "

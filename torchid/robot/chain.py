@@ -10,57 +10,88 @@ import pytorch_kinematics as pk
 import torch
 from torch import Tensor
 
-from torchid.robot.model import JointType, Robot, free_name
+from torchid.robot.model import JointType, Limits, Robot, free_name
 from torchid.typing import Float, Joints
 
 _TOGETHER = 2000
 """Configurations at a time [1]: the poses of an arm of seven joints then stay in the cache."""
 
 
-def to_chain(robot: Robot, dtype: torch.dtype = torch.float64) -> "pk.SerialChain":
-    """The robot as a SerialChain of the given dtype, on the device of its data.
+def to_chain(
+    robot: Robot, dtype: torch.dtype = torch.float64, tip: str | None = None
+) -> "pk.SerialChain":
+    """The chain to the tool as a SerialChain of the given dtype, on the device of its data.
 
     Each joint has two frames: `<joint>/moved`, which moves, and one named as the link, which is
     the link frame. The root is `base` and the end is `tool`. A name that is already taken has
     underscores appended. Joint parameters are named as the robot's joints. Forward kinematics of
-    the end is `torchid.robot.model.tool_pose`.
+    the end is `torchid.robot.model.tool_pose`. Of a tree these are the joints that move the tip, in
+    order; one that mimics another is a joint like the others.
+
+    Args:
+        robot: the robot.
+        dtype: of the chain.
+        tip: which of several tips.
+
+    Raises:
+        RobotError: several tips and none chosen, or none of that name.
     """
+    end = robot.end(tip)
     # Frame names must differ, whereas a URDF link may be called `base` or `tool`.
     taken = set(robot.link_names)
     root = last = _fixed(free_name("base", taken), None, dtype)
-    for i, name in enumerate(robot.link_names):
-        moved = free_name(f"{robot.joint_names[i]}/moved", taken)
+    for i in robot.ancestors(end.link):
+        moved = free_name(f"{robot.drives[i].joint}/moved", taken)
         last = _append(last, _moving(robot, i, moved, robot.before[i], dtype))
-        last = _append(last, _fixed(name, robot.after[i], dtype))
-    tool = _append(last, _fixed(free_name("tool", taken), robot.tool, dtype))
+        last = _append(last, _fixed(robot.link_names[i], robot.after[i], dtype))
+    tool = _append(last, _fixed(free_name("tool", taken), end.pose, dtype))
     return _serial(root, tool, robot, dtype)
 
 
-def tool_jacobian(robot: Robot, q: Joints) -> Float[Tensor, "*batch 6 n"]:
+def tool_jacobian(robot: Robot, q: Joints, tip: str | None = None) -> Float[Tensor, "*batch 6 n"]:
     """Geometric Jacobian of the tool, in axes of the base frame.
 
     Args:
         robot: the robot.
         q: (..., n) joint positions [rad or m]; its dtype and device are the result's.
+        tip: which of several tips.
 
     Returns:
         (..., 6, n). Rows 0-2: velocity of the tool's origin per unit joint velocity [m/rad or 1];
         rows 3-5: angular velocity of the tool [1 or rad/m, 0 for a prismatic joint]. Linear
-        first, so that J' (force, moment at the tool's origin) is the joint torque.
+        first, so that J' (force, moment at the tool's origin) is the joint torque. Columns of
+        joints that do not move the tip are zero.
+
+    Raises:
+        RobotError: several tips and none chosen, or none of that name.
     """
-    chain = _folded_chain(robot, q.dtype, q.device)
-    parts = [chain.jacobian(some) for some in q.reshape(-1, robot.n).split(_TOGETHER)]
-    return torch.cat(parts).reshape(*q.shape[:-1], 6, robot.n)
+    chain = _folded_chain(robot, tip, q.dtype, q.device)
+    if robot.is_serial:
+        parts = [chain.jacobian(some) for some in q.reshape(-1, robot.n).split(_TOGETHER)]
+        return torch.cat(parts).reshape(*q.shape[:-1], 6, robot.n)
+    line = list(robot.ancestors(robot.end(tip).link))
+    on_line = robot.on_links(q.reshape(-1, robot.n))[:, line]
+    own = torch.cat([chain.jacobian(some) for some in on_line.split(_TOGETHER)])
+    out = own.new_zeros(len(own), 6, robot.n)
+    for k, link in enumerate(line):
+        drive = robot.drives[link]
+        out[:, :, drive.coordinate] += own[:, :, k] * drive.ratio
+    return out.reshape(*q.shape[:-1], 6, robot.n)
 
 
 @lru_cache(maxsize=16)
-def _folded_chain(robot: Robot, dtype: torch.dtype, device: torch.device) -> "pk.SerialChain":
+def _folded_chain(
+    robot: Robot, tip: str | None, dtype: torch.dtype, device: torch.device
+) -> "pk.SerialChain":
     """The chain without its link frames: half the frames, and twice as fast."""
     root = last = _fixed("base", None, dtype)
-    for i in range(robot.n):
-        placed = robot.before[0] if i == 0 else robot.after[i - 1] @ robot.before[i]
+    end = robot.end(tip)
+    line = robot.ancestors(end.link)
+    for i in line:
+        above = robot.parents[i]
+        placed = robot.before[i] if above < 0 else robot.after[above] @ robot.before[i]
         last = _append(last, _moving(robot, i, f"moved {i}", placed, dtype))
-    tool = _append(last, _fixed("tool", robot.after[-1] @ robot.tool, dtype))
+    tool = _append(last, _fixed("tool", robot.after[end.link] @ end.pose, dtype))
     return _serial(root, tool, robot, dtype).to(device=device)
 
 
@@ -86,18 +117,21 @@ def _fixed(name: str, placed: Tensor | None, dtype: torch.dtype) -> "pk.Frame":
 
 
 def _moving(robot: Robot, i: int, name: str, placed: Tensor, dtype: torch.dtype) -> "pk.Frame":
-    revolute = robot.joint_types[i] is JointType.REVOLUTE
-    limits = robot.limits
+    drive = robot.drives[i]
+    revolute = drive.joint_type is JointType.REVOLUTE
+    # Limits are those of coordinates.
+    limits = Limits() if drive in robot.mimics else robot.limits
+    own = drive.coordinate
     joint = pk.Joint(
-        name=robot.joint_names[i],
+        name=drive.joint,
         offset=_offset(placed, dtype),
         joint_type="revolute" if revolute else "prismatic",
         axis=torch.tensor([0.0, 0.0, 1.0], dtype=dtype, device=robot.before.device),
         dtype=dtype,
         device=robot.before.device,
-        limits=_pair(limits.position, i),
-        velocity_limits=_pair(limits.velocity, i),
-        effort_limits=_pair(limits.torque, i),
+        limits=_pair(limits.position, own),
+        velocity_limits=_pair(limits.velocity, own),
+        effort_limits=_pair(limits.torque, own),
     )
     return pk.Frame(name, link=pk.Link(name), joint=joint)
 

@@ -1,15 +1,16 @@
 """Find a robot by built-in name or by path."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from torchid.errors import RobotError, TorchidError
 from torchid.files import add_input
 from torchid.robot.config_files import ROBOT_FILES, config_folder, names_robot
+from torchid.robot.floating import on_moving_base
 from torchid.robot.model import Robot
 from torchid.robot.sidecar import sidecar_path, with_sidecar
+from torchid.robot.tree import Base, Choice
 from torchid.robot.yaml_file import read_yaml
 
 
@@ -33,15 +34,28 @@ def robot_file(name: str | Path) -> Path:
     return _folder() / f"{text}.yaml" if text in built_in_robots() else Path(text)
 
 
-def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
+def load_robot(
+    name: str | Path,
+    *,
+    tip: str | None = None,
+    root: str | None = None,
+    lock: Mapping[str, float] | None = None,
+    base: Base = "fixed",
+) -> Robot:
     """A robot by built-in name, or from a .yaml (ours), .urdf or .xml (MJCF) file.
+
+    A URDF or MJCF is read whole, with all its branches, unless a part is chosen.
 
     Args:
         name: `3r`, `kuka_lwr4`, ... or a path.
-        tip: for URDF and MJCF: the last link of the chain, where the tree branches.
+        tip: for URDF and MJCF: the last link of a chain, which alone is read.
+        root: for URDF and MJCF: the link that is the base of what is read.
+        lock: for URDF and MJCF: joints that are held, and where [rad or m].
+        base: for URDF and MJCF: whether the base is held, or moves and is measured: its pose is
+            then six coordinates before those of the joints (`torchid.robot.floating`).
 
     Raises:
-        RobotError: no such robot, or a file that cannot be read as one.
+        RobotError: no such robot, or a file that cannot be read as one; no such link or joint.
 
     >>> load_robot("3r").joint_names
     ('joint_1', 'joint_2', 'joint_3')
@@ -62,66 +76,84 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
     for read in (path, sidecar_path(path)):
         add_input(read)
     if suffix in (".yaml", ".yml"):
-        if tip is not None:
-            raise RobotError(
-                f"`tip=...` chooses a chain in a URDF or MJCF; '{text}' is one chain.", got=tip
-            )
+        chosen = {"tip": tip, "root": root, "lock": lock or None}
+        for option, given in (chosen | {"base": None if base == "fixed" else base}).items():
+            if given is not None:
+                raise RobotError(
+                    f"`{option}=...` chooses a part of a URDF or MJCF; '{text}' is read whole.",
+                    got=given,
+                )
         return read_yaml(path)
     if suffix == ".urdf":
         from torchid.robot.urdf import read_urdf
 
-        robot = read_urdf(path, tip=tip)
+        robot = read_urdf(path, tip=tip, root=root, lock=lock, base=base)
     else:
         from torchid.robot.mjcf import read_mjcf
 
-        robot = read_mjcf(path, tip=tip)
-    return replace(with_sidecar(robot, path), tip=tip)
+        robot = read_mjcf(path, tip=tip, root=root, lock=lock, base=base)
+    robot = with_sidecar(robot, path)
+    return on_moving_base(robot) if base == "moving" else robot
 
 
-def load_both(params: str, robot: str | None, tip: str | None) -> tuple[Robot, Robot]:
+def load_both(params: str, robot: str | None, choice: Choice) -> tuple[Robot, Robot]:
     """The robot whose parameters are asked about, and another one, or the same one without it.
 
     Args:
         params: name or file of the first.
         robot: of the second, if it is another.
-        tip: of those of the two that can branch.
+        choice: of the part of those of the two that can branch.
     """
     both = [params] if robot is None else [params, robot]
-    # A tip is for the files that can branch; where none can, the reader refuses it.
+    # A part is chosen of the files that can branch; where none can, the reader refuses it.
     trees = [name for name in both if Path(name).suffix.lower() in (".urdf", ".xml")]
-    found = [load_robot(name, tip=tip if name in trees or not trees else None) for name in both]
+    found = [
+        load_robot(name, **(choice if name in trees or not trees else Choice()).options)
+        for name in both
+    ]
     return found[0], found[-1]
 
 
-def named_record(robot: Robot) -> dict[str, str]:
+def named_record(robot: Robot) -> dict[str, Any]:
     """A robot's name, and what `load_robot` finds it again by: its built-in name or its file, and
-    the tip that its chain was chosen by."""
+    how its part was chosen."""
     path = Path(robot.source)
     source = path.stem if path.parent == _folder() else robot.source
-    tip = {} if robot.tip is None else {"robot_tip": robot.tip}
-    return {"robot": robot.name, "robot_source": source, **tip}
+    chosen = {
+        "tip": robot.tip,
+        "root": robot.root,
+        "lock": dict(robot.locked) or None,
+        "base": "moving" if robot.floating else None,
+    }
+    part = {f"robot_{key}": value for key, value in chosen.items() if value is not None}
+    return {"robot": robot.name, "robot_source": source, **part}
 
 
-def named_robot(result: Path, data: Mapping[str, Any], tip: str | None = None) -> Robot:
+def named_robot(result: Path, data: Mapping[str, Any], choice: Choice | None = None) -> Robot:
     """The robot that a result's data name, as `named_record` writes it: its file or built-in name,
-    with the tip that it records unless another is given.
+    and the part that it records unless another is chosen.
 
     Args:
         result: file of the data; the robot may lie beside it.
         data: of the result.
-        tip: in place of the recorded one.
+        choice: in place of the recorded one.
 
     Raises:
         TorchidError: it names none, or one that is not where it was.
     """
     source, name = data.get("robot_source"), data.get("robot")
-    tip = data.get("robot_tip") if tip is None else tip
+    recorded = Choice(
+        data.get("robot_tip"),
+        data.get("robot_root"),
+        data.get("robot_lock") or {},
+        data.get("robot_base") or "fixed",
+    )
     for place in (source, name):
         if not isinstance(place, str):
             continue
         for found in (place, str(result.parent / place)):
             if found in built_in_robots() or (is_robot(found) and Path(found).is_file()):
-                return load_robot(found, tip=tip)
+                return load_robot(found, **(choice or recorded).options)
     raise TorchidError(
         f"`robot=...` is needed: the robot of '{result}' was not found.",
         got=source or name,

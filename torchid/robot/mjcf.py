@@ -1,10 +1,10 @@
 """Read MJCF through MuJoCo's own compiler: defaults, includes and geometry inertias are its work.
 
 The compiled model is float64. What MuJoCo has beyond rigid bodies, linear damping and springs,
-dry friction and armature on independent joints is told in `warnings`.
+dry friction and armature on joints of one freedom is told in `warnings`.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from torchid.robot.assemble import assemble
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import JointType, Robot, free_name
 from torchid.robot.placement import pose, quaternion
-from torchid.robot.tree import Interval, Tree, TreeJoint
+from torchid.robot.tree import Base, Choice, Following, Interval, Tree, TreeJoint, choose
 from torchid.robot.xml_numbers import parse_xml
 
 _OLDEST = (3, 15)
@@ -30,22 +30,34 @@ _READ = (
 """Arrays of a compiled model that a robot is made of."""
 
 
-def read_mjcf(path: Path, *, tip: str | None = None) -> Robot:
-    """Read the serial chain of an MJCF file from the world to a tip.
+def read_mjcf(
+    path: Path,
+    *,
+    tip: str | None = None,
+    root: str | None = None,
+    lock: Mapping[str, float] | None = None,
+    base: Base = "fixed",
+) -> Robot:
+    """Read the robot of an MJCF file: the tree that the world carries, or a part of it.
 
     Link frames are MuJoCo's body frames. Bodies without joints are merged into the body that
     moves them. A body with several joints becomes a chain of massless links, named
     `body/joint`, that ends in the body. q is MuJoCo's qpos (`ref` is in the kinematics). Damping,
-    frictionloss, armature and springs become `effects`; gravity is the model's option.
+    frictionloss, armature and springs become `effects`; gravity is the model's option. An equality
+    that makes a joint follow another in proportion makes it a mimic. A body with a free joint is
+    taken as fixed, with a warning.
 
     Args:
         path: the file.
-        tip: a body, or a site, that ends the chain; needed where several chains move.
+        tip: last body, or site, of a chain, which alone is read.
+        root: body that is the base of what is read.
+        lock: joints that are held, and where [rad or m].
+        base: whether the base is held, or moves: one that floats in the file is then the base.
 
     Raises:
         MissingExtraError: MuJoCo is not installed.
-        RobotError: MuJoCo is too old or cannot compile the file, a free or ball joint is on the
-            chain, nothing moves, several chains and no tip, or an unknown tip.
+        RobotError: MuJoCo is too old or cannot compile the file, a ball joint is part of the
+            robot, a loop of bodies is closed, nothing moves, an unknown link or joint.
     """
     path = Path(path)
     try:
@@ -65,11 +77,14 @@ def read_mjcf(path: Path, *, tip: str | None = None) -> Robot:
         if not (abs(getattr(model, name)) < LARGEST).all():
             raise RobotError(f"{path}: not all finite: {name}, as MuJoCo compiles it.")
     read = _Reader(mujoco, model)
-    links, joints = read.links_and_joints(tip)
+    choice = Choice(tip, root, dict(lock or {}), base)
+    links, joints = read.links_and_joints(choice.tip)
     off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    tree = Tree(links, tuple(joints), str(path))
+    read.refuse_loops(tree, choice)
     return assemble(
-        Tree(links, tuple(joints), str(path)),
-        tip=tip,
+        tree,
+        choice,
         name=_model_name(model) or path.stem,
         gravity=_NO_GRAVITY if off else model.opt.gravity.tolist(),
         path=path,
@@ -135,6 +150,8 @@ class _Reader:
         kinds = mujoco.mjtObj
         self.bodies = self._names(kinds.mjOBJ_BODY, model.nbody, "body")
         self.joints = self._names(kinds.mjOBJ_JOINT, model.njnt, "joint")
+        # Equalities (from 0) that make a joint follow another, and how.
+        self.mimics = dict(self._mimics())
 
     def _names(self, kind: Any, count: int, word: str) -> list[str]:
         """Names of a kind of object; those without one get word_<id>, distinct from the others."""
@@ -174,8 +191,10 @@ class _Reader:
                 said.append(
                     f"joint '{name}' has nonlinear damping or stiffness: it is not modelled"
                 )
+        active = [k for k in range(model.neq) if model.eq_active0[k]]
+        rest = len(active) - len(self.mimics)
         others = {
-            f"{model.neq} equality constraint(s) are not modelled": model.neq,
+            f"{rest} equality constraint(s) are not modelled": rest,
             f"{model.ntendon} tendon(s) are not modelled": model.ntendon,
             "gravity compensation of bodies (gravcomp) is not modelled": model.body_gravcomp.any(),
             "forces of the surrounding fluid (density, viscosity) are not modelled": (
@@ -184,6 +203,50 @@ class _Reader:
             "the model turns gravity off: gravity is zero": without_gravity,
         }
         return said + [sentence for sentence, holds in others.items() if holds]
+
+    def _mimics(self) -> Iterator[tuple[int, tuple[int, Following]]]:
+        """Equality constraints in which joint 1 is a linear function of joint 2."""
+        model, taken = self.model, set()
+        for k in range(model.neq):
+            first, second = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+            c0, ratio, *higher = model.eq_data[k][:5].tolist()
+            if (
+                not model.eq_active0[k]
+                or int(model.eq_type[k]) != int(self.mujoco.mjtEq.mjEQ_JOINT)
+                or second < 0
+                or any(higher)
+                or not ratio
+                or first in taken
+            ):
+                continue
+            taken.add(first)
+            # q1 - q1_0 = c0 + ratio (q2 - q2_0)
+            own, other = (float(model.qpos0[model.jnt_qposadr[j]]) for j in (first, second))
+            way = Following(self.joints[second], ratio, c0 + own - ratio * other)
+            yield k, (first, way)
+
+    def refuse_loops(self, tree: Tree, choice: Choice) -> None:
+        """Raise RobotError where an equality constraint holds two bodies together that move against
+        each other."""
+        model, kinds = self.model, self.mujoco.mjtEq
+        bodies = (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD))
+        part = choose(tree, choice)
+        place = {name: k for k, group in enumerate(part.groups) for name in group.poses}
+        for k in range(model.neq):
+            if not model.eq_active0[k] or int(model.eq_type[k]) not in bodies:
+                continue
+            ids = [model.eq_obj1id[k], model.eq_obj2id[k]]
+            if int(model.eq_objtype[k]) == int(self.mujoco.mjtObj.mjOBJ_SITE):
+                ids = [model.site_bodyid[s] for s in ids]
+            pair = [self.bodies[int(body)] for body in ids]
+            if place.get(pair[0], 0) != place.get(pair[1], 0):
+                raise RobotError(
+                    f"{tree.source}: bodies '{pair[0]}' and '{pair[1]}' are held together by an "
+                    "equality constraint, which closes a loop.",
+                    expected="a tree of bodies; joints that follow others in proportion",
+                    hint="lock the joints of the loop (`lock=...`), or choose a part "
+                    "without it (`tip=...`, `root=...`)",
+                )
 
     def _steps(self, body: int) -> list[TreeJoint]:
         """The joints from a body's parent to the body; one fixed joint where it has none."""
@@ -213,7 +276,9 @@ class _Reader:
         if kind not in motions:
             word = "free" if kind == int(kinds.mjJNT_FREE) else "ball"
             refused = f"joint '{name}' is a {word} joint; only hinge and slide joints are known"
-            return TreeJoint(name, parent, below, origin=placed, refused=refused)
+            free = word == "free"
+            return TreeJoint(name, parent, below, origin=placed, refused=refused, floating=free)
+        followed = dict(self.mimics.values())
         anchor = torch.tensor(model.jnt_pos[joint].tolist(), dtype=torch.float64)
         dof = int(model.jnt_dofadr[joint])
         limited = bool(model.jnt_limited[joint])
@@ -233,6 +298,7 @@ class _Reader:
             armature=float(model.dof_armature[dof]),
             stiffness=float(model.jnt_stiffness[joint]),
             rest=float(model.qpos_spring[int(model.jnt_qposadr[joint])]),
+            mimic=followed.get(joint),
         )
 
 

@@ -48,7 +48,7 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
     read: dict[str, list[Solid]] = {}
     problems = []
     for body in range(1, model.nbody):
-        if model.body_jntnum[body] == 0:
+        if _is_still(model, body):
             continue
         name = mujoco.mj_id2name(model, int(mujoco.mjtObj.mjOBJ_BODY), body) or f"body_{body}"
         members = [b for b in range(body, model.nbody) if _moved_by(model, b) == body]
@@ -101,15 +101,21 @@ def _world(mujoco: Any, model: Any) -> tuple[tuple[Solid, ...] | None, Tensor]:
 
 def _moved_by(model: Any, body: int) -> int:
     """The body with joints that a body is fixed to; 0 for those fixed to the world."""
-    while body and model.body_jntnum[body] == 0:
+    while body and _is_still(model, body):
         body = int(model.body_parentid[body])
     return body
+
+
+def _is_still(model: Any, body: int) -> bool:
+    """Whether a body is fixed to its parent; one that floats is held where the file puts it."""
+    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    return count == 0 or bool((model.jnt_type[first : first + count] == 0).all())  # mjJNT_FREE
 
 
 def _placed(model: Any, body: int) -> Tensor:
     """Pose (4, 4) of a body in the frame of the body that moves it."""
     out = pose()
-    while body and model.body_jntnum[body] == 0:
+    while body and _is_still(model, body):
         out = given_pose(model, "body", body) @ out
         body = int(model.body_parentid[body])
     return out

@@ -59,16 +59,29 @@ def link_shapes(robot: Robot) -> LinkShapes | None:
     return None
 
 
-def joint_points(robot: Robot) -> Float[Tensor, "n 2 3"]:
-    """Origins (n, 2, 3) of each link's own joint and of the next joint (of the tool for the last
-    link), in the link's frame [m]."""
+def joint_points(robot: Robot) -> Float[Tensor, "L 2 3"]:
+    """Origins (L, 2, 3) of each link's own joint and of the furthest joint that it carries (of the
+    tip for a last link), in the link's frame [m]."""
     own = torch.linalg.inv(robot.after)[:, :3, 3]
-    following = torch.cat([robot.before[1:, :3, 3], robot.tool[None, :3, 3]])
-    return torch.stack([own, following], 1)
+    return torch.stack([own, next_origins(robot)], 1)
 
 
-def link_lengths(robot: Robot) -> Float[Tensor, " n"]:
-    """Lengths (n,) of the links [m]: from joint to next joint, and at least the mean of them.
+def next_origins(robot: Robot) -> Float[Tensor, "L 3"]:
+    """Of the joints that each link carries the origin of the furthest from its own, in its frame
+    [m]; of the tip for a link that carries none."""
+    own = torch.linalg.inv(robot.after)[:, :3, 3]
+    tips = {tip.link: tip.pose[:3, 3] for tip in robot.ends}
+    out = []
+    for link in range(robot.n_links):
+        found = [robot.before[k, :3, 3] for k, above in enumerate(robot.parents) if above == link]
+        found = found or [tips[link]]
+        away = torch.stack([(point - own[link]).norm() for point in found])
+        out.append(found[int(away.argmax())])
+    return torch.stack(out)
+
+
+def link_lengths(robot: Robot) -> Float[Tensor, " L"]:
+    """Lengths (L,) of the links [m]: from joint to next joint, and at least the mean of them.
 
     Joints that meet in a point, as in a wrist, are no distance apart though a link is between
     them: such a link is taken as long as the robot's links are on average, and none as shorter
@@ -80,7 +93,7 @@ def link_lengths(robot: Robot) -> Float[Tensor, " n"]:
 
 
 def typical_bodies(robot: Robot) -> InertialParameters:
-    """What the links of a robot without inertial parameters may weigh (n, 10).
+    """What the links of a robot without inertial parameters may weigh (L, 10).
 
     A link with shapes is spread evenly over their box, with `TYPICAL_DENSITY` times their volume.
     Another is a round bar with round ends from joint to joint, `PER_METRE` times its length
@@ -108,13 +121,15 @@ def typical_bodies(robot: Robot) -> InertialParameters:
 
 
 def reach(robot: Robot) -> float:
-    """Length of the whole chain [m]: each link at least `SHORTEST`, each prismatic joint drawn out
-    as far as its limits say. No link is larger."""
+    """Length of the longest branch [m]: each link at least `SHORTEST`, each prismatic joint drawn
+    out as far as its limits say. No link is larger."""
     ends = joint_points(robot)
-    base = float(robot.before[0, :3, 3].norm())
-    return (
-        base + _slides(robot) + float((ends[:, 1] - ends[:, 0]).norm(dim=-1).clamp(SHORTEST).sum())
+    lengths = (ends[:, 1] - ends[:, 0]).norm(dim=-1).clamp(SHORTEST)
+    branches = [list(robot.ancestors(tip.link)) for tip in robot.ends]
+    longest = max(
+        float(robot.before[line[0], :3, 3].norm()) + float(lengths[line].sum()) for line in branches
     )
+    return longest + _slides(robot)
 
 
 def _slides(robot: Robot) -> float:

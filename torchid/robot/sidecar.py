@@ -72,7 +72,7 @@ def with_sidecar(robot: Robot, path: Path) -> Robot:
             f"'{beside}' belongs to another chain of joints than '{path}'.",
             got=data.get("joints"),
             expected=list(robot.joint_names),
-            hint="choose the chain with `tip=...`, or remove the file",
+            hint="choose the part with `tip=...`, `root=...` and `lock=...`, or remove the file",
         )
     effects = read_effects(data.get("effects") or (), robot.n, str(beside))
     gravity = robot.gravity
@@ -83,5 +83,5 @@ def with_sidecar(robot: Robot, path: Path) -> Robot:
         robot,
         effects=(*robot.effects, *effects),
         gravity=gravity,
-        knowledge=None if sure is None else from_mapping(sure, robot.n, str(beside)),
+        knowledge=None if sure is None else from_mapping(sure, robot.n_links, str(beside)),
     )

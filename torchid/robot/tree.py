@@ -1,22 +1,59 @@
-"""A robot file as a tree of links and joints, and the serial chain chosen in it.
+"""A robot file as a tree of links and joints, and the part of it that is chosen.
 
 URDF and MJCF both become this tree. Links joined by fixed joints move as one body: a `rigid
-group`, each link with its pose in the group's first link. The chain alternates groups and movable
-joints, from the root's group (the base) to the group that holds the tip.
+group`, each link with its pose in the group's first link. A part is a tree of groups and of the
+movable joints between them: all that the base carries, or the chain from the base to a tip.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, Literal
 
 from torch import Tensor
 
 from torchid.errors import RobotError
-from torchid.robot.model import JointType
-from torchid.robot.placement import pose
+from torchid.robot.model import JointType, Robot
+from torchid.robot.placement import align_z, pose, rotation_z
 from torchid.typing import Float
 
 Interval = tuple[float, float]
+Base = Literal["fixed", "moving"]
+
+
+@dataclass(frozen=True)
+class Following:
+    """How a joint mimics another: its position is ratio times that one's plus offset [rad or m]."""
+
+    joint: str
+    ratio: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a user asks for of a file.
+
+    Attributes:
+        tip: last link of a chain; None for all that the root carries.
+        root: link that is the base; None for the file's own.
+        lock: joints that are held, and where [rad or m].
+        base: whether the base is held (`fixed`) or moves and is measured (`moving`).
+    """
+
+    tip: str | None = None
+    root: str | None = None
+    lock: Mapping[str, float] = field(default_factory=dict)
+    base: Base = "fixed"
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """As keywords of `load_robot`."""
+        return {"tip": self.tip, "root": self.root, "lock": self.lock, "base": self.base}
+
+    def __bool__(self) -> bool:
+        """Whether anything is chosen."""
+        return bool(self.tip or self.root or self.lock or self.base != "fixed")
 
 
 @dataclass(frozen=True)
@@ -36,7 +73,9 @@ class TreeJoint:
         armature: inertia reflected from the rotor [kg m^2 or kg].
         stiffness: of a spring between parent and child [N m/rad or N/m].
         rest: position at which that spring is at rest [rad or m].
-        refused: why this joint cannot be part of a chain, or None.
+        refused: why this joint cannot be part of a robot, or None.
+        floating: whether its child may move in every direction, as the base of a walking robot.
+        mimic: the joint that it follows, or None.
     """
 
     name: str
@@ -56,6 +95,26 @@ class TreeJoint:
     stiffness: float = 0.0
     rest: float = 0.0
     refused: str | None = None
+    floating: bool = False
+    mimic: Following | None = None
+
+    def held(self, position: float) -> "TreeJoint":
+        """The joint fixed at a position [rad or m]."""
+        return replace(
+            self,
+            motion=None,
+            origin=self.origin @ self.moved(position),
+            refused=None,
+            floating=False,
+            mimic=None,
+        )
+
+    def moved(self, position: float) -> Float[Tensor, "4 4"]:
+        """The joint's motion alone, at a position [rad or m]."""
+        turn, away = pose(align_z(self.axis)), position - self.zero
+        if self.motion is JointType.REVOLUTE:
+            return turn @ pose(rotation_z(away)) @ turn.T
+        return turn @ pose(None, (0.0, 0.0, away)) @ turn.T
 
     @property
     def movable(self) -> bool:
@@ -76,20 +135,28 @@ class Group:
 
 
 @dataclass(frozen=True)
-class Chain:
+class Part:
     """Groups and the movable joints between them: groups[i] is moved by joints[i - 1].
 
     Attributes:
-        groups: n + 1, the base first.
-        joints: n.
-        tip: link whose pose in the last group is the tool.
+        groups: L + 1, the base first, each behind the one that carries it.
+        joints: L.
+        tips: ends of the branches: a link and the index of its group, the last group's last.
+        pose: (4, 4) of the base's frame in the file's root frame.
         warnings: what the choice leaves out, one sentence each.
     """
 
     groups: tuple[Group, ...]
     joints: tuple[TreeJoint, ...]
-    tip: str
+    tips: tuple[tuple[str, int], ...]
+    pose: Float[Tensor, "4 4"]
     warnings: tuple[str, ...]
+
+    @cached_property
+    def carriers(self) -> tuple[int, ...]:
+        """For each joint the index of the group that carries it."""
+        place = {name: k for k, group in enumerate(self.groups) for name in group.poses}
+        return tuple(place[joint.parent] for joint in self.joints)
 
 
 @dataclass(frozen=True)
@@ -192,76 +259,220 @@ class Tree:
         return [name for name in group.poses if all(joint.movable for joint in self.below[name])]
 
 
-def choose_chain(tree: Tree, tip: str | None) -> Chain:
-    """The chain from the root to the tip, or the only one there is.
+def choose(tree: Tree, choice: Choice) -> Part:
+    """All that the root carries, or the chain to a tip.
+
+    A base that floats is held where the file puts it; where it is to move, it is the base link. A
+    mimic of a joint that is held is held, too.
 
     Raises:
-        RobotError: no movable joint, several chains and no tip, an unknown tip, or a joint that
-            is not an independent revolute or prismatic one.
+        RobotError: no joint can move, an unknown link or joint, a joint that is not revolute or
+            prismatic, or one that mimics a joint which is not part of it.
     """
-    root = tree.root()
+    own_root = tree.root()
     if not any(joint.movable for joint in tree.joints):
         raise RobotError(f"{tree.source}: no joint can move, so there is nothing to identify.")
-    tip, warnings = _only_tip(tree, root) if tip is None else (tip, ())
-    chain = _chain_to(tree, root, tip)
-    for joint in chain.joints:
+    floating = [j.child for j in tree.joints if j.floating and not tree.joints_to(j.parent)]
+    tree, noticed = held(tree, choice.lock)
+    root, placed = own_root, pose()
+    if choice.base == "moving" and choice.root is None and floating:
+        root = floating[0]
+    above: list[str] = []
+    if choice.root is not None:
+        root = _known_link(tree, choice.root, "root")
+        placed, above = _at_rest(tree, root)
+    part = _whole(tree, root) if choice.tip is None else _chain_to(tree, root, choice.tip)
+    for joint in part.joints:
         if joint.refused is not None:
             raise RobotError(f"{tree.source}: {joint.refused}")
-    return replace(chain, warnings=(*warnings, *chain.warnings))
-
-
-def _only_tip(tree: Tree, root: str) -> tuple[str, tuple[str, ...]]:
-    """The end of the only chain there is, and what its choice leaves open."""
-    group, has_chain = tree.group(root), False
-    while leaving := tree.leaving(group):
-        if len(leaving) > 1:
-            raise _branching(tree, leaving, has_chain)
-        group, has_chain = tree.group(leaving[0].child), True
-    ends = tree.ends(group)
-    if len(ends) == 1:
-        return ends[0], ()
-    return group.link, (
-        f"several links are fixed to the last moving link '{group.link}' ({', '.join(ends)}): "
-        f"the tool is '{group.link}' itself; choose another with `tip=...`",
+    part = replace(part, joints=tuple(_followed(tree, part, joint) for joint in part.joints))
+    at_rest = [
+        f"'{root}' is the base; joints {', '.join(map(repr, above))} between it and '{own_root}' "
+        "are held at 0 (`lock=...` holds them elsewhere)"
+    ] * bool(above)
+    return replace(
+        part,
+        pose=placed,
+        warnings=(*noticed, *at_rest, *part.warnings),
     )
 
 
-def _branching(tree: Tree, leaving: list[TreeJoint], has_chain: bool) -> RobotError:
-    """Ends of chains, and links before which they branch again, each with its number of joints."""
-    before = leaving[0].parent
-    tips: list[str] = []
-    waiting = [joint.child for joint in reversed(leaving)]
-    while waiting:
-        group = tree.group(waiting.pop())
-        onward = [joint.child for joint in reversed(tree.leaving(group))]
-        waiting.extend(onward)
-        if len(onward) == 1:
-            continue
-        ends = [] if onward else tree.ends(group)
-        tip = ends[0] if len(ends) == 1 else group.link
-        joints = len(tree.joints_to(tip))
-        tips.append(f"{tip} ({joints} joint{'s' * (joints > 1)})")
-    return RobotError(
-        f"{tree.source}: the robot branches into several moving chains at '{before}' "
-        f"(joints {', '.join(repr(joint.name) for joint in leaving)}).",
-        expected="the last link of one chain, as tip",
-        available=tips,
-        hint=f"tip '{before}' ends the chain before the branching" if has_chain else None,
-    )
+def choice_of(robot: Robot) -> Choice:
+    """What a robot was chosen by from its file."""
+    return Choice(robot.tip, robot.root, robot.locked, "moving" if robot.floating else "fixed")
 
 
-def _chain_to(tree: Tree, root: str, tip: str) -> Chain:
-    if tip not in tree.links:
+def held(tree: Tree, lock: Mapping[str, float]) -> tuple[Tree, list[str]]:
+    """The tree with joints held where a user says and a base that floats fixed, and what there is
+    to say on it; links that are held together are one group then."""
+    tree, alone = _without_lost(tree)
+    tree, floating = _on_a_fixed_base(_locked(tree, lock))
+    return tree, [*alone, *floating]
+
+
+def _known_link(tree: Tree, name: str, what: str) -> str:
+    if name not in tree.links:
         raise RobotError(
-            f"{tree.source}: there is no link to be the tip.", got=tip, available=list(tree.links)
+            f"{tree.source}: there is no link to be the {what}.",
+            got=name,
+            available=list(tree.links),
         )
-    joints = tree.joints_to(tip)
+    return name
+
+
+def _without_lost(tree: Tree) -> tuple[Tree, list[str]]:
+    """The tree with a coordinate for each joint that follows one which the file lacks, and a
+    sentence on them."""
+    known = {joint.name for joint in tree.joints}
+    lost = [joint for joint in tree.joints if joint.mimic and joint.mimic.joint not in known]
+    if not lost:
+        return tree, []
+    names = {joint.name for joint in lost}
+    joints = tuple(
+        replace(joint, mimic=None) if joint.name in names else joint for joint in tree.joints
+    )
+    listed = ", ".join(f"'{j.name}' ('{j.mimic.joint}')" for j in lost if j.mimic)
+    return replace(tree, joints=joints), [
+        f"these joints mimic others that the file lacks, so they move by themselves: {listed}"
+    ]
+
+
+def _locked(tree: Tree, lock: Mapping[str, float]) -> Tree:
+    """The tree with joints held where the user says, and those that follow one that is held."""
+    known = {joint.name: joint for joint in tree.joints}
+    for name, position in lock.items():
+        if name not in known or known[name].motion is None:
+            raise RobotError(
+                f"{tree.source}: there is no joint to lock that turns or slides.",
+                got=name,
+                available=[joint.name for joint in tree.joints if joint.motion is not None],
+            )
+        if not abs(position) < float("inf"):
+            raise RobotError(f"{tree.source}: joint '{name}' cannot be locked there.", got=position)
+    # Where each joint is held: as the user says, at 0 if it is fixed in the file, or as what it
+    # follows.
+    still = {name: 0.0 for name, joint in known.items() if not joint.movable} | dict(lock)
+    followers = [(joint.name, joint.mimic) for joint in tree.joints if joint.mimic]
+    for _ in followers:  # one that follows a follower takes another round
+        for name, way in followers:
+            if name not in still and (way.joint in still or not way.ratio):
+                still[name] = way.ratio * still.get(way.joint, 0.0) + way.offset
+    joints = tuple(
+        joint.held(still[joint.name]) if joint.movable and joint.name in still else joint
+        for joint in tree.joints
+    )
+    return replace(tree, joints=joints)
+
+
+def _on_a_fixed_base(tree: Tree) -> tuple[Tree, list[str]]:
+    """The tree with joints fixed that let the base float, and a sentence on them."""
+    # Of a joint that floats beyond another joint nothing is known.
+    free = [j for j in tree.joints if j.floating and not tree.joints_to(j.parent)]
+    if not free:
+        return tree, []
+    names = {joint.name for joint in free}
+    joints = tuple(joint.held(0.0) if joint.name in names else joint for joint in tree.joints)
+    listed = ", ".join(f"'{joint.child}' (joint '{joint.name}')" for joint in free)
+    said = f"{listed} can float: it is taken as fixed where the file puts it, as part of the base"
+    return replace(tree, joints=joints), [said]
+
+
+def _at_rest(tree: Tree, link: str) -> tuple[Tensor, list[str]]:
+    """Pose (4, 4) of a link in the root with all joints at 0, and which of them can move."""
+    placed, moving = pose(), []
+    while link in tree.above:
+        joint = tree.above[link]
+        if joint.refused is not None:
+            raise RobotError(f"{tree.source}: {joint.refused}")
+        motion = pose() if joint.motion is None else joint.moved(0.0)
+        placed = joint.origin @ motion @ joint.child_pose @ placed
+        moving += [joint.name] if joint.movable else []
+        link = joint.parent
+    return placed, moving[::-1]
+
+
+def _followed(tree: Tree, part: Part, joint: TreeJoint) -> TreeJoint:
+    """The joint with what it follows at last, if that follows another one itself."""
+    seen = {joint.name}
+    known = {other.name: other for other in tree.joints}
+    while joint.mimic is not None and joint.mimic.joint in known:
+        onward = known[joint.mimic.joint].mimic
+        if onward is None or joint.mimic.joint in seen:
+            break
+        seen.add(joint.mimic.joint)
+        ratio, offset = joint.mimic.ratio, joint.mimic.offset
+        way = Following(onward.joint, ratio * onward.ratio, ratio * onward.offset + offset)
+        joint = replace(joint, mimic=way)
+    independent = [other.name for other in part.joints if other.mimic is None]
+    if joint.mimic is not None and joint.mimic.joint not in independent:
+        raise RobotError(
+            f"{tree.source}: joint '{joint.name}' mimics joint '{joint.mimic.joint}', which is not "
+            "one of the joints that move here.",
+            available=independent,
+            hint=f"lock '{joint.name}' (`lock=...`), or choose a part with both",
+        )
+    return joint
+
+
+def _whole(tree: Tree, root: str) -> Part:
+    """All that a link carries; joints in the order of the file, each behind those that carry it."""
+    groups, place = [tree.group(root)], {}
+    for name in groups[0].poses:
+        place[name] = 0
+    reached = set(tree.descendants(root))
+    waiting = [joint for joint in tree.joints if joint.movable and joint.parent in reached]
+    joints: list[TreeJoint] = []
+    while waiting:
+        joint = next(joint for joint in waiting if joint.parent in place)
+        waiting.remove(joint)
+        joints.append(joint)
+        groups.append(tree.group(joint.child))
+        for name in groups[-1].poses:
+            place[name] = len(groups) - 1
+    if not joints:
+        raise RobotError(f"{tree.source}: no joint can move that '{root}' carries.")
+    carrying = {place[joint.parent] for joint in joints}
+    leaves = [k for k in range(1, len(groups)) if k not in carrying]
+    tips, warnings = [], []
+    for k in leaves:
+        ends = tree.ends(groups[k])
+        tips.append((ends[0] if len(ends) == 1 else groups[k].link, k))
+        if len(ends) > 1 and len(leaves) == 1:
+            link = groups[k].link
+            warnings.append(
+                f"several links are fixed to the last moving link '{link}' ({', '.join(ends)}): "
+                f"the tool is '{link}' itself; choose another with `tip=...`"
+            )
+    return Part(tuple(groups), tuple(joints), tuple(tips), pose(), tuple(warnings))
+
+
+def _chain_to(tree: Tree, root: str, tip: str) -> Part:
+    _known_link(tree, tip, "tip")
+    below = tree.descendants(root)
+    if tip not in below:
+        raise RobotError(
+            f"{tree.source}: the root '{root}' does not carry the tip.", got=tip, available=below
+        )
+    before = len(tree.joints_to(root))
+    joints = tree.joints_to(tip)[before:]
     if not joints:
         raise RobotError(
             f"{tree.source}: no joint can move between the root '{root}' and the tip '{tip}'."
         )
     groups = [tree.group(root), *(tree.group(joint.child) for joint in joints)]
-    # A warning for each branch that the chain carries and leaves out.
+    return Part(
+        tuple(groups),
+        tuple(joints),
+        ((tip, len(joints)),),
+        pose(),
+        tuple(_left_out(tree, groups, joints, tip)),
+    )
+
+
+def _left_out(
+    tree: Tree, groups: Sequence[Group], joints: Sequence[TreeJoint], tip: str
+) -> list[str]:
+    """A warning for each branch that a chain carries and leaves out."""
     chosen = {joint.name for joint in joints}
     warnings = []
     for group in groups[1:]:
@@ -274,4 +485,4 @@ def _chain_to(tree: Tree, root: str, tip: str) -> Chain:
                 f"joint '{joint.name}' is not on the chain to '{tip}': the masses of links "
                 f"{', '.join(repr(name) for name in links)} ({mass:g} kg) are not included"
             )
-    return Chain(tuple(groups), tuple(joints), tip, tuple(warnings))
+    return warnings

@@ -1,10 +1,10 @@
 """Read a URDF: lxml for the file, float64 for the numbers.
 
-What a model holds beyond rigid bodies on independent joints is refused or told in `warnings`;
+What a model holds beyond rigid bodies and joints of one freedom is refused or told in `warnings`;
 <visual>, <collision>, <gazebo>, <mujoco> and <transmission> are not looked at.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from torchid.errors import RobotError
 from torchid.robot.assemble import assemble
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import STANDARD_GRAVITY, JointType, Robot
-from torchid.robot.tree import Interval, Tree, TreeJoint
+from torchid.robot.tree import Base, Choice, Following, Interval, Tree, TreeJoint
 from torchid.robot.xml_numbers import (
     attribute,
     child,
@@ -34,46 +34,58 @@ _MOTIONS = {
     "fixed": None,
 }
 _REFUSED = ("floating", "planar")
+_REFUSED_AS = "joint '{}' is {}; only revolute, continuous and prismatic joints are known"
 _RANGE = ("lower", "upper")
 _LIMITS = {"position": _RANGE, "velocity": ("velocity",), "effort": ("effort",)}
 
 
-def read_urdf(path: Path, *, tip: str | None = None) -> Robot:
-    """Read the serial chain of a URDF from its root link to a tip.
+def read_urdf(
+    path: Path,
+    *,
+    tip: str | None = None,
+    root: str | None = None,
+    lock: Mapping[str, float] | None = None,
+    base: Base = "fixed",
+) -> Robot:
+    """Read the robot of a URDF: the tree that its root link carries, or a part of it.
 
     Link frames are the URDF's child link frames. Links behind fixed joints are merged into the
-    link that moves them; those fixed to the root belong to the base. `tool` is the pose of the
-    tip link. Limits that only some joints have are infinite for the others. <dynamics> becomes
-    `effects` viscous_friction and coulomb_friction; gravity is (0, 0, -9.81) in the root frame.
+    link that moves them; those fixed to the root belong to the base. `tool` and `tips` are the
+    poses of the last links. Limits that only some joints have are infinite for the others.
+    <dynamics> becomes `effects` viscous_friction and coulomb_friction; gravity is (0, 0, -9.81) in
+    the root frame. A base that floats is taken as fixed, with a warning.
 
     Args:
         path: the file.
-        tip: last link of the chain; needed where several chains move. Movable branches off the
-            chain are left out, with a warning.
+        tip: last link of a chain, which alone is read; movable branches off it are left out, with
+            a warning.
+        root: link that is the base of what is read.
+        lock: joints that are held, and where [rad or m].
+        base: whether the base is held, or moves: one that floats in the file is then the base.
 
     Raises:
         RobotError: a file that cannot be read, xacro or MJCF in it, a structure that is not a
-            tree, a joint that is not revolute, continuous, prismatic or fixed, a mimic joint on
-            the chain, a value that is not a number, several chains and no tip, an unknown tip.
+            tree, a joint that is not revolute, continuous, prismatic or fixed, one that mimics a
+            joint which is not there, a value that is not a number, an unknown link or joint.
     """
     path = Path(path)
     source = str(path)
-    root = parse_xml(path)
-    if root.tag != "robot":
+    document = parse_xml(path)
+    if document.tag != "robot":
         hint = None
-        if root.tag == "mujoco":
+        if document.tag == "mujoco":
             hint = "this is MJCF: give it the suffix .xml"
-        elif root.tag == "sdf":
+        elif document.tag == "sdf":
             hint = "this is SDF: convert it to URDF"
         raise RobotError(
-            f"{source}: not a URDF.", got=f"<{root.tag}>", expected="<robot>", hint=hint
+            f"{source}: not a URDF.", got=f"<{document.tag}>", expected="<robot>", hint=hint
         )
-    refuse_xacro(root, source)
+    refuse_xacro(document, source)
     warnings: list[str] = []
     return assemble(
-        urdf_tree(root, source, warnings),
-        tip=tip,
-        name=(root.get("name") or path.stem).strip(),
+        urdf_tree(document, source, warnings),
+        Choice(tip, root, dict(lock or {}), base),
+        name=(document.get("name") or path.stem).strip(),
         gravity=STANDARD_GRAVITY,
         path=path,
         warnings=warnings,
@@ -165,19 +177,22 @@ def _joint(element: Any, source: str, warnings: list[str]) -> TreeJoint:
         torque=torque,
         damping=losses["damping"],
         friction=losses["friction"],
-        refused=_refusal(element, kind, name, where),
+        refused=_REFUSED_AS.format(name, kind) if kind in _REFUSED else None,
+        floating=kind == "floating",
+        mimic=_following(element, where),
     )
 
 
-def _refusal(element: Any, kind: str, name: str, where: str) -> str | None:
-    if kind in _REFUSED:
-        return f"joint '{name}' is {kind}; only revolute, continuous and prismatic joints are known"
+def _following(element: Any, where: str) -> Following | None:
+    """Of a <mimic>, whose ratio and offset are 1 and 0 where not given."""
     mimic = element.find("mimic")
     if mimic is None:
         return None
-    return (
-        f"joint '{name}' mimics joint '{attribute(mimic, 'joint', where)}'; joints that are not "
-        "independent are not supported (end the chain before it with tip, or make it fixed)"
+    ratio = optional_number(mimic, "multiplier", where)
+    return Following(
+        attribute(mimic, "joint", where),
+        1.0 if ratio is None else ratio,
+        optional_number(mimic, "offset", where) or 0.0,
     )
 
 

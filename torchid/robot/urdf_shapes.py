@@ -16,7 +16,7 @@ from torchid.errors import RobotError
 from torchid.robot.mesh_files import find_mesh, mesh_vertices
 from torchid.robot.model import Robot
 from torchid.robot.solids import LinkShapes, Solid, assembled, box, capsule, cylinder, points
-from torchid.robot.tree import Tree
+from torchid.robot.tree import Tree, held
 from torchid.robot.urdf import urdf_tree
 from torchid.robot.xml_numbers import (
     attribute,
@@ -76,7 +76,7 @@ def urdf_shapes(path: Path, robot: Robot) -> LinkShapes:
         RobotError: the file is not XML, or has not the robot's links.
     """
     root = parse_xml(path)
-    tree = urdf_tree(root, str(path), [])
+    tree, _ = held(urdf_tree(root, str(path), []), robot.locked)
     elements = dict(_named(root, str(path)))
     parts: list[tuple[list[Solid], str] | None] = []
     read: list[list[Solid]] = []
@@ -88,7 +88,7 @@ def urdf_shapes(path: Path, robot: Robot) -> LinkShapes:
             for name, placed in _group(tree, link).items()
         }
 
-    base_members = shapes_of(tree.root())
+    base_members = shapes_of(robot.root or tree.root())
     carried = set(base_members)
     for link in robot.link_names:
         members = shapes_of(link)
@@ -125,7 +125,7 @@ def own_inertials(robot: Robot) -> tuple[OwnInertial, ...]:
     if path.suffix.lower() != ".urdf":
         return ()
     root = parse_xml(path)
-    tree = urdf_tree(root, str(path), [])
+    tree, _ = held(urdf_tree(root, str(path), []), robot.locked)
     elements = [(name, e.find("inertial")) for name, e in _named(root, str(path))]
     given = {name for name, inertial in elements if inertial is not None}
     groups = [set(_group(tree, link)) for link in robot.link_names]

@@ -64,6 +64,7 @@ def to_mapping(robot: Robot) -> dict[str, Any]:
     out["gravity"] = robot.gravity.tolist()
     if not _is_identity(robot.tool):
         out["tool"] = robot.tool.tolist()
+    out |= _unless_empty("floating", robot.floating)
     known = {name: getattr(robot.limits, name) for name in LIMITS}
     out |= _unless_empty(
         "limits", {name: value.tolist() for name, value in known.items() if value is not None}
@@ -93,6 +94,8 @@ def _unless_empty(key: str, value: Any) -> dict[str, Any]:
 
 def _dh(robot: Robot) -> dict[str, Any]:
     """A DH table with exactly the robot's poses; empty where there is none."""
+    if not robot.is_serial or robot.tips:
+        return {}
     for convention in CONVENTIONS:
         rows = [
             _dh_row(convention, before, after)
@@ -136,20 +139,43 @@ def _angle(key: str, value: float) -> dict[str, float]:
 
 def _placements(robot: Robot) -> dict[str, Any]:
     rows = [
-        _unless_empty("before", _pose(before)) | _unless_empty("after", _pose(after))
-        for before, after in zip(robot.before, robot.after, strict=True)
+        _carrier(robot, i)
+        | _unless_empty("before", _pose(robot.before[i]))
+        | _unless_empty("after", _pose(robot.after[i]))
+        | _follows(robot, i)
+        for i in range(robot.n_links)
     ]
-    return {"placements": {"joints": _named(robot, rows)}}
+    tips = [
+        {"name": tip.name, "link": robot.link_names[tip.link]}
+        | _unless_empty("pose", _pose(tip.pose))
+        for tip in robot.tips
+    ]
+    return {"placements": {"joints": _named(robot, rows)} | _unless_empty("tips", tips)}
+
+
+def _carrier(robot: Robot, i: int) -> dict[str, Any]:
+    """The link that carries link i, where it is not the one before."""
+    parent = robot.parents[i]
+    return {} if parent == i - 1 else {"parent": None if parent < 0 else robot.link_names[parent]}
+
+
+def _follows(robot: Robot, i: int) -> dict[str, Any]:
+    """What the joint of link i mimics."""
+    drive = robot.drives[i]
+    if drive not in robot.mimics:
+        return {}
+    values = {"joint": robot.joint_names[drive.coordinate], "ratio": drive.ratio}
+    return {"mimic": values | _unless_empty("offset", drive.offset)}
 
 
 def _named(robot: Robot, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Rows with names, where they are not the reader's own, and types in front."""
     out = []
-    named = zip(robot.joint_names, robot.link_names, robot.joint_types, rows, strict=True)
-    for i, (joint, link, kind, row) in enumerate(named, start=1):
-        names = {"name": joint} if joint != f"joint_{i}" else {}
+    named = zip(robot.drives, robot.link_names, rows, strict=True)
+    for i, (drive, link, row) in enumerate(named, start=1):
+        names = {"name": drive.joint} if drive.joint != f"joint_{i}" else {}
         names |= {"link": link} if link != f"link_{i}" else {}
-        out.append({**names, "type": kind.value, **row})
+        out.append({**names, "type": drive.joint_type.value, **row})
     return out
 
 

@@ -17,7 +17,17 @@ from torchid.robot.yaml_kinematics import read_kinematics
 from torchid.robot.yaml_values import known, numbers, parsed_yaml
 
 _KINEMATICS = ("dh", "placements")
-_REST = ("gravity", "limits", "parameters", "effects", "drive_gain", "bounds", "basis", "tool")
+_REST = (
+    "gravity",
+    "limits",
+    "parameters",
+    "effects",
+    "drive_gain",
+    "bounds",
+    "basis",
+    "tool",
+    "floating",
+)
 _KNOWLEDGE = "knowledge"
 _BESIDE = ("servo", "servos")
 """What a robot's yaml may hold and other readers take: `torchid.position`."""
@@ -45,7 +55,7 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
     if "name" not in data:
         raise RobotError(f"{source}: 'name' is missing.", available=list(data))
     kinematics = read_kinematics(data, source)
-    n = len(kinematics["joint_types"])
+    n, links = len(kinematics["joint_types"]), len(kinematics["before"])
     gravity = numbers(data.get("gravity", STANDARD_GRAVITY), (3,), f"{source}: gravity")
     tool = numbers(data.get("tool", torch.eye(4).tolist()), (4, 4), f"{source}: tool")
     gain = data.get("drive_gain")
@@ -56,15 +66,16 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
         name=str(data["name"]),
         **kinematics,
         gravity=gravity,
+        floating=_floating(data.get("floating", False), source),
         tool=tool,
         limits=_limits(data.get("limits") or {}, n, source),
-        parameters=_parameters(data.get("parameters"), n, source),
+        parameters=_parameters(data.get("parameters"), links, source),
         effects=read_effects(data.get("effects") or (), n, source),
         drive_gain=None if gain is None else numbers(gain, (n,), f"{source}: drive_gain"),
         bounds=_bounds(data.get("bounds") or {}, source),
         basis=basis,
         source=source,
-        knowledge=_knowledge(data.get(_KNOWLEDGE), n, source),
+        knowledge=_knowledge(data.get(_KNOWLEDGE), links, source),
     )
 
 
@@ -139,6 +150,12 @@ def read_effects(data: Any, n: int, source: str) -> tuple[Mapping[str, Any], ...
                 available=list(range(1, n + 1)),
             )
     return tuple(MappingProxyType(dict(record)) for record in data)
+
+
+def _floating(data: Any, source: str) -> bool:
+    if not isinstance(data, bool):
+        raise RobotError(f"{source}: floating is true or false.", got=data)
+    return data
 
 
 def _bounds(data: Any, source: str) -> Mapping[str, Any]:

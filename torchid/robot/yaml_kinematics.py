@@ -8,14 +8,14 @@ import torch
 from torch import Tensor
 
 from torchid.errors import RobotError
-from torchid.robot.model import JointType
+from torchid.robot.model import JointType, Mimic, Tip
 from torchid.robot.placement import dh_classical, dh_modified, pose, rotation_z
 from torchid.robot.yaml_values import known, number, numbers
 from torchid.typing import Float
 
 _NAMES = ("name", "link")
 _DH_KEYS = ("type", "a", "alpha", "alpha_deg", "d", "theta", "theta_deg", *_NAMES)
-_PLACEMENT_KEYS = ("type", "before", "after", *_NAMES)
+_PLACEMENT_KEYS = ("type", "parent", "before", "after", "mimic", *_NAMES)
 _FORMS: dict[str, tuple[tuple[str, ...], tuple[str, ...], str]] = {
     "dh": (
         ("convention", "joints"),
@@ -25,7 +25,7 @@ _FORMS: dict[str, tuple[tuple[str, ...], tuple[str, ...], str]] = {
     "placements": (
         ("joints",),
         _PLACEMENT_KEYS,
-        "placements: {joints: [{type, before: {xyz, rotation}, after}]}",
+        "placements: {joints: [{type, parent, before: {xyz, rotation}, after}]}",
     ),
 }
 """Keys of each way to give the kinematics, keys of its joints, and what it looks like."""
@@ -56,7 +56,7 @@ def read_kinematics(data: Mapping[str, Any], source: str) -> dict[str, Any]:
             got=list(table) if isinstance(table, Mapping) else type(table).__name__,
             expected=expected,
         )
-    known(table, needs, f"{source}: {form}")
+    known(table, (*needs, *(("tips",) if form == "placements" else ())), f"{source}: {form}")
     convention = table.get("convention", "classical")
     if convention not in CONVENTIONS:
         raise RobotError(f"{source}: unknown DH convention.", got=convention, available=CONVENTIONS)
@@ -73,13 +73,76 @@ def read_kinematics(data: Mapping[str, Any], source: str) -> dict[str, Any]:
                 _pose(row.get(key, {}), f"{where}: {key}") for key in ("before", "after")
             )
             poses.append((before, after))
-    return {
-        "joint_names": tuple(str(row.get("name", f"joint_{i}")) for i, row in rows),
-        "link_names": tuple(str(row.get("link", f"link_{i}")) for i, row in rows),
-        "joint_types": tuple(_kind(row, f"{source}: joint {i}") for i, row in rows),
+    links = [str(row.get("link", f"link_{i}")) for i, row in rows]
+    names = [str(row.get("name", f"joint_{i}")) for i, row in rows]
+    kinds = [_kind(row, f"{source}: joint {i}") for i, row in rows]
+    own = [k for k, (_, row) in enumerate(rows) if "mimic" not in row]
+    found: dict[str, Any] = {
+        "joint_names": tuple(names[k] for k in own),
+        "link_names": tuple(links),
+        "joint_types": tuple(kinds[k] for k in own),
         "before": torch.stack([before for before, _ in poses]),
         "after": torch.stack([after for _, after in poses]),
     }
+    if form == "placements":
+        found["parents"] = tuple(_parent(row, i, links, source) for i, row in rows)
+        follow = {names[k]: j for j, k in enumerate(own)}
+        found["mimics"] = tuple(
+            _mimic(row["mimic"], i - 1, names[i - 1], kinds[i - 1], follow, source)
+            for i, row in rows
+            if "mimic" in row
+        )
+        found["tips"] = tuple(
+            _tip(row, links, f"{source}: tip {k}")
+            for k, row in enumerate(table.get("tips") or (), start=1)
+        )
+    return found
+
+
+def _parent(row: Mapping[str, Any], i: int, links: Sequence[str], source: str) -> int:
+    """The link (from 0) that carries joint i (from 1): the one before, unless another is named."""
+    if "parent" not in row:
+        return i - 2
+    name = row["parent"]
+    if name is None:
+        return -1
+    if str(name) not in links[: i - 1]:
+        raise RobotError(
+            f"{source}: joint {i}: there is no such link before it to carry it.",
+            got=name,
+            available=list(links[: i - 1]),
+            hint="null is the base",
+        )
+    return links.index(str(name))
+
+
+def _mimic(
+    data: Any, link: int, name: str, kind: JointType, follow: Mapping[str, int], source: str
+) -> Mimic:
+    where = f"{source}: joint {link + 1}: mimic"
+    known(data, ("joint", "ratio", "offset"), where)
+    if str(data.get("joint")) not in follow:
+        raise RobotError(
+            f"{where}: there is no such joint to follow.",
+            got=data.get("joint"),
+            available=list(follow),
+        )
+    ratio, offset = (
+        number(data.get(key, default), f"{where}: {key}")
+        for key, default in (("ratio", 1.0), ("offset", 0.0))
+    )
+    return Mimic(link, name, kind, follow[str(data["joint"])], ratio, offset)
+
+
+def _tip(data: Any, links: Sequence[str], where: str) -> Tip:
+    known(data, ("name", "link", "pose"), where)
+    if str(data.get("link")) not in links:
+        raise RobotError(
+            f"{where}: there is no such link.", got=data.get("link"), available=list(links)
+        )
+    placed = _pose(data.get("pose", {}), f"{where}: pose")
+    name = str(data["link"])
+    return Tip(str(data.get("name", name)), links.index(name), placed)
 
 
 def dh_step(

@@ -138,17 +138,23 @@ def body_at(
     poses = link_poses(robot, q)
     points = poses[:, link, :3]
     # A joint turns points about its axis, or moves them along it (geometric Jacobian).
-    first = torch.eye(4).to(q).expand(len(q), 1, 4, 4)
-    joints = torch.cat([first, poses[:, :-1]], 1) @ robot.before.to(q)
+    # The base is behind the last link, where -1 finds it.
+    base = torch.eye(4).to(q).expand(len(q), 1, 4, 4)
+    joints = torch.cat([poses, base], 1)[:, list(robot.parents)] @ robot.before.to(q)
     axes, origins = joints[..., :3, 2], joints[..., :3, 3]
     turning = torch.linalg.cross(up.expand_as(axes), axes)
     slope = turning @ points
     slope[..., 3] -= (turning * origins).sum(-1)
-    for j, kind in enumerate(robot.joint_types):
-        if kind is not JointType.REVOLUTE:
+    for j, drive in enumerate(robot.drives):
+        if drive.joint_type is not JointType.REVOLUTE:
             slope[:, j] = 0.0
             slope[:, j, 3] = axes[:, j] @ up
-    slope[:, link + 1 :] = 0.0
+    slope[:, [k for k in range(robot.n_links) if k not in robot.ancestors(link)]] = 0.0
+    if robot.mimics:
+        own = slope.new_zeros(len(slope), robot.n, 4)
+        follow = torch.tensor([drive.coordinate for drive in robot.drives])
+        ratio = slope.new_tensor([drive.ratio for drive in robot.drives])
+        slope = own.index_add(1, follow, slope * ratio[:, None])
     return Body(*body, up @ points, slope)
 
 

@@ -3,6 +3,7 @@
     DIR/cases.json         {schema, seed, mix, cases: [ID...], keys_sha256, version}
     DIR/<ID>/robot.urdf    the nominal model: all that the diagnosis is told of the arm
     DIR/<ID>/log.parquet   what was measured
+    DIR/<ID>/robot.urdf.effects.yaml   rotors, where the maker's data tell them
     DIR/<ID>/answer.json   what the diagnosis said
     DIR.keys.json          {schema, seed, cases: [KEY...]}: what was planted
 
@@ -13,7 +14,7 @@ can check that no key was changed after the answers were known.
 import hashlib
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,6 +27,8 @@ from torchid.errors import TorchidError
 from torchid.files import atomic_write
 from torchid.json_data import picked, read_json, write_json
 from torchid.parallel.workers import Progress, each
+from torchid.robot.sidecar import sidecar_path, sidecar_yaml
+from torchid.withheld.plant.trees import ROBOTS
 
 SCHEMA = "torchid.withheld/1"
 KEYS_SCHEMA = "torchid.withheld.keys/1"
@@ -34,7 +37,7 @@ KEPT = ".keys"
 """Of a set that is being made: keys of its cases so far."""
 
 _MIXES = {"torque": ("mixed", "release"), "position": ("mixed",)}
-"""Of sets, by what their logs have."""
+"""Of sets of arms, by what their logs have."""
 
 CASES, ROBOT, LOG, ANSWER = "cases.json", "robot.urdf", "log.parquet", "answer.json"
 
@@ -51,6 +54,7 @@ class CaseSet:
         version: of torchid that wrote it.
         mix: of its kinds of cases, `mixed` or `release`.
         kind: what its logs have: `torque`, or `position`, commands alone.
+        robots: that its arms are drawn from: `arms`, `tree`, or one robot that branches.
     """
 
     folder: Path
@@ -60,6 +64,7 @@ class CaseSet:
     version: str
     mix: str = "mixed"
     kind: str = "torque"
+    robots: str = "arms"
 
     def robot(self, case: str) -> Path:
         """The nominal model of a case."""
@@ -109,6 +114,7 @@ def read_cases(folder: Path) -> CaseSet:
             str(data["version"]),
             str(data.get("mix", "mixed")),
             str(data.get("kind", "torque")),
+            str(data.get("robots", "arms")),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise TorchidError(f"'{path}' is incomplete or damaged.", got=str(error)) from error
@@ -164,6 +170,7 @@ def make(
     *,
     kind: str = "torque",
     mix: str = "mixed",
+    robots: str = "arms",
     keys: Path | None = None,
     jobs: int = 1,
     progress: Progress | None = None,
@@ -183,6 +190,9 @@ def make(
         mix: of logs of torques. `mixed`: all kinds of cases, for development; `release`: of
             nineteen cases four without an effect, eight with one, three with two or three, four
             outside the library.
+        robots: `arms`; or `tree`: a quadruped, two arms with grippers and the upper body of a
+            humanoid, or one of them by name. Of twenty cases of these five have no effect, and
+            fifteen one; their logs have torques.
         keys: file of the keys, outside the folder; `FOLDER.keys.json` if None.
         jobs: processes.
         progress: called with (stage, done, total).
@@ -195,6 +205,14 @@ def make(
         raise TorchidError("unknown kind of logs.", got=kind, available=list(_MIXES))
     if mix not in _MIXES[kind]:
         raise TorchidError(f"unknown mix of {kind} cases.", got=mix, available=list(_MIXES[kind]))
+    if robots not in ROBOTS:
+        raise TorchidError("unknown robots.", got=robots, available=list(ROBOTS))
+    if robots != "arms" and (kind, mix) != ("torque", "mixed"):
+        raise TorchidError(
+            "robots that branch have logs of torques, in one mix.",
+            got=f"kind {kind}, mix {mix}",
+            expected="kind torque, mix mixed",
+        )
     if count < 1:
         raise TorchidError("a set has at least one case.", got=count)
     keys = keys_beside(folder) if keys is None else keys
@@ -216,14 +234,17 @@ def make(
             raise TorchidError(f"there is no folder '{above}'.", hint=f"mkdir -p '{above}'")
     # It takes the place of `folder` when all are there; until then it keeps what is made.
     drawn = mix if kind == "torque" else kind
-    place = folder.resolve().parent / f".{folder.name}-{seed}-{drawn}"
+    given = {"mix": drawn} if robots == "arms" else {"mix": "tree", "robots": robots}
+    place = folder.resolve().parent / "-".join((f".{folder.name}", str(seed), *given.values()))
     (place / KEPT).mkdir(parents=True, exist_ok=True)
-    write = partial(write_drawn, place, seed, drawn)
+    write = partial(write_drawn, place, seed, given)
     found = each(write, range(count), jobs, "simulating cases", progress)
     sealed = sha256(write_json({"schema": KEYS_SCHEMA, "seed": seed, "cases": found}, keys))
     ids = tuple(map(case_id, range(count)))
-    made = CaseSet(folder, seed, ids, sealed, __version__, mix, kind)
+    made = CaseSet(folder, seed, ids, sealed, __version__, mix, kind, robots)
     data = {"schema": SCHEMA, **picked(made, "seed kind mix keys_sha256 version cases=ids")}
+    if robots != "arms":
+        data["robots"] = robots
     write_json(data, place / CASES)
     # What a longer run had begun is no part of this one.
     shutil.rmtree(place / KEPT)
@@ -235,11 +256,11 @@ def make(
     return made
 
 
-def write_drawn(folder: Path, seed: int, mix: str, number: int) -> dict[str, Any]:
+def write_drawn(folder: Path, seed: int, given: Mapping[str, str], number: int) -> dict[str, Any]:
     """Draw one case of a seed, and write it; returns its key, which is kept until all are made."""
     kept = folder / KEPT / f"{case_id(number)}.json"
     if not kept.exists():
-        write_json(write_case(folder / case_id(number), seed, number, mix=mix), kept)
+        write_json(write_case(folder / case_id(number), seed, number, **given), kept)
     return read_json(kept, "a key")
 
 
@@ -257,13 +278,24 @@ def write_case(place: Path, seed: int, number: int, **given: Any) -> dict[str, A
     from torchid.withheld.plant.case import draw_case, simulate_case
 
     case = simulate_case(draw_case(seed, number, **given))
-    write_shown(case.urdf, case.columns, place)
+    write_shown(case.urdf, case.columns, place, case.rotors)
     return {"id": place.name} | case.key | {"id": place.name}
 
 
-def write_shown(urdf: str, columns: Mapping[str, np.ndarray], place: Path) -> None:
-    """Write what the diagnosis sees of a case: model and log."""
+def write_shown(
+    urdf: str, columns: Mapping[str, np.ndarray], place: Path, rotors: Sequence[float] = ()
+) -> None:
+    """Write what the diagnosis sees of a case: model and log, and what is known of rotors (n,)
+    [kg m^2]."""
     place.mkdir(exist_ok=True)
+    if any(rotors):
+        known = [
+            {"effect": "rotor_inertia", "joint": k, "Ia": float(x)} for k, x in enumerate(rotors, 1)
+        ]
+        names = [f"joint{k}" for k in range(1, len(rotors) + 1)]
+        path = place / ROBOT
+        with atomic_write(sidecar_path(path), "w") as text:
+            text.write(sidecar_yaml(path.name, names, known, None))
     with atomic_write(place / ROBOT, "w") as text:
         text.write(urdf)
     with atomic_write(place / LOG, "wb") as file:

@@ -7,7 +7,7 @@ along the axis), moments about the origins of the joint frames.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import torch
@@ -57,21 +57,22 @@ def wrench_blocks(
 ) -> list[WrenchBlock]:
     """Blocks of all joints, base to tip, from n tensors (T,) each of q, dq, ddq."""
     links = kinematics(chain.geometry, q, dq, ddq)
-    blocks: list[WrenchBlock] = []
+    blocks: dict[int, WrenchBlock] = {}
     for i in reversed(range(chain.n)):
         block = _own_columns(chain.geometry.joints[i], links[i], like=q[0])
-        if blocks:
+        for beyond in chain.children(i):
             # From the joint beyond to this one: to the link frame's origin, and on to the joint's.
-            arm = add3(chain.geometry.joints[i + 1].previous_offset, links[i].offset)
-            rotation = links[i + 1].rotation
-            block = _joined(block, _carried(blocks[-1], chain.kept[i + 1], rotation, arm))
-        blocks.append(block)
-    return blocks[::-1]
+            arm = add3(chain.geometry.joints[beyond].previous_offset, links[i].offset)
+            rotation = links[beyond].rotation
+            block = _joined(block, _carried(blocks[beyond], chain.kept[beyond], rotation, arm))
+        blocks[i] = block
+    return [blocks[i] for i in range(chain.n)]
 
 
 def _own_columns(joint: JointGeometry, link: Link, like: Float[Tensor, " T"]) -> WrenchBlock:
     """Of the ten parameters of the joint's own link."""
-    alone = ChainGeometry((joint,), ZERO)
+    own = replace(joint, parent=-1, coordinate=0)
+    alone = ChainGeometry((own,), ZERO, ((0,),))
     wrenches = []
     for k in range(PARAMETERS_PER_LINK):
         unit = [float(k == j) for j in range(PARAMETERS_PER_LINK)]
@@ -113,11 +114,11 @@ def _stacked(vector: Vec3) -> Float[Tensor, "3 C T"]:
 
 def _joined(own: WrenchBlock, beyond: WrenchBlock) -> WrenchBlock:
     """Columns of forces before those of couples, the own link's first in each."""
-    n_forces = beyond.force.shape[1]
+    n_own, n_forces = own.force.shape[1], beyond.force.shape[1]
     moment = [
-        own.moment[:, :FORCE_KINDS],
+        own.moment[:, :n_own],
         beyond.moment[:, :n_forces],
-        own.moment[:, FORCE_KINDS:],
+        own.moment[:, n_own:],
         beyond.moment[:, n_forces:],
     ]
     return WrenchBlock(torch.cat([own.force, beyond.force], 1), torch.cat(moment, 1))

@@ -49,23 +49,29 @@ class WrenchChain:
     Attributes:
         geometry: of the chain whose link frames are the moved joint frames (z along the axis).
         kept: per link.
-        link_axes: (n, 3, 3) takes a vector from axes of the moved joint frame to the link frame's.
-        to_forces: per joint (10 (n - i), Cf): from the parameters of links i.. to those that make
-            the force.
-        to_moments: per joint (10 (n - i), Cm): to those that make the moment: the Cf of the force
+        descendants: per link all that it carries, itself first, in order of the links.
+        link_axes: (L, 3, 3) takes a vector from axes of the moved joint frame to the link frame's.
+        to_forces: per joint (10 D, Cf): from the parameters of the D links that it moves to those
+            that make the force.
+        to_moments: per joint (10 D, Cm): to those that make the moment: the Cf of the force
             first, then those of couples.
     """
 
     geometry: ChainGeometry
     kept: tuple[Kept, ...]
-    link_axes: Float[Tensor, "n 3 3"]
+    descendants: tuple[tuple[int, ...], ...]
+    link_axes: Float[Tensor, "L 3 3"]
     to_forces: tuple[Tensor, ...]
     to_moments: tuple[Tensor, ...]
 
     @property
     def n(self) -> int:
-        """Number of joints."""
+        """Number of links, and of the joints that carry them."""
         return len(self.kept)
+
+    def children(self, link: int) -> list[int]:
+        """Links that a link carries itself."""
+        return [k for k, joint in enumerate(self.geometry.joints) if joint.parent == link]
 
     @property
     def columns(self) -> int:
@@ -78,37 +84,52 @@ def wrench_chain(robot: Robot) -> WrenchChain:
     """The robot's chain in moved joint frames, and how its parameters are lumped."""
     after = robot.after.double().cpu()
     before = robot.before.double().cpu().clone()
-    before[1:] = after[:-1] @ before[1:]
+    carried = [link for link, parent in enumerate(robot.parents) if parent >= 0]
+    above = [robot.parents[link] for link in carried]
+    before[carried] = after[above] @ before[carried]
     before = torch.where(before.abs() < 1e-15, torch.zeros_like(before), before)
     in_joint_frames = replace(robot, before=before, after=torch.eye(4).to(after).expand_as(after))
-    unit = torch.eye(PARAMETERS_PER_LINK * robot.n, dtype=torch.float64)
-    lumped = _lumped(robot, before, unit.reshape(-1, robot.n, PARAMETERS_PER_LINK))
-    kept = tuple(_KEPT[kind] for kind in robot.joint_types)
+    links = robot.n_links
+    unit = torch.eye(PARAMETERS_PER_LINK * links, dtype=torch.float64)
+    lumped = _lumped(robot, before, unit.reshape(-1, links, PARAMETERS_PER_LINK))
+    kinds = [drive.joint_type for drive in robot.drives]
+    kept = tuple(_KEPT[kind] for kind in kinds)
     to_forces, to_moments = [], []
-    for i in range(robot.n):
+    for i in range(links):
         forces = [lumped[i][:, :FORCE_KINDS]]
         couples = [lumped[i][:, FORCE_KINDS:]]
-        for link in range(i + 1, robot.n):
-            stays = lumped[link] - _handed_over(lumped[link], robot.joint_types[link])
+        for link in _branch_by_branch(robot, i)[1:]:
+            stays = lumped[link] - _handed_over(lumped[link], kinds[link])
             forces.append(stays[:, list(kept[link].forces)])
             couples.append(stays[:, list(kept[link].couples)])
-        felt = slice(PARAMETERS_PER_LINK * i, None)
+        own = torch.tensor(robot.descendants(i)).unsqueeze(1) * PARAMETERS_PER_LINK
+        felt = (own + torch.arange(PARAMETERS_PER_LINK)).flatten()
         to_forces.append(torch.cat(forces, 1)[felt])
         to_moments.append(torch.cat([*forces, *couples], 1)[felt])
     return WrenchChain(
         geometry=chain_geometry(in_joint_frames),
         kept=kept,
+        descendants=tuple(robot.descendants(i) for i in range(links)),
         link_axes=after[:, :3, :3].transpose(-1, -2).contiguous(),
         to_forces=tuple(to_forces),
         to_moments=tuple(to_moments),
     )
 
 
+def _branch_by_branch(robot: Robot, link: int) -> list[int]:
+    """A link and all that it carries, each branch to its end before the next: the order in which
+    blocks are put together."""
+    out = [link]
+    for child in [k for k, parent in enumerate(robot.parents) if parent == link]:
+        out += _branch_by_branch(robot, child)
+    return out
+
+
 def lumped_parameters(
-    chain: WrenchChain, pi: Float[Tensor, "K n 10"]
+    chain: WrenchChain, pi: Float[Tensor, "K L 10"]
 ) -> list[tuple[Float[Tensor, "K Cf"], Float[Tensor, "K Cm"]]]:
     """Per joint the lumped parameters of K sets that make its force, and those of its moment."""
-    felt = [pi[:, i:].flatten(1) for i in range(chain.n)]
+    felt = [pi[:, list(links)].flatten(1) for links in chain.descendants]
     return [
         (own @ to_force.to(pi), own @ to_moment.to(pi))
         for own, to_force, to_moment in zip(felt, chain.to_forces, chain.to_moments, strict=True)
@@ -116,18 +137,19 @@ def lumped_parameters(
 
 
 def _lumped(
-    robot: Robot, before: Float[Tensor, "n 4 4"], pi: Float[Tensor, "K n 10"]
+    robot: Robot, before: Float[Tensor, "L 4 4"], pi: Float[Tensor, "K L 10"]
 ) -> list[Float[Tensor, "K 10"]]:
     """Per link its parameters with those that the links beyond hand over, in the moved frame of
     its joint; `before` are the poses of these frames in the ones before."""
     after = robot.after.double().cpu()
-    lumped: list[Tensor] = []
-    for i in reversed(range(robot.n)):
+    lumped: dict[int, Tensor] = {}
+    for i in reversed(range(robot.n_links)):
         own = move(pi[:, i], after[i])
-        if lumped:
-            own = own + move(_handed_over(lumped[0], robot.joint_types[i + 1]), before[i + 1])
-        lumped.insert(0, own)
-    return lumped
+        for child in [k for k, parent in enumerate(robot.parents) if parent == i]:
+            given = _handed_over(lumped[child], robot.drives[child].joint_type)
+            own = own + move(given, before[child])
+        lumped[i] = own
+    return [lumped[i] for i in range(robot.n_links)]
 
 
 def _handed_over(pi: Pi, kind: JointType) -> Pi:

@@ -52,7 +52,7 @@ def internal_wrenches(
     """
     check(robot, (q, dq, ddq), parameters)
     chain = wrench_chain(robot)
-    shape = (parameters.pi.shape[0], robot.n, 6, q.shape[0])
+    shape = (parameters.pi.shape[0], robot.n_links, 6, q.shape[0])
     left = memory_after(shape, q, memory_limit)
     stored = _empty(shape, q) if out is None else _earlier(out, shape, q)
     lumped = lumped_parameters(chain, parameters.pi)
@@ -88,7 +88,7 @@ def wrench_norms(
     """
     check(robot, (q, dq, ddq), parameters)
     chain = wrench_chain(robot)
-    shape = (2, parameters.pi.shape[0], robot.n, q.shape[0])
+    shape = (2, parameters.pi.shape[0], robot.n_links, q.shape[0])
     left = memory_after(shape, q, memory_limit)
     out = _empty(shape, q)
     lumped, tiles = lumped_parameters(chain, parameters.pi), Tiles(q)

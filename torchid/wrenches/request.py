@@ -40,21 +40,21 @@ def check(robot: Robot, motion: tuple[Tensor, ...], parameters: InertialParamete
     if instants == 0:
         raise TorchidError("the motion has no instants.", expected="at least one")
     shape = parameters.pi.shape
-    if len(shape) != 3 or shape[1:] != (robot.n, PARAMETERS_PER_LINK):
+    if len(shape) != 3 or shape[1:] != (robot.n_links, PARAMETERS_PER_LINK):
         raise TorchidError(
             f"the parameter sets do not fit robot '{robot.name}'.",
             got=f"shape {tuple(shape)}",
-            expected=f"(sets, {robot.n} links, {PARAMETERS_PER_LINK})",
+            expected=f"(sets, {robot.n_links} links, {PARAMETERS_PER_LINK})",
         )
 
 
 def check_reference(robot: Robot, reference: InertialParameters) -> None:
     """Raise TorchidError unless the reference is one finite set of the robot."""
-    if reference.pi.shape != (robot.n, PARAMETERS_PER_LINK):
+    if reference.pi.shape != (robot.n_links, PARAMETERS_PER_LINK):
         raise TorchidError(
             f"the reference does not fit robot '{robot.name}'.",
             got=f"shape {tuple(reference.pi.shape)}",
-            expected=f"one set ({robot.n} links, {PARAMETERS_PER_LINK})",
+            expected=f"one set ({robot.n_links} links, {PARAMETERS_PER_LINK})",
         )
     if not torch.isfinite(reference.pi).all():
         raise TorchidError("the reference has parameters that are not finite.", expected="numbers")

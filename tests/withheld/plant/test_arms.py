@@ -8,8 +8,9 @@ import torch
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.errors import TorchidError
 from torchid.robot.library import load_robot
-from torchid.withheld.plant.arms import ARMS, arm_named, urdf
+from torchid.withheld.plant.arms import ARMS, urdf
 from torchid.withheld.plant.scene import nominal_of
+from torchid.withheld.plant.trees import arm_named
 
 
 @pytest.fixture(params=list(ARMS))
@@ -78,5 +79,5 @@ def test_links_are_bodies(arm):
 
 
 def test_an_unknown_arm_is_refused():
-    with pytest.raises(TorchidError, match="unknown withheld arm"):
+    with pytest.raises(TorchidError, match="unknown withheld robot"):
         arm_named("8r")

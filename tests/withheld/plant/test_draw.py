@@ -7,10 +7,10 @@ from dataclasses import asdict
 import pytest
 
 from torchid.errors import TorchidError
-from torchid.withheld.plant.arms import arm_named
 from torchid.withheld.plant.catalogue import FOREIGN, LIBRARY, REDRAWN
 from torchid.withheld.plant.draw import EXCLUSIVE, MIXES, draw_case
 from torchid.withheld.plant.settings import DRAWS
+from torchid.withheld.plant.trees import arm_named
 
 
 def test_a_case_depends_on_seed_and_number_alone():
@@ -80,7 +80,7 @@ def test_what_is_given_is_not_drawn():
     [
         ({"kind": "easy"}, "unknown kind"),
         ({"effects": ["magic"]}, "no effect 'magic'"),
-        ({"arm": "9r"}, "unknown withheld arm"),
+        ({"arm": "9r"}, "unknown withheld robot"),
         ({"effects": ["backlash", "joint_elasticity", "gear_coupling"], "arm": "3r"}, "joints of"),
     ],
 )

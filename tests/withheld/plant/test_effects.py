@@ -8,7 +8,6 @@ import pytest
 
 from tests.withheld.plant.conftest import SHORT
 from torchid.effects.registry import FAMILIES
-from torchid.withheld.plant.arms import arm_named
 from torchid.withheld.plant.catalogue import FOREIGN, KINDS, LIBRARY, drawn_effect
 from torchid.withheld.plant.laws import bristles
 from torchid.withheld.plant.model import Drive, compiled, plant_of
@@ -16,6 +15,7 @@ from torchid.withheld.plant.plan import EffectSpec, Live, Plan
 from torchid.withheld.plant.scene import nominal_of, scene_of
 from torchid.withheld.plant.simulate import simulated
 from torchid.withheld.plant.sizes import gaps, planted, readings, size_of, sized
+from torchid.withheld.plant.trees import arm_named
 
 STEP = 5e-4
 
@@ -241,7 +241,7 @@ def test_bristles_forget_how_they_stood():
 @pytest.mark.parametrize("name", list(KINDS))
 def test_every_effect_reaches_its_size(bench, name):
     scene, base, nominal = bench
-    spec = drawn_effect(np.random.default_rng(1), name, 3, avoid=(0,))
+    spec = drawn_effect(np.random.default_rng(1), name, arm_named("3r"), avoid=(0,))
     one = sized(scene, base, nominal, spec, 5.0)
     limited = KINDS[name].largest(scene, spec) <= one.scale * 1.0001
     assert one.size.max() == pytest.approx(5.0, rel=0.2) or (limited and one.size.max() > 0.2)

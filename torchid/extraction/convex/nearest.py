@@ -101,7 +101,7 @@ def nearest_feasible(
     if bool(bad.any()):
         broken = [i for i, b in zip(sets.ids, bad.tolist(), strict=True) if b]
         raise TorchidError("these sets are not all numbers.", got=", ".join(broken))
-    asked = physics_only(robot.n) if conditions is None else conditions.to("cpu")
+    asked = physics_only(robot.n_links) if conditions is None else conditions.to("cpu")
     states = random_states(robot, seed) if motion is None else motion.to("cpu")
     y = stacked_regressor(robot, sets.effects, states)
     # R (P, P) with ||R x|| the root mean square of the torque Y x.
@@ -109,7 +109,7 @@ def nearest_feasible(
     question = _Question(robot, sets, asked, bounds, margin, slack, factor)
     found = [question.nearest(k) for k in range(len(sets))]
     x = torch.as_tensor(np.stack([f[0] for f in found]))
-    after = sets_of(x.numpy(), robot.n, sets.effects, sets.ids)
+    after = sets_of(x.numpy(), robot.n_links, sets.effects, sets.ids)
     joints = (-1, robot.n, len(sets))
     change = (y @ (x - given).T).reshape(joints).square().mean(0).sqrt().T
     own = (y @ given.T).reshape(joints).square().mean(0).sqrt().T
@@ -165,7 +165,7 @@ class _Question:
         first = self._cheapest(x0, margins, None)
         best, least = first, first.bound
         for _ in range(_STEPS):
-            reached = sets_of(best.x[None], self.robot.n, one.effects, one.ids)
+            reached = sets_of(best.x[None], self.robot.n_links, one.effects, one.ids)
             if not best.solution.usable or bool(_within(reached, self.bounds)[0]):
                 break
             # The bounds of the barycentric inertias, relaxed so far, from within.
@@ -185,7 +185,7 @@ class _Question:
             inside=inside,
         ).tightened(INSIDE)
         # The size of each parameter, from its link's mass and inertia.
-        n, sizes = self.robot.n, np.ones_like(x0)
+        n, sizes = self.robot.n_links, np.ones_like(x0)
         columns = [link_columns(n, link) for link in range(n)]
         masses = _at_least(np.abs(x0[:n]))
         inertias = _at_least(np.array([np.abs(x0[c[[4, 7, 9]]]).mean() for c in columns]))

@@ -44,11 +44,11 @@ class RowBuilder:
     def __init__(
         self, robot: Robot, effects: Sequence[JointEffect], margin: float | Sequence[float]
     ):
-        self.n = robot.n
+        self.n = robot.n_links
         self.effects = tuple(effects)
-        self.size = 10 * robot.n + sum(len(e.coefficients) for e in effects)
+        self.size = 10 * robot.n_links + sum(len(e.coefficients) for e in effects)
         self.length = length_scale(robot)
-        self.margin = np.broadcast_to(np.asarray(margin, dtype=float), (robot.n,))
+        self.margin = np.broadcast_to(np.asarray(margin, dtype=float), (robot.n_links,))
         unit = self.length
         per_link = [1.0, *([unit] * 3), *([unit * unit] * 6)]
         self.scale = np.ones(self.size)

@@ -217,8 +217,8 @@ def convex_sets(
             those near these centres of mass are not lost.
     """
     builder = RowBuilder(robot, effects, margin)
-    box = com_box(robot.n, conditions, bounds if com_bounds else None)
-    for link in range(robot.n):
+    box = com_box(robot.n_links, conditions, bounds if com_bounds else None)
+    for link in range(robot.n_links):
         builder.consistency(link)
         builder.com(link, box[link])
         if bounds is not None:
@@ -233,7 +233,7 @@ def convex_sets(
             builder.shape(link, conditions)
     if conditions is not None:
         builder.interval(
-            "total_mass", dict.fromkeys(range(robot.n), 1.0), *conditions.total_mass.tolist()
+            "total_mass", dict.fromkeys(range(robot.n_links), 1.0), *conditions.total_mass.tolist()
         )
     builder.coefficients(bounds)
     unknown = np.full(builder.size, np.inf)

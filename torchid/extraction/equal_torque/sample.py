@@ -235,7 +235,7 @@ def equal_torque_sets(
         raise TorchidError(
             "per_kind and chains must be positive.", got=f"{per_kind} and {chains}", expected=">= 1"
         )
-    expected = robot.n, len(base.parameter_names)
+    expected = robot.n_links, len(base.parameter_names)
     got = reference.parameters.mass.shape[-1], reference.vector.shape[-1]
     if len(reference) != 1 or got != expected:
         raise TorchidError(

@@ -63,16 +63,19 @@ def contacts(question: Question) -> list[Contact]:
     columns, samples = candidates.columns, candidates.columns.samples
     # Laws on every joint, and bodies, are taken out of the gap.
     left, unit = _beside_laws(question)
-    # What remains, and the pull of a force at the tool, in units of the joints' usual misfit.
-    r = left / unit
-    pull = columns.on_all_joints(Contact()) * candidates.keep / unit
-    # Windows that stand out, and others for the same pushes: which of them it is, the search
-    # decides.
-    windows = _Windows(pull, r, samples.bounds)
-    likely = windows.standing_out(question.settings.alpha)
-    found = dict.fromkeys(w for span in likely for w in windows.about(span))
+    # What remains, and the pull of a force at a tip, in units of the joints' usual misfit.
     t, half = samples.t, 0.5 * samples.interval
-    return [Contact(float(t[a]) - half, float(t[b - 1]) + half) for a, b in found]
+    lasting = [c for c in Contact.candidates(columns.model.robot) if isinstance(c, Contact)]
+    out: list[Contact] = []
+    for of_tip in lasting:
+        pull = columns.on_all_joints(of_tip) * candidates.keep / unit
+        # Windows that stand out, and others for the same pushes. Those of several tips may overlap:
+        # which of them it is, the search decides. Chance has as many more as there are tips.
+        windows = _Windows(pull, left / unit, samples.bounds)
+        likely = windows.standing_out(question.settings.alpha / len(lasting))
+        for first, last in dict.fromkeys(w for span in likely for w in windows.about(span)):
+            out.append(Contact(float(t[first]) - half, float(t[last - 1]) + half, of_tip.tip))
+    return out
 
 
 def hidden_contacts(question: Question, fit: Fitted) -> list[Term]:
@@ -80,31 +83,31 @@ def hidden_contacts(question: Question, fit: Fitted) -> list[Term]:
     what a law leaves at its peaks is no push."""
     columns, samples = question.candidates.columns, question.candidates.columns.samples
     own = list(zip(fit.terms, fit.values(), strict=True))
-    events = [t for t, _ in own if t.effects and t.effects[0].windowed]
+    # The contacts, and their windows as samples.
+    events: list[tuple[Term, Contact, Span]] = []
+    for term, _ in own:
+        effect = term.effects[0] if term.effects else None
+        if isinstance(effect, Contact) and effect.windowed:
+            inside = (effect.window(samples.t) > 0).nonzero().flatten()
+            if len(inside):
+                events.append((term, effect, (int(inside[0]), int(inside[-1]) + 1)))
     if not events:
         return []
     # What all but the contacts leaves, with the coefficients beside them.
-    laws = [(t, x) for t, x in own if all(t is not e for e in events)]
+    laws = [(t, x) for t, x in own if all(t is not event for event, _, _ in events)]
     left = residual(question, [t for t, _ in laws], torch.cat([x for _, x in laws] or [fit.x[:0]]))
     unit = torch.nan_to_num(robust_std(left), nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
-    pull = columns.on_all_joints(Contact()) * question.candidates.keep / unit
-    windows = _Windows(pull, left / unit, samples.bounds)
-    # Their windows, as samples.
-    spans = []
-    for t in events:
-        inside = (t.effects[0].window(samples.t) > 0).nonzero().flatten()  # type: ignore[attr-defined]
-        spans.append((int(inside[0]), int(inside[-1]) + 1) if len(inside) else None)
     out = []
-    for t, span in zip(events, spans, strict=True):
-        if span is None:
-            continue
-        beside = [s for s in spans if s is not None and s != span]
+    for term, effect, span in events:
+        pull = columns.on_all_joints(Contact(tip=effect.tip)) * question.candidates.keep / unit
+        windows = _Windows(pull, left / unit, samples.bounds)
+        # Beside windows of about its own length.
         length = span[1] - span[0]
         i = min(range(len(windows.looked)), key=lambda k: abs(windows.looked[k][2] - length))
         gain = float(windows.gains(torch.tensor([span[0]]), torch.tensor([span[1]])))
-        level = windows.level(span, gain, i, beside)
+        level = windows.level(span, gain, i, [s for _, _, s in events if s != span])
         if level is not None and level.chance >= question.settings.alpha:
-            out.append(t)
+            out.append(term)
     return out
 
 
@@ -133,6 +136,8 @@ def planes(question: Question) -> list[PlaneContact]:
         return out
 
     tried = PlaneContact.near_ends(robot, [motion])
+    if not tried:
+        return []
     # What chance does, of samples that are alike for a while, over all planes that were looked at.
     slow = correlation_instants(left.T, samples.bounds)
     least = slow * float(chi2.isf(question.settings.alpha / len(tried), 1))

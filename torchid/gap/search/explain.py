@@ -499,7 +499,7 @@ def _near(one: Effect, two: Effect) -> bool:
         # Of two pushes that overlap one is the other, refined.
         starts = [c.start or 0.0 for c in (one, two)]
         stops = [math.inf if c.stop is None else c.stop for c in (one, two)]
-        return starts[0] < stops[1] and starts[1] < stops[0]
+        return one.tip == two.tip and starts[0] < stops[1] and starts[1] < stops[0]
     return one.identity == two.identity
 
 

@@ -31,9 +31,10 @@ def after_log(
     if wanted.knowledge is None:
         return now
     changed = [n for t in found.terms for e in t.effects for n in known_names(e)]
-    links = [t.effects[0].joints[0] for t in found.terms if t.name == LINK]
+    robot = at.model.robot
+    links = [robot.own_links[t.effects[0].joints[0]] for t in found.terms if t.name == LINK]
     if any(t.name == BASE for t in found.terms):
-        links = list(range(at.n))
+        links = list(range(robot.n_links))
     both = wanted.knowledge.without(changed, links).plus(now)
     # What is named now is not left any more.
     return replace(both, left=now.left) if found.terms else both

@@ -205,8 +205,9 @@ def term_columns(columns: Columns, term: Term) -> Float[Tensor, "C n N"]:
         return flat[term.at]
     if term.name in (LINK, PAYLOAD):
         # A body is the ten rows of its link; the payload those of the last one.
-        link = columns.n - 1 if term.name == PAYLOAD else term.effects[0].joints[0]
-        return columns.regressor[link]
+        robot = columns.model.robot
+        last = term.name == PAYLOAD
+        return columns.regressor[-1 if last else robot.own_links[term.effects[0].joints[0]]]
     return torch.stack([columns.on_all_joints(e) for e in term.effects]).sum(0)
 
 
@@ -279,7 +280,7 @@ def candidates_of(
     # the joint's matrix, its columns are not needed any more.
     gram = Gram(filled, n, int(parts.max()) + 1)
     for joint in range(n):
-        for kind in _joint_kinds(wanted, data, joint):
+        for kind in _joint_kinds(wanted, data, joint) if joint in robot.driven else ():
             shapes = kind.grid(columns.motions, joint, columns.samples.cutoff)
             if not len(shapes):  # a ripple on a joint that never moves
                 continue
@@ -321,19 +322,21 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
     """Payload, links and all base parameters: rows of the regressor, link by link. Links that are
     bodies stay bodies, near to what they were; of numbers that no body has only the size is
     known."""
-    n, robot = columns.n, columns.model.robot
+    robot = columns.model.robot
+    n = robot.n_links
     pi = robot.require_parameters("a diagnosis").pi.double()
     sigma, usual = PRIOR * body_sizes(pi), usual_bodies(pi)
     links = links_near(pi, usual, PRIOR)
     out = []
-    for link in range(n):
+    for link in robot.bodies:
         at = torch.arange(link * PARAMETERS_PER_LINK, (link + 1) * PARAMETERS_PER_LINK)
-        if link == n - 1 and PAYLOAD in wanted.names:
+        # With several tips, what one of them carries is an error of its link.
+        if link == n - 1 and PAYLOAD in wanted.names and not robot.tips:
             effect: Effect = KINDS[PAYLOAD]()
             known, body = (0.0,) * len(at), some_body(usual[-1])
             out.append(Term(PAYLOAD, (effect,), None, at, effect.coefficients, known, bodies=body))
-        if wanted.inertial and LINK in wanted.names:
-            effect = KINDS[LINK](link)  # type: ignore[call-arg]
+        if wanted.inertial and LINK in wanted.names and link in robot.own_links:
+            effect = KINDS[LINK](robot.own_links.index(link))  # type: ignore[call-arg]
             known, near = tuple(pi[link].tolist()), links[link] if links else None
             out.append(
                 Term(LINK, (effect,), None, at, effect.coefficients, known, (), sigma[link], near)
@@ -341,10 +344,11 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
     described = (Coefficient("", "", False, "a base parameter"),)
     if links and not wanted.free:
         # All links at once: whatever base parameters do, and no more.
-        at = torch.arange(n * PARAMETERS_PER_LINK)
-        every = together([b.shifted(k * PARAMETERS_PER_LINK) for k, b in enumerate(links)])
-        zero = (0.0,) * len(at)
-        out.append(Term(BASE, (), None, at, described * len(at), zero, (), sigma.flatten(), every))
+        first = robot.bodies[0]
+        at = torch.arange(first * PARAMETERS_PER_LINK, n * PARAMETERS_PER_LINK)
+        every = together([b.shifted(k * PARAMETERS_PER_LINK) for k, b in enumerate(links[first:])])
+        zero, free = (0.0,) * len(at), sigma[first:].flatten()
+        out.append(Term(BASE, (), None, at, described * len(at), zero, (), free, every))
         return out
     # A base parameter's prior is that of the parameters grouped into it, link by link.
     numbers = wanted.independent

@@ -318,7 +318,9 @@ def _notes(
     if isinstance(effect, Contact) and effect.start is not None and effect.stop is not None:
         segments = found.question.candidates.columns.samples.segments
         name, start = when(segments, effect.start)
-        out.append(f"from {start:.2f} to {start + effect.stop - effect.start:.2f} s of '{name}'")
+        of_tip = "" if effect.tip is None else f"at '{effect.tip}', "
+        stop = start + effect.stop - effect.start
+        out.append(f"{of_tip}from {start:.2f} to {stop:.2f} s of '{name}'")
     return tuple(out)
 
 
@@ -420,7 +422,7 @@ def not_testable(found: Explanation, robot: Robot, data: Data) -> list[NotTestab
     wanted = found.solution.wanted
     known = {*accepted, *best}
     still = (~data.slides).nonzero().flatten().tolist()
-    for j, kind in ((j, KINDS[name]) for j in still for name in wanted.names):
+    for j, kind in ((j, KINDS[name]) for j in still if j in robot.driven for name in wanted.names):
         if not issubclass(kind, JointEffect) or kind.needs & data.missing:
             continue
         if (kind.name, (j,)) not in known and wanted.asks(kind.name, (j,)):

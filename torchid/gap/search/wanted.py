@@ -54,6 +54,6 @@ def pushes(wanted: Wanted) -> Wanted:
 def start_of(robot: Robot) -> Model:
     """The model as given; where it has no parameters, without inertia."""
     if robot.parameters is None:
-        zero = torch.zeros(robot.n, PARAMETERS_PER_LINK, dtype=torch.float64)
+        zero = torch.zeros(robot.n_links, PARAMETERS_PER_LINK, dtype=torch.float64)
         robot = robot.with_parameters(InertialParameters(zero))
     return Model.of(robot)

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 
+import numpy as np
 from lxml import etree
 from lxml.builder import E
 
-from torchid.errors import TorchidError
 from torchid.withheld.plant.bodies import Array, Box, Cylinder, Inertial, combined
 
 Triple = tuple[float, float, float]
@@ -29,6 +29,9 @@ class Joint:
         velocity: limit [rad/s].
         effort: limit [N m].
         solids: what the link is made of.
+        parent: the link (from 0) that carries it, -1 the base; the one before where None.
+        rotor: inertia of the rotor seen through the gear, which the maker's data tell [kg m^2].
+        free_speed: at which the motor has no torque left [rad/s]; None where it has it at any.
     """
 
     xyz: Triple
@@ -39,6 +42,9 @@ class Joint:
     velocity: float
     effort: float
     solids: tuple[Solid, ...]
+    parent: int | None = None
+    rotor: float = 0.0
+    free_speed: float | None = None
 
     def inertial(self) -> Inertial:
         """Of the link."""
@@ -50,20 +56,45 @@ class Arm:
     """An arm as its maker describes it.
 
     Attributes:
-        name: 3r, 6r or 7r.
-        joints: from the base.
-        tool: point of the last link where tools are [m].
+        name: 3r, 6r or 7r; of `trees.py` quadruped, two_arms or torso.
+        joints: from the base, branch by branch: each behind the one that carries it.
+        tool: point of the last link where tools are, and of the last of every branch [m].
+        bus: how late a command reaches the motors [s].
     """
 
     name: str
     joints: tuple[Joint, ...]
     tool: Triple
+    bus: float = 0.0
 
     @property
     def n(self) -> int:
         """Number of joints."""
         return len(self.joints)
 
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """The link (from 0) that carries each joint, -1 the base."""
+        return tuple(k - 1 if j.parent is None else j.parent for k, j in enumerate(self.joints))
+
+    def neighbours(self, joint: int) -> list[int]:
+        """Joints (from 0) of the links next to a joint's own: the one before, and those behind."""
+        behind = [k for k, parent in enumerate(self.parents) if parent == joint]
+        return [k for k in (self.parents[joint], *behind) if k >= 0]
+
+    def available(self, speed: Array) -> Array:
+        """Torque (T, n) that the motors have at speeds (T, n): all of it up to `CORNER` of the free
+        speed, and from there on less, to none at it [N m]."""
+        effort = np.array([joint.effort for joint in self.joints])
+        free = np.array([joint.free_speed or np.inf for joint in self.joints])
+        with np.errstate(invalid="ignore"):
+            left = (free - np.abs(speed)) / (free * (1 - CORNER))
+        return effort * np.where(np.isfinite(free), np.clip(left, 0.0, 1.0), 1.0)
+
+
+CORNER = 0.6
+"""Share of its free speed up to which a motor has all of its torque: there the battery's voltage
+ends, not the current."""
 
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 _LEVEL = (0.0, 0.0, 0.0)
@@ -186,17 +217,6 @@ _7R = Arm(
 ARMS: dict[str, Arm] = {arm.name: arm for arm in (_3R, _6R, _7R)}
 
 
-def arm_named(name: str) -> Arm:
-    """One of the arms.
-
-    Raises:
-        TorchidError: there is none of that name.
-    """
-    if name not in ARMS:
-        raise TorchidError(f"unknown withheld arm '{name}'.", available=list(ARMS))
-    return ARMS[name]
-
-
 def urdf(arm: Arm, damping: Array, friction: Array) -> str:
     """URDF of the arm with what is known of its friction.
 
@@ -205,9 +225,10 @@ def urdf(arm: Arm, damping: Array, friction: Array) -> str:
         damping, friction: (n,) viscous [N m s/rad] and Coulomb [N m] friction; zeros are left out.
     """
     robot = E.robot(E.link(name="base"), name="arm")
-    parent = "base"
+    branching = arm.parents != tuple(range(-1, arm.n - 1))
     for k, (joint, viscous, coulomb) in enumerate(zip(arm.joints, damping, friction, strict=True)):
         name, body = f"link{k + 1}", joint.inertial()
+        parent = f"link{arm.parents[k] + 1}" if arm.parents[k] >= 0 else "base"
         moments = {f"i{'xyz'[a]}{'xyz'[b]}": spaced([body.inertia[a, b]]) for a, b in _UPPER}
         inertial = E.inertial(
             E.origin(xyz=spaced(body.com), rpy="0 0 0"),
@@ -227,15 +248,17 @@ def urdf(arm: Arm, damping: Array, friction: Array) -> str:
         if viscous or coulomb:
             mount.append(E.dynamics(damping=spaced([viscous]), friction=spaced([coulomb])))
         robot.extend([E.link(inertial, name=name), mount])
-        parent = name
-    tool = E.joint(
-        E.parent(link=parent),
-        E.child(link="tool"),
-        E.origin(xyz=spaced(arm.tool), rpy="0 0 0"),
-        name="tool_mount",
-        type="fixed",
-    )
-    robot.extend([E.link(name="tool"), tool])
+    # A tool at the end of every branch: a hand, a foot.
+    for k in [k for k in range(arm.n) if k not in arm.parents]:
+        end = f"tip{k + 1}" if branching else "tool"
+        mount = E.joint(
+            E.parent(link=f"link{k + 1}"),
+            E.child(link=end),
+            E.origin(xyz=spaced(arm.tool), rpy="0 0 0"),
+            name=f"{end}_mount",
+            type="fixed",
+        )
+        robot.extend([E.link(name=end), mount])
     text: str = etree.tostring(robot, pretty_print=True, encoding="unicode")
     return f'<?xml version="1.0"?>\n{text}'
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from torchid.json_data import picked
-from torchid.withheld.plant.arms import arm_named, urdf
+from torchid.withheld.plant.arms import urdf
 from torchid.withheld.plant.bodies import Array
 from torchid.withheld.plant.catalogue import KINDS, Kind
 from torchid.withheld.plant.draw import CaseSpec, ServoSpec, TorqueSpec, draw_case
@@ -20,6 +20,7 @@ from torchid.withheld.plant.servo_scene import led, placed, servo_scene, visible
 from torchid.withheld.plant.settings import DRAWS
 from torchid.withheld.plant.simulate import simulated
 from torchid.withheld.plant.sizes import gaps, planted, readings, size_of, sized
+from torchid.withheld.plant.trees import arm_named
 
 __all__ = ["CaseSpec", "SimulatedCase", "draw_case", "simulate_case"]
 
@@ -45,11 +46,13 @@ class SimulatedCase:
         columns: of the log: t, q1.., dq1.. where the logger has velocities, tau1.., traj (T,); of
             servos t, u1.., q1.., traj.
         key: what was planted; without an id.
+        rotors: (n,) inertia that the maker's data tell of each rotor [kg m^2]; empty if none.
     """
 
     urdf: str
     columns: dict[str, np.ndarray]
     key: dict[str, Any]
+    rotors: tuple[float, ...] = ()
 
 
 def simulate_case(
@@ -170,7 +173,8 @@ def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
         noise = 0.0 * noise
     columns = logged(logger, plan, readings(plan, traces), noise)
     key = _key(spec, scene, plan, effects, rms(left))
-    return SimulatedCase(urdf(scene.arm, plan.known_damping, plan.known_friction), columns, key)
+    model = urdf(scene.arm, plan.known_damping, plan.known_friction)
+    return SimulatedCase(model, columns, key, tuple(j.rotor for j in arm.joints))
 
 
 def _key(

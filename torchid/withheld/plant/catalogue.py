@@ -7,6 +7,7 @@ import numpy as np
 
 from torchid.errors import TorchidError
 from torchid.withheld.plant import friction, mechanics, sensing
+from torchid.withheld.plant.arms import Arm
 from torchid.withheld.plant.friction import Planted
 from torchid.withheld.plant.plan import EffectSpec, Scene
 
@@ -293,21 +294,21 @@ def kind_named(name: str, kinds: Mapping[str, Kind] = KINDS) -> Kind:
     return kinds[name]
 
 
-def drawn_effect(rng: Rng, name: str, n: int, avoid: tuple[int, ...] = ()) -> EffectSpec:
+def drawn_effect(rng: Rng, name: str, arm: Arm, avoid: tuple[int, ...] = ()) -> EffectSpec:
     """A variant of an effect at a place.
 
     Args:
         rng: generator.
         name: of the effect.
-        n: number of joints.
+        arm: that has it.
         avoid: joints to keep clear of, where others are left.
     """
-    kind = kind_named(name)
+    kind, n = kind_named(name), arm.n
     joints: tuple[int, ...] = ()
     if kind.place != "arm":
         free = [j for j in range(kind.first, n) if j not in avoid] or list(range(kind.first, n))
         joint = int(rng.choice(free))
         joints = (joint,)
         if kind.place == "pair":
-            joints = (joint, int(rng.choice([i for i in (joint - 1, joint + 1) if 0 <= i < n])))
+            joints = (joint, int(rng.choice(arm.neighbours(joint))))
     return EffectSpec(name, joints, kind.draws(rng, n, joints))

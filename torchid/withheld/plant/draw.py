@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 
 from torchid.errors import TorchidError
-from torchid.withheld.plant.arms import ARMS, arm_named
+from torchid.withheld.plant.arms import ARMS, Arm
 from torchid.withheld.plant.catalogue import (
     FOREIGN,
     KINDS,
@@ -23,6 +23,7 @@ from torchid.withheld.plant.motion import MotionPlan
 from torchid.withheld.plant.plan import EffectSpec
 from torchid.withheld.plant.servo_catalogue import SERVO_KINDS
 from torchid.withheld.plant.settings import DRAWS
+from torchid.withheld.plant.trees import ROBOTS, arm_named
 
 Item = TypeVar("Item")
 Rng = np.random.Generator
@@ -37,12 +38,14 @@ class Mix:
         effects: that its arms can have.
         foreign: those that the diagnosis cannot name.
         servos: whether servos move the arms, and the logs have no torque.
+        trees: whether its robots branch.
     """
 
     block: tuple[str, ...]
     effects: Mapping[str, Kind]
     foreign: tuple[str, ...]
     servos: bool = False
+    trees: bool = False
 
     @property
     def library(self) -> tuple[str, ...]:
@@ -53,6 +56,9 @@ class Mix:
 def _block(**cases: int) -> tuple[str, ...]:
     return tuple(kind for kind, count in cases.items() for _ in range(count))
 
+
+# Of several tips none is `the` one that a payload is on: what a hand carries is its link's.
+_ON_TREES = {name: kind for name, kind in KINDS.items() if name != "payload"}
 
 MIXES = {
     # Of every sort, for development.
@@ -71,6 +77,8 @@ MIXES = {
         tuple(name for name, kind in SERVO_KINDS.items() if kind.family == OUTSIDE),
         servos=True,
     ),
+    # Robots that branch, their base held: causes of the library, and none.
+    "tree": Mix(_block(none=5, single=15), _ON_TREES, (), trees=True),
 }
 
 EXCLUSIVE = (
@@ -100,7 +108,7 @@ class CaseSpec:
     Attributes:
         seed, number: what it was drawn from.
         kind: none, parameters, single, several, outside, poor or severity.
-        arm: 3r, 6r or 7r.
+        arm: 3r, 6r or 7r, or a robot that branches.
         effects: to plant; servos' get their joints once the loads are known.
     """
 
@@ -160,6 +168,7 @@ def draw_case(
     level: float | None = None,
     arm: str | None = None,
     mix: str = "mixed",
+    robots: str = "arms",
 ) -> CaseSpec:
     """A case from a seed and its number; what is given is not drawn.
 
@@ -169,8 +178,10 @@ def draw_case(
         kind: of the case.
         effects: names of the effects to plant.
         level: their size, in standard deviations of the noise; servos' have the size that shows.
-        arm: 3r, 6r or 7r.
-        mix: of the set: `mixed` or `release`; `position` for arms of servos.
+        arm: 3r, 6r or 7r, or a robot that branches.
+        mix: of the set: `mixed` or `release`; `position` for arms of servos, `tree` for robots
+            that branch.
+        robots: that the arm is drawn from: `arms`, `tree`, or one that branches.
 
     Raises:
         TorchidError: an unknown mix, kind, effect or arm.
@@ -196,8 +207,9 @@ def draw_case(
     if own.servos:
         return _servo_case(seed, number, kind, effects, arm)
     return _torque_case(
-        seed, number, kind, effects, arm, turn=turn, level=level, release=mix == "release"
-    )
+        seed, number, kind, effects, arm, turn=turn, level=level, release=mix == "release",
+        robots=ROBOTS[robots],
+    )  # fmt: skip
 
 
 def _servo_case(
@@ -224,18 +236,20 @@ def _torque_case(
     turn: int,
     level: float | None,
     release: bool,
+    robots: Sequence[str],
 ) -> TorqueSpec:
     # Arm, effects, motion, friction and logger each have random numbers of their own.
     def numbers(what: int) -> Rng:
         return np.random.default_rng([seed, number, what])
 
-    name = arm or str(numbers(1).choice(list(ARMS)))
-    n = arm_named(name).n
-    planted = _effects(numbers(2), kind, n, effects)
+    name = arm or str(numbers(1).choice(list(robots)))
+    own = arm_named(name)
+    n = own.n
+    planted = _effects(numbers(2), kind, own, effects)
     wanted = level or DRAWS.level if planted else None
     if planted and not level and kind == "severity":
         wanted = in_turn(seed, turn, DRAWS.levels, 102)
-    motion = _motion(numbers(3), n)
+    motion = _motion(numbers(3), n) if name in ARMS else _long_motion(numbers(3), n)
     poor, excitation = _poor(numbers(4), motion, n) if kind == "poor" else (None, "rich")
     quiet = numbers(5)
     # In a release several effects stand on friction that is known.
@@ -295,9 +309,10 @@ def in_turn(seed: int, turn: int, names: Sequence[Item], salt: int) -> Item:
     return names[int(order[place])]
 
 
-def _effects(rng: Rng, kind: str, n: int, wanted: Sequence[str] | None) -> tuple[EffectSpec, ...]:
+def _effects(rng: Rng, kind: str, arm: Arm, wanted: Sequence[str] | None) -> tuple[EffectSpec, ...]:
+    n = arm.n
     if wanted is not None:
-        found = _apart(rng, wanted, n)
+        found = _apart(rng, wanted, arm)
         if found is None:
             raise TorchidError(
                 "these effects cannot be on one arm: each needs joints of its own.",
@@ -312,26 +327,28 @@ def _effects(rng: Rng, kind: str, n: int, wanted: Sequence[str] | None) -> tuple
         # A pair that looks alike, on one joint; or two or three, each on its own.
         if rng.random() < DRAWS.alike:
             first, second = COLLINEAR[int(rng.integers(len(COLLINEAR)))]
-            beside = drawn_effect(rng, first, n)
+            beside = drawn_effect(rng, first, arm)
             others = tuple(j for j in range(n) if j not in beside.joints)
-            return beside, drawn_effect(rng, second, n, avoid=others)
+            return beside, drawn_effect(rng, second, arm, avoid=others)
         count = 2 if rng.random() < DRAWS.pairs else 3
         while True:
             names = [str(x) for x in rng.choice(_SEVERAL, count, replace=False)]
-            found = _apart(rng, names, n)
+            found = _apart(rng, names, arm)
             if found is not None:
                 return found
-    return (drawn_effect(rng, str(rng.choice(LIBRARY)), n),)
+    return (drawn_effect(rng, str(rng.choice(LIBRARY)), arm),)
 
 
-def _apart(rng: np.random.Generator, names: Sequence[str], n: int) -> tuple[EffectSpec, ...] | None:
+def _apart(
+    rng: np.random.Generator, names: Sequence[str], arm: Arm
+) -> tuple[EffectSpec, ...] | None:
     """Effects on joints of their own, where there are enough; None where there are too few for
     effects that exclude each other."""
     for _ in range(DRAWS.tries):
         out: list[EffectSpec] = []
         for name in names:
             taken = tuple(j for effect in out for j in effect.joints)
-            out.append(drawn_effect(rng, name, n, avoid=taken))
+            out.append(drawn_effect(rng, name, arm, avoid=taken))
         alone = [j for effect in out if effect.name in EXCLUSIVE for j in effect.joints]
         if len(set(alone)) == len(alone):
             return tuple(out)
@@ -352,5 +369,20 @@ def _motion(rng: np.random.Generator, n: int) -> MotionPlan:
         levels=tuple(levels.tolist()),
         seconds=tuple(rng.uniform(*DRAWS.seconds, count).round(2).tolist()),
         pauses=(0.0, *rng.uniform(*DRAWS.pauses, 3).round(2).tolist()),
+        moving=tuple(range(n)),
+    )
+
+
+def _long_motion(rng: np.random.Generator, n: int) -> MotionPlan:
+    """Six trajectories of 10 s, five motions and the fastest again: what hangs in the air is soon
+    brought there, and branches move at the same time."""
+    levels = rng.permutation(DRAWS.tree_speeds) * rng.uniform(0.85, 1.1)
+    count = len(levels)
+    return MotionPlan(
+        seed=int(rng.integers(2**31)),
+        shapes=(*range(count), int(np.argmax(levels))),
+        levels=tuple(levels.tolist()),
+        seconds=(DRAWS.tree_seconds,) * count,
+        pauses=(0.0, *rng.uniform(*DRAWS.pauses, count).round(2).tolist()),
         moving=tuple(range(n)),
     )

@@ -80,10 +80,12 @@ def flexible_base(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Pla
 
 def arm_inertia(scene: Scene) -> float:
     """About a horizontal axis through the base, of the arm stretched upwards [kg m^2]."""
-    height, total = 0.0, 0.3
-    for joint in scene.arm.joints:
-        height += float(np.linalg.norm(joint.xyz))
-        total += joint.inertial().mass * height**2
+    heights: list[float] = []
+    total = 0.3
+    for joint, above in zip(scene.arm.joints, scene.arm.parents, strict=True):
+        below = heights[above] if above >= 0 else 0.0
+        heights.append(below + float(np.linalg.norm(joint.xyz)))
+        total += joint.inertial().mass * heights[-1] ** 2
     return total
 
 

@@ -38,12 +38,14 @@ _WEIGHTLESS = '<inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"
 
 @dataclass(frozen=True)
 class Link:
-    """A link: pose of its joint in the link before (position [m], rotation), axis, body."""
+    """A link: pose of its joint in the link that carries it (position [m], rotation), axis, body,
+    and which link that is, from 0, -1 the base."""
 
     position: Array
     rotation: Rotation
     axis: Array
     body: Inertial
+    parent: int
 
 
 @dataclass(frozen=True)
@@ -149,10 +151,11 @@ class Plant:
 def plant_of(arm: Arm, damping: Array, friction: Array) -> Plant:
     """The arm as described."""
     links = tuple(
-        Link(np.array(j.xyz), Rotation.from_euler("xyz", j.rpy), np.array(j.axis), j.inertial())
-        for j in arm.joints
+        Link(np.array(j.xyz), Rotation.from_euler("xyz", j.rpy), np.array(j.axis), j.inertial(), p)
+        for j, p in zip(arm.joints, arm.parents, strict=True)
     )
-    return Plant(links, np.array(arm.tool), damping, friction, np.zeros(arm.n))
+    rotors = np.array([j.rotor for j in arm.joints])
+    return Plant(links, np.array(arm.tool), damping, friction, rotors)
 
 
 def compiled(plant: Plant, kp: Array, kd: Array, step: float) -> tuple[Any, Array]:
@@ -166,9 +169,10 @@ def compiled(plant: Plant, kp: Array, kd: Array, step: float) -> tuple[Any, Arra
     Returns:
         The model, and the degrees of freedom (n,) of the motors; any others are deflections.
     """
-    inner = ""
+    carried = dict.fromkeys(range(-1, plant.n), "")
     for k in reversed(range(plant.n)):
-        inner = _body(plant, k, inner)
+        above = plant.links[k].parent
+        carried[above] = _body(plant, k, carried[k]) + carried[above]
     # The shortest time constant MuJoCo allows: friction then slides at once.
     friction = f'solreffriction="{2 * step!r} 1" solimpfriction="0.99 0.99 0.001 0.5 2"'
     actuators = "".join(
@@ -181,7 +185,7 @@ def compiled(plant: Plant, kp: Array, kd: Array, step: float) -> tuple[Any, Arra
         f'<option timestep="{step!r}" integrator="implicitfast" gravity="{spaced(plant.gravity)}" '
         f'density="{plant.fluid!r}"/>'
         f"<default><joint {friction}/><tendon {friction}/></default>"
-        f"<worldbody>{_mounted(plant, inner)}</worldbody>"
+        f"<worldbody>{_mounted(plant, carried[-1])}</worldbody>"
         f"<tendon>{_tendons(plant)}</tendon><actuator>{actuators}</actuator></mujoco>"
     )
     motors = np.array([int(model.joint(f"motor{k}").dofadr[0]) for k in range(plant.n)])

@@ -139,7 +139,7 @@ class Scene:
         speed: (n,) 99 % of |dq| [rad/s].
         moving_rms, brisk_rms: (n,) RMS of dq and of ddq.
         travel: (n, 2) extremes of q [rad].
-        inertia: (n, 2) extremes of the diagonal of the mass matrix [kg m^2].
+        inertia: (n, 2) extremes of the diagonal of the links' mass matrix [kg m^2].
         free_inertia: (n,) least inertia that a joint's motor feels while the others are free.
         load: (n,) nominal RMS torque that the joint carries without friction [N m].
         kp, kd: (n,) gains of the controllers.

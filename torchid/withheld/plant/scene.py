@@ -112,9 +112,11 @@ def scene_of(
     torque = rigid + nominal.damping * dq + nominal.friction * np.sign(dq)
     strength = np.sqrt((torque**2).mean(0))
     mass = nominal.inertia(q[::10])
+    # The controllers move rotors and links, a gear has the link alone behind it.
+    typical = np.diagonal(mass, axis1=1, axis2=2).mean(0)
+    mass = mass - np.diag([joint.rotor for joint in arm.joints])
     inertia = np.diagonal(mass, axis1=1, axis2=2)
     omega = 2 * np.pi * bandwidth
-    typical = inertia.mean(0)
     return Scene(
         arm=arm,
         shapes=shapes,
@@ -137,16 +139,15 @@ def scene_of(
 
 def _shapes(arm: Arm, nominal: Nominal, motion: MotionPlan) -> tuple[Sum, ...]:
     """Motions, made smaller where they would need more torque than the joints have."""
-    effort = np.array([joint.effort for joint in arm.joints]) * _HEADROOM
 
-    def needed(shape: Sum) -> Array:
+    def bears(shape: Sum) -> bool:
         q, dq, ddq = shape.state(np.arange(0, shape.seconds, 0.05))
         torque = nominal.rigid(q, dq, ddq) + nominal.damping * dq
-        return np.abs(torque).max(0) + nominal.friction
+        return bool((np.abs(torque) + nominal.friction < arm.available(dq) * _HEADROOM).all())
 
     def within(shape: Sum) -> Sum:
         smaller = (shape.scaled(0.85**k) for k in range(6))
-        return next((s for s in smaller if (needed(s) < effort).all()), shape.scaled(0.85**6))
+        return next((s for s in smaller if bears(s)), shape.scaled(0.85**6))
 
     return tuple(within(shape) for shape in sums(arm, motion))
 

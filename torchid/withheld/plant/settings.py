@@ -22,6 +22,7 @@ class DrawSettings:
         repeated: share of logs with a trajectory that is repeated.
         speeds: shares of the velocity limit that the motions may use.
         seconds, pauses: length of a trajectory, and rest before the next [s].
+        tree_seconds, tree_speeds: the same of robots that branch, length and shares of speed.
         slow, small: by how much a poor motion is slower, or smaller, than usual.
         known: share of arms with friction that is known.
         friction: known friction, of effort / speed and of effort.
@@ -49,6 +50,8 @@ class DrawSettings:
     speeds: tuple[float, ...] = (0.85, 0.55, 0.3, 0.7)
     seconds: Range = (12.0, 15.0)
     pauses: Range = (2.0, 6.0)
+    tree_seconds: float = 10.0
+    tree_speeds: tuple[float, ...] = (0.85, 0.7, 0.55, 0.45, 0.3)
     slow: Range = (0.06, 0.12)
     small: Range = (0.03, 0.08)
     known: float = 0.7

@@ -61,6 +61,10 @@ def _trajectory(scene: Scene, plan: Plan, nominal: Nominal, step: float, number:
     settle = round(SETTLE / step)
     own = (np.arange(count + settle) - settle) * step
     command = commands(shape, own, scene, nominal)
+    late = round(scene.arm.bus / step)
+    if late:
+        # Motors have the command of so long ago; before the first they hold it.
+        command = np.concatenate([np.repeat(command[:1], late, axis=0), command[:-late]])
     if plan.offset is not None:
         # The controller sees q - offset and drives that to the reference.
         command = command + scene.kp * plan.offset
