@@ -23,7 +23,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import torch
-from scipy.signal import lfilter
 from torch import Tensor
 
 from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
@@ -251,6 +250,8 @@ def set_points(
     x = _limited(tracks.u.T[:, None] * scale, a, top, tracks, needed, repeated=repeated)
     if not slow:
         return x
+    from scipy.signal import lfilter
+
     out = x.clone()
     for low, high in zip(tracks.first.tolist(), tracks.last.tolist(), strict=True):
         rate = np.diff(x[..., low : high + 1].numpy(), prepend=x[..., low, None]) / tracks.dt

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from scipy.stats import chi2, f
+from scipy.special import chdtri, fdtrc
 
 from torchid.effects.motion import Motion
 from torchid.effects.surroundings import PlaneContact
@@ -96,7 +96,7 @@ def planes(question: Question) -> list[PlaneContact]:
     tried = PlaneContact.near_ends(robot, [motion])
     # What chance does, of samples that are alike for a while, over all planes that were looked at.
     slow = correlation_instants(left.T, samples.bounds)
-    least = slow * float(chi2.isf(question.settings.alpha / len(tried), 1))
+    least = slow * float(chdtri(1, question.settings.alpha / len(tried)))
     best: dict[str, tuple[float, PlaneContact]] = {}
     for plane, gain in zip(tried, gains(tried), strict=True):
         if gain > best.get(plane.side, (least, plane))[0]:
@@ -165,9 +165,9 @@ def _windows(
         outside = _outside(bounds, [(int(start[k]), int(start[k]) + length), *beside])
         slow = correlation_instants(r.T, outside)
         apart = len(others) * max(1, length // 2) / max(length, slow)
-        usual = max(1.0, float(others.quantile(LEVEL)) / float(chi2.ppf(LEVEL, c)))
+        usual = max(1.0, float(others.quantile(LEVEL)) / float(chdtri(c, 1 - LEVEL)))
         # A scale known from so many windows apart: F in the place of chi^2.
-        chance = float(f.sf(float(gain[k]) / (c * usual), c, max(apart, 1.0)))
+        chance = float(fdtrc(c, max(apart, 1.0), float(gain[k]) / (c * usual)))
         return Level(total * chance, float(gain[k]) / usual - c * math.log(length))
 
     # The windows that stand out most, one after the other.

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from torchid.design.gram import VISIBLE
 from torchid.design.segments import when
@@ -169,7 +169,7 @@ def determined(solution: Solution, k: int, looks: float) -> float:
     spread, axes = torch.linalg.eigh(covariance / size / size.unsqueeze(1))
     there = spread > 1e-9 * spread[-1]
     along = (axes.T @ (values / size))[there]
-    level = float(chi2.sf(float((along.square() / spread[there]).sum()), int(there.sum())))
+    level = float(chdtrc(int(there.sum()), float((along.square() / spread[there]).sum())))
     return max(0.0, 1.0 - looks * level)
 
 
@@ -185,7 +185,7 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
     own = fit.terms[len(question.fixed) :]
     searched = term.name not in common_names(own, question.joints)
     looks = question.looks if searched else 1.0
-    return min(1.0, looks * float(chi2.sf(max(0.0, ratio), df)))
+    return min(1.0, looks * float(chdtrc(df, max(0.0, ratio))))
 
 
 def how_sure(rises: Sequence[float]) -> float:
