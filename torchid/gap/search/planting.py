@@ -65,8 +65,7 @@ def planted(question: Question, fit: Fitted, rivals: Sequence[Term]) -> Planted:
     draws = _draws(left, question.candidates.columns.samples.bounds, question.settings.seed)
     pulled, noise = [], []
     for j in range(len(left)):
-        felt = [t for t in union if t.place in (None, j)]
-        rows = [rows_of(question, t)[:, j if t.place is None else 0] for t in felt]
+        rows = [_rows_on(question, t, j) for t in union]
         columns = torch.cat([left.new_zeros(0, left.shape[1]), *rows])
         drawn = left[j][draws] * keep[j]
         pulled.append((columns * keep[j]) @ drawn.T)
@@ -87,22 +86,18 @@ def planted(question: Question, fit: Fitted, rivals: Sequence[Term]) -> Planted:
         x[of_rival[rival]] *= size
         # Right sides and targets' squares of the draws.
         right, square, total = [], [], torch.zeros(len(x), len(draws), dtype=torch.float64)
-        for w, c, e, (of, g, *_) in zip(
-            fit.weight.tolist(), pulled, noise, equations.joints, strict=True
-        ):
-            right.append((g @ x[of]).unsqueeze(1) + c)
-            square.append(x[of] @ g @ x[of] + 2 * (x[of] @ c) + e)
-            total.index_add_(0, of, w * right[-1])
+        for w, c, e, g in zip(fit.weight.tolist(), pulled, noise, equations.a, strict=True):
+            right.append((g @ x).unsqueeze(1) + c)
+            square.append(x @ g @ x + 2 * (x @ c) + e)
+            total += w * right[-1]
         out = []
         for own, prior, root, price in zip(numbers, priors, roots, paid, strict=True):
             found = root @ (root.T @ (total[own] + prior.pull.unsqueeze(1)))
             y = torch.zeros_like(total).index_copy_(0, own, found)
             known = (found * (prior.squares @ found - 2 * prior.pull.unsqueeze(1))).sum(0)
             value = -known - price
-            for n, b, s, (of, g, *_) in zip(
-                fit.effective.tolist(), right, square, equations.joints, strict=True
-            ):
-                loss = s + (y[of] * (g @ y[of] - 2 * b)).sum(0)
+            for n, b, s, g in zip(fit.effective.tolist(), right, square, equations.a, strict=True):
+                loss = s + (y * (g @ y - 2 * b)).sum(0)
                 value = value - n * loss.clamp(min=1e-300).log()
             out.append(value)
         return torch.stack(out)
@@ -122,6 +117,14 @@ def planted(question: Question, fit: Fitted, rivals: Sequence[Term]) -> Planted:
         there = values[0] > torch.maximum(values.amax(0) - 2 * math.log(ODDS), values[-1])
         found.append((size, float(there.double().mean())))
     return Planted(tuple(t.name for t in rivals), tuple(told), tuple(found))
+
+
+def _rows_on(question: Question, term: Term, joint: int) -> Float[Tensor, "C N"]:
+    """A term's columns on one joint, zero if they are another joint's."""
+    rows = rows_of(question, term)
+    if term.place is None:
+        return rows[:, joint]
+    return rows[:, 0] if term.place == joint else torch.zeros_like(rows[:, 0])
 
 
 def _draws(left: Float[Tensor, "n N"], bounds: Sequence[slice], seed: int) -> Int[Tensor, "B N"]:

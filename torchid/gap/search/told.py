@@ -381,9 +381,9 @@ def not_testable(found: Explanation, robot: Robot, data: Data) -> list[NotTestab
         size, row = 0.0, int(term.at[0])
         held = torch.zeros(fit.root.shape[1], dtype=torch.float64)
         for j in range(len(normal.g)) if term.place is None else (term.place,):
-            g, s = normal.g[j], fit.subset.joints[j]
+            g, at = normal.g[j], fit.subset.at[j]
             size += float(weight[j] * g[row, row])
-            held += weight[j] * (g[row, s.at] @ fit.root[s.of])
+            held += weight[j] * ((g[row, at] * (at >= 0)) @ fit.root)
         left = size - float(held @ held)
         if term.key not in best or left > best[term.key][1]:
             best[term.key] = size, left, term
