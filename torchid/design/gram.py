@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from scipy.linalg.blas import dsyrk
 
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -145,7 +146,10 @@ class Gram:
         for p in part.unique().tolist():
             chosen = (keep & (part == p)).nonzero().flatten()
             own = torch.cat([x.index_select(1, chosen) for x in rows])
-            self.g[joint][p].addmm_(own, own.T)
+            # Half of a symmetric product; BLAS sees the rows as columns, in which it leaves zeros.
+            half = torch.from_numpy(dsyrk(1.0, own.numpy().T, trans=1)).T
+            self.g[joint][p] += half
+            self.g[joint][p] += half.tril(-1).T
             self.rows[p, joint] += len(chosen)
 
     def folds(self) -> "Folds":

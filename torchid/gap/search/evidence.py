@@ -15,9 +15,10 @@ A cause is one term; or the same effect on most joints, where arms have it (dry 
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import torch
 
@@ -35,7 +36,7 @@ from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
 from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
 from torchid.gap.settings import GapSettings
-from torchid.statistics.autocorrelation import integrated_time
+from torchid.statistics.autocorrelation import autocorrelation, time_of
 from torchid.typing import Float, Tensor
 
 ODDS = 20.0
@@ -97,6 +98,7 @@ class Question:
         rows: columns of terms that were in a model, as samples.
         seen: directions of terms that were looked at.
         barred: causes that are not offered, by their keys.
+        residuals: what fits leave, and its autocorrelations; as long as the fits are there.
         left: (n,) torque that the model has been seen to leave unexplained, RMS [N m; N]; None
             where that is not known.
     """
@@ -108,6 +110,9 @@ class Question:
     seen: dict[int, int] = field(default_factory=dict, repr=False)
     barred: frozenset[object] = frozenset()
     left: Float[Tensor, " n"] | None = None
+    residuals: MutableMapping[Fitted, tuple[Tensor, Tensor]] = field(
+        default_factory=WeakKeyDictionary, repr=False
+    )
 
     @property
     def fixed(self) -> tuple[Term, ...]:
@@ -253,19 +258,29 @@ def relief(
     return (moved.square().sum(1) / rows).sqrt()
 
 
+def left_by(question: Question, fit: Fitted) -> tuple[Float[Tensor, "n N"], Float[Tensor, "n _"]]:
+    """Samples that a fit leaves, and their autocorrelation; kept for the next time."""
+    found = question.residuals.get(fit)
+    if found is None:
+        left = residual(question, fit.terms, fit.x)
+        found = left, autocorrelation(left, question.candidates.columns.samples.bounds)
+        question.residuals[fit] = found
+    return found
+
+
 def effective_samples(
     question: Question, fit: Fitted, other: Fitted | None = None
 ) -> Float[Tensor, " n"]:
     """Independent samples (n,) among those of each joint, if what a fit leaves there is noise: as
     many as tell of a constant torque; or of that by which another fit differs."""
-    left = residual(question, fit.terms, fit.x)
-    bounds = question.candidates.columns.samples.bounds
-    times = integrated_time(left, bounds, centred=False)
+    left, slow_as = left_by(question, fit)
+    times = time_of(slow_as)
     if other is not None:
-        along = residual(question, other.terms, other.x) - left
+        along = left_by(question, other)[0] - left
         a, b = along.square(), left.square()
         there = a.sum(1) > 0
-        slow = integrated_time(left, bounds, centred=False, along=along)
+        bounds = question.candidates.columns.samples.bounds
+        slow = time_of(slow_as * autocorrelation(along, bounds))
         # Noise that is larger where the two differ more tells less of it (White 1980).
         loud = (a * b).sum(1) * question.normal.rows / (a.sum(1) * b.sum(1)).clamp(min=1e-300)
         times = (slow * loud.clamp(min=1.0)).where(there, times)
@@ -372,8 +387,8 @@ def _fit_each(
 def risen(
     effective: Float[Tensor, " n"], before: Float[Tensor, " n"], after: Float[Tensor, "*batch n"]
 ) -> Float[Tensor, "*batch n"]:
-    """Twice the rise (*batch, n) of each joint's logarithm of the likelihood between two sums of squares
-    of what is left; none on a joint of which no sample counts."""
+    """Twice the rise (*batch, n) of each joint's logarithm of the likelihood between two sums of
+    squares of what is left; none on a joint of which no sample counts."""
     return effective * (before.clamp(min=1e-300) / after.clamp(min=1e-300)).log()
 
 
@@ -501,26 +516,27 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
         root = torch.cat([root, inverse_root(matrix, known=prior.unknown.squares)], 1)
     # What the fit leaves, and what it holds, of every row of the joints' matrices; rows of
     # effects that all joints feel are summed.
-    held_common = torch.zeros(common, root.shape[1], dtype=torch.float64)
+    across = torch.zeros(fit.subset.count, common, dtype=torch.float64)
     pull_common = torch.zeros(common, dtype=torch.float64)
-    held: list[Tensor] = []
-    pulls: list[Tensor] = []
+    held: dict[int, Tensor] = {}
+    pulls: dict[int, Tensor] = {}
     for j, (w, g) in enumerate(zip(weight.tolist(), normal.g, strict=True)):
         # Rows are columns, for the matrix is symmetric; of a joint that is not asked of, only those
         # that all joints feel.
-        asked = slice(None) if places is None or j in places else slice(common)
-        of = (fit.subset.at[j] >= 0).nonzero().flatten()
-        rows = g[:, asked].index_select(0, fit.subset.at[j, of])
-        target = g[-1, asked].clone()
-        for joint, at, values in fit.subset.instead:
+        whole = places is None or j in places
+        asked = slice(None) if whole else slice(common)
+        at = fit.subset.at[j]
+        rows = g[:, asked].index_select(0, at.clamp(min=0)) * (w * (at >= 0)).unsqueeze(1)
+        target = w * g[-1, asked]
+        for joint, of_model, values in fit.subset.instead:
             if joint == j:
-                target += values @ g[:, asked].index_select(0, at)
-        b = w * (target - solved.x[of] @ rows)
-        h = rows.T @ (w * root[of])
-        held_common += h[:common]
+                target = target + w * (values @ g[:, asked].index_select(0, of_model))
+        b = target - solved.x @ rows
+        across += rows[:, :common]
         pull_common += b[:common]
-        held.append(h)
-        pulls.append(b)
+        if whole:
+            held[j], pulls[j] = rows.T @ root, b
+    held_common = across.T @ root
     # Each batch at once: squares, pulls and what is held of the candidates' columns.
     # What the model leaves open of its own effects is no change of these.
     present = {t.key for t in fit.terms if t.effects and t.information is None} | question.barred

@@ -30,7 +30,7 @@ from torchid.gap.search.evidence import (
     risen,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.planting import planted
+from torchid.gap.search.planting import Planting, planted
 from torchid.gap.search.replication import replication
 from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term
@@ -79,6 +79,7 @@ def told(found: Explanation) -> Told:
     last = float((weight * fit.losses).sum()) + dependent * fit.known
     closable = max(start - last, 1e-12)
     closes, alone = in_turn(question, fit, found.terms)
+    planting = Planting(question, fit)
     findings, parametric, undecided, rivals, unsure = [], [], [], [], []
     fixed = len(question.fixed)
     for k, term in enumerate(found.terms):
@@ -145,7 +146,7 @@ def told(found: Explanation) -> Told:
                 first=first,
                 notes=_notes(found, term, own[0], values, std),
                 common=len(own) > 1,
-                planted=_planted(question, fit, term, tried),
+                planted=_planted(planting, term, tried),
             )
         )
     return Told(
@@ -247,9 +248,7 @@ def alternatives(
     return list(names.values())
 
 
-def _planted(
-    question: Question, fit: Fitted, term: Term, tried: Sequence[tuple[float, Term]]
-) -> Planted | None:
+def _planted(planting: Planting, term: Term, tried: Sequence[tuple[float, Term]]) -> Planted | None:
     """What the log would show of a term and the likeliest of other names; of one that replaces a
     part of the model, or happened once, nothing."""
     best: dict[str, Term] = {}
@@ -258,7 +257,7 @@ def _planted(
             best.setdefault(other.name, other)
     if term.instead or any(e.event for e in term.effects):
         return None
-    return planted(question, fit, [term, *list(best.values())[:RIVALS]])
+    return planted(planting, [term, *list(best.values())[:RIVALS]])
 
 
 def _felt(found: Explanation, k: int, effects: Sequence[Effect]) -> tuple[int, ...]:
