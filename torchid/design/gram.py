@@ -48,7 +48,7 @@ def inverse_root(
     # Cholesky is ten times cheaper than eigenvectors, and as good where all is determined, which
     # two bounds say: 1 / trace(M^-1) of the least eigenvalue, the largest row sum of the largest.
     factor, failed = torch.linalg.cholesky_ex(unit)
-    one = torch.eye(count, dtype=matrix.dtype)
+    one = torch.eye(count, dtype=matrix.dtype, device=matrix.device)
     root = torch.linalg.solve_triangular(factor, one, upper=False).mT
     sure = root.square().sum((-2, -1)) * unit.abs().sum(-1).amax(-1) * least < 1.0
     sure &= failed == 0
