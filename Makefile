@@ -57,10 +57,9 @@ docs: $(VENV)/.dev
 docs-site: $(VENV)/.dev
 	$(BIN)/python -m sphinx -b html -E -W --keep-going -q -c docs . build/site
 
+# Torchid beside its peers, a minute or two; what became a fifth slower than benchmarks/ratios.json is printed.
 bench: $(VENV)/.dev
-	$(BIN)/python benchmarks/dynamics.py
-	$(BIN)/python benchmarks/cma_es.py
-	$(BIN)/python benchmarks/wrenches.py
+	$(BIN)/python benchmarks/ratios.py --compile
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -43,7 +43,7 @@ NAVIGATION = {
     "How to": ("your-log", "lerobot", "your-quadruped", "log-doctor", "python", "export", "pair",
                "report", "compare", "fleet", "next-experiment"),
     "Reference": ("robots", "effects", "glossary", "equations", "results", "gap-results",
-                  "position-results", "withheld", "trust", "api/*", "../CHANGELOG"),
+                  "position-results", "speed", "withheld", "trust", "api/*", "../CHANGELOG"),
     "Explanation": ("concepts", "knowledge", "equal-torque", "design", "../CONTRIBUTING"),
 }  # fmt: skip
 """Captions, and the pages below each."""

@@ -76,6 +76,26 @@ def test_many_shapes_at_once_are_those_one_by_one(name: str, columns: Columns) -
         assert torch.allclose(own, alone, atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["backlash", "base_tilt", "joint_elasticity", "contact"])
+def test_however_many_fit_into_memory_the_columns_are_the_same(
+    name: str, samples: Samples, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Effects one by one and segment by segment, or all of them at once. Of gears every second is
+    looked at: those of one stiffness, for the stiffest that is there says how fine steps are."""
+    step = 2 if name == "backlash" else 1
+    effects = list(KINDS[name].starts(ROBOT))[:40:step]  # type: ignore[attr-defined]
+    found = []
+    for values in (1, 10**9):
+        monkeypatch.setattr("torchid.design.columns.AT_ONCE", values)
+        # Of a long log nothing is kept.
+        columns = Columns(Model.of(ROBOT), samples)
+        columns._kept = None
+        found.append(list(columns.of_several(effects)))
+    for (place, x), (other, y) in zip(*found, strict=True):
+        assert place == other
+        assert torch.allclose(x, y, rtol=1e-9, atol=1e-12)
+
+
 def test_an_effect_without_a_shape_has_one() -> None:
     columns = Columns(Model(ROBOT, ()), measured([]).samples)
     kind = ViscousFriction

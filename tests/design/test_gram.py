@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from torchid.design.bodies import Prior
-from torchid.design.gram import Gram, Normal, OnJoint, Subset
+from torchid.design.bodies import Prior, Priors
+from torchid.design.gram import Gram, Normal, Subset, inverse_root
 from torchid.typing import Tensor
 
 COMMON, OWN, ROWS, PARTS = 3, (2, 4), 120, 3
@@ -39,13 +39,15 @@ class Problem:
         """Rows (R, K) and target (R,) of all joints, by hand."""
         chosen = torch.isin(self.part, torch.tensor(parts))
         rows, targets = [], []
-        for j, s in enumerate(subset.joints):
+        for j, at in enumerate(subset.at):
             here = chosen & self.keep[j]
             every = torch.cat([self.columns[j], self.y[j : j + 1]])[:, here]
-            a = torch.zeros(int(here.sum()), subset.count, dtype=torch.float64)
-            a[:, s.of] = every[s.at].T
-            rows.append(weight[j].sqrt() * a)
-            targets.append(weight[j].sqrt() * (s.target @ every))
+            rows.append(weight[j].sqrt() * (every[at] * (at >= 0).unsqueeze(1)).T)
+            target = every[-1].clone()
+            for joint, own, values in subset.instead:
+                if joint == j:
+                    target += values @ every[own]
+            targets.append(weight[j].sqrt() * target)
         return torch.cat(rows), torch.cat(targets)
 
 
@@ -57,13 +59,8 @@ def problem() -> Problem:
 def subset(replaced: float = 0.0) -> Subset:
     """Two common columns, one of joint 1, two of joint 2; `replaced`: so much of joint 2's second
     own column is a part of the target."""
-    target = [torch.zeros(COMMON + k + 1, dtype=torch.float64) for k in OWN]
-    for t in target:
-        t[-1] = 1.0
-    target[1][COMMON + 1] = replaced
-    one = OnJoint(torch.tensor([0, 1, 2]), torch.tensor([0, 2, 4]), target[0])
-    two = OnJoint(torch.tensor([0, 1, 3, 4]), torch.tensor([0, 2, 3, 5]), target[1])
-    return Subset(5, (one, two))
+    at = torch.tensor([[0, 2, 4, -1, -1], [0, 2, -1, 3, 5]])
+    return Subset(at, ((1, torch.tensor([COMMON + 1]), torch.tensor([replaced]).double()),))
 
 
 PARTED = [((0, 1, 2), None), ((0, 2), (0, 2)), ((1,), (1,))]
@@ -118,9 +115,7 @@ def test_a_ridge_is_a_row_more_for_every_coefficient(problem: Problem) -> None:
 
 def zeros_too() -> Subset:
     """With joint 2's column of zeros as a sixth."""
-    one, two = subset().joints
-    of, at = torch.tensor([0, 1, 3, 4, 5]), torch.tensor([0, 2, 3, 5, 6])
-    return Subset(6, (one, OnJoint(of, at, two.target)))
+    return Subset(torch.cat([subset().at, torch.tensor([[-1], [6]])], 1))
 
 
 def test_a_column_of_zeros_has_no_coefficient_and_changes_no_other(problem: Problem) -> None:
@@ -136,19 +131,58 @@ def test_of_equal_columns_nothing_is_told_apart(problem: Problem) -> None:
     a = problem.columns[0][:1]
     gram = Gram(0, 1, 1)
     gram.add(0, [a, a], problem.y[0], problem.keep[0], torch.zeros(ROWS, dtype=torch.long))
-    both = OnJoint(torch.arange(2), torch.arange(2), torch.tensor([0.0, 0.0, 1.0]))
-    found = gram.over().of(Subset(2, (both,))).solve(WEIGHT[:1]).x
-    once = OnJoint(torch.arange(1), torch.arange(1), torch.tensor([0.0, 0.0, 1.0]))
-    alone = gram.over().of(Subset(1, (once,))).solve(WEIGHT[:1]).x
+    found = gram.over().of(Subset(torch.tensor([[0, 1]]))).solve(WEIGHT[:1]).x
+    alone = gram.over().of(Subset(torch.tensor([[0]]))).solve(WEIGHT[:1]).x
     assert torch.allclose(found, 0.5 * alone.expand(2), rtol=1e-6)
 
 
 def test_no_columns_leave_all(problem: Problem) -> None:
     normal: Normal = problem.gram.over()
-    empty = torch.zeros(0, dtype=torch.long)
-    joints = [OnJoint(empty, empty, s.target) for s in subset().joints]
-    nothing = Subset(0, tuple(joints))
+    nothing = Subset(torch.zeros(2, 0, dtype=torch.long))
     solved = normal.of(nothing).solve(WEIGHT)
     assert len(solved.x) == 0
     kept = (problem.y * problem.keep).square().sum(1)
     assert torch.allclose(normal.of(nothing).losses(solved.x), kept)
+
+
+def test_several_fits_at_once_are_those_of_each(problem: Problem) -> None:
+    normal = problem.gram.over()
+    chosen = [subset(1.5), zeros_too(), Subset(subset().at[:, :2])]
+    ridges = [torch.full((s.count,), 0.5 + k).double() for k, s in enumerate(chosen)]
+    priors = [Prior(ridge, centre=0.1 * ridge) for ridge in ridges]
+    together, weight = normal.of_each(chosen), WEIGHT.expand(len(chosen), -1)
+    solved = Priors(priors).solve_of(together, weight)
+    known, losses = Priors(priors).value(solved.x), together.losses(solved.x)
+    for k, (s, prior) in enumerate(zip(chosen, priors, strict=True)):
+        own, alone = slice(s.count), prior.solve_of(normal.of(s), WEIGHT)
+        assert torch.allclose(solved.x[k, own], alone.x, atol=1e-12)
+        spread = solved.root[k, own, own] @ solved.root[k, own, own].T
+        assert torch.allclose(spread, alone.root @ alone.root.T, atol=1e-12)
+        assert torch.allclose(losses[k], normal.of(s).losses(alone.x))
+        assert float(known[k]) == pytest.approx(prior.value(alone.x))
+        assert not solved.x[k, s.count :].any()
+
+
+def test_each_fold_is_judged_by_the_sums_of_the_others(problem: Problem) -> None:
+    fitted, judged = problem.gram.folds().of(subset(2.5))
+    for k, part in enumerate((1, 2)):
+        for found, over in ((judged[k], part), (fitted[k], 3 - part)):
+            expected = problem.gram.over([over]).of(subset(2.5))
+            assert torch.allclose(found.a, expected.a, atol=1e-12)
+            assert torch.allclose(found.b, expected.b, atol=1e-12)
+            assert torch.allclose(found.squares, expected.squares)
+
+
+@pytest.mark.parametrize("close", [1e-1, 1e-3, 1e-5])
+def test_a_root_is_that_of_eigenvectors_however_close_columns_are(close: float) -> None:
+    """Of the closest two the difference is not determined: neither factor nor trace may say so."""
+    a = random(3, 200, seed=12)
+    a[2] = a[1] + close * a[2]
+    matrix = a @ a.T
+    size = matrix.diagonal().sqrt()
+    values, vectors = torch.linalg.eigh(matrix / size / size.unsqueeze(1))
+    kept = values > 1e-7 * values[-1]
+    assert int(kept.sum()) == (2 if close < 1e-4 else 3)
+    root = vectors[:, kept] / values[kept].sqrt() / size.unsqueeze(1)
+    found = inverse_root(matrix)
+    assert torch.allclose(found @ found.T, root @ root.T, rtol=1e-6)

@@ -10,7 +10,7 @@ import torch
 from tests.effects.two_masses import INERTIA, driven, gear_torque, pendulum
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.backlash import Backlash
-from torchid.effects.gear import Gear, joint_load, link_lag
+from torchid.effects.gear import Driven, Gear, joint_load, link_lag, link_lags
 from torchid.effects.phase import JointElasticity
 from torchid.log.filtering import ZeroPhaseFilter
 
@@ -122,3 +122,23 @@ def test_swings_side_by_side_are_swings_alone(tmp_path: Path) -> None:
     assert {e.joint for e in finer} == {0}
     assert len(finer) == 8
     assert JointElasticity(0).around(0, 0.01) == []
+
+
+def test_links_of_several_joints_are_those_of_each() -> None:
+    """With and without play, of light and of heavy links: other steps of integration."""
+    t = torch.arange(0, 1.5, 0.004, dtype=torch.float64)
+    load, inertia = torch.sin(9 * t)[:, None], 0.5 + 0.2 * torch.cos(t)[:, None]
+    gears = [
+        Gear.ringing(0.5, [20.0, 30.0], 0.1, [1e-3, 2e-3], 0.1),
+        Gear.ringing(0.5, 8.0, 0.2),
+        Gear.ringing(0.5, [20.0, 25.0, 30.0], 0.1, 5e-4, 0.1),
+        Gear.ringing(0.5, 60.0, 0.1, 1e-3, 0.1),
+    ]
+    links = [
+        Driven((k + 1) * load, inertia if k < 2 else inertia.expand(-1, len(g.play)), g)
+        for k, g in enumerate(gears)
+    ]
+    for found, link in zip(link_lags(links, t), links, strict=True):
+        alone = link_lag(link.load, link.inertia, t, link.gear)
+        assert all(map(torch.equal, found, alone))
+    assert not torch.equal(link_lags(links, t)[0].angle[:, :1], link_lags(links, t)[1].angle)

@@ -24,7 +24,7 @@ from torchid.gap.data import prepare
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.log.readers import write_log
-from torchid.report.robot import correction_shown, correction_tables
+from torchid.report.exported import correction_shown, correction_tables
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.knowledge import Knowledge
 from torchid.robot.library import load_robot

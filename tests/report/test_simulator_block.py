@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from lxml import etree
 
-from torchid.report.robot import simulator_block
+from torchid.report.exported import simulator_block
 from torchid.robot.library import load_robot
 
 EFFECTS = (

@@ -71,7 +71,7 @@ def export_command(
     """
     from torchid.export.projection import Target
     from torchid.export.results import any_diagnosis, carried
-    from torchid.report.robot import correction_shown, export_shown, randomisation_shown
+    from torchid.report.exported import correction_shown, export_shown, randomisation_shown
     from torchid.robot.library import is_robot
 
     if randomise is not None:
@@ -160,7 +160,7 @@ def correct_command(
     """
     from torchid.export.correct import file_format, require_field
     from torchid.export.export import require_name
-    from torchid.report.robot import correction_shown
+    from torchid.report.exported import correction_shown
 
     kind = file_format(to)
     beside = with_effects and (to if to == "isaaclab" or to == "mjlab" else True)

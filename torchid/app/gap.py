@@ -88,7 +88,7 @@ def gap_command(
     """
     from torchid.export.correct import file_format, require_field
     from torchid.report.diagnosis import shown
-    from torchid.report.robot import correction_shown
+    from torchid.report.exported import correction_shown
     from torchid.report.view import require_viewer
 
     opt.require_suffix("--save-model", asked.save_model, opt.YAML)

@@ -34,7 +34,7 @@ def doctor_command(
     """
     from torchid.doctor.examine import record
     from torchid.doctor.flag import flag_for
-    from torchid.report.log import doctor_shown
+    from torchid.report.doctor import doctor_shown
 
     opt.require_log_file("--apply", apply)
     found = arm.load()

@@ -13,8 +13,7 @@ Of m estimates x_i with standard deviations s_i of nu_i degrees of freedom:
 from dataclasses import dataclass
 
 import torch
-from scipy.stats import chi2
-from scipy.stats import f as fisher
+from scipy.special import chdtri, fdtrc
 
 from torchid.statistics.jackknife import student_quantile
 from torchid.typing import Float, Tensor
@@ -96,7 +95,7 @@ def welch(
     q = float((w * (values - mean).square()).sum()) / (m - 1)
     loss = float(((1 - w / w.sum()).square() / freedom).sum())
     statistic = q / (1 + 2 * (m - 2) / (m**2 - 1) * loss)
-    return float(fisher.sf(statistic, m - 1, (m**2 - 1) / (3 * loss)))
+    return float(fdtrc(m - 1, (m**2 - 1) / (3 * loss), statistic))
 
 
 def holm(p: Float[Tensor, " D"]) -> Float[Tensor, " D"]:
@@ -112,7 +111,7 @@ def holm(p: Float[Tensor, " D"]) -> Float[Tensor, " D"]:
 def typical_birge(birge: Float[Tensor, " D"], counts: Float[Tensor, " D"]) -> float:
     """Birge ratio of the typical parameter: median of Q over its median under chi^2."""
     q = birge.square() * (counts - 1)
-    medians = q.new_tensor([float(chi2.median(c - 1)) for c in counts.tolist()])
+    medians = q.new_tensor([float(chdtri(c - 1, 0.5)) for c in counts.tolist()])
     return float((q / medians).median().sqrt())
 
 

@@ -8,7 +8,6 @@ import math
 from collections.abc import Sequence
 
 import torch
-from scipy.signal import welch
 
 from torchid.design.motion import MOVING, Measurement, direction, fast_speed
 from torchid.design.segments import HARDLY, Samples, Segment, widened
@@ -63,6 +62,8 @@ def position_noise(log: Log, robot: Robot) -> Float[Tensor, " n"]:
     level = torch.zeros(robot.n, dtype=torch.float64)
     if robot.parameters is None:
         return level
+    from scipy.signal import welch
+
     # Level at which each joint's spectrum ends [rad^2/Hz], trajectories by their length.
     for rows, rate in zip(log.slices(), sampling_rate(log), strict=True):
         q = log.q[rows].double().numpy()

@@ -8,6 +8,7 @@ squared relative change of a body, which depends on no frame. What least squares
 solution; else a conic program is solved (Clarabel, Goulart and Chen 2024).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -135,22 +136,79 @@ class Prior:
         root = inverse_root(matrix, known=self.squares)
         x = root @ (root.T @ right)
         if self.bodies is not None and not self.bodies.are(x):
-            # Beside the bodies' own coefficients all others follow.
-            own = self.bodies.at.unique()
-            rest = torch.ones(len(x), dtype=torch.bool)
-            rest[own] = False
-            inner, across = inverse_root(matrix[rest][:, rest]), matrix[rest][:, own]
-            held = inner.T @ across
-            alone = matrix[own][:, own] - held.T @ held
-            pull = right[own] - held.T @ (inner.T @ right[rest])
-            bodies = replace(self.bodies, at=torch.searchsorted(own, self.bodies.at))
-            x[own] = _within(bodies, alone, pull)
-            x[rest] = inner @ (inner.T @ (right[rest] - across @ x[own]))
+            x = self.beside_bodies(matrix, right)
         return Solved(x, root)
+
+    def beside_bodies(
+        self, matrix: Float[Tensor, "K K"], right: Float[Tensor, " K"]
+    ) -> Float[Tensor, " K"]:
+        """The minimum (K,) among coefficients that leave bodies, beside normal equations that hold
+        all that is known.
+
+        Raises:
+            TorchidError: the conic program has no solution.
+        """
+        # Beside the bodies' own coefficients all others follow.
+        assert self.bodies is not None
+        own = self.bodies.at.unique()
+        rest = torch.ones(len(right), dtype=torch.bool)
+        rest[own] = False
+        inner, across = inverse_root(matrix[rest][:, rest]), matrix[rest][:, own]
+        held = inner.T @ across
+        alone = matrix[own][:, own] - held.T @ held
+        pull = right[own] - held.T @ (inner.T @ right[rest])
+        bodies = replace(self.bodies, at=torch.searchsorted(own, self.bodies.at))
+        x = torch.zeros_like(right)
+        x[own] = _within(bodies, alone, pull)
+        x[rest] = inner @ (inner.T @ (right[rest] - across @ x[own]))
+        return x
 
     def solve_of(self, equations: Equations, weight: Float[Tensor, " n"]) -> Solved:
         """The minimum of joints' normal equations with these weights (n,)."""
         return self.solve(*equations.weighted(weight))
+
+
+class Priors:
+    """Those of several least squares of K coefficients at most, solved at once.
+
+    Args:
+        each: B of them; the smaller ones have zeros for the coefficients that they lack.
+    """
+
+    def __init__(self, each: Sequence[Prior]):
+        self.each = tuple(each)
+        count = max(len(p.ridge) for p in each)
+        self.squares = torch.zeros(len(each), count, count, dtype=torch.float64)
+        self.pull = torch.zeros(len(each), count, dtype=torch.float64)
+        for k, p in enumerate(each):
+            own = len(p.ridge)
+            self.squares[k, :own, :own] = p.squares
+            self.pull[k, :own] = p.pull
+
+    def value(self, x: Float[Tensor, "B K"]) -> Float[Tensor, " B"]:
+        """As `Prior.value`."""
+        held = (self.squares @ x.unsqueeze(-1)).squeeze(-1)
+        return (x * (held - 2 * self.pull)).sum(-1)
+
+    def solve_of(self, equations: Equations, weight: Float[Tensor, "B *batch n"]) -> Solved:
+        """The minima of joints' normal equations (B, *batch, ...) with these weights."""
+        matrix, right = equations.weighted(weight)
+        more = (1,) * (right.dim() - 2)
+        squares = self.squares.view(len(self.each), *more, *self.squares.shape[1:])
+        matrix, right = matrix + squares, right + self.pull.view(len(self.each), *more, -1)
+        root = inverse_root(matrix, known=squares)
+        x = (root @ (root.mT @ right.unsqueeze(-1))).squeeze(-1)
+        for k, p in enumerate(self.each):
+            if p.bodies is not None:
+                own = len(p.ridge)
+                some = (matrix[k, ..., :own, :own], right[k, ..., :own], x[k, ..., :own])
+                for m, b, y in zip(
+                    some[0].reshape(-1, own, own), some[1].reshape(-1, own),
+                    some[2].view(-1, own), strict=True,
+                ):  # fmt: skip
+                    if not p.bodies.are(y):
+                        y.copy_(p.beside_bodies(m, b))
+        return Solved(x, root)
 
 
 def _within(

@@ -99,11 +99,17 @@ class Columns:
 
     def at(self, model: Model) -> "Columns":
         """Columns of the same samples at another model of the arm. The rigid body's stay as they
-        are; so does what no load enters, as long as the parameters do."""
+        are; so does what no load enters, as long as the parameters do or it is one joint's alone,
+        which knows no parameters."""
         new = Columns(model, self.samples)
         new._rigid = self._rigid
-        if self._kept is not None and new._kept is not None and model.robot is self.model.robot:
-            new._kept |= {k: v for k, v in self._kept.items() if "torque" not in v[0].needs}
+        if self._kept is not None and new._kept is not None:
+            same = model.robot is self.model.robot
+            new._kept |= {
+                k: v
+                for k, v in self._kept.items()
+                if "torque" not in v[0].needs and (same or issubclass(v[0], JointEffect))
+            }
         return new
 
     @property
@@ -131,13 +137,18 @@ class Columns:
         self, effects: Sequence[ModelEffect]
     ) -> Iterator[tuple[Place, Float[Tensor, "..."]]]:
         """Columns of effects of one kind, those of a joint side by side, as `of`: so many at once
-        as memory bears."""
-        at_once = max(1, AT_ONCE // (sum(len(m.q) for m in self.motions) * self.n))
+        as memory bears, segment by segment, for what effects have in common is evaluated once for
+        all that are evaluated together."""
+        values = AT_ONCE // self.n
+        at_once = max(1, values // max(len(m.q) for m in self.motions))
         for k in range(0, len(effects), at_once):
             asked = effects[k : k + at_once]
             some = [e for e in asked if self._kept is None or e not in self._kept]
-            found = zip(some, self._signals(some) if some else (), strict=True)
-            new = {e: self._felt(self._sampled(signals)) for e, signals in found}
+            parts: list[list[Tensor]] = [[] for _ in some]
+            for segments, _ in self._in_groups(values // len(some)) if some else ():
+                for own, signals in zip(parts, self._signals(some, segments), strict=True):
+                    own.append(self._sampled(signals))
+            new = {e: self._felt(torch.cat(x, -1)) for e, x in zip(some, parts, strict=True)}
             if self._kept is not None:
                 self._kept |= {e: (type(e), *x) for e, x in new.items()}
             yield from (new[e] if e in new else self.of(e) for e in asked)
@@ -148,7 +159,7 @@ class Columns:
             one = replace(effect, joint=0)
             return effect.joint, self._sampled([one.columns(m).T for m in motions])
         assert isinstance(effect, ModelEffect)
-        return self._felt(self._sampled(next(self._signals([effect]))))
+        return next(self.of_several([effect]))
 
     def _felt(self, columns: Float[Tensor, "C n N"]) -> tuple[Place, Float[Tensor, "..."]]:
         """Columns on the joint that alone feels them, or on all."""
@@ -193,7 +204,8 @@ class Columns:
         n, robot = self.n, self.model.robot
         links = robot.n_links
         out = torch.zeros(links, PARAMETERS_PER_LINK, n, len(self.samples), dtype=torch.float64)
-        for motions, own in self._in_groups(AT_ONCE // (links * n * PARAMETERS_PER_LINK)):
+        for segments, own in self._in_groups(AT_ONCE // (links * n * PARAMETERS_PER_LINK)):
+            motions = self.motions[segments]
             chunks = list(regressor_chunks(robot, *together(motions).state))
             lengths = [len(m.q) for m in motions]
             for j in range(n):
@@ -205,29 +217,32 @@ class Columns:
                     out[link, :, j, own] = values
         return out
 
-    def _in_groups(self, instants: int) -> Iterator[tuple[list[Motion], slice]]:
-        """Motions of segments, so many together as have no more than so many instants (of a longer
-        one, it alone), and their samples."""
+    def _in_groups(self, instants: int) -> Iterator[tuple[slice, slice]]:
+        """Segments, so many together as have no more than so many instants (of a longer one, it
+        alone), and their samples."""
         first = 0
         while first < len(self.motions):
             total = itertools.accumulate(len(m.q) for m in self.motions[first:])
             count = max(1, sum(1 for _ in itertools.takewhile(instants.__ge__, total)))
             bounds = self.samples.bounds[first : first + count]
-            yield self.motions[first : first + count], slice(bounds[0].start, bounds[-1].stop)
+            yield slice(first, first + count), slice(bounds[0].start, bounds[-1].stop)
             first += count
 
-    def _signals(self, effects: Sequence[ModelEffect]) -> Iterator[list[Float[Tensor, "C n _"]]]:
-        """Columns of model effects of one kind along every segment, one effect after the other; of
-        all segments in one call where time plays no part."""
+    def _signals(
+        self, effects: Sequence[ModelEffect], segments: slice
+    ) -> Iterator[list[Float[Tensor, "C n _"]]]:
+        """Columns of model effects of one kind along some segments, one effect after the other; of
+        all these in one call where time plays no part."""
         kind, robot = type(effects[0]), self.model.robot
         if isinstance(effects[0], Contact) and effects[0] != Contact(tip=effects[0].tip):
+            times = [m.require("t", kind.name) for m in self.motions[segments]]
             for effect in effects:
                 assert isinstance(effect, Contact)
-                gates = [effect.window(m.require("t", kind.name)) for m in self.motions]
-                whole = self._all_the_time(effect.tip)
-                yield [x * gate for x, gate in zip(whole, gates, strict=True)]
+                gates = [effect.window(t) for t in times]
+                lasting = self._all_the_time(effect.tip)[segments]
+                yield [x * gate for x, gate in zip(lasting, gates, strict=True)]
             return
-        motions = self._smooth if kind.smooth else self.motions
+        motions = (self._smooth if kind.smooth else self.motions)[segments]
         lengths = [len(m.q) for m in motions]
         if kind.windowed or not kind.needs & {"t", "age"}:
             motions = [together(motions)]
@@ -237,7 +252,7 @@ class Columns:
     def _all_the_time(self, tip: str | None) -> list[Float[Tensor, "C n _"]]:
         """A contact of a tip that lasts, of which windows are parts."""
         if tip not in self._lasting:
-            self._lasting[tip] = next(self._signals([Contact(tip=tip)]))
+            self._lasting[tip] = next(self._signals([Contact(tip=tip)], slice(None)))
         return self._lasting[tip]
 
     @cached_property

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from scipy.linalg.blas import dsyrk
 
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -22,11 +23,12 @@ EXACT = 1e-13
 
 
 def inverse_root(
-    matrix: Float[Tensor, "K K"],
+    matrix: Float[Tensor, "*batch K K"],
     least: float = DETERMINED,
-    known: Float[Tensor, "K K"] | None = None,
-) -> Float[Tensor, "K r"]:
-    """A root of the inverse of normal equations, along the directions that they determine.
+    known: Float[Tensor, "*#batch K K"] | None = None,
+) -> Float[Tensor, "*batch K K"]:
+    """Roots of the inverses of normal equations, along the directions that they determine; columns
+    of zeros for all others.
 
     Args:
         matrix: products of the columns with each other, and what is known beforehand.
@@ -34,14 +36,42 @@ def inverse_root(
             direction is not determined by the columns.
         known: of the matrix what is known beforehand, which is no rounding however small it is.
     """
+    count = matrix.shape[-1]
+    if not matrix.numel():
+        return matrix.clone()
     # A column that is nowhere in these samples determines nothing.
-    size = torch.where(matrix.diagonal() > 0, matrix.diagonal().sqrt(), torch.inf)
-    values, vectors = torch.linalg.eigh(matrix / size / size.unsqueeze(1))
+    diagonal = matrix.diagonal(dim1=-2, dim2=-1)
+    there = diagonal > 0
+    size = torch.where(there, diagonal.sqrt(), torch.inf)
+    scale = size.unsqueeze(-1) * size.unsqueeze(-2)
+    unit = matrix / scale + torch.diag_embed((~there).to(matrix))
+    # Cholesky is ten times cheaper than eigenvectors, and as good where all is determined, which
+    # two bounds say: 1 / trace(M^-1) of the least eigenvalue, the largest row sum of the largest.
+    factor, failed = torch.linalg.cholesky_ex(unit)
+    one = torch.eye(count, dtype=matrix.dtype, device=matrix.device)
+    root = torch.linalg.solve_triangular(factor, one, upper=False).mT
+    sure = root.square().sum((-2, -1)) * unit.abs().sum(-1).amax(-1) * least < 1.0
+    sure &= failed == 0
+    if not bool(sure.all()):
+        root = root.clone()
+        flat = root.view(-1, count, count)
+        parts = None if known is None else (known / scale).expand_as(unit).reshape_as(flat)
+        for k in (~sure.flatten()).nonzero().flatten().tolist():
+            own = unit.view(-1, count, count)[k]
+            flat[k] = _determined(own, least, None if parts is None else parts[k])
+    return root / size.unsqueeze(-1)
+
+
+def _determined(
+    unit: Float[Tensor, "K K"], least: float, known: Float[Tensor, "K K"] | None
+) -> Float[Tensor, "K K"]:
+    """The root of one matrix with a unit diagonal, by its eigenvectors; see `inverse_root`."""
+    values, vectors = torch.linalg.eigh(unit)
     kept = values > least * values[-1:]
     if known is not None:
-        own = (vectors * ((known / size / size.unsqueeze(1)) @ vectors)).sum(0)
+        own = (vectors * (known @ vectors)).sum(0)
         kept |= (own > 0.5 * values) & (values > EXACT * values[-1:])
-    return vectors[:, kept] / values[kept].sqrt() / size.unsqueeze(1)
+    return vectors * torch.where(kept, values, torch.inf).rsqrt()
 
 
 def least_squares(
@@ -114,19 +144,40 @@ class Gram:
         if not self.g[joint].numel():
             self.g[joint] = torch.zeros(self.parts, count, count, dtype=torch.float64)
         for p in part.unique().tolist():
-            own = torch.cat([x[:, keep & (part == p)] for x in rows])
-            self.g[joint][p] += own @ own.T
-            self.rows[p, joint] += own.shape[1]
+            chosen = (keep & (part == p)).nonzero().flatten()
+            own = torch.cat([x.index_select(1, chosen) for x in rows])
+            # Half of a symmetric product; BLAS sees the rows as columns, in which it leaves zeros.
+            half = torch.from_numpy(dsyrk(1.0, own.numpy().T, trans=1)).T
+            self.g[joint][p] += half
+            self.g[joint][p] += half.tril(-1).T
+            self.rows[p, joint] += len(chosen)
 
-    def folds(self) -> "list[tuple[Normal, Normal]]":
-        """(Fitted on, judged on) of every part but 0; part 0 is in neither."""
-        every = range(1, self.parts)
-        return [(self.over([p for p in every if p != k]), self.over([k])) for k in every]
+    def folds(self) -> "Folds":
+        """Every part but 0, judged by the others; part 0 is in neither."""
+        return Folds(tuple(g[1:] for g in self.g), self.rows[1:])
 
     def over(self, parts: Sequence[int] | None = None) -> "Normal":
         """The sums over some parts; over all if None."""
-        chosen = list(range(self.parts)) if parts is None else list(parts)
+        chosen = slice(None) if parts is None else list(parts)
         return Normal(tuple(g[chosen].sum(0) for g in self.g), self.rows[chosen].sum(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Subset:
+    """K columns, as each joint's matrix has them.
+
+    Attributes:
+        at: (n, K) their rows in the joints' matrices; -1 of those that a joint does not feel.
+        instead: what a joint's target has beside y: (joint, rows of columns, their coefficients).
+    """
+
+    at: Int[Tensor, "n K"]
+    instead: tuple[tuple[int, Int[Tensor, " _"], Float[Tensor, " _"]], ...] = ()
+
+    @property
+    def count(self) -> int:
+        """K."""
+        return self.at.shape[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,88 +192,126 @@ class Normal:
     g: tuple[Float[Tensor, "_ _"], ...]
     rows: Float[Tensor, " n"]
 
-    def of(self, subset: "Subset") -> "Equations":
+    def of(self, subset: Subset) -> "Equations":
         """Those of a subset of K columns."""
-        parts = []
-        for g, s in zip(self.g, subset.joints, strict=True):
-            there = s.target.nonzero().flatten()
-            y = s.target[there]
-            rows = g[s.at]
-            square = y @ g[there.unsqueeze(1), there] @ y
-            parts.append((s.of, rows[:, s.at], rows[:, there] @ y, square))
-        return Equations(subset.count, tuple(parts))
+        return self.of_each([subset])[0]
+
+    def of_each(self, subsets: Sequence[Subset]) -> "Equations":
+        """Those of B subsets, the smaller ones with zeros for the columns that they lack."""
+        found = _gathered([g.unsqueeze(0) for g in self.g], subsets)
+        return found[:, 0]
+
+
+@dataclass(frozen=True, eq=False)
+class Folds:
+    """Normal equations of F parts of the data, each of which is judged by the others.
+
+    Attributes:
+        g: per joint, part by part, as those of `Normal`.
+        rows: (F, n) samples of each part.
+    """
+
+    g: tuple[Float[Tensor, "F _ _"], ...]
+    rows: Float[Tensor, "F n"]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def of_each(self, subsets: Sequence[Subset]) -> "tuple[Equations, Equations]":
+        """Those of B subsets, (B, F, ...): of what each part is fitted on, which is all parts less
+        its own, and of what it is judged on."""
+        judged = _gathered(self.g, subsets)
+        whole = judged.a.sum(1, True), judged.b.sum(1, True), judged.squares.sum(1, True)
+        every = Equations(*whole)
+        fitted = (every.a - judged.a, every.b - judged.b, every.squares - judged.squares)
+        return Equations(*fitted), judged
+
+    def of(self, subset: Subset) -> "tuple[Equations, Equations]":
+        """The same of one subset: (F, ...)."""
+        fitted, judged = self.of_each([subset])
+        return fitted[0], judged[0]
+
+
+def _gathered(g: Sequence[Float[Tensor, "F _ _"]], subsets: Sequence[Subset]) -> "Equations":
+    """Normal equations (B, F, ...) of B subsets of the columns of joints' matrices."""
+    count = max(s.count for s in subsets)
+    at = torch.full((len(subsets), len(g), count), -1)
+    for k, s in enumerate(subsets):
+        at[k, :, : s.count] = s.at
+    felt = (at >= 0).to(g[0])
+    matrices, rights, squares = [], [], []
+    for j, own in enumerate(g):
+        rows = at[:, j]
+        matrices.append(own[:, rows.unsqueeze(2), rows.unsqueeze(1)])
+        right = own[:, rows, -1]
+        square = own[:, -1, -1].unsqueeze(1).repeat(1, len(subsets))
+        for k, s in enumerate(subsets):
+            # The target is y and columns with given coefficients.
+            there = [(r, v) for joint, r, v in s.instead if joint == j]
+            if there:
+                target = torch.cat([rows.new_tensor([-1]), *(r for r, _ in there)])
+                values = torch.cat([own.new_ones(1), *(v for _, v in there)])
+                right[:, k] = own[:, rows[k].unsqueeze(1), target] @ values
+                square[:, k] = own[:, target.unsqueeze(1), target] @ values @ values
+        rights.append(right)
+        squares.append(square)
+    # (n, F, B, ...) of all joints; a joint that does not feel a column has zeros.
+    a = torch.stack(matrices).permute(2, 1, 0, 3, 4)
+    b = torch.stack(rights).permute(2, 1, 0, 3)
+    both = (felt.unsqueeze(-1) * felt.unsqueeze(-2)).unsqueeze(1)
+    return Equations(a * both, b * felt.unsqueeze(1), torch.stack(squares).permute(2, 1, 0))
 
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Normal equations of K columns.
+    """Normal equations of K columns, joint by joint; zeros where a joint does not feel one.
 
     Attributes:
-        count: K.
-        joints: per joint, which of the K columns it feels (k,), their products with each other
-            (k, k) and with the target (k,), and the target's square.
+        a: (*batch, n, K, K) products of the columns with each other.
+        b: (*batch, n, K) those with the target.
+        squares: (*batch, n) the target's sums of squares.
     """
 
-    count: int
-    joints: tuple[tuple[Int[Tensor, " _"], Float[Tensor, "_ _"], Float[Tensor, " _"], Tensor], ...]
+    a: Float[Tensor, "*batch n K K"]
+    b: Float[Tensor, "*batch n K"]
+    squares: Float[Tensor, "*batch n"]
+
+    def __getitem__(self, at: int | slice | tuple[int | slice, ...]) -> "Equations":
+        """Those of a part of the batch."""
+        return Equations(self.a[at], self.b[at], self.squares[at])
 
     @property
-    def squares(self) -> Float[Tensor, " n"]:
-        """Sums of squares (n,) of the target."""
-        return torch.stack([square for *_, square in self.joints])
+    def count(self) -> int:
+        """K."""
+        return self.b.shape[-1]
 
-    def losses(self, x: Float[Tensor, " K"]) -> Float[Tensor, " n"]:
-        """Sums of squares (n,) that coefficients leave."""
-        out = []
-        for of, a, b, square in self.joints:
-            own = x[of]
-            out.append(square - 2 * (own @ b) + own @ a @ own)
-        return torch.stack(out).clamp(min=0)
+    def losses(self, x: Float[Tensor, "*batch K"]) -> Float[Tensor, "*batch n"]:
+        """Sums of squares (*batch, n) that coefficients leave."""
+        own = x.unsqueeze(-2)
+        held = (self.a @ own.unsqueeze(-1)).squeeze(-1)
+        return (self.squares + (own * (held - 2 * self.b)).sum(-1)).clamp(min=0)
 
     def weighted(
-        self, weight: Float[Tensor, " n"]
-    ) -> tuple[Float[Tensor, "K K"], Float[Tensor, " K"]]:
+        self, weight: Float[Tensor, "*batch n"]
+    ) -> tuple[Float[Tensor, "*batch K K"], Float[Tensor, "*batch K"]]:
         """Matrix and right side of all joints together."""
-        matrix = torch.zeros(self.count, self.count, dtype=torch.float64)
-        right = torch.zeros(self.count, dtype=torch.float64)
-        for w, (of, a, b, _) in zip(weight.tolist(), self.joints, strict=True):
-            matrix[of.unsqueeze(1), of] += w * a
-            right[of] += w * b
-        return matrix, right
+        n, k = self.b.shape[-2:]
+        w = weight.unsqueeze(-2)
+        flat = self.a.reshape(*self.a.shape[:-3], n, k * k)
+        matrix = (w @ flat).reshape(*flat.shape[:-2], k, k)
+        return matrix, (w @ self.b).squeeze(-2)
 
-    def solve(self, weight: Float[Tensor, " n"]) -> "Solved":
+    def solve(self, weight: Float[Tensor, "*batch n"]) -> "Solved":
         """Least squares with these weights of the joints' squares."""
         matrix, right = self.weighted(weight)
         root = inverse_root(matrix)
-        return Solved(root @ (root.T @ right), root)
-
-
-@dataclass(frozen=True, eq=False)
-class OnJoint:
-    """Where a subset's columns are in one joint's matrix.
-
-    Attributes:
-        of: which of the K columns.
-        at: their rows in the matrix.
-        target: what they are fitted to: y, plus columns with given coefficients.
-    """
-
-    of: Int[Tensor, " k"]
-    at: Int[Tensor, " k"]
-    target: Float[Tensor, " c"]
-
-
-@dataclass(frozen=True, eq=False)
-class Subset:
-    """K columns, as each joint's matrix has them."""
-
-    count: int
-    joints: tuple[OnJoint, ...]
+        return Solved((root @ (root.mT @ right.unsqueeze(-1))).squeeze(-1), root)
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Coefficients (K,), and a root (K, r) of the inverse of the normal equations."""
+    """Coefficients (*batch, K), and a root (*batch, K, K) of the inverse of the normal
+    equations."""
 
-    x: Float[Tensor, " K"]
-    root: Float[Tensor, "K r"]
+    x: Float[Tensor, "*batch K"]
+    root: Float[Tensor, "*batch K K"]

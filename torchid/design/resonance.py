@@ -24,7 +24,7 @@ from torchid.design.columns import Columns
 from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.gear import Gear, joint_load, link_lag
 from torchid.effects.instants import shifted
-from torchid.log.filtering import extended
+from torchid.log.filtering import extended, fast_length
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.typing import Bool, Float, Tensor
 
@@ -366,10 +366,13 @@ def wiener(
 
     def smooth(x: Float[Tensor, "*batch T"]) -> Float[Tensor, "*batch T"]:
         total = x.shape[-1]
-        long = extended(x.reshape(-1, total), total - 1, total - 1)
+        # Extended on both sides, to a length that the FFT likes.
+        more = min(3 * total - 2, fast_length(5 * total // 2)) - total
+        before = more // 2
+        long = extended(x.reshape(-1, total), before, more - before)
         bins = np.fft.rfftfreq(long.shape[-1], 1 / rate)
         gain = torch.from_numpy(np.interp(bins, frequency, share))
         kept = torch.fft.irfft(torch.fft.rfft(long) * gain, n=long.shape[-1])
-        return kept[:, total - 1 : 2 * total - 1].reshape(x.shape)
+        return kept[:, before : before + total].reshape(x.shape)
 
     return smooth

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicSpline
 
 from torchid.log.columns import PREFIXES
 from torchid.log.model import Log
@@ -77,6 +76,8 @@ class Bridge(Repair):
 
     def apply(self, log: Log) -> Log:
         """With values in those rows that lie between their neighbours'."""
+        from scipy.interpolate import CubicSpline
+
         fresh = torch.ones(log.samples, dtype=torch.bool)
         fresh[list(self.rows)] = False
         signals = {name: signal.clone() for name, signal in log.signals.items()}

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import torch
-from scipy.interpolate import CubicSpline
 
 from torchid.log.checks import MOVING
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
@@ -46,6 +45,8 @@ class Stretch:
         """Torque of the rows, read `late` seconds later than their motion."""
         if late == 0.0:
             return self.tau[self.inside]
+        from scipy.interpolate import CubicSpline
+
         t = self.t.numpy()
         spline = CubicSpline(t, self.tau.numpy())
         return torch.from_numpy(spline(t[self.inside] + late))

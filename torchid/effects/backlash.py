@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from torchid.effects.base import Coefficient, Columns, Example, ModelEffect, Motion
-from torchid.effects.gear import Gear, joint_load, link_lag
+from torchid.effects.gear import Driven, Gear, joint_load, link_lags
 from torchid.effects.variation import (
     OneJointEffect,
     link_lag_torque,
@@ -100,6 +100,7 @@ class Backlash(OneJointEffect):
         """Those of several, the links of all of them side by side."""
         arm = needed(robot, cls.name)
         plays = [e for e in effects if isinstance(e, cls)]
+        links, rotors, places = [], [], []
         for joint in dict.fromkeys(e.joint for e in plays):
             own = [e for e in plays if e.joint == joint]
             widths = [secant_at(e.at, 1e-7) for e in own]
@@ -110,11 +111,13 @@ class Backlash(OneJointEffect):
             # The motor has a part of the inertia, which does not fly.
             rotor = float(inertia.abs().min()) * torch.tensor([e.rotor for e in own]).double()
             there = motion.ddq[:, joint, None].double() * rotor
-            lags = link_lag(
-                load[:, None] - there, inertia - rotor, motion.require("t", cls.name), gear
-            )
-            change = link_lag_torque(arm, motion, joint, *(x.T for x in lags))
-            change[..., joint] += (rotor * lags.acceleration).T
+            links.append(Driven(load[:, None] - there, inertia - rotor, gear))
+            rotors.append(rotor)
+            places.append((joint, widths))
+        lags = link_lags(links, motion.require("t", cls.name))
+        for (joint, widths), rotor, lag in zip(places, rotors, lags, strict=True):
+            change = link_lag_torque(arm, motion, joint, *(x.T for x in lag))
+            change[..., joint] += (rotor * lag.acceleration).T
             for at, torque in zip(widths, change, strict=True):
                 yield (torque / at).to(motion.q).unsqueeze(-1)
 

@@ -91,42 +91,84 @@ def joint_load(
     return torque[:, joint], more - torque
 
 
+class Driven(NamedTuple):
+    """Links that are driven through gears, one a gear.
+
+    Attributes:
+        load: (T, 1) or (T, B) torque that a rigid link would ask for [N m; N].
+        inertia: (T, 1) or (T, B) of the links; one that no body has, zero or less, is raised.
+        gear: B of them.
+    """
+
+    load: Float[Tensor, "T ..."]
+    inertia: Float[Tensor, "T ..."]
+    gear: Gear
+
+
 def link_lag(
     load: Float[Tensor, "T ..."],
     inertia: Float[Tensor, "T ..."],
     t: Float[Tensor, " T"],
     gear: Gear,
 ) -> Lag:
-    """How links lag behind their motor, one a gear.
+    """How links lag behind their motor; see `Driven`.
 
     Args:
-        load: (T, 1) or (T, B) torque that a rigid link would ask for [N m; N].
-        inertia: (T, 1) or (T, B) of the links; one that no body has, zero or less, is raised.
+        load, inertia: of the links.
         t: (T,) uniform grid [s].
         gear: B of them.
     """
-    total, rate = load.shape[0], 1 / interval(t)
+    return link_lags([Driven(load, inertia, gear)], t)[0]
+
+
+def link_lags(links: Sequence[Driven], t: Float[Tensor, " T"]) -> list[Lag]:
+    """How links of several joints lag behind their motors: those that need equally many steps of
+    integration are integrated side by side."""
+    total, rate = len(t), 1 / interval(t)
     # All pieces side by side, each with its lead; before the first instant the motion is held.
     piece, lead = max(1, round(PIECE * rate)), round(LEAD * rate)
     starts = np.arange(0, total, piece)
     index = np.clip(starts + np.arange(-lead, piece)[:, None], 0, total - 1)
-    u = load.double().numpy()[index]
-    least = max(LEAST_INERTIA * float(inertia.abs().mean()), 1e-12)
-    m = inertia.double().clamp(min=least).numpy()[index]
-    # At rest on the flank that the torque presses against.
-    x = u[0] / gear.stiffness + np.sign(u[0]) * gear.play / 2
-    integrate = _flights if gear.play.any() else _swings
-    # Pieces one after the other again, without their leads.
-    flat = [
-        p[lead:].transpose(1, 0, 2).reshape(len(starts) * piece, -1)[:total].copy()
-        for p in integrate(u, m, gear, rate, x)
-    ]
-    return Lag(*map(torch.from_numpy, flat))
+    pieces: dict[int, list[tuple[int, np.ndarray, np.ndarray]]] = {}
+    for k, (load, inertia, gear) in enumerate(links):
+        least = max(LEAST_INERTIA * float(inertia.abs().mean()), 1e-12)
+        m = inertia.double().clamp(min=least).numpy()[index]
+        steps = _steps(m, gear, rate) if gear.play.any() else 0
+        pieces.setdefault(steps, []).append((k, load.double().numpy()[index], m))
+    lags: dict[int, Lag] = {}
+    for steps, some in pieces.items():
+        gears = [links[k].gear for k, *_ in some]
+        gear = Gear(*map(np.concatenate, zip(*gears, strict=True)))
+        widths = [len(g.play) for g in gears]
+        u, m = (
+            x[0]
+            if len(x) == 1
+            else np.concatenate(
+                [np.broadcast_to(y, (*y.shape[:2], w)) for y, w in zip(x, widths, strict=True)], 2
+            )
+            for x in ([u for _, u, _ in some], [m for *_, m in some])
+        )
+        # At rest on the flank that the torque presses against.
+        x = u[0] / gear.stiffness + np.sign(u[0]) * gear.play / 2
+        found = _flights(u, m, gear, rate, x, steps) if steps else _swings(u, m, gear, rate, x)
+        # Pieces one after the other again, without their leads.
+        flat = [
+            torch.from_numpy(
+                p[lead:].transpose(1, 0, 2).reshape(len(starts) * piece, -1)[:total].copy()
+            ).split(widths, 1)
+            for p in found
+        ]
+        for (k, *_), *own in zip(some, *flat, strict=True):
+            lags[k] = Lag(*own)
+    return [lags[k] for k in range(len(links))]
 
 
-def _beyond(x: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """What of a lag is beyond half the play."""
-    return x - np.minimum(np.maximum(x, -half), half)
+def _steps(m: np.ndarray, gear: Gear, rate: float) -> int:
+    """So many steps between two samples as the stiffest gear with the lightest link needs; odd, so
+    that a rate is known in the middle."""
+    fastest = math.sqrt(float(gear.stiffness.max() / m.min())) / (2 * math.pi)
+    steps = max(1, math.ceil(STEPS * fastest / rate))
+    return steps + 1 - steps % 2
 
 
 def _swings(
@@ -162,7 +204,7 @@ def _swings(
 
 
 def _flights(
-    u: np.ndarray, m: np.ndarray, gear: Gear, rate: float, x: np.ndarray
+    u: np.ndarray, m: np.ndarray, gear: Gear, rate: float, x: np.ndarray, steps: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same with play, by leapfrog steps (rates half a step from angles), the damping implicit.
 
@@ -170,27 +212,34 @@ def _flights(
     middle before a sample to the middle after it, so that none is lost.
     """
     k, half = gear.stiffness, gear.play / 2
-    # So many steps between two samples as the stiffest gear with the lightest link needs; odd, so
-    # that a rate is known in the middle.
-    fastest = math.sqrt(float(k.max() / m.min())) / (2 * math.pi)
-    steps = max(1, math.ceil(STEPS * fastest / rate))
-    steps += 1 - steps % 2
     h = 1 / (steps * rate)
     slope = np.diff(u, axis=0) / steps
     gain = h / m
-    held, free = 1 / (1 + gain * gear.damping), 1 / (1 + gain * gear.drag)
+    held, free, stiff = 1 / (1 + gain * gear.damping), 1 / (1 + gain * gear.drag), gain * k
     xs, vs, middle = np.zeros((3, len(u), *x.shape))
-    v = np.zeros_like(x)
+    # In place: these arrays fit the cache, and new ones would take half of the time.
+    x, v = x.copy(), np.zeros_like(x)
+    beyond, push, touching, rest = (np.empty_like(x) for _ in range(4))
+    flank = np.empty(x.shape, dtype=bool)
     xs[0] = x
     for i in range(len(slope)):
         for step in range(steps):
-            push = v + gain[i] * (u[i] + step * slope[i])
-            beyond = _beyond(x, half)
-            flying = push * free[i]
+            np.add(v, gain[i] * (u[i] + step * slope[i]), out=push)
+            # What of the lag is beyond half the play.
+            np.minimum(x, half, out=beyond)
+            np.maximum(beyond, -half, out=beyond)
+            np.subtract(x, beyond, out=beyond)
             # A flank pushes, or else the link flies.
-            touching = (push - gain[i] * k * beyond) * held[i]
-            v = np.where((push - touching) * beyond > 0, touching, flying)
-            x = x + h * v
+            np.multiply(stiff[i], beyond, out=touching)
+            np.subtract(push, touching, out=touching)
+            np.multiply(touching, held[i], out=touching)
+            np.multiply(push, free[i], out=v)
+            np.subtract(push, touching, out=rest)
+            np.multiply(rest, beyond, out=rest)
+            np.greater(rest, 0, out=flank)
+            np.copyto(v, touching, where=flank)
+            np.multiply(v, h, out=rest)
+            np.add(x, rest, out=x)
             if step == steps // 2:
                 middle[i + 1] = v
         xs[i + 1], vs[i + 1] = x, v

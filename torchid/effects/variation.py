@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.dynamics.one_joint import torques_of_one_joint
 from torchid.effects.base import Coefficient, ModelEffect, Motion
 from torchid.robot.model import Robot
 from torchid.typing import Float
@@ -112,11 +113,10 @@ def link_lag_torque(
         joint: whose link lags.
         by, rate, acceleration: angle by which it lags, and its derivatives.
     """
-    lagging = (
-        with_joint(x.double(), joint, -lag.double())
-        for x, lag in zip(motion.state, (by, rate, acceleration), strict=True)
-    )
-    return rigid_torque(robot, *lagging) - rigid_torque(robot, *motion.state)
+    lags = zip(motion.state, (by, rate, acceleration), strict=True)
+    q, dq, ddq = (x[:, joint].double() - lag.double() for x, lag in lags)
+    lagging = torques_of_one_joint(robot, motion.state, joint, (q, dq, ddq))
+    return lagging - rigid_torque(robot, *motion.state).T.contiguous().T
 
 
 def secant_at(at: float, smallest: float) -> float:

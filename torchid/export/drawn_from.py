@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from torchid.effects.inertia import LinkInertia
 from torchid.effects.registry import nominal_effects
@@ -120,7 +120,7 @@ def of_model(model: Robot, robot: Robot | None, level: float) -> DrawnFrom:
     if open_:
         said.append(f"no log has determined these, and no draw varies them: {', '.join(open_)}")
     # Normal, and of no known duration: nothing but its size is kept with a model.
-    half = float(norm.ppf((1 + level) / 2))
+    half = float(ndtri((1 + level) / 2))
     bands = tuple(
         ResidualBand(
             joint=j,

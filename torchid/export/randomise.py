@@ -20,7 +20,7 @@ from typing import get_args
 
 import numpy as np
 import torch
-from scipy.stats import norm, qmc
+from scipy.special import ndtri
 
 from torchid.design.bodies import INSIDE, usual_bodies
 from torchid.dynamics.regressor import regressor
@@ -199,9 +199,11 @@ def _drawn(
     wide = max(p.root.shape[1] for p in parts)
     moving = any(bool(p.body.any()) for p in parts)
     count = draws * (CANDIDATES if moving else 1)
+    from scipy.stats import qmc
+
     sobol = qmc.Sobol(1 + wide, rng=np.random.default_rng(seed))
     points = sobol.random_base2(math.ceil(math.log2(count)))[:count]
-    z = torch.from_numpy(norm.ppf(points[:, 1:].clip(1e-12, 1 - 1e-12)))
+    z = torch.from_numpy(ndtri(points[:, 1:].clip(1e-12, 1 - 1e-12)))
     chosen = torch.searchsorted(
         weights.cumsum(0) / weights.sum(), torch.from_numpy(points[:, 0].copy())
     )

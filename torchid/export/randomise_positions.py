@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import torch
 from msgspec import UNSET
-from scipy.stats import norm, qmc
+from scipy.special import ndtri
 
 from torchid.errors import TorchidError
 from torchid.export.randomisation import Randomisation
@@ -77,9 +77,11 @@ def randomise_positions(
     centre, warnings = absolute(servos), []
     moved = centre.repeat(draws, 1, 1)
     width = sum(len(one.names) for one in found.known)
+    from scipy.stats import qmc
+
     sobol = qmc.Sobol(max(1, width), rng=np.random.default_rng(seed))
     points = sobol.random_base2(math.ceil(math.log2(draws)))[:draws]
-    z = torch.from_numpy(norm.ppf(points.clip(1e-12, 1 - 1e-12)))
+    z = torch.from_numpy(ndtri(points.clip(1e-12, 1 - 1e-12)))
     for one in found.known:
         sizes, axes = torch.linalg.eigh(one.covariance.double())
         root = axes * sizes.clamp(min=0).sqrt()

@@ -4,8 +4,7 @@ import math
 from dataclasses import dataclass
 
 from torchid.errors import TorchidError
-from torchid.identification.settings import DEFAULT_EFFECTS, Rows
-from torchid.robot.model import Basis
+from torchid.identification.settings import DEFAULT_EFFECTS, Basis, Rows
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,8 @@ def diagnose_torque(
         checked = check(found, data, None, folds, repeats, settings, fitted_first)
     if judged is not None:
         # A held-out log takes part in no choice: it judges what was chosen.
-        checked = check(found, data, judged, folds, repeats, settings, fitted_first)
+        noise = checked.measured
+        checked = check(found, data, judged, folds, repeats, settings, fitted_first, noise)
     if wanted.free and robot.parameters is not None:
         # With parameters always refitted: whether that alone closes a part of the gap.
         far = checked.refitted_far

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, get_args
 
 import torch
 from msgspec import UNSET, UnsetType, field
-from scipy.stats import chi2
-from scipy.stats import f as fisher
+from scipy.special import chdtri, fdtri
 
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters
@@ -588,9 +587,9 @@ def _payload(robot: Robot, model: Model, fitted: Fitted, degrees: float) -> Payl
         # Squared size of the 95 % region in so many directions (Hotelling's T^2).
         left, region = degrees - directions + 1, math.inf
         if directions > 0 and math.isinf(degrees):
-            region = float(chi2.ppf(LEVEL, directions))
+            region = float(chdtri(directions, 1 - LEVEL))
         elif directions > 0 and left > 0:
-            quantile_f = float(fisher.ppf(LEVEL, directions, left))
+            quantile_f = float(fdtri(directions, left, LEVEL))
             region = directions * degrees / left * quantile_f
         within = consistent or distance <= region
     return Payload(

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from torchid.errors import TorchidError
-from torchid.robot.model import Basis
 
+# As in torchid.robot.model, which loads torch: the command line has these settings without it.
+Basis = Literal["report", "conditioned"]
 DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
 
 Method = Literal["ols", "wls", "huber"]

@@ -10,9 +10,9 @@ both sides of a chunk, so that chunks of a long log agree with the whole.
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import torch
-from scipy.fft import next_fast_len
 from torch import Tensor
 
 from torchid.errors import LogError
@@ -76,7 +76,7 @@ class ZeroPhaseFilter:
         `step` must not exceed `largest_step`.
         """
         # An even multiple of the step whose factors the FFT likes.
-        length = 2 * step * next_fast_len(math.ceil(x.shape[-1] / (2 * step)), real=True)
+        length = 2 * step * fast_length(math.ceil(x.shape[-1] / (2 * step)))
         spectrum = torch.fft.rfft(x, n=length)
         kept = length // step
         bins = kept // 2 + 1
@@ -98,6 +98,26 @@ class ZeroPhaseFilter:
         """Decimation that keeps the sampling rate at ten times the cut-off or above, where the
         amplitude has fallen below 3e-6; the same for rates that differ by rounding."""
         return max(1, int(self.rate / (10 * self.cutoff) * (1 + 1e-6)))
+
+
+@cache
+def fast_length(least: int) -> int:
+    """The smallest product of twos, threes and fives that is `least` or more: lengths that a real
+    FFT likes.
+
+    >>> fast_length(1021)
+    1024
+    """
+    best = 1 << max(0, least - 1).bit_length()
+    fives = 1
+    while fives < best:
+        odd = fives
+        while odd < best:
+            # So many twos that it is enough.
+            best = min(best, odd << max(0, -(-least // odd) - 1).bit_length())
+            odd *= 3
+        fives *= 5
+    return best
 
 
 def low_pass(rate: float, cutoff: float) -> ZeroPhaseFilter | None:

@@ -65,9 +65,9 @@ def from_arrow(column: pa.ChunkedArray, name: str, path: Path) -> np.ndarray:
     """A column as numbers, empty cells as NaN; as it is where it is not numeric."""
     kind = column.type
     if pa.types.is_integer(kind) and column.null_count == 0:
-        return column.to_numpy()
+        return _in_one(column)
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
-        return column.cast(pa.float64(), safe=False).to_numpy()
+        return _in_one(column.cast(pa.float64(), safe=False))
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         return column.to_numpy().astype("M8[ns]" if pa.types.is_timestamp(kind) else "m8[ns]")
     if _width(kind):
@@ -83,6 +83,14 @@ def from_arrow(column: pa.ChunkedArray, name: str, path: Path) -> np.ndarray:
             return np.array(column.to_pylist(), dtype=object)
         return flat.cast(pa.float64(), safe=False).to_numpy().reshape(len(lengths), -1)
     return np.array(column.to_pylist(), dtype=object)
+
+
+def _in_one(column: pa.ChunkedArray) -> np.ndarray:
+    """A column of numbers as one array, empty cells as NaN. Its own `to_numpy` loads pandas."""
+    if column.null_count:
+        column = column.fill_null(math.nan)
+    parts = [np.from_dlpack(chunk) for chunk in column.chunks if len(chunk)]
+    return np.concatenate(parts) if parts else column.to_numpy()
 
 
 def repeated(names: Sequence[str]) -> tuple[str, ...]:

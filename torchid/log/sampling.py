@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicSpline
 
 from torchid.errors import LogError
 from torchid.log.checks import check_increasing
@@ -225,5 +224,7 @@ def _onto_grid(log: Log, step: float, warnings: list[str]) -> Log:
 
 def _interpolate(t: np.ndarray, values: np.ndarray, grid: np.ndarray, smooth: bool) -> np.ndarray:
     if smooth and np.isfinite(values).all():
+        from scipy.interpolate import CubicSpline
+
         return np.ascontiguousarray(CubicSpline(t, values)(grid))
     return np.stack([np.interp(grid, t, column) for column in values.T], 1)

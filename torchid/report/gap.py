@@ -10,6 +10,7 @@ from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import Experiment, GapRecord, NotTestable, Replication
 from torchid.report import gap_figures
+from torchid.report.exported import simulator_block
 from torchid.report.gap_words import (
     CLEAR,
     REGIMES,
@@ -21,7 +22,6 @@ from torchid.report.gap_words import (
     shapes,
 )
 from torchid.report.panels import Picture
-from torchid.report.robot import simulator_block
 from torchid.report.table import Table, cells, filled, joint_numbers, joint_unit, torque_unit
 from torchid.results.record import as_plain
 from torchid.results.words import (

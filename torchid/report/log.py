@@ -1,21 +1,17 @@
-"""A log and a motion for people: what it is seen as, its figure, and what an examination finds."""
+"""A log and a motion for people: what it is seen as, and its figure."""
 
 from collections.abc import Sequence
-from functools import partial
-from itertools import groupby
 
-import numpy as np
 import torch
 from rich.text import Text
 
 from torchid.design.repeats import Repeat
-from torchid.doctor.examine import Examination, conclusion
 from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.overview import Overview
 from torchid.log.ros import Topic, topics_of
 from torchid.report.colours import BLUE, ORANGE, RED
 from torchid.report.panels import Figure, finish, joint_rows, thin
-from torchid.report.table import Cell, Shown, Table, filled, joint_unit
+from torchid.report.table import Cell, Shown, Table
 from torchid.results.words import count
 from torchid.robot.model import JointType, Robot
 
@@ -160,67 +156,3 @@ def repeats_table(repeats: Sequence[Repeat]) -> Table:
     columns = ("trajectory", "from [s]", "again in", "from [s]", "for [s]")
     title = "repeated motion: what differs between the two is noise"
     return Table(title, columns, rows, words=columns)
-
-
-_STYLE = {"wrong": "bold red", "doubtful": "yellow", "cannot tell": "bright_black"}
-
-
-def doctor_tables(examination: Examination) -> list[Table]:
-    """What is not fine, wrong first; nothing where all is fine."""
-    found = [c for c in examination.by_verdict() if c.verdict != "fine"]
-    rows = []
-    for (verdict, evidence, fix), group in groupby(found, lambda c: (c.verdict, c.evidence, c.fix)):
-        names = "\n".join(c.name for c in group)
-        rows.append((Text(verdict, _STYLE[verdict]), names, evidence, fix or ""))
-    columns = ("verdict", "check", "evidence", "fix")
-    title = f"log of {examination.robot.name}"
-    return filled(Table(title, columns, rows, names=columns[:2], words=columns[2:]))
-
-
-def fine(examination: Examination) -> str:
-    """The checks that found nothing, in one line."""
-    names = [c.name for c in examination.checks if c.verdict == "fine"]
-    return "fine: " + ", ".join(names) if names else "nothing is fine"
-
-
-def doctor_shown(examination: Examination) -> Shown:
-    """All that there is to see of an examination."""
-    drawn = {"doctor": partial(torque_figure, examination)}
-    said: list[Table | str] = [
-        *doctor_tables(examination),
-        fine(examination),
-        f"\n{conclusion(examination)}",
-    ]
-    said += [choices(examination)] if examination.undecided else []
-    return Shown(parts=said, figures=drawn)
-
-
-def choices(examination: Examination) -> str:
-    """What somebody has to choose, with the option that does."""
-    lines = []
-    for check in examination.undecided:
-        lines.append(f"{check.name}: explanations that this log cannot tell apart, none is applied")
-        lines += [f'  --fix "{c.name}": {c.fix}' for c in check.choices]
-    if examination.waiting:
-        lines.append(f"{examination.waiting} more of the fixes wait for this choice")
-    return "\n".join(lines)
-
-
-def torque_figure(examination: Examination) -> Figure | None:
-    """Torque of each joint as the log has it, once mended, and what bodies explain of it."""
-    judge, search = examination.judge, examination.search
-    if judge is None or search is None:
-        return None
-    end = search.final.hypothesis
-    columns, _ = judge.columns(end)
-    measured, moving = judge.torque(end), judge.moving(end)
-    explained = np.where(moving, columns @ search.final.fit.x, np.nan)
-    n, x = examination.robot.n, "low-passed samples, all trajectories"
-    figure, grid = joint_rows(n, ("",), (10, 0.8 + 1.3 * n), x=x)
-    for k, axes in enumerate(grid[:, 0]):
-        axes.plot(measured[:, k], color=BLUE, linewidth=1.2, label="measured, mended")
-        axes.plot(explained[:, k], color=ORANGE, linewidth=1.0, label="best bodies, while moving")
-        unit, error = joint_unit(examination.robot, k), 100 * search.final.errors[k]
-        axes.set_ylabel(f"joint {k + 1} [{unit}]\n{error:.1f} %")
-    title = f"{examination.robot.name}: torque measured, and explained by bodies"
-    return finish(figure, title, grid[0, 0])

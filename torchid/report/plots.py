@@ -22,11 +22,11 @@ from torchid.position.model import Replay
 from torchid.position.record import PositionRecord
 from torchid.report import (
     compare,
+    doctor,
     equal_torque,
     extraction,
     given_sets,
     identification,
-    log,
     position,
     withheld,
 )
@@ -105,7 +105,7 @@ def kinds(result: Result) -> Figures:
         case Found():
             return extraction.figures(result)
         case Examination():
-            return {"torque": partial(log.torque_figure, result)}
+            return {"torque": partial(doctor.torque_figure, result)}
         case EqualTorqueStudy():
             return equal_torque.figures(result)
         case GivenSets():

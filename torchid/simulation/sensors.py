@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import torch
-from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
 from torch import Tensor
 
 from torchid.effects.base import Motion
@@ -195,6 +193,8 @@ def _sampled(
 
 
 def _between(t: Tensor, x: Tensor, at: Tensor) -> Tensor:
+    from scipy.interpolate import CubicSpline
+
     return torch.from_numpy(CubicSpline(t.numpy(), x.numpy())(at.numpy()))
 
 
@@ -238,6 +238,8 @@ def standard(
             got=f"{colour_hz:g} Hz",
             expected=f"below {rate / 2:g} Hz",
         )
+    from scipy.signal import lfilter
+
     keep = math.exp(-2 * math.pi * colour_hz / rate)
     driven = white * math.sqrt(1 - keep**2)
     driven[0] = white[0]

@@ -23,7 +23,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import torch
-from scipy.signal import lfilter
 from torch import Tensor
 
 from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
@@ -257,6 +256,8 @@ def set_points(
     x = _limited(tracks.u.T[:, None] * scale, a, top, tracks, needed, repeated=repeated)
     if not slow:
         return x
+    from scipy.signal import lfilter
+
     out = x.clone()
     for low, high in zip(tracks.first.tolist(), tracks.last.tolist(), strict=True):
         rate = np.diff(x[..., low : high + 1].numpy(), prepend=x[..., low, None]) / tracks.dt
@@ -287,7 +288,6 @@ def _limited(
     # The limits of joints with a profile; what is not limited is so high that it does not matter.
     a, top = (x[bound].clamp(max=most) for x, most in zip((a, top), FASTEST, strict=True))
     goal = out[bound]
-    followed = goal.clone()
     # Motions in stretches side by side. Each begins a while before it counts, where all goals have
     # long asked for less than half of what the limits allow, or a repeated command has just ended
     # every profile: there nothing is left of the past.
@@ -311,23 +311,26 @@ def _limited(
             row = end
     if not begin:
         return out
-    # Few numbers many times: numpy's calls cost a third of torch's.
+    # Few numbers many times: numpy's calls cost a third of torch's. Time first, so that the numbers
+    # of one row lie together.
     order = np.argsort(count)[::-1]
     at, counts, counted = (np.array(x)[order] for x in (begin, count, first))
-    goals, limits = goal.numpy(), (a.numpy(), top.numpy())
-    x, v, out_of = goals[..., at], np.zeros_like(goals[..., at]), followed.numpy()
+    goals = goal.permute(2, 0, 1).contiguous().numpy()
+    limits, out_of = (a[..., 0].numpy(), top[..., 0].numpy()), goals.copy()
+    x, v, before = goals[at], np.zeros_like(goals[at]), goals[at]
     for k in range(int(counts[0])):
         live = int((counts > k).sum())
-        at, x, v = at[:live], x[..., :live], v[..., :live]
-        target = goals[..., at]
+        at, x, v = at[:live], x[:live], v[:live]
+        target = goals[at]
         way, v = profile_step(target - x, v, *limits, tracks.dt)
         x = x + way
         if repeated and k > 0:
-            same = target == goals[..., at - 1]
+            same = target == before[:live]
             x, v = np.where(same, target, x), np.where(same, 0.0, v)
-        at = at + 1
+        before, at = target, at + 1
         keep = at > counted[:live]
-        out_of[..., at[keep]] = x[..., keep]
+        out_of[at[keep]] = x[keep]
+    followed = torch.from_numpy(out_of).permute(1, 2, 0)
     out[bound] = followed
     return out
 
@@ -525,6 +528,10 @@ class _Run:
         }  # fmt: skip
         self.clips = bool(p["clip"].isfinite().any())
         self.stops = bool(p["stop_low"].isfinite().any() | p["stop_high"].isfinite().any())
+        # Of the stops: stiffness, damping, and what they add to the factor of w.
+        self.stop = (STOP_SHARE * p["kp"]).clamp(min=STOP_STIFFNESS)
+        damping = 2 * (self.stop * (p["armature"] + 1e-3)).sqrt()
+        self.hard = self.stop * THETA * self.h + damping
         self.touches = bool((plane[4] > 0).any())
         # Of speeds, in the exponent of what fades with them.
         self.fading = -1 / p["stribeck_speed"]
@@ -660,9 +667,12 @@ class _Run:
                 drive += state.i
             rest, more = resting, None
             if arm is not None:
-                push, more = self._contact(state, arm)
-                rest = rest + push
-                outer = load - push
+                touch = self._contact(state, arm)
+                outer = load
+                if touch is not None:
+                    push, more = touch
+                    rest = rest + push
+                    outer = load - push
             if self.stops:
                 stop, hard = self._stop(state)
                 rest, more = rest + stop, hard if more is None else more + hard
@@ -722,10 +732,7 @@ class _Run:
         """Torque of critically damped end stops, and what they add to the factor of w."""
         p = self.p
         beyond = state.q - state.q.clamp(p["stop_low"], p["stop_high"])
-        stiffness = (STOP_SHARE * p["kp"]).clamp(min=STOP_STIFFNESS)
-        damping = 2 * (stiffness * (p["armature"] + 1e-3)).sqrt()
-        hard = torch.where(beyond != 0, stiffness * THETA * self.h + damping, 0.0)
-        return -stiffness * beyond, hard
+        return -self.stop * beyond, torch.where(beyond != 0, self.hard, 0.0)
 
     def _reach(self, body: Body, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Height of the point (1, P, W) and its slopes (n, P, W), and where they were taken."""
@@ -738,12 +745,17 @@ class _Run:
         slope = s[0] * x + s[1] * y + s[2] * z + s[3]
         return height, slope, body.q[rows].T[:, None]
 
-    def _contact(self, state: _State, arm: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-        """Torque of the plane on the joints, and what it adds to the factor of w."""
+    def _contact(
+        self, state: _State, arm: tuple[Tensor, Tensor, Tensor]
+    ) -> tuple[Tensor, Tensor] | None:
+        """Torque of the plane on the joints, and what it adds to the factor of w; None where no
+        point is in it."""
         height, slope, near = arm
         level, k = (self.plane[PLANE.index(name)][None] for name in ("height", "stiffness"))
         soon = state.q + state.v * (THETA * self.h) - near
         depth = level - height - (slope * soon).sum(0, keepdim=True)
+        if float(depth.max()) <= 0:
+            return None
         force = k * depth - CONTACT_DAMPING * (slope * state.v).sum(0, keepdim=True)
         force = torch.where(depth > 0, force, 0.0).clamp(min=0)
         return slope * force, slope * slope * (CONTACT_DAMPING * (force > 0))

@@ -50,24 +50,43 @@ def integrated_time(
             mean zero.
         along: (..., N) the columns; None for constant ones.
     """
-    parts = [slice(0, x.shape[-1])] if bounds is None else bounds
     if centred:
         x = x - x.mean(-1, keepdim=True)
+    rho = autocorrelation(x, bounds)
+    if along is not None:
+        rho = rho * autocorrelation(along, bounds)
+    return time_of(rho, centred=x.shape[-1] if centred else None)
+
+
+def autocorrelation(
+    x: Float[Tensor, "*batch N"], bounds: Sequence[slice] | None = None
+) -> Float[Tensor, "*batch L"]:
+    """Autocorrelations (..., L) at lags from 0 of series of mean zero, summed over trajectories;
+    zeros of a series of zeros."""
+    parts = [slice(0, x.shape[-1])] if bounds is None else bounds
     longest = max(b.stop - b.start for b in parts)
     size = 2 ** math.ceil(math.log2(2 * max(1, longest)))
+    power = sum(torch.fft.rfft(x[..., b], n=size).abs().square() for b in parts)
+    covariance = torch.fft.irfft(power, n=size)[..., :longest]
+    return covariance / covariance[..., :1].clamp(min=1e-300)
 
-    def correlations(x: Tensor) -> Tensor:
-        power = sum(torch.fft.rfft(x[..., b], n=size).abs().square() for b in parts)
-        covariance = torch.fft.irfft(power, n=size)[..., :longest]
-        return covariance / covariance[..., :1].clamp(min=1e-300)
 
-    rho = correlations(x) if along is None else correlations(x) * correlations(along)
+def time_of(
+    rho: Float[Tensor, "*batch L"], *, centred: int | None = None
+) -> Float[Tensor, "*batch"]:
+    """Integrated autocorrelation time of autocorrelations; see `integrated_time`.
+
+    Args:
+        rho: at lags from 0.
+        centred: number of rows from which a mean was taken; None where none was.
+    """
+    longest = rho.shape[-1]
     constant = rho[..., :1] <= 0
     sums = 2 * rho.cumsum(-1) - 1  # over lags 0 to M of each M
-    lags = torch.arange(longest, device=x.device)
+    lags = torch.arange(longest, device=rho.device)
     enough = (lags >= WINDOW * sums) & (2 * lags < longest)
     last = enough.to(torch.int8).argmax(-1, keepdim=True)
-    correction = 1 + (2 * last + 1) / x.shape[-1] if centred else 1.0
+    correction = 1 + (2 * last + 1) / centred if centred else 1.0
     windowed = sums.gather(-1, last) * correction
     time = torch.where(enough.any(-1, keepdim=True), windowed, sums.amax(-1, keepdim=True))
     return torch.where(constant, 1.0, time.clamp(min=1.0)).squeeze(-1)

@@ -12,8 +12,7 @@ sessions at most, on average, while nothing changes (Shin, Ramdas and Rinaldo 20
 from dataclasses import dataclass
 
 import torch
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtr
 
 from torchid.typing import Float, Tensor
 
@@ -71,7 +70,7 @@ def drift(
             spread = (variance + row @ inverse @ row).sqrt()
             residual = float((values[k] - row @ inverse @ pull) / spread)
             # A residual over an estimated deviation is Student's; its normal equal is an e-value's.
-            z[k] = norm.ppf(student.cdf(residual, float(freedom[k].clamp(min=1))))
+            z[k] = ndtri(stdtr(float(freedom[k].clamp(min=1)), residual))
             z[k] = z[k].clamp(-LARGEST, LARGEST)
             detectors = (1 + detectors) * (steps * z[k] - steps.square() / 2).exp()
             evidence[k] = detectors.mean()

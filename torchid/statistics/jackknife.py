@@ -30,7 +30,7 @@ give standard deviations that are a sixth too small.
 from dataclasses import dataclass
 
 import torch
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from torchid.statistics.blocks import block_products
 from torchid.typing import Bool, Float, Int, Tensor
@@ -81,7 +81,7 @@ class Jackknife:
 
 def student_quantile(level: float, freedom: Float[Tensor, " P"]) -> Float[Tensor, " P"]:
     """Half-widths (P,) of Student's two-sided intervals, one degree of freedom at least."""
-    return torch.from_numpy(student.ppf(0.5 + level / 2, freedom.clamp(min=1).cpu().numpy()))
+    return torch.from_numpy(stdtrit(freedom.clamp(min=1).cpu().numpy(), 0.5 + level / 2))
 
 
 def jackknife(

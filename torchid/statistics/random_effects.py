@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from torchid.statistics.jackknife import student_quantile
 from torchid.statistics.multiple import benjamini_hochberg, two_sided
@@ -265,7 +265,7 @@ def intervals(
 ) -> tuple[Float[Tensor, "P 2"], Float[Tensor, "P 2"]]:
     """Profile-likelihood intervals of both spreads, by bisection on each side of the best."""
     scale, repeated, several = _frame(data)
-    limit = deviance(data, between, daily) + float(chi2.ppf(LEVEL, 1))
+    limit = deviance(data, between, daily) + float(chdtri(1, 1 - LEVEL))
     far = 10 * COARSEST * scale.size
 
     def ends(best: Tensor, profile: Objective) -> Tensor:

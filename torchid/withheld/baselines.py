@@ -18,7 +18,7 @@ from typing import Any
 import torch
 
 from torchid.design.columns import Columns, Model
-from torchid.design.gram import Normal
+from torchid.design.gram import Equations, Folds, Normal
 from torchid.design.repeats import find_repeats
 from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS
@@ -66,22 +66,18 @@ class Data:
         question: the gap, and the candidates with their normal equations.
         weight: (n,) of each joint's squares: one over the noise's.
         relative: (n,) RMS of the gap as a share of the torque's.
-        folds: (fitted on, judged on), by trajectories or stretches.
+        folds: each judged by the others, by trajectories or stretches.
     """
 
     question: Question
     weight: Float[Tensor, " n"]
     relative: Float[Tensor, " n"]
-    folds: tuple[tuple[Normal, Normal], ...]
+    folds: Folds
 
     @property
     def normal(self) -> Normal:
         """Of all samples that count."""
         return self.question.normal
-
-    def loss(self, normal: Normal, terms: Sequence[Term], x: Float[Tensor, " K"]) -> float:
-        """Sum of squares that terms leave on a part of the data, in units of the noise."""
-        return float(self.weight @ normal.of(subset_of(normal, terms)).losses(x))
 
 
 def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
@@ -114,7 +110,7 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
         question,
         1 / noise_variance(noise.floor),
         (gap * keep).norm(dim=1) / torque.norm(dim=1).clamp(min=1e-12),
-        tuple(question.candidates.gram.folds()),
+        question.candidates.gram.folds(),
     )
 
 
@@ -143,15 +139,16 @@ def stlsq(data: Data) -> list[Term]:
     for offer in sorted(_offered(data, []), key=lambda o: -o.gain):
         shapes.setdefault(offer.term.key, offer)
     terms = [offer.term for offer in shapes.values()]
-    train, test = data.folds[0]
-    least, chosen = data.loss(test, [], torch.zeros(0, dtype=torch.float64)), None
+    subset = subset_of(data.normal, terms)
+    train, test = (equations[0] for equations in data.folds.of(subset))
+    least, chosen = float(data.weight @ test.squares), None
     for threshold in THRESHOLDS:
-        left = data.loss(test, terms, _sparse(data, train, terms, threshold))
+        left = float(data.weight @ test.losses(_sparse(data, train, threshold)))
         if left < least:
             least, chosen = left, threshold
     if chosen is None:
         return []
-    kept = _sparse(data, data.normal, terms, chosen).split([len(t.at) for t in terms])
+    kept = _sparse(data, data.normal.of(subset), chosen).split([len(t.at) for t in terms])
     return [t for t, own in zip(terms, kept, strict=True) if bool((own != 0).any())]
 
 
@@ -162,12 +159,10 @@ def _offered(data: Data, beside: Sequence[Term]) -> list[Offer]:
     return [o for o in offers(data.question, fit) if len(o.term.effects) == 1]
 
 
-def _sparse(
-    data: Data, normal: Normal, terms: Sequence[Term], threshold: float
-) -> Float[Tensor, " K"]:
+def _sparse(data: Data, equations: Equations, threshold: float) -> Float[Tensor, " K"]:
     """Coefficients of which those that are small, in units of unit columns and target, are zero."""
-    gram, right = normal.of(subset_of(normal, terms)).weighted(data.weight)
-    target = data.loss(normal, [], right[:0]) ** 0.5
+    gram, right = equations.weighted(data.weight)
+    target = float(data.weight @ equations.squares) ** 0.5
     size = gram.diagonal().sqrt()
     unit = torch.where(size > 0, 1 / size, 0.0)
     values = _thresholded(gram * unit * unit.unsqueeze(1), right * unit / target, threshold)
@@ -234,12 +229,14 @@ def answer_of(data: Data, terms: Sequence[Term]) -> dict[str, Any]:
 
 def _closed(data: Data, terms: Sequence[Term]) -> float | None:
     """(L0 - L*) / (L0 - Ln), coefficients fitted on the other fold; None where there is no gap."""
-    before = after = noise = 0.0
-    for train, test in data.folds:
-        x = train.of(subset_of(train, terms)).solve(data.weight).x
-        before += data.loss(test, (), x[:0])
-        after += data.loss(test, terms, x)
-        noise += float(test.rows.sum())
+    before = after = 0.0
+    fitted, judged = data.folds.of(subset_of(data.normal, terms))
+    for k in range(len(data.folds)):
+        train, test = fitted[k], judged[k]
+        x = train.solve(data.weight).x
+        before += float(data.weight @ test.squares)
+        after += float(data.weight @ test.losses(x))
+    noise = float(data.folds.rows.sum())
     return None if before <= noise else (before - after) / (before - noise)
 
 

@@ -20,7 +20,7 @@ from torchid.gap.search.climb import (
     moves,
     worthy,
 )
-from torchid.gap.search.evidence import cause_groups, fit_terms
+from torchid.gap.search.evidence import cause_groups, fit_terms, subset_of
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.folds import make_folds
 
@@ -144,5 +144,7 @@ def test_every_fold_is_judged_by_the_others():
     counts = question.normal.rows
     found = question.candidates.gram.folds()
     assert len(found) == 3
-    assert torch.equal(sum(test.rows for _, test in found), counts)
-    assert torch.equal(sum(train.rows for train, _ in found), 2 * counts)
+    assert torch.equal(found.rows.sum(0), counts)
+    fitted_on, judged_on = found.of(subset_of(question.normal, ()))
+    assert torch.allclose(judged_on.squares.sum(0), question.squares)
+    assert torch.allclose(fitted_on.squares.sum(0), 2 * question.squares)

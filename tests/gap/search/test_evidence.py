@@ -298,9 +298,8 @@ def test_where_terms_are_in_the_matrices(question: Question) -> None:
     subset = subset_of(question.normal, [gain, tilt])
     count = len(tilt.at)
     assert subset.count == 1 + count
-    assert [s.of.tolist() for s in subset.joints] == [
-        list(range(1, 1 + count)), list(range(1 + count)), list(range(1, 1 + count)),
-    ]  # fmt: skip
+    common = tilt.at.tolist()
+    assert subset.at.tolist() == [[-1, *common], [*gain.at.tolist(), *common], [-1, *common]]
     effect: Effect = gain.effects[0]
     _, column = question.candidates.columns.of(effect)
     keep = question.candidates.keep[1]

@@ -10,7 +10,7 @@ from torchid.effects.friction import ViscousFriction
 from torchid.gap.record import Planted
 from torchid.gap.search.climb import fitted
 from torchid.gap.search.evidence import Question, fit_terms
-from torchid.gap.search.planting import SIZES, planted
+from torchid.gap.search.planting import SIZES, Planting, planted
 
 # Four sizes of the same cause; the smallest are below what noise lets through.
 FV = 0.15
@@ -26,7 +26,7 @@ def question(size: float, seed: int) -> Question:
 def shown() -> Planted:
     q = question(1.0, 0)
     rivals = [term(q, name, 1) for name in NAMES]
-    return planted(q, fitted(q, rivals[:1]), rivals)
+    return planted(Planting(q, fitted(q, rivals[:1])), rivals)
 
 
 @pytest.mark.slow
@@ -63,7 +63,7 @@ def test_a_cause_of_the_same_torque_is_not_told_instead() -> None:
     """An offset twice: each is found where it is planted."""
     q = question_of(measured([]), ("torque_offset",))
     own = term(q, "torque_offset", 0)
-    found = planted(q, fitted(q, [own]), [own, own])
+    found = planted(Planting(q, fitted(q, [own])), [own, own])
     assert torch.tensor(found.told)[:, :2].diagonal().tolist() == pytest.approx(
         [1 - found.told[0][2], 1 - found.told[1][2]]
     )

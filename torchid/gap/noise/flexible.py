@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.stats import t as student
+from scipy.special import stdtrit
 from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
@@ -190,6 +190,6 @@ def _score(
         return float(gains.sum()), -math.inf, 1.0
     spread = float(gains.std()) * math.sqrt(count)
     # Student's interval of the sum over blocks.
-    half = float(student.ppf(tails()[1], count - 1)) * spread
+    half = float(stdtrit(count - 1, tails()[1])) * spread
     r2 = float(gains.sum())
     return r2, r2 - half, r2 + half

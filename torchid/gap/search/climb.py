@@ -11,9 +11,11 @@ from collections.abc import Sequence
 
 import torch
 
-from torchid.design.gram import Normal, Solved
+from torchid.design.bodies import Priors
+from torchid.design.gram import Equations, Folds, Solved
 from torchid.effects.registry import KINDS
 from torchid.gap.search.evidence import (
+    TOGETHER,
     Fitted,
     Offer,
     Question,
@@ -23,6 +25,7 @@ from torchid.gap.search.evidence import (
     common_names,
     cost,
     effective_samples,
+    fit_each,
     fit_terms,
     in_turn,
     offers,
@@ -164,10 +167,9 @@ def _lighter(question: Question, fit: Fitted) -> Fitted | None:
         held.append(
             (float(fit.x[rows] @ inner @ fit.x[rows]) - cost(question, [term], fit.effective), k)
         )
-    weakest = [k for value, k in sorted(held)[:CLOSELY]]
+    lighter = [[*own[:k], *own[k + 1 :]] for _, k in sorted(held)[:CLOSELY]]
     best: tuple[float, Fitted] | None = None
-    for k in weakest:
-        without = fit_terms(question, [*own[:k], *own[k + 1 :]], fit.effective, fit.weight)
+    for without in fit_each(question, lighter, fit.effective, fit.weight):
         now, then = apart(question, fit, without)
         rise = then.evidence - now.evidence
         if rise > 0 and (best is None or rise > best[0]):
@@ -179,20 +181,21 @@ def swapped(question: Question, fit: Fitted, *, every: bool = False) -> Fitted |
     """With one term changed for another, if the evidence rises: another shape, or another effect.
     Those that promise more than the term to first order are tried, or every likely one."""
     own = _own(question, fit)
-    best: Fitted | None = None
-    for term in own:
-        rest = tuple(t for t in own if t is not term)
-        without = fit_terms(question, rest, fit.effective, fit.weight)
-        for _, move in moves(question, without, term)[: TRIED if every else CLOSELY]:
+    without = [tuple(t for t in own if t is not term) for term in own]
+    tried: list[Move] = []
+    fits = fit_each(question, without, fit.effective, fit.weight)
+    for term, rest, other in zip(own, without, fits, strict=True):
+        for _, move in moves(question, other, term)[: TRIED if every else CLOSELY]:
             if move[0] is term and not every:
                 break
-            if move[0].name == BASE:
-                continue
-            other = fit_terms(question, (*rest, *move), fit.effective, fit.weight)
-            if best is None or other.evidence > best.evidence:
-                best = other
-    if best is None:
+            if move[0].name != BASE:
+                tried.append((*rest, *move))
+    if not tried:
         return None
+    # Of equals the first.
+    best = max(
+        fit_each(question, tried, fit.effective, fit.weight), key=lambda other: other.evidence
+    )
     now, then = apart(question, fit, best)
     return then if then.evidence > now.evidence + 1e-6 else None
 
@@ -207,7 +210,7 @@ def _added(question: Question, fit: Fitted) -> Fitted | None:
     # Ranked with all samples.
     rows = question.normal.rows
     weight = rows / fit.losses.clamp(min=1e-300)
-    tried = [fit_terms(question, (*own, *move), rows, weight) for move in options]
+    tried = fit_each(question, [(*own, *move) for move in options], rows, weight)
     best: tuple[float, Fitted] | None = None
     for likely in sorted(tried, key=lambda f: -f.evidence)[:CLOSELY]:
         then, now = apart(question, likely, fit)
@@ -230,45 +233,57 @@ def _added(question: Question, fit: Fitted) -> Fitted | None:
 
 
 def held_out_losses(
-    question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted, terms: Sequence[Term]
+    question: Question, folds: Folds, fit: Fitted, terms: Sequence[Term]
 ) -> Float[Tensor, " n"]:
     """Sums of squares that terms leave on data they were not fitted on. What happened once cannot
     be foretold: a term that the other folds hardly hold keeps the coefficients of all data
     there."""
-    every = (*question.fixed, *terms)
-    total = torch.zeros_like(fit.losses)
-    # Coefficients of all data, for what a fold cannot foretell.
-    subset, prior = subset_of(question.normal, every), prior_of(every)
-    whole = prior.solve_of(question.normal.of(subset), fit.weight).x
-    held = _energies(question.normal, every)
-    # Each fold is judged by the coefficients of the others.
-    for train, test in folds:
-        x = prior.solve_of(train.of(subset), fit.weight).x
-        seen = _energies(train, every) >= FORETOLD * held
-        total += test.of(subset).losses(torch.where(seen, x, whole))
-    return total
+    return held_out_losses_of_each(question, folds, fit, [terms])[0]
 
 
-def _energies(normal: Normal, terms: Sequence[Term]) -> Float[Tensor, " K"]:
+def held_out_losses_of_each(
+    question: Question, folds: Folds, fit: Fitted, explanations: Sequence[Sequence[Term]]
+) -> Float[Tensor, "B n"]:
+    """The same of B explanations, by several at once."""
+    out, at_once = [], max(1, TOGETHER // len(folds))
+    for k in range(0, len(explanations), at_once):
+        every = [(*question.fixed, *terms) for terms in explanations[k : k + at_once]]
+        subsets = [subset_of(question.normal, terms) for terms in every]
+        priors = Priors([prior_of(terms) for terms in every])
+        # Coefficients of all data, for what a fold cannot foretell.
+        weight = fit.weight.expand(len(every), -1)
+        all_data = question.normal.of_each(subsets)
+        whole = priors.solve_of(all_data, weight).x.unsqueeze(1)
+        held = _energies(all_data, every).unsqueeze(1)
+        # Each fold is judged by the coefficients of the others.
+        others, judged = folds.of_each(subsets)
+        x = priors.solve_of(others, weight.unsqueeze(1).expand(-1, len(folds), -1)).x
+        seen = _energies(others, every) >= FORETOLD * held
+        out.append(judged.losses(torch.where(seen, x, whole)).sum(1))
+    return torch.cat(out)
+
+
+def _energies(equations: Equations, every: Sequence[Sequence[Term]]) -> Float[Tensor, "B *batch K"]:
     """Squares of the terms' columns, each term's largest for all of its columns."""
-    parts = []
-    for term in terms:
-        joints = range(len(normal.g)) if term.place is None else (term.place,)
-        rows = torch.stack([normal.g[j].diagonal()[term.at] for j in joints]).sum(0)
-        parts.append(torch.full_like(rows, float(rows.max())))
-    return torch.cat(parts) if parts else torch.zeros(0, dtype=torch.float64)
+    squares = equations.a.diagonal(dim1=-2, dim2=-1).sum(-2)
+    for k, terms in enumerate(every):
+        sizes = [len(t.at) for t in terms]
+        for own in squares[k].split([*sizes, squares.shape[-1] - sum(sizes)], -1):
+            if own.shape[-1] > 1:
+                own.copy_(own.amax(-1, keepdim=True))
+    return squares
 
 
 def worthy(
     question: Question,
-    folds: Sequence[tuple[Normal, Normal]],
+    folds: Folds,
     fit: Fitted,
 ) -> tuple[Fitted, list[Term]]:
     """Without the causes that are not worth a name; what closes least leaves first.
 
     Args:
         question: what is explained.
-        folds: (fitted on, judged on).
+        folds: each judged by the others.
         fit: a finished explanation.
 
     Returns:
@@ -276,52 +291,62 @@ def worthy(
     """
     left: list[Term] = []
     fit = allowed(question, fit)
-    rows = torch.stack([test.rows for _, test in folds]).sum(0).clamp(min=1.0)
+    rows = folds.rows.sum(0).clamp(min=1.0)
 
-    def falls(gone: Sequence[Term]) -> Float[Tensor, " m"]:
-        """By how much the held-out error of m joints falls with some terms, in units of the least
-        that is worth a name: of their own joints, or of all; the largest first."""
-        rest = [t for t in own if all(t is not g for g in gone)]
-        lost = held_out_losses(question, folds, fit, rest) / rows
-        # The error while they act.
-        lost = (now + (lost - now) / acting(question, gone)).clamp(min=0)
-        least = question.least(lost)
-        fall = (lost.sqrt() - now.sqrt()) / least
-        if question.known:
-            # Where the model's own corrections would be stretched in its place, that is its size.
-            without = fit_terms(question, rest, fit.effective, fit.weight)
-            fall = torch.maximum(fall, relief(question, fit, without, gone) / least)
-        places = sorted({t.place for t in gone if t.place is not None})
-        return (fall[places] if places else fall).sort(descending=True).values
+    def falls(groups: Sequence[Sequence[Term]]) -> list[Float[Tensor, " m"]]:
+        """By how much the held-out error of m joints falls with some terms, group by group, in
+        units of the least that is worth a name: of their own joints, or of all; the largest
+        first."""
+        rests = [[t for t in own if all(t is not g for g in gone)] for gone in groups]
+        out = []
+        if groups:
+            every = held_out_losses_of_each(question, folds, fit, rests) / rows
+        for gone, rest, then in zip(groups, rests, every if groups else (), strict=True):
+            # The error while they act.
+            lost = (now + (then - now) / acting(question, gone)).clamp(min=0)
+            least = question.least(lost)
+            fall = (lost.sqrt() - now.sqrt()) / least
+            if question.known:
+                # Where the model's own corrections would be stretched in its place, that is its
+                # size.
+                without = fit_terms(question, rest, fit.effective, fit.weight)
+                fall = torch.maximum(fall, relief(question, fit, without, gone) / least)
+            places = sorted({t.place for t in gone if t.place is not None})
+            out.append((fall[places] if places else fall).sort(descending=True).values)
+        return out
 
-    def missed(term: Term) -> float:
-        return float(falls([term])[0])
+    def missed(terms: Sequence[Term]) -> dict[int, float]:
+        """By how much each of some terms is missed, by its identity."""
+        found = falls([[t] for t in terms])
+        return {id(t): float(fall[0]) for t, fall in zip(terms, found, strict=True)}
 
     closes: dict[int, float] = {}
     while own := _own(question, fit):
         now = held_out_losses(question, folds, fit, own) / rows
         groups = cause_groups(own, question.joints)
         # What most joints have must be worth it on more than half of them.
-        worths = [
-            math.inf
-            if any(map(question.shows, g))
-            else float(falls(g)[len(g) // 2 if len(g) > 1 else 0])
-            for g in groups
-        ]
+        asked = [g for g in groups if not any(map(question.shows, g))]
+        worths = {
+            id(g): float(fall[len(g) // 2 if len(g) > 1 else 0])
+            for g, fall in zip(asked, falls(asked), strict=True)
+        }
         # Causes that stand for each other all look worthless: of these the one leaves that closes
         # least in its turn.
-        weak = [g for g, worth in zip(groups, worths, strict=True) if worth < 1]
+        weak = [g for g in asked if worths[id(g)] < 1]
         if weak and not closes:
             closes = dict(zip(map(id, own), in_turn(question, fit, own)[0], strict=True))
         gone = min(weak, key=lambda g: sum(closes[id(t)] for t in g), default=[])
         if not gone:
             # A joint whose error does not fall has no part in what most joints have.
-            gone = [t for g in groups if len(g) > 1 for t in g if missed(t) <= 0]
+            common = [t for g in groups if len(g) > 1 for t in g]
+            by = missed(common)
+            gone = [t for t in common if by[id(t)] <= 0]
             if not gone:
                 break
         if len(gone) > 1:
             # Of a common cause the joint that misses it least leaves first.
-            gone = [min(gone, key=missed)]
+            by = missed(gone)
+            gone = [min(gone, key=lambda t: by[id(t)])]
         left += gone
         keep = [t for t in own if all(t is not c for c in gone)]
         fit = allowed(question, fit_terms(question, keep, fit.effective, fit.weight))

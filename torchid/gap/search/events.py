@@ -8,13 +8,14 @@ speed happens again and again, and sets the scale: a contact must stand out from
 corrected for all windows that were looked at.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import torch
-from scipy.stats import chi2, f
+from scipy.special import chdtri, fdtrc
 
 from torchid.effects.motion import Motion
 from torchid.effects.surroundings import PlaneContact
@@ -140,7 +141,7 @@ def planes(question: Question) -> list[PlaneContact]:
         return []
     # What chance does, of samples that are alike for a while, over all planes that were looked at.
     slow = correlation_instants(left.T, samples.bounds)
-    least = slow * float(chi2.isf(question.settings.alpha / len(tried), 1))
+    least = slow * float(chdtri(1, question.settings.alpha / len(tried)))
     best: dict[str, tuple[float, PlaneContact]] = {}
     for plane, gain in zip(tried, gains(tried), strict=True):
         if gain > best.get(plane.side, (least, plane))[0]:
@@ -170,23 +171,22 @@ def _beside_laws(question: Question) -> tuple[Float[Tensor, "n N"], Float[Tensor
     fixed = {id(t) for t in candidates.fixed}
     fit = fit_terms(question, [t for t in (*base, *laws) if id(t) not in fixed], ones)
     prior, equations = prior_of(fit.terms), question.normal.of(fit.subset)
-    # Each joint's columns (k, N) in the order of its equations.
-    rows = [
-        torch.cat([rows_of(question, t)[:, 0 if t.place == j else j] for t in fit.terms
-                   if t.place in (None, j)])
-        for j in range(candidates.columns.n)
-    ]  # fmt: skip
-    x = fit.x
+    ends = list(itertools.accumulate((len(t.at) for t in fit.terms), initial=0))
+    x, target = fit.x, residual(question, fit.terms, torch.zeros_like(fit.x))
     for _ in range(ROUNDS):
         left = residual(question, fit.terms, x)
         unit = torch.nan_to_num(robust_std(left), nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
         # The gap, its wild samples brought to the edge of the usual misfit.
-        tamed = residual(question, (), x[:0]) - left + left.clamp(-HUBER * unit, HUBER * unit)
-        joints = [
-            (of, a, row @ y, y @ y)
-            for (of, a, _, _), row, y in zip(equations.joints, rows, tamed, strict=True)
-        ]
-        x = prior.solve_of(replace(equations, joints=tuple(joints)), unit[:, 0] ** -2).x
+        tamed = target - left + left.clamp(-HUBER * unit, HUBER * unit)
+        right = torch.zeros_like(equations.b)
+        for first, last, term in zip(ends, ends[1:], fit.terms, strict=False):
+            rows = rows_of(question, term)
+            if term.place is None:
+                right[:, first:last] = (rows * tamed).sum(-1).T
+            else:
+                right[term.place, first:last] = rows[:, 0] @ tamed[term.place]
+        again = replace(equations, b=right, squares=tamed.square().sum(1))
+        x = prior.solve_of(again, unit[:, 0] ** -2).x
     left = residual(question, fit.terms, x)
     unit = torch.nan_to_num(robust_std(left), nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
     return left, unit
@@ -262,9 +262,9 @@ class _Windows:
         # How slow chance is there, too: a push in the window is no noise.
         slow = correlation_instants(self.r.T, _outside(self.bounds, [window, *beside]))
         apart = len(others) * max(1, length // 2) / max(length, slow)
-        usual = max(1.0, float(others.quantile(LEVEL)) / float(chi2.ppf(LEVEL, c)))
+        usual = max(1.0, float(others.quantile(LEVEL)) / float(chdtri(c, 1 - LEVEL)))
         # A scale known from so many windows apart: F in the place of chi^2.
-        chance = float(f.sf(gain / (c * usual), c, max(apart, 1.0)))
+        chance = float(fdtrc(c, max(apart, 1.0), gain / (c * usual)))
         total = sum(len(g) for g, _, _ in self.looked)
         return Level(total * chance, gain / usual - c * math.log(length))
 

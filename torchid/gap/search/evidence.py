@@ -15,18 +15,18 @@ A cause is one term; or the same effect on most joints, where arms have it (dry 
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import torch
 
-from torchid.design.bodies import Prior, together
+from torchid.design.bodies import Prior, Priors, together
 from torchid.design.columns import Place
 from torchid.design.gram import (
     VISIBLE,
     Normal,
-    OnJoint,
     Solved,
     Subset,
     inverse_root,
@@ -36,7 +36,7 @@ from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
 from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
 from torchid.gap.settings import GapSettings
-from torchid.statistics.autocorrelation import integrated_time
+from torchid.statistics.autocorrelation import autocorrelation, time_of
 from torchid.typing import Float, Tensor
 
 ODDS = 20.0
@@ -46,6 +46,9 @@ evidence. Half and double of it change the mean set size by less than 0.1."""
 LOOKED_AT = 24
 """Terms of one place and number of columns that are offered at most; more than all effects
 there."""
+
+TOGETHER = 32
+"""Explanations that are fitted at once: of a hundred columns and seven joints 18 MB."""
 
 SURE = 2.0
 """Standard deviations beyond what physics allows from which a coefficient is refused."""
@@ -58,7 +61,7 @@ class Fitted:
     Attributes:
         terms: fixed ones first.
         x: (K,) coefficients, term by term.
-        root: (K, r) root of their covariance, in units of the weights.
+        root: (K, K) root of their covariance, in units of the weights.
         losses: (n,) sums of squares left.
         known: the coefficients' distance from what is known beforehand, as `Prior.value`.
         evidence: E.
@@ -68,7 +71,7 @@ class Fitted:
     terms: tuple[Term, ...]
     subset: Subset
     x: Float[Tensor, " K"]
-    root: Float[Tensor, "K r"]
+    root: Float[Tensor, "K K"]
     losses: Float[Tensor, " n"]
     known: float
     evidence: float
@@ -95,6 +98,7 @@ class Question:
         rows: columns of terms that were in a model, as samples.
         seen: directions of terms that were looked at.
         barred: causes that are not offered, by their keys.
+        residuals: what fits leave, and its autocorrelations; as long as the fits are there.
         left: (n,) torque that the model has been seen to leave unexplained, RMS [N m; N]; None
             where that is not known.
     """
@@ -106,6 +110,9 @@ class Question:
     seen: dict[int, int] = field(default_factory=dict, repr=False)
     barred: frozenset[object] = frozenset()
     left: Float[Tensor, " n"] | None = None
+    residuals: MutableMapping[Fitted, tuple[Tensor, Tensor]] = field(
+        default_factory=WeakKeyDictionary, repr=False
+    )
 
     @property
     def fixed(self) -> tuple[Term, ...]:
@@ -122,6 +129,24 @@ class Question:
         """Causes that are looked at: every effect at every place. Its shapes have a price of their
         own."""
         return float(max(1, len({t.key for t in self.candidates.terms})))
+
+    @cached_property
+    def products(self) -> tuple[Float[Tensor, "..."], ...]:
+        """Of each batch of candidates the products of every term's own columns: (M, C, C) on its
+        joint, or (n, M, C, C) on all."""
+        out = []
+        for batch in self.candidates.batches:
+            at = batch.at.unsqueeze(2), batch.at.unsqueeze(1)
+            if batch.place is None:
+                out.append(torch.stack([g[at] for g in self.normal.g]))
+            else:
+                out.append(self.normal.g[batch.place][at])
+        return tuple(out)
+
+    @cached_property
+    def squares(self) -> Float[Tensor, " n"]:
+        """Sums of squares (n,) of the gap."""
+        return torch.stack([g[-1, -1] for g in self.normal.g])
 
     @cached_property
     def joints(self) -> int:
@@ -162,28 +187,15 @@ class Question:
 
 def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
     """Where the columns of terms are in each joint's matrix."""
-    joints = []
-    *starts, count = itertools.accumulate((len(t.at) for t in terms), initial=0)
-    for j, g in enumerate(normal.g):
-        # Columns of the terms on this joint: their numbers among all, and rows in its matrix.
-        of = [
-            torch.arange(a, a + len(t.at))
-            for a, t in zip(starts, terms, strict=True)
-            if t.place in (None, j)
-        ]
-        at = [t.at for t in terms if t.place in (None, j)]
-        empty = torch.zeros(0, dtype=torch.long)
-        # What is explained: the gap, and the model's own effect where a term replaces it.
-        target = g.new_zeros(len(g))
-        target[-1] = 1.0
-        for term in terms:
-            for joint, own, values in term.instead:
-                if joint == j:
-                    target[own.at] += values
-        joints.append(
-            OnJoint(torch.cat(of) if of else empty, torch.cat(at) if at else empty, target)
-        )
-    return Subset(count, tuple(joints))
+    n = len(normal.g)
+    if not terms:
+        return Subset(torch.zeros(n, 0, dtype=torch.long))
+    at = torch.cat([t.at for t in terms])
+    places = torch.cat([t.places for t in terms])
+    felt = (places < 0) | (places == torch.arange(n).unsqueeze(1))
+    # What is explained: the gap, and the model's own effect where a term replaces it.
+    instead = [(j, own.at, values) for t in terms for j, own, values in t.instead]
+    return Subset(torch.where(felt, at, -1), tuple(instead))
 
 
 def prior_of(terms: Sequence[Term]) -> Prior:
@@ -256,19 +268,29 @@ def relief(
     return (moved.square().sum(1) / rows).sqrt()
 
 
+def left_by(question: Question, fit: Fitted) -> tuple[Float[Tensor, "n N"], Float[Tensor, "n _"]]:
+    """Samples that a fit leaves, and their autocorrelation; kept for the next time."""
+    found = question.residuals.get(fit)
+    if found is None:
+        left = residual(question, fit.terms, fit.x)
+        found = left, autocorrelation(left, question.candidates.columns.samples.bounds)
+        question.residuals[fit] = found
+    return found
+
+
 def effective_samples(
     question: Question, fit: Fitted, other: Fitted | None = None
 ) -> Float[Tensor, " n"]:
     """Independent samples (n,) among those of each joint, if what a fit leaves there is noise: as
     many as tell of a constant torque; or of that by which another fit differs."""
-    left = residual(question, fit.terms, fit.x)
-    bounds = question.candidates.columns.samples.bounds
-    times = integrated_time(left, bounds, centred=False)
+    left, slow_as = left_by(question, fit)
+    times = time_of(slow_as)
     if other is not None:
-        along = residual(question, other.terms, other.x) - left
+        along = left_by(question, other)[0] - left
         a, b = along.square(), left.square()
         there = a.sum(1) > 0
-        slow = integrated_time(left, bounds, centred=False, along=along)
+        bounds = question.candidates.columns.samples.bounds
+        slow = time_of(slow_as * autocorrelation(along, bounds))
         # Noise that is larger where the two differ more tells less of it (White 1980).
         loud = (a * b).sum(1) * question.normal.rows / (a.sum(1) * b.sum(1)).clamp(min=1e-300)
         times = (slow * loud.clamp(min=1.0)).where(there, times)
@@ -301,8 +323,7 @@ def evidence_of(
 ) -> float:
     """E of terms, the fixed ones first: what is gained, less the distance from what is known
     beforehand and the price of the others."""
-    nothing = torch.stack([g[-1, -1] for g in question.normal.g])
-    gain = float(risen(effective, nothing, losses).sum())
+    gain = float(risen(effective, question.squares, losses).sum())
     own = terms[len(question.fixed) :]
     return gain - known - cost(question, own, effective)
 
@@ -324,30 +345,60 @@ def fit_terms(
         rounds: how often the joints are weighted anew by what they leave. Two are enough to rank;
             ten for what is told, where columns that all joints share pull the weights apart.
     """
-    normal = question.normal
-    every = (*question.fixed, *terms)
-    subset = subset_of(normal, every)
-    prior = prior_of(every)
+    return fit_each(question, [terms], effective, weight, rounds)[0]
+
+
+def fit_each(
+    question: Question,
+    explanations: Sequence[Sequence[Term]],
+    effective: Float[Tensor, " n"],
+    weight: Float[Tensor, " n"] | None = None,
+    rounds: int = 2,
+) -> list[Fitted]:
+    """What `fit_terms` gives of each of several explanations, all at once."""
+    out: list[Fitted] = []
+    for k in range(0, len(explanations), TOGETHER):
+        out += _fit_each(question, explanations[k : k + TOGETHER], effective, weight, rounds)
+    return out
+
+
+def _fit_each(
+    question: Question,
+    explanations: Sequence[Sequence[Term]],
+    effective: Float[Tensor, " n"],
+    weight: Float[Tensor, " n"] | None,
+    rounds: int,
+) -> list[Fitted]:
+    every = [(*question.fixed, *terms) for terms in explanations]
+    subsets = [subset_of(question.normal, terms) for terms in every]
+    priors = Priors([prior_of(terms) for terms in every])
     if weight is None:
-        weight = effective / torch.stack([g[-1, -1] for g in normal.g]).clamp(min=1e-300)
+        weight = effective / question.squares.clamp(min=1e-300)
     # Each joint's weight is what it leaves; every round gains.
-    equations = normal.of(subset)
+    equations = question.normal.of_each(subsets)
+    weight = weight.expand(len(every), -1)
     for _ in range(rounds):
-        solved = prior.solve_of(equations, weight)
+        solved = priors.solve_of(equations, weight)
         losses = equations.losses(solved.x)
         weight = effective / losses.clamp(min=1e-300)
-    known = prior.value(solved.x)
-    evidence = evidence_of(question, every, losses, known, effective)
-    if refused(every, solved):
-        evidence = -math.inf
-    return Fitted(every, subset, solved.x, solved.root, losses, known, evidence, effective)
+    known = priors.value(solved.x).tolist()
+    gains = risen(effective, question.squares, losses).sum(-1).tolist()
+    out = []
+    for k, (terms, subset) in enumerate(zip(every, subsets, strict=True)):
+        own = subset.count
+        x, root = solved.x[k, :own], solved.root[k, :own, :own]
+        evidence = gains[k] - known[k] - cost(question, explanations[k], effective)
+        if refused(terms, Solved(x, root)):
+            evidence = -math.inf
+        out.append(Fitted(terms, subset, x, root, losses[k], known[k], evidence, effective))
+    return out
 
 
 def risen(
-    effective: Float[Tensor, " n"], before: Float[Tensor, " n"], after: Float[Tensor, " n"]
-) -> Float[Tensor, " n"]:
-    """Twice the rise (n,) of each joint's logarithm of the likelihood between two sums of squares
-    of what is left; none on a joint of which no sample counts."""
+    effective: Float[Tensor, " n"], before: Float[Tensor, " n"], after: Float[Tensor, "*batch n"]
+) -> Float[Tensor, "*batch n"]:
+    """Twice the rise (*batch, n) of each joint's logarithm of the likelihood between two sums of
+    squares of what is left; none on a joint of which no sample counts."""
     return effective * (before.clamp(min=1e-300) / after.clamp(min=1e-300)).log()
 
 
@@ -360,6 +411,8 @@ def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
     known, least, largest = torch.cat([t.limits for t in terms]).unbind(1)
     slack = SURE * solved.root.norm(dim=1) + 1e-12
     wrong = (solved.x + known < least - slack) | (solved.x.abs() > largest + slack)
+    if not bool(wrong.any()):
+        return []
     parts = wrong.split([len(t.at) for t in terms])
     return [t for t, own in zip(terms, parts, strict=True) if bool(own.any())]
 
@@ -367,9 +420,11 @@ def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
 def cost(question: Question, terms: Sequence[Term], effective: Float[Tensor, " n"]) -> float:
     """Of the coefficients and shapes of terms, and of their causes."""
     total = question.price() * len(cause_groups(terms, question.joints))
+    counts = effective.tolist()
+    logs = [math.log(max(n, 2.0)) for n in (*counts, sum(counts))]
     for term in terms:
-        n = effective.sum() if term.place is None else effective[term.place]
-        total += (directions(question, term) + term.shapes) * math.log(max(float(n), 2.0))
+        log = logs[-1 if term.place is None else term.place]
+        total += (directions(question, term) + term.shapes) * log
     return total
 
 
@@ -412,7 +467,8 @@ def in_turn(
     while len(order) < len(terms):
         joined = [terms[k] for k in order]
         rest = [k for k in range(len(terms)) if k not in order]
-        fits = [fit_terms(question, (*joined, terms[k]), fit.effective, fit.weight) for k in rest]
+        tried = [(*joined, terms[k]) for k in rest]
+        fits = fit_each(question, tried, fit.effective, fit.weight)
         losses = [loss(f) for f in fits]
         alone = alone or losses
         order.append(rest[losses.index(min(losses))])
@@ -470,40 +526,44 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
         root = torch.cat([root, inverse_root(matrix, known=prior.unknown.squares)], 1)
     # What the fit leaves, and what it holds, of every row of the joints' matrices; rows of
     # effects that all joints feel are summed.
-    held_common = torch.zeros(common, root.shape[1], dtype=torch.float64)
+    across = torch.zeros(fit.subset.count, common, dtype=torch.float64)
     pull_common = torch.zeros(common, dtype=torch.float64)
-    held: list[Tensor] = []
-    pulls: list[Tensor] = []
-    for w, g, s in zip(weight.tolist(), normal.g, fit.subset.joints, strict=True):
-        v = s.target.clone()
-        v.index_add_(0, s.at, -solved.x[s.of])
-        b = w * (g @ v)
-        h = w * (g[:, s.at] @ root[s.of])
-        held_common += h[:common]
+    held: dict[int, Tensor] = {}
+    pulls: dict[int, Tensor] = {}
+    for j, (w, g) in enumerate(zip(weight.tolist(), normal.g, strict=True)):
+        # Rows are columns, for the matrix is symmetric; of a joint that is not asked of, only those
+        # that all joints feel.
+        whole = places is None or j in places
+        asked = slice(None) if whole else slice(common)
+        at = fit.subset.at[j]
+        rows = g[:, asked].index_select(0, at.clamp(min=0)) * (w * (at >= 0)).unsqueeze(1)
+        target = w * g[-1, asked]
+        for joint, of_model, values in fit.subset.instead:
+            if joint == j:
+                target = target + w * (values @ g[:, asked].index_select(0, of_model))
+        b = target - solved.x @ rows
+        across += rows[:, :common]
         pull_common += b[:common]
-        held.append(h)
-        pulls.append(b)
+        if whole:
+            held[j], pulls[j] = rows.T @ root, b
+    held_common = across.T @ root
     # Each batch at once: squares, pulls and what is held of the candidates' columns.
     # What the model leaves open of its own effects is no change of these.
     present = {t.key for t in fit.terms if t.effects and t.information is None} | question.barred
     out: list[Offer] = []
-    for batch in question.candidates.batches:
+    for batch, products in zip(question.candidates.batches, question.products, strict=True):
         if places is not None and batch.place not in places:
             continue
         # Candidates that all joints feel sum over joints; those of one joint see its matrix alone.
         if batch.place is None:
             h, b = held_common[batch.at], pull_common[batch.at]
-            every = [
-                w * g[batch.at.unsqueeze(2), batch.at.unsqueeze(1)]
-                for w, g in zip(weight.tolist(), normal.g, strict=True)
-            ]
-            gram = torch.stack(every).sum(0)
+            gram = torch.tensordot(weight, products, 1)
         else:
             h, b = held[batch.place][batch.at], pulls[batch.place][batch.at]
             g = normal.g[batch.place]
-            gram = float(weight[batch.place]) * g[batch.at.unsqueeze(2), batch.at.unsqueeze(1)]
+            gram = float(weight[batch.place]) * products
             extra = torch.zeros(len(batch.terms), dtype=torch.float64)
-            for m, term in enumerate(batch.terms):
+            for m, term in batch.standing_in:
                 for _, own, values in term.instead:
                     # The target grows by the effect that is replaced: so does what is left of it.
                     w = float(weight[batch.place])
@@ -520,22 +580,26 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
         # What is gained on one joint cannot exceed what is there: n log(1 / (1 - share)).
         rise = -n * torch.log1p(-(gains / max(n, 1e-9)).clamp(0, 1 - 1e-9))
         paid = (counts + batch.shapes) * math.log(max(n, 2.0))
-        for m in (rise - paid).argsort(descending=True)[:LOOKED_AT].tolist():
+        best = (rise - paid).argsort(descending=True)[:LOOKED_AT]
+        chosen = torch.stack([gains, rise, paid], 1)[best].tolist()
+        for m, (gain, rising, price) in zip(best.tolist(), chosen, strict=True):
             term = batch.terms[m]
-            if float(gains[m]) > 0 and term.key not in present and not _beside(term, fit.terms):
-                out.append(Offer(term, float(rise[m]), float(paid[m])))
+            if gain > 0 and term.key not in present and not _beside(term, fit.terms):
+                out.append(Offer(term, rising, price))
     return sorted(out, key=lambda o: -o.net)
 
 
 def _beside(term: Term, others: Sequence[Term]) -> bool:
     """Whether a term in a window of time stands in or next to another one's: one push is one."""
+    if not term.effects or not term.effects[0].windowed:
+        return False
     # Start and stop of each, infinite where they are open.
     windows = []
     for effect in (t.effects[0] for t in (term, *others) if t.effects):
         if isinstance(effect, Contact):
             start = -math.inf if effect.start is None else effect.start
             windows.append((start, math.inf if effect.stop is None else effect.stop))
-    if not windows or not term.effects or not term.effects[0].windowed:
+    if not windows:
         return False
     # Next to each other: nearer than half of the longer one.
     (start, stop), *there = windows

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.design.columns import Columns, Model, Place, on_joint
-from torchid.design.gram import Normal, visible_root
+from torchid.design.gram import Folds, visible_root
 from torchid.design.segments import Samples
 from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.motion import Motion
@@ -233,7 +233,7 @@ def better(question: Question, found: Sequence[Fitted]) -> Fitted:
 
 def exchanged(
     question: Question,
-    folds: Sequence[tuple[Normal, Normal]],
+    folds: Folds,
     fit: Fitted,
     left: Sequence[Term],
 ) -> tuple[Fitted, list[Term]]:
@@ -250,7 +250,7 @@ def exchanged(
 
 def resumed(
     question: Question,
-    folds: Sequence[tuple[Normal, Normal]],
+    folds: Folds,
     fit: Fitted,
     left: Sequence[Term],
 ) -> tuple[Fitted, list[Term]]:
@@ -281,7 +281,7 @@ def standing_out(question: Question, fit: Fitted, left: Sequence[Term]) -> Fitte
     return allowed(question, fit_terms(question, kept, fit.effective, fit.weight))
 
 
-def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted) -> Fitted:
+def with_bodies(question: Question, folds: Folds, fit: Fitted) -> Fitted:
     """All base parameters beside what was found, if they are worth it: last, for they hold a share
     of every cause. They displace what the evidence does not need beside them."""
     own = fit.terms[len(question.fixed) :]

@@ -20,7 +20,7 @@ from torchid.gap.search.evidence import (
     Fitted,
     Question,
     cost,
-    fit_terms,
+    fit_each,
     prior_of,
     residual,
     rows_of,
@@ -41,17 +41,48 @@ SIZES = tuple(2.0**k for k in range(-6, 1))
 """Sizes of the cause, as shares of the fitted one."""
 
 
-def planted(question: Question, fit: Fitted, rivals: Sequence[Term]) -> Planted:
-    """Plant a told term, and others in its place.
+class Planting:
+    """Where causes are planted: beside one fit, in draws of what it leaves.
 
     Args:
         question: what was explained.
         fit: what is told.
+    """
+
+    def __init__(self, question: Question, fit: Fitted):
+        self.question, self.fit = question, fit
+        left, keep = residual(question, fit.terms, fit.x), question.candidates.keep
+        draws = _draws(left, question.candidates.columns.samples.bounds, question.settings.seed)
+        # On every joint the draws (N, B), and their squares (B,).
+        self._drawn = [(own[draws] * k).T.contiguous() for own, k in zip(left, keep, strict=True)]
+        self.noise = [x.square().sum(0) for x in self._drawn]
+        self._pulled: dict[int, tuple[Term, Tensor]] = {}
+
+    def pulled(self, term: Term) -> Float[Tensor, "n C B"]:
+        """What draws add to the right side of a term's columns; zero on joints that do not feel
+        it."""
+        if id(term) not in self._pulled:
+            rows = rows_of(self.question, term)
+            out = rows.new_zeros(len(self._drawn), len(rows), self._drawn[0].shape[1])
+            for j in range(len(out)) if term.place is None else (term.place,):
+                own = rows[:, j if term.place is None else 0]
+                # Draws hold zeros where no sample counts.
+                out[j] = own @ self._drawn[j]
+            self._pulled[id(term)] = term, out
+        return self._pulled[id(term)][1]
+
+
+def planted(planting: Planting, rivals: Sequence[Term]) -> Planted:
+    """Plant a told term, and others in its place.
+
+    Args:
+        planting: beside what is told.
         rivals: the told term first; none that stands in the place of another.
     """
+    question, fit, noise = planting.question, planting.fit, planting.noise
     rest = [t for t in fit.terms[len(question.fixed) :] if t is not rivals[0]]
     explanations = [*([*rest, t] for t in rivals), rest]
-    fits = [fit_terms(question, e, fit.effective, fit.weight).x for e in explanations[:-1]]
+    fits = [f.x for f in fit_each(question, explanations[:-1], fit.effective, fit.weight)]
     # All their columns; of each explanation the numbers of its own.
     union = (*question.fixed, *rest, *rivals)
     ends = list(itertools.accumulate((len(t.at) for t in union), initial=0))
@@ -61,16 +92,7 @@ def planted(question: Question, fit: Fitted, rivals: Sequence[Term]) -> Planted:
     # On every joint: their products, and what draws of what is left add to the right side (k, B)
     # and to the target's square (B,).
     equations = question.normal.of(subset_of(question.normal, union))
-    left, keep = residual(question, fit.terms, fit.x), question.candidates.keep
-    draws = _draws(left, question.candidates.columns.samples.bounds, question.settings.seed)
-    pulled, noise = [], []
-    for j in range(len(left)):
-        felt = [t for t in union if t.place in (None, j)]
-        rows = [rows_of(question, t)[:, j if t.place is None else 0] for t in felt]
-        columns = torch.cat([left.new_zeros(0, left.shape[1]), *rows])
-        drawn = left[j][draws] * keep[j]
-        pulled.append((columns * keep[j]) @ drawn.T)
-        noise.append(drawn.square().sum(1))
+    pulled = torch.cat([planting.pulled(t) for t in union], 1)
     # Each explanation's coefficients are linear in the right side.
     matrix, _ = equations.weighted(fit.weight)
     priors = [prior_of((*question.fixed, *e)) for e in explanations]
@@ -86,23 +108,19 @@ def planted(question: Question, fit: Fitted, rivals: Sequence[Term]) -> Planted:
         x[numbers[rival]] = fits[rival]
         x[of_rival[rival]] *= size
         # Right sides and targets' squares of the draws.
-        right, square, total = [], [], torch.zeros(len(x), len(draws), dtype=torch.float64)
-        for w, c, e, (of, g, *_) in zip(
-            fit.weight.tolist(), pulled, noise, equations.joints, strict=True
-        ):
-            right.append((g @ x[of]).unsqueeze(1) + c)
-            square.append(x[of] @ g @ x[of] + 2 * (x[of] @ c) + e)
-            total.index_add_(0, of, w * right[-1])
+        right, square, total = [], [], torch.zeros(len(x), DRAWS, dtype=torch.float64)
+        for w, c, e, g in zip(fit.weight.tolist(), pulled, noise, equations.a, strict=True):
+            right.append((g @ x).unsqueeze(1) + c)
+            square.append(x @ g @ x + 2 * (x @ c) + e)
+            total += w * right[-1]
         out = []
         for own, prior, root, price in zip(numbers, priors, roots, paid, strict=True):
             found = root @ (root.T @ (total[own] + prior.pull.unsqueeze(1)))
             y = torch.zeros_like(total).index_copy_(0, own, found)
             known = (found * (prior.squares @ found - 2 * prior.pull.unsqueeze(1))).sum(0)
             value = -known - price
-            for n, b, s, (of, g, *_) in zip(
-                fit.effective.tolist(), right, square, equations.joints, strict=True
-            ):
-                loss = s + (y[of] * (g @ y[of] - 2 * b)).sum(0)
+            for n, b, s, g in zip(fit.effective.tolist(), right, square, equations.a, strict=True):
+                loss = s + (y * (g @ y - 2 * b)).sum(0)
                 value = value - n * loss.clamp(min=1e-300).log()
             out.append(value)
         return torch.stack(out)

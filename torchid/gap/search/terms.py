@@ -99,7 +99,12 @@ class Term:
         zero = torch.zeros(len(self.at), dtype=torch.float64)
         return zero if self.seen is None else zero + self.seen.value - self.known[0]
 
-    @property
+    @cached_property
+    def places(self) -> Int[Tensor, " C"]:
+        """The joint whose torque alone each column is in; -1 where there is none."""
+        return torch.full_like(self.at, -1 if self.place is None else self.place)
+
+    @cached_property
     def key(self) -> tuple[object, ...]:
         """What it is, whatever its shape: effect and place, or that all joints share it."""
         if len(self.effects) == 1:
@@ -132,6 +137,11 @@ class Batch:
     ridge: Float[Tensor, "M C"]
     centre: Float[Tensor, "M C"]
     shapes: Int[Tensor, " M"]
+
+    @cached_property
+    def standing_in(self) -> tuple[tuple[int, Term], ...]:
+        """Those that stand in the place of the model's own, with their numbers."""
+        return tuple((m, t) for m, t in enumerate(self.terms) if t.instead)
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from torchid.design.gram import VISIBLE
 from torchid.design.segments import when
@@ -30,7 +30,7 @@ from torchid.gap.search.evidence import (
     risen,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.planting import planted
+from torchid.gap.search.planting import Planting, planted
 from torchid.gap.search.replication import replication
 from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term
@@ -79,6 +79,7 @@ def told(found: Explanation) -> Told:
     last = float((weight * fit.losses).sum()) + dependent * fit.known
     closable = max(start - last, 1e-12)
     closes, alone = in_turn(question, fit, found.terms)
+    planting = Planting(question, fit)
     findings, parametric, undecided, rivals, unsure = [], [], [], [], []
     fixed = len(question.fixed)
     for k, term in enumerate(found.terms):
@@ -145,7 +146,7 @@ def told(found: Explanation) -> Told:
                 first=first,
                 notes=_notes(found, term, own[0], values, std),
                 common=len(own) > 1,
-                planted=_planted(question, fit, term, tried),
+                planted=_planted(planting, term, tried),
             )
         )
     return Told(
@@ -169,7 +170,7 @@ def determined(solution: Solution, k: int, looks: float) -> float:
     spread, axes = torch.linalg.eigh(covariance / size / size.unsqueeze(1))
     there = spread > 1e-9 * spread[-1]
     along = (axes.T @ (values / size))[there]
-    level = float(chi2.sf(float((along.square() / spread[there]).sum()), int(there.sum())))
+    level = float(chdtrc(int(there.sum()), float((along.square() / spread[there]).sum())))
     return max(0.0, 1.0 - looks * level)
 
 
@@ -185,7 +186,7 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
     own = fit.terms[len(question.fixed) :]
     searched = term.name not in common_names(own, question.joints)
     looks = question.looks if searched else 1.0
-    return min(1.0, looks * float(chi2.sf(max(0.0, ratio), df)))
+    return min(1.0, looks * float(chdtrc(df, max(0.0, ratio))))
 
 
 def how_sure(rises: Sequence[float]) -> float:
@@ -247,9 +248,7 @@ def alternatives(
     return list(names.values())
 
 
-def _planted(
-    question: Question, fit: Fitted, term: Term, tried: Sequence[tuple[float, Term]]
-) -> Planted | None:
+def _planted(planting: Planting, term: Term, tried: Sequence[tuple[float, Term]]) -> Planted | None:
     """What the log would show of a term and the likeliest of other names; of one that replaces a
     part of the model, or happened once, nothing."""
     best: dict[str, Term] = {}
@@ -258,7 +257,7 @@ def _planted(
             best.setdefault(other.name, other)
     if term.instead or any(e.event for e in term.effects):
         return None
-    return planted(question, fit, [term, *list(best.values())[:RIVALS]])
+    return planted(planting, [term, *list(best.values())[:RIVALS]])
 
 
 def _felt(found: Explanation, k: int, effects: Sequence[Effect]) -> tuple[int, ...]:
@@ -383,9 +382,9 @@ def not_testable(found: Explanation, robot: Robot, data: Data) -> list[NotTestab
         size, row = 0.0, int(term.at[0])
         held = torch.zeros(fit.root.shape[1], dtype=torch.float64)
         for j in range(len(normal.g)) if term.place is None else (term.place,):
-            g, s = normal.g[j], fit.subset.joints[j]
+            g, at = normal.g[j], fit.subset.at[j]
             size += float(weight[j] * g[row, row])
-            held += weight[j] * (g[row, s.at] @ fit.root[s.of])
+            held += weight[j] * ((g[row, at] * (at >= 0)) @ fit.root)
         left = size - float(held @ held)
         if term.key not in best or left > best[term.key][1]:
             best[term.key] = size, left, term

@@ -43,6 +43,7 @@ class Checked:
         shown: torque before and after.
         refitted: torque before, and of the model with base parameters refitted.
         noise: beside the answered model.
+        measured: the same, as it was before what is left bounded it.
         far: closed share.
         refitted_far: of base parameters alone.
     """
@@ -50,6 +51,7 @@ class Checked:
     shown: list[Trace]
     refitted: list[Trace]
     noise: Noise
+    measured: Noise
     far: Closing
     refitted_far: Closing
 
@@ -79,6 +81,7 @@ def check(
     repeats: Repeats,
     settings: GapSettings,
     fitted_first: bool,
+    noise: Noise | None = None,
 ) -> Checked:
     """Models fitted without each fold, or on all data where a log was held out, and what they do.
 
@@ -89,12 +92,14 @@ def check(
         repeats: among its trajectories.
         settings: the user's.
         fitted_first: whether the model before was fitted too, because the robot has no parameters.
+        noise: beside this explanation, where it has been measured.
     """
     solution = found.solution
     columns = found.question.candidates.columns.at(solution.model)
     base = refitted(columns.at(solution.start), data, solution.wanted)
     band = data.band
-    noise = noise_of(columns, solution.start, solution.left, data, repeats, settings.seed)
+    if noise is None:
+        noise = noise_of(columns, solution.start, solution.left, data, repeats, settings.seed)
     if judged is None:
         # Each fold is shown by models that were fitted on the others.
         fits = [folds.fitted(k) for k in range(folds.count)]
@@ -111,11 +116,12 @@ def check(
         again_shown = traces(judged.samples, None, before, [base.model], band, reach=noise.reach)
         motions = tuple(range(len(shown))) if len(shown) >= FEW else None
     # Whatever is noise is part of what is left: the same instants, the same band.
-    noise = noise.at_most(torch.minimum(*levels(shown)))
+    measured, noise = noise, noise.at_most(torch.minimum(*levels(shown)))
     return Checked(
         shown,
         again_shown,
         noise,
+        measured,
         closing(shown, noise.floor, settings.seed, noise.unpredicted, motions),
         closing(again_shown, noise.floor, settings.seed, motions=motions),
     )

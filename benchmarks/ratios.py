@@ -1,0 +1,211 @@
+# ruff: noqa: E402 (threads are set before numpy and torch are imported)
+"""Torchid beside its peers in one run: ratios, alternated, medians; what became slower is printed.
+
+    python benchmarks/ratios.py [--compile] [--rounds N] [--save]
+
+Every line is one thing that both can do, on one thread: they run in turn, and the ratio is the
+median over the rounds of (processor time of the peer / of torchid), so above 1 torchid is faster. A
+peer that is not installed is left out. `ratios.json` holds the ratios of the last release; one that
+has fallen by more than a fifth is printed. `--save` writes the file anew; `--compile` adds
+torch.compile, whose first call takes up to a minute.
+"""
+
+import os
+
+for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ[_name] = "1"
+
+import argparse
+import copy
+import json
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import torch
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from dynamics import drain, machine
+
+from tests.arms import arm
+from torchid.dynamics.compiled import compiled_dynamics
+from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.dynamics.regressor import regressor_chunks
+from torchid.export.export import export_dynamics
+from torchid.robot.library import load_robot
+
+COMMITTED = Path(__file__).with_name("ratios.json")
+SLOWER = 0.8
+"""Share of the committed ratio below which a line is printed: the machines that this runs on differ
+from one hour to the next by some ten per cent."""
+SAMPLES = 12327
+"""As the report's log of the LWR; whole batches of torchid, a Python loop of a peer."""
+LOOPED = 2000
+"""Samples of a peer's loop in a round: its cost a sample does not depend on their number."""
+SIMULATIONS = 128
+"""That are stepped together in MuJoCo."""
+STEPS = 20
+"""Of each simulation in a round."""
+
+Call = Callable[[], object]
+Line = tuple[str, Call, float, Call, float]
+"""What it is; a peer's call and how often it does it; torchid's, and how often."""
+
+
+def seconds(call: Call) -> float:
+    """Processor time of one call."""
+    start = time.process_time()
+    call()
+    return time.process_time() - start
+
+
+def ratio(line: Line, rounds: int) -> tuple[float, float, float]:
+    """Microseconds of the peer's and of torchid's, medians of alternated rounds, and the median
+    ratio."""
+    _, peer, of_peer, ours, of_ours = line
+    peer(), ours()
+    pairs = [(seconds(peer) / of_peer * 1e6, seconds(ours) / of_ours * 1e6) for _ in range(rounds)]
+    middle = (statistics.median(x) for x in zip(*pairs, strict=True))
+    return (*middle, statistics.median(p / o for p, o in pairs))  # type: ignore[return-value]
+
+
+def dynamics(compiled: bool) -> Iterator[Line]:
+    """Newton-Euler and the regressor against Pinocchio's and MuJoCo's calls in a Python loop."""
+    robot = load_robot("kuka_lwr4")
+    generator = torch.Generator().manual_seed(0)
+    motion = tuple(
+        torch.randn(SAMPLES, robot.n, generator=generator, dtype=torch.float64) for _ in range(3)
+    )
+    rows = list(zip(*(x[:LOOPED].numpy() for x in motion), strict=True))
+    kinds = [("eager", lambda: inverse_dynamics(robot, *motion))]
+    regressors = [("eager", lambda: drain(regressor_chunks(robot, *motion)))]
+    if compiled:
+        fast = compiled_dynamics(robot)
+        kinds.append(("compiled", lambda: fast.inverse_dynamics(*motion)))
+        regressors.append(("compiled", lambda: drain(fast.regressor_chunks(*motion))))
+    if find_spec("pinocchio"):
+        from tests.oracles import PinocchioOracle
+
+        oracle = PinocchioOracle(robot)
+        pin, model, data = oracle.pin, oracle.model, oracle.data
+
+        def rnea() -> None:
+            for row in rows:
+                pin.rnea(model, data, *row)
+
+        def columns() -> None:
+            for row in rows:
+                pin.computeJointTorqueRegressor(model, data, *row)
+
+        for name, ours in kinds:
+            yield f"inverse dynamics, {name} / Pinocchio", rnea, LOOPED, ours, SAMPLES
+        for name, ours in regressors:
+            yield f"torque regressor, {name} / Pinocchio", columns, LOOPED, ours, SAMPLES
+    if find_spec("mujoco"):
+        from tests.oracles import MujocoOracle
+
+        other = MujocoOracle(robot)
+        mujoco, m, d = other.mujoco, other.model, other.data
+
+        def inverse() -> None:
+            for q, dq, ddq in rows:
+                d.qpos[:], d.qvel[:], d.qacc[:] = q, dq, ddq
+                mujoco.mj_inverse(m, d)
+
+        name, ours = kinds[0]
+        yield f"inverse dynamics, {name} / MuJoCo", inverse, LOOPED, ours, SAMPLES
+
+
+def effects_in_mujoco(folder: Path) -> Iterator[Line]:
+    """A plain mj_step against one with the effects of the file's sidecar: below 1, what they
+    cost."""
+    if not find_spec("mujoco"):
+        return
+    import mujoco
+
+    from torchid.simulators.mujoco import Effects
+
+    bare = arm("panda")
+    laws = [
+        {"effect": name, "joint": j + 1, coefficient: value}
+        for j in range(bare.n)
+        for name, coefficient, value in (
+            ("viscous_friction", "Fv", 0.5),
+            ("coulomb_friction", "Fc", 0.3),
+            ("load_dependent_friction", "mu", 0.05),
+        )
+    ]
+    robot = replace(bare, effects=tuple(laws))
+    file = export_dynamics(robot, "mjcf", folder, nominal=bare, geometry="none").files[0]
+    model = mujoco.MjModel.from_xml_path(str(file))
+    plain = [(m, mujoco.MjData(m)) for m in (copy.copy(model) for _ in range(SIMULATIONS))]
+    moved = [(m, mujoco.MjData(m)) for m in (copy.copy(model) for _ in range(SIMULATIONS))]
+    effects = Effects(load_robot(file), moved)
+    torque = torch.zeros(SIMULATIONS, bare.n, dtype=torch.float64)
+
+    def without() -> None:
+        for _ in range(STEPS):
+            for m, d in plain:
+                mujoco.mj_step(m, d)
+
+    def together() -> None:
+        for _ in range(STEPS):
+            effects.step(torque)
+
+    count = SIMULATIONS * STEPS
+    yield "mj_step with effects, 128 arms / plain", without, count, together, count
+
+
+def evolution() -> Iterator[Line]:
+    """A generation of 30 runs in 30 variables against pycma's."""
+    if not find_spec("cma"):
+        return
+    from cma_es import batched_steps, pycma_steps
+
+    peer, ours = pycma_steps(30, 30), batched_steps(30, 30, "cpu")
+    yield "CMA-ES, 30 runs / pycma", lambda: peer(5), 5, lambda: ours(50), 50
+
+
+def slower(found: dict[str, float], committed: dict[str, float]) -> list[str]:
+    """Sentences on the ratios that have fallen."""
+    return [
+        f"slower: {name}: {ratio:.2f}, and {committed[name]:.2f} before"
+        for name, ratio in found.items()
+        if ratio < SLOWER * committed.get(name, 0.0)
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--compile", action="store_true", help="measure torch.compile too")
+    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--save", action="store_true", help="write the committed ratios anew")
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    committed = json.loads(COMMITTED.read_text()) if COMMITTED.exists() else {}
+    print(machine())
+    print(f"microseconds of processor time, medians of {args.rounds} alternated rounds")
+    print(f"{'':44}{'peer':>10}{'torchid':>10}{'ratio':>8}{'before':>8}")
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        every = (dynamics(args.compile), effects_in_mujoco(Path(folder)), evolution())
+        for line in (line for some in every for line in some):
+            peer, ours, times = ratio(line, args.rounds)
+            found[line[0]] = round(times, 3)
+            before = f"{committed[line[0]]:8.2f}" if line[0] in committed else ""
+            print(f"{line[0]:44}{peer:10.2f}{ours:10.2f}{times:8.2f}{before}", flush=True)
+    if args.save:
+        COMMITTED.write_text(json.dumps(committed | found, indent=1) + "\n")
+        return
+    for said in slower(found, committed):
+        print(said)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,251 @@
+"""What was exported of a robot, what a corrected file of it is worth, how wide to randomise it, and
+its joints as text for a simulator's file."""
+
+import math
+from collections.abc import Sequence
+from xml.sax.saxutils import quoteattr
+
+import torch
+
+from torchid.export.correct_positions import WINDOW_S
+from torchid.export.correction import Correction
+from torchid.export.export import Export
+from torchid.export.joint_dynamics import Target, split
+from torchid.export.mjcf import ATTRIBUTES
+from torchid.export.projection import Kept
+from torchid.export.randomisation import Randomisation
+from torchid.export.record import RangeRow
+from torchid.feasibility.margins import inertia_eigenvalues
+from torchid.report.table import Shown, Table, cells, filled, joint_numbers
+from torchid.results.words import count, listed
+from torchid.robot.model import JointType, Robot
+from torchid.simulation.servo import Servos
+
+
+def export_shown(done: Export) -> Shown:
+    """All that there is to see of an export."""
+    first, *others = map(str, done.files)
+    beside = f" (and {', '.join(others)})" if others else ""
+    return Shown(
+        parts=[comparison_table(done), *effect_lines(done)],
+        warnings=done.warnings,
+        last=f"written: {done.dynamics.title} of '{done.dynamics.robot.name}': {first}{beside}",
+    )
+
+
+def comparison_table(done: Export) -> Table:
+    """Who reloaded the file, and by how much its torque differs from the result's."""
+    rows = []
+    for one in done.comparisons:
+        cells, said = ("", "", ""), "not compared"
+        if one.difference is not None:
+            cells = (str(one.states), f"{one.difference:.1e}", f"{one.limit:g}")
+            said = "agrees"
+        said += f": {one.note}" if one.note else ""
+        rows.append((one.reader, one.compared, *cells, said))
+    return Table(
+        "reloaded and compared with the result's own model",
+        ("reader", "compared", "states", "largest difference", "limit", ""),
+        rows,
+        words=("reader", "compared", ""),
+    )
+
+
+def effect_lines(done: Export) -> list[str]:
+    """Where each effect went, one sentence a place."""
+    sidecar = done.files[-1].name if len(done.files) > 1 else "the sidecar"
+    places = ((f"in the {done.format} file", done.in_file), (f"in {sidecar}", done.beside))
+    if done.files[0].suffix == ".py":
+        own = "left to the simulator's own fields"
+        places = (("added at run time", done.in_file), (own, done.beside))
+    return [f"{count(len(words), 'effect')} {place}" for place, words in places if words]
+
+
+def _given(nominal: Robot) -> str:
+    """What a file is compared with."""
+    return "robot as given" if nominal.parameters is not None else "base parameters alone"
+
+
+def correction_shown(done: Correction) -> Shown:
+    """All that there is to see of a correction."""
+    judged = done.judged
+    means = [float(x.nanmean()) for x in (judged.engine, judged.full, judged.nominal)]
+    if judged.unit == "%":
+        parts, before = correction_tables(done), f"the {_given(done.nominal)}"
+        errors = "misses {:.1f} % of the joints' torque on average; all effects leave {:.1f} %"
+        end = f", and {before} leaves {means[2]:.0f} %."
+    else:
+        parts = servo_tables(done)
+        errors = "misses the positions by {:.1f} mrad on average; all effects leave {:.1f}"
+        end = f", and the commands themselves are {means[2]:.1f} away."
+    warnings = [*done.warnings, *(w for export in done.exports for w in export.warnings)]
+    return Shown(
+        verdict=f"On {judged.held_out} {judged.by} with the corrected file "
+        f"{errors.format(*means[:2])}{end}",
+        parts=parts,
+        warnings=dict.fromkeys(warnings),
+        last=f"written: {', '.join(map(str, done.files))}",
+    )
+
+
+def servo_tables(done: Correction) -> list[Table]:
+    """Errors of servos in a simulator's file, and what it does not say of them."""
+    judged, joints = done.judged, joint_numbers(done.nominal.n)
+    rows = [
+        ("the position is the command", judged.nominal),
+        ("all effects", judged.full),
+        ("the file alone, claimed", judged.claim),
+        (f"the file alone, {judged.by}", judged.engine),
+        ("with set-points at run time", judged.run_time),
+    ]
+    errors = [(name, *cells([*v.tolist(), float(v.nanmean())], ".1f")) for name, v in rows]
+    beside = [
+        (name, ", ".join(str(j + 1) for j in on) or "the arm") for name, on in done.no_field.items()
+    ]
+    again = f"position error, begun anew every {WINDOW_S:g} s [mrad]"
+    return filled(
+        Table(again, ("", *joints, "mean"), errors, words=("",)),
+        Table(
+            "of the servos, without a field in the file", ("parameter", "joints"), beside,
+            words=("parameter", "joints"),
+        ),
+    )  # fmt: skip
+
+
+def correction_tables(done: Correction) -> list[Table]:
+    """Errors, motion, effects without a field, and bodies."""
+    judged, nominal, n = done.judged, done.nominal, done.nominal.n
+    joints = joint_numbers(n)
+    rows = [
+        (_given(nominal), judged.nominal),
+        ("all effects", judged.full),
+        ("the file alone, claimed", judged.claim),
+        (f"the file alone, {judged.by}", judged.engine),
+        ("with effects at run time", judged.run_time),
+    ]
+    errors = [(name, *cells([*v.tolist(), float(v.nanmean())], ".1f")) for name, v in rows]
+    # Positions in degrees and millimetres.
+    turns = (kind is JointType.REVOLUTE for kind in nominal.joint_types)
+    units = torch.tensor([math.degrees(1) if turn else 1e3 for turn in turns], dtype=torch.float64)
+    motion = [
+        (f"{one.horizon:g} s", name, *cells(away * units, ".2g"))
+        for one in judged.forward
+        for name, away in (
+            (_given(nominal), one.nominal), ("all effects", one.full), ("the file", one.engine),
+        )
+        if away is not None
+    ]  # fmt: skip
+    projection = done.projection
+    assert projection is not None
+    kept = [_kept(one, projection.to) for one in projection.kept]
+    band = f"error of the torque, while a joint moves, below {judged.band:.3g} Hz [%]"
+    after = "simulated motion, given the measured torque: error after a while [deg; mm]"
+    beside = "effects without a field, which stay beside the file"
+    return filled(
+        Table(band, ("", *joints, "mean"), errors, words=("",)),
+        Table(after, ("after", "model", *joints), motion, words=("model",)),
+        Table(beside, ("effect", "joints", "kept"), kept, words=("effect", "kept")),
+        _bodies(projection.robot, nominal),
+    )
+
+
+def _kept(one: Kept, to: str) -> tuple[str, str, str]:
+    joints = ", ".join(str(j + 1) for j in one.joints) or "the arm"
+    words = f"{100 * one.share:.0f} % by "
+    if one.joint is None or one.value is None:
+        words += "the links' bodies"
+    else:
+        field = "friction" if to == "urdf" and one.field == "frictionloss" else one.field
+        words += f"{field} {one.value:.3g} of joint {one.joint + 1}"
+    return one.effect.name.replace("_", " "), joints, words
+
+
+def _bodies(robot: Robot, nominal: Robot) -> Table:
+    """Masses, how far centres of mass moved, and inertias, over the nominal ones."""
+    new = robot.require_parameters("a correction")
+    old = nominal.parameters
+    rows = []
+    for i, name in enumerate(nominal.link_names):
+        cells = ["-", "-", "-"]
+        if old is not None and float(old.mass[i]) > 0:
+            moved = float((new.com[i] - old.com[i]).norm())
+            ratios = inertia_eigenvalues(new)[i] / inertia_eigenvalues(old)[i].clamp(min=1e-12)
+            low, high = float(ratios.min()), float(ratios.max())
+            cells = [
+                f"{float(new.mass[i] / old.mass[i]):.2f}",
+                f"{1e3 * moved:.0f}",
+                f"{low:.2f} - {high:.2f}",
+            ]
+        rows.append((str(i + 1), name, f"{float(new.mass[i]):.3g}", *cells))
+    columns = (
+        "", "link", "mass [kg]", "over nominal", "centre moved [mm]", "inertias over nominal"
+    )  # fmt: skip
+    return Table("bodies in the file", columns, rows, words=("link",))
+
+
+def randomisation_shown(done: Randomisation, files: Sequence[str]) -> Shown:
+    """What is shown of draws, whose ranges these files hold."""
+    others = sum(one.draws for one in done.explanations[1:])
+    beside = f", {others} of them of explanations that the log cannot separate" if others else ""
+    servos = isinstance(done.draws, Servos)
+    of, what = ("the servos of ", "numbers") if servos else ("", "fields")
+    residual = [
+        (done.joint_names[b.joint], f"{b.low:.3g}", f"{b.high:.3g}", b.why) for b in done.residual
+    ]
+    columns = ("joint", "low", "high", "why")
+    return Shown(
+        verdict=f"{len(done)} draws of {of}'{done.name}'{beside}; {len(done.ranges)} {what} "
+        f"differ, and {100 * done.level:g} % of the draws lie within each range.",
+        parts=[
+            ranges_table(done.ranges),
+            *filled(
+                Table("torque that stays unexplained", columns, residual, words=("joint", "why"))
+            ),
+        ],
+        warnings=done.warnings,
+        last=f"written: {', '.join(files)}",
+    )
+
+
+def ranges_table(ranges: Sequence[RangeRow]) -> Table:
+    """Ranges with their reasons."""
+    return Table(
+        "ranges",
+        ("field", "of", "low", "high", "unit", "why"),
+        [(r.field, r.name, f"{r.low:.4g}", f"{r.high:.4g}", r.unit, r.why) for r in ranges],
+        words=("field", "of", "unit", "why"),
+    )
+
+
+def simulator_block(robot: Robot) -> str:
+    """Attributes of the joints for MJCF and URDF; what a format has no field for is named in a
+    comment, and `torchid export` puts it beside the file.
+
+    Args:
+        robot: corrected.
+
+    >>> from torchid import load_robot
+    >>> print(simulator_block(load_robot("3r_friction")).splitlines()[1].split(" damping")[0])
+    <joint name="joint_1"
+    """
+    lines = []
+    formats: tuple[Target, ...] = ("mjcf", "urdf")
+    for to in formats:
+        mjcf = to == "mjcf"
+        joints, rest = split(robot, to)
+        angles = ', of a file with <compiler angle="radian"/>' if mjcf else ""
+        lines.append(f"<!-- {to.upper()}: into the joint of the same name{angles} -->")
+        for name, own in zip(robot.joint_names, joints, strict=True):
+            if mjcf:
+                given = {key: getattr(own, attribute) for key, attribute in ATTRIBUTES.items()}
+                given |= {"springref": own.rest} if own.stiffness else {}
+                said = "".join(f' {key}="{value:.6g}"' for key, value in given.items() if value)
+                line = f"<joint name={quoteattr(name)}{said}/>"
+            else:
+                said = f'damping="{own.damping:.6g}" friction="{own.friction:.6g}"'
+                line = f"<joint name={quoteattr(name)}> <dynamics {said}/> </joint>"
+            lines.append(line)
+        # A double hyphen would end a comment.
+        left = listed(list(dict.fromkeys(effect.name for effect, _ in rest))).replace("--", "-")
+        lines += [f"<!-- no field for: {left} -->"] if rest else []
+    return "\n".join(lines)
