@@ -144,7 +144,13 @@ def explained(
         # Where a cause has left or bodies have joined, another one may say the rest better.
         fit, left = exchanged(question, folds, fit, left)
         fit, left = resumed(question, folds, fit, left)
-        fit = standing_out(question, fit, left)
+        # Without the events that do not stand out any more, the search goes on from the laws.
+        while gone := hidden(question, fit, left):
+            question = replace(question, barred=question.barred | {t.key for t in gone})
+            own = fit.terms[len(question.fixed) :]
+            laws = [t for t in own if all(t is not g for g in gone)]
+            fit, left = worthy(question, folds, climbed(question, laws))
+            fit, left = exchanged(question, folds, fit, left)
         whole = with_bodies(question, folds, fit)
         if whole is not fit:
             fit, left = exchanged(question, folds, whole, left)
@@ -268,17 +274,14 @@ def resumed(
     return fit, out
 
 
-def standing_out(question: Question, fit: Fitted, left: Sequence[Term]) -> Fitted:
-    """Without the events that do not stand out from what the laws leave elsewhere in the log: these
-    laws, and those that have evidence but are not worth a name."""
-    own = list(fit.terms[len(question.fixed) :])
+def hidden(question: Question, fit: Fitted, left: Sequence[Term]) -> list[Term]:
+    """Events that do not stand out from what the laws leave elsewhere in the log: these laws, and
+    those that have evidence but are not worth a name."""
+    own = fit.terms[len(question.fixed) :]
     small = [t for t in left if all(t.key != o.key for o in own)]
     beside = fit_terms(question, [*own, *small], fit.effective, fit.weight)
     gone = hidden_contacts(question, beside)
-    if not gone:
-        return fit
-    kept = [t for t in own if all(t is not g for g in gone)]
-    return allowed(question, fit_terms(question, kept, fit.effective, fit.weight))
+    return [t for t in own if any(t is g for g in gone)]
 
 
 def with_bodies(question: Question, folds: Folds, fit: Fitted) -> Fitted:
