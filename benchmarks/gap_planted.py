@@ -154,8 +154,11 @@ def with_torque(log: Log, scene: Scene, added: Sequence[torch.Tensor]) -> Log:
     return log.replace(tau=tau)
 
 
-def run(label: str, source: Source, data: Path, work: Path, args: argparse.Namespace) -> None:
-    """All cases of one log that are not there yet."""
+def modelled(
+    label: str, source: Source, data: Path, work: Path
+) -> tuple[Robot, Log, dict[str, Any]]:
+    """The arm as the first half of its log makes it, the second half, and what is answered there
+    without anything planted; kept in the folder of the log."""
     rigid, first, second = halves(source, data)
     folder = work / label
     folder.mkdir(parents=True, exist_ok=True)
@@ -167,7 +170,13 @@ def run(label: str, source: Source, data: Path, work: Path, args: argparse.Names
     empty = folder / "none.json"
     if not empty.exists():
         empty.write_text(json.dumps(answer(robot, second, settings_of(source))))
-    unplanted = json.loads(empty.read_text())
+    return robot, second, json.loads(empty.read_text())
+
+
+def run(label: str, source: Source, data: Path, work: Path, args: argparse.Namespace) -> None:
+    """All cases of one log that are not there yet."""
+    robot, second, unplanted = modelled(label, source, data, work)
+    folder = work / label
     noise = [j["after"] for j in unplanted["how_far"]["per_joint"]]
     coarse = scene_of(robot, second, noise, args.band, FINEST)
     fine = scene_of(robot, second, noise, args.band, 1e6)

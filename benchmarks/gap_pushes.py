@@ -18,14 +18,11 @@ from typing import Any
 import numpy as np
 import torch
 from gap_plant import generator
-from gap_planted import FRICTION, SOURCES, Source, answer, halves, settings_of
+from gap_planted import SOURCES, Source, answer, modelled, settings_of
 
-from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.robot.chain import tool_jacobian
-from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
-from torchid.robot.writer import write_robot
 from torchid.statistics.proportion import wilson
 
 FLANK = 0.03
@@ -77,18 +74,8 @@ def pushed(
 
 def run(label: str, source: Source, data: Path, work: Path, args: argparse.Namespace) -> None:
     """All cases of one log that are not there yet."""
-    rigid, first, second = halves(source, data)
+    robot, second, unplanted = modelled(label, source, data, work)
     folder = work / label
-    folder.mkdir(parents=True, exist_ok=True)
-    model = folder / "model.yaml"
-    if not model.exists():
-        found = diagnose_torque(rigid, first, settings=settings_of(source, background=FRICTION))
-        write_robot(found.corrected, model)
-    robot = load_robot(str(model))
-    empty = folder / "none.json"
-    if not empty.exists():
-        empty.write_text(json.dumps(answer(robot, second, settings_of(source))))
-    unplanted = json.loads(empty.read_text())
     left = torch.tensor([j["after"] for j in unplanted["how_far"]["per_joint"]]).double()
     for draw in range(args.first, args.first + args.draws):
         for size in args.sizes:

@@ -88,7 +88,7 @@ def hidden_contacts(question: Question, fit: Fitted) -> list[Term]:
     events: list[tuple[Term, Contact, Span]] = []
     for term, _ in own:
         effect = term.effects[0] if term.effects else None
-        if isinstance(effect, Contact) and effect.windowed:
+        if isinstance(effect, Contact):
             inside = (effect.window(samples.t) > 0).nonzero().flatten()
             if len(inside):
                 events.append((term, effect, (int(inside[0]), int(inside[-1]) + 1)))
@@ -97,7 +97,7 @@ def hidden_contacts(question: Question, fit: Fitted) -> list[Term]:
     # What all but the contacts leaves, with the coefficients beside them.
     laws = [(t, x) for t, x in own if all(t is not event for event, _, _ in events)]
     left = residual(question, [t for t, _ in laws], torch.cat([x for _, x in laws] or [fit.x[:0]]))
-    unit = torch.nan_to_num(robust_std(left), nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
+    unit = _misfit(left)
     out = []
     for term, effect, span in events:
         pull = columns.on_all_joints(Contact(tip=effect.tip)) * question.candidates.keep / unit
@@ -175,7 +175,7 @@ def _beside_laws(question: Question) -> tuple[Float[Tensor, "n N"], Float[Tensor
     x, target = fit.x, residual(question, fit.terms, torch.zeros_like(fit.x))
     for _ in range(ROUNDS):
         left = residual(question, fit.terms, x)
-        unit = torch.nan_to_num(robust_std(left), nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
+        unit = _misfit(left)
         # The gap, its wild samples brought to the edge of the usual misfit.
         tamed = target - left + left.clamp(-HUBER * unit, HUBER * unit)
         right = torch.zeros_like(equations.b)
@@ -188,8 +188,13 @@ def _beside_laws(question: Question) -> tuple[Float[Tensor, "n N"], Float[Tensor
         again = replace(equations, b=right, squares=tamed.square().sum(1))
         x = prior.solve_of(again, unit[:, 0] ** -2).x
     left = residual(question, fit.terms, x)
-    unit = torch.nan_to_num(robust_std(left), nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
+    unit = _misfit(left)
     return left, unit
+
+
+def _misfit(left: Float[Tensor, "n N"]) -> Float[Tensor, "n 1"]:
+    """The joints' usual misfit; infinite where no sample counts."""
+    return torch.nan_to_num(robust_std(left), nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
 
 
 Span = tuple[int, int]

@@ -365,8 +365,8 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
 def sharpened(
     question: Question, fit: Fitted, start: Model, data: Data, wanted: Wanted
 ) -> list[Effect]:
-    """Causes with impacts, each with the shape that explains most of the gap in the band of the
-    report, where an impact shows how it is; all other terms keep their coefficients.
+    """Causes with impacts or swings, each with the shape that explains most of the gap in the band
+    of the report, where these show how they are; all other terms keep their coefficients.
 
     Args:
         question, fit: of the search.
@@ -387,7 +387,6 @@ def sharpened(
         rest = corrected(start, [t for t, _ in others], [v for _, v in others], wanted)
         left = samples.of([(s.tau - rest.torque(s, data.samples)).T for s in some])
         motions = Columns(rest, samples).motions
-
         best = replace(effect, at=float(values[0]))  # type: ignore[call-arg]
         # Every joint's squares count by what the present shape leaves there.
         present = left - _torques_at_size([best], motions, samples, rest.robot)
