@@ -288,7 +288,8 @@ def effective_samples(
     if other is not None:
         along = left_by(question, other)[0] - left
         a, b = along.square(), left.square()
-        there = a.sum(1) > 0
+        # Where they differ by rounding alone they do not differ.
+        there = a.sum(1) > torch.finfo(a.dtype).eps * b.sum(1)
         bounds = question.candidates.columns.samples.bounds
         slow = time_of(slow_as * autocorrelation(along, bounds))
         # Noise that is larger where the two differ more tells less of it (White 1980).
