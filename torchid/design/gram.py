@@ -143,7 +143,7 @@ class Gram:
         count = sum(map(len, rows))
         if not self.g[joint].numel():
             self.g[joint] = torch.zeros(self.parts, count, count, dtype=torch.float64)
-        for p in part.unique().tolist():
+        for p in part[keep].unique().tolist():
             chosen = (keep & (part == p)).nonzero().flatten()
             own = torch.cat([x.index_select(1, chosen) for x in rows])
             # Half of a symmetric product; BLAS sees the rows as columns, in which it leaves zeros.
