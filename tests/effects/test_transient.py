@@ -11,8 +11,9 @@ from tests.oracles import PinocchioOracle
 from torchid.dynamics.forward import gravity_torque
 from torchid.effects.inertia import Payload
 from torchid.effects.transient import RAMP, Contact, DroppedSamples, Saturation
+from torchid.errors import RobotError
 from torchid.robot.inertia import InertialParameters
-from torchid.robot.model import tool_pose
+from torchid.robot.model import link_poses, tool_pose
 from torchid.robot.placement import pose
 
 
@@ -51,6 +52,40 @@ def test_contact_is_the_work_of_the_force(name: str) -> None:
         step[j] = h
         moved = tool_pose(robot, motion.q + step) - tool_pose(robot, motion.q - step)
         torch.testing.assert_close(columns[:, j], moved[:, :3, 3] / (2 * h), rtol=1e-7, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["panda", "ur10e", "3r"])
+def test_contact_of_a_link_is_felt_before_it_and_not_behind(name: str) -> None:
+    """Half way along a link: J' from central differences of the mean of its two joints' origins."""
+    robot = arm(name)
+    motion = smooth_motion(robot, 20)
+    k = robot.n - 2
+    columns = Contact(tip=robot.link_names[k], along=0.5).torque_columns(motion, robot)
+
+    def middle(q: torch.Tensor) -> torch.Tensor:
+        link = link_poses(robot, q)[:, k]
+        ends = (pose[:3, 3] for pose in (torch.linalg.inv(robot.after[k]), robot.before[k + 1]))
+        return link[:, :3, 3] + link[:, :3, :3] @ sum(ends) / 2
+
+    h = 1e-6
+    for j in range(robot.n):
+        step = torch.zeros(robot.n, dtype=torch.float64)
+        step[j] = h
+        moved = (middle(motion.q + step) - middle(motion.q - step)) / (2 * h)
+        torch.testing.assert_close(columns[:, j], moved, rtol=1e-6, atol=1e-8)
+    assert not columns[:, k + 1 :].any()
+
+
+def test_contact_moves_along_its_link() -> None:
+    near = Contact(4.0, 5.0, "link_3", 0.9).around(0, 0.05)
+    assert {c.along for c in near} == {0.9, 0.65}  # not beyond the next joint
+    assert all(c.tip == "link_3" for c in near)
+
+
+def test_a_contact_of_a_link_that_is_not_there_is_refused() -> None:
+    robot = arm("3r")
+    with pytest.raises(RobotError, match="no such link"):
+        Contact(tip="elbow", along=0.5).torque_columns(smooth_motion(robot, 5), robot)
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -151,4 +186,6 @@ def test_places() -> None:
     robot = arm("panda")
     assert [e.joints for e in DroppedSamples.candidates(robot)] == [(j,) for j in range(7)]
     assert Contact.candidates(robot) == [Contact()]
+    # A force on a link shows where three joints or more move it; the last has the tool's.
+    assert [c.tip for c in Contact.links(robot)] == list(robot.link_names[2:-1])
     assert Contact().joints == ()

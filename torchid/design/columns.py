@@ -93,7 +93,7 @@ class Columns:
         short = len(samples) * model.robot.n <= KEPT
         # The rigid body's columns, once evaluated: of all models of the arm.
         self._rigid: list[Tensor] = []
-        self._lasting: dict[str | None, list[Tensor]] = {}
+        self._lasting: dict[Contact, list[Tensor]] = {}
         # By effect, or by a kind and its shapes.
         self._kept: dict[object, tuple[type[Effect], Place, Tensor]] | None = {} if short else None
 
@@ -234,12 +234,12 @@ class Columns:
         """Columns of model effects of one kind along some segments, one effect after the other; of
         all these in one call where time plays no part."""
         kind, robot = type(effects[0]), self.model.robot
-        if isinstance(effects[0], Contact) and effects[0] != Contact(tip=effects[0].tip):
+        if isinstance(effects[0], Contact) and effects[0] != effects[0].lasting:
             times = [m.require("t", kind.name) for m in self.motions[segments]]
             for effect in effects:
                 assert isinstance(effect, Contact)
                 gates = [effect.window(t) for t in times]
-                lasting = self._all_the_time(effect.tip)[segments]
+                lasting = self._all_the_time(effect.lasting)[segments]
                 yield [x * gate for x, gate in zip(lasting, gates, strict=True)]
             return
         motions = (self._smooth if kind.smooth else self.motions)[segments]
@@ -249,11 +249,11 @@ class Columns:
         for parts in zip(*(kind.columns_of(effects, m, robot) for m in motions), strict=True):
             yield list(torch.cat([x.permute(2, 1, 0) for x in parts], -1).split(lengths, -1))
 
-    def _all_the_time(self, tip: str | None) -> list[Float[Tensor, "C n _"]]:
-        """A contact of a tip that lasts, of which windows are parts."""
-        if tip not in self._lasting:
-            self._lasting[tip] = next(self._signals([Contact(tip=tip)], slice(None)))
-        return self._lasting[tip]
+    def _all_the_time(self, contact: Contact) -> list[Float[Tensor, "C n _"]]:
+        """A contact that lasts, of which windows are parts."""
+        if contact not in self._lasting:
+            self._lasting[contact] = next(self._signals([contact], slice(None)))
+        return self._lasting[contact]
 
     @cached_property
     def _smooth(self) -> list[Motion]:

@@ -15,11 +15,12 @@ from dataclasses import dataclass
 import torch
 
 from torchid.design.motion import measurements
+from torchid.design.segments import Samples as SegmentSamples
 from torchid.design.segments import Segment, segments_of
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.log.sampling import resample, sampling_rate
-from torchid.typing import Bool, Float, Samples, Signals, Tensor
+from torchid.typing import Bool, Float, Int, Samples, Signals, Tensor
 
 POSITION_AGREES = 0.01
 """RMS difference of q over a second, of every joint, relative to the standard deviation of that
@@ -108,6 +109,29 @@ class Repeats:
             )
             for p, difference in zip(self.pairs, self.differences(signals), strict=True)
         ]
+
+
+def counterparts(samples: SegmentSamples, repeats: Repeats) -> list[Int[Tensor, " N"]]:
+    """For every pair of stretches, each sample's counterpart where the arm moved alike, -1 where
+    there is none."""
+    t, bounds, segments = samples.t, samples.bounds, samples.segments
+    out = []
+    for pair in repeats.pairs:
+        a, b = (segments[k].motion.require("t", "repeats") for k in (pair.a, pair.b))
+        # How much later b is than a, on the motion's clock.
+        later = float(b[pair.rows_b.start] - a[pair.rows_a.start])
+        later += pair.shift / segments[pair.b].rate
+        counterpart = torch.full((len(t),), -1)
+        sides = ((pair.a, a[pair.rows_a], pair.b, later), (pair.b, b[pair.rows_b], pair.a, -later))
+        for own, clock, other, shift in sides:
+            rows = torch.arange(len(t))[bounds[own]]
+            rows = rows[(t[rows] >= clock[0]) & (t[rows] <= clock[-1])]
+            first, last = bounds[other].start, bounds[other].stop
+            there = ((t[rows] + shift - t[first]) / samples.interval).round().long() + first
+            inside = (there >= first) & (there < last)
+            counterpart[rows[inside]] = there[inside]
+        out.append(counterpart)
+    return out
 
 
 def find_repeats(segments: Sequence[Segment]) -> Repeats:

@@ -1,7 +1,7 @@
 """Effects of some instants only: torque that clips, contact, and samples that were held."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import torch
@@ -25,6 +25,9 @@ from torchid.typing import Float
 
 RAMP = 0.05
 """Seconds in which a contact force comes and goes."""
+
+LEAST_JOINTS = 3
+"""Joints that must move a link for the three components of a force on it to show."""
 
 
 @dataclass(frozen=True)
@@ -124,30 +127,33 @@ class DriveSaturation(Saturation):
 
 @dataclass(frozen=True)
 class Contact(ModelEffect):
-    """The tool pushes on something with a constant force, all the time or in a window.
+    """The tool, or a link, pushes on something with a constant force, all the time or in a window.
 
     Torque J' F, which comes and goes within 0.05 s at the ends of the window. The force is the one
-    that the tool exerts; the surroundings push back with its opposite.
+    that the arm exerts; the surroundings push back with its opposite. A joint behind the link feels
+    nothing of it, and that tells where on the arm it is (Haddadin et al. 2017, section V).
 
     Attributes:
         start, stop: window [s] on the motion's clock; None where it has no such end.
-        tip: the end of the robot that pushes, by its name; None where it has one only.
+        tip: the end of the robot that pushes, or the link, by its name; None for the only end.
+        along: where on that link: 0 at its own joint, 1 at the next one; None for an end.
     """
 
     start: float | None = None
     stop: float | None = None
     tip: str | None = None
+    along: float | None = None
 
     name = "contact"
     family = "transient"
     needs = frozenset({"robot", "t"})
     coefficients = tuple(
         ArmCoefficient(
-            f"f{a}", "N", False, f"force of the tool on its surroundings, base {a}", 2000.0
+            f"f{a}", "N", False, f"force of the arm on its surroundings, base {a}", 2000.0
         )
         for a in "xyz"
     )
-    meaning = "The tool touches or drags something, or a cable pulls at it."
+    meaning = "The tool or a link touches or drags something, or a cable pulls at it."
     equation = "J(q)' (fx, fy, fz) between start and stop"
     signature = "on all joints at once, in a window of time, in proportion to the tool's lever arms"
     experiment = "repeat the motion away from obstacles"
@@ -163,11 +169,13 @@ class Contact(ModelEffect):
     by_motion = False
 
     def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
-        """J' of the tool's position, in the window (T, n, 3)."""
+        """J' of the position of the point that pushes, in the window (T, n, 3)."""
         # Loading pytorch-kinematics takes a second, so it waits for the first contact.
-        from torchid.robot.chain import tool_jacobian
+        from torchid.robot.chain import point_of_link, tool_jacobian
 
-        columns = tool_jacobian(needed(robot, self.name), motion.q, self.tip)[..., :3, :].mT
+        arm, tip = needed(robot, self.name), self.tip
+        point = tip if self.along is None else point_of_link(arm, tip or "", self.along)
+        columns = tool_jacobian(arm, motion.q, point)[..., :3, :].mT
         if self.start is None and self.stop is None:
             return columns
         return columns * self.window(motion.require("t", self.name))[:, None, None].to(columns)
@@ -175,16 +183,19 @@ class Contact(ModelEffect):
     @property
     def identity(self) -> tuple[str, tuple[int, ...]]:
         """Name and second of its start: contacts at different times are different."""
-        return self._of_tip, () if self.start is None else (round(self.start),)
+        name = self.name if self.tip is None else f"{self.name} of {self.tip}"
+        return name, () if self.start is None else (round(self.start),)
 
     @property
-    def _of_tip(self) -> str:
-        return self.name if self.tip is None else f"{self.name} of {self.tip}"
+    def lasting(self) -> "Contact":
+        """The same without a window."""
+        return replace(self, start=None, stop=None)
 
     def around(self, level: int, interval: float) -> "list[Contact]":
-        """Contacts whose window begins and ends a little earlier or later, ever less so with
-        `level`: a fifth of the window at 0, but at least an interval, half of that at 1, ...; one
-        that lasts has no ends to move.
+        """Contacts whose window begins and ends a little earlier or later, or that act a little
+        further along their link, ever less so with `level`: a fifth of the window at 0, but at
+        least an interval, half of that at 1, ..., and a quarter of the link. One that lasts has no
+        ends to move.
 
         Args:
             level: from 0.
@@ -196,14 +207,29 @@ class Contact(ModelEffect):
         ends = (
             (self.start + a * step, self.stop + b * step) for a, b in product((-1, 0, 1), repeat=2)
         )
-        return [Contact(start, stop, self.tip) for start, stop in ends if stop > start]
+        out = [replace(self, start=start, stop=stop) for start, stop in ends if stop > start]
+        if self.along is not None:
+            places = (self.along + sign * 0.25 / 2**level for sign in (-1, 1))
+            out += [replace(self, along=a) for a in places if 0 <= a <= 1]
+        return out
 
     @classmethod
     def candidates(cls, robot: Robot) -> list[ModelEffect]:
         """One an end of the robot."""
-        if len(robot.ends) == 1:
-            return [cls()]
-        return [cls(tip=end.name) for end in robot.ends]
+        one = len(robot.ends) == 1
+        return [cls(tip=None if one else end.name) for end in robot.ends]
+
+    @classmethod
+    def links(cls, robot: Robot) -> "list[Contact]":
+        """One at the middle of every link before those with ends that so many joints move that the
+        force on it can be known."""
+        last = {end.link for end in robot.ends}
+        return [
+            cls(tip=name, along=0.5)
+            for i, name in enumerate(robot.link_names)
+            if i not in last
+            and len({robot.drives[k].coordinate for k in robot.ancestors(i)}) >= LEAST_JOINTS
+        ]
 
     def window(self, t: Float[Tensor, " T"]) -> Float[Tensor, " T"]:
         """1 inside, 0 outside, smooth (3 u^2 - 2 u^3) within."""

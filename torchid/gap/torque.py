@@ -91,7 +91,7 @@ def diagnose_torque(
     if elastic in wanted.names and wanted.asks(elastic, range(robot.n)):
         data = data.with_swings(at_start, settings.alpha)
     block = blocks_of(data, at_start)
-    found = explained(at_start, data, wanted, settings, folds.parts, block)
+    found = explained(at_start, data, wanted, settings, folds.parts, block, repeats)
     if not found.terms:
         data.require_motion()
 

@@ -10,7 +10,8 @@ import pytorch_kinematics as pk
 import torch
 from torch import Tensor
 
-from torchid.robot.model import JointType, Limits, Robot, free_name
+from torchid.errors import RobotError
+from torchid.robot.model import JointType, Limits, Robot, Tip, free_name
 from torchid.typing import Float, Joints
 
 _TOGETHER = 2000
@@ -48,13 +49,15 @@ def to_chain(
     return _serial(root, tool, robot, dtype)
 
 
-def tool_jacobian(robot: Robot, q: Joints, tip: str | None = None) -> Float[Tensor, "*batch 6 n"]:
-    """Geometric Jacobian of the tool, in axes of the base frame.
+def tool_jacobian(
+    robot: Robot, q: Joints, tip: str | Tip | None = None
+) -> Float[Tensor, "*batch 6 n"]:
+    """Geometric Jacobian of the tool, or of another point of the arm, in axes of the base frame.
 
     Args:
         robot: the robot.
         q: (..., n) joint positions [rad or m]; its dtype and device are the result's.
-        tip: which of several tips.
+        tip: which of several tips, by its name; or any point, as `point_of_link` gives it.
 
     Returns:
         (..., 6, n). Rows 0-2: velocity of the tool's origin per unit joint velocity [m/rad or 1];
@@ -65,11 +68,12 @@ def tool_jacobian(robot: Robot, q: Joints, tip: str | None = None) -> Float[Tens
     Raises:
         RobotError: several tips and none chosen, or none of that name.
     """
-    chain = _folded_chain(robot, tip, q.dtype, q.device)
-    if robot.is_serial:
+    end = tip if isinstance(tip, Tip) else robot.end(tip)
+    chain = _folded_chain(robot, end, q.dtype, q.device)
+    if robot.is_serial and end.link == robot.n_links - 1:
         parts = [chain.jacobian(some) for some in q.reshape(-1, robot.n).split(_TOGETHER)]
         return torch.cat(parts).reshape(*q.shape[:-1], 6, robot.n)
-    line = list(robot.ancestors(robot.end(tip).link))
+    line = list(robot.ancestors(end.link))
     on_line = robot.on_links(q.reshape(-1, robot.n))[:, line]
     own = torch.cat([chain.jacobian(some) for some in on_line.split(_TOGETHER)])
     out = own.new_zeros(len(own), 6, robot.n)
@@ -79,13 +83,44 @@ def tool_jacobian(robot: Robot, q: Joints, tip: str | None = None) -> Float[Tens
     return out.reshape(*q.shape[:-1], 6, robot.n)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
+def point_of_link(robot: Robot, link: str, along: float) -> Tip:
+    """A point between a link's own joint and the next one.
+
+    Args:
+        robot: the robot.
+        link: by its name.
+        along: 0 at its own joint, 1 at the next one; of several that at the farthest, of none the
+            tip.
+
+    Raises:
+        RobotError: no such link.
+    """
+    if link not in robot.link_names:
+        raise RobotError(
+            f"robot '{robot.name}' has no such link.",
+            got=link,
+            expected="the name of one",
+            available=list(robot.link_names),
+        )
+    i = robot.link_names.index(link)
+    # Origins in the link's frame: of its own joint, of those that it carries, and of tips.
+    after = robot.after[i]
+    near = -after[:3, :3].T @ after[:3, 3]
+    carried = [robot.before[k][:3, 3] for k, p in enumerate(robot.parents) if p == i]
+    ends = carried or [tip.pose[:3, 3] for tip in robot.ends if tip.link == i] or [near]
+    far = max(ends, key=lambda x: float((x - near).norm()))
+    pose = torch.eye(4, dtype=after.dtype, device=after.device)
+    pose[:3, 3] = near + along * (far - near)
+    return Tip(link, i, pose)
+
+
+@lru_cache(maxsize=64)
 def _folded_chain(
-    robot: Robot, tip: str | None, dtype: torch.dtype, device: torch.device
+    robot: Robot, end: Tip, dtype: torch.dtype, device: torch.device
 ) -> "pk.SerialChain":
     """The chain without its link frames: half the frames, and twice as fast."""
     root = last = _fixed("base", None, dtype)
-    end = robot.end(tip)
     line = robot.ancestors(end.link)
     for i in line:
         above = robot.parents[i]

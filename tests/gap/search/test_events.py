@@ -5,9 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 
+import torchid
+from tests.effects.exact_logs import smooth_motion
 from tests.gap.motions import noises
-from tests.gap.problems import NOISE, SIMPLE, measured, question_of
+from tests.gap.problems import NOISE, SIMPLE, data_of, measured, question_of
 from torchid.design.columns import Columns, Model
+from torchid.design.repeats import Pair, Repeats, counterparts
+from torchid.design.segments import Segment
 from torchid.effects.friction import CoulombFriction
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
@@ -72,6 +76,51 @@ def test_a_wrong_law_is_no_push(quiet, columns):
     late = [replace(s, tau=s.tau + 0.5 * s.motion.dq.tanh()) for s in data.segments]
     data = replace(data, samples=type(data.samples)(late, data.samples.cutoff))
     assert found_in(data, columns) == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_comes_again_with_the_motion_is_no_push(quiet, columns, seed):
+    """Both runs have the push: where the motion is known to repeat itself, it is a law."""
+    data = noisy(quiet, seed, None)
+    (one, two) = data.segments
+    length = min(len(one.tau), len(two.tau))
+    torque = PUSH.all_torques(two.motion, [1.0, 0.0, 2.0], load_robot("3r"))[:length]
+    pushed = [replace(s, tau=s.tau.clone()) for s in (one, two)]
+    for s in pushed:
+        s.tau[:length] += torque
+    both = replace(data, samples=type(data.samples)(pushed, data.samples.cutoff))
+    question = question_of(both, (*SIMPLE, "contact"), columns=columns)
+    rows = slice(0, length)
+    again = counterparts(both.samples, Repeats((Pair(0, rows, 1, rows, 0.0),)))
+    assert len(contacts(question)) > 0
+    assert contacts(question, again) == []
+    # What one of the two has is an event, repeats or not.
+    once = replace(data, samples=type(data.samples)([one, pushed[1]], data.samples.cutoff))
+    question = question_of(once, (*SIMPLE, "contact"), columns=columns)
+    assert contacts(question, again) == contacts(question) != []
+
+
+def test_a_push_on_the_forearm_is_found_there():
+    """The wrist feels nothing of it, which no force at the tool explains."""
+    robot = load_robot("ur10e")
+    robot = robot.with_parameters(torchid.InertialParameters(torch.zeros(6, 10).double()))
+    motion = smooth_motion(robot, 4000, rate=200.0)
+    push = Contact(9.0, 10.2, robot.link_names[2], 0.5)
+    torque = push.all_torques(motion, [8.0, 15.0, -10.0], robot)
+    g = torch.Generator().manual_seed(0)
+    noise = NOISE * torch.randn(torque.shape, dtype=torch.float64, generator=g)
+    segment = Segment("run", 200.0, 80.0, motion, torque + noise, True)
+    data = data_of([segment])
+    columns = Columns(Model(robot, ()), data.samples)
+    found = contacts(question_of(data, ("coulomb_friction", "contact"), columns=columns))
+    near = [c for c in found if c.start < push.stop and c.stop > push.start]
+    # Of the tool's and the link's the search decides.
+    assert {c.tip for c in near} == {push.tip, None}
+    # A force at the tool is felt by the wrist, too, so no link is offered.
+    torque = Contact(9.0, 10.2).all_torques(motion, [8.0, 15.0, -10.0], robot)
+    data = data_of([replace(segment, tau=torque + noise)])
+    found = contacts(question_of(data, ("coulomb_friction", "contact"), columns=columns))
+    assert {c.tip for c in found} == {None}
 
 
 def test_windows_lie_within_their_run(quiet, columns):

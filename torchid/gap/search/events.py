@@ -1,16 +1,17 @@
-"""Events, sought before any law: windows of time in which a force at the tool explains what stands
-out from all the rest of the log.
+"""Events, sought before any law: windows of time in which a force at the tool, or on a link,
+explains what stands out from all the rest of the log.
 
 A contact is no law: in its window the torque is otherwise, elsewhere it is as ever. So the gap is
 first freed from whatever laws might explain of it (bodies, friction, offsets on every joint), well
 or badly; windows are then compared with each other. What a wrong law leaves at reversals or at
 speed happens again and again, and sets the scale: a contact must stand out from that, by chance
-corrected for all windows that were looked at.
+corrected for all windows that were looked at. What is there again when the motion is repeated is no
+event, whatever it is.
 """
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from torchid.effects.motion import Motion
 from torchid.effects.surroundings import PlaneContact
 from torchid.effects.transient import Contact
 from torchid.gap.search.evidence import (
+    ODDS,
     Fitted,
     Question,
     fit_terms,
@@ -33,6 +35,7 @@ from torchid.statistics.autocorrelation import correlation_instants
 from torchid.statistics.blocks import FEWEST_BLOCKS
 from torchid.statistics.resampling import LEVEL
 from torchid.statistics.robust import HUBER, robust_std
+from torchid.statistics.tail import beyond
 from torchid.typing import Bool, Float, Int, Tensor
 
 LAWS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
@@ -57,31 +60,67 @@ FINER = 5
 """Times that the height of a plane is refined: to 0.4 mm."""
 
 
-def contacts(question: Question) -> list[Contact]:
+Span = tuple[int, int]
+"""Window: first sample, and the one after the last."""
+
+Spans = list[Span]
+
+Counterparts = Sequence[Int[Tensor, " N"]]
+"""Samples at which the motion is the same again, -1 where it is not; one list a repeat."""
+
+
+def contacts(question: Question, again: Counterparts = ()) -> list[Contact]:
     """Contacts that stand out from the rest of a log, the clearest first, and other windows for
-    the same pushes."""
+    the same pushes.
+
+    Args:
+        question: what is to be explained.
+        again: where the motion repeats itself, as `torchid.design.repeats.counterparts` has it.
+    """
     candidates = question.candidates
     columns, samples = candidates.columns, candidates.columns.samples
     # Laws on every joint, and bodies, are taken out of the gap.
     left, unit = _beside_laws(question)
-    # What remains, and the pull of a force at a tip, in units of the joints' usual misfit.
+    # What remains, and the pull of a force at an end or on a link, in units of the usual misfit.
     t, half = samples.t, 0.5 * samples.interval
-    lasting = [c for c in Contact.candidates(columns.model.robot) if isinstance(c, Contact)]
+    robot = columns.model.robot
+    ends = [c for c in Contact.candidates(robot) if isinstance(c, Contact)]
+    links = Contact.links(robot)
+    found: list[tuple[Contact, Span, float]] = []
+    searched = {}
+    for place in (*ends, *links):
+        pull = columns.on_all_joints(place) * candidates.keep / unit
+        # Windows that stand out; chance has as many more as there are places of one kind.
+        kind = ends if place.along is None else links
+        windows = searched[place] = _Windows(pull, left / unit, samples.bounds, again)
+        found += [(place, *x) for x in windows.standing_out(question.settings.alpha / len(kind))]
+    # A push is felt as if it were at neighbouring places, too. A link is offered where it explains
+    # more of the window than any end, by odds, and than any other link; of several ends the search
+    # decides.
     out: list[Contact] = []
-    for of_tip in lasting:
-        pull = columns.on_all_joints(of_tip) * candidates.keep / unit
-        # Windows that stand out, and others for the same pushes. Those of several tips may overlap:
-        # which of them it is, the search decides. Chance has as many more as there are tips.
-        windows = _Windows(pull, left / unit, samples.bounds)
-        likely = windows.standing_out(question.settings.alpha / len(lasting))
-        for first, last in dict.fromkeys(w for span in likely for w in windows.about(span)):
-            out.append(Contact(float(t[first]) - half, float(t[last - 1]) + half, of_tip.tip))
-    return out
+    for place, span, usual in found:
+        window = torch.tensor([span[0]]), torch.tensor([span[1]])
+        gains = {p: float(w.gains(*window)) for p, w in searched.items()}
+        rivals = [
+            gains[p] + (0.0 if p.along is not None else 2 * usual * math.log(ODDS))
+            for p in gains
+            if p is not place
+        ]
+        if place.along is None or gains[place] >= max(rivals):
+            for first, last in searched[place].about(span):
+                start, stop = float(t[first]) - half, float(t[last - 1]) + half
+                out.append(replace(place, start=start, stop=stop))
+    return list(dict.fromkeys(out))
 
 
-def hidden_contacts(question: Question, fit: Fitted) -> list[Term]:
-    """Contacts of an explanation that do not stand out from what it leaves elsewhere in the log:
-    what a law leaves at its peaks is no push."""
+def hidden_contacts(question: Question, fit: Fitted, again: Counterparts = ()) -> list[Term]:
+    """Contacts of an explanation that do not stand out from what it leaves elsewhere in the log, or
+    that are there again when the motion is: what a law leaves at its peaks is no push.
+
+    Args:
+        question, fit: the explanation.
+        again: where the motion repeats itself, as `torchid.design.repeats.counterparts` has it.
+    """
     columns, samples = question.candidates.columns, question.candidates.columns.samples
     own = list(zip(fit.terms, fit.values(), strict=True))
     # The contacts, and their windows as samples.
@@ -100,14 +139,15 @@ def hidden_contacts(question: Question, fit: Fitted) -> list[Term]:
     unit = _misfit(left)
     out = []
     for term, effect, span in events:
-        pull = columns.on_all_joints(Contact(tip=effect.tip)) * question.candidates.keep / unit
-        windows = _Windows(pull, left / unit, samples.bounds)
+        pull = columns.on_all_joints(effect.lasting) * question.candidates.keep / unit
+        windows = _Windows(pull, left / unit, samples.bounds, again)
         # Beside windows of about its own length.
         length = span[1] - span[0]
         i = min(range(len(windows.looked)), key=lambda k: abs(windows.looked[k][2] - length))
-        gain = float(windows.gains(torch.tensor([span[0]]), torch.tensor([span[1]])))
+        ends = torch.tensor([span[0]]), torch.tensor([span[1]])
+        gain, once = float(windows.gains(*ends)), bool(windows.once(*ends))
         level = windows.level(span, gain, i, [s for _, _, s in events if s != span])
-        if level is not None and level.chance >= question.settings.alpha:
+        if not once or (level is not None and level.chance >= question.settings.alpha):
             out.append(term)
     return out
 
@@ -197,22 +237,32 @@ def _misfit(left: Float[Tensor, "n N"]) -> Float[Tensor, "n 1"]:
     return torch.nan_to_num(robust_std(left), nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
 
 
-Span = tuple[int, int]
-"""Window: first sample, and the one after the last."""
-
-Spans = list[Span]
-
-
 class Level(NamedTuple):
     """How a window stands out.
 
     Attributes:
         chance: of it in a log without pushes, corrected for all windows that were looked at.
         score: by which windows of several lengths are ranked.
+        usual: scale of the others' gains, over that of noise that is white.
     """
 
     chance: float
     score: float
+    usual: float
+
+
+class _Running(NamedTuple):
+    """Running sums of columns' products (C, C, N + 1), and of those with what they explain."""
+
+    products: Float[Tensor, "C C _"]
+    pulls: Float[Tensor, "C _"]
+
+    def over(
+        self, start: Int[Tensor, " W"], stop: Int[Tensor, " W"]
+    ) -> tuple[Float[Tensor, "W C C"], Float[Tensor, "W C 1"]]:
+        """The sums over windows."""
+        gram = (self.products[..., stop] - self.products[..., start]).permute(2, 0, 1)
+        return gram, (self.pulls[:, stop] - self.pulls[:, start]).T.unsqueeze(-1)
 
 
 class _Windows:
@@ -229,11 +279,19 @@ class _Windows:
         columns: Float[Tensor, "C n N"],
         r: Float[Tensor, "n N"],
         bounds: Sequence[slice],
+        again: Counterparts = (),
     ):
         self.r, self.bounds, self.directions = r, bounds, len(columns)
-        products = (columns.unsqueeze(0) * columns.unsqueeze(1)).sum(2)
-        pulls = (columns * r).sum(1)
-        self.running = [torch.nn.functional.pad(x.cumsum(-1), (1, 0)) for x in (products, pulls)]
+
+        def running(columns: Float[Tensor, "C n N"], r: Float[Tensor, "n N"]) -> _Running:
+            """Running sums of the columns' products, and of those with r."""
+            products = (columns.unsqueeze(0) * columns.unsqueeze(1)).sum(2)
+            sums = [x.cumsum(-1) for x in (products, (columns * r).sum(1))]
+            return _Running(*(torch.nn.functional.pad(x, (1, 0)) for x in sums))
+
+        self.own = running(columns, r)
+        # The same columns beside what is left when the motion is there again.
+        self.again = [running(columns * (there >= 0), r[:, there.clamp(min=0)]) for there in again]
         self.every: list[tuple[Tensor, Tensor, int]] = []
         for length in LENGTHS:
             starts = [
@@ -249,61 +307,94 @@ class _Windows:
 
     def gains(self, start: Int[Tensor, " W"], stop: Int[Tensor, " W"]) -> Float[Tensor, " W"]:
         """What the force that fits best within each window gains there."""
-        gram = (self.running[0][..., stop] - self.running[0][..., start]).permute(2, 0, 1)
-        pull = (self.running[1][:, stop] - self.running[1][:, start]).T.unsqueeze(-1)
+        gram, pull = self.own.over(start, stop)
         inner = torch.linalg.pinv(gram, rtol=1e-6, hermitian=True)
         return (pull.transpose(1, 2) @ inner @ pull).flatten()
 
-    def level(self, window: Span, gain: float, i: int, beside: Spans) -> "Level | None":
+    def once(self, start: Int[Tensor, " W"], stop: Int[Tensor, " W"]) -> Bool[Tensor, " W"]:
+        """Whether the force that fits best within each window is nowhere felt by half or more when
+        the motion is there again."""
+        gram, pull = self.own.over(start, stop)
+        force = torch.linalg.pinv(gram, rtol=1e-6, hermitian=True) @ pull
+        out = torch.ones(len(start), dtype=torch.bool)
+        for again in self.again:
+            gram, pull = again.over(start, stop)
+            expected = (force.transpose(1, 2) @ gram @ force).flatten()
+            felt = (force.transpose(1, 2) @ pull).flatten()
+            out &= (felt < 0.5 * expected) | (expected <= 0)
+        return out
+
+    def level(
+        self, window: Span, gain: float, i: int, beside: Spans, extent: Span | None = None
+    ) -> "Level | None":
         """How a window stands out of those of the i-th length, with the windows `beside` left out
-        of the scale; None where too few others are there."""
+        of the scale; None where too few others are there. `extent` is how long its push may be."""
         gains, start, length = self.looked[i]
         c = self.directions
         # The scale of chance is that of the log's other windows, heavy tails included: chi^2
         # through their 95 % quantile. Those next to it may be of the same push.
-        others = gains[_free(start, length, beside) & ((start - window[0]).abs() >= 2 * length)]
+        first, last = extent if extent is not None and _overlap(window, extent) else window
+        far = (start >= last) | (start + length <= first)
+        far &= (start - window[0]).abs() >= 2 * length
+        others = gains[_free(start, length, beside) & far]
         if not _apart(window, beside) or len(others) < FEWEST_BLOCKS:
             return None
         # How slow chance is there, too: a push in the window is no noise.
-        slow = correlation_instants(self.r.T, _outside(self.bounds, [window, *beside]))
+        slow = correlation_instants(
+            self.r.T, _outside(self.bounds, [window, *beside], (first, last))
+        )
         apart = len(others) * max(1, length // 2) / max(length, slow)
         usual = max(1.0, float(others.quantile(LEVEL)) / float(chdtri(c, 1 - LEVEL)))
-        # A scale known from so many windows apart: F in the place of chi^2.
-        chance = float(fdtrc(c, max(apart, 1.0), gain / (c * usual)))
+        # The tail of the others leads to how likely so much is, where enough of them are known; else
+        # a scale known from so many windows apart does: F in the place of chi^2.
+        chance = beyond(others, gain)
+        if chance is None:
+            chance = float(fdtrc(c, max(apart, 1.0), gain / (c * usual)))
         total = sum(len(g) for g, _, _ in self.looked)
-        return Level(total * chance, gain / usual - c * math.log(length))
+        return Level(total * chance, gain / usual - c * math.log(length), usual)
 
-    def standing_out(self, alpha: float) -> Spans:
-        """Windows apart that stand out, the clearest first."""
+    def standing_out(self, alpha: float) -> list[tuple[Span, float]]:
+        """Windows apart that stand out, the clearest first, each with the scale of chance."""
         # The windows that stand out most, one after the other.
-        likely: list[tuple[int, float]] = []
+        likely: list[tuple[int, float, Span]] = []
         spans: Spans = []
+        scales: list[float] = []
         while len(likely) < MOST:
-            best: tuple[bool, float, int, int] | None = None
+            best: tuple[bool, float, int, int, float] | None = None
+            # Windows of each length that gain most, and how long the push is that gains most.
+            closely: list[tuple[float, int, int, Span]] = []
             for i, (gain, start, length) in enumerate(self.looked):
-                masked = gain.masked_fill(~_free(start, length, spans), -math.inf)
+                free = _free(start, length, spans) & self.once(start, start + length)
+                masked = gain.masked_fill(~free, -math.inf)
                 for k in masked.argsort(descending=True)[:CLOSELY].tolist():
-                    window = int(start[k]), int(start[k]) + length
-                    level = self.level(window, float(gain[k]), i, spans)
-                    if level is None:
-                        continue
-                    # One that stands out already comes before one that others may hide.
-                    now = level.chance < alpha, level.score, i, k
-                    best = max(best, now) if best else now
+                    if masked[k] > -math.inf:
+                        span = int(start[k]), int(start[k]) + length
+                        closely.append((float(gain[k]), i, k, span))
+            if not closely:
+                break
+            extent = self._extent(max(closely)[-1])
+            for own, i, k, window in closely:
+                level = self.level(window, own, i, spans, extent)
+                if level is None:
+                    continue
+                # One that stands out already comes before one that others may hide.
+                now = level.chance < alpha, level.score, i, k, level.usual
+                best = max(best, now) if best else now
             if best is None:
                 break
-            i, k = best[2:]
-            gain, start, length = self.looked[i]
-            likely.append((i, float(gain[k])))
+            i, k = best[2:4]
+            gains, start, length = self.looked[i]
+            likely.append((i, float(gains[k]), extent))
             spans.append((int(start[k]), int(start[k]) + length))
+            scales.append(best[4])
         # Several pushes hide each other, for each is part of the scale of the others: as many are
         # taken as the last of them stands out beside a log without any of them (Rosner 1983,
         # Percentage points for a generalized ESD many-outlier procedure).
         for count in range(len(likely), 0, -1):
-            i, own = likely[count - 1]
-            level = self.level(spans[count - 1], own, i, spans[: count - 1])
+            i, own, extent = likely[count - 1]
+            level = self.level(spans[count - 1], own, i, spans[: count - 1], extent)
             if level is not None and level.chance < alpha:
-                return spans[:count]
+                return list(zip(spans, scales, strict=False))[:count]
         return []
 
     def about(self, span: Span) -> Spans:
@@ -314,27 +405,23 @@ class _Windows:
             for gain, start, length in self.every
             for k in ((start < span[1]) & (start + length > span[0])).nonzero().flatten().tolist()
         ]
-        run = next(b for b in self.bounds if b.start <= span[0] < b.stop)
-        moved = [_moved(w, run, self.gains) for w in (span, max(over)[1])]
-        return list(dict.fromkeys([span, *moved]))
+        return list(dict.fromkeys([span, *map(self._extent, (span, max(over)[1]))]))
 
-
-def _moved(
-    window: tuple[int, int], run: slice, gains: Callable[[Tensor, Tensor], Tensor]
-) -> tuple[int, int]:
-    """A window with the ends that gain most, ever finer, to a sample; within its trajectory."""
-    first, last = window
-    step = max(1, (last - first) // 2)
-    while step:
-        ends = [(a, b) for a in (first - step, first, first + step)
-                for b in (last - step, last, last + step)
-                if run.start <= a and a + LENGTHS[0] <= b <= run.stop]  # fmt: skip
-        start, stop = torch.tensor(ends).unbind(1)
-        best = ends[int(gains(start, stop).argmax())]
-        if best == (first, last):
-            step //= 2
-        first, last = best
-    return first, last
+    def _extent(self, window: Span) -> Span:
+        """A window with the ends that gain most, ever finer, to a sample; within its trajectory."""
+        first, last = window
+        run = next(b for b in self.bounds if b.start <= first < b.stop)
+        step = max(1, (last - first) // 2)
+        while step:
+            ends = [(a, b) for a in (first - step, first, first + step)
+                    for b in (last - step, last, last + step)
+                    if run.start <= a and a + LENGTHS[0] <= b <= run.stop]  # fmt: skip
+            start, stop = torch.tensor(ends).unbind(1)
+            best = ends[int(self.gains(start, stop).argmax())]
+            if best == (first, last):
+                step //= 2
+            first, last = best
+        return first, last
 
 
 def _free(start: Int[Tensor, " W"], length: int, found: Spans) -> Bool[Tensor, " W"]:
@@ -351,11 +438,15 @@ def _apart(window: Span, found: Spans) -> bool:
     return bool(_free(torch.tensor([first]), last - first, found)[0])
 
 
-def _outside(bounds: Sequence[slice], windows: Sequence[tuple[int, int]]) -> list[slice]:
-    """What is left of stretches of samples without windows and as much on either side of each."""
+def _overlap(one: Span, two: Span) -> bool:
+    return one[0] < two[1] and two[0] < one[1]
+
+
+def _outside(bounds: Sequence[slice], windows: Spans, extent: Span) -> list[slice]:
+    """What is left of stretches of samples without windows and as much on either side of each, and
+    without the extent of a push."""
     left = list(bounds)
-    for first, last in windows:
-        low, high = 2 * first - last, 2 * last - first
+    for low, high in (extent, *((2 * a - b, 2 * b - a) for a, b in windows)):
         cut = [(slice(b.start, min(b.stop, low)), slice(max(b.start, high), b.stop)) for b in left]
         left = [s for pair in cut for s in pair if s.stop > s.start]
     return left

@@ -8,6 +8,7 @@ import torch
 
 from torchid.design.columns import Columns, Model, Place, on_joint
 from torchid.design.gram import Folds, visible_root
+from torchid.design.repeats import Repeats, counterparts
 from torchid.design.segments import Samples
 from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.motion import Motion
@@ -24,7 +25,7 @@ from torchid.gap.search.climb import (
     swapped,
     worthy,
 )
-from torchid.gap.search.events import contacts, hidden_contacts, planes
+from torchid.gap.search.events import Counterparts, contacts, hidden_contacts, planes
 from torchid.gap.search.evidence import (
     Fitted,
     Question,
@@ -86,6 +87,7 @@ def explained(
     settings: GapSettings,
     parts: Int[Tensor, " N"],
     block: Int[Tensor, " N"],
+    repeats: Repeats,
 ) -> Explanation:
     """Which effects explain the gap between a log and a model.
 
@@ -96,12 +98,14 @@ def explained(
         settings: how it is decided.
         parts: (N,) fold of every sample, from 1; 0 of those between folds.
         block: (N,) block of every sample.
+        repeats: of motions.
     """
     # The gap is always that of the model as given; columns are taken at the model found so far.
     model = at = given.model
     extra: list[Effect] = []
     start: tuple[Term, ...] = ()
     gap = given.gap
+    repeated = counterparts(given.samples, repeats)
 
     def asked(columns: Columns) -> Question:
         """Candidates at a model, for the gap of the model as given."""
@@ -117,7 +121,7 @@ def explained(
         if attempt == 0:
             found: list[Effect] = []
             if Contact.name in wanted.names:
-                found += contacts(question)
+                found += contacts(question, repeated)
             if PlaneContact.name in wanted.names:
                 found += planes(question)
             if found:
@@ -145,7 +149,7 @@ def explained(
         fit, left = exchanged(question, folds, fit, left)
         fit, left = resumed(question, folds, fit, left)
         # Without the events that do not stand out any more, the search goes on from the laws.
-        while gone := hidden(question, fit, left):
+        while gone := hidden(question, fit, left, repeated):
             question = replace(question, barred=question.barred | {t.key for t in gone})
             own = fit.terms[len(question.fixed) :]
             laws = [t for t in own if all(t is not g for g in gone)]
@@ -274,13 +278,15 @@ def resumed(
     return fit, out
 
 
-def hidden(question: Question, fit: Fitted, left: Sequence[Term]) -> list[Term]:
+def hidden(
+    question: Question, fit: Fitted, left: Sequence[Term], repeated: Counterparts
+) -> list[Term]:
     """Events that do not stand out from what the laws leave elsewhere in the log: these laws, and
     those that have evidence but are not worth a name."""
     own = fit.terms[len(question.fixed) :]
     small = [t for t in left if all(t.key != o.key for o in own)]
     beside = fit_terms(question, [*own, *small], fit.effective, fit.weight)
-    gone = hidden_contacts(question, beside)
+    gone = hidden_contacts(question, beside, repeated)
     return [t for t in own if any(t is g for g in gone)]
 
 

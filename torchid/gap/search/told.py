@@ -317,7 +317,8 @@ def _notes(
     if isinstance(effect, Contact) and effect.start is not None and effect.stop is not None:
         segments = found.question.candidates.columns.samples.segments
         name, start = when(segments, effect.start)
-        of_tip = "" if effect.tip is None else f"at '{effect.tip}', "
+        place = "" if effect.along is None else f"{effect.along:.0%} of the way along "
+        of_tip = "" if effect.tip is None else f"at {place}'{effect.tip}', "
         stop = start + effect.stop - effect.start
         out.append(f"{of_tip}from {start:.2f} to {stop:.2f} s of '{name}'")
     return tuple(out)
