@@ -124,6 +124,7 @@ def examine(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> Examination:
     >>> bool((found.mended().q - torchid.Log(t, q).q).abs().max() < 1e-9)
     True
     """
+    robot.require_fixed_base("the log doctor")
     if log.n != robot.n:
         raise LogError(
             f"log '{log.source}' has another number of joints than robot '{robot.name}'.",
