@@ -3,66 +3,26 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
 import torchid
-from tests.trees import package_urdfs
+from tests.trees import FRICTION, front_legs, legs_log, legs_motion, package_urdfs
 from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.effects.base import Motion
-from torchid.effects.registry import effect_torque, nominal_effects, on_every_joint
+from torchid.effects.registry import on_every_joint
 from torchid.errors import RobotError, TorchidError
 from torchid.identification.base_parameters import base_parameters, nominal_values
 from torchid.identification.mirror import mirror_of, mirrored_base
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import Robot
-from torchid.withheld.plant.arms import urdf
-from torchid.withheld.plant.trees import arm_named
 
-FRICTION = ("viscous_friction", "coulomb_friction")
 FRONT = ("l:r",)
 
 
 @pytest.fixture(scope="module")
 def front(tmp_path_factory) -> Robot:
     """The front legs of a quadruped, joints by the names of their sides."""
-    path = tmp_path_factory.mktemp("front") / "legs.urdf"
-    arm = arm_named("quadruped")
-    text = urdf(replace(arm, joints=arm.joints[:6]), np.zeros(6), np.zeros(6))
-    for k in range(1, 7):
-        side, what = ("l", "r")[k > 3], ("hip", "thigh", "shank")[(k - 1) % 3]
-        text = text.replace(f'"joint{k}"', f'"{side}_{what}"')
-    path.write_text(text)
-    robot = torchid.load_robot(path)
-    assert robot.joint_names[::3] == ("l_hip", "r_hip")
-    records = [
-        {"effect": name, "joint": j + 1, key: 0.1 * (1 + j % 3)}
-        for name, key in zip(FRICTION, ("Fv", "Fc"), strict=True)
-        for j in range(6)
-    ]
-    return replace(robot, effects=tuple(records))
-
-
-def log_of(robot: Robot, seed: int) -> torchid.Log:
-    motion = torchid.Log(*_moved(robot, seed))
-    state = Motion(motion.q, motion.dq, motion.ddq)
-    rigid = inverse_dynamics(robot, *state[:3])
-    clean = rigid + effect_torque(robot, nominal_effects(robot), state, rigid)
-    draw = torch.Generator().manual_seed(seed)
-    noise = 0.05 * torch.randn(clean.shape, generator=draw, dtype=torch.float64)
-    return torchid.Log(motion.t, motion.q, tau=clean + noise)
-
-
-def _moved(robot: Robot, seed: int) -> tuple[torch.Tensor, ...]:
-    draw = np.random.default_rng(seed)
-    t = np.arange(6000) / 200.0
-    omega = 2 * np.pi * draw.uniform(0.1, 1.2, (robot.n, 3))
-    size, phase = draw.uniform(0.1, 0.3, omega.shape), draw.uniform(0, 6, omega.shape)
-    angle = omega * t[:, None, None] + phase
-    q = (size * np.sin(angle)).sum(-1)
-    dq, ddq = (size * omega * np.cos(angle)).sum(-1), -(size * omega**2 * np.sin(angle)).sum(-1)
-    return tuple(map(torch.from_numpy, (t, q, dq, ddq)))
+    return front_legs(tmp_path_factory.mktemp("front"))
 
 
 def test_the_mirrored_robot_has_the_mirrored_torques(front):
@@ -76,7 +36,7 @@ def test_the_mirrored_robot_has_the_mirrored_torques(front):
     images = [move(pi, a) for pi, a in zip(heavy.parameters.pi, mirror.transforms, strict=True)]
     other = torch.stack([images[k] for k in mirror.links])  # the image of link k's image is k
     swapped = replace(front, parameters=InertialParameters(other))
-    _, q, dq, ddq = _moved(front, 1)
+    _, q, dq, ddq = legs_motion(front, 1)
     # Hips about x turn the other way in a mirror, thighs and shanks about y do not.
     sign = torch.tensor([-1.0, 1.0, 1.0] * 2, dtype=torch.float64)
     order = list(mirror.coordinates)
@@ -95,7 +55,7 @@ def test_a_mirror_of_a_mirror_is_the_robot(front):
 
 
 def test_a_symmetric_robot_is_known_better_and_rightly(front):
-    log = log_of(front, 5)
+    log = legs_log(front, 5)
     alone, both = (
         torchid.identify(
             front, log, settings=torchid.Settings(effects=FRICTION, cutoff=20.0, mirror=mirror)
@@ -119,7 +79,7 @@ def test_one_heavier_leg_is_told_and_not_averaged(front):
     heavy = replace(front, parameters=InertialParameters(pi))
     found = torchid.identify(
         heavy,
-        log_of(heavy, 6),
+        legs_log(heavy, 6),
         settings=torchid.Settings(effects=FRICTION, cutoff=20.0, mirror=FRONT),
     )
     (said,) = [w for w in found.warnings if "no mirror images" in w]
