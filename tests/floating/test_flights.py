@@ -9,6 +9,8 @@ import torch
 import torchid
 from tests.floating import flown
 from torchid.errors import LogError, RobotError
+from torchid.feasibility.sets import nominal_set
+from torchid.fleet.model import FleetModel
 from torchid.identification.base_parameters import nominal_values
 from torchid.log.readers import log_from_columns
 from torchid.robot.library import load_robot
@@ -131,6 +133,16 @@ def test_a_result_keeps_how_its_base_was_taken(robot, columns, tmp_path):
         torchid.simulate,
         lambda robot, log: torchid.payload(robot, None, log),
         lambda robot, log: torchid.diagnose(robot, log.replace(tau=None, u=log.q)),
+        lambda robot, log: torchid.check(robot),
+        torchid.examine,
+        lambda robot, log: torchid.equal_torque_study(robot),
+        lambda robot, log: torchid.compare_wrenches(robot, nominal_set(robot)),
+        lambda robot, log: torchid.compare_pair(log, log, robot),
+        torchid.withheld_own,
+        lambda robot, log: FleetModel(robot),
+        lambda robot, log: torchid.excite_for(
+            torchid.identify(robot, log, settings=torchid.Settings(effects=()))
+        ),
     ],
 )
 def test_what_cannot_have_a_moving_base_is_refused(robot, columns, use):

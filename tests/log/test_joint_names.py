@@ -16,7 +16,10 @@ FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 
 @given(st.permutations([*PANDA, *FINGERS]))
 def test_any_order_and_a_gripper(names: list[str]) -> None:
-    assert in_robot_order(names, PANDA, "log") == (list(PANDA), ())
+    found, (note,) = in_robot_order(names, PANDA, "log")
+    assert found == list(PANDA)
+    left_out = [name for name in names if name in FINGERS]
+    assert note == f"log: left out: {', '.join(left_out)}"
 
 
 @pytest.mark.parametrize(
@@ -48,7 +51,15 @@ def test_numbers_where_names_do_not_fit() -> None:
 def test_a_shorter_robot_is_another_robot() -> None:
     with pytest.raises(LogError, match="do not identify"):
         in_robot_order(PANDA, ("joint_1", "joint_2", "joint_3"), "log")
-    assert in_robot_order(PANDA, PANDA[:3], "log") == (list(PANDA[:3]), ())  # a chain of it
+    found, (note,) = in_robot_order(PANDA, PANDA[:3], "log", PANDA[3:])  # a chain of it
+    assert found == list(PANDA[:3])
+    assert note == f"log: left out: {', '.join(PANDA[3:])}"
+
+
+def test_a_joint_that_the_robot_lacks_is_refused() -> None:
+    with pytest.raises(LogError, match="joints that the robot lacks") as info:
+        in_robot_order([*UR, "lift_joint", "head_joint"], UR, "log", ("head_joint",))
+    assert (info.value.got, info.value.expected) == ("lift_joint", ", ".join(UR))
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,8 @@ def test_episodes_are_trajectories(tmp_path: Path, log: Log, version: str, neste
     assert close(read.u, log.q[:, order] + 1)
     assert close(read.signals["tau"], log.signals["tau"][:, order])
     assert read.dq is None
-    (warning,) = read.warnings
+    (left_out, warning) = read.warnings
+    assert left_out.endswith("left out: gripper")
     assert "taken for radians" in warning
     whole = read_log(path)
     assert whole.n == 4

@@ -272,3 +272,16 @@ def test_labels_of_trajectories(tmp_path: Path) -> None:
 def test_every_key_has_units_and_its_own_unit_is_one() -> None:
     for key in KEYS:
         assert next(iter(UNITS[key].values()), 1.0) == 1.0
+
+
+def test_motors_of_a_quadruped_in_the_robots_order(tmp_path: Path) -> None:
+    """Columns as low-state messages have them, legs FR FL RR RL, for a robot of FL FR RL RR."""
+    order = (3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8)
+    path, t = tmp_path / "go2.csv", np.arange(20) * 2
+    names = [f"motor_state[{k}].q" for k in range(12)]
+    rows = [",".join(str(x) for x in (k, *(k * (m + 1) * 1e-3 for m in range(12)))) for k in t]
+    path.write_text("\n".join([",".join(["time_ms", *names]), *rows]) + "\n")
+    motors = ",".join(map(str, order))
+    log = read_log(path, columns=f"t=time_ms ms,q='motor_state[{{{motors}}}].q'")
+    assert log.n == 12
+    np.testing.assert_allclose(log.q[-1], [38e-3 * (m + 1) for m in order])

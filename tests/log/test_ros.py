@@ -124,14 +124,24 @@ def test_a_gripper_in_the_same_topic(tmp_path: Path, log: Log) -> None:
     })  # fmt: skip
     together = messages_of(wide, names, (4, 2, 0, 1, 3))
     fingers = uniform(2, samples=90)
-    for k, messages in enumerate(
-        (together, [*messages_of(log, UR, (2, 1, 0)), *messages_of(fingers, ("f1", "f2"), (0, 1))])
-    ):
+    apart = [*messages_of(log, UR, (2, 1, 0)), *messages_of(fingers, ("jaw1", "jaw2"), (0, 1))]
+    for k, messages in enumerate((together, apart)):
         path = write_bag(tmp_path / f"bag{k}", "mcap", {TOPIC: messages})
         read = read_log(path, joints=UR)
         expect(read, log)
-        assert any("left out: f" in w for w in read.warnings)
+        assert any("left out: " in w for w in read.warnings)
         assert read_log(path).n == (5 if k == 0 else 3)
+
+
+def test_another_joint_in_the_same_topic(tmp_path: Path, log: Log) -> None:
+    """A wheel is no joint of the arm; one that is held in the robot's file may be there."""
+    wide = Log(t=log.t, **{k: torch.cat([v, v[:, :1]], 1) for k, v in log.signals.items()})
+    path = write_bag(tmp_path / "bag", "mcap", {TOPIC: messages_of(wide, (*UR, "wheel"), range(4))})
+    with pytest.raises(LogError, match="joints that the robot lacks"):
+        read_log(path, joints=UR)
+    read = read_log(path, joints=UR, spare=("wheel",))
+    expect(read, log)
+    assert any("left out: wheel" in w for w in read.warnings)
 
 
 @pytest.mark.parametrize("late_ns", [0, 3_000_000])

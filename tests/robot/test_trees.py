@@ -207,3 +207,31 @@ def joints_of(path: Path) -> None:
     }
     assert {drive.joint for drive in robot.drives} == moving
     assert robot.n + len(robot.mimics) == robot.n_links
+
+
+def test_joints_without_a_coordinate_are_spare(tmp_path: Path):
+    path = two_arms(tmp_path)
+    assert load_robot(path).spare == ("finger_joint", "camera_mount")
+    part = load_robot(path, tip="camera", lock={"l_elbow": 0.1})
+    assert part.joint_names == ("l_shoulder",)
+    assert {"l_elbow", "r_shoulder", "r_wrist", "thumb_joint", "finger_joint"} <= set(part.spare)
+
+
+@pytest.mark.parametrize("kind", ["connect", "weld"])
+def test_a_closed_loop_is_refused_and_a_part_without_it_is_read(tmp_path: Path, kind: str):
+    def bar(name: str, inner: str) -> str:
+        return (
+            f'<body name="{name}" pos="0 0 -0.1"><joint name="j_{name}" axis="0 1 0"/>'
+            f'<geom size="0.02 0.05" type="capsule"/>{inner}</body>'
+        )
+
+    anchor = ' anchor="0 0 0"' if kind == "connect" else ""
+    path = tmp_path / "loop.xml"
+    path.write_text(
+        f"<mujoco><worldbody>{bar('a', bar('b', ''))}{bar('c', '')}</worldbody>"
+        f'<equality><{kind} body1="b" body2="c"{anchor}/></equality></mujoco>'
+    )
+    with pytest.raises(RobotError, match="'b' and 'c' are held together by an equality") as raised:
+        load_robot(path)
+    assert "closes a loop" in str(raised.value)
+    assert load_robot(path, tip="a").joint_names == ("j_a",)

@@ -14,8 +14,11 @@ from torchid.withheld.case_set import write_case
 
 
 @pytest.mark.usefixtures("types_unchecked")
-def test_both_simulators_agree_on_plain_servos(tmp_path):
-    key = write_case(tmp_path / "case", 7, 0, mix="position", kind="none", arm="3r")
+@pytest.mark.parametrize(
+    ("mix", "arm"), [("position", "3r"), ("tree_position", "quadruped")], ids=["arm", "quadruped"]
+)
+def test_both_simulators_agree_on_plain_servos(tmp_path, mix, arm):
+    key = write_case(tmp_path / "case", 7, 0, mix=mix, kind="none", arm=arm)
     assert key["effects"] == []
     robot, log = (
         load_robot(tmp_path / "case" / "robot.urdf"),

@@ -145,6 +145,7 @@ def excite_command(
                 f"'{motion.result}' does not record its robot.", expected="torchid excite ROBOT"
             )
         raise TorchidError("which robot?", expected="torchid excite ROBOT, or --for RESULT")
+    found.require_fixed_base("the design of motions")
     arm = opt.limited(found, max_velocity, max_acceleration)
     files.check(arm, 3 if motion.kind == "paper" else motion.count)
     with output.progress() as progress:

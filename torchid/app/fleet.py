@@ -85,7 +85,7 @@ class Engine(opt.Crew):
         logs = logs_of(units.logs or (), units.manifest)
         robot, gain = units.load(), units.gain
         gains = None if gain is None else tuple(opt.numbers("--gain", gain, robot.n))
-        model = FleetModel(robot, settings, units.request(robot.joint_names), gains)
+        model = FleetModel(robot, settings, units.request(robot), gains)
         return model, logs, crew, Store(place) if place else None
 
 

@@ -174,10 +174,9 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
             got=", ".join(name for name, given in others.items() if given),
         )
     robot = trials.load() if trials.robot else None
-    names = () if robot is None else robot.driven_names
 
     def read(paths: list[Path]) -> "torchid.Log":
-        opened = open_logs(paths, trials.request(names))
+        opened = open_logs(paths, trials.request(robot))
         return torchid.Log.concatenate([trials.with_torque(log, log.n) for _, log in opened])
 
     with output.progress("reading") as progress:

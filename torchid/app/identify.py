@@ -58,6 +58,9 @@ def identify_command(
             force=Switch,
             error_cutoff=opt.Hertz,
             compiled=Annotated[bool, typer.Option("--compile")],
+            mirror=Annotated[
+                tuple[str, ...], typer.Option(metavar="LEFT:RIGHT,.."), Parsed(opt.names, "none")
+            ],
         ),
     ],
     seed: opt.Seed = 0,
@@ -84,6 +87,9 @@ def identify_command(
         error_cutoff: Report errors under this filter, not the fit's.
         force: Show a result that predicts its own log worse than no model does, too.
         compiled: Compile the regressor (needs a C++ compiler); for very long logs.
+        mirror: Two sides that are mirror images, by what differs in the names of their joints:
+            `left:right`, `FL:FR,RL:RR`. Mirrored links and equal friction, where the log does not
+            contradict them.
     """
     from torchid.report.identification import shown
 

@@ -53,7 +53,7 @@ def init(
     people = all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout))
     asking = ask and people and not output.silent
     choose = _choose if asking else None
-    found = guess(robot, part.choice, logs or (), held_out or (), reading.request(()), choose)
+    found = guess(robot, part.choice, logs or (), held_out or (), reading.request(None), choose)
     said, given, n = "the logs hold currents and no torque", reading.gain, found.robot.n
     if given is None and found.needs_gains and asking:
         question = f"{said}: drive gains [N m/A] of {n} joints, or Enter"

@@ -90,7 +90,7 @@ def show_command(
             "prismatic": [kind is JointType.PRISMATIC for kind in found.joint_types],
             "moving_base": found.floating,
         }
-    request = reading.request(() if found is None else found.driven_names)
+    request = reading.request(found)
     seen = look_at(logs, request, **checked)
     repeats = repeated_motion(seen.log) if seen.problem is None else ()
     record = overview_record(seen)

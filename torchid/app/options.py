@@ -256,7 +256,7 @@ class Reading:
     kp: Annotated[str | None, typer.Option(metavar="K1,K2,..")] = None
     kd: Annotated[str | None, typer.Option(metavar="D1,D2,..")] = None
 
-    def request(self, joints: Sequence[str]) -> "Request":
+    def request(self, robot: "torchid.Robot | None") -> "Request":
         """As these options say, else as the project file says for the logs that need it."""
         from torchid.log.mapping import read_mapping
         from torchid.log.table import Request
@@ -267,7 +267,9 @@ class Reading:
                 raise TorchidError(f"{option} says nothing.", got=repr(text))
         columns, own = self.columns or project.columns, self.columns or self.topic
         mapping = None if columns is None else read_mapping(columns)
-        return Request(mapping, self.topic or project.topic, tuple(joints), own is None)
+        joints = () if robot is None else robot.driven_names
+        spare = () if robot is None else robot.spare
+        return Request(mapping, self.topic or project.topic, joints, own is None, spare)
 
     def with_torque(self, log: "torchid.Log", n: int) -> "torchid.Log":
         """The torque of n joints where options make it: of the joint controllers' commands, or of
@@ -295,7 +297,7 @@ class Reading:
 
         if self.gain is not None:
             numbers("--gain", self.gain, robot.n)
-        opened = open_logs(paths, self.request(robot.driven_names))
+        opened = open_logs(paths, self.request(robot))
         return self.with_torque(torchid.Log.concatenate([log for _, log in opened]), robot.n)
 
 

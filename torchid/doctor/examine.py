@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from torchid.doctor.branches import check_branches
 from torchid.doctor.check import Check
 from torchid.doctor.clock import (
     check_clock,
@@ -124,6 +125,7 @@ def examine(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> Examination:
     >>> bool((found.mended().q - torchid.Log(t, q).q).abs().max() < 1e-9)
     True
     """
+    robot.require_fixed_base("the log doctor")
     if log.n != robot.n:
         raise LogError(
             f"log '{log.source}' has another number of joints than robot '{robot.name}'.",
@@ -229,6 +231,7 @@ def _with_model(
         check_lag(judge, found),
         check_size(judge, now, end, fixes),
         *check_nominal(judge, now, end),
+        *check_branches(judge, end),
         check_side(judge, found),
         check_excitation(judge, end, now),
         *unseen(judge, found),

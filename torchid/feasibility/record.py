@@ -263,6 +263,7 @@ def check_sets(
     Raises:
         RobotError: no such group, no such shapes, or an interval that is empty.
     """
+    robot.require_fixed_base("a check of bodies")
     shapes = link_shapes(robot)
     box, words = _com_boxes(robot, geometry, shapes)
     asked = conditions(robot, com_box=box, shapes=round_shapes, total_mass=total_mass)

@@ -43,6 +43,7 @@ class FleetModel:
     key: str = ""
 
     def __post_init__(self) -> None:
+        self.robot.require_fixed_base("a fleet")
         if not self.key:
             object.__setattr__(self, "version", this_version())
             found = {

@@ -21,6 +21,7 @@ from torchid.identification.knowledge import (
 )
 from torchid.identification.least_squares import Fit, fit
 from torchid.identification.logs import prepared, refuse_repeated
+from torchid.identification.mirror import as_one, mirror_of, mirrored_base
 from torchid.identification.record import FittedRows
 from torchid.identification.result import Identification, findings
 from torchid.identification.rows import Layout, RowSource, layout
@@ -114,6 +115,7 @@ def identify(
         kept_back, more = prepared(kept_back, robot)
         noticed = (*noticed, *more)
     refuse_repeated(log, kept_back)
+    mirror = mirror_of(robot, settings.mirror) if settings.mirror else None
     asked = asked_effects(settings.effects, robot)
     # The filter is chosen with the effects whose columns are known beforehand.
     training = _training(robot, _on(log, device), [a.effect for a in asked if a.plain], settings)
@@ -159,14 +161,24 @@ def identify(
     free, undetermined = (m[order] for m in (estimate.fit.free, estimate.fit.undetermined))
     rows = structs.replace(estimate.rows, inflation=inflation(covariance, factor))
     root = fit_root(covariance, factor, *_dependence(estimate))
-    before = known_before(robot, base, effects)
-    if before is not None:
-        # What earlier sessions know counts as these rows do.
-        held = ~(free | undetermined)
-        values, covariance, free = pooled(*before, root, values)
+    held = ~(free | undetermined)
+    said_alike: tuple[str, ...] = ()
+
+    def with_prior(rows: Tensor, expected: Tensor) -> None:
+        """Count what is known otherwise as the log's rows count."""
+        nonlocal values, covariance, free, undetermined, root
+        values, covariance, free = pooled(rows, expected, root, values)
         covariance, free = covariance * ~held * ~held.unsqueeze(1), free & ~held
-        undetermined &= ~free
-        root = torch.cat([before[0], root])
+        undetermined = undetermined & ~free
+        root = torch.cat([rows, root])
+
+    before = known_before(robot, base, effects)
+    if before is not None:  # earlier sessions
+        with_prior(*before)
+    if mirror is not None:
+        across = mirrored_base(mirror, base, effects)
+        alike, said_alike = as_one(across, base, root, values, free)
+        with_prior(alike, torch.zeros_like(values))
     shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
     apart: list[Measurement] = []
     if kept_back is not None:
@@ -232,6 +244,7 @@ def identify(
             *noticed,
             *base.warnings,
             *said,
+            *said_alike,
             *(w for m in measured for w in m.warnings),
             *estimate.uncertainty.warnings,
             *([one_stretch] if lone else []),

@@ -132,6 +132,7 @@ class SettingsRecord(Part, frozen=True, kw_only=True):
     error_cutoff: float | None = field(name="error_cutoff_hz")
     compiled: bool
     force: bool = False
+    mirror: tuple[str, ...] = ()
 
 
 class IdentificationRecord(

@@ -163,7 +163,7 @@ def _placed(group: _Group, joints: Sequence[str]) -> _Group | None:
     if not joints or not group.labels:
         return None
     try:
-        return group.in_order(in_robot_order(group.labels, joints, "")[0])
+        return group.in_order(in_robot_order(group.labels, joints, "", group.labels)[0])
     except LogError:
         return None
 

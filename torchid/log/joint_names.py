@@ -11,23 +11,25 @@ _HAND = re.compile(r"finger|gripper|hand|knuckle|jaw|thumb")
 
 
 def in_robot_order(
-    names: Sequence[str], joints: Sequence[str], label: str
+    names: Sequence[str], joints: Sequence[str], label: str, spare: Sequence[str] = ()
 ) -> tuple[list[str], tuple[str, ...]]:
     """Names of the recording, one for each joint of the robot, and what to say about it.
 
     A name fits a joint if it is the same, or ends in it, or the other way round
-    (`left_joint_1`, `joint1`); names of other joints are left out. Where they do not fit, names
-    that differ in their numbers only, as many as the robot has joints, are taken in the order of
-    the numbers if there are no others but a hand's. Without a robot all names are taken, numbers
-    in their order.
+    (`left_joint_1`, `joint1`). Where they do not fit, names that differ in their numbers only, as
+    many as the robot has joints, are taken in the order of the numbers if there are no others but
+    a hand's. Left out are joints of a hand, and spare ones. Without a robot all names are taken,
+    numbers in their order.
 
     Args:
         names: in the recording, in any order.
         joints: of the robot, in order; empty where it is not known.
         label: of the recording, for the messages.
+        spare: joints without a coordinate that a recording may have (`Robot.spare`).
 
     Raises:
-        LogError: the robot's joints are not to be found among the names.
+        LogError: the robot's joints are not to be found among the names, or a name is of a joint
+            that the robot lacks.
     """
     if not joints:
         ordered = sorted(names, key=natural)
@@ -35,8 +37,18 @@ def in_robot_order(
         return ordered, (note,) if len(names) > 1 else ()
     found = [_fitting(joint, names) for joint in joints]
     fitting = [name for name in found if name]
-    if len(set(fitting)) == len(joints) and not _cut_short(fitting, joints, names):
-        return fitting, ()
+    if len(set(fitting)) == len(joints) and not _cut_short(fitting, joints, names, spare):
+        others = [name for name in names if name not in fitting]
+        strange = [n for n in others if not _HAND.search(n.lower()) and not _spare(n, spare)]
+        if strange:
+            raise LogError(
+                f"{label} has joints that the robot lacks.",
+                got=_listed(strange),
+                expected=_listed(joints),
+                hint=f"hold them in the robot's file (`lock=...`), or say which are the robot's: "
+                f"{_mapping(fitting)}",
+            )
+        return fitting, (f"{label}: left out: {', '.join(others)}",) if others else ()
     families: dict[str, list[str]] = {}
     for name in names:
         if not _HAND.search(name.lower()):
@@ -53,27 +65,34 @@ def in_robot_order(
         got=_listed(names),
         expected=_listed(joints),
         hint="give the joints these names in the robot's description, or say which is which: "
-        f'`columns="q=[{_example(names)}.position, ..],tau=[{_example(names)}.effort, ..]"`',
+        f"{_mapping(names)}",
     )
 
 
 def known_joints(names: Sequence[str], joints: Sequence[str]) -> int:
-    """How many of the robot's joints are among the names of a recording."""
+    """How many of the robot's joints are among the names of a recording, whatever else is."""
     try:
-        return len(in_robot_order(names, joints, "")[0])
+        return len(in_robot_order(names, joints, "", names)[0])
     except LogError:
         return sum(_fitting(joint, names) is not None for joint in joints)
 
 
-def _cut_short(found: Sequence[str], joints: Sequence[str], names: Sequence[str]) -> bool:
+def _cut_short(
+    found: Sequence[str], joints: Sequence[str], names: Sequence[str], spare: Sequence[str]
+) -> bool:
     """Whether names that are not quite the robot's leave out some of their kind: another robot."""
     kinds = {re.sub(r"\d+", "#", name) for name in found if "#" in re.sub(r"\d+", "#", name)}
-    others = {re.sub(r"\d+", "#", name) for name in names if name not in found}
+    others = {re.sub(r"\d+", "#", n) for n in names if n not in found and not _spare(n, spare)}
     return list(found) != list(joints) and bool(kinds & others)
 
 
-def _example(names: Sequence[str]) -> str:
-    return names[0] if names else "joint"
+def _spare(name: str, spare: Sequence[str]) -> bool:
+    return any(_fitting(joint, [name]) for joint in spare)
+
+
+def _mapping(names: Sequence[str]) -> str:
+    first = names[0] if names else "joint"
+    return f'`columns="q=[{first}.position, ..],tau=[{first}.effort, ..]"`'
 
 
 def _fitting(joint: str, names: Sequence[str]) -> str | None:

@@ -62,7 +62,10 @@ class _Group:
 
 
 def joint_columns_of(
-    messages: Iterable[JointState], robot_joints: Sequence[str], label: str
+    messages: Iterable[JointState],
+    robot_joints: Sequence[str],
+    label: str,
+    spare: Sequence[str] = (),
 ) -> JointColumns:
     """Columns of joint states, for the robot's joints, or for all that come together most.
 
@@ -70,9 +73,10 @@ def joint_columns_of(
         messages: of one topic.
         robot_joints: names in the robot's order; empty where the robot is not known.
         label: of the topic, for the messages.
+        spare: other joints that may be there (`Robot.spare`).
 
     Raises:
-        LogError: no message with positions, or the robot's joints cannot be found.
+        LogError: no message with positions, or the joints are not the robot's.
     """
     warnings: list[str] = []
     listed = list(messages)
@@ -81,14 +85,13 @@ def joint_columns_of(
     groups = _groups(listed, stamped, label, warnings)
     if robot_joints:
         everything = list(dict.fromkeys(name for group in groups for name in group.names))
-        joints, notes = in_robot_order(everything, robot_joints, label)
+        joints, notes = in_robot_order(everything, robot_joints, label, spare)
     else:
         largest = max(groups, key=lambda g: (len(g.names), len(g.time)))
         joints, notes = in_robot_order(largest.names, (), label)
+        others = dict.fromkeys(n for g in groups for n in g.names if n not in joints)
+        warnings += [f"{label}: left out: {', '.join(others)}"] if others else []
     used = _covering(groups, joints)
-    # What is said about joints and messages that are not taken.
-    others = dict.fromkeys(n for g in groups for n in g.names if n not in joints)
-    warnings += [f"{label}: left out: {', '.join(others)}"] if others else []
     partly = [g for g in groups if g not in used and set(g.names) & set(joints)]
     if partly:
         count = sum(len(g.time) for g in partly)

@@ -144,7 +144,7 @@ def _joint_signals(
             if not named or (key != "q" and not found):
                 continue
             if key == "q":
-                chosen, warnings = _in_order(path, feature, list(named), request.joints)
+                chosen, warnings = _in_order(path, feature, list(named), request)
                 joints = tuple(chosen)
             if all(joint in named for joint in joints):
                 found[key] = (feature, [named[joint] for joint in joints])
@@ -170,13 +170,14 @@ def _elements_of(key: str, names: Sequence[str], mixed: bool) -> dict[str, int]:
 
 
 def _in_order(
-    path: Path, feature: str, names: list[str], joints: Sequence[str]
+    path: Path, feature: str, names: list[str], request: Request
 ) -> tuple[list[str], tuple[str, ...]]:
     """The robot's joints among the names of a feature; a dataset's own order is base to tip."""
+    joints = request.joints
     if not joints:
         return names, ()
     try:
-        return in_robot_order(names, joints, f"'{path}', {feature}")
+        return in_robot_order(names, joints, f"'{path}', {feature}", request.spare_joints)
     except LogError:
         arm = [name for name in names if "gripper" not in name.lower()]
         if len(arm) != len(joints):

@@ -48,6 +48,7 @@ def read_log(
     columns: str | Path | Mapping[str, Any] | ColumnMapping | None = None,
     topic: str | None = None,
     joints: Sequence[str] = (),
+    spare: Sequence[str] = (),
 ) -> Log:
     """Read one log, or several as the trajectories of one.
 
@@ -58,10 +59,12 @@ def read_log(
         topic: of the joint states in a bag with several.
         joints: names of the robot's joints in order, by which the joints of a bag or a LeRobot
             dataset are found; without them the order of their names is taken, with a warning.
+        spare: names of other joints that such a recording may have (`Robot.spare`): held ones,
+            those that follow others, those of another part.
 
     Raises:
-        LogError: a file is missing, is not what its suffix says, or lacks columns; or the files
-            do not go together.
+        LogError: a file is missing, is not what its suffix says, or lacks columns; has a joint
+            that the robot lacks; or the files do not go together.
         MissingExtraError: the package that reads this format is not installed.
 
     >>> from pathlib import Path
@@ -79,7 +82,7 @@ def read_log(
     if not files:
         raise LogError("no log is given.", expected="at least one file", available=_suffixes())
     mapping = None if columns is None else read_mapping(columns)
-    request = Request(mapping, topic, tuple(joints))
+    request = Request(mapping, topic, tuple(joints), spare_joints=tuple(spare))
     return Log.concatenate([log for _, log in open_logs([Path(f) for f in files], request)])
 
 

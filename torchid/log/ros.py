@@ -77,7 +77,9 @@ def bag_table(path: Path, request: Request) -> Table:
         messages = list(_messages(bag, topic.name))
         # Where the mapping says which joint is which, their names need not be the robot's.
         joints = () if request.maps("q") else request.joints
-        found = joint_columns_of(messages, joints, f"'{path}', topic {topic.name}")
+        found = joint_columns_of(
+            messages, joints, f"'{path}', topic {topic.name}", request.spare_joints
+        )
         arrays, source, notes = _with_commands(bag, path, request, topic.name, found)
     return Table.in_memory(
         path,

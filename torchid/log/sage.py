@@ -127,7 +127,7 @@ def _order(
     if not request.joints or request.maps("q"):
         return everything, tuple(names), ()
     try:
-        found, notes = in_robot_order(names, request.joints, f"'{path}'")
+        found, notes = in_robot_order(names, request.joints, f"'{path}'", request.spare_joints)
     except LogError:
         if count != len(request.joints):
             raise

@@ -150,7 +150,7 @@ def excite_for(
     robot = robot or record.model
     if robot is None:
         raise TorchidError(f"'{source}' does not record its robot: `robot=...`.")
-
+    robot.require_fixed_base("the design of motions")
     if isinstance(record, IdentificationRecord) or goal is not None or hidden(record):
         if isinstance(record, IdentificationRecord):
             prior = prior_of(record, robot, source)

@@ -131,6 +131,8 @@ def compare_pair(
     """
     settings = replace(settings or GapSettings(), rollout=False)
     say = progress or (lambda stage, done, total: None)
+    if robot is not None:
+        robot.require_fixed_base("a comparison of two logs")
     for log, whose in ((simulated, "simulator's"), (real, "arm's")):
         if robot is not None and log.n != robot.n:
             raise TorchidError(

@@ -93,6 +93,7 @@ def assemble(
         tips=tips if len(tips) > 1 else (),
         root=choice.root,
         locked=MappingProxyType(dict(choice.lock)),
+        spare=tuple(joint.name for joint in tree.joints if joint.name not in place),
         base=BaseLink(part.groups[0].link, _merged(tree, part.groups[0]), down),
     )
 

@@ -196,6 +196,7 @@ class Robot:
         mimics: joints without a coordinate of their own.
         tips: ends of the branches; empty where the tool on the last link is the only one.
         locked: joints that are held, and where [rad or m], of a URDF or MJCF.
+        spare: joints of a URDF or MJCF without a coordinate here: held, following, of another part.
         base: the link that carries it, of a URDF or MJCF.
         floating: whether the base moves: the first six coordinates are then its pose (see
             `torchid.robot.floating`), which no motor drives.
@@ -234,6 +235,7 @@ class Robot:
     tips: tuple[Tip, ...] = ()
     root: str | None = None
     locked: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    spare: tuple[str, ...] = ()
     base: BaseLink | None = None
     floating: bool = False
 

@@ -186,13 +186,14 @@ def make(
         count: cases.
         seed: of everything random.
         kind: `torque`: logs of torques; `position`: of commands and positions alone, of twenty
-            cases five without an effect, nine with one, two with two, four outside the library.
+            cases of arms five without an effect, nine with one, two with two, four outside the
+            library.
         mix: of logs of torques. `mixed`: all kinds of cases, for development; `release`: of
             nineteen cases four without an effect, eight with one, three with two or three, four
             outside the library.
         robots: `arms`; or `tree`: a quadruped, two arms with grippers and the upper body of a
             humanoid, or one of them by name. Of twenty cases of these five have no effect, and
-            fifteen one; their logs have torques.
+            fifteen one.
         keys: file of the keys, outside the folder; `FOLDER.keys.json` if None.
         jobs: processes.
         progress: called with (stage, done, total).
@@ -207,12 +208,8 @@ def make(
         raise TorchidError(f"unknown mix of {kind} cases.", got=mix, available=list(_MIXES[kind]))
     if robots not in ROBOTS:
         raise TorchidError("unknown robots.", got=robots, available=list(ROBOTS))
-    if robots != "arms" and (kind, mix) != ("torque", "mixed"):
-        raise TorchidError(
-            "robots that branch have logs of torques, in one mix.",
-            got=f"kind {kind}, mix {mix}",
-            expected="kind torque, mix mixed",
-        )
+    if robots != "arms" and mix != "mixed":
+        raise TorchidError("robots that branch have one mix.", got=mix, expected="mixed")
     if count < 1:
         raise TorchidError("a set has at least one case.", got=count)
     keys = keys_beside(folder) if keys is None else keys
@@ -234,7 +231,9 @@ def make(
             raise TorchidError(f"there is no folder '{above}'.", hint=f"mkdir -p '{above}'")
     # It takes the place of `folder` when all are there; until then it keeps what is made.
     drawn = mix if kind == "torque" else kind
-    given = {"mix": drawn} if robots == "arms" else {"mix": "tree", "robots": robots}
+    given = {"mix": drawn}
+    if robots != "arms":
+        given = {"mix": "tree" if kind == "torque" else "tree_position", "robots": robots}
     place = folder.resolve().parent / "-".join((f".{folder.name}", str(seed), *given.values()))
     (place / KEPT).mkdir(parents=True, exist_ok=True)
     write = partial(write_drawn, place, seed, given)

@@ -302,6 +302,7 @@ def withheld_own(
     >>> [(w.effect, w.joints, w.named, w.as_much) for w in found.withheld]
     [('viscous_friction', (1,), True, True)]
     """
+    robot.require_fixed_base("the check by planted effects")
     kinds = [plantable(name) for name in plant]
     places = list(range(robot.n) if joints is None else joints)
     wrong = [j + 1 for j in places if not 0 <= j < robot.n]

@@ -98,6 +98,7 @@ def compare_wrenches(
     >>> found.errors.force_rms.shape, float(found.errors.force_rms.max())
     (torch.Size([1, 3]), 0.0)
     """
+    robot.require_fixed_base("a comparison of wrenches")
     if reference is None:
         reference = nominal_set(robot)
     elif isinstance(reference, str):

@@ -95,6 +95,7 @@ def equal_torque_setting(
         RobotError: no parameters, or no such bounds.
         TorchidError: no feasible set near the nominal one was found.
     """
+    robot.require_fixed_base("a study of equal torque")
     nominal = nominal_set(robot)
     geometry = geometry or corrected_group(robot, "normal")
     outer_bounds = read_bounds(robot, corrected_group(robot, "loose"))

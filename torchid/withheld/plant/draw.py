@@ -79,6 +79,14 @@ MIXES = {
     ),
     # Robots that branch, their base held: causes of the library, and none.
     "tree": Mix(_block(none=5, single=15), _ON_TREES, (), trees=True),
+    "tree_position": Mix(
+        _block(none=5, single=15),
+        # Nothing is on `the` tip, and feet on the ground are another matter.
+        {name: kind for name, kind in SERVO_KINDS.items() if kind.place != "arm"},
+        (),
+        servos=True,
+        trees=True,
+    ),
 }
 
 EXCLUSIVE = (
@@ -179,8 +187,8 @@ def draw_case(
         effects: names of the effects to plant.
         level: their size, in standard deviations of the noise; servos' have the size that shows.
         arm: 3r, 6r or 7r, or a robot that branches.
-        mix: of the set: `mixed` or `release`; `position` for arms of servos, `tree` for robots
-            that branch.
+        mix: of the set: `mixed` or `release`; `position` for arms of servos, `tree` and
+            `tree_position` for robots that branch.
         robots: that the arm is drawn from: `arms`, `tree`, or one that branches.
 
     Raises:
@@ -205,7 +213,7 @@ def draw_case(
         names, salt = (own.library, 104) if kind == "single" else (own.foreign, 103)
         effects = (in_turn(seed, turn, names, salt),)
     if own.servos:
-        return _servo_case(seed, number, kind, effects, arm)
+        return _servo_case(seed, number, kind, effects, arm, ROBOTS[robots])
     return _torque_case(
         seed, number, kind, effects, arm, turn=turn, level=level, release=mix == "release",
         robots=ROBOTS[robots],
@@ -213,12 +221,17 @@ def draw_case(
 
 
 def _servo_case(
-    seed: int, number: int, kind: str, effects: Sequence[str] | None, arm: str | None
+    seed: int,
+    number: int,
+    kind: str,
+    effects: Sequence[str] | None,
+    arm: str | None,
+    robots: Sequence[str],
 ) -> ServoSpec:
     rng = np.random.default_rng([seed, number, 1])
     if effects is None:
         effects = rng.choice(MIXES["position"].library, 2, replace=False).tolist()
-    name = arm or str(rng.choice(list(ARMS)))
+    name = arm or str(rng.choice(list(robots)))
     return ServoSpec(
         seed, number, kind, arm_named(name).name,
         tuple(EffectSpec(str(effect), (), {}) for effect in effects),

@@ -26,16 +26,22 @@ LARGER, TRIES = 1.6, 6
 
 
 def servo_scene(spec: ServoSpec, rng: Rng) -> ServoScene:
-    """The arm with plain servos, gains as small servos' are beside their loads."""
+    """The robot with plain servos: gains as small servos' are beside their loads, or, of
+    quasi-direct drives, as their rotors, which are known, make them as fast."""
     arm = arm_named(spec.arm)
     n, zero = arm.n, np.zeros(arm.n)
     kp = np.array([joint.effort for joint in arm.joints]) * rng.uniform(*DRAWS.servo_gain, n)
     plant = plant_of(arm, zero, zero)
     # What the joints bear, the arm bent a little; rotors behind large gears make servos slow: their
     # own frequencies tell their inertias.
-    own = nominal_of(arm, zero, zero).inertia(np.full((1, n), 0.6))[0].diagonal()
+    middle, half = ranges(arm)
+    bent = np.minimum(middle + 0.6, middle + half)
+    own = nominal_of(arm, zero, zero).inertia(bent[None])[0].diagonal()
     fast = rng.uniform(*DRAWS.servo_own, n)
     armature = np.maximum(kp / fast**2 - own, DRAWS.servo_rotor * own)
+    rotors = np.array([joint.rotor for joint in arm.joints])
+    if rotors.any():
+        armature, kp = rotors, (own + rotors) * fast**2
     damping = 2 * rng.uniform(*DRAWS.servo_damping, n) * np.sqrt(kp * (own + armature))
     servos = Servos(
         {
@@ -53,11 +59,17 @@ def servo_scene(spec: ServoSpec, rng: Rng) -> ServoScene:
     return ServoScene(arm, Plan(plant, zero, zero, servos=servos), own + armature, commands, base)
 
 
+def ranges(arm: Arm) -> tuple[Array, Array]:
+    """Middle and half (n,) of the joints' ranges [rad]."""
+    lower, upper = (np.array([getattr(j, end) for j in arm.joints]) for end in ("lower", "upper"))
+    return (lower + upper) / 2, (upper - lower) / 2
+
+
 def motions(arm: Arm, rate_hz: float, rng: Rng) -> list[Array]:
     """Commands (T, n) of seven motions: slow sweeps with holds, steps of several sizes, sums of
     sines and chirps, about a pose that changes from one to the next."""
     n, out = arm.n, []
-    limit = np.array([joint.upper for joint in arm.joints])
+    middle, limit = ranges(arm)
     pose = rng.uniform(-0.35, 0.35, n) * limit
     for what in ("sweep", "steps", "sines", "chirp", "sweep", "steps", "sines"):
         seconds = rng.uniform(14.0, 18.0)
@@ -85,7 +97,7 @@ def motions(arm: Arm, rate_hz: float, rng: Rng) -> list[Array]:
             u = u * rng.choice([-1.0, 1.0], n)
         out.append(np.clip(pose + u, -0.95 * limit, 0.95 * limit))
         pose = np.clip(out[-1][-1] * 0.5, -0.5 * limit, 0.5 * limit)
-    return out
+    return [middle + u for u in out]
 
 
 def placed(scene: ServoScene, name: str, rng: Rng, taken: tuple[int, ...]) -> EffectSpec:
