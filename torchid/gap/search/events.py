@@ -345,8 +345,8 @@ class _Windows:
         )
         apart = len(others) * max(1, length // 2) / max(length, slow)
         usual = max(1.0, float(others.quantile(LEVEL)) / float(chdtri(c, 1 - LEVEL)))
-        # The tail of the others leads to how likely so much is, where enough of them are known; else
-        # a scale known from so many windows apart does: F in the place of chi^2.
+        # The tail of the others leads to how likely so much is, where enough of them are known;
+        # else a scale known from so many windows apart does: F in the place of chi^2.
         chance = beyond(others, gain)
         if chance is None:
             chance = float(fdtrc(c, max(apart, 1.0), gain / (c * usual)))
