@@ -112,8 +112,8 @@ def test_sets_are_of_the_robots_asked_for(tmp_path):
     assert drawn == set(TREES)
     assert draw_case(5, 0, mix="tree", robots="torso").arm == "torso"
     assert set(ROBOTS) == {"arms", "tree", *TREES}
-    with pytest.raises(TorchidError, match="logs of torques"):
-        make(tmp_path / "set", 1, 1, kind="position", robots="tree")
+    with pytest.raises(TorchidError, match="one mix"):
+        make(tmp_path / "set", 1, 1, mix="release", robots="tree")
     with pytest.raises(TorchidError, match="unknown robots"):
         make(tmp_path / "set", 1, 1, robots="spider")
 
