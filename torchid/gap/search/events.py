@@ -18,6 +18,7 @@ from typing import NamedTuple
 import torch
 from scipy.special import chdtri, fdtrc
 
+from torchid.design.segments import REACH, moving_samples
 from torchid.effects.motion import Motion
 from torchid.effects.surroundings import PlaneContact
 from torchid.effects.transient import Contact
@@ -81,6 +82,7 @@ def contacts(question: Question, again: Counterparts = ()) -> list[Contact]:
     columns, samples = candidates.columns, candidates.columns.samples
     # Laws on every joint, and bodies, are taken out of the gap.
     left, unit = _beside_laws(question)
+    keep = _sliding(question)
     # What remains, and the pull of a force at an end or on a link, in units of the usual misfit.
     t, half = samples.t, 0.5 * samples.interval
     robot = columns.model.robot
@@ -89,7 +91,7 @@ def contacts(question: Question, again: Counterparts = ()) -> list[Contact]:
     found: list[tuple[Contact, Span, float]] = []
     searched = {}
     for place in (*ends, *links):
-        pull = columns.on_all_joints(place) * candidates.keep / unit
+        pull = columns.on_all_joints(place) * keep / unit
         # Windows that stand out; chance has as many more as there are places of one kind.
         kind = ends if place.along is None else links
         windows = searched[place] = _Windows(pull, left / unit, samples.bounds, again)
@@ -139,7 +141,7 @@ def hidden_contacts(question: Question, fit: Fitted, again: Counterparts = ()) -
     unit = _misfit(left)
     out = []
     for term, effect, span in events:
-        pull = columns.on_all_joints(effect.lasting) * question.candidates.keep / unit
+        pull = columns.on_all_joints(effect.lasting) * _sliding(question) / unit
         windows = _Windows(pull, left / unit, samples.bounds, again)
         # Beside windows of about its own length.
         length = span[1] - span[0]
@@ -230,6 +232,13 @@ def _beside_laws(question: Question) -> tuple[Float[Tensor, "n N"], Float[Tensor
     left = residual(question, fit.terms, x)
     unit = _misfit(left)
     return left, unit
+
+
+def _sliding(question: Question) -> Bool[Tensor, "n N"]:
+    """Samples that count for a push: those in which their joint surely slides. A joint that sticks
+    at its reversal, and breaks away late, looks pushed for that moment."""
+    samples = question.candidates.columns.samples
+    return question.candidates.keep & moving_samples(samples, REACH / samples.cutoff)
 
 
 def _misfit(left: Float[Tensor, "n N"]) -> Float[Tensor, "n 1"]:
