@@ -6,7 +6,7 @@ All are fitted by torchid's own fitter and simulated by its own loop (dry fricti
 models alone are compared: `delayed` is the command, late by the best constant; `pace` has an
 armature, damping, dry friction, an offset and a delay at the gain that the robot's maker gives its
 simulator; `playground` a gain beside them; `ladder_2` to `ladder_4` add a Stribeck curve, friction
-that grows with the load, and both, as bam's M2 to M4 do. `boosting` (needs scikit-learn) foretells
+that grows with the load, and both, as bam's M2 to M4 do. `boosting` (needs scikit-learn) predicts
 positions from late commands and play operators of them, joint by joint.
 """
 
@@ -30,7 +30,7 @@ from torchid.robot.library import load_robot
 from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of
 
-MAKERS_KP = 17.8
+MAKERS_KP = [17.8]
 """Of the SO-101's STS3215 in TheRobotStudio's `joints_properties.xml` [N m/rad]."""
 STRIBECK = ("stiction", "stribeck_speed")
 LADDER = {
@@ -46,13 +46,14 @@ PLAYS = (0.005, 0.01, 0.02, 0.04, 0.08)
 """Half widths of play operators [rad]."""
 
 
-def servo(robot, training: Log, names: tuple[str, ...]):
-    """An arm whose servos have these parameters alone, as (log, seconds) -> positions (T, n)."""
+def servo(robot, training: Log, names: tuple[str, ...], gains: list[float]):
+    """An arm whose servos have these parameters alone, as (log, seconds) -> positions (T, n); the
+    gains [N m/rad] are the maker's where kp is none of them."""
     data = prepare(robot, training)
     windows = some_of(windows_of(data.tracks, WINDOW_S), 3 * MOST)
     start = _start(data, CORE)
     if "kp" not in names:
-        start.joint[:, INDEX["kp"]] = MAKERS_KP
+        start.joint[:, INDEX["kp"]] = torch.as_tensor(gains, dtype=start.joint.dtype)
     free = {name: torch.ones(robot.n, dtype=torch.bool) for name in names}
     servos = fit(data, start, free, windows, iterations=30)
     arm = ServoArm(robot, servos, data.scale)
@@ -122,6 +123,9 @@ def main() -> None:
     parser.add_argument("logs", nargs="+", type=Path)
     parser.add_argument("--folds", type=int, default=5)
     parser.add_argument("--only", default=",".join(("delayed", *LADDER, "boosting")))
+    parser.add_argument(
+        "--gains", type=float, nargs="*", default=MAKERS_KP, help="the maker's, of all or each joint"
+    )
     given = parser.parse_args()
     torch.set_num_threads(1)
     robot, log = load_robot(given.robot), read_log(given.logs)
@@ -134,7 +138,7 @@ def main() -> None:
             training = Log.concatenate([p for p, f in zip(parts, folds, strict=True) if f != fold])
             makers = {"delayed": delayed, "boosting": boosting}
             model = makers[name](training) if name in makers else servo(
-                robot, training, LADDER[name]
+                robot, training, LADDER[name], given.gains
             )  # fmt: skip
             for part, f in zip(parts, folds, strict=True):
                 for seconds, rows in squares.items():
