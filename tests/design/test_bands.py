@@ -56,7 +56,7 @@ def counted(step: float, rate: float = 100.0) -> tuple[Log, Log]:
 
 
 @pytest.mark.parametrize("step", [5e-4, 5e-3])
-def test_noise_of_counted_positions_in_the_torque_is_foretold(step):
+def test_noise_of_counted_positions_in_the_torque_is_predicted(step):
     """Against the model's torque along counted positions less that along exact ones."""
     torques = []
     for log in counted(step):
@@ -65,9 +65,9 @@ def test_noise_of_counted_positions_in_the_torque_is_foretold(step):
         torques.append(ZeroPhaseFilter(100.0, 8.0).apply(torque.T))
     # The filter's ends are no part of it.
     error = (torques[1] - torques[0])[:, 100:-100].square().mean(1).sqrt()
-    foretold = position_noise(counted(step)[1], ROBOT) * 8.0**2.5
-    assert bool((foretold > 0.75 * error).all())
-    assert bool((foretold < 1.5 * error).all())
+    predicted = position_noise(counted(step)[1], ROBOT) * 8.0**2.5
+    assert bool((predicted > 0.75 * error).all())
+    assert bool((predicted < 1.5 * error).all())
 
 
 def test_coarse_positions_resolve_less_of_the_torque():

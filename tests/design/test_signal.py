@@ -29,7 +29,7 @@ def silent(data: Data, torque: Tensor, keep: Tensor | None = None) -> Tensor:
 
 @pytest.mark.parametrize("joint", range(3))
 @pytest.mark.parametrize("bias", [0.0, 3.0])
-def test_of_noise_about_any_mean_nothing_is_foretold(joint: int, bias: float) -> None:
+def test_of_noise_about_any_mean_nothing_is_predicted(joint: int, bias: float) -> None:
     data = measured(((ViscousFriction(0), [1.0]),))
     samples = data.samples
     torque = samples.of([s.tau.T for s in samples.segments])

@@ -288,11 +288,11 @@ class _Joint:
         # What model and laws foretell, and the laws, as far as they are signal.
         x = self.fit([g.unsqueeze(0) for g in gap])[0]
         tau = [x[:, joint] for x in spectra.tau]
-        foretold = [t - g + x @ law for t, g, law in zip(tau, gap, laws, strict=True)]
+        predicted = [t - g + x @ law for t, g, law in zip(tau, gap, laws, strict=True)]
         rate = spectra.samples.rate
-        smooth = wiener(foretold, rate, spectra.top)
+        smooth = wiener(predicted, rate, spectra.top)
         self.laws = spectra.of([smooth(law) for law in laws])
-        rest = [(t - smooth(p)).unsqueeze(0) for t, p in zip(tau, foretold, strict=True)]
+        rest = [(t - smooth(p)).unsqueeze(0) for t, p in zip(tau, predicted, strict=True)]
         self.leave(spectra.of(rest))
         self.torque = spectra.power(spectra.of([t.unsqueeze(0) for t in tau]))
         # What drives the link: the load that is signal, and the joint's column of M(q).

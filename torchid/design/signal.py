@@ -1,6 +1,6 @@
 """What a measured torque is worth: does it follow the motion, and is its scale known?
 
-The torque of a joint that is measured at all can be foretold from its motion, by whatever rigid
+The torque of a joint that is measured at all can be predicted from its motion, by whatever rigid
 body and friction fit best, much better than by its mean. Where they cannot do that on stretches
 they were not fitted on, a log tells nothing about the joint's dynamics; a model that predicts
 torque there has a gap that is none of its faults.

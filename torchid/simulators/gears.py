@@ -11,7 +11,7 @@ the end of a step of length h, with G = D + h k, the motor's new speed can be el
 with push = k dz at the beginning. A simulator that meets joint damping implicitly (MuJoCo's Euler
 and implicit integrators) takes a as a force and b as damping, and both masses are stepped by
 backward Euler together: stable however stiff the gear is. Whether the flanks touch at the end of a
-step is foretold from the speeds at its beginning.
+step is predicted from the speeds at its beginning.
 """
 
 from collections.abc import Sequence

@@ -117,7 +117,7 @@ def test_a_fold_is_not_fitted():
 
 
 def test_what_the_other_samples_hardly_hold_keeps_its_size():
-    """What happened in one fold cannot be foretold by the others; what is always there can."""
+    """What happened in one fold cannot be predicted by the others; what is always there can."""
     data = measured([(ViscousFriction(1), [1.0]), (TorqueOffset(0), [0.5])], noise=0.0)
     question = question_of(data)
     terms = [term(question, "viscous_friction", 1), term(question, "torque_offset", 0)]

@@ -236,7 +236,7 @@ def held_out_losses(
     question: Question, folds: Folds, fit: Fitted, terms: Sequence[Term]
 ) -> Float[Tensor, " n"]:
     """Sums of squares that terms leave on data they were not fitted on. What happened once cannot
-    be foretold: a term that the other folds hardly hold keeps the coefficients of all data
+    be predicted: a term that the other folds hardly hold keeps the coefficients of all data
     there."""
     return held_out_losses_of_each(question, folds, fit, [terms])[0]
 

@@ -62,7 +62,7 @@ class Solution:
 
     def without(self, fitted: Bool[Tensor, " N"]) -> Model:
         """The same terms, fitted on some of the samples only. What happened once cannot be
-        foretold: a term that these samples hardly hold keeps the coefficients of all."""
+        predicted: a term that these samples hardly hold keeps the coefficients of all."""
         if not self.values:
             return self.model
         x = torch.cat(self.values)

@@ -137,7 +137,7 @@ def harmful(found: Explanation, checked: Checked, least: Float[Tensor, " n"]) ->
     own, shared = (set(x.nonzero().flatten().tolist()) for x in (rise > 0, rise >= least))
     out = []
     for term in found.terms:
-        # What happened once cannot be foretold, so that held-out data say nothing about it; nor
+        # What happened once cannot be predicted, so that held-out data say nothing about it; nor
         # have torques to say what another sensor shows.
         if any(e.event for e in term.effects) or found.question.shows(term):
             continue
