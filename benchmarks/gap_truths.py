@@ -135,7 +135,7 @@ QUESTIONS = {
         rigid=True,
     ),
     "xmate": Question(
-        "CAD foretells 16-39 % too little torque on every joint: gains, or mass that it lacks",
+        "CAD predicts 16-39 % too little torque on every joint: gains, or mass that it lacks",
         "xmate7p/robot.urdf",
         ("xmate7p/log_traj1.parquet", "xmate7p/log_traj2.parquet"),
         (Truth(("torque_gain", "link_inertia", "payload")),),

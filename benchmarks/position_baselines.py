@@ -124,7 +124,11 @@ def main() -> None:
     parser.add_argument("--folds", type=int, default=5)
     parser.add_argument("--only", default=",".join(("delayed", *LADDER, "boosting")))
     parser.add_argument(
-        "--gains", type=float, nargs="*", default=MAKERS_KP, help="the maker's, of all or each joint"
+        "--gains",
+        type=float,
+        nargs="*",
+        default=MAKERS_KP,
+        help="the maker's, of all or each joint",
     )
     given = parser.parse_args()
     torch.set_num_threads(1)

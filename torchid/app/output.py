@@ -264,7 +264,7 @@ class Output:
 
             def report(stage: str, done: int, total: int) -> None:
                 nonlocal task, running
-                if stage != running:  # a new bar: how long the last stage took foretells nothing
+                if stage != running:  # a new bar: how long the last stage took predicts nothing
                     bars.remove_task(task)
                     task, running = bars.add_task(escape(visible(stage)), total=None), stage
                 bars.update(task, completed=done, total=total or None)

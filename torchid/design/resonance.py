@@ -285,7 +285,7 @@ class _Joint:
         self.rows = rows / self.scale.unsqueeze(1)
         ridge = 1e-6 * torch.eye(len(rows), dtype=torch.float64)
         self.root = torch.linalg.cholesky(self.rows @ self.rows.T + ridge)
-        # What model and laws foretell, and the laws, as far as they are signal.
+        # What model and laws predict, and the laws, as far as they are signal.
         x = self.fit([g.unsqueeze(0) for g in gap])[0]
         tau = [x[:, joint] for x in spectra.tau]
         predicted = [t - g + x @ law for t, g, law in zip(tau, gap, laws, strict=True)]

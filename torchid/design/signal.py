@@ -20,7 +20,7 @@ from torchid.typing import Bool, Float, Int, Tensor
 
 EXCITED = 1e-4
 """Eigenvalue of the products of columns of length one, relative to the largest, below which a
-direction is not fitted: hardly excited, it would foretell little and be wrong about it."""
+direction is not fitted: hardly excited, it would predict little and be wrong about it."""
 
 OUTSIDE = 4.0
 """Robust standard deviations beyond which a torque, or what a fit leaves of it, is not a usual one:
@@ -42,8 +42,8 @@ def without_signal(
     keep: Bool[Tensor, "n N"],
     parts: Int[Tensor, " N"],
 ) -> Bool[Tensor, " n"]:
-    """Joints (n,) whose measured torque no rigid body with friction foretells better than its own
-    mean does, though a model foretells as much torque as is measured: in all, or on half of the
+    """Joints (n,) whose measured torque no rigid body with friction predicts better than its own
+    mean does, though a model predicts as much torque as is measured: in all, or on half of the
     stretches; what is fitted was not fitted on the stretch that is judged.
 
     Args:
@@ -73,7 +73,7 @@ def without_signal(
                 rows.append([float(x.square().sum()) for x in (body, given, usual)])
         sums = torch.tensor(rows).reshape(-1, 3)
         left = torch.cat([sums, sums.sum(0, keepdim=True)])
-        # Twice as much: what the model foretells varies as much as what is measured, beside it.
+        # Twice as much: what the model predicts varies as much as what is measured, beside it.
         useless = (left[:, 0] >= left[:, 2]) & (left[:, 1] >= 2 * left[:, 2])
         most = 2 * int(useless[:-1].sum()) >= len(sums)
         out.append(len(sums) > 0 and (most or bool(useless[-1])))

@@ -62,7 +62,7 @@ class EffectRecord(Part, frozen=True, kw_only=True):
 
 
 class AccuracyRecord(Part, frozen=True, kw_only=True):
-    """Errors of one way to foretell a log: the mean of the joints that move, and joint by joint
+    """Errors of one way to predict a log: the mean of the joints that move, and joint by joint
     [mrad]."""
 
     whole_mrad: Real
@@ -86,7 +86,7 @@ class HeldOutRecord(Part, frozen=True, kw_only=True):
 
 
 class HowFarRecord(Part, frozen=True, kw_only=True):
-    """How far the command, a plain servo and the answer foretell motions left out."""
+    """How far the command, a plain servo and the answer predict motions left out."""
 
     commanded: AccuracyRecord
     plain: AccuracyRecord

@@ -1,7 +1,7 @@
 """Has a quantity that is measured session after session changed? An alarm that may be looked at
 after every session, for ever.
 
-Each measurement is compared with what the ones before it foretell: recursive residuals, which are
+Each measurement is compared with what the ones before it predict: recursive residuals, which are
 independent and standard normal as long as nothing changes (Brown, Durbin and Evans 1975).
 Covariates (a temperature) are fitted along. With z_t of these residuals and a step of d of their
 standard deviations, exp(d z - d^2/2) is an e-value; the Shiryaev-Roberts sum M_t = (1 + M_t-1)

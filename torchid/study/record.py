@@ -9,7 +9,7 @@ from torchid.typing import Float, Tensor
 
 
 class StudyIdentification(Part, frozen=True, kw_only=True):
-    """Base parameters (B,), identified and true, and what they foretell."""
+    """Base parameters (B,), identified and true, and what they predict."""
 
     names: tuple[str, ...]
     values: Float[Tensor, " B"]

@@ -250,7 +250,7 @@ def held_out_losses_of_each(
         every = [(*question.fixed, *terms) for terms in explanations[k : k + at_once]]
         subsets = [subset_of(question.normal, terms) for terms in every]
         priors = Priors([prior_of(terms) for terms in every])
-        # Coefficients of all data, for what a fold cannot foretell.
+        # Coefficients of all data, for what a fold cannot predict.
         weight = fit.weight.expand(len(every), -1)
         all_data = question.normal.of_each(subsets)
         whole = priors.solve_of(all_data, weight).x.unsqueeze(1)
