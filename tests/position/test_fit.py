@@ -135,3 +135,13 @@ def test_a_joint_in_another_unit_is_seen():
     data = prepare(robot(), log.replace(q=log.q * share, u=log.u * share, dq=dq))
     assert data.scale[:2].tolist() == [1.0, 1.0]
     assert float(data.scale[2]) == pytest.approx(2.5, rel=0.02)
+
+
+def test_a_joint_at_rest_leaves_the_others_to_be_found():
+    log = planted(true_servos(3), motions=2, seconds=6.0)
+    q, u = log.q.clone(), log.u.clone()
+    q[:, 1] = u[:, 1] = 0.3
+    data = prepare(robot(), log.replace(q=q, u=u, dq=None))
+    free = {"kp": torch.ones(3, dtype=torch.bool)}
+    servos = fit(data, true_servos(3), free, windows_of(data.tracks, 2.0), iterations=1)
+    assert torch.isfinite(servos.joint[:, INDEX["kp"]]).all()

@@ -34,6 +34,8 @@ LONGEST = 0.7
 """Longest step of a logarithm [1]."""
 NOISE = 0.003
 """Largest position error that a prior is weighed against [rad]: of two counts of a small servo."""
+FINEST = 1e-6
+"""Least one [rad], of the finest encoders: a joint at rest may have no error at all."""
 HARDLY = 2e-3
 """Share of a joint's loss below which another iteration is not worth its time [1]."""
 _PRIOR = {
@@ -207,7 +209,7 @@ def prior_precision(names: tuple[str, ...], square: Float[Tensor, " n"]) -> Floa
         names: of the K parameters.
         square: mean square error of each joint [rad^2], which a prior is weighed against.
     """
-    return TOGETHER * square.clamp(max=NOISE**2)[:, None] / prior_deviations(names) ** 2
+    return TOGETHER * square.clamp(FINEST**2, NOISE**2)[:, None] / prior_deviations(names) ** 2
 
 
 def prior_deviations(names: tuple[str, ...]) -> Float[Tensor, " K"]:
