@@ -176,6 +176,7 @@ def test_without_masses_ratios_to_the_gain_are_compared():
     assert math.isfinite(damping.real_ci95[1])
 
 
+@pytest.mark.slow
 def test_logs_with_torque_have_no_servos():
     simulated = driven(MOVING)
     torque = 17.0 * (simulated.u - simulated.q)

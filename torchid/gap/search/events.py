@@ -82,7 +82,6 @@ def contacts(question: Question, again: Counterparts = ()) -> list[Contact]:
     columns, samples = candidates.columns, candidates.columns.samples
     # Laws on every joint, and bodies, are taken out of the gap.
     left, unit = _beside_laws(question)
-    keep = _sliding(question)
     # What remains, and the pull of a force at an end or on a link, in units of the usual misfit.
     t, half = samples.t, 0.5 * samples.interval
     robot = columns.model.robot
@@ -91,7 +90,7 @@ def contacts(question: Question, again: Counterparts = ()) -> list[Contact]:
     found: list[tuple[Contact, Span, float]] = []
     searched = {}
     for place in (*ends, *links):
-        pull = columns.on_all_joints(place) * keep / unit
+        pull = columns.on_all_joints(place) * candidates.keep / unit
         # Windows that stand out; chance has as many more as there are places of one kind.
         kind = ends if place.along is None else links
         windows = searched[place] = _Windows(pull, left / unit, samples.bounds, again)
@@ -117,7 +116,8 @@ def contacts(question: Question, again: Counterparts = ()) -> list[Contact]:
 
 def hidden_contacts(question: Question, fit: Fitted, again: Counterparts = ()) -> list[Term]:
     """Contacts of an explanation that do not stand out from what it leaves elsewhere in the log, or
-    that are there again when the motion is: what a law leaves at its peaks is no push.
+    that are there again when the motion is, or that only joints feel which may stick: what a law
+    leaves at its peaks and reversals is no push.
 
     Args:
         question, fit: the explanation.
@@ -139,9 +139,10 @@ def hidden_contacts(question: Question, fit: Fitted, again: Counterparts = ()) -
     laws = [(t, x) for t, x in own if all(t is not event for event, _, _ in events)]
     left = residual(question, [t for t, _ in laws], torch.cat([x for _, x in laws] or [fit.x[:0]]))
     unit = _misfit(left)
+    sliding = moving_samples(samples, REACH / samples.cutoff)
     out = []
     for term, effect, span in events:
-        pull = columns.on_all_joints(effect.lasting) * _sliding(question) / unit
+        pull = columns.on_all_joints(effect.lasting) * question.candidates.keep / unit
         windows = _Windows(pull, left / unit, samples.bounds, again)
         # Beside windows of about its own length.
         length = span[1] - span[0]
@@ -149,7 +150,12 @@ def hidden_contacts(question: Question, fit: Fitted, again: Counterparts = ()) -
         ends = torch.tensor([span[0]]), torch.tensor([span[1]])
         gain, once = float(windows.gains(*ends)), bool(windows.once(*ends))
         level = windows.level(span, gain, i, [s for _, _, s in events if s != span])
-        if not once or (level is not None and level.chance >= question.settings.alpha):
+        # A joint that sticks at its reversal, and breaks away late, looks pushed for that moment: a
+        # push is felt by joints that surely slide, too.
+        slides = pull[..., slice(*span)] * sliding[:, slice(*span)]
+        felt = float(_gain(slides, left[:, slice(*span)] / unit))
+        least = float(chdtri(len(pull), 1 - LEVEL)) * (level.usual if level else 1.0)
+        if not once or felt < least or (level and level.chance >= question.settings.alpha):
             out.append(term)
     return out
 
@@ -234,11 +240,11 @@ def _beside_laws(question: Question) -> tuple[Float[Tensor, "n N"], Float[Tensor
     return left, unit
 
 
-def _sliding(question: Question) -> Bool[Tensor, "n N"]:
-    """Samples that count for a push: those in which their joint surely slides. A joint that sticks
-    at its reversal, and breaks away late, looks pushed for that moment."""
-    samples = question.candidates.columns.samples
-    return question.candidates.keep & moving_samples(samples, REACH / samples.cutoff)
+def _gain(columns: Float[Tensor, "C n N"], r: Float[Tensor, "n N"]) -> Float[Tensor, ""]:
+    """What the force that fits best gains in one window."""
+    a = columns.flatten(1)
+    pull = a @ r.flatten()
+    return pull @ torch.linalg.pinv(a @ a.T, rtol=1e-6, hermitian=True) @ pull
 
 
 def _misfit(left: Float[Tensor, "n N"]) -> Float[Tensor, "n 1"]:
