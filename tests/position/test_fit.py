@@ -143,5 +143,6 @@ def test_a_joint_at_rest_leaves_the_others_to_be_found():
     q[:, 1] = u[:, 1] = 0.3
     data = prepare(robot(), log.replace(q=q, u=u, dq=None))
     free = {"kp": torch.ones(3, dtype=torch.bool)}
-    servos = fit(data, true_servos(3), free, windows_of(data.tracks, 2.0), iterations=1)
+    stuck = true_servos(3, coulomb=(2, 500.0))
+    servos = fit(data, stuck, free, windows_of(data.tracks, 2.0), iterations=1)
     assert torch.isfinite(servos.joint[:, INDEX["kp"]]).all()
