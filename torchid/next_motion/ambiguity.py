@@ -181,7 +181,7 @@ def _untestable(record: GapRecord, robot: Robot) -> list[Question]:
 
 def _setting(record: GapRecord, robot: Robot) -> Setting:
     floor, settings = record.noise_floor, record.settings
-    # Without repeats the lower bound is whatever a predictor can predict of the torque.
+    # Without repeats the lower bound is whatever a predictor leaves of the torque.
     noise = (floor.low * floor.high).sqrt() if floor.source == "repeats" else floor.high
     fitted: list[Group] = []
     if settings.free:

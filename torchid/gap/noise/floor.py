@@ -160,8 +160,8 @@ def noise_of(
     part = predicted / (predicted + beyond).clamp(min=1e-300)
     noise = floor.low * floor.high * part
     # Structure: what the predictor takes away there, over the noise, where that is sure.
-    predicted = (looked.square() - found.left(looked).square()) * telling
-    structure = predicted.sum(1) / telling.sum(1).clamp(min=1) / noise.clamp(min=1e-300)
+    taken = (looked.square() - found.left(looked).square()) * telling
+    structure = taken.sum(1) / telling.sum(1).clamp(min=1) / noise.clamp(min=1e-300)
     sure = (found.interval[:, 0] > 0) & (structure > 0)
     structure = torch.where(sure, structure, torch.zeros_like(structure))
     return Noise(floor, structure, unpredicted, moving, uneven)

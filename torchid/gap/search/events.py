@@ -152,8 +152,10 @@ def hidden_contacts(question: Question, fit: Fitted, again: Counterparts = ()) -
         level = windows.level(span, gain, i, [s for _, _, s in events if s != span])
         # A joint that sticks at its reversal, and breaks away late, looks pushed for that moment: a
         # push is felt by joints that surely slide, too.
-        slides = pull[..., slice(*span)] * sliding[:, slice(*span)]
-        felt = float(_gain(slides, left[:, slice(*span)] / unit))
+        rows = slice(*span)
+        slides = (pull[..., rows] * sliding[:, rows]).flatten(1)
+        pulls = slides @ (left[:, rows] / unit).flatten()
+        felt = float(_gains((slides @ slides.T)[None], pulls[None, :, None]))
         least = float(chdtri(len(pull), 1 - LEVEL)) * (level.usual if level else 1.0)
         if not once or felt < least or (level and level.chance >= question.settings.alpha):
             out.append(term)
@@ -240,11 +242,11 @@ def _beside_laws(question: Question) -> tuple[Float[Tensor, "n N"], Float[Tensor
     return left, unit
 
 
-def _gain(columns: Float[Tensor, "C n N"], r: Float[Tensor, "n N"]) -> Float[Tensor, ""]:
-    """What the force that fits best gains in one window."""
-    a = columns.flatten(1)
-    pull = a @ r.flatten()
-    return pull @ torch.linalg.pinv(a @ a.T, rtol=1e-6, hermitian=True) @ pull
+def _gains(gram: Float[Tensor, "W C C"], pull: Float[Tensor, "W C 1"]) -> Float[Tensor, " W"]:
+    """What the force that fits best gains in each window, from sums of columns' products and of
+    those with what is to be explained."""
+    inner = torch.linalg.pinv(gram, rtol=1e-6, hermitian=True)
+    return (pull.transpose(1, 2) @ inner @ pull).flatten()
 
 
 def _misfit(left: Float[Tensor, "n N"]) -> Float[Tensor, "n 1"]:
@@ -322,9 +324,7 @@ class _Windows:
 
     def gains(self, start: Int[Tensor, " W"], stop: Int[Tensor, " W"]) -> Float[Tensor, " W"]:
         """What the force that fits best within each window gains there."""
-        gram, pull = self.own.over(start, stop)
-        inner = torch.linalg.pinv(gram, rtol=1e-6, hermitian=True)
-        return (pull.transpose(1, 2) @ inner @ pull).flatten()
+        return _gains(*self.own.over(start, stop))
 
     def once(self, start: Int[Tensor, " W"], stop: Int[Tensor, " W"]) -> Bool[Tensor, " W"]:
         """Whether the force that fits best within each window is nowhere felt by half or more when
