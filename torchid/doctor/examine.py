@@ -21,6 +21,7 @@ from torchid.doctor.content import check_excitation, check_side
 from torchid.doctor.estimates import check_gravity, check_lag
 from torchid.doctor.faults import fault_checks, unseen
 from torchid.doctor.hypothesis import Hypothesis, Judge
+from torchid.doctor.limits import check_limits
 from torchid.doctor.motion import (
     check_jumps,
     check_position_unit,
@@ -232,6 +233,7 @@ def _with_model(
         check_size(judge, now, end, fixes),
         *check_nominal(judge, now, end),
         *check_branches(judge, end),
+        *(check_limits(judge, end) if found.explained else ()),
         check_side(judge, found),
         check_excitation(judge, end, now),
         *unseen(judge, found),

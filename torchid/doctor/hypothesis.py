@@ -98,7 +98,7 @@ class Judge:
         self.cone = cone(robot)
         self._columns: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}
         self._torques: dict[float, np.ndarray] = {}
-        self._members = [(samples.block == b).numpy() for b in range(BLOCKS)]
+        self.members = [(samples.block == b).numpy() for b in range(BLOCKS)]
 
     def score(self, hypothesis: Hypothesis, weights: np.ndarray | None = None) -> Score:
         """The fit on all rows; with given weights of a fit that was made, three times faster."""
@@ -122,9 +122,9 @@ class Judge:
         a, gram = self.columns(hypothesis)
         moving = self.moving(hypothesis)
         tau = self.torque(hypothesis) * moving
-        cross = [np.einsum("tnp,tn->np", a[m], tau[m], optimize=True) for m in self._members]
-        square = [(tau[m] ** 2).sum(0) for m in self._members]
-        counts = np.stack([moving[m].sum(0) for m in self._members])
+        cross = [np.einsum("tnp,tn->np", a[m], tau[m], optimize=True) for m in self.members]
+        square = [(tau[m] ** 2).sum(0) for m in self.members]
+        counts = np.stack([moving[m].sum(0) for m in self.members])
         total = np.maximum(counts.sum(0), 1)
         spread = (tau**2).sum(0) / total - (tau.sum(0) / total) ** 2
         dead = (spread < 1e-12 * max(1e-300, spread.max())) | (total < FEWEST * BLOCKS)
@@ -165,7 +165,7 @@ class Judge:
             rows = torch.cat([rigid, own], -1).numpy()
             a = rows * self.moving(hypothesis)[..., None]
             gram = []
-            for m in self._members:
+            for m in self.members:
                 joints = np.ascontiguousarray(a[m].transpose(1, 0, 2))
                 gram.append(joints.transpose(0, 2, 1) @ joints)
             self._columns[key] = (a, np.stack(gram))
