@@ -37,6 +37,12 @@ SAID = {
         "payload of joint",
         "viscous_friction Fv2: was 0.",
     ),
+    "08_two_arms": (
+        "8 coordinates:",
+        "with the mirror: 0.",
+        "link_inertia ['right_elbow_joint']",
+        "coulomb_friction ['left_shoulder_joint']",
+    ),
 }
 """What the words around the cells rest on."""
 

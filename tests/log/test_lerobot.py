@@ -143,3 +143,27 @@ def test_no_state(tmp_path: Path, log: Log) -> None:
     with pytest.raises(LogError, match="no column q1") as info:
         read_log(path)
     assert "action (? x 3)" in (info.value.available or ())
+
+
+@pytest.mark.parametrize("ending", ["", ".pos"], ids=["aloha", "bimanual"])
+def test_two_arms_are_found_by_their_names(tmp_path: Path, ending: str) -> None:
+    arm = ["waist", "elbow", "wrist", "gripper"]
+    names = [f"{side}_{joint}{ending}" for side in ("left", "right") for joint in arm]
+    both = uniform(8, samples=60, step=0.02)
+    path = write_lerobot(
+        tmp_path / "two", "v3.0", both,
+        {"observation.state": (names, both.q.numpy()), "action": (names, both.q.numpy() + 1)},
+    )  # fmt: skip
+    robot = tuple(f"{side}/{joint}" for side in ("right", "left") for joint in arm[:3])
+    read = read_log(path, joints=robot)
+    order = [4, 5, 6, 0, 1, 2]
+    assert close(read.q, both.q[:, order])
+    assert close(read.signals["u"], both.q[:, order] + 1)
+    assert any("left out: left_gripper, right_gripper" in w for w in read.warnings)
+    # One arm is not to be guessed; an order of elements chooses it, a gripper in its own unit.
+    with pytest.raises(LogError, match="which elements of observation.state") as raised:
+        read_log(path, joints=("waist", "elbow", "wrist"))
+    assert "observation.state[:,0:3]" in str(raised.value)
+    text = "q=observation.state[:,4:8] *[1,1,1,0.044],u=action[:,4:8] *[1,1,1,0.044]"
+    right = read_log(path, columns=text)
+    assert close(right.q[:, 3], 0.044 * both.q[:, 7])
