@@ -265,7 +265,7 @@ def main() -> None:
     asked = parser.parse_args()
     torch.set_num_threads(1)
     for kind in asked.kinds or list(RIGHT):
-        first = inset = beside = 0
+        first = inset = small = beside = 0
         shares, seconds = [], 0.0
         for number in range(asked.first, asked.first + asked.cases):
             robot, log, size, gear = case(kind, number, asked.robot)
@@ -285,20 +285,23 @@ def main() -> None:
             place = [(c.effect, [j + 1 for j in c.joints]) for c in causes]
             hit = bool(causes) and place[0] == (RIGHT[kind], [gear.joint + 1])
             covered = bool(causes) and RIGHT[kind] in {causes[0].effect, *causes[0].ambiguous_with}
+            listed = [c.effect for c in found.small]
             first, inset = first + hit, inset + (hit or covered)
+            small += not (hit or covered) and RIGHT[kind] in listed
             beside += sum(p != (RIGHT[kind], [gear.joint + 1]) for p in place)
             shares.append(share)
             print(
                 f"  {kind} {number}: joint {gear.joint + 1}, play {1e3 * gear.play:.2g} mrad, "
                 f"compliance {gear.compliance:.2g}, {size:.1f} x noise: {found.status}; "
                 + ", ".join(f"{n}{j}" for n, j in place)
-                + f"; closed {closed:.2f}, {share:.2f} of the oracle's",
+                + f"; small: {', '.join(listed)}; closed {closed:.2f}, {share:.2f} of the oracle's",
                 flush=True,
             )
         n = asked.cases
         print(
-            f"{kind}: first {first}/{n}, set {inset}/{n}, beside {beside / n:.1f} a case, "
-            f"{np.nanmedian(shares):.2f} of the oracle's closed, {seconds / n:.1f} CPU s a case",
+            f"{kind}: first {first}/{n}, set {inset}/{n}, listed as small {small}/{n}, beside "
+            f"{beside / n:.1f} a case, {np.nanmedian(shares):.2f} of the "
+            f"oracle's closed, {seconds / n:.1f} CPU s a case",
             flush=True,
         )
 

@@ -6,7 +6,8 @@ A motion is drawn, its torque is the robot's with honest sensor noise, and one c
 torque by formulas of this file: a Hertzian table under a tool tip that the model does not know, a
 soft knee of the drive, a friction that rises smoothly with the bearing's load, ... Sizes are 2 to 8
 times the noise of the joint that feels it most. `first` is the name that closes most, `set` the
-same with what the answer cannot separate from it, `beside` other names a case.
+same with what the answer cannot separate from it, `small` those that it lists as small effects
+(below 1 % of the joint's torque), `beside` other names a case.
 """
 
 import argparse
@@ -39,6 +40,9 @@ RIGHT = {
     "control": set(),
 }
 
+SOFTEST = 0.1
+"""Depth to which nothing that an arm meets gives way [m]."""
+
 LEAST = {"asymmetric": 0.04}
 """Least size as a share of the joint's torque, where it is not 1.5 %: each of two parts counts."""
 
@@ -70,7 +74,7 @@ def plane(m: Truth, axis: int) -> np.ndarray:
     place, jacobian = tip(m, 0.03)
     sign = 1.0 if axis == 2 else m.rng.choice([-1.0, 1.0])
     own = sign * place[:, axis]
-    height = np.quantile(own, 0.06)
+    height = min(np.quantile(own, 0.06), own.min() + SOFTEST)
     depth = np.clip(height - own, 0, None)
     rate = -sign * np.einsum("tj,tj->t", jacobian[:, axis], m.dq)
     force = depth**1.5 * np.clip(1 + 0.3 * rate, 0, None)
@@ -183,6 +187,7 @@ def case(kind: str, number: int, name: str) -> tuple[Robot, torchid.Log, float, 
     # The wrist's own torque, of which its noise is a share, is next to nothing.
     heard = noise > 0.1 * noise.max()
     joint = 0 if kind in ("moment", "axial") else int(rng.choice(heard.nonzero()[0]))
+    heard[joint] = True
     size = rng.uniform(2.0, 8.0)
     signals = (x.numpy() for x in (clean.q, clean.dq, clean.ddq, exact.tau))
     m = Truth(robot, *signals, clean.slices(), rng)
@@ -211,7 +216,7 @@ def main() -> None:
     torch.set_num_threads(1)
     settings = torchid.GapSettings(rollout=False)
     for kind in asked.kinds or list(RIGHT):
-        first = inset = beside = 0
+        first = inset = small = beside = 0
         closed, seconds = [], time.process_time()
         for number in range(asked.first, asked.first + asked.cases):
             robot, log, size, joint = case(kind, number, asked.robot)
@@ -221,19 +226,22 @@ def main() -> None:
             right = RIGHT[kind]
             hit = bool(names) and names[0] in right
             covered = bool(causes) and bool(right & {names[0], *causes[0].ambiguous_with})
+            listed = [c.effect for c in found.small]
             first, inset = first + hit, inset + (hit or covered)
+            small += not (hit or covered) and bool(right & set(listed))
             beside += sum(n not in right for n in names)
             closed.append(found.how_far.closed or 0.0)
             print(
                 f"  {kind} {number}: {size:.1f} x noise on joint {joint + 1}: {found.status}; "
                 + ", ".join(f"{c.effect}{[j + 1 for j in c.joints]}" for c in causes)
-                + f"; closed {closed[-1]:.2f}",
+                + f"; small: {', '.join(listed)}; closed {closed[-1]:.2f}",
                 flush=True,
             )
         n = asked.cases
         print(
-            f"{kind}: first {first}/{n}, set {inset}/{n}, beside {beside / n:.1f} a case, closed "
-            f"{np.median(closed):.2f}, {(time.process_time() - seconds) / n:.1f} CPU s a case",
+            f"{kind}: first {first}/{n}, set {inset}/{n}, listed as small {small}/{n}, beside "
+            f"{beside / n:.1f} a case, closed {np.median(closed):.2f}, "
+            f"{(time.process_time() - seconds) / n:.1f} CPU s a case",
             flush=True,
         )
 
