@@ -86,10 +86,16 @@ class Effects:
         self.simulations = tuple(simulations)
         self._rows, self._places = (_in_one_piece(at) for at in self._joints(robot))
         # Where MuJoCo keeps what is read and written at every step.
-        self._read = [(d.qpos, d.qvel, d.qacc) for _, d in self.simulations]
+        datas = [d for _, d in self.simulations]
+        self._positions, self._speeds = [d.qpos for d in datas], [d.qvel for d in datas]
+        self._accelerations, self._biases = [d.qacc for d in datas], [d.qfrc_bias for d in datas]
+        # Where joints follow each other their places are views, made once.
+        rows = slice(None) if isinstance(self._rows, list) else self._rows
         self._written = [
-            (m.dof_damping, m.dof_frictionloss, d.qfrc_applied) for m, d in self.simulations
+            (m.dof_damping[rows], m.dof_frictionloss[rows], d.qfrc_applied[rows])
+            for m, d in self.simulations
         ]
+        self._own = self._rows if isinstance(self._rows, list) else slice(None)
         pairs = nominal_effects(robot)
         late = [(e, v) for e, v in pairs if isinstance(e, TimeDelay | FilterLag)]
         geared = [(e, v) for e, v in pairs if isinstance(e, JointElasticity | Backlash)]
@@ -119,6 +125,7 @@ class Effects:
         self._gears = Gears.of(geared, armature)
         if self._gears is not None:
             armature[self._gears.joints] = 0.0
+        self._beside = inertia - torch.diag(armature)
         self.restart()
         for model, _ in self.simulations:
             model.jnt_stiffness[model.dof_jntid[self._rows]] = 0.0
@@ -133,6 +140,7 @@ class Effects:
     def restart(self) -> None:
         """States of the effects as at the beginning: after the simulations were set elsewhere."""
         now = self.motion()
+        self._carried: Float[Tensor, "B n"] | None = None
         t = now.require("t", "a start")
         self._memory = self._plant.start(*now.state, t=t).memory
         if self._gears is not None:
@@ -157,14 +165,25 @@ class Effects:
 
     def motion(self) -> Motion:
         """Where the simulations are: q, dq and the last ddq (B, n), t (B,)."""
-        datas = [data for _, data in self.simulations]
-        q, dq, ddq = (
-            torch.from_numpy(np.array([one[k][at] for one in self._read]))
-            for k, at in enumerate((self._places, self._rows, self._rows))
-        )
-        return Motion(
-            q, dq, ddq, t=torch.tensor([data.time for data in datas], dtype=torch.float64)
-        )
+        q = self._gathered(self._positions, self._places)
+        dq, ddq = (self._gathered(x, self._rows) for x in (self._speeds, self._accelerations))
+        t = torch.tensor([data.time for _, data in self.simulations], dtype=torch.float64)
+        return Motion(q, dq, ddq, t=t)
+
+    def _gathered(self, own: list[Any], at: list[int] | slice) -> Float[Tensor, "B n"]:
+        """Some elements of every simulation's array."""
+        return torch.from_numpy(np.concatenate(own).reshape(len(own), -1)[:, at].copy())
+
+    def _transmitted(self, ddq: Float[Tensor, "B n"]) -> Float[Tensor, "B n"]:
+        """Torque that the joints transmitted in the last step, by MuJoCo's own mass matrix and bias
+        forces of that instant; rotors that are no armature are beside them."""
+        inertial = np.empty((len(self.simulations), len(self._speeds[0])))
+        multiply = self._mujoco.mj_mulM
+        pairs = zip(self.simulations, inertial, self._accelerations, strict=True)
+        for (model, data), row, acceleration in pairs:
+            multiply(model, data, row, acceleration)
+        moved = torch.from_numpy(inertial[:, self._rows])
+        return moved + self._gathered(self._biases, self._rows) + ddq @ self._beside
 
     @torch.no_grad()
     def loads(self, motion: Motion, dt: float = 0.0) -> Loads:
@@ -172,11 +191,11 @@ class Effects:
 
         Args:
             motion: q, dq, ddq (B, n) and t (B,). What is transmitted, which friction may grow with,
-                is the arm's torque at this acceleration.
+                is its torque where it has one, else the arm's at this acceleration.
             dt: time since the states of the memory [s].
         """
         at = motion._replace(ddq=torch.zeros_like(motion.ddq))
-        if self._plant.effects.needs_torque:
+        if self._plant.effects.needs_torque and motion.torque is None:
             posture = self._plant.arms.at(motion.q)
             mass = posture.mass_matrix() + self._plant.effects.inertia
             moved = (mass @ motion.ddq.unsqueeze(-1)).squeeze(-1)
@@ -225,7 +244,8 @@ class Effects:
         units of the log; `ctrl` and other forces act as they do without effects."""
         now = self.motion()
         h = float(self.simulations[0][0].opt.timestep)
-        loads, drives = self.loads(now, h / 2), self.true_torque(torque)
+        loads = self.loads(now._replace(torque=self._carried), h / 2)
+        drives = self.true_torque(torque)
         # A falling friction curve is met explicitly: negative damping has no implicit step.
         slope = loads.slope.clamp(min=0)
         applied = drives - loads.smooth + slope * now.dq - now.ddq @ self.across
@@ -236,13 +256,14 @@ class Effects:
             applied[:, self._gears.joints] += law.force - law.torque
             slope[:, self._gears.joints] += law.damping
         parts = (x.numpy() for x in (slope, loads.dry, applied))
-        step, rows = self._mujoco.mj_step, self._rows
-        pairs = zip(self.simulations, self._written, *parts, strict=True)
-        for (model, data), places, *values in pairs:
-            for place, value in zip(places, values, strict=True):
-                place[rows] = value
+        step, own = self._mujoco.mj_step, self._own
+        each = zip(self.simulations, self._written, *parts, strict=True)
+        for (model, data), (damping, friction, force), mine, dry, rest in each:
+            damping[own], friction[own], force[own] = mine, dry, rest
             step(model, data)
         after = self.motion()
+        if self._plant.effects.needs_torque:
+            self._carried = self._transmitted(after.ddq)
         middle = after._replace(dq=(now.dq + after.dq) / 2, t=now.t)
         self._memory = self._plant.effects.advance(middle, h, self._memory)
         if self._gears is not None and law is not None:
