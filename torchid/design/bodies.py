@@ -216,15 +216,15 @@ def _within(
 ) -> Float[Tensor, " K"]:
     """The minimum over coefficients that all belong to bodies, among those that leave them so."""
     # Columns of length one, and every body in units of the small one that it holds.
-    size = matrix.diagonal().clamp(min=1e-12 * float(matrix.diagonal().max())).sqrt()
-    count = len(bodies.at)
+    size = matrix.diagonal().clamp(min=1e-12 * float(matrix.diagonal().max())).sqrt().numpy()
+    count, own = bodies.at.shape[0], len(size)
     base = (bodies.base - bodies.least).unsqueeze(1) @ bodies.triangles
-    columns = torch.zeros(count, 10, len(right), dtype=torch.float64)
-    columns.scatter_(2, bodies.at.unsqueeze(1).expand(-1, 10, -1), bodies.triangles.mT)
+    columns = np.zeros((own, count, 10))
+    columns[bodies.at.numpy(), np.arange(count)[:, None]] = bodies.triangles.numpy()
     solver = clarabel.DefaultSolver(
-        sparse.csc_matrix((2 * matrix / size / size.unsqueeze(1)).triu().numpy()),
-        (-2 * right / size).numpy(),
-        sparse.csc_matrix((-columns.flatten(0, 1) / size).numpy()),
+        _sparse(np.triu(2 * matrix.numpy() / size / size[:, None]).T),
+        -2 * right.numpy() / size,
+        _sparse(columns.reshape(own, -1) / -size[:, None]),
         base.flatten().numpy(),
         [clarabel.PSDTriangleConeT(4)] * count,
         _settings(),
@@ -233,7 +233,17 @@ def _within(
     x = np.array(found.x)
     if "Solved" not in str(found.status) and not np.isfinite(x).all():
         raise TorchidError("no bodies were found that fit.", got=str(found.status))
-    return torch.from_numpy(x) / size
+    return torch.from_numpy(x / size)
+
+
+def _sparse(columns: np.ndarray) -> sparse.csc_matrix:
+    """A matrix from its columns (K, rows): scipy's own way, from a dense matrix, takes as long as
+    Clarabel needs for the program."""
+    where = columns != 0
+    ends = np.zeros(len(columns) + 1, dtype=np.int32)
+    np.cumsum(where.sum(1), out=ends[1:])
+    rows = where.nonzero()[1].astype(np.int32)
+    return sparse.csc_matrix((columns[where], rows, ends), shape=columns.shape[::-1])
 
 
 def links_near(

@@ -40,9 +40,9 @@ from torchid.log.sampling import at_rate, sampling_rate
 from torchid.robot.model import Robot, joint_list
 from torchid.typing import Bool, Float, Int, Tensor
 
-LONGEST = 12_600.0
-"""Seconds of motion times joints that are searched: half an hour of seven joints. The search keeps
-the columns of all candidates there: 1.5 GB."""
+LONGEST = 4_200.0
+"""Seconds of motion times joints that are searched: ten minutes of seven joints, whose intervals are
+far below what is worth a name. The search keeps the columns of all candidates there."""
 
 STRETCH = 60.0
 """Length of what is taken of a longer log at a time [s]: a whole trajectory, or a part of one."""
