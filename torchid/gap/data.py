@@ -41,8 +41,8 @@ from torchid.robot.model import Robot, joint_list
 from torchid.typing import Bool, Float, Int, Tensor
 
 LONGEST = 4_200.0
-"""Seconds of motion times joints that are searched: ten minutes of seven joints, whose intervals are
-far below what is worth a name. The search keeps the columns of all candidates there."""
+"""Seconds of motion times joints that are searched: ten minutes of seven joints, whose intervals
+are far below what is worth a name. The search keeps the columns of all candidates there."""
 
 STRETCH = 60.0
 """Length of what is taken of a longer log at a time [s]: a whole trajectory, or a part of one."""
