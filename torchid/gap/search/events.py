@@ -144,12 +144,9 @@ def hidden_contacts(question: Question, fit: Fitted, again: Counterparts = ()) -
     for term, effect, span in events:
         pull = columns.on_all_joints(effect.lasting) * question.candidates.keep / unit
         windows = _Windows(pull, left / unit, samples.bounds, again)
-        # Beside windows of about its own length.
-        length = span[1] - span[0]
-        i = min(range(len(windows.looked)), key=lambda k: abs(windows.looked[k][2] - length))
         ends = torch.tensor([span[0]]), torch.tensor([span[1]])
-        gain, once = float(windows.gains(*ends)), bool(windows.once(*ends))
-        level = windows.level(span, gain, i, [s for _, _, s in events if s != span])
+        once = bool(windows.once(*ends))
+        level = windows.clearest(span, [s for _, _, s in events if s != span])
         # A joint that sticks at its reversal, and breaks away late, looks pushed for that moment: a
         # push is felt by joints that surely slide, too.
         rows = slice(*span)
@@ -367,6 +364,22 @@ class _Windows:
             chance = float(fdtrc(c, max(apart, 1.0), gain / (c * usual)))
         total = sum(len(g) for g, _, _ in self.looked)
         return Level(total * chance, gain / usual - c * math.log(length), usual)
+
+    def clearest(self, span: Span, beside: Spans) -> "Level | None":
+        """How the window in a span that stands out most does so: of long ones few others are there
+        to be held against. None where that cannot be said."""
+        found = []
+        for i, (gain, start, length) in enumerate(self.looked):
+            inside = (start >= span[0]) & (start + length <= span[1])
+            if bool(inside.any()):
+                k = int(gain.masked_fill(~inside, -math.inf).argmax())
+                window = int(start[k]), int(start[k]) + length
+                found.append(self.level(window, float(gain[k]), i, beside, span))
+        # One that is shorter than all of them is held against the shortest.
+        if not found and self.looked:
+            gain = float(self.gains(torch.tensor([span[0]]), torch.tensor([span[1]])))
+            found.append(self.level(span, gain, 0, beside))
+        return min((x for x in found if x), key=lambda x: x.chance, default=None)
 
     def standing_out(self, alpha: float) -> list[tuple[Span, float]]:
         """Windows apart that stand out, the clearest first, each with the scale of chance."""
