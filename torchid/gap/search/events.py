@@ -377,8 +377,8 @@ class _Windows:
                 found.append(self.level(window, float(gain[k]), i, beside, span))
         # One that is shorter than all of them is held against the shortest.
         if not found and self.looked:
-            gain = float(self.gains(torch.tensor([span[0]]), torch.tensor([span[1]])))
-            found.append(self.level(span, gain, 0, beside))
+            own = self.gains(torch.tensor([span[0]]), torch.tensor([span[1]]))
+            found.append(self.level(span, float(own), 0, beside))
         return min((x for x in found if x), key=lambda x: x.chance, default=None)
 
     def standing_out(self, alpha: float) -> list[tuple[Span, float]]:
