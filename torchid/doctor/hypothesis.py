@@ -109,13 +109,7 @@ class Judge:
     def held_out(self, hypothesis: Hypothesis) -> np.ndarray:
         """(B, n) errors of each block under the fit to the others, as shares of the spread; NaN
         where a joint does not move."""
-        normal = self.normal(hypothesis)
-        rows = []
-        for b in range(BLOCKS):
-            found = fit(normal.without(b), self.cone)
-            error = shares(normal.mean_square(found.x)[b], normal.spread)
-            rows.append(np.where(normal.count[b] >= FEWEST, error, np.nan))
-        return np.stack(rows)
+        return errors_left_out(self.normal(hypothesis), self.cone)
 
     def normal(self, hypothesis: Hypothesis) -> Normal:
         """Normal equations of the rows under a hypothesis."""
@@ -176,3 +170,19 @@ class Judge:
         factor = torch.tensor(hypothesis.q_factor, dtype=torch.float64)
         factors = torch.stack([factor, factor, factor, factor.sign()], -1)
         return self.samples.motion[:, list(hypothesis.q_order)] * factors
+
+
+def errors_left_out(normal: Normal, bodies: np.ndarray) -> np.ndarray:
+    """(B, n) errors of each block under the fit to the others, as shares of the spread; NaN where a
+    joint does not move.
+
+    Args:
+        normal: rows.
+        bodies: (P, U) what may be.
+    """
+    rows = []
+    for b in range(BLOCKS):
+        found = fit(normal.without(b), bodies)
+        error = shares(normal.mean_square(found.x)[b], normal.spread)
+        rows.append(np.where(normal.count[b] >= FEWEST, error, np.nan))
+    return np.stack(rows)

@@ -5,7 +5,7 @@ Bodies and friction act everywhere. Such a law acts at one end of a joint's trav
 travel or of the torque alone, so that bodies cannot take its part.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +13,8 @@ import torch
 from scipy.linalg import block_diag
 
 from torchid.doctor.check import Check
-from torchid.doctor.cone import Normal, fit, shares
-from torchid.doctor.hypothesis import FEWEST, Hypothesis, Judge
+from torchid.doctor.cone import Normal, fit
+from torchid.doctor.hypothesis import Hypothesis, Judge, errors_left_out
 from torchid.doctor.samples import BLOCKS
 from torchid.doctor.search import AGREE, CLEAR, rms
 from torchid.effects.base import Effect
@@ -34,15 +34,15 @@ class _Law:
     Attributes:
         effect: with its shape.
         column: (T, n) torque per unit of its first coefficient.
-        beside: (T, n) torque of the joints' friction that grows with load, which more torque at
-            high torque must not be.
+        beside: (T, n) of friction that grows with load, which more torque at high torque must not
+            be: one for the effect's joint, none where all joints feel it.
         acts: (B,) the blocks of time in which it acts.
         gain: by how much the sum of log errors falls if the bodies stay as they are.
     """
 
     effect: Effect
     column: np.ndarray
-    beside: np.ndarray
+    beside: tuple[np.ndarray, ...]
     acts: np.ndarray
     gain: float
 
@@ -92,15 +92,16 @@ def _laws(judge: Judge, now: Hypothesis, live: list[int]) -> Iterator[_Law]:
         size = ((column * left).sum(0) @ weight) / ((column**2).sum(0) @ weight)
         after = ((left - max(0.0, size) * column) ** 2).sum(0)
         gain = 0.5 * np.log(before[some] / np.maximum(after[some], 1e-300)).sum()
-        yield _Law(effect, column, loaded * column.any(0), acts, float(gain))
+        beside = tuple(loaded * (np.arange(robot.n) == j) for j in effect.joints)
+        yield _Law(effect, column, beside, acts, float(gain))
 
 
 def _judged(judge: Judge, now: Hypothesis, law: _Law) -> tuple[float, Check] | None:
     """The sum of held-out log errors with a law, and what the doctor says of it; None where the
     blocks in which it acts do not clearly want it."""
-    known = [law.beside[:, [j]] * (np.arange(judge.robot.n) == j) for j in law.effect.joints]
-    without = _held_out(judge, now, known)
-    with_it = _held_out(judge, now, [*known, law.column])
+    without = errors_left_out(*_with(judge, now, law.beside))
+    normal, bodies = _with(judge, now, (*law.beside, law.column))
+    with_it = errors_left_out(normal, bodies)
     before, after = without[law.acts], with_it[law.acts]
     # Joints on which the law does not act are of no account.
     on = law.column.any(0)
@@ -108,7 +109,7 @@ def _judged(judge: Judge, now: Hypothesis, law: _Law) -> tuple[float, Check] | N
     agreeing = int((gains > 0).sum())
     if agreeing < AGREE * len(gains) or gains.mean() < CLEAR:
         return None
-    size = float(fit(*_with(judge, now, [*known, law.column])).x[-1])
+    size = float(fit(normal, bodies).x[-1])
     felt = [j for j in np.flatnonzero(on) if np.nanmedian(before[:, j] / after[:, j]) > 1.05]
     joints = tuple(int(j) for j in (felt or np.flatnonzero(on)))
     said = ", ".join(
@@ -129,18 +130,9 @@ def _judged(judge: Judge, now: Hypothesis, law: _Law) -> tuple[float, Check] | N
     return float(np.log(rms(with_it)).sum()), check
 
 
-def _held_out(judge: Judge, now: Hypothesis, columns: list[np.ndarray]) -> np.ndarray:
-    """(B, n) errors of each block under the fit to the others (`Judge.held_out`), with columns."""
-    normal, bodies = _with(judge, now, columns)
-    rows = []
-    for b in range(BLOCKS):
-        found = fit(normal.without(b), bodies)
-        error = shares(normal.mean_square(found.x)[b], normal.spread)
-        rows.append(np.where(normal.count[b] >= FEWEST, error, np.nan))
-    return np.stack(rows)
-
-
-def _with(judge: Judge, now: Hypothesis, columns: list[np.ndarray]) -> tuple[Normal, np.ndarray]:
+def _with(
+    judge: Judge, now: Hypothesis, columns: Sequence[np.ndarray]
+) -> tuple[Normal, np.ndarray]:
     """Normal equations and cone with more columns (T, n), each with a coefficient of zero or
     more."""
     normal, (a, _) = judge.normal(now), judge.columns(now)

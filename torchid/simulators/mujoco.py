@@ -89,13 +89,15 @@ class Effects:
         datas = [d for _, d in self.simulations]
         self._positions, self._speeds = [d.qpos for d in datas], [d.qvel for d in datas]
         self._accelerations, self._biases = [d.qacc for d in datas], [d.qfrc_bias for d in datas]
-        # Where joints follow each other their places are views, made once.
-        rows = slice(None) if isinstance(self._rows, list) else self._rows
+        # Where joints follow each other their places are views, made once; else they are indexed
+        # at every step.
+        listed = isinstance(self._rows, list)
+        rows = slice(None) if listed else self._rows
+        self._own = self._rows if listed else slice(None)
         self._written = [
             (m.dof_damping[rows], m.dof_frictionloss[rows], d.qfrc_applied[rows])
             for m, d in self.simulations
         ]
-        self._own = self._rows if isinstance(self._rows, list) else slice(None)
         pairs = nominal_effects(robot)
         late = [(e, v) for e, v in pairs if isinstance(e, TimeDelay | FilterLag)]
         geared = [(e, v) for e, v in pairs if isinstance(e, JointElasticity | Backlash)]
@@ -172,7 +174,7 @@ class Effects:
 
     def _gathered(self, own: list[Any], at: list[int] | slice) -> Float[Tensor, "B n"]:
         """Some elements of every simulation's array."""
-        return torch.from_numpy(np.concatenate(own).reshape(len(own), -1)[:, at].copy())
+        return torch.from_numpy(np.concatenate(own).reshape(len(own), -1)[:, at])
 
     def _transmitted(self, ddq: Float[Tensor, "B n"]) -> Float[Tensor, "B n"]:
         """Torque that the joints transmitted in the last step, by MuJoCo's own mass matrix and bias

@@ -15,7 +15,7 @@ from torchid.design.segments import Segment
 from torchid.effects.friction import CoulombFriction
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
-from torchid.gap.search.events import _Windows, contacts
+from torchid.gap.search.events import Windows, contacts
 from torchid.robot.library import load_robot
 
 FRICTION = [(CoulombFriction(j), [0.3]) for j in range(3)]
@@ -141,7 +141,7 @@ def test_a_long_push_stands_out_by_its_clearest_window(pushed):
     columns = torch.eye(2, dtype=torch.float64).unsqueeze(-1).expand(2, 2, 600)
     span = (300, 420)
     slow[:, span[0] : span[1]] += 5.0 * pushed
-    windows = _Windows(columns, slow, [slice(0, 600)])
+    windows = Windows(columns, slow, [slice(0, 600)])
     clearest = windows.clearest(span, [])
     assert clearest is not None
     assert (clearest.chance < 0.01) == pushed

@@ -93,7 +93,7 @@ def contacts(question: Question, again: Counterparts = ()) -> list[Contact]:
         pull = columns.on_all_joints(place) * candidates.keep / unit
         # Windows that stand out; chance has as many more as there are places of one kind.
         kind = ends if place.along is None else links
-        windows = searched[place] = _Windows(pull, left / unit, samples.bounds, again)
+        windows = searched[place] = Windows(pull, left / unit, samples.bounds, again)
         found += [(place, *x) for x in windows.standing_out(question.settings.alpha / len(kind))]
     # A push is felt as if it were at neighbouring places, too. A link is offered where it explains
     # more of the window than any end, by odds, and than any other link; of several ends the search
@@ -143,7 +143,7 @@ def hidden_contacts(question: Question, fit: Fitted, again: Counterparts = ()) -
     out = []
     for term, effect, span in events:
         pull = columns.on_all_joints(effect.lasting) * question.candidates.keep / unit
-        windows = _Windows(pull, left / unit, samples.bounds, again)
+        windows = Windows(pull, left / unit, samples.bounds, again)
         ends = torch.tensor([span[0]]), torch.tensor([span[1]])
         once = bool(windows.once(*ends))
         level = windows.clearest(span, [s for _, _, s in events if s != span])
@@ -279,7 +279,7 @@ class _Running(NamedTuple):
         return gram, (self.pulls[:, stop] - self.pulls[:, start]).T.unsqueeze(-1)
 
 
-class _Windows:
+class Windows:
     """Windows of a log, and what the force that fits best within each gains there. Sums over
     windows are differences of running sums.
 
