@@ -8,6 +8,8 @@ Each log is cut in two. From the first half a model is fitted (base parameters, 
 the diagnosis names). The second half is diagnosed with that model as it is: whatever is named there
 is a false name, or a change of the arm between the halves. Then an effect of the library is added
 to its torque, `size` times as large as what the model leaves on the joint, and it is diagnosed again.
+Causes of `gap_hard.py` (table, wall, stop, soft_knee, moment, axial) are planted in the forms of that
+file, and their size is that while they act.
 
 An answer is right if it names the effect on its joint; in its set, if it says that what it names
 cannot be told from it; a name that is neither there nor in the unplanted half's answer is false.
@@ -15,6 +17,7 @@ Answers are kept in DIR, so that a run can be taken up again.
 """
 
 import argparse
+import itertools
 import json
 import time
 from collections.abc import Sequence
@@ -24,6 +27,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from gap_hard import CAUSES, RIGHT, Truth
 from gap_plant import Scene, gap, generator, plant
 from gap_real import FRICTION, UR10E, logs
 
@@ -62,6 +66,12 @@ PLANTED = (
     "contact",
     "gear_coupling",
 )
+
+
+HARD = ("table", "wall", "stop", "soft_knee", "moment", "axial")
+"""Causes of `gap_hard.py` that are planted, too; and `PAIRED` of the library's forms."""
+
+PAIRED = ("backlash", "joint_elasticity", "saturation")
 
 
 @dataclass(frozen=True)
@@ -186,30 +196,56 @@ def run(label: str, source: Source, data: Path, work: Path, args: argparse.Names
     for number, name in enumerate(args.effects):
         for size in args.sizes:
             file = folder / f"{name}-{size:g}.json"
-            if number % of != part - 1 or file.exists() or KINDS[name].needs & missing:
+            untestable = name in KINDS and KINDS[name].needs & missing
+            if number % of != part - 1 or file.exists() or untestable:
                 continue
             g = generator("planted", label, name)
             joint = moving[int(torch.randint(len(moving), (1,), generator=g))]
-            try:
-                planted = plant(coarse, name, size, g, joint, usual=2.0)
-            except ValueError:  # no place for it on this arm
-                continue
-            added = gap(fine, [planted.valued])
+            if name in HARD:
+                added, key = formed(fine, name, size, joint)
+            else:
+                try:
+                    planted = plant(coarse, name, size, g, joint, usual=2.0)
+                except ValueError:  # no place for it on this arm
+                    continue
+                added = gap(fine, [planted.valued])
+                key = {
+                    "effect": name,
+                    "joint": joint,
+                    "joints": list(planted.effect.joints),
+                    "felt_by": list(planted.joints),
+                    "values": planted.values,
+                    "size": planted.size,
+                }
             if not max(float(x.abs().max()) for x in added) > 0:
                 continue  # no torque shows it there
             log = with_torque(second, fine, added)
             found = answer(robot, log, settings_of(source))
-            key = {
-                "effect": name,
-                "joint": joint,
-                "joints": list(planted.effect.joints),
-                "felt_by": list(planted.joints),
-                "values": planted.values,
-                "size": planted.size,
-            }
             file.write_text(json.dumps({"planted": key, "answer": found}))
             names = [(w["effect"], w["joints"]) for w in found["which"]]
-            print(label, name, joint + 1, f"{planted.size:.1f}", found["status"], names, flush=True)
+            print(label, name, joint + 1, f"{key['size']:.1f}", found["status"], names, flush=True)
+
+
+def formed(
+    scene: Scene, kind: str, size: float, joint: int
+) -> tuple[list[torch.Tensor], dict[str, Any]]:
+    """Torques of a cause in a form of `gap_hard.py` on the scene's grid, and its key; `size` is
+    over what the joint that feels it most leaves, while it acts."""
+    ends = np.cumsum([0, *(len(m.q) for m in scene.motions)]).tolist()
+    every = scene.together
+    signals = (x.numpy() for x in (*every.state, every.require("torque", "a cause")))
+    rng = np.random.default_rng([sorted(RIGHT).index(kind), joint])
+    motions = [slice(a, b) for a, b in itertools.pairwise(ends)]
+    torque = CAUSES[kind](Truth(scene.robot, *signals, motions, rng), joint)
+    acts = np.abs(torque) > 1e-12 * np.abs(torque).max()
+    mean = (torque**2).sum(0) / np.maximum(acts.sum(0), 1)
+    felt = np.sqrt(mean) / scene.noise.numpy()
+    scaled = torch.from_numpy(torque * size / max(felt.max(), 1e-300))
+    own = [] if kind in ("table", "wall") else [joint]
+    feels = (felt > felt.max() / size).nonzero()[0].tolist()
+    key = {"effect": kind, "right": sorted(RIGHT[kind]), "joint": joint, "joints": own,
+           "felt_by": sorted({*own, *feels}), "size": size}  # fmt: skip
+    return [scaled[rows] for rows in motions], key
 
 
 def score(work: Path, sizes: Sequence[float]) -> None:
@@ -245,12 +281,13 @@ def judged(case: dict[str, Any], before: set[tuple[str, tuple[int, ...]]]) -> tu
     """Whether the first new name is right, any name is, any set holds it; number of false names."""
     key = case["planted"]
     places = {j + 1 for j in (*key["joints"], *key["felt_by"])}
+    right = set(key.get("right", [key["effect"]]))
     new = [w for w in case["answer"]["which"] if (w["effect"], tuple(w["joints"])) not in before]
 
     def is_it(w: dict[str, Any], also: Sequence[str] = ()) -> bool:
         # Felt by no joint as much as by another: it is the whole arm's.
         near = not w["joints"] or not places or bool(places & set(w["joints"]))
-        return near and key["effect"] in (w["effect"], *also)
+        return near and bool(right & {w["effect"], *also})
 
     def holds_it(w: dict[str, Any]) -> bool:
         return is_it(w, w["ambiguous_with"])
@@ -258,7 +295,7 @@ def judged(case: dict[str, Any], before: set[tuple[str, tuple[int, ...]]]) -> tu
     named = [w for w in case["answer"]["which"] if is_it(w)]
     held = [w for w in case["answer"]["which"] if holds_it(w)]
     # Known on the joint before it was planted, it can only change its size.
-    known = any(e == key["effect"] and places & set(j) for e, j in before)
+    known = any(e in right and places & set(j) for e, j in before)
     first = (bool(new) and is_it(new[0])) or (known and bool(named))
     wrong = [w for w in new if not holds_it(w)]
     return first, bool(named), bool(held), len(wrong)
@@ -270,7 +307,9 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--logs", type=lambda s: s.split(","), default=list(SOURCES))
     parser.add_argument("--sizes", type=float, nargs="+", default=[1.0, 2.0, 5.0])
-    parser.add_argument("--effects", type=lambda s: s.split(","), default=list(PLANTED))
+    parser.add_argument(
+        "--effects", type=lambda s: s.split(","), default=[*PLANTED, *PAIRED, *HARD]
+    )
     parser.add_argument("--band", type=float, default=8.0, help="sizes are measured below it [Hz]")
     parser.add_argument("--part", default="1/1", help="k/n: the k-th of n parts of the effects")
     parser.add_argument("--score", action="store_true")

@@ -6,11 +6,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tests.gap.problems import SIMPLE, measured, question_of, term
+from tests.gap.motions import ROBOT
+from tests.gap.problems import SIMPLE, measured, motions, question_of, term
 from torchid.effects.base import Effect
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import StribeckFriction
 from torchid.effects.gravity import EncoderOffset, TorqueGain
+from torchid.effects.surroundings import PlaneContact
 from torchid.gap.search.evidence import (
     Question,
     apart,
@@ -26,8 +28,9 @@ from torchid.gap.search.evidence import (
     rows_of,
     subset_of,
 )
-from torchid.gap.search.terms import BASE
+from torchid.gap.search.terms import BASE, Term
 from torchid.gap.search.told import p_value
+from torchid.robot.model import tool_pose
 from torchid.typing import Tensor
 
 FRICTION = ((ViscousFriction(1), [1.0]), (CoulombFriction(0), [0.5]))
@@ -141,6 +144,32 @@ def test_a_size_that_no_arm_has_is_refused() -> None:
     for size, there in ((0.5 * largest, True), (6.0 * largest, False)):
         found = offered(((usual, [size]),), ("encoder_offset",))
         assert (("encoder_offset", 1) in found) == there
+
+
+def plane_offered(question: Question) -> list[Term]:
+    empty = fit_terms(question, (), question.normal.rows)
+    return [o.term for o in offers(question, empty) if o.term.name == "plane_contact"]
+
+
+def test_a_damping_that_drives_is_left_out_and_the_plane_stays() -> None:
+    """A plane whose force grows faster than with depth looks as if it drove: the plane is offered
+    and fitted with its stiffness alone, and a plane that pulls is refused."""
+    height = float(torch.cat([tool_pose(ROBOT, m.q)[:, 2, 3] for m in motions()]).quantile(0.1))
+    plane = PlaneContact(height)
+
+    def asked(*values: float) -> Question:
+        data = measured(((plane, [*values]),), noise=0.01)
+        return question_of(data, ("plane_contact",), extra=[plane])
+
+    question = asked(2000.0, -300.0)
+    (there,) = plane_offered(question)
+    fit = fit_terms(question, [there], question.normal.rows, torch.ones(3).double(), 1)
+    keep, column = question.candidates.keep, rows_of(question, there)[0]
+    stiffness = (column * question.candidates.gap)[keep].sum() / column[keep].square().sum()
+    # Joints are weighed by what they leave; of unequal joints not quite as one.
+    assert fit.x.tolist() == pytest.approx([float(stiffness), 0.0], rel=2e-3)
+    assert math.isfinite(fit.evidence)
+    assert not plane_offered(asked(-2000.0, 300.0))
 
 
 OWN = StribeckFriction(1, vs=0.3)

@@ -37,7 +37,7 @@ from torchid.effects.transient import Contact
 from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
 from torchid.gap.settings import GapSettings
 from torchid.statistics.autocorrelation import autocorrelation, time_of
-from torchid.typing import Float, Tensor
+from torchid.typing import Bool, Float, Tensor
 
 ODDS = 20.0
 """Odds against an alternative from which it is no longer told: exp of half the difference of the
@@ -383,16 +383,40 @@ def _fit_each(
         losses = equations.losses(solved.x)
         weight = effective / losses.clamp(min=1e-300)
     known = priors.value(solved.x).tolist()
-    gains = risen(effective, question.squares, losses).sum(-1).tolist()
     out = []
     for k, (terms, subset) in enumerate(zip(every, subsets, strict=True)):
         own = subset.count
         x, root = solved.x[k, :own], solved.root[k, :own, :own]
-        evidence = gains[k] - known[k] - cost(question, explanations[k], effective)
-        if refused(terms, Solved(x, root)):
-            evidence = -math.inf
-        out.append(Fitted(terms, subset, x, root, losses[k], known[k], evidence, effective))
+        fit = Fitted(terms, subset, x, root, losses[k], known[k], -math.inf, effective)
+        wrong = forbidden(terms, Solved(x, root))
+        while bool(wrong.any()):
+            # At its bound of zero a coefficient is none; the others are fitted without it.
+            if bool((wrong & ~torch.cat([t.optional for t in terms])).any()):
+                break
+            fit = _without(question, fit, wrong, priors.each[k], rounds)
+            wrong = forbidden(terms, Solved(fit.x, fit.root))
+        else:
+            gain = float(risen(effective, question.squares, fit.losses).sum())
+            evidence = gain - fit.known - cost(question, explanations[k], effective)
+            fit = replace(fit, evidence=evidence)
+        out.append(fit)
     return out
+
+
+def _without(
+    question: Question, fit: Fitted, gone: Bool[Tensor, " K"], prior: Prior, rounds: int
+) -> Fitted:
+    """A fit with some more coefficients at zero; its evidence is still to be computed."""
+    subset = replace(fit.subset, at=torch.where(gone, -1, fit.subset.at))
+    equations = question.normal.of(subset)
+    weight = fit.weight
+    for _ in range(rounds):
+        solved = prior.solve_of(equations, weight)
+        losses = equations.losses(solved.x)
+        weight = fit.effective / losses.clamp(min=1e-300)
+    x = torch.where(gone, 0.0, solved.x)
+    value = prior.value(x)
+    return replace(fit, subset=subset, x=x, root=solved.root, losses=losses, known=value)
 
 
 def risen(
@@ -403,18 +427,20 @@ def risen(
     return effective * (before.clamp(min=1e-300) / after.clamp(min=1e-300)).log()
 
 
-def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
-    """Terms of which physics forbids a coefficient, or that are larger than on any arm, beyond what
-    their own uncertainty explains: a friction that drives, a load of negative mass."""
+def forbidden(terms: Sequence[Term], solved: Solved) -> Bool[Tensor, " K"]:
+    """Which coefficients have a sign that physics forbids, or are larger than on any arm, beyond
+    what their own uncertainty explains: a friction that drives, a load of negative mass."""
     if not terms:
-        return []
+        return torch.zeros(0, dtype=torch.bool)
     # The whole coefficient, with what the model has of it, is what physics bounds.
     known, least, largest = torch.cat([t.limits for t in terms]).unbind(1)
     slack = SURE * solved.root.norm(dim=1) + 1e-12
-    wrong = (solved.x + known < least - slack) | (solved.x.abs() > largest + slack)
-    if not bool(wrong.any()):
-        return []
-    parts = wrong.split([len(t.at) for t in terms])
+    return (solved.x + known < least - slack) | (solved.x.abs() > largest + slack)
+
+
+def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
+    """Terms of which physics forbids a coefficient."""
+    parts = forbidden(terms, solved).split([len(t.at) for t in terms])
     return [t for t, own in zip(terms, parts, strict=True) if bool(own.any())]
 
 
@@ -626,14 +652,20 @@ def _gains(
     left = whole - held @ held.transpose(1, 2)
     rest = None if free is None else whole - free @ free.transpose(1, 2)
     # Least squares along the directions that are seen; the rest is noise of the columns.
-    root = visible_root(left, torch.where(square > 1e-300, square + batch.ridge, 0.0), rest)
-    along = root.transpose(1, 2) @ (b + batch.ridge * batch.centre).unsqueeze(-1)
-    gain = along.square().sum((1, 2))
-    x, std = (root @ along).squeeze(-1), root.norm(dim=-1)
-    # A sign counts only where the coefficient is determined, and is no noise.
-    sure = (root @ (root.transpose(1, 2) @ left)).diagonal(dim1=1, dim2=2) > 0.99
-    # A friction that drives, or a coefficient larger than on any arm, is no gain.
-    low = (x + batch.known < -SURE * std) & batch.signed
-    high = x.abs() > batch.largest + SURE * std
-    wrong = (sure & (low | high)).any(-1)
-    return torch.where(wrong, torch.zeros_like(gain), gain), root.any(-2).sum(-1)
+    size = torch.where(square > 1e-300, square + batch.ridge, 0.0)
+    while True:
+        root = visible_root(left, size, rest)
+        along = root.transpose(1, 2) @ (b + batch.ridge * batch.centre).unsqueeze(-1)
+        gain = along.square().sum((1, 2))
+        x, std = (root @ along).squeeze(-1), root.norm(dim=-1)
+        # A sign counts only where the coefficient is determined, and is no noise.
+        sure = (root @ (root.transpose(1, 2) @ left)).diagonal(dim1=1, dim2=2) > 0.99
+        low = sure & (x + batch.known < -SURE * std) & batch.signed
+        high = sure & (x.abs() > batch.largest + SURE * std)
+        # A friction that drives, or a coefficient larger than on any arm, is no gain.
+        wrong = (high | (low & ~batch.optional)).any(-1)
+        held = low & ~wrong.unsqueeze(-1) & (size > 0)
+        if not bool(held.any()):
+            return torch.where(wrong, torch.zeros_like(gain), gain), root.any(-2).sum(-1)
+        # What may be zero is held there, and the term is asked what it gains without it.
+        size = torch.where(held, 0.0, size)

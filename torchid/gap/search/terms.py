@@ -88,6 +88,19 @@ class Term:
         return torch.tensor([known, least, largest], dtype=torch.float64).T
 
     @cached_property
+    def optional(self) -> Bool[Tensor, " C"]:
+        """Which coefficients with a sign the effect may lack and stay what it is: those that are
+        not essential to it, of which the model as given has nothing."""
+        essential = self.effects[0].essential if self.effects else ()
+        each = zip(self.coefficients, self.known, strict=True)
+        return torch.tensor(
+            [
+                bool(essential) and k not in essential and c.non_negative and not known
+                for k, (c, known) in enumerate(each)
+            ]
+        )
+
+    @cached_property
     def ridge(self) -> Float[Tensor, " C"]:
         """Inverse variances of the coefficients before the log is seen; zero where unknown."""
         unknown = torch.zeros(len(self.at), dtype=torch.float64)
@@ -132,6 +145,7 @@ class Batch:
     terms: tuple[Term, ...]
     at: Int[Tensor, "M C"]
     signed: Bool[Tensor, "M C"]
+    optional: Bool[Tensor, "M C"]
     known: Float[Tensor, "M C"]
     largest: Float[Tensor, "M C"]
     ridge: Float[Tensor, "M C"]
@@ -512,6 +526,7 @@ def _batches(terms: Sequence[Term]) -> Iterator[Batch]:
             own,
             torch.stack([t.at for t in own]),
             torch.tensor([[c.non_negative for c in t.coefficients] for t in own]),
+            torch.stack([t.optional for t in own]),
             torch.tensor([t.known for t in own], dtype=torch.float64),
             torch.stack([t.limits[:, 2] for t in own]),
             torch.stack([t.ridge for t in own]),
