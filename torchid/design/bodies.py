@@ -190,8 +190,22 @@ class Priors:
         held = (self.squares @ x.unsqueeze(-1)).squeeze(-1)
         return (x * (held - 2 * self.pull)).sum(-1)
 
-    def solve_of(self, equations: Equations, weight: Float[Tensor, "B *batch n"]) -> Solved:
-        """The minima of joints' normal equations (B, *batch, ...) with these weights."""
+    def leave_bodies(self, x: Float[Tensor, "B K"]) -> list[bool]:
+        """Whether each one's coefficients leave bodies, where it corrects any."""
+        return [
+            p.bodies is None or p.bodies.are(own[: len(p.ridge)])
+            for p, own in zip(self.each, x, strict=True)
+        ]
+
+    def solve_of(
+        self, equations: Equations, weight: Float[Tensor, "B *batch n"], *, conic: bool = True
+    ) -> Solved:
+        """The minima of joints' normal equations (B, *batch, ...) with these weights.
+
+        Args:
+            equations, weight: of every least squares.
+            conic: whether bodies must stay bodies; without, minima are no larger.
+        """
         matrix, right = equations.weighted(weight)
         more = (1,) * (right.dim() - 2)
         squares = self.squares.view(len(self.each), *more, *self.squares.shape[1:])
@@ -199,7 +213,7 @@ class Priors:
         root = inverse_root(matrix, known=squares)
         x = (root @ (root.mT @ right.unsqueeze(-1))).squeeze(-1)
         for k, p in enumerate(self.each):
-            if p.bodies is not None:
+            if conic and p.bodies is not None:
                 own = len(p.ridge)
                 some = (matrix[k, ..., :own, :own], right[k, ..., :own], x[k, ..., :own])
                 for m, b, y in zip(

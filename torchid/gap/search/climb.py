@@ -28,6 +28,7 @@ from torchid.gap.search.evidence import (
     fit_each,
     fit_terms,
     in_turn,
+    leading,
     offers,
     prior_of,
     refused,
@@ -192,10 +193,7 @@ def swapped(question: Question, fit: Fitted, *, every: bool = False) -> Fitted |
                 tried.append((*rest, *move))
     if not tried:
         return None
-    # Of equals the first.
-    best = max(
-        fit_each(question, tried, fit.effective, fit.weight), key=lambda other: other.evidence
-    )
+    ((_, best),) = leading(question, tried, fit.effective, fit.weight)
     now, then = apart(question, fit, best)
     return then if then.evidence > now.evidence + 1e-6 else None
 
@@ -210,9 +208,8 @@ def _added(question: Question, fit: Fitted) -> Fitted | None:
     # Ranked with all samples.
     rows = question.normal.rows
     weight = rows / fit.losses.clamp(min=1e-300)
-    tried = fit_each(question, [(*own, *move) for move in options], rows, weight)
     best: tuple[float, Fitted] | None = None
-    for likely in sorted(tried, key=lambda f: -f.evidence)[:CLOSELY]:
+    for _, likely in leading(question, [(*own, *m) for m in options], rows, weight, CLOSELY):
         then, now = apart(question, likely, fit)
         rise = then.evidence - now.evidence
         # Of a step it is asked whether its torque is worth it on some joint, not yet whether the

@@ -15,7 +15,7 @@ A cause is one term; or the same effect on most joints, where arms have it (dry 
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, MutableMapping, Sequence
+from collections.abc import Callable, Iterable, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from weakref import WeakKeyDictionary
@@ -335,6 +335,8 @@ def fit_terms(
     effective: Float[Tensor, " n"],
     weight: Float[Tensor, " n"] | None = None,
     rounds: int = 2,
+    *,
+    conic: bool = True,
 ) -> Fitted:
     """The maximum of the likelihood over the coefficients of terms, and its evidence.
 
@@ -345,8 +347,9 @@ def fit_terms(
         weight: (n,) of the joints' squares at the start.
         rounds: how often the joints are weighted anew by what they leave. Two are enough to rank;
             ten for what is told, where columns that all joints share pull the weights apart.
+        conic: whether bodies must stay bodies; without, no less is left.
     """
-    return fit_each(question, [terms], effective, weight, rounds)[0]
+    return _fit_each(question, [terms], effective, weight, rounds, conic=conic)[0][0]
 
 
 def fit_each(
@@ -359,8 +362,41 @@ def fit_each(
     """What `fit_terms` gives of each of several explanations, all at once."""
     out: list[Fitted] = []
     for k in range(0, len(explanations), TOGETHER):
-        out += _fit_each(question, explanations[k : k + TOGETHER], effective, weight, rounds)
+        out += _fit_each(question, explanations[k : k + TOGETHER], effective, weight, rounds)[0]
     return out
+
+
+def leading(
+    question: Question,
+    explanations: Sequence[Sequence[Term]],
+    effective: Float[Tensor, " n"],
+    weight: Float[Tensor, " n"],
+    count: int = 1,
+    worth: Callable[[Fitted], float] = lambda fit: fit.evidence,
+) -> list[tuple[int, Fitted]]:
+    """Of several explanations those of most evidence, the best first, as `fit_each` fits them, each
+    with its place among all. To stay bodies can only cost evidence, so the conic programs of those
+    that would have too little without them are never solved.
+
+    Args:
+        question, explanations, effective, weight: as for `fit_each`.
+        count: of the best.
+        worth: what ranks them in the place of evidence; bodies can only cost it, too.
+    """
+    bounds: list[tuple[Fitted, bool]] = []
+    for k in range(0, len(explanations), TOGETHER):
+        some = explanations[k : k + TOGETHER]
+        bounds += zip(*_fit_each(question, some, effective, weight, 2, conic=False), strict=True)
+    order = sorted(range(len(bounds)), key=lambda k: -worth(bounds[k][0]))
+    best: list[tuple[int, Fitted]] = []
+    for k in order:
+        fit, complete = bounds[k]
+        if len(best) == count and worth(fit) <= worth(best[-1][1]):
+            break
+        if not complete:
+            (fit,) = fit_each(question, [explanations[k]], effective, weight)
+        best = sorted([*best, (k, fit)], key=lambda pair: -worth(pair[1]))[:count]
+    return best
 
 
 def _fit_each(
@@ -369,7 +405,11 @@ def _fit_each(
     effective: Float[Tensor, " n"],
     weight: Float[Tensor, " n"] | None,
     rounds: int,
-) -> list[Fitted]:
+    *,
+    conic: bool = True,
+) -> tuple[list[Fitted], list[bool]]:
+    """Fits of explanations, and which of them are complete: without conic programs the evidence of
+    the others is no less than what is left of it with them."""
     every = [(*question.fixed, *terms) for terms in explanations]
     subsets = [subset_of(question.normal, terms) for terms in every]
     priors = Priors([prior_of(terms) for terms in every])
@@ -379,17 +419,18 @@ def _fit_each(
     equations = question.normal.of_each(subsets)
     weight = weight.expand(len(every), -1)
     for _ in range(rounds):
-        solved = priors.solve_of(equations, weight)
+        solved = priors.solve_of(equations, weight, conic=conic)
         losses = equations.losses(solved.x)
         weight = effective / losses.clamp(min=1e-300)
     known = priors.value(solved.x).tolist()
+    complete = [conic or are for are in priors.leave_bodies(solved.x)]
     out = []
     for k, (terms, subset) in enumerate(zip(every, subsets, strict=True)):
         own = subset.count
         x, root = solved.x[k, :own], solved.root[k, :own, :own]
         fit = Fitted(terms, subset, x, root, losses[k], known[k], -math.inf, effective)
         wrong = forbidden(terms, Solved(x, root))
-        while bool(wrong.any()):
+        while complete[k] and bool(wrong.any()):
             # At its bound of zero a coefficient is none; the others are fitted without it.
             if bool((wrong & ~torch.cat([t.optional for t in terms])).any()):
                 break
@@ -400,7 +441,7 @@ def _fit_each(
             evidence = gain - fit.known - cost(question, explanations[k], effective)
             fit = replace(fit, evidence=evidence)
         out.append(fit)
-    return out
+    return out, complete
 
 
 def _without(
@@ -489,17 +530,18 @@ def in_turn(
         return float((weight * one.losses).sum()) + dependent * one.known
 
     left = [loss(fit_terms(question, (), fit.effective, fit.weight))]
+    each = fit_each(question, [(t,) for t in terms], fit.effective, fit.weight)
+    alone = [loss(f) for f in each]
     order: list[int] = []
-    alone: list[float] = []
     while len(order) < len(terms):
         joined = [terms[k] for k in order]
         rest = [k for k in range(len(terms)) if k not in order]
         tried = [(*joined, terms[k]) for k in rest]
-        fits = fit_each(question, tried, fit.effective, fit.weight)
-        losses = [loss(f) for f in fits]
-        alone = alone or losses
-        order.append(rest[losses.index(min(losses))])
-        left.append(min(losses))
+        ((k, best),) = leading(
+            question, tried, fit.effective, fit.weight, worth=lambda one: -loss(one)
+        )
+        order.append(rest[k])
+        left.append(loss(best))
     if left[-1] >= left[0]:  # what another sensor alone shows closes nothing
         return [0.0] * len(terms), alone
     drops = [(a - b) / (left[0] - left[-1]) for a, b in itertools.pairwise(left)]

@@ -240,10 +240,16 @@ def alternatives(
             names.setdefault(other.name, (rise, other))
     for base in question.candidates.terms:
         if base.name == BASE and not (term.inertial or LINK in names or question.shows(term)):
-            again = fit_terms(question, (*others, base), fit.effective, fit.weight, 10)
-            now, then = apart(question, fit, again)
-            lost = risen(now.effective, then.losses, now.losses)
-            if float(lost.sum()) < 2 * math.log(ODDS):
+            # What does not do as well with any numbers does not with those of bodies.
+            for conic in (False, True):
+                again = fit_terms(
+                    question, (*others, base), fit.effective, fit.weight, 10, conic=conic
+                )
+                now, then = apart(question, fit, again)
+                lost = risen(now.effective, then.losses, now.losses)
+                if float(lost.sum()) >= 2 * math.log(ODDS):
+                    break
+            else:
                 names[LINK] = then.evidence - now.evidence, base
     return list(names.values())
 
