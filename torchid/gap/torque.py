@@ -20,7 +20,7 @@ from torchid.gap.diagnosis import HowFar, TorqueDiagnosis
 from torchid.gap.localise.where import where
 from torchid.gap.noise.floor import sliding_only
 from torchid.gap.record import Budget, Parametric
-from torchid.gap.search.explain import explained, without_terms
+from torchid.gap.search.explain import explained, gone_on, without_terms
 from torchid.gap.search.joint_fits import joint_fits
 from torchid.gap.search.known import after_log, known_of
 from torchid.gap.search.small import small_effects
@@ -106,14 +106,18 @@ def diagnose_torque(
     while True:
         gone = harmful(found, checked, least)
         taken |= bool(gone)
+        refused = list(gone)
         if gone:
             found = without_terms(found, gone, data, block)
             said = told(found)
-        elif not said.unsure:
-            break
         while said.unsure:
+            refused += said.unsure[:1]
             found = without_terms(found, said.unsure[:1], data, block, small=True)
             said = told(found)
+        if not refused:
+            break
+        found = gone_on(found, refused, data, block)
+        said = told(found)
         checked = check(found, data, None, folds, repeats, settings, fitted_first)
     if judged is not None:
         # A held-out log takes part in no choice: it judges what was chosen.

@@ -12,16 +12,19 @@ from torchid.effects.base import Effect
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import StribeckFriction
 from torchid.effects.gravity import EncoderOffset, TorqueGain
-from torchid.effects.surroundings import PlaneContact
+from torchid.effects.surroundings import EndStop, PlaneContact
 from torchid.gap.search.evidence import (
     Question,
+    acting,
     apart,
     cause_groups,
     common_names,
     cost,
     directions,
     effective_samples,
+    fit_each,
     fit_terms,
+    leading,
     offers,
     prior_of,
     residual,
@@ -170,6 +173,36 @@ def test_a_damping_that_drives_is_left_out_and_the_plane_stays() -> None:
     assert fit.x.tolist() == pytest.approx([float(stiffness), 0.0], rel=2e-3)
     assert math.isfinite(fit.evidence)
     assert not plane_offered(asked(-2000.0, 300.0))
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_the_leading_explanations_are_those_of_all_fits(count: int) -> None:
+    """Bodies whose free fits are none among them: the same fits in the same order as if all conic
+    programs had been solved."""
+    question = question_of(measured(FRICTION), ("link_inertia", "payload", *SIMPLE), inertial=True)
+    n = question.normal.rows
+    weight = n / question.squares
+    tried = [[t] for t in question.candidates.terms if t.name != BASE]
+    every = fit_each(question, tried, n, weight)
+    free = [fit_terms(question, t, n, weight, conic=False) for t in tried]
+    bound = [not torch.allclose(a.x, b.x) for a, b in zip(every, free, strict=True)]
+    assert any(bound)
+    assert all(b.evidence >= a.evidence - 1e-6 for a, b in zip(every, free, strict=True))
+    best = sorted(range(len(tried)), key=lambda k: -every[k].evidence)[:count]
+    found = leading(question, tried, n, weight, count)
+    assert [k for k, _ in found] == best
+    assert [f.evidence for _, f in found] == pytest.approx([every[k].evidence for k in best])
+
+
+def test_what_acts_beyond_a_limit_acts_there_alone() -> None:
+    q = torch.cat([m.q[:, 1] for m in motions()])
+    stop = EndStop(1, limit=float(q.quantile(0.9)))
+    question = question_of(measured([]), (*SIMPLE, "end_stop"), extra=[stop])
+    (own,) = (t for t in question.candidates.terms if t.effects == (stop,))
+    # The filter's tails, and what is hardly beyond the limit.
+    assert acting(question, [own]) == pytest.approx(0.1, abs=0.03)
+    assert acting(question, [term(question, "coulomb_friction", 1)]) == 1.0
+    assert acting(question, [own, term(question, "coulomb_friction", 1)]) == 1.0
 
 
 OWN = StribeckFriction(1, vs=0.3)

@@ -21,7 +21,7 @@ from torchid.effects.periodic import Cogging
 from torchid.effects.transient import Saturation
 from torchid.gap.search.climb import climbed, fitted, moves, worthy
 from torchid.gap.search.evidence import apart, offers
-from torchid.gap.search.explain import refined, resumed, vanished
+from torchid.gap.search.explain import Explanation, gone_on, refined, resumed, vanished
 from torchid.gap.search.solve import solved
 from torchid.gap.search.terms import Term
 
@@ -51,6 +51,26 @@ def test_the_search_goes_on_without_what_has_left() -> None:
     same, none = resumed(question, folds, start, [])
     assert same is start
     assert none == []
+
+
+def test_another_cause_may_follow_one_that_was_refused() -> None:
+    """Dry friction, which has been refused a name, does not come back; what says most of it in its
+    place does."""
+    data = measured([(CoulombFriction(1), [0.6]), (ViscousFriction(0), [0.8])])
+    question = question_of(data, parts=two_folds(data))
+    dry, viscous = term(question, "coulomb_friction", 1), term(question, "viscous_friction", 0)
+    columns, empty = question.candidates.columns, fitted(question)
+    block, wanted = torch.arange(len(data.samples)) // 50, wanted_of(SIMPLE)
+    fit = fitted(question, [viscous])
+    solution = solved(columns, fit.terms, fit.values(), data, wanted, block, fit.effective)
+    without = Explanation(question, empty, fit, (dry,), solution)
+    more = gone_on(without, [dry], data, block)
+    assert ("coulomb_friction", 1) not in named(more.terms)
+    assert named(more.terms) > {("viscous_friction", 0)}
+    assert dry.key in more.question.barred
+    # Where nothing else has evidence the explanation stays what it is.
+    again = gone_on(more, [t for t in more.terms if t.place == 1], data, block)
+    assert again.question.barred >= more.question.barred
 
 
 @pytest.mark.parametrize("between", [0.35, 0.5])

@@ -53,6 +53,9 @@ TOGETHER = 32
 SURE = 2.0
 """Standard deviations beyond what physics allows from which a coefficient is refused."""
 
+TAIL = 0.01
+"""Share of a cause's largest torque that the fit's filter may leave where it does not act [1]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
@@ -238,12 +241,19 @@ def residual(
 
 
 def acting(question: Question, terms: Sequence[Term]) -> float:
-    """Share of the samples in which terms act: all, but for what acts in a window of time. How
-    large an event is, is its torque while it lasts."""
+    """Share of the samples in which terms act: all, but for what acts in a window of time, or
+    beyond a limit. How large such a cause is, is its torque while it acts."""
     t = question.candidates.columns.samples.t
     inside = torch.zeros(len(t), dtype=torch.bool)
-    for effect in (term.effects[0] if term.effects else None for term in terms):
-        inside |= effect.window(t) > 0 if isinstance(effect, Contact) else True
+    for term in terms:
+        effect = term.effects[0] if term.effects else None
+        if isinstance(effect, Contact):
+            inside |= effect.window(t) > 0
+        elif effect is not None and effect.at_ends:
+            size = rows_of(question, term)[0].abs().amax(0)
+            inside |= size > TAIL * size.max()
+        else:
+            return 1.0
     return max(float(inside.double().mean()), 1 / len(t)) if terms else 1.0
 
 

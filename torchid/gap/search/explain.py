@@ -341,6 +341,24 @@ def without_terms(
     return Explanation(question, found.empty, less, unworthy, solution)
 
 
+def gone_on(found: Explanation, refused: Sequence[Term], data: Data, block: Tensor) -> Explanation:
+    """The search gone on from an explanation that some terms have left, without them: what was
+    refused a name may have held what another cause says."""
+    fit, barred = found.fit, found.question.barred
+    barred |= {t.key for t in (*refused, *found.unworthy)} - {t.key for t in found.terms}
+    question = replace(found.question, barred=barred)
+    folds = question.candidates.gram.folds()
+    more, left = worthy(question, folds, climbed(question, found.terms))
+    if better(question, [fit, more]) is fit:
+        return replace(found, question=question)
+    more, left = exchanged(question, folds, more, left)
+    more = settled(question, more.terms, more)
+    columns = question.candidates.columns.at(found.solution.start)
+    wanted = found.solution.wanted
+    solution = solved(columns, more.terms, more.values(), data, wanted, block, more.effective)
+    return Explanation(question, found.empty, more, (*found.unworthy, *left), solution)
+
+
 def refined(question: Question, fit: Fitted) -> list[Effect]:
     """Shapes between those of the grid, where they explain more: of the terms, and of the likeliest
     further cause of each joint, which may lack evidence at the grid's shapes alone."""

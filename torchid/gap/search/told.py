@@ -113,8 +113,9 @@ def told(found: Explanation) -> Told:
         one_of = sure < LIKELY and bool(names) and how_sure([rise]) >= LIKELY
         if one_of:
             sure = how_sure([rise])
-        # What happened once lies in one block, and no other can speak for it.
-        if not (term.inertial or any(e.event for e in term.effects)):
+        # What happened once lies in one block, and what acts beyond a limit in few: no others can
+        # speak for it.
+        if not (term.inertial or any(e.event or e.at_ends for e in term.effects)):
             searched = term.name not in common_names(found.terms, question.joints)
             looks = question.looks if searched else 1.0
             sure = min(sure, determined(found.solution, fixed + k, looks))
