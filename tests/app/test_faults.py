@@ -204,6 +204,7 @@ def test_files_are_there_where_nothing_can_be_printed(tmp_path, where) -> None:
     assert json.loads((tmp_path / "r.json").read_text())["schema"] == "torchid.robot/1"
 
 
+@pytest.mark.slow
 def test_a_backend_that_is_not_there_is_no_matter(tmp_path) -> None:
     """Commands draw into files only."""
     asked = ("excite", "3r", "--kind", "random", "--duration", "2", "--out", str(tmp_path))

@@ -29,6 +29,7 @@ def test_identify_writes_and_says_the_verdict_first(command, folder, tmp_path) -
     assert (out / "store" / "index.parquet").exists()
 
 
+@pytest.mark.slow
 def test_the_type_is_written_and_a_unit_is_asked_about(command, folder, tmp_path) -> None:
     model = tmp_path / "type.yaml"
     done = command("fleet", "identify", "3r_friction", folder, *EFFECTS, "--save-model", model)

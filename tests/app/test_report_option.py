@@ -118,6 +118,17 @@ def test_all_studies_have_pages_of_their_own(command, tmp_path, monkeypatch):
     assert asked == [(n, f"page_{n}.html", sha256(study_file(n))) for n in names]
 
 
+def test_a_file_may_go_into_a_folder_that_is_still_to_be_made(command, tmp_path):
+    folder = tmp_path / "new"
+    done = command("check", "3r", "--out", folder, "--json", folder / "mine.json")
+    assert done.code == 0, done.err
+    assert (folder / "mine.json").exists()
+    # Another folder is not made.
+    elsewhere = command("check", "3r", "--out", folder, "--json", tmp_path / "other" / "mine.json")
+    assert elsewhere.code == 1
+    assert "other" in elsewhere.err
+
+
 @pytest.mark.parametrize("name", ["identify", "gap", "study"])
 def test_help_names_it(command, name):
     shown = command(name, "--help")

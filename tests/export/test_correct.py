@@ -347,6 +347,7 @@ def test_a_joint_whose_torque_says_nothing_keeps_what_it_has(full, logs, tmp_pat
     assert done.plain()["judged"]["torque_error_percent"]["nominal"][2] is None
 
 
+@pytest.mark.slow
 def test_nothing_is_written_that_was_not_better_or_not_checked(full, logs, tmp_path, monkeypatch):
     # The log is the nominal robot's: whatever is refitted to another arm's model is no better.
     nominal = arm("3r")

@@ -171,7 +171,9 @@ def test_each_set_violates_exactly_what_was_asked_for(name: str) -> None:
     assert len(found.warnings) == len(missing)
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize(
+    "name", [n if n == "3r" else pytest.param(n, marks=pytest.mark.slow) for n in ROBOTS]
+)
 def test_feasible_sets_by_the_definitions(name: str) -> None:
     """Bodies by the eigenvalues of the inertia tensors, in numpy; boxes and sums by hand."""
     case = setting(name)

@@ -205,7 +205,7 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("small_blocks")
-@pytest.mark.parametrize("engine", ["batched", "cma"])
+@pytest.mark.parametrize("engine", ["batched", pytest.param("cma", marks=pytest.mark.slow)])
 def test_the_bits_do_not_depend_on_the_workers(engine: str) -> None:
     p, settings = problem_of("3r"), with_settings(runs=10, engine=engine, stages=3)
     assert len(room._blocks(p, settings, "cpu")) == 3

@@ -134,6 +134,7 @@ def test_what_is_unchanged_is_not_computed_again(found, model, logs, store, monk
     assert again.plain() == found.plain()
 
 
+@pytest.mark.slow
 def test_parts_of_a_batch_system_make_the_whole(found, model, logs, tmp_path, monkeypatch) -> None:
     place = Store(str(tmp_path))
     parts = [reduce_fleet(model, logs, place, part=(i, 3)) for i in (1, 2, 3)]

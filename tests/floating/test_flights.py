@@ -1,6 +1,5 @@
 """A base that moves and is measured: identification and diagnosis of flights that MuJoCo makes."""
 
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,9 +22,15 @@ def columns():
     return flown.flights(heavier=0.0, count=4, seed=1, noise=0.01)
 
 
-@pytest.fixture
-def robot(tmp_path: Path):
-    return load_robot(flown.write(tmp_path), base="moving")
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory):
+    return load_robot(flown.write(tmp_path_factory.mktemp("hull")), base="moving")
+
+
+@pytest.fixture(scope="module")
+def identified(robot, columns):
+    log = log_from_columns(columns, "flights.csv")
+    return torchid.identify(robot, log, settings=torchid.Settings(effects=()))
 
 
 def test_mujocos_free_body_is_the_moving_base(robot):
@@ -45,9 +50,8 @@ def test_a_log_holds_the_base_before_the_joints(columns):
     np.testing.assert_allclose(slope[rows], log.dq[rows, 3:6], atol=0.02)
 
 
-def test_all_parameters_of_the_base_are_identified(robot, columns):
-    log = log_from_columns(columns, "flights.csv")
-    found = torchid.identify(robot, log, settings=torchid.Settings(effects=()))
+def test_all_parameters_of_the_base_are_identified(robot, identified):
+    found = identified
     expected = nominal_values(robot, found.base)
     names = list(found.base.names)
     # The mass of all of it, which a robot in a stand never shows.
@@ -57,7 +61,7 @@ def test_all_parameters_of_the_base_are_identified(robot, columns):
     assert float(error) < 0.02
 
 
-@pytest.mark.parametrize("heavier", [0.0, 0.3])
+@pytest.mark.parametrize("heavier", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 def test_a_wrong_forearm_is_named_and_nothing_else(robot, heavier):
     log = log_from_columns(flown.flights(heavier, count=4, seed=2, noise=0.01), "flights.csv")
     found = torchid.diagnose(robot, log, settings=GAP)
@@ -115,9 +119,8 @@ def test_a_moving_base_is_written_and_read_back(robot, tmp_path):
     assert torch.equal(again.parameters.pi, robot.parameters.pi)
 
 
-def test_a_result_keeps_how_its_base_was_taken(robot, columns, tmp_path):
-    log = log_from_columns(columns, "flights.csv")
-    found = torchid.identify(robot, log, settings=torchid.Settings(effects=()))
+def test_a_result_keeps_how_its_base_was_taken(identified, tmp_path):
+    found = identified
     found.save(tmp_path / "found.json")
     again = torchid.load(tmp_path / "found.json")
     assert again.model.floating
@@ -140,11 +143,13 @@ def test_a_result_keeps_how_its_base_was_taken(robot, columns, tmp_path):
         lambda robot, log: torchid.compare_pair(log, log, robot),
         torchid.withheld_own,
         lambda robot, log: FleetModel(robot),
-        lambda robot, log: torchid.excite_for(
-            torchid.identify(robot, log, settings=torchid.Settings(effects=()))
-        ),
     ],
 )
 def test_what_cannot_have_a_moving_base_is_refused(robot, columns, use):
     with pytest.raises(RobotError, match="a base that moves, which"):
         use(robot, log_from_columns(columns, "flights.csv"))
+
+
+def test_no_motion_is_designed_for_a_moving_base(identified):
+    with pytest.raises(RobotError, match="a base that moves, which"):
+        torchid.excite_for(identified)

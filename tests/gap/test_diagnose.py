@@ -300,6 +300,7 @@ def test_a_log_held_out_twice_is_refused():
         )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_held_out_log_of_another_rate_is_resampled():
     slow = logged(ROBOT, (5,)).select(torch.arange(2501) % 2 == 0)
     found = diagnose_torque(ROBOT, logged(ROBOT), held_out=slow, settings=QUICK)

@@ -125,6 +125,7 @@ def test_a_change_hidden_in_what_was_open_is_no_gap_by_no_means() -> None:
     assert "drive joint 2" in hiding[0].motion
 
 
+@pytest.mark.slow
 def test_a_cause_within_what_the_model_left_before_is_no_name() -> None:
     """The model was seen to leave as much as the cause makes: it may be a part of that."""
     model = first().corrected
@@ -140,6 +141,7 @@ def test_a_cause_within_what_the_model_left_before_is_no_name() -> None:
     assert found.status in ("negligible", "no_gap", "not_testable")
 
 
+@pytest.mark.slow
 def test_a_gain_that_is_known_is_known_but_may_have_changed() -> None:
     """Beside a model that nobody vouches for, a gain known to a thousandth is no explanation; a
     model that was fitted to the same sensor's torque shows that its scale has changed."""

@@ -224,6 +224,7 @@ def test_prediction_and_residual():
     assert torch.allclose(one, got[1, 2])
 
 
+@pytest.mark.slow
 def test_combinations():
     found = by_default("3r_friction", 0)
     for k in (0, 3, len(found.base) - 1):

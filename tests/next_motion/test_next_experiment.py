@@ -71,6 +71,7 @@ def test_what_a_log_could_not_show_is_found_after_the_designed_motion():
     assert not {(x.effect, *x.joints) for x in again.not_testable} & set(sizes)
 
 
+@pytest.mark.slow
 def test_a_motion_for_what_a_diagnosis_knows_least() -> None:
     """By its corrected model, which says how sure it is after this log."""
     robot = load_robot("3r")

@@ -92,6 +92,7 @@ def test_a_joint_that_flickers_never_moves():
     assert _still(prepare(robot(), log.replace(q=q))).tolist() == [False, True, True]
 
 
+@pytest.mark.slow
 def test_one_motion_is_taken_in_parts():
     log = planted(true_servos(3), motions=1, seconds=12.0)
     parts, warnings = _parted(log)
@@ -121,6 +122,7 @@ def test_windows_that_tell_more_are_taken_sooner_and_stand_for_fewer(most):
         assert set(range(0, count, 40)) <= set((some.start // 100).tolist())
 
 
+@pytest.mark.slow
 def test_an_answer_says_whether_what_it_names_is_all():
     found = diagnosis(finding("set_point_profile", 2, 9.0, 3.0, acceleration=4.0))
     # Of (14 / 2)^2 + (9 / 2)^2 mrad^2 in windows of 2 s, (6 / 2)^2 + (4 / 2)^2 are left; joint 3

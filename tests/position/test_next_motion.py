@@ -30,6 +30,7 @@ def unsure():
     return replace(diagnosis(FOUND[0], replace(FOUND[1], sizes=(size,))), servos=servos)
 
 
+@pytest.mark.slow
 def test_what_is_open_is_told_better(unsure, tmp_path):
     arm = robot().with_limits(velocity=2.0, position=[[-1.0, 1.0], [-0.8, 1.2], [-1.0, 1.0]])
     unsure.save(tmp_path / "gap.json")
@@ -56,6 +57,7 @@ def test_nothing_open_serves_all(unsure):
     assert len(set(made.motions)) == MOTIONS
 
 
+@pytest.mark.slow
 def test_limits_and_robots_are_needed(unsure):
     with pytest.raises(RobotError, match="velocity"):
         next_commands(unsure, replace(robot(), limits=Limits()))
@@ -65,6 +67,7 @@ def test_limits_and_robots_are_needed(unsure):
         next_commands(unsure, robot(), seconds=1.0)
 
 
+@pytest.mark.slow
 def test_no_room(unsure, monkeypatch):
     monkeypatch.setattr(next_motion, "TRIES", 1)
     arm = robot().with_limits(velocity=2.0)

@@ -102,6 +102,7 @@ def test_nominal_beside_found(found):
     assert first["register_units"]["acceleration"] == pytest.approx(0.1534, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_plain_servo_that_is_enough_hides_what_is_small():
     made = diagnosis()
     tiny = Accuracy(torch.tensor([0.1, 0.1, torch.nan]), torch.tensor([0.1, 0.1, torch.nan]))
@@ -113,6 +114,7 @@ def test_a_plain_servo_that_is_enough_hides_what_is_small():
     assert enough.record.where.joints[0].unseen_mrad == pytest.approx(float(enough.unseen[0]))
 
 
+@pytest.mark.slow
 def test_where_an_answer_is_worse_than_a_plain_servo_is_said():
     found = diagnosis(finding("end_stop", 2, 14.0, 6.0, stop_high=0.4))
     assert "worse" not in " ".join(remarks(found.record))
@@ -126,6 +128,7 @@ def test_where_an_answer_is_worse_than_a_plain_servo_is_said():
     assert "worse than a plain servo on joint 1, 9.0 -> 60.0 mrad." in said
 
 
+@pytest.mark.slow
 def test_a_size_whose_interval_holds_nothing_is_not_determined():
     one = finding("end_stop", 2, 14.0, 6.0, stop_high=0.4)
     unsure = replace(one, sizes=(replace(one.sizes[0], interval=(-0.1, 0.9)),))

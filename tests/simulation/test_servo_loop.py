@@ -211,6 +211,7 @@ def test_a_filter_is_late_by_its_time_constant():
     assert (x - speed * (t - tau * (1 - (-t / tau).exp()))).abs().max() < 1e-12
 
 
+@pytest.mark.slow
 def test_an_integrating_servo_leaves_no_error_and_remembers_its_sum():
     """A load of 2 N m: a servo without integral action errs by 2 / kp for ever. Windows that begin
     later know the sum from the errors until then."""
@@ -260,6 +261,7 @@ def test_slopes_of_heights_are_their_derivatives():
         assert torch.allclose(here.slope[:, j], (there - back) / 2e-5, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_arm_stops_at_a_plane():
     """The tool's point rests in the plane as deep as the servos press it; without it, far below."""
     robot = arm("3r")

@@ -91,6 +91,7 @@ def test_a_fleet_without_odd_units_rarely_has_one() -> None:
     assert sum(alarms) <= 4  # at 5 % one is expected, and more than four in 3 of 1000 tests
 
 
+@pytest.mark.slow
 def test_what_no_session_tells_is_nothing_and_disturbs_nothing() -> None:
     data = drawn(5, 3, 6, 2, 1.0, 0.3, 0.3)
     whole = pooled(data)

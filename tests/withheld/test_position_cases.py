@@ -13,6 +13,7 @@ from torchid.simulation.servo import INDEX, Servos
 from torchid.withheld.case_set import write_case
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("types_unchecked")
 @pytest.mark.parametrize(
     ("mix", "arm"), [("position", "3r"), ("tree_position", "quadruped")], ids=["arm", "quadruped"]

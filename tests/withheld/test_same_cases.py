@@ -48,7 +48,10 @@ CASES: dict[str, tuple[dict[str, Any], str]] = {
     reason="another simulator rounds otherwise",
 )
 @pytest.mark.usefixtures("types_unchecked")
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name",
+    [n if n.endswith("drawn") else pytest.param(n, marks=pytest.mark.slow) for n in CASES],
+)
 def test_a_case_is_the_one_that_it_was(name, tmp_path):
     given, known = CASES[name]
     place = tmp_path / "case-0001"

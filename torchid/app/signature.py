@@ -157,8 +157,10 @@ def command(function: Callable[..., None], *, project: bool = True) -> Callable[
             values[name] = kind(**{key: values.pop(key) for key in names})
         with inputs_kept(_inputs(options, given)), ExitStack() as entered:
             for option in options:
-                if WRITTEN in option.said and given[option.name] is not None:
-                    require_writable(given[option.name], option.shown)
+                file = given[option.name] if WRITTEN in option.said else None
+                # The folder of --out is made where it is missing, also for what goes into it.
+                if file is not None and (file.parent != given.get("out") or file.parent.exists()):
+                    require_writable(file, option.shown)
             for name in groups:
                 if isinstance(values[name], AbstractContextManager):
                     entered.enter_context(values[name])

@@ -21,7 +21,7 @@ from torchid.effects.base import Effect
 from torchid.effects.motion import Motion
 from torchid.effects.surroundings import EndStop, PlaneContact
 from torchid.effects.transient import DriveSaturation
-from torchid.robot.model import joint_list
+from torchid.robot.model import JointType, joint_list
 
 SOME_BLOCKS = 3
 """Blocks of time in which a law must act: what comes once is an event, and no law."""
@@ -117,14 +117,17 @@ def _judged(judge: Judge, now: Hypothesis, law: _Law) -> tuple[float, Check] | N
         f"{100 * np.nanmedian(after[:, j]):.2g} %"
         for j in joints
     )
-    text = f"{_place(law.effect, size)}: error {said}, better in {agreeing} of {len(gains)} blocks"
+    sliding = [judge.robot.joint_types[j] is JointType.PRISMATIC for j in law.effect.joints]
+    unit = law.effect.coefficients[0].unit_for(any(sliding))
+    place = _place(law.effect, size, unit)
+    text = f"{place}: error {said}, better in {agreeing} of {len(gains)} blocks"
     check = Check(
         "limits",
         "doubtful",
         text,
         joints=joints,
         estimate=size,
-        unit=law.effect.coefficients[0].unit,
+        unit=unit,
         fix=f"{law.effect.experiment}; else add it to the robot's effects ({law.effect.name})",
     )
     return float(np.log(rms(with_it)).sum()), check
@@ -150,18 +153,18 @@ def _with(
     return replace(normal, gram=gram, cross=cross), block_diag(judge.cone, np.eye(count))
 
 
-def _place(effect: Effect, size: float) -> str:
-    """The law in words, with its place and size."""
+def _place(effect: Effect, size: float, unit: str) -> str:
+    """The law in words, with its place and size in this unit."""
     if isinstance(effect, EndStop):
         side = "above" if effect.towards > 0 else "below"
         return (
             f"torque of {joint_list((effect.joint,))} rises {side} {effect.limit:.4g} by "
-            f"{size:.3g} N m/rad, as at a stop"
+            f"{size:.3g} {unit}, as at a stop"
         )
     if isinstance(effect, PlaneContact):
         return (
             f"torque rises where the tool is beyond {effect.side[1]} = {effect.height:.3g} m, by "
-            f"{size:.3g} N/m, as at a plane"
+            f"{size:.3g} {unit}, as at a plane"
         )
     assert isinstance(effect, DriveSaturation)
     return (
