@@ -346,6 +346,8 @@ def gone_on(found: Explanation, refused: Sequence[Term], data: Data, block: Tens
     refused a name may have held what another cause says."""
     fit, barred = found.fit, found.question.barred
     barred |= {t.key for t in (*refused, *found.unworthy)} - {t.key for t in found.terms}
+    if barred == found.question.barred:  # nothing is looked for twice, so the search ends
+        return found
     question = replace(found.question, barred=barred)
     folds = question.candidates.gram.folds()
     more, left = worthy(question, folds, climbed(question, found.terms))

@@ -24,6 +24,7 @@ from torchid.gap.search.evidence import (
     apart,
     common_names,
     directions,
+    fit_each,
     fit_terms,
     in_turn,
     residual,
@@ -203,17 +204,18 @@ def likely(
     """Terms in the place of one, with the rise of the evidence, the best first: in order of what
     they promise, until ten are beyond the odds."""
     others = without.terms[len(question.fixed) :]
+    found = [m for _, m in moves(question, without, term)]
+    found = [m for m in found if m[0].name != BASE and m[0].key != term.key]
     tried: list[tuple[float, Term]] = []
     failed = 0
-    for _, move in moves(question, without, term):
-        if failed == TRIED:
-            break
-        if move[0].name == BASE or move[0].key == term.key:
-            continue
-        again = fit_terms(question, (*others, *move), fit.effective, fit.weight)
-        now, then = apart(question, fit, again)
-        tried.append((then.evidence - now.evidence, move[0]))
-        failed += tried[-1][0] <= -2 * math.log(ODDS)
+    while found and failed < TRIED:
+        # As many at once as may still fail.
+        some, found = found[: TRIED - failed], found[TRIED - failed :]
+        fits = fit_each(question, [(*others, *m) for m in some], fit.effective, fit.weight)
+        for (other, *_), again in zip(some, fits, strict=True):
+            now, then = apart(question, fit, again)
+            tried.append((then.evidence - now.evidence, other))
+            failed += tried[-1][0] <= -2 * math.log(ODDS)
     return sorted(tried, key=lambda pair: -pair[0])
 
 
