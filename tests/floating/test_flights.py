@@ -1,6 +1,5 @@
 """A base that moves and is measured: identification and diagnosis of flights that MuJoCo makes."""
 
-
 import numpy as np
 import pytest
 import torch

@@ -6,12 +6,16 @@ import torch
 
 from tests.gap.motions import ROBOT
 from tests.gap.problems import measured, question_of, wanted_of
+from torchid.design.columns import Columns, Model
 from torchid.effects.friction_laws import PowerLawFriction
 from torchid.effects.inertia import Payload
+from torchid.gap.search.climb import fitted
 from torchid.gap.search.evidence import apart, fit_terms
+from torchid.gap.search.explain import Explanation
 from torchid.gap.search.solve import Solution, solved
 from torchid.gap.search.terms import BASE, PAYLOAD
-from torchid.gap.search.told import alternatives, how_sure, likely
+from torchid.gap.search.told import alternatives, how_sure, likely, not_testable
+from torchid.robot.inertia import InertialParameters
 from torchid.statistics.blocks import block_numbers
 
 LOAD = [0.5, 0.05, -0.02, 0.1, 0.08, 0.0, 0.0, 0.08, 0.0, 0.08]
@@ -68,3 +72,22 @@ def test_a_shape_at_the_end_of_its_range_is_never_told_alone(a: float, others: s
     now, then = apart(question, fit, without)
     rises = [then.evidence - now.evidence, *(rise for rise, _ in found)]
     assert how_sure(rises) > 0.99  # they are named, not believed
+
+
+@pytest.mark.parametrize("bodies", [True, False])
+def test_what_needs_bodies_is_not_testable_without_them(bodies: bool) -> None:
+    """Base parameters have no moment on a bearing: the answer says so where links are no bodies."""
+    pi = ROBOT.parameters.pi.clone()
+    if not bodies:
+        pi[1, 4:] = -pi[1, 4:]
+    robot = ROBOT.with_parameters(InertialParameters(pi))
+    data, names = measured([], real=robot), ("coulomb_friction", "bearing_moment_friction")
+    columns = Columns(Model(robot, ()), data.samples)
+    question = question_of(data, names, columns=columns)
+    empty = fitted(question)
+    block = block_numbers(data.samples.bounds, 50)
+    wanted = wanted_of(names)
+    solution = solved(columns, empty.terms, empty.values(), data, wanted, block, empty.effective)
+    found = Explanation(question, empty, empty, (), solution)
+    reasons = {x.effect: x.reason for x in not_testable(found, robot, data)}
+    assert ("no bodies" in reasons.get("bearing_moment_friction", "")) is not bodies

@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 
 from torchid.design.gram import VISIBLE
 from torchid.design.segments import when
-from torchid.effects.base import Effect, JointEffect
+from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.registry import KINDS
 from torchid.effects.spring import JointSpring
 from torchid.effects.transient import Contact
@@ -398,7 +398,7 @@ def not_testable(found: Explanation, robot: Robot, data: Data) -> list[NotTestab
         left = size - float(held @ held)
         if term.key not in best or left > best[term.key][1]:
             best[term.key] = size, left, term
-    out = []
+    out, wanted = [], found.solution.wanted
     for size, left, term in best.values():
         # From which coefficient on its evidence would be positive on average.
         effect, share = term.effects[0], left / size if size > 0 else 0.0
@@ -427,8 +427,15 @@ def not_testable(found: Explanation, robot: Robot, data: Data) -> list[NotTestab
             unit = effect.coefficients[0].unit_for(prismatic)
             joints_of = () if len(term.effects) > 1 else effect.joints
             out.append(NotTestable(effect.name, joints_of, smallest, unit, reason))
+    # Effects whose columns need bodies, where only base parameters are known.
+    offered = {t.name for t in question.candidates.terms}
+    for kind in (KINDS[name] for name in wanted.names if KINDS[name].of_bodies):
+        asked = issubclass(kind, ModelEffect) and bool(kind.starts(robot))
+        if asked and not kind.needs & data.missing and kind.name not in offered:
+            reason = "the model's links are no bodies (`torchid extract` finds some)"
+            unit = kind.coefficients[0].unit_for(False)
+            out.append(NotTestable(kind.name, (), None, unit, reason))
     # Effects that were no candidates on joints that do not slide.
-    wanted = found.solution.wanted
     known = {*accepted, *best}
     still = (~data.slides).nonzero().flatten().tolist()
     for j, kind in ((j, KINDS[name]) for j in still if j in robot.driven for name in wanted.names):
