@@ -37,8 +37,12 @@ from tests.arms import arm
 from torchid.dynamics.compiled import compiled_dynamics
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import regressor_chunks
+from torchid.excitation.design import excite
+from torchid.excitation.synthetic import simulate
 from torchid.export.export import export_dynamics
+from torchid.identification.identify import identify
 from torchid.robot.library import load_robot
+from torchid.simulation.sensors import HonestNoise
 
 COMMITTED = Path(__file__).with_name("ratios.json")
 SLOWER = 0.8
@@ -172,6 +176,30 @@ def evolution() -> Iterator[Line]:
     yield "CMA-ES, 30 runs / pycma", lambda: peer(5), 5, lambda: ours(50), 50
 
 
+def prediction() -> Iterator[Line]:
+    """Base parameters and friction from a log against boosted trees of each joint's torque."""
+    if not find_spec("sklearn"):
+        return
+    from sklearn.ensemble import HistGradientBoostingRegressor
+
+    robot = load_robot("kuka_lwr4_friction")
+    motion = excite(robot, duration=20.0, seed=0, restarts=1, iterations=0).log(250.0)
+    log = simulate(robot, motion, noise=HonestNoise(), seed=0)
+    assert motion.dq is not None
+    assert motion.ddq is not None
+    assert log.tau is not None
+    features, torques = torch.cat([motion.q, motion.dq, motion.ddq], 1).numpy(), log.tau.T.numpy()
+
+    def boosted() -> None:
+        for torque in torques:
+            HistGradientBoostingRegressor(random_state=0).fit(features, torque)
+
+    def identified() -> None:
+        identify(robot, log)
+
+    yield "identify, 20 s at 250 Hz / scikit-learn's boosting", boosted, 1, identified, 1
+
+
 def slower(found: dict[str, float], committed: dict[str, float]) -> list[str]:
     """Sentences on the ratios that have fallen."""
     return [
@@ -194,7 +222,7 @@ def main() -> None:
     print(f"{'':44}{'peer':>10}{'torchid':>10}{'ratio':>8}{'before':>8}")
     found = {}
     with tempfile.TemporaryDirectory() as folder:
-        every = (dynamics(args.compile), effects_in_mujoco(Path(folder)), evolution())
+        every = (dynamics(args.compile), effects_in_mujoco(Path(folder)), evolution(), prediction())
         for line in (line for some in every for line in some):
             peer, ours, times = ratio(line, args.rounds)
             found[line[0]] = round(times, 3)
