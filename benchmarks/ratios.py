@@ -197,7 +197,7 @@ def prediction() -> Iterator[Line]:
     def identified() -> None:
         identify(robot, log)
 
-    yield "identify, 20 s at 250 Hz / scikit-learn's boosting", boosted, 1, identified, 1
+    yield "identify, 20 s / scikit-learn's boosting", boosted, 1, identified, 1
 
 
 def slower(found: dict[str, float], committed: dict[str, float]) -> list[str]:

@@ -68,9 +68,11 @@ def test_another_cause_may_follow_one_that_was_refused() -> None:
     assert ("coulomb_friction", 1) not in named(more.terms)
     assert named(more.terms) > {("viscous_friction", 0)}
     assert dry.key in more.question.barred
-    # Where nothing else has evidence the explanation stays what it is.
     again = gone_on(more, [t for t in more.terms if t.place == 1], data, block)
     assert again.question.barred >= more.question.barred
+    # Where nothing more is barred nothing is looked for again.
+    complete = replace(more, unworthy=())
+    assert gone_on(complete, [dry], data, block) is complete
 
 
 @pytest.mark.parametrize("between", [0.35, 0.5])

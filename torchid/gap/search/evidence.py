@@ -433,7 +433,7 @@ def _fit_each(
         losses = equations.losses(solved.x)
         weight = effective / losses.clamp(min=1e-300)
     known = priors.value(solved.x).tolist()
-    complete = [conic or are for are in priors.leave_bodies(solved.x)]
+    complete = [True] * len(every) if conic else priors.leave_bodies(solved.x)
     out = []
     for k, (terms, subset) in enumerate(zip(every, subsets, strict=True)):
         own = subset.count

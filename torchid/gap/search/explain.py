@@ -333,12 +333,24 @@ def without_terms(
     question, fit = found.question, found.fit
     # The other terms are fitted anew.
     less = settled(question, [t for t in fit.terms if all(t is not g for g in gone)], fit)
-    start = found.solution.start
-    columns = question.candidates.columns.at(start)
-    wanted = found.solution.wanted
-    solution = solved(columns, less.terms, less.values(), data, wanted, block, less.effective)
-    unworthy = (*found.unworthy, *(gone if small else ()))
-    return Explanation(question, found.empty, less, unworthy, solution)
+    return _with_fit(found, question, less, gone if small else (), data, block)
+
+
+def _with_fit(
+    found: Explanation,
+    question: Question,
+    fit: Fitted,
+    unworthy: Sequence[Term],
+    data: Data,
+    block: Tensor,
+) -> Explanation:
+    """An explanation with another fit, solved at the model that it began with, and with some more
+    terms that are not worth a name."""
+    before = found.solution
+    columns = question.candidates.columns.at(before.start)
+    values, wanted = fit.values(), before.wanted
+    solution = solved(columns, fit.terms, values, data, wanted, block, fit.effective)
+    return Explanation(question, found.empty, fit, (*found.unworthy, *unworthy), solution)
 
 
 def gone_on(found: Explanation, refused: Sequence[Term], data: Data, block: Tensor) -> Explanation:
@@ -354,11 +366,7 @@ def gone_on(found: Explanation, refused: Sequence[Term], data: Data, block: Tens
     if better(question, [fit, more]) is fit:
         return replace(found, question=question)
     more, left = exchanged(question, folds, more, left)
-    more = settled(question, more.terms, more)
-    columns = question.candidates.columns.at(found.solution.start)
-    wanted = found.solution.wanted
-    solution = solved(columns, more.terms, more.values(), data, wanted, block, more.effective)
-    return Explanation(question, found.empty, more, (*found.unworthy, *left), solution)
+    return _with_fit(found, question, settled(question, more.terms, more), left, data, block)
 
 
 def refined(question: Question, fit: Fitted) -> list[Effect]:

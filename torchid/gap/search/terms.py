@@ -27,6 +27,7 @@ from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.knowledge import known_names
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
 from torchid.robot.knowledge import Knowledge
+from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Int, Tensor
 
 BASE = "all_base"
@@ -342,6 +343,12 @@ def candidates_of(
     return Candidates(columns, gap, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen)))
 
 
+def are_bodies(robot: Robot) -> bool:
+    """Whether a model's links are bodies: those of base parameters alone hardly ever are."""
+    pi = robot.require_parameters("a diagnosis").pi.double()
+    return links_near(pi, usual_bodies(pi), PRIOR) is not None
+
+
 def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
     """Payload, links and all base parameters: rows of the regressor, link by link. Links that are
     bodies stay bodies, near to what they were; of numbers that no body has only the size is
@@ -407,12 +414,11 @@ def _model_effects(
     kind, then those that were refined or found in a window. Nothing is told of joints whose torque
     holds no signal, for nothing there could speak against it."""
     silent = frozenset(data.silent)
-    pi = columns.model.robot.require_parameters("a diagnosis").pi.double()
-    are_bodies = links_near(pi, usual_bodies(pi), PRIOR) is not None
+    bodies = are_bodies(columns.model.robot)
     for name in wanted.names:
         kind = KINDS[name]
         # Columns of bodies are none where only their base parameters are known.
-        unknown = bool(kind.needs & data.missing) or (kind.of_bodies and not are_bodies)
+        unknown = bool(kind.needs & data.missing) or (kind.of_bodies and not bodies)
         if issubclass(kind, ModelEffect) and not (unknown or kind.inertial or kind.windowed):
             found = [_swinging(e, data) for e in kind.starts(columns.model.robot)]
             yield [e for e in found if not e.joints or not silent.issuperset(e.joints)]

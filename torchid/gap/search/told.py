@@ -34,7 +34,7 @@ from torchid.gap.search.explain import Explanation
 from torchid.gap.search.planting import Planting, planted
 from torchid.gap.search.replication import replication
 from torchid.gap.search.solve import Solution
-from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term
+from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Int, Tensor
@@ -428,10 +428,10 @@ def not_testable(found: Explanation, robot: Robot, data: Data) -> list[NotTestab
             joints_of = () if len(term.effects) > 1 else effect.joints
             out.append(NotTestable(effect.name, joints_of, smallest, unit, reason))
     # Effects whose columns need bodies, where only base parameters are known.
-    offered = {t.name for t in question.candidates.terms}
-    for kind in (KINDS[name] for name in wanted.names if KINDS[name].of_bodies):
+    bodies = are_bodies(question.candidates.columns.model.robot)
+    for kind in () if bodies else (KINDS[n] for n in wanted.names if KINDS[n].of_bodies):
         asked = issubclass(kind, ModelEffect) and bool(kind.starts(robot))
-        if asked and not kind.needs & data.missing and kind.name not in offered:
+        if asked and not kind.needs & data.missing:
             reason = "the model's links are no bodies (`torchid extract` finds some)"
             unit = kind.coefficients[0].unit_for(False)
             out.append(NotTestable(kind.name, (), None, unit, reason))
