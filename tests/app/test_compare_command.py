@@ -61,7 +61,7 @@ def test_bad_results(command, results, tmp_path, files, message):
     assert not (tmp_path / "out.json").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_excite_for_an_identification(command, folder, tmp_path):
     """Identify, design, and find the trajectory, its prediction and the same formats as ever."""
     found = tmp_path / "identification.json"
@@ -79,7 +79,7 @@ def test_excite_for_an_identification(command, folder, tmp_path):
     assert header.startswith("t,q1,q2,q3,dq1")
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_excite_for_a_diagnosis(command, tmp_path):
     path = tmp_path / "gap.json"
     path.write_text(json.dumps({**diagnosis(load_robot("3r")), "model": None}))

@@ -124,7 +124,7 @@ def test_table_5_1_is_not_repaired(command, tmp_path):
     assert command("excite", "3r", "--kind", "paper", "--floor", -2, "--to", target).code == 0
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_commands_for_an_arm_without_torque(command, tmp_path):
     diagnosis().save(tmp_path / "gap.json")
     given = ("excite", "3r", "--for", tmp_path / "gap.json", "--duration", 4, "--rate", 50)

@@ -350,7 +350,7 @@ def test_the_checkpoint_stays_until_results_are_written(command, tmp_path) -> No
     assert not (tmp_path / "checkpoint.npz").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_a_set_is_as_sure_as_what_it_was_extracted_from(command, identified, tmp_path):
     """From identification to sets to a robot's file, which another extraction takes without the
     identification."""

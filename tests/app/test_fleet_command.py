@@ -83,7 +83,7 @@ def test_bad_input(command, folder, arguments, said) -> None:
     assert said in done.err
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_gap_maps_units_and_effects_on_one_page(command, folder, tmp_path) -> None:
     pytest.importorskip("jinja2")
     page = tmp_path / "gaps.html"

@@ -167,7 +167,7 @@ def test_a_log_held_out_and_a_fraction(command, runs):
     assert "--held-out-fraction" in done.err
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_what_is_simulated_is_found(command, runs, tmp_path, types_unchecked):
     """`torchid simulate --effect`, then `torchid gap`: the arm moved under control."""
     logs = []

@@ -70,7 +70,7 @@ def named(found: TorqueDiagnosis) -> list[tuple[str, tuple[int, ...]]]:
     return [(f.effect.name, f.located) for f in found.findings]
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_a_link_side_encoder_shows_what_torques_do_not():
     log, settings = flexible(SOFT), GapSettings(rollout=False)
     found = diagnose_torque(ROBOT, log, settings=settings)

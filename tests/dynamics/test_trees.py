@@ -133,7 +133,7 @@ def test_a_tree_that_is_a_chain_has_the_chains_bits() -> None:
     assert torch.equal(inverse_dynamics(both, q, dq, ddq)[:, :4], arm)
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_compiled_trees() -> None:
     motion = states(HUMANLIKE, 40)
     compiled = compiled_dynamics(HUMANLIKE, chunk=16)

@@ -166,7 +166,7 @@ CHEAP = ("viscous_friction", "torque_offset")
 
 @pytest.mark.parametrize("share", [0.5, 1.5], ids=["too small", "too large"])
 @pytest.mark.parametrize(
-    "name", [n if n in CHEAP else pytest.param(n, marks=pytest.mark.slow) for n in SIZES]
+    "name", [n if n in CHEAP else pytest.param(n, marks=pytest.mark.calibration) for n in SIZES]
 )
 def test_too_large_by_half_is_named_as_surely_as_too_small(name, share) -> None:
     shapes = {s.name for s in KINDS[name].shapes}

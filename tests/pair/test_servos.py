@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import torchid
+from tests.marks import some
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.pair.align import aligned
@@ -85,11 +86,7 @@ def weaker() -> PairDiagnosis:
     return compare_pair(driven(MOVING), real, pendulum())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "kinds",
-    [("late step", "step"), KINDS, ("step",), ("ramp",)],
-)
+@pytest.mark.parametrize("kinds", some([("late step", "step"), KINDS, ("step",), ("ramp",)], 1))
 def test_short_motions_have_one_clock(kinds):
     both = aligned(driven(kinds), driven(kinds, seed=1, kp=8.1))
     assert len(both) == 32
@@ -99,7 +96,7 @@ def test_short_motions_have_one_clock(kinds):
         assert b.clock.start == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_a_clock_of_another_rate_is_the_same_in_steps_ramps_and_sines():
     simulated = driven()
     both = aligned(simulated.replace(t=0.5 * simulated.t), driven(seed=1, kp=8.1))
@@ -113,7 +110,7 @@ def test_an_arm_that_never_moves_ends_in_an_error():
         aligned(still, still)
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_the_weaker_gain_and_the_friction_of_the_real_servo_are_named():
     found = weaker()
     assert found.which == ()
@@ -131,7 +128,7 @@ def test_the_weaker_gain_and_the_friction_of_the_real_servo_are_named():
     assert any(title.startswith("servos") for title in titles)
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_the_servos_are_in_the_json(tmp_path: Path):
     path = tmp_path / "pair.json"
     weaker().save(path)
@@ -142,7 +139,7 @@ def test_the_servos_are_in_the_json(tmp_path: Path):
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_equal_servos_do_not_differ():
     found = compare_pair(driven(MOVING), driven(MOVING, seed=1), pendulum())
     assert found.servos
@@ -150,7 +147,7 @@ def test_equal_servos_do_not_differ():
     assert "agree" in verdict(found)
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_a_limit_that_the_real_servo_has_alone():
     real = driven(MOVING, seed=1, clip=2.5)
     found = compare_pair(driven(MOVING), real, pendulum())
@@ -161,7 +158,7 @@ def test_a_limit_that_the_real_servo_has_alone():
     assert "a torque limit" in verdict(found)
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_without_masses_ratios_to_the_gain_are_compared():
     bare = replace(pendulum(), parameters=None)
     found = compare_pair(driven(MOVING), driven(MOVING, seed=1, damping=1.2), bare)

@@ -29,7 +29,7 @@ CAUSES = {
 }
 
 
-@pytest.mark.parametrize("cause", some([None, *CAUSES], 2))
+@pytest.mark.parametrize("cause", some([None, *CAUSES], 1))
 def test_a_planted_cause_is_named(cause, tmp_path):
     extra = CAUSES[cause] if cause else {}
     servos = true_servos(3, **extra)
@@ -65,7 +65,7 @@ def test_a_planted_cause_is_named(cause, tmp_path):
     assert len(moved.plot("positions").axes) == 3
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_a_load_is_found_beside_servos():
     """A body at the last link, which gains and offsets of single joints follow in part only."""
     arm = robot()
@@ -149,7 +149,7 @@ def test_a_delay_of_less_than_a_sample_is_no_cause():
     assert less.servos.of("delay").tolist() == pytest.approx([0.02, 0.03, 0.02])
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_without_masses_ratios_are_told():
     """Rods stand for the links: causes are named, and dry friction as a share of kp is right."""
     log = planted(true_servos(3, acceleration=(2, 4.0)), motions=6, seconds=16.0, seed=4)

@@ -5,6 +5,7 @@ import torch
 
 from tests.position.planted import DT, planted, robot, true_servos
 from torchid.errors import LogError
+from torchid.log.model import Log
 from torchid.position.data import prepare
 from torchid.position.fit import errors, fit, loss, moved, searched, sensitivities
 from torchid.position.judge import equations, motion_losses, value_interval
@@ -146,3 +147,30 @@ def test_a_joint_at_rest_leaves_the_others_to_be_found():
     stuck = true_servos(3, coulomb=(2, 500.0))
     servos = fit(data, stuck, free, windows_of(data.tracks, 2.0), iterations=1)
     assert torch.isfinite(servos.joint[:, INDEX["kp"]]).all()
+
+
+MOTIONS = [(str(k), 16.0) for k in range(6)]
+
+
+def test_motions_of_one_servo_agree(found):
+    _, data, windows, model = found
+    known = equations(data, model.servos, model.free, windows)
+    again = known.replication("kp", 1, MOTIONS)
+    assert (again.repeats, again.asked) == (6, 6)
+    assert again.spread < 0.05
+
+
+@pytest.mark.calibration
+def test_every_motion_wants_what_moved_it():
+    """Another offset in every second motion: by the motions' factors each of them has its own."""
+    both = [planted(true_servos(3, offset=(2, value))) for value in (2.0, 4.0)]
+    log = Log.concatenate([list(both[k % 2].trajectories())[k] for k in range(6)])
+    data = prepare(robot(), log)
+    windows = windows_of(data.tracks, 2.0)
+    model = plain(data, windows)
+    known = equations(data, model.servos, model.free, windows)
+    again = known.replication("offset", 1, MOTIONS)
+    wanted = float(model.servos.of("offset")[1]) * torch.tensor([m.scale for m in again.motions])
+    assert wanted.tolist() == pytest.approx([2.0, 4.0] * 3, rel=0.25)
+    # Nobody knows which of them the next motion has.
+    assert 0.2 < again.spread < again.next_std

@@ -26,7 +26,6 @@ from torchid.gap.record import (
     Parametric,
     Planted,
     RegimeGap,
-    Replication,
     Residual,
     SmallEffect,
     Status,
@@ -36,6 +35,7 @@ from torchid.gap.settings import GapSettings
 from torchid.json_data import plain
 from torchid.results.answer import Answer, Cause, Diagnosis, JointError, Size
 from torchid.results.record import Rows
+from torchid.results.replication import Replication
 from torchid.results.words import count, effect_words, joints_words, listed
 from torchid.robot.model import JointType, Robot
 from torchid.robot.writer import write_robot

@@ -19,6 +19,7 @@ from torchid.results.record import (
     Values,
     face,
 )
+from torchid.results.replication import Replication
 from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
 from torchid.simulation.two_models import Rollout
@@ -145,40 +146,6 @@ class KnownCoefficient(Part, frozen=True, kw_only=True):
     after: Real
     after_std: float | None
     changed: bool = False
-
-
-class MotionScale(Part, frozen=True):
-    """By which factor a part of the data wants an effect, 1 being as it was fitted to all.
-
-    Attributes:
-        trajectory, from_s, to_s: which part.
-        scale, std: the factor.
-    """
-
-    trajectory: str
-    from_s: float
-    to_s: float
-    scale: Real
-    std: float
-
-
-class Replication(Part, frozen=True, kw_only=True):
-    """Whether an effect is the same in every motion.
-
-    Attributes:
-        motions: part by part.
-        mean: of those that can tell.
-        spread: standard deviation between motions, beyond that of each.
-        next_std: of the factor in the next motion.
-        repeats, asked: in how many of those that can tell it has the same sign and size.
-    """
-
-    motions: tuple[MotionScale, ...]
-    mean: Real
-    spread: Real
-    next_std: Real
-    repeats: int
-    asked: int
 
 
 class FoundEffect(Part, frozen=True, kw_only=True):

@@ -29,6 +29,7 @@ from torchid.position.record import (
 from torchid.results.answer import Answer, Cause, Diagnosis, JointError
 from torchid.results.answer import Size as AnswerSize
 from torchid.results.record import Rows
+from torchid.results.replication import Replication
 from torchid.simulation.servo import Servos
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
@@ -74,6 +75,8 @@ class PositionFinding:
         error_with: the same with it.
         ambiguous_with: effects that do as well in its place.
         meaning, remedy: one sentence each.
+        replication: whether it is the same in every motion; None of what acts at the ends of the
+            travel, and of what all joints feel.
     """
 
     effect: str
@@ -85,6 +88,7 @@ class PositionFinding:
     ambiguous_with: tuple[str, ...]
     meaning: str
     remedy: str
+    replication: Replication | None = None
 
     @property
     def cause(self) -> Cause:
@@ -347,4 +351,5 @@ def _finding(found: PositionFinding) -> EffectRecord:
         ci95={s.name: s.interval for s in found.sizes},
         error_without_mrad=found.error_without,
         error_with_mrad=found.error_with,
+        replication=found.replication,
     )

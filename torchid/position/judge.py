@@ -6,7 +6,8 @@ one motion alone tells has no such spread: there what is left in the windows, al
 is its noise. The larger answer counts.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -19,9 +20,11 @@ from torchid.position.fit import (
     mean_square,
     prior_deviations,
     prior_precision,
+    searched,
     sensitivities,
     weights,
 )
+from torchid.results.replication import MotionScale, Replication, replication_of
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import Windows
 from torchid.statistics.jackknife import jackknife
@@ -49,6 +52,39 @@ class Equations:
     gram: Tensor
     pull: Tensor
     square: Tensor
+
+    def replication(
+        self, name: str, joint: int, motions: Sequence[tuple[str, float]]
+    ) -> Replication | None:
+        """By which factor each motion wants a parameter of a joint, beside what the joint's others
+        are in all motions together; None where fewer than two can tell.
+
+        Args:
+            name: of the parameter, one of `names` that is free on the joint.
+            joint: counted from 0.
+            motions: name and length [s] of each.
+        """
+        on, k = self.mask[joint], int(self.mask[joint, : self.names.index(name)].sum())
+        grams, pulls = self.gram[:, joint][:, on][:, :, on], self.pull[:, joint, on]
+        prior = prior_precision(self.names, self.square)[joint, on]
+        # Along this direction the joint's other numbers make up for what they can: what is left is
+        # this parameter's alone.
+        unit = torch.eye(int(on.sum()), dtype=grams.dtype)[k]
+        along = torch.linalg.solve(grams.sum(0) + prior.diag(), unit)
+        size = 1.0
+        if PARAMETERS[INDEX[name]].kind != "log":
+            p = PARAMETERS[INDEX[name]]
+            size = float(searched(self.servos)[joint, INDEX[name]]) - p.neutral
+        noise = TOGETHER * float(self.square[joint])
+        scales = []
+        for (motion, end), gram, pull in zip(motions, grams, pulls, strict=True):
+            # How far the parameter must go in this motion until nothing pulls along it.
+            held = float(along @ gram[k]) * size
+            if held != 0:
+                std = math.sqrt(noise * float(along @ gram @ along)) / abs(held)
+                step = -float(along @ pull) / held
+                scales.append(MotionScale(motion, 0.0, end, 1.0 + step, std))
+        return replication_of(scales)
 
     def deviations(self) -> Float[Tensor, "n K"]:
         """Half of the 95 % intervals (n, K) over that of a normal variable; of logarithms where

@@ -8,6 +8,7 @@ from msgspec import UNSET, UnsetType
 
 from torchid.results.answer import DiagnosisRecord
 from torchid.results.record import FINITE, Ends, Joint, Part, Real, Rows, Values
+from torchid.results.replication import Replication
 from torchid.typing import Float, Tensor
 
 
@@ -57,6 +58,7 @@ class EffectRecord(Part, frozen=True, kw_only=True):
     ci95: dict[str, Ends]
     error_without_mrad: Real
     error_with_mrad: Real
+    replication: Replication | None = None
     meaning: str
     remedy: str
 

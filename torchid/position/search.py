@@ -27,6 +27,9 @@ NEAR = 10.0
 """Times the loss that calls for no cause within which a plain servo is fitted to the end [1]."""
 TAKEN = 0.03
 """Share of a joint's loss that a size of an effect without slope must take away to be tried [1]."""
+ROUNDS, SETTLED = 6, 0.01
+"""Of a fit that is brought to its end, at most; and the share of a joint's loss that a round must
+take away [1]."""
 ALIKE = 1.5
 """Losses of two effects of which the larger is less than this times the other tell neither [1]."""
 TOUCHED = 0.02
@@ -112,6 +115,22 @@ def _start(data: PositionData, names: tuple[str, ...]) -> Servos:
         if name in names:
             servos.joint[:, INDEX[name]] *= data.strength
     return servos
+
+
+def settled(data: PositionData, found: Found, windows: Windows) -> Found:
+    """A model fitted until no joint gains: the numbers of set-points move once a round, for every
+    step of theirs simulates the commands' way anew."""
+    before = _one(data, found, windows)
+    for _ in range(ROUNDS):
+        servos = fit(
+            data, found.servos, found.free, windows, plane=found.plane, profiles=True, iterations=3
+        )
+        found = replace(found, servos=servos)
+        after = _one(data, found, windows)
+        if bool((after > (1 - SETTLED) * before).all()):
+            break
+        before = after
+    return found
 
 
 def least_loss(data: PositionData, windows: Windows) -> Tensor:

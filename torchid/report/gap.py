@@ -8,7 +8,7 @@ from typing import Any
 
 from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import TorqueDiagnosis
-from torchid.gap.record import Experiment, GapRecord, NotTestable, Replication
+from torchid.gap.record import Experiment, GapRecord, NotTestable
 from torchid.report import gap_figures
 from torchid.report.exported import simulator_block
 from torchid.report.gap_words import (
@@ -22,8 +22,10 @@ from torchid.report.gap_words import (
     shapes,
 )
 from torchid.report.panels import Picture
+from torchid.report.repeats import repeats_pictures
 from torchid.report.table import Table, cells, filled, joint_numbers, joint_unit, torque_unit
 from torchid.results.record import as_plain
+from torchid.results.replication import times
 from torchid.results.words import (
     effect_words,
     interval,
@@ -135,7 +137,7 @@ def which_table(record: GapRecord) -> Table:
         rows.append(
             (
                 what, joints, "\n".join(values), _others(f.ambiguous_with), closes,
-                sure(f.how_sure), _repeats(f.replication),
+                sure(f.how_sure), times(f.replication),
             )
         )  # fmt: skip
     rows += [
@@ -168,7 +170,7 @@ def small_table(record: GapRecord) -> Table:
             for name, unit in e.unit.items()
             if isinstance(v := e.parameters[name], float | int)
         ]
-        last = (f"{e.closes_rms:.2g}", sure(e.how_sure), _repeats(e.replication))
+        last = (f"{e.closes_rms:.2g}", sure(e.how_sure), times(e.replication))
         place = _numbers(e.joints) or "all"
         rows.append((effect_words(e.effect), place, "\n".join(values), *last))
     columns = ("effect", "joints", "value", "takes away, RMS", "how sure", "repeats")
@@ -351,12 +353,6 @@ def _others(names: tuple[str, ...]) -> str:
     return "\n".join(effect_words(name) for name in names) or "-"
 
 
-def _repeats(found: Replication | None) -> str:
-    """`5 of 6`: motions that want the effect with the same sign and size, of those that can show
-    it."""
-    return "-" if found is None else f"{found.repeats} of {found.asked}"
-
-
 def facts(record: GapRecord) -> list[tuple[str, str]]:
     """The few numbers beside the headline."""
     far, unit = record.how_far, torque_unit(model_of(record))
@@ -470,18 +466,7 @@ def pictures(d: TorqueDiagnosis) -> list[Picture]:
                 partial(gap_figures.known_figure, record),
             )
         )
-    if any(f.replication for f in d.findings):
-        out.append(
-            Picture(
-                "repeats",
-                "Is it the same in every motion? By which factor each part of the data, of about "
-                "ten seconds, wants a cause: 1 is as it was fitted to all, 0 not at all. The grey "
-                "band is where the next motion's would lie. A law repeats; what one motion alone "
-                "wants is misfit.",
-                "Factor of each cause, part by part of the data.",
-                partial(gap_figures.repeats_figure, record),
-            )
-        )
+    out += repeats_pictures(record)
     if any(f.planted for f in d.findings):
         out.append(
             Picture(

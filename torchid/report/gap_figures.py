@@ -1,6 +1,7 @@
 """Figures of a diagnosis: where the gap lies, how far it shrinks, and the gap of one joint against
 everything it may depend on."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, get_args
 
@@ -24,6 +25,7 @@ from torchid.report.panels import (
     styled,
     worst_stretch,
 )
+from torchid.report.repeats import repeats_figures
 from torchid.report.table import joint_unit
 from torchid.results.words import percent, regime_words
 from torchid.statistics.jackknife import student_quantile
@@ -35,8 +37,6 @@ WORST = 3
 NARROW = 4.2
 """Width of a figure on a phone [inch]."""
 
-ABREAST = 4
-"""Panels in a line of findings' replications."""
 
 MOST_PLANTED = 5
 """Findings whose planting is shown, the largest ones."""
@@ -51,14 +51,16 @@ def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
     over time."""
     record = result.record
     assert isinstance(record, GapRecord)
-    out = {"where": partial(map_figure, record), "how_far": partial(bar_figure, record)}
+    out: dict[str, Callable[[], Figure]] = {
+        "where": partial(map_figure, record),
+        "how_far": partial(bar_figure, record),
+    }
     if isinstance(result, TorqueDiagnosis) and result.traces:
         out |= {
             f"gap_joint_{j + 1}": partial(joint_figure, result, j) for j in worst_joints(record)
         }
         out["torque"] = partial(torque_figure, result)
-    if any(f.replication for f in record.which):
-        out["repeats"] = partial(repeats_figure, record)
+    out |= repeats_figures(record)
     if record.knowledge is not None and record.knowledge.coefficients:
         out["known"] = partial(known_figure, record)
     if any(f.planted for f in record.which):
@@ -192,39 +194,6 @@ def planted_figure(record: GapRecord) -> Figure:
             curve.set_title(said, fontsize=SMALL, color=INK, loc="left")
         curve.set(ylim=(-4, 104), xlabel="size, as a share of the one found", ylabel="found [%]")
     return finish(figure, f"{record.robot}: what this log would show")
-
-
-def repeats_figure(record: GapRecord) -> Figure:
-    """A panel a finding: by which factor each part of the data wants it, 1 as it was fitted."""
-    shown = [(f, f.replication) for f in record.which if f.replication is not None]
-    columns = min(ABREAST, len(shown))
-    lines = -(-len(shown) // columns)
-    figure = new_figure(9.6, 0.8 + 1.9 * lines)
-    grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
-    for axes in grid.flat[len(shown) :]:
-        axes.set_visible(False)
-    for (finding, found), axes in zip(shown, grid.flat, strict=False):
-        styled(axes)
-        x = np.arange(1, len(found.motions) + 1)
-        scale = np.array([m.scale for m in found.motions])
-        std = np.array([m.std for m in found.motions])
-        half = HALF_95 * found.next_std
-        axes.axhspan(found.mean - half, found.mean + half, color=GREY, alpha=0.35, linewidth=0)
-        axes.axhline(0, color=INK, linewidth=0.6)
-        axes.axhline(found.mean, color=AFTER, linewidth=1)
-        axes.errorbar(x, scale, HALF_95 * std, fmt="o", color=AFTER, markersize=4, linewidth=1)
-        axes.set(xlim=(0.5, len(x) + 0.5), ylim=(-1, 3))
-        axes.set_xticks(x if len(x) <= 12 else x[:: len(x) // 6])
-        where = ", ".join(str(j + 1) for j in finding.located)
-        name = finding.effect.replace("_", " ") + (f" {where}" if where else "")
-        axes.set_title(
-            f"{name}: {found.repeats} of {found.asked}", fontsize=SMALL, color=INK, loc="left"
-        )
-    for axes in grid[:, 0]:
-        axes.set_ylabel("factor")
-    for axes in grid[-1]:
-        axes.set_xlabel("part of the data")
-    return finish(figure, f"{record.robot}: is it the same in every motion?")
 
 
 def known_figure(record: GapRecord) -> Figure:

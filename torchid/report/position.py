@@ -30,7 +30,9 @@ from torchid.report.panels import (
     thin,
     worst_stretch,
 )
+from torchid.report.repeats import repeats_figures, repeats_pictures
 from torchid.report.table import Shown, Table, filled
+from torchid.results.replication import times
 from torchid.results.words import effect_words, listed, regime_words
 
 WORST = 3
@@ -131,16 +133,18 @@ def tables(record: PositionRecord) -> list[Table]:
             ", ".join(_sizes(f)),
             f"{f.error_without_mrad:.1f} -> {f.error_with_mrad:.1f}",
             ", ".join(f.ambiguous_with) or "-",
+            times(f.replication),
         )
         for f in record.which
     ]
     which = Table(
         "What lies between command and position",
-        ("effect", "joint", "size (95 %)", "without -> with [mrad]", "or"),
+        ("effect", "joint", "size (95 %)", "without -> with [mrad]", "or", "repeats"),
         findings,
         names=("effect", "joint"),
         words=("size (95 %)", "or"),
-        note="error in windows of 2 s when all else is fitted without the effect, and with it",
+        note="error in windows of 2 s when all else is fitted without the effect, and with it; "
+        "repeats: motions that want it with the same sign and size, of those that can show it",
     )
     meant = [(effect_words(f.effect), f.meaning, f.remedy) for f in record.which]
     columns = ("effect", "what it means", "what to do")
@@ -271,6 +275,7 @@ def pictures(r: PositionDiagnosis) -> list[Picture]:
                 partial(which_figure, record),
             )
         )
+    out += repeats_pictures(record)
     out.append(
         Picture(
             "how_far",
@@ -325,6 +330,7 @@ def figures(result: PositionDiagnosis | PositionRecord) -> Figures:
     }
     if record.which:
         out["which"] = partial(which_figure, record)
+    out |= repeats_figures(record)
     if isinstance(result, PositionDiagnosis):
         for j in worst_joints(record):
             out[f"gap_joint_{j + 1}"] = partial(joint_figure, result, j)

@@ -1,0 +1,94 @@
+"""Whether a cause is the same in every motion.
+
+A cause fitted to all motions at once may be what one of them wanted. Each motion, or part of one,
+is asked by which factor it wants the whole cause: 1 is as it was fitted, 0 not at all. The factors
+of n parts vary by more than their standard deviations where the law is another from motion to
+motion; that spread (DerSimonian and Laird 1986) widens the prediction of the next motion.
+"""
+
+import math
+from collections.abc import Sequence
+
+import torch
+
+from torchid.results.record import Part, Real
+from torchid.typing import Tensor
+
+FACTOR = 2.0
+"""Factor within which sizes are the same law [1]; friction laws vary by 1.02 - 1.04 between motions
+that have them, effects that are not there by 1.3 - 1.6."""
+
+TELLS = 0.5
+"""Standard deviation of a factor up to which a part can tell whether the effect is there: two of
+them from 0 to 1."""
+
+
+class MotionScale(Part, frozen=True):
+    """By which factor a part of the data wants an effect, 1 being as it was fitted to all.
+
+    Attributes:
+        trajectory, from_s, to_s: which part.
+        scale, std: the factor.
+    """
+
+    trajectory: str
+    from_s: float
+    to_s: float
+    scale: Real
+    std: float
+
+
+class Replication(Part, frozen=True, kw_only=True):
+    """Whether an effect is the same in every motion.
+
+    Attributes:
+        motions: part by part.
+        mean: of those that can tell.
+        spread: standard deviation between motions, beyond that of each.
+        next_std: of the factor in the next motion.
+        repeats, asked: in how many of those that can tell it has the same sign and size.
+    """
+
+    motions: tuple[MotionScale, ...]
+    mean: Real
+    spread: Real
+    next_std: Real
+    repeats: int
+    asked: int
+
+
+def times(found: Replication | None) -> str:
+    """`5 of 6`: motions that want the effect with the same sign and size, of those that can show
+    it."""
+    return "-" if found is None else f"{found.repeats} of {found.asked}"
+
+
+def replication_of(scales: Sequence[MotionScale]) -> Replication | None:
+    """The factors of all parts together; None where fewer than two can tell."""
+    telling = [s for s in scales if s.std <= TELLS]
+    if len(telling) < 2:
+        return None
+    x = torch.tensor([s.scale for s in telling], dtype=torch.float64)
+    v = torch.tensor([s.std**2 for s in telling], dtype=torch.float64)
+    spread = between(x, v)
+    w = 1 / (v + spread**2)
+    mean = float((w * x).sum() / w.sum())
+    # The same sign and nearly the size of all, as far as the part can tell.
+    slack = 2 * v.sqrt()
+    same = (x > 0) & (x + slack >= mean / FACTOR) & (x - slack <= FACTOR * mean)
+    return Replication(
+        motions=tuple(scales),
+        mean=mean,
+        spread=spread,
+        next_std=math.sqrt(float(1 / w.sum()) + spread**2),
+        repeats=int(same.sum()),
+        asked=len(telling),
+    )
+
+
+def between(x: Tensor, variances: Tensor) -> float:
+    """Standard deviation of n quantities beyond their own (DerSimonian and Laird 1986, eq. 8)."""
+    w = 1 / variances
+    mean = (w * x).sum() / w.sum()
+    excess = (w * (x - mean).square()).sum() - (len(x) - 1)
+    return float((excess / (w.sum() - w.square().sum() / w.sum())).clamp(min=0).sqrt())
