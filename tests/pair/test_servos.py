@@ -110,7 +110,7 @@ def test_an_arm_that_never_moves_ends_in_an_error():
         aligned(still, still)
 
 
-@pytest.mark.calibration
+@pytest.mark.slow
 def test_the_weaker_gain_and_the_friction_of_the_real_servo_are_named():
     found = weaker()
     assert found.which == ()

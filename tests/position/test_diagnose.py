@@ -29,7 +29,7 @@ CAUSES = {
 }
 
 
-@pytest.mark.parametrize("cause", some([None, *CAUSES], 1))
+@pytest.mark.parametrize("cause", some([None, *CAUSES], 2))
 def test_a_planted_cause_is_named(cause, tmp_path):
     extra = CAUSES[cause] if cause else {}
     servos = true_servos(3, **extra)

@@ -30,7 +30,7 @@ def test_what_one_motion_wants_does_not_repeat():
 
 @pytest.mark.parametrize(("std", "asked"), [(0.49, 4), (0.51, None)])
 def test_motions_that_can_not_tell_are_not_asked(std, asked):
-    found = replication_of([*scales(1.0, 1.1, 0.9, 1.0, std=std)])
+    found = replication_of(scales(1.0, 1.1, 0.9, 1.0, std=std))
     assert (found and found.asked) == asked
     assert times(found) == ("-" if asked is None else "4 of 4")
 

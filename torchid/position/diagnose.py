@@ -37,6 +37,7 @@ from torchid.position.search import (
     alone,
     full,
     plain,
+    refit,
     settled,
     shared,
     slight,
@@ -281,10 +282,8 @@ def _answer(
     worth, rivals, found = _needed(data, found, few)
     rivals = {at: names for at, names in alike.items() if bool(explained[at[1]])} | rivals
     # More windows move what has settled in few by little: one round, over three times as many.
-    servos = fit(
-        data, found.servos, found.free, more, plane=found.plane, profiles=True, iterations=2
-    )
-    return _Answer(data, replace(found, servos=servos), worth, rivals, gain)
+    found = refit(data, found, more, iterations=2)
+    return _Answer(data, found, worth, rivals, gain)
 
 
 def _no_worse(data: PositionData, simple: Found, found: Found, windows: Windows) -> Found:
@@ -494,6 +493,7 @@ def _findings(answered: _Answer, known: Equations) -> tuple[PositionFinding, ...
     data, found, rivals = answered.data, answered.found, answered.rivals
     deviation = known.deviations()
     looked = float(data.tracks.u.shape[0])
+    motions = list(zip(data.log.names, data.log.duration, strict=True))
     out = []
     if answered.load is not None:
         load, light, heavy, others = answered.load
@@ -546,7 +546,6 @@ def _findings(answered: _Answer, known: Equations) -> tuple[PositionFinding, ...
             neutral = PARAMETERS[INDEX[effect.parameters[0]]].neutral
             again = None
             if sizes and effect.family != "world":
-                motions = list(zip(data.log.names, data.log.duration, strict=True))
                 again = known.replication(sizes[0].name, j, motions)
             if effect.twin and (not effect.twin_below or (sizes and sizes[0].value < neutral)):
                 others += (effect.twin,)

@@ -71,10 +71,10 @@ class Equations:
         # this parameter's alone.
         unit = torch.eye(int(on.sum()), dtype=grams.dtype)[k]
         along = torch.linalg.solve(grams.sum(0) + prior.diag(), unit)
-        size = 1.0
-        if PARAMETERS[INDEX[name]].kind != "log":
-            p = PARAMETERS[INDEX[name]]
-            size = float(searched(self.servos)[joint, INDEX[name]]) - p.neutral
+        # A step of a logarithm is a factor already; of all else it is a share of what was found.
+        p = PARAMETERS[INDEX[name]]
+        found = float(searched(self.servos)[joint, INDEX[name]]) - p.neutral
+        size = 1.0 if p.kind == "log" else found
         noise = TOGETHER * float(self.square[joint])
         scales = []
         for (motion, end), gram, pull in zip(motions, grams, pulls, strict=True):

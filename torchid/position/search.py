@@ -103,8 +103,7 @@ def full(data: PositionData, windows: Windows, say: Callable[[str], None] | None
             now = _grown(data, now, windows, name)
     now = _scanned(data, now, windows)
     say("all together")
-    servos = fit(data, now.servos, now.free, windows, plane=now.plane, profiles=True, iterations=4)
-    return replace(now, servos=servos)
+    return refit(data, now, windows, iterations=4)
 
 
 def _start(data: PositionData, names: tuple[str, ...]) -> Servos:
@@ -117,15 +116,26 @@ def _start(data: PositionData, names: tuple[str, ...]) -> Servos:
     return servos
 
 
+def refit(data: PositionData, found: Found, windows: Windows, *, iterations: int) -> Found:
+    """A model with all that it searches fitted anew, set-points' numbers and the plane's too."""
+    servos = fit(
+        data,
+        found.servos,
+        found.free,
+        windows,
+        plane=found.plane,
+        profiles=True,
+        iterations=iterations,
+    )
+    return replace(found, servos=servos)
+
+
 def settled(data: PositionData, found: Found, windows: Windows) -> Found:
     """A model fitted until no joint gains: the numbers of set-points move once a round, for every
     step of theirs simulates the commands' way anew."""
     before = _one(data, found, windows)
     for _ in range(ROUNDS):
-        servos = fit(
-            data, found.servos, found.free, windows, plane=found.plane, profiles=True, iterations=3
-        )
-        found = replace(found, servos=servos)
+        found = refit(data, found, windows, iterations=3)
         after = _one(data, found, windows)
         if bool((after > (1 - SETTLED) * before).all()):
             break

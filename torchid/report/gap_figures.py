@@ -37,7 +37,6 @@ WORST = 3
 NARROW = 4.2
 """Width of a figure on a phone [inch]."""
 
-
 MOST_PLANTED = 5
 """Findings whose planting is shown, the largest ones."""
 

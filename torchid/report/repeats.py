@@ -34,8 +34,9 @@ def repeats_pictures(record: GapRecord | PositionRecord) -> list[Picture]:
 
 def repeats_figures(record: GapRecord | PositionRecord) -> dict[str, Callable[[], Figure]]:
     """The same figure by its name."""
-    asked = any(True for _ in _replicated(record))
-    return {"repeats": partial(repeats_figure, record)} if asked else {}
+    if not any(found.replication for found in record.which):
+        return {}
+    return {"repeats": partial(repeats_figure, record)}
 
 
 def _replicated(record: GapRecord | PositionRecord) -> Iterator[tuple[str, Replication]]:

@@ -14,10 +14,9 @@ from torchid.gap.search.evidence import apart, fit_terms
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.solve import Solution, solved
 from torchid.gap.search.terms import BASE, PAYLOAD
-from torchid.gap.search.told import alternatives, likely, not_testable
+from torchid.gap.search.told import alternatives, how_sure, likely, not_testable
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.blocks import block_numbers
-from torchid.statistics.evidence import how_sure
 
 LOAD = [0.5, 0.05, -0.02, 0.1, 0.08, 0.0, 0.0, 0.08, 0.0, 0.08]
 

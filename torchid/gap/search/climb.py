@@ -33,10 +33,10 @@ from torchid.gap.search.evidence import (
     prior_of,
     refused,
     relief,
+    risen,
     subset_of,
 )
 from torchid.gap.search.terms import BASE, Term
-from torchid.statistics.evidence import risen
 from torchid.typing import Float, Tensor
 
 TRIED = 10

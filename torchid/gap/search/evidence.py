@@ -36,9 +36,12 @@ from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
 from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
 from torchid.gap.settings import GapSettings
-from torchid.statistics.autocorrelation import autocorrelation
-from torchid.statistics.evidence import price, risen, telling_rows
+from torchid.statistics.autocorrelation import autocorrelation, time_of
 from torchid.typing import Bool, Float, Tensor
+
+ODDS = 20.0
+"""Odds against an alternative from which it is no longer told: exp of half the difference of the
+evidence. Half and double of it change the mean set size by less than 0.1."""
 
 LOOKED_AT = 24
 """Terms of one place and number of columns that are offered at most; more than all effects
@@ -182,7 +185,7 @@ class Question:
 
     def price(self) -> float:
         """Of a cause."""
-        return price(self.looks, self.settings.alpha)
+        return 2 * math.log(self.looks / self.settings.alpha)
 
 
 def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
@@ -291,9 +294,18 @@ def effective_samples(
     """Independent samples (n,) among those of each joint, if what a fit leaves there is noise: as
     many as tell of a constant torque; or of that by which another fit differs."""
     left, slow_as = left_by(question, fit)
-    along = None if other is None else left_by(question, other)[0] - left
-    bounds = question.candidates.columns.samples.bounds
-    return telling_rows(left, along, bounds, question.normal.rows, slow_as)
+    times = time_of(slow_as)
+    if other is not None:
+        along = left_by(question, other)[0] - left
+        a, b = along.square(), left.square()
+        # Where they differ by rounding alone they do not differ.
+        there = a.sum(1) > torch.finfo(a.dtype).eps * b.sum(1)
+        bounds = question.candidates.columns.samples.bounds
+        slow = time_of(slow_as * autocorrelation(along, bounds))
+        # Noise that is larger where the two differ more tells less of it (White 1980).
+        loud = (a * b).sum(1) * question.normal.rows / (a.sum(1) * b.sum(1)).clamp(min=1e-300)
+        times = (slow * loud.clamp(min=1.0)).where(there, times)
+    return (question.normal.rows / times.clamp(min=1.0)).clamp(min=1e-9)
 
 
 def apart(question: Question, fit: Fitted, other: Fitted) -> tuple[Fitted, Fitted]:
@@ -456,6 +468,14 @@ def _without(
     x = torch.where(gone, 0.0, solved.x)
     value = prior.value(x)
     return replace(fit, subset=subset, x=x, root=solved.root, losses=losses, known=value)
+
+
+def risen(
+    effective: Float[Tensor, " n"], before: Float[Tensor, " n"], after: Float[Tensor, "*batch n"]
+) -> Float[Tensor, "*batch n"]:
+    """Twice the rise (*batch, n) of each joint's logarithm of the likelihood between two sums of
+    squares of what is left; none on a joint of which no sample counts."""
+    return effective * (before.clamp(min=1e-300) / after.clamp(min=1e-300)).log()
 
 
 def forbidden(terms: Sequence[Term], solved: Solved) -> Bool[Tensor, " K"]:
@@ -641,10 +661,10 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
         paid = (counts + batch.shapes) * math.log(max(n, 2.0))
         best = (rise - paid).argsort(descending=True)[:LOOKED_AT]
         chosen = torch.stack([gains, rise, paid], 1)[best].tolist()
-        for m, (gain, rising, own_price) in zip(best.tolist(), chosen, strict=True):
+        for m, (gain, rising, price) in zip(best.tolist(), chosen, strict=True):
             term = batch.terms[m]
             if gain > 0 and term.key not in present and not _beside(term, fit.terms):
-                out.append(Offer(term, rising, own_price))
+                out.append(Offer(term, rising, price))
     return sorted(out, key=lambda o: -o.net)
 
 

@@ -16,6 +16,7 @@ import torch
 from torchid.design.gram import inverse_root
 from torchid.gap.record import Planted
 from torchid.gap.search.evidence import (
+    ODDS,
     Fitted,
     Question,
     cost,
@@ -28,7 +29,6 @@ from torchid.gap.search.evidence import (
 from torchid.gap.search.terms import Term
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_length
-from torchid.statistics.evidence import ODDS
 from torchid.typing import Float, Int, Tensor
 
 DRAWS = 200

@@ -11,10 +11,9 @@ from torchid.gap.search.explain import Explanation
 from torchid.gap.search.replication import replication
 from torchid.gap.search.solve import solved
 from torchid.gap.search.terms import Term
-from torchid.gap.search.told import LIKELY, determined
+from torchid.gap.search.told import LIKELY, determined, how_sure
 from torchid.json_data import plain
 from torchid.robot.model import Robot
-from torchid.statistics.evidence import how_sure
 from torchid.typing import Int, Tensor
 
 

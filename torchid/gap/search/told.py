@@ -18,6 +18,7 @@ from torchid.gap.diagnosis import Finding
 from torchid.gap.record import Experiment, Informative, NotTestable, Parametric, Planted
 from torchid.gap.search.climb import TRIED, moves
 from torchid.gap.search.evidence import (
+    ODDS,
     Fitted,
     Question,
     apart,
@@ -27,6 +28,7 @@ from torchid.gap.search.evidence import (
     fit_terms,
     in_turn,
     residual,
+    risen,
 )
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.planting import Planting, planted
@@ -35,7 +37,6 @@ from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
-from torchid.statistics.evidence import ODDS, how_sure, risen
 from torchid.typing import Int, Tensor
 
 LIKELY = 0.5
@@ -188,6 +189,13 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
     searched = term.name not in common_names(own, question.joints)
     looks = question.looks if searched else 1.0
     return min(1.0, looks * float(chdtrc(df, max(0.0, ratio))))
+
+
+def how_sure(rises: Sequence[float]) -> float:
+    """Probability of a term, from the rises of the evidence with none in its place and with each
+    alternative: the odds are exp of half of them (Kass and Raftery 1995), for the evidence holds
+    what was known beforehand and counts independent samples only."""
+    return 1 / (1 + sum(math.exp(min(0.5 * rise, 500.0)) for rise in rises))
 
 
 def likely(
