@@ -29,7 +29,7 @@ SAID = {
         "explained\n",
         "set_point_profile joint 2 ['acceleration 4",
         "end_stop joint 3 ['stop_high 0.25']",
-        "acceleration of joint 2: +-",
+        "left open: nothing",
     ),
     "07_sessions_add_up": (
         "than on Monday: True",
