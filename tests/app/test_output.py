@@ -2,6 +2,7 @@
 
 import pytest
 
+from torchid.app import commands  # noqa: F401  # their options are what is asked for
 from torchid.app.output import in_options, option_names
 from torchid.errors import TorchidError
 from torchid.robot.library import load_robot

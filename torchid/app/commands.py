@@ -1,7 +1,7 @@
 """All commands, and what happens when one fails."""
 
 import sys
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -20,7 +20,7 @@ from torchid.app.log import log_app
 from torchid.app.output import in_options
 from torchid.app.project import add
 from torchid.app.show import effects_command, explain_command, robot_command
-from torchid.app.signature import Debug, Option
+from torchid.app.signature import Debug
 from torchid.app.simulate import simulate_command
 from torchid.app.study import demo_command, study_command
 from torchid.app.withheld import withheld_app
@@ -42,17 +42,6 @@ for _one in (
         app.add_typer(_one, name=_one.info.name)
     else:
         add(app, _one)
-
-
-def options_of_all() -> dict[str, list[Option]]:
-    """The options of every command, by its name with its group's: `log show`."""
-    found: dict[str, list[Option]] = {}
-    todo: list[tuple[str, Any]] = [("", app)]
-    while todo:
-        above, group = todo.pop()
-        todo += [(f"{above}{sub.name} ", sub.typer_instance) for sub in group.registered_groups]
-        found |= {above + one.name: one.callback.options for one in group.registered_commands}
-    return found
 
 
 def _version(asked: bool) -> bool:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +17,7 @@ from rich.markup import escape
 from rich.text import Text
 
 from torchid.app import begun
+from torchid.app.project import OPTIONS
 from torchid.app.signature import PLACE, WRITTEN, Fields
 from torchid.errors import TorchidError, visible
 from torchid.files import make_folder, write_text
@@ -305,12 +306,9 @@ def in_options(text: str) -> str:
     return _ARGUMENT.sub(option, text)
 
 
-@cache
 def option_names() -> dict[str, str]:
     """Options of all commands, by the names of their arguments in Python."""
-    from torchid.app.commands import options_of_all
-
-    every = (option for options in options_of_all().values() for option in options)
+    every = (option for options in OPTIONS.values() for option in options)
     return {option.name: option.shown for option in every if option.has_name}
 
 

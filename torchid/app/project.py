@@ -6,18 +6,20 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import typer
 from typer.core import TyperCommand, TyperOption
 
+from torchid.app.signature import Option
 from torchid.project.file import Project, Taken, find_project, read_project
 from torchid.robot.config_files import names_robot
 
 _FITTED = ("identify", "payload", "excite")
 """Commands whose `--effects` are what the arm has; elsewhere it is what is searched over."""
+OPTIONS: dict[str, list[Option]] = {}
+"""The options of every command that was added, by its name with its group's: `log show`."""
 _CURRENT: ContextVar[Project | None] = ContextVar("project", default=None)
 
 
@@ -35,13 +37,20 @@ def group(name: str, about: str, commands: Sequence[Callable[..., None]]) -> typ
     """A group of commands."""
     made = typer.Typer(name=name, no_args_is_help=True, help=about)
     for one in commands:
-        add(made, one)
+        add(made, one, f"{name} ")
     return made
 
 
-def add(to: typer.Typer, one: Callable[..., None]) -> None:
-    """A command by the name of its function: `leave_out_command` is `leave-out`."""
+def add(to: typer.Typer, one: Any, above: str = "") -> None:
+    """A command by the name of its function: `leave_out_command` is `leave-out`.
+
+    Args:
+        to: the program or a group.
+        one: a function with the options that `command` gave it.
+        above: the name of the group and a blank.
+    """
     name = one.__name__.removesuffix("_command").replace("_", "-")
+    OPTIONS[above + name] = one.options
     to.command(name, cls=ProjectCommand)(one)
 
 
@@ -111,17 +120,14 @@ def _path(ctx: Any) -> str:
     return " ".join(names)
 
 
-@cache
 def _commands() -> dict[str, dict[str, Taken]]:
     """The options of each command that takes a project file, by their names without dashes."""
-    from torchid.app.commands import options_of_all
-
     return {
         command: {
             option.shown.lstrip("-"): Taken(option.name, *option.takes)
             for option in options
             if option.name not in ("project_file", "debug")
         }
-        for command, options in options_of_all().items()
+        for command, options in OPTIONS.items()
         if any(option.name == "project_file" for option in options)
     }
