@@ -7,13 +7,21 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= passive
 
-.PHONY: demo test test-all test-real test-lowest test-newest calibration fuzz lint format docs docs-site bench clean
+.PHONY: demo test test-types test-slow test-all test-real test-lowest test-newest calibration fuzz lint format docs docs-site bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not real and not calibration"
+
+# The same with types checked in every test of them, not in one of four.
+test-types: $(VENV)/.dev
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not real and not calibration" --all-types
+
+# Those that take longer; no types are checked in them.
+test-slow: $(VENV)/.dev
+	JAXTYPING_DISABLE=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "(slow or real) and not calibration"
 
 test-all: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not calibration"
@@ -38,7 +46,7 @@ fuzz: $(VENV)/.dev
 	$(BIN)/python -m tests.robustness.fuzz --minutes $(or $(MINUTES),60) --seed $(or $(SEED),0)
 
 calibration: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m calibration
+	JAXTYPING_DISABLE=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m calibration
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -11,7 +11,10 @@ import torchid
 from torchid.log.model import Log
 
 UNCHECKED = {"torchid", "torchid.dynamics", "torchid.dynamics.scalars"}  # see conftest.py
-pytestmark = pytest.mark.skipif(jaxtyping.config.jaxtyping_disable, reason="JAXTYPING_DISABLE")
+pytestmark = [
+    pytest.mark.usefixtures("types_checked"),
+    pytest.mark.skipif(jaxtyping.config.jaxtyping_disable, reason="JAXTYPING_DISABLE"),
+]
 
 
 def test_a_wrong_shape_or_dtype_is_refused() -> None:

@@ -555,18 +555,17 @@ class _Run:
     def knots(self, rows: Tensor) -> list[Tensor]:
         """Three set-points (n, P, W), or (n, 1, W) of sets that are alike, around the delayed
         instant of a sample, which follows the one that was asked for before."""
-        whole, own = self.apart
-        at = rows - whole - 1
-
-        def knot(k: int) -> Tensor:
-            x = self.flat.take(torch.maximum(at + k, self.begin).add_(own))
-            return x if self.alike is None or x.shape[1] == 1 else x.index_select(1, self.alike)
-
+        at = rows - self.apart[0] - 1
         if self.ahead is None:
-            self.ahead = knot(0), knot(1)
+            self.ahead = self._knot(at), self._knot(at + 1)
         before, now = self.ahead
-        self.ahead = now, knot(2)
+        self.ahead = now, self._knot(at + 2)
         return [before, *self.ahead]
+
+    def _knot(self, at: Tensor) -> Tensor:
+        """Set-points at rows of the tracks; before a motion, its first."""
+        x = self.flat.take(torch.maximum(at, self.begin).add_(self.apart[1]))
+        return x if self.alike is None or x.shape[1] == 1 else x.index_select(1, self.alike)
 
     def summed(
         self,
