@@ -7,33 +7,55 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= passive
 
-.PHONY: demo test test-types test-slow test-all test-real test-lowest test-newest calibration fuzz lint format docs docs-site bench clean
+PYTEST := $(BIN)/python -m pytest
+TWO := -n 2 --dist loadscope
+QUICK := -m "not slow and not nightly and not real"
+# `make test` is two processes, each of which reads and runs half of the tests, so that nothing is
+# made twice. In the first half annotations are checked where shapes are the subject.
+SHAPES := design dynamics effects robot statistics
+HALF := $(addprefix tests/,$(SHAPES) compare excitation export extraction feasibility log parallel simulation \
+  simulators wrenches test_types_are_checked.py)
+SHELL := bash
+.SHELLFLAGS := -o pipefail -c
+
+.PHONY: demo test test-one test-two test-slow nightly golden coverage lint format docs docs-site fuzz test-lowest test-newest bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
 
+# The quick round: five minutes on two slow cores.
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not real and not calibration"
+	@$(MAKE) --no-print-directory --jobs 2 test-one test-two
 
-# The same with types checked in every test of them, not in one of four.
-test-types: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not real and not calibration" --all-types
+test-one: $(VENV)/.dev
+	@TORCHID_TYPES="$(addprefix torchid.,$(SHAPES))" $(PYTEST) $(QUICK) $(HALF) | sed -u 's/^/1 | /'
 
-# Those that take longer; no types are checked in them.
+test-two: $(VENV)/.dev
+	@$(PYTEST) $(QUICK) $(addprefix --ignore=,$(HALF)) | sed -u 's/^/2 | /'
+
+# What only longer tests cover: real logs, notebooks, MuJoCo plants, the README's way.
 test-slow: $(VENV)/.dev
-	JAXTYPING_DISABLE=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "(slow or real) and not calibration"
+	$(PYTEST) $(TWO) -m "(slow or real) and not nightly"
 
-test-all: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not calibration"
+# All that takes longer: types in every quick test, rates over hundreds of runs, the tutorial. Property
+# tests draw from a seed of the day, which pytest prints; SEED=20261126 repeats that night's.
+nightly: SEED ?= $(shell date +%Y%m%d)
+nightly: $(VENV)/.dev
+	TORCHID_TYPES=torchid $(PYTEST) $(TWO) $(QUICK) --hypothesis-seed=$(SEED)
+	TORCHID_SEED=$(SEED) $(PYTEST) $(TWO) -m nightly --hypothesis-seed=$(SEED)
 
-test-real: $(VENV)/.dev
-	$(BIN)/python -m pytest -m real
+# Answers to twelve small logs beside the stored ones: code that was only moved changes none of them.
+golden: $(VENV)/.dev
+	$(BIN)/python -m tests.golden.answers $(if $(WRITE),--write) $(NAMES)
+
+coverage: $(VENV)/.dev
+	$(PYTEST) $(TWO) $(QUICK) --cov=torchid --cov-branch --cov-report=term
 
 # The same with other versions of what torchid needs: the lowest that pyproject.toml allows, and the
 # newest that there are, each in an environment of its own. TORCH=torch==2.13.0 takes that torch;
 # TESTS=tests/log a part of the tests.
 test-lowest test-newest: test-%: build/%/.made
-	build/$*/bin/python -m pytest -n 2 --dist worksteal -m "not slow and not real and not calibration" $(TESTS)
+	build/$*/bin/python -m pytest $(TWO) $(QUICK) $(TESTS)
 
 build/lowest/.made build/newest/.made: build/%/.made: pyproject.toml
 	$(PYTHON) -m venv build/$*
@@ -44,9 +66,6 @@ build/lowest/.made build/newest/.made: build/%/.made: pyproject.toml
 # Damaged files for every reader; what fails is kept in tests/robustness/corpus.
 fuzz: $(VENV)/.dev
 	$(BIN)/python -m tests.robustness.fuzz --minutes $(or $(MINUTES),60) --seed $(or $(SEED),0)
-
-calibration: $(VENV)/.dev
-	JAXTYPING_DISABLE=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m calibration
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

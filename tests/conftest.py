@@ -9,42 +9,37 @@ for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import random
-import zlib
 from collections.abc import Iterator
+from functools import cache
 
 import jaxtyping
 import numpy as np
 import pytest
 import torch
+import typer.main
 
-# Annotations of torchid are checked in every call of some tests: shapes, dtypes and the rest; an
-# int is a float, as in PEP 484. Scalars are imported before that: they are called a million times,
-# which would double the time of the tests, and have no shapes. JAXTYPING_DISABLE=1 leaves torchid
-# as it is, for what could be checked takes time even where it is not: the checks of a function
-# inside of another are compiled in each call.
+# Annotations, of shapes, dtypes and the rest, are checked in the packages that TORCHID_TYPES names:
+# where shapes are the subject in `make test`, in all of torchid nightly. An int is a float, as in
+# PEP 484. Elsewhere torchid is as users have it: checks make tests half as long again. Scalars are
+# imported before: they are called a million times, and have no shapes.
 import torchid.dynamics.scalars  # noqa: F401
 
-if not jaxtyping.config.jaxtyping_disable:
+CHECKED = os.environ.get("TORCHID_TYPES", "").split()
+if CHECKED:
     jaxtyping.install_import_hook(
-        "torchid", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
+        CHECKED, "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
     )
+
+# The command line is built once a process: typer would build it anew for every call.
+typer.main.get_command = cache(typer.main.get_command)
 
 from tests.arms import ARMS, arm
 from tests.oracles import MujocoOracle, PinocchioOracle
 from torchid.robot.model import Robot
 
-CHECKED = 4
-"""Types are checked in one of so many quick tests: a function is called by many of them."""
-
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--device", type=str, default="cpu", help="where the tests' tensors live")
-    parser.addoption("--all-types", action="store_true", help="check types in every quick test")
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest test begins first, or one process would end long after the others."""
-    items.sort(key=lambda item: item.path.name != "test_readme.py")
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -65,22 +60,12 @@ def types_unchecked() -> None:
     tests whose fixtures compute for long."""
 
 
-@pytest.fixture
-def types_checked() -> None:
-    """For tests in which types are checked always."""
-
-
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    """Types are checked in some quick tests alone, for checks make computations half as long again;
-    in the fixtures of a test, also those that it shares with others, as in the test itself."""
+    """Types are not checked in tests that ask for it, nor in their fixtures."""
     before = jaxtyping.config.jaxtyping_disable
-    names: list[str] = getattr(item, "fixturenames", [])
-    # Of a test's name, so that it is the same tests every time.
-    drawn = zlib.crc32(item.nodeid.encode()) % CHECKED == 0 or item.config.getoption("--all-types")
-    quick = item.get_closest_marker("slow") is None and "types_unchecked" not in names
-    checked = "types_checked" in names or (quick and drawn)
-    jaxtyping.config.update("jaxtyping_disable", before or not checked)
+    unchecked = "types_unchecked" in getattr(item, "fixturenames", [])
+    jaxtyping.config.update("jaxtyping_disable", before or unchecked)
     try:
         return (yield)
     finally:

@@ -69,6 +69,7 @@ def test_the_default_dtype_changes_no_digit(name) -> None:
     assert torch.equal(single, double)
 
 
+@pytest.mark.slow
 def test_an_identification_does_not_depend_on_it() -> None:
     t = torch.arange(1000, dtype=torch.float64) / 100
     w = torch.tensor([1.9, 2.7, 3.3], dtype=torch.float64)

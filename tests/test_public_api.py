@@ -21,8 +21,11 @@ from torchid.next_motion.settings import MotionSettings
 from torchid.robot.model import Robot
 
 NAMES = [name for name in torchid.__all__ if name != "__version__"]
-LONG = ("withheld_own", "diagnose_positions")
-"""Names whose example takes more than a few seconds."""
+LONG = (
+    "Diagnosis", "correct", "diagnose", "diagnose_positions", "equal_torque_study", "examine",
+    "excite_for", "randomise", "withheld_own", "write_view",
+)  # fmt: skip
+"""Names whose example takes more than half a second."""
 
 
 @pytest.mark.parametrize(
@@ -171,6 +174,7 @@ def _messages(source: str) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 def test_messages_speak_of_arguments() -> None:
     """Only the command line has options; a message elsewhere names one in a whole command, or
     beside what it is in Python."""

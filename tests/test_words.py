@@ -93,6 +93,7 @@ def _strings() -> list[tuple[str, str]]:
     return out
 
 
+@pytest.mark.slow
 def test_no_forbidden_words_are_printed() -> None:
     found = re.compile(rf"\b({'|'.join(map(re.escape, FORBIDDEN))})\b", re.IGNORECASE)
     assert [(place, text) for place, text in _strings() if found.search(text)] == []

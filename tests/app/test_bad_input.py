@@ -85,6 +85,7 @@ def test_log(command, broken, tmp_path, change, words):
     assert target.read_text() == "kept"
 
 
+@pytest.mark.slow
 def test_joint_that_never_moves(command, broken, tmp_path):
     """Identification goes on and names what the log does not determine."""
 

@@ -93,6 +93,7 @@ def test_a_file_of_sets_knows_its_robot(tmp_path):
     assert "s1 is infeasible" in said(got)
 
 
+@pytest.mark.slow
 def test_many_sets_are_one_row_each(tmp_path):
     got = call(sets_file(tmp_path / "s.json", count=6), "--robot", "3r")
     assert got.exit_code == 0

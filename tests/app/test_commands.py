@@ -20,6 +20,7 @@ from torchid.robot.writer import write_robot
 ROOT = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.slow
 def test_version_and_help(command):
     assert command("--version").out.startswith("torchid ")
     for name in (
@@ -121,6 +122,7 @@ def test_identify_writes_everything(command, folder, tmp_path):
     assert not list(out.glob("*.tmp*"))
 
 
+@pytest.mark.slow
 def test_identify_takes_effects_with_places_and_shapes(command, folder, tmp_path):
     target = tmp_path / "result.json"
     effects = "viscous_friction,joint_spring:joint=2,curvature=0,stribeck_friction:joint=3"
@@ -168,6 +170,7 @@ def test_quiet_prints_nothing(command, folder):
     assert (shown.code, shown.out, shown.err) == (0, "", "")
 
 
+@pytest.mark.slow
 def test_currents_need_gains(command, broken, tmp_path):
     def to_currents(table):
         return {k.replace("tau", "i"): v / 10 if k[:3] == "tau" else v for k, v in table.items()}

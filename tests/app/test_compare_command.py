@@ -15,6 +15,7 @@ def results(tmp_path_factory):
     return several(tmp_path_factory.mktemp("results"), 3)
 
 
+@pytest.mark.slow
 def test_compare_writes_and_says_the_verdict_first(command, results, tmp_path):
     done = command("compare", *results, "--out", tmp_path / "out", "--json", tmp_path / "c.json")
     assert done.code == 0, done.err
@@ -61,7 +62,7 @@ def test_bad_results(command, results, tmp_path, files, message):
     assert not (tmp_path / "out.json").exists()
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_excite_for_an_identification(command, folder, tmp_path):
     """Identify, design, and find the trajectory, its prediction and the same formats as ever."""
     found = tmp_path / "identification.json"
@@ -79,7 +80,7 @@ def test_excite_for_an_identification(command, folder, tmp_path):
     assert header.startswith("t,q1,q2,q3,dq1")
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_excite_for_a_diagnosis(command, tmp_path):
     path = tmp_path / "gap.json"
     path.write_text(json.dumps({**diagnosis(load_robot("3r")), "model": None}))

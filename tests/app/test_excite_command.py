@@ -49,6 +49,7 @@ def test_a_first_run_at_a_tenth_of_the_speed(command, tmp_path):
     assert records[1]["trajectories"][0]["duration"] == pytest.approx(80)
 
 
+@pytest.mark.slow
 def test_seventy_per_cent_of_the_limits_unless_told(command, tmp_path):
     robot = load_robot("3r")
     for usage, expected in (((), 0.7), (("--usage", 1), 1.0)):
@@ -124,7 +125,7 @@ def test_table_5_1_is_not_repaired(command, tmp_path):
     assert command("excite", "3r", "--kind", "paper", "--floor", -2, "--to", target).code == 0
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_commands_for_an_arm_without_torque(command, tmp_path):
     diagnosis().save(tmp_path / "gap.json")
     given = ("excite", "3r", "--for", tmp_path / "gap.json", "--duration", 4, "--rate", 50)

@@ -72,6 +72,7 @@ def test_an_infeasible_robot_needs_force(tmp_path):
     assert any("infeasible" in w for w in data["warnings"])
 
 
+@pytest.mark.slow
 def test_a_corrected_model_goes_into_the_users_file(tmp_path):
     """The yaml of gap --save-model, with the file that it came from."""
     urdf = write_urdf(tmp_path)
@@ -118,6 +119,7 @@ def test_links_of_no_material_are_named(tmp_path):
     assert not any("lead" in w for w in warnings)
 
 
+@pytest.mark.slow
 def test_how_wide_to_randomise(tmp_path):
     """From a diagnosis to files of ranges and draws, and their record read back."""
     from tests.gap.small_logs import ONCE, ROBOT, Recording, arm, friction, logged

@@ -60,6 +60,7 @@ def test_the_kuka_has_a_least_loss_and_it_says_what_forces_it(command, tmp_path)
     assert least <= 1.02 * data["certificate"]["phi_min"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["sdp", "log-cholesky"])
 def test_other_methods(command, tmp_path, method):
     target = tmp_path / "x.json"
@@ -295,6 +296,7 @@ def test_a_changed_result_is_refused(command, identified, tmp_path):
     assert "not a result of an identification" in command("extract", "3r_friction", broken).err
 
 
+@pytest.mark.slow
 def test_a_robot_of_known_kinematics_gets_bodies_and_a_file(command, folder, identified, tmp_path):
     """The 3R without its parameters: identified, extracted, exported, and MuJoCo's torque is that
     of the true parameters."""
@@ -340,6 +342,7 @@ def test_a_robot_of_known_kinematics_gets_bodies_and_a_file(command, folder, ide
     assert bool((error < 0.03 * expected.square().mean(0).sqrt() + 0.05).all()), error
 
 
+@pytest.mark.slow
 def test_the_checkpoint_stays_until_results_are_written(command, tmp_path) -> None:
     """Else a disk that is full at the end costs the whole search."""
     (tmp_path / "extraction.json").mkdir()
@@ -350,7 +353,7 @@ def test_the_checkpoint_stays_until_results_are_written(command, tmp_path) -> No
     assert not (tmp_path / "checkpoint.npz").exists()
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_a_set_is_as_sure_as_what_it_was_extracted_from(command, identified, tmp_path):
     """From identification to sets to a robot's file, which another extraction takes without the
     identification."""

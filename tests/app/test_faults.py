@@ -139,6 +139,7 @@ def test_an_interrupted_search_says_how_to_go_on(command, tmp_path, monkeypatch)
     assert done.err == f"interrupted; {kept} is kept: the same command with --resume continues\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["typer", "rich.console", "torch.nn", "torchid.robot.library"])
 def test_ctrl_c_while_modules_are_loaded(module) -> None:
     """From the first moment on, and in the midst of torch, which would make other errors of it."""
@@ -185,6 +186,7 @@ def test_what_has_no_letters_is_a_question_mark() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["full", "closed"])
 def test_files_are_there_where_nothing_can_be_printed(tmp_path, where) -> None:
     if not Path("/dev/full").exists():

@@ -48,6 +48,7 @@ def test_the_type_is_written_and_a_unit_is_asked_about(command, folder, tmp_path
     assert "--save-model" in bad.err
 
 
+@pytest.mark.slow
 def test_parts_then_the_whole_by_a_manifest(command, folder, tmp_path) -> None:
     logs = sorted(folder.rglob("*.parquet"))
     rows = [f"{log},{log.parent.name},{log.stem}" for log in logs]
@@ -83,7 +84,7 @@ def test_bad_input(command, folder, arguments, said) -> None:
     assert said in done.err
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_gap_maps_units_and_effects_on_one_page(command, folder, tmp_path) -> None:
     pytest.importorskip("jinja2")
     page = tmp_path / "gaps.html"

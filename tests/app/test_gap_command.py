@@ -137,6 +137,7 @@ def test_logs_that_cannot_be_used(command, runs, files, options, words):
         assert word in done.err, done.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held_out", [False, True])
 def test_logs_of_two_rates_are_resampled_to_the_lower(command, runs, held_out):
     given = ("--held-out", runs / "slow.csv") if held_out else (runs / "slow.csv",)
@@ -167,7 +168,7 @@ def test_a_log_held_out_and_a_fraction(command, runs):
     assert "--held-out-fraction" in done.err
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_what_is_simulated_is_found(command, runs, tmp_path, types_unchecked):
     """`torchid simulate --effect`, then `torchid gap`: the arm moved under control."""
     logs = []
@@ -220,6 +221,7 @@ def test_logs_of_commands_that_are_refused(tmp_path, command, commanded, change,
         assert word in outcome.err
 
 
+@pytest.mark.slow
 def test_a_view_for_a_viewer(command, folder, tmp_path):
     reader = pytest.importorskip("mcap.reader")
     effects = "viscous_friction,coulomb_friction"

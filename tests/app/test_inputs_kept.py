@@ -103,6 +103,7 @@ def test_a_fixed_name_in_the_folder_of_results_is_guarded_too(command, tmp_path)
     assert motion.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_the_robot_of_a_result_is_an_input(command, tmp_path, monkeypatch) -> None:
     """It is named in the file only."""
     monkeypatch.chdir(tmp_path)

@@ -63,6 +63,7 @@ def test_convert(command, folder, foreign, tmp_path):
     assert target.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_proposed_mapping_works(command, foreign):
     path, _ = foreign
     result = command("log", "show", path)

@@ -44,6 +44,7 @@ def call(*arguments: object):
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
+@pytest.mark.slow
 def test_the_payload_is_estimated_printed_and_written(logs, tmp_path):
     full = logs / "full.parquet"
     got = call(

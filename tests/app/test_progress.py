@@ -56,10 +56,12 @@ def test_a_terminal_is_told_what_runs_and_how_much_is_left() -> None:
     assert "left:" in shown
 
 
+@pytest.mark.slow
 def test_quiet_is_quiet_on_a_terminal_too() -> None:
     assert on_a_terminal("-q") == ("the answer\n", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "stages"),
     [

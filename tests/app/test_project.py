@@ -56,6 +56,7 @@ out = "converted.npz"
     return tmp_path
 
 
+@pytest.mark.slow
 def test_every_command_needs_only_what_differs(command, bench, folder) -> None:
     done = command("identify")
     assert done.code == 0, done.err
@@ -75,6 +76,7 @@ def test_every_command_needs_only_what_differs(command, bench, folder) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_command_line_goes_before_it(command, bench, folder) -> None:
     done = command(
         "identify", folder / "fit.parquet", "--cutoff", 6, "--effects", "viscous_friction",
@@ -251,6 +253,7 @@ def test_what_a_project_cannot_be() -> None:
         read_project(Path("/no/such/torchid.toml"))
 
 
+@pytest.mark.slow
 def test_converted_logs_and_the_written_folder(command, bench) -> None:
     """A raw log, diagnosed, in three words a command."""
     write_log(read_log("../run1.csv", columns="t=ms ms,q=p{j0},i=amp{j0}"), "own.npz")

@@ -26,6 +26,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_model_is_a_robot_too(folder):
     again = ServoArm.read(folder / "model.yaml")
     assert torch.equal(again.servos.joint, true_servos(3).joint)

@@ -33,6 +33,7 @@ def test_help_needs_no_library(arguments: list[str]) -> None:
     assert _loaded(*arguments) == []
 
 
+@pytest.mark.slow
 def test_a_robot_needs_torch_alone() -> None:
     assert _loaded("robot", "kuka_lwr4", "--quiet") == ["torch"]
 

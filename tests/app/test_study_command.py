@@ -31,7 +31,7 @@ def test_a_study_leaves_its_page_sets_and_json(command, tmp_path):
             assert verdicts[entry["id"]] == entry["feasible"]
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_a_study_by_two_processes_is_the_same(command, tmp_path):
     found = []
     for workers in (1, 2):
@@ -47,7 +47,7 @@ def test_a_study_by_two_processes_is_the_same(command, tmp_path):
     assert found[0] == found[1]
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_checkpoints_stay_until_all_studies_are_over(command, tmp_path, monkeypatch):
     import torchid.study.study as room
 
@@ -64,7 +64,7 @@ def test_checkpoints_stay_until_all_studies_are_over(command, tmp_path, monkeypa
     assert len(removed) == 12
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_all_studies(command, tmp_path):
     target = tmp_path / "all.json"
     shown = command("study", "all", *TINY, "--no-figures", "--out", tmp_path, "--json", target)

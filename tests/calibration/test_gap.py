@@ -25,7 +25,7 @@ from torchid.parallel.workers import each
 from torchid.robot.model import Robot
 from torchid.statistics.proportion import wilson
 
-pytestmark = pytest.mark.calibration
+pytestmark = pytest.mark.nightly
 
 RATE, NOISE, QUIET, FRESH = 200.0, 0.05, 40, 900
 PLANTED = {

@@ -7,7 +7,7 @@ from tests.identification.test_statistics import noisy_source, truth
 from torchid.identification.least_squares import fit
 from torchid.identification.statistics import jackknife
 
-pytestmark = pytest.mark.calibration
+pytestmark = pytest.mark.nightly
 RUNS = 100
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from tests.statistics.noise import coverage
 
-pytestmark = pytest.mark.calibration
+pytestmark = pytest.mark.nightly
 RUNS = 200
 
 

@@ -173,6 +173,7 @@ def test_without_the_robot_there_is_no_torque(tmp_path):
     assert compared(several(tmp_path, 2, model=False), robot=load_robot("3r_friction")).torque
 
 
+@pytest.mark.slow
 def test_robots_with_rounded_angles_can_be_compared(tmp_path):
     """1.5708 for pi / 2, as URDFs have it: columns that are dependent to 1e-6 lean on ones further
     right."""

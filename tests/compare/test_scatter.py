@@ -102,6 +102,7 @@ def test_holm_is_the_step_down_definition(values):
     torch.testing.assert_close(holm(p), torch.tensor(expected, dtype=torch.float64))
 
 
+@pytest.mark.slow
 def test_typical_birge_is_one_for_honest_noise_and_ignores_a_few_outliers():
     g = torch.Generator().manual_seed(2)
     x = 3 * torch.randn(4000, 4, generator=g, dtype=torch.float64)

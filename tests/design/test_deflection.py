@@ -31,6 +31,7 @@ def seen(c: float, seed: int = 0, errors: float = 0.0) -> Compliance | None:
     return compliance(lag, load, q, [slice(0, len(q))])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("errors", [0.0, 3e-3])
 def test_a_compliance_is_found_beside_the_encoders_own_errors(errors: float):
     found = [seen(SOFT, seed, errors) for seed in range(40)]
@@ -70,7 +71,7 @@ def named(found: TorqueDiagnosis) -> list[tuple[str, tuple[int, ...]]]:
     return [(f.effect.name, f.located) for f in found.findings]
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_a_link_side_encoder_shows_what_torques_do_not():
     log, settings = flexible(SOFT), GapSettings(rollout=False)
     found = diagnose_torque(ROBOT, log, settings=settings)

@@ -23,7 +23,7 @@ def exchanged(robot, log):
     return [c for c in torchid.examine(robot, log).checks if c.name == "branches exchanged"]
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 @pytest.mark.usefixtures("types_unchecked")
 def test_exchanged_legs_are_found_and_mended(legs):
     log = legs_log(legs, 4)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from tests.doctor.synthetic import clean, log_faults
+from tests.marks import quick_first
 from torchid.doctor.examine import conclusion, examine, untold
 from torchid.dynamics.regressor import regressor
 from torchid.errors import LogError
@@ -42,8 +43,11 @@ def test_nothing_is_applied_until_one_is_chosen(fault, names):
         assert str(repair) in next(c.fix for c in result.undecided[0].choices if c.name == name)
 
 
-@pytest.mark.parametrize("gears", [False, True])
-@pytest.mark.parametrize(("signal", "name"), [("t", "time scale"), ("dq", "velocity scale")])
+@pytest.mark.parametrize("gears", quick_first([False, True], 1))
+@pytest.mark.parametrize(
+    ("signal", "name"),
+    quick_first([("t", "time scale"), ("dq", "velocity scale")], 1, several=True),
+)
 def test_torque_tells_a_slow_clock_from_a_scaled_velocity(signal, name, gears):
     robot, log = clean("3r", 0, gears=gears)
     result = examine(robot, log.replace(**{signal: 2.5 * getattr(log, signal)}))
@@ -82,6 +86,7 @@ def test_what_rests_on_a_choice_waits_for_it():
     assert "position unit" in applied
 
 
+@pytest.mark.slow
 def test_a_name_that_is_not_offered_is_refused():
     robot, log = bad("tau in mN m")
     with pytest.raises(LogError, match="no such fix") as error:
@@ -123,12 +128,14 @@ def test_a_log_too_short_is_not_said_to_be_fine():
     assert set(result.plain()["untold"]) >= {"joint order", "torque sign", "gravity", "lag"}
 
 
+@pytest.mark.slow
 def test_a_good_log_says_so():
     result = examine(*clean("3r", 0))
     assert untold(result) == ()
     assert conclusion(result) == "Nothing speaks against this log."
 
 
+@pytest.mark.slow
 def test_one_joint_that_moves_shows_nothing_about_the_others():
     robot, log = clean("3r", 0)
     still = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from tests.doctor.synthetic import clean
+from tests.marks import quick_first
 from torchid.doctor.examine import examine
 from torchid.robot.chain import tool_jacobian
 from torchid.robot.model import tool_pose
@@ -40,7 +41,7 @@ def found(robot, log):
     return [c for c in examine(robot, log).checks if c.name == "limits"]
 
 
-@pytest.mark.parametrize("law", [stop, knee, table], ids=lambda law: law.__name__)
+@pytest.mark.parametrize("law", quick_first([stop, knee, table], 1), ids=lambda law: law.__name__)
 @pytest.mark.parametrize("name", ["3r", pytest.param("ur10e", marks=pytest.mark.slow)])
 def test_a_law_beyond_a_limit_is_found_at_its_place(name, law):
     robot, log = clean(name, 2, duration=40.0)
@@ -54,6 +55,7 @@ def test_a_law_beyond_a_limit_is_found_at_its_place(name, law):
     assert not check.repairs
 
 
+@pytest.mark.slow
 def test_what_comes_once_is_no_law():
     robot, log = clean("3r", 2, duration=40.0)
     torque = torch.zeros_like(log.tau)
@@ -69,6 +71,7 @@ def test_friction_that_grows_with_load_is_no_knee():
     assert not found(robot, log.replace(tau=log.tau + torque))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gears", [False, True], ids=["plain", "gears"])
 @pytest.mark.parametrize("name", ["3r", pytest.param("kuka_lwr4", marks=pytest.mark.slow)])
 def test_a_clean_log_has_none(name, gears):

@@ -43,6 +43,7 @@ def test_torque_is_the_regressor_times_the_parameters(robot: Robot) -> None:
     assert relative(taped, closed) < 1e-12
 
 
+@pytest.mark.slow
 @TREES
 @given(trees())
 def test_torque_is_that_of_the_energies(robot: Robot) -> None:
@@ -83,6 +84,7 @@ def test_power_is_the_rate_of_the_energy(robot: Robot) -> None:
     assert relative(power, rate) < 1e-10
 
 
+@pytest.mark.slow
 @TREES
 @given(trees())
 def test_the_jacobian_of_each_tip_is_the_derivative_of_its_pose(robot: Robot) -> None:
@@ -95,6 +97,7 @@ def test_the_jacobian_of_each_tip_is_the_derivative_of_its_pose(robot: Robot) ->
         torch.testing.assert_close(found, torch.cat([rate[:3, 3], turning]), rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 @TREES
 @given(trees())
 def test_what_carries_a_joint_balances_what_it_gives(robot: Robot) -> None:
@@ -133,7 +136,7 @@ def test_a_tree_that_is_a_chain_has_the_chains_bits() -> None:
     assert torch.equal(inverse_dynamics(both, q, dq, ddq)[:, :4], arm)
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_compiled_trees() -> None:
     motion = states(HUMANLIKE, 40)
     compiled = compiled_dynamics(HUMANLIKE, chunk=16)

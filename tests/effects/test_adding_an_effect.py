@@ -66,6 +66,7 @@ def registered(monkeypatch):
     monkeypatch.setitem(registry.COLUMN_KINDS, AirDrag.name, AirDrag)
 
 
+@pytest.mark.slow
 def test_the_catalogue_tells_it_and_finds_what_it_is_confused_with(registered):
     record = effect_record(AirDrag)
     assert record["equation"] == AirDrag.equation

@@ -61,6 +61,7 @@ def test_a_near_likeness_is_not_marked_as_the_same():
     assert not rival.same
 
 
+@pytest.mark.slow
 def test_rivalry_goes_both_ways_and_the_most_alike_comes_first():
     said = found(*KINDS)
     assert set(said) == set(KINDS)

@@ -12,6 +12,7 @@ import torch
 
 from tests.excitation.shaped import loaded
 from tests.excitation.usage import limit_usage
+from tests.marks import quick_first
 from torchid.errors import RobotError, TorchidError
 from torchid.excitation.clearance import FAR, motion_clearance
 from torchid.excitation.design import optimise_trajectory
@@ -141,7 +142,7 @@ def made(name, folder, **more):
     return robot, motion_clearance(robot, **more)
 
 
-@pytest.mark.parametrize("plan", [random_trajectory, sinusoid])
+@pytest.mark.parametrize("plan", quick_first([sinusoid, random_trajectory], 1))
 def test_a_motion_is_repaired(plan, tmp_path):
     """What is left keeps its distances at instants that nobody chose, by MuJoCo's kinematics."""
     robot, clearance = made("6r", tmp_path, floor=-0.4, clearance=0.03)
@@ -304,6 +305,7 @@ def test_a_mesh_is_its_hull_and_a_missing_one_is_told(tmp_path):
     assert "only joints' origins" in unknown.warnings[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["3r", "kuka_lwr4"])
 def test_of_a_table_only_joints_and_tool_are_checked(name):
     robot = load_robot(name)
@@ -346,6 +348,7 @@ def test_an_mjcf_brings_its_floor(tmp_path):
     assert float(down[plane].min()) == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_impossible_and_bad_numbers(tmp_path):
     robot, clearance = made("6r", tmp_path, floor=0.8)
     with pytest.raises(RobotError, match=r"keeps link\d clear of the floor"):

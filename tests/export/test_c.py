@@ -9,6 +9,7 @@ import torch
 
 from tests.arms import ARMS, arm, mixed_arm
 from tests.export.arms import FRICTION, exported, with_other
+from tests.marks import quick_first
 from torchid.effects.base import Motion
 from torchid.effects.registry import KINDS, nominal_effects, on_every_joint
 from torchid.errors import TorchidError
@@ -71,7 +72,7 @@ def test_effects_with_a_memory_are_left_out_aloud(tmp_path):
     assert all(words in text for words in done.left_out)
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", quick_first(KINDS, 12))
 def test_every_effect_is_written_or_left_out(name, tmp_path):
     """A new effect is one or the other: never silently nothing."""
     effect = KINDS[name].exemplar(1)
@@ -104,6 +105,7 @@ def test_base_parameters_and_their_representative(tmp_path):
         assert name in code.source
 
 
+@pytest.mark.slow
 def test_the_strictest_compiler_takes_it(tmp_path):
     robot = with_other(mixed_arm(), effects=ALL)
     source, header = exported(robot, "c", tmp_path).files

@@ -89,6 +89,7 @@ def done(full, logs, tmp_path_factory) -> Correction:
     return correct(arm("3r"), full, logs[0], "mjcf", folder, held_out=logs[1], with_effects="mjlab")
 
 
+@pytest.mark.slow
 def test_fields_and_bodies_that_the_file_can_say_are_found(tmp_path):
     """Without other effects nothing is lost, and the engine has the log's own torque."""
     truth = true_arm()
@@ -169,6 +170,7 @@ def test_every_effect_without_a_field_is_named_with_what_is_kept(done):
     assert "no field for" in done.exports[0].files[0].read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("types_unchecked")
 def test_a_file_is_as_sure_as_the_diagnosis_and_off_by_what_it_cannot_say(full, logs):
     names = ("viscous_friction Fv1", "coulomb_friction Fc2", "stribeck_friction Fs1")
@@ -228,6 +230,7 @@ def test_what_is_kept_is_what_the_fit_itself_makes_of_the_effect(full, logs):
         assert kept[effect.name].share == pytest.approx(share, abs=0.05), effect.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", [write_mjcf, write_urdf])
 def test_a_copy_of_the_users_file_is_edited(write, tmp_path):
     """Class defaults, included files, shapes and the like are the user's; the original stays."""
@@ -250,6 +253,7 @@ def test_a_copy_of_the_users_file_is_edited(write, tmp_path):
     assert friction[1] == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_file_that_an_engine_refuses_is_no_traceback(tmp_path):
     """A body off the chain that cannot exist: Pinocchio reads it, MuJoCo does not."""
     pytest.importorskip("pinocchio")

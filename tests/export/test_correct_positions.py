@@ -30,7 +30,7 @@ def arm_with(servos: Servos) -> ServoArm:
     return ServoArm(robot(), servos, torch.ones(3, dtype=torch.float64))
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_a_stop_is_where_positions_end(tmp_path):
     """A stop of the simulation of servos gives way, a joint's limit does not."""
     arm = arm_with(true_servos(3, stop_high=(3, 0.1)))
@@ -98,7 +98,7 @@ def with_actuators(folder):
     return path
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_actuators_of_a_file_are_replaced_where_they_stand(tmp_path):
     own = load_robot(with_actuators(tmp_path))
     servos = true_servos(3, stop_high=(3, 0.25), clip=(1, 90.0), lag=(2, 0.03))

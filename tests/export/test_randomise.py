@@ -37,6 +37,7 @@ def found() -> GapRecord:
     ).record
 
 
+@pytest.mark.slow
 def test_a_diagnosis_holds_the_covariance_of_all_that_it_names(found: GapRecord) -> None:
     (told,) = found.joint_fits
     std = dict(
@@ -60,6 +61,7 @@ def test_a_diagnosis_holds_the_covariance_of_all_that_it_names(found: GapRecord)
     assert float((told.covariance / size / size[:, None]).tril(-1).abs().max()) > 0.3
 
 
+@pytest.mark.slow
 def test_draws_have_the_covariance_of_the_fit(found: GapRecord) -> None:
     """Of friction, whose signs and bodies nothing cuts."""
     fields = randomise(friction_alone(found), draws=1024)

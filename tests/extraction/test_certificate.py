@@ -209,6 +209,7 @@ def test_the_relaxation_leaves_no_set_out(name: str, group: str) -> None:
     assert all(distance(body, one) >= -1e-12 for one in x)
 
 
+@pytest.mark.slow
 def test_the_restriction_lets_no_set_out() -> None:
     """Sets at its edge, in random directions, are within the bounds; the relaxation's are not."""
     given = problem("kuka_lwr4", "tight")

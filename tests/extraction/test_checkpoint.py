@@ -84,6 +84,7 @@ def test_killed_three_times(tmp_path: Path, whole: Extraction) -> None:
     assert_same(extract(problem_of("3r"), SETTINGS, checkpoint=path, resume=True), whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes", [{"penalty": "partial"}, {"schedule": "geometric"}, {"engine": "cma", "runs": 2}]
 )
@@ -95,6 +96,7 @@ def test_of_every_kind_of_search(changes: dict[str, object], tmp_path: Path) -> 
     assert_same(found, extract(problem_of("3r"), settings))
 
 
+@pytest.mark.slow
 def test_other_workers_may_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torchid.extraction.extract.BLOCK", 1000)
     settings = replace(SETTINGS, runs=6)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.extraction.problems import PROBLEMS, begin, generations_to, problem, same, sphere
+from tests.marks import quick_first
 from torchid.errors import TorchidError
 from torchid.extraction.cma.search import PERIOD, SearchState, default_population
 from torchid.extraction.extract import ENGINES, engine
@@ -22,13 +23,14 @@ NAMES = sorted(ENGINES)
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
-@pytest.mark.parametrize("n", [2, 10])
+@pytest.mark.parametrize("n", quick_first([2, 10], 1))
 def test_batched_engine_finds_the_optimum(name: str, n: int) -> None:
     p = problem(name, n)
     needed = generations_to(p, engine("batched"), begin(12, n))
     assert needed.isfinite().double().mean() >= p.share
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "n"), [("sphere", 2), ("active bounds", 2), ("sphere", 5)])
 def test_pycma_engine_finds_the_optimum(name: str, n: int) -> None:
     p = problem(name, n)
@@ -60,7 +62,7 @@ def test_covariance_becomes_the_inverse_hessian() -> None:
     assert (values[:, -1] / values[:, 0]).median() < 15  # 1e4 before
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", PROBLEMS)
 @pytest.mark.parametrize("n", [2, 10])
 def test_no_slower_than_pycma(name: str, n: int) -> None:
@@ -186,6 +188,7 @@ def test_no_generations_change_nothing(kind: str) -> None:
     torch.testing.assert_close(again.point, state.point, atol=1e-14, rtol=0)
 
 
+@pytest.mark.slow
 @ENGINE_CASES
 def test_a_grown_penalty_is_met(kind: str) -> None:
     """The best of the first objective is judged by the second before the search goes on."""

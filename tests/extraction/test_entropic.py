@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from tests.arms import arm
+from tests.marks import quick_first
 from torchid.extraction.entropic import (
     Quadratic,
     Room,
@@ -94,6 +95,7 @@ def test_the_minimum_is_that_of_a_conic_solver(strength):
     torch.testing.assert_close(mine, theirs, rtol=0.02, atol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["3r", "kuka_lwr4", "mixed"])
 def test_what_the_torque_shows_is_found_and_the_rest_stays_nominal(name):
     robot = arm(name)
@@ -116,7 +118,7 @@ def test_what_the_torque_shows_is_found_and_the_rest_stays_nominal(name):
 
 
 @pytest.mark.parametrize("factor", [0.1, 10.0, -1.0])
-@pytest.mark.parametrize("name", ["3r", "ur10e"])
+@pytest.mark.parametrize("name", quick_first(["3r", "ur10e"], 1))
 def test_bodies_stay_bodies_and_believable_whatever_the_torque_asks(name, factor):
     robot = arm(name)
     torque = asked(robot, heavier(robot, factor), 40 * robot.n, weight=1e3)
@@ -136,6 +138,7 @@ def test_bodies_stay_bodies_and_believable_whatever_the_torque_asks(name, factor
     assert alone.least < found.least
 
 
+@pytest.mark.slow
 def test_a_nominal_robot_that_is_none_has_a_room_all_the_same():
     robot = arm("3r")
     pi = heavier(robot, 1.0)

@@ -194,6 +194,7 @@ def test_feasible_sets_by_the_definitions(name: str) -> None:
     assert (mass.sum(-1) < high).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_degrees_are_spread(name: str) -> None:
     case, found = setting(name), family(name)
@@ -207,6 +208,7 @@ def test_degrees_are_spread(name: str) -> None:
     assert float(firm.min()) < 0.03
 
 
+@pytest.mark.slow
 def test_same_seed_same_sets_and_other_kinds_do_not_matter() -> None:
     case = setting("3r")
     options = {"per_kind": 8, "chains": 4}
@@ -220,6 +222,7 @@ def test_same_seed_same_sets_and_other_kinds_do_not_matter() -> None:
     assert not torch.equal(other.sets.vector, alone.sets.vector)
 
 
+@pytest.mark.slow
 def test_clusters_are_chains_of_one_kind() -> None:
     found = family("kuka_lwr4")
     assert len(set(found.sets.ids)) == len(found.sets) == len(found.kind) == len(found.cluster)
@@ -242,6 +245,7 @@ def test_analytic_centre_does_not_depend_on_the_start() -> None:
     torch.testing.assert_close(other.vector, nominal.vector, rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_shapes_are_kept_and_violated() -> None:
     case = setting("3r")
     round_ = conditions(case.robot, com_box=case.geometry.com, shapes=True, total_mass=TOTAL["3r"])

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from tests.arms import arm, consistent_parameters
+from tests.marks import quick_first
 from torchid.errors import TorchidError
 from torchid.extraction.convex.certificate import certificate
 from torchid.extraction.log_cholesky.extract import extract_log_cholesky
@@ -88,7 +89,10 @@ def test_steps_are_straight_in_x() -> None:
     torch.testing.assert_close((ends[1] - ends[0]) / 0.1, rate, atol=1e-7, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("name", "group"), [("3r", "normal"), ("3r", "tight"), ("3r", "loose")])
+@pytest.mark.parametrize(
+    ("name", "group"),
+    quick_first([("3r", "normal"), ("3r", "tight"), ("3r", "loose")], 1, several=True),
+)
 def test_a_feasible_target_is_reproduced(name: str, group: str) -> None:
     given = problem(name, group)
     found = extract_log_cholesky(given, runs=5, seed=1)
@@ -97,6 +101,7 @@ def test_a_feasible_target_is_reproduced(name: str, group: str) -> None:
     assert_inside(given, found.p)
 
 
+@pytest.mark.slow
 def test_sets_of_equal_torque_differ_with_their_starts() -> None:
     given = problem("3r")
     found = extract_log_cholesky(given, runs=4, seed=1, centring=0.01)
@@ -131,6 +136,7 @@ def test_inertia_bounds_that_matter_are_kept() -> None:
     assert float(found.phi.min()) <= 1.01 * bound.phi_strict
 
 
+@pytest.mark.slow
 def test_shapes_and_total_mass_are_kept() -> None:
     given = problem("3r")
     asked = conditions(arm("3r"), shapes=True, total_mass=(5.0, 6.0))
@@ -142,6 +148,7 @@ def test_shapes_and_total_mass_are_kept() -> None:
     assert float(found.phi.max()) <= 1e-18
 
 
+@pytest.mark.slow
 def test_one_bad_start_leaves_the_others_alone() -> None:
     given = problem("3r")
     start = given.physical(
@@ -159,6 +166,7 @@ def test_one_bad_start_leaves_the_others_alone() -> None:
     assert float(found.phi[2]) <= 1e-18
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_sets() -> None:
     given = problem("3r")
     a, b = (extract_log_cholesky(given, runs=2, seed=5, steps=8) for _ in range(2))

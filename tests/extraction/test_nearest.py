@@ -132,6 +132,7 @@ def test_the_second_stage_keeps_parameters_near() -> None:
     assert changes[0] < FAR
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["kuka_lwr4_friction", "3r_friction"])
 def test_conditions_bounds_and_signs_are_met(name: str) -> None:
     robot = arm(name)

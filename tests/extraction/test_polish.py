@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from tests.extraction.setups import GROUPS, asking, bounded, problem_of, random_vectors
+from tests.marks import quick_first
 from torchid.extraction.penalty import gamma
 from torchid.extraction.polish.barrier import Barrier
 from torchid.extraction.polish.polish import polish
@@ -30,7 +31,7 @@ def assert_strictly_within(box: Tensor, q: Tensor) -> None:
 
 
 @pytest.mark.parametrize("conditions", [True, False])
-@pytest.mark.parametrize(("name", "group"), THREE_R)
+@pytest.mark.parametrize(("name", "group"), quick_first(THREE_R, 2, several=True))
 def test_3r_ends_at_zero(name: str, group: str, conditions: bool) -> None:
     p = problem_of(name, group)
     r = region(p, conditions=conditions)
@@ -44,6 +45,7 @@ def test_3r_ends_at_zero(name: str, group: str, conditions: bool) -> None:
         assert float(gamma(p, q).max()) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("conditions", [True, False])
 @pytest.mark.parametrize(("name", "group"), [("3r", "loose"), ("kuka_lwr4", "normal")])
 def test_never_up_and_never_out(name: str, group: str, conditions: bool) -> None:
@@ -125,6 +127,7 @@ def test_a_run_that_is_no_number_is_left_alone(
     assert torch.equal(found[2, 5:], broken[2, 5:])
 
 
+@pytest.mark.slow
 def test_no_run_depends_on_how_long_another_takes() -> None:
     p = problem_of("kuka_lwr4", "loose")
     r = region(p, conditions=False)
@@ -136,6 +139,7 @@ def test_no_run_depends_on_how_long_another_takes() -> None:
     assert not torch.equal(a[3], b[3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("conditions", [True, False])
 def test_runs_stay_different(conditions: bool) -> None:
     """The 3R's loss leaves 15 directions free; each run keeps what it had in them."""
@@ -199,6 +203,7 @@ def test_an_impossible_inertia_leaves_the_bounds() -> None:
     assert bool((p.phi(q) < p.phi(entered(p, r, starts))).all())
 
 
+@pytest.mark.slow
 def test_one_step_weights_reach_zero_too() -> None:
     """Any weight, also an ill-conditioned one: the target is exact, so the loss ends at zero."""
     p = problem_of("3r", "loose")

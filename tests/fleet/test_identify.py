@@ -126,6 +126,7 @@ def test_a_simulator_is_randomised_as_widely_as_units_and_days_differ(
     assert {"Fv1", "Fv2", "Fv3", "Fc1", "Fc2", "Fc3"} <= set(between)
 
 
+@pytest.mark.slow
 def test_what_is_unchanged_is_not_computed_again(found, model, logs, store, monkeypatch) -> None:
     monkeypatch.setattr(tasks, "_reduced", None)  # would raise
     monkeypatch.setattr(tasks, "estimate", None)
@@ -152,6 +153,7 @@ def test_a_store_has_a_table_that_pandas_reads(found, store, logs) -> None:
     assert set(table["verdict"]) == {"good"}
 
 
+@pytest.mark.slow
 def test_damaged_logs_are_rows_and_stop_nothing(model, logs, store, found, tmp_path) -> None:
     bad = {
         "empty.parquet": b"",

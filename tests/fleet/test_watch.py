@@ -51,6 +51,7 @@ def test_a_temperature_that_went_along_takes_the_blame(fleet) -> None:
     assert found.units[1].temperature == (24.0,) * 4 + (38.0,) * 3
 
 
+@pytest.mark.slow
 def test_a_temperature_is_read_from_the_log(fleet, tmp_path) -> None:
     import pyarrow as pa
     import pyarrow.parquet
@@ -68,6 +69,7 @@ def test_a_temperature_is_read_from_the_log(fleet, tmp_path) -> None:
     assert read_log(tmp_path / "warm.parquet").samples == table.num_rows
 
 
+@pytest.mark.slow
 def test_what_cannot_be_watched(fleet) -> None:
     short = [dataclasses.replace(u, sessions=u.sessions[:2]) for u in fleet.units]
     with pytest.raises(TorchidError, match="sessions enough"):

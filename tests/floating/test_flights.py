@@ -49,6 +49,7 @@ def test_a_log_holds_the_base_before_the_joints(columns):
     np.testing.assert_allclose(slope[rows], log.dq[rows, 3:6], atol=0.02)
 
 
+@pytest.mark.slow
 def test_all_parameters_of_the_base_are_identified(robot, identified):
     found = identified
     expected = nominal_values(robot, found.base)
@@ -60,6 +61,7 @@ def test_all_parameters_of_the_base_are_identified(robot, identified):
     assert float(error) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("heavier", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 def test_a_wrong_forearm_is_named_and_nothing_else(robot, heavier):
     log = log_from_columns(flown.flights(heavier, count=4, seed=2, noise=0.01), "flights.csv")
@@ -118,6 +120,7 @@ def test_a_moving_base_is_written_and_read_back(robot, tmp_path):
     assert torch.equal(again.parameters.pi, robot.parameters.pi)
 
 
+@pytest.mark.slow
 def test_a_result_keeps_how_its_base_was_taken(identified, tmp_path):
     found = identified
     found.save(tmp_path / "found.json")
@@ -149,6 +152,7 @@ def test_what_cannot_have_a_moving_base_is_refused(robot, columns, use):
         use(robot, log_from_columns(columns, "flights.csv"))
 
 
+@pytest.mark.slow
 def test_no_motion_is_designed_for_a_moving_base(identified):
     with pytest.raises(RobotError, match="a base that moves, which"):
         torchid.excite_for(identified)

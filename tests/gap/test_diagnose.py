@@ -1,6 +1,6 @@
 """The whole procedure on small logs of the 3R: what is there is named, and nothing else.
 
-Four runs of 10 s, of which the last repeats the first; every diagnosis is made once.
+Four runs of 8 s, of which the last repeats the first; every diagnosis is made once.
 """
 
 import json
@@ -29,6 +29,7 @@ from torchid.simulation.sensors import Sensors, measured_log
 pytestmark = pytest.mark.usefixtures("types_unchecked")
 
 RUNS = (0, 1, 2, 0)
+RATE = 125.0
 NOISE = 0.05
 FC = 0.6
 QUICK = GapSettings(rollout=False)
@@ -40,9 +41,7 @@ def logged(robot: Robot, runs: tuple[int, ...] = RUNS, seed: int = 0) -> Log:
     """What sensors make of these runs of a robot: encoder steps, white torque noise."""
     moved = Log.concatenate(
         [
-            trajectory_log(
-                random_trajectory(ROBOT, k, duration=10.0, fill=True), 250.0, (f"run{k}",)
-            )
+            trajectory_log(random_trajectory(ROBOT, k, duration=8.0, fill=True), RATE, (f"run{k}",))
             for k in runs
         ]
     )
@@ -99,7 +98,16 @@ CASES: dict[str, Callable[[], TorqueDiagnosis]] = {
     "rollout": lambda: diagnose_torque(ROBOT, logged(REAL), settings=GapSettings()),
 }
 
-SLOW = ("trusted", "free", "end held out", "not in the library", "no sign law", "rollout")
+SLOW = (
+    "trusted",
+    "free",
+    "one run",
+    "held out",
+    "end held out",
+    "not in the library",
+    "no sign law",
+    "rollout",
+)
 
 
 def marked(*names: str) -> list:
@@ -148,8 +156,8 @@ def test_no_effect_no_gap():
     assert found.floor.source == "repeats"
     assert nominal_effects(found.corrected) == []
     truth = torch.full((3,), NOISE)
-    # White up to the report's band of half the samples' 125 Hz.
-    expected = truth * (found.band / 125.0) ** 0.5
+    # White up to half the samples' rate, of which the report's band is a part.
+    expected = truth * (found.band / (RATE / 2)) ** 0.5
     assert bool((found.floor.low < 1.15 * expected).all())
     assert bool((found.floor.high > 0.85 * expected).all())
 
@@ -243,6 +251,7 @@ def test_the_model_that_was_fitted_has_its_background():
     assert fitted == {("viscous_friction", j) for j in range(3)}
 
 
+@pytest.mark.slow
 def test_one_run_is_cut_into_stretches_and_that_is_said():
     for name in ("one run", "one quiet run"):
         found = case(name)
@@ -254,6 +263,7 @@ def test_one_run_is_cut_into_stretches_and_that_is_said():
     assert not any("stretches" in w for w in case("coulomb").warnings)
 
 
+@pytest.mark.slow
 def test_held_out_logs_are_judged():
     found = case("held out")
     assert [t.name for t in found.traces] == ["run5"]
@@ -276,7 +286,7 @@ def test_the_end_of_each_run_can_be_held_out():
     found = case("end held out")
     is_friction(found)
     assert len(found.traces) == len(RUNS)
-    assert all(len(t.valid) < 0.4 * 250 * 10 for t in found.traces)
+    assert all(len(t.valid) < 0.4 * RATE * 8 for t in found.traces)
 
 
 @pytest.mark.slow
@@ -302,12 +312,13 @@ def test_a_log_held_out_twice_is_refused():
 
 @pytest.mark.slow
 def test_a_held_out_log_of_another_rate_is_resampled():
-    slow = logged(ROBOT, (5,)).select(torch.arange(2501) % 2 == 0)
+    slow = logged(ROBOT, (5,)).select(torch.arange(1001) % 2 == 0)
     found = diagnose_torque(ROBOT, logged(ROBOT), held_out=slow, settings=QUICK)
     assert found.status == "no_gap"
     assert any("resampled to" in w for w in found.warnings)
 
 
+@pytest.mark.slow
 def test_progress_is_told_to_the_end():
     told: list[tuple[str, int, int]] = []
     diagnose_torque(
@@ -331,7 +342,7 @@ def test_nothing_is_left_to_chance():
 def test_a_joint_that_never_moves_is_no_reason_to_stop():
     still = torch.tensor([0.0, 1.0, 1.0], dtype=torch.float64)
     moved = Log.concatenate(
-        [trajectory_log(random_trajectory(ROBOT, k, duration=10.0, fill=True), 250.0) for k in RUNS]
+        [trajectory_log(random_trajectory(ROBOT, k, duration=8.0, fill=True), RATE) for k in RUNS]
     )
     moved = moved.replace(**{k: v * still for k, v in moved.signals.items()})
     log = measured_log(REAL, synthetic_log(REAL, moved), [], Sensors(torque_std=NOISE))

@@ -72,6 +72,7 @@ def rms_left(corrected: Robot, how: Recording, log: Log, band: float) -> torch.T
     return torch.cat(left, 1).square().mean(1).sqrt()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("real", "how"),
     [
@@ -161,12 +162,12 @@ SIZES: dict[str, dict[str, float]] = {
     "asymmetric_friction": {"dF": 0.5, "dFv": 0.5},
     "cogging": {"a_s": 0.5, "a_c": 0.0, "k": 4.0},
 }
-CHEAP = ("viscous_friction", "torque_offset")
+CHEAP = ("viscous_friction",)
 
 
 @pytest.mark.parametrize("share", [0.5, 1.5], ids=["too small", "too large"])
 @pytest.mark.parametrize(
-    "name", [n if n in CHEAP else pytest.param(n, marks=pytest.mark.calibration) for n in SIZES]
+    "name", [n if n in CHEAP else pytest.param(n, marks=pytest.mark.nightly) for n in SIZES]
 )
 def test_too_large_by_half_is_named_as_surely_as_too_small(name, share) -> None:
     shapes = {s.name for s in KINDS[name].shapes}
@@ -213,6 +214,7 @@ parameters:
 """Gravity and the third axis are along the first two: at rest these carry exactly nothing."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("still", [(0.0, 1.0, 1.0), (0.0, 0.0, 1.0)], ids=["rounding", "exactly"])
 def test_crosstalk_from_a_joint_without_torque(still, tmp_path) -> None:
     robot = planar()
@@ -366,6 +368,7 @@ def test_the_answer_does_not_change(name) -> None:
                 assert other["std"][coefficient] / factor == pytest.approx(std, rel=0.3)
 
 
+@pytest.mark.slow
 def test_two_trajectories_of_a_log_are_that_log(tmp_path) -> None:
     """Read from one file with trajectories, and from one file each."""
     from torchid.log.readers import read_log, write_log
@@ -386,6 +389,7 @@ def test_two_trajectories_of_a_log_are_that_log(tmp_path) -> None:
     assert found[0] == found[1]
 
 
+@pytest.mark.slow
 def test_the_robot_that_is_given_stays_as_it_is() -> None:
     before = json.dumps([dict(e) for e in TWO.effects])
     diagnosed(replace(TWO, parameters=ROBOT.parameters), logged(ROBOT), quick("torque_offset"))

@@ -12,6 +12,7 @@ import torch
 
 import torchid
 from tests.gap.small_logs import ROBOT, Recording, arm, carrying, friction, logged
+from tests.marks import quick_first
 from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import TorqueDiagnosis
@@ -164,7 +165,9 @@ CASES: dict[str, tuple[Robot, Robot]] = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", quick_first(["friction", *(c for c in CASES if c != "friction")], 1)
+)
 def test_every_answer_is_written_read_run_again_and_agrees_with_itself(
     case: str, tmp_path: Path
 ) -> None:
@@ -220,7 +223,10 @@ def pushed(
     return ROBOT.with_parameters(InertialParameters(pi)), Log(t, yielded, tau=tau)
 
 
-@pytest.mark.parametrize(("off", "compliance"), [(1.0, 0.0), (1.2, 0.0), (1.0, 2e-4), (1.2, 5e-4)])
+@pytest.mark.parametrize(
+    ("off", "compliance"),
+    quick_first([(1.2, 5e-4), (1.0, 0.0), (1.2, 0.0), (1.0, 2e-4)], 1, several=True),
+)
 def test_what_stands_still_and_is_pushed_is_a_contact(off: float, compliance: float) -> None:
     """Also where the arm yields, by up to 10 mrad: no spring is named for it."""
     robot, log = pushed(((10.0, 11.5), (25.0, 26.0)), 0, off=off, compliance=compliance)

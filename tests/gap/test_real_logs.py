@@ -17,7 +17,7 @@ FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
 pytestmark = [*NEEDS_LOGS, pytest.mark.usefixtures("types_unchecked")]
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_a_pandas_wrist_slides_before_it_moves():
     """Its last 40 % take part in no choice; the effect on joint 7 is most of its gap."""
     found = diagnose_torque(

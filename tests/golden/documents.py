@@ -287,6 +287,8 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
 """Name of the golden file -> the document. A gap's name says which status it must have."""
 
 SLOW = (
-    "atlas", "correct", "excite", "gap_parametric_only", "gap_rollout", "simulate", "study",
-    "withheld_own", "wrenches",
+    "atlas", "compare_identifications", "correct", "excite", "fleet", "fleet_gap", "fleet_watch",
+    "gap_detected_unexplained", "gap_no_gap", "gap_parametric_only", "gap_rollout", "pair",
+    "payload", "randomisation", "simulate", "study", "withheld_own", "withheld_score", "wrenches",
 )  # fmt: skip
+"""Those that take longer."""

@@ -52,6 +52,7 @@ def test_friction_of_a_joint_that_rests_is_said_to_be_biased():
     assert float((all_rows.values[fc] / truth - 1).abs().max()) > 0.05
 
 
+@pytest.mark.slow
 def test_what_one_stretch_determines_is_named_and_not_overconfident():
     """Joint 3 moves for a tenth of a second of twenty: its friction hangs on one block of 120."""
     plan = motion()

@@ -72,7 +72,7 @@ def by_default(name: str, seed: int) -> Identification:
     return identify(load_robot(name), honest(name, seed, rate), settings=settings)
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "seed"), [("3r", 0), ("3r", 1), ("3r_friction", 0), ("kuka_lwr4_friction", 0)]
 )
@@ -130,6 +130,7 @@ def test_a_negative_friction_is_found_and_said_if_signs_are_free():
     assert any("kept with a sign that physics forbids" in w and "Fv2" in w for w in found.warnings)
 
 
+@pytest.mark.slow
 def test_essential_parameters_drop_what_is_zero():
     robot = with_effects({"Fv": [0.07, 0.2, 0.04], "Fc": [0.2, 0.15, 0.18]})
     log = synthetic_log(
@@ -192,6 +193,7 @@ def test_trajectories_of_different_rates():
     assert len(found.fit.trajectories) == 3
 
 
+@pytest.mark.slow
 def test_currents_times_gains():
     log = honest()
     gain = torch.tensor([10.0, 5.0, 2.0], dtype=torch.float64)
@@ -253,6 +255,7 @@ def test_a_combination_of_what_the_log_does_not_determine():
         found.combination(found.base.grouping[k])
 
 
+@pytest.mark.slow
 def test_intervals():
     found = by_default("3r_friction", 0)
     wide, narrow = found.interval(0.99), found.interval(0.5)
@@ -350,6 +353,7 @@ def test_all_zero_torque():
         identify(ROBOT, honest().replace(tau=torch.zeros_like(honest().tau)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("covariance", ["diagonal", "full"])
 @pytest.mark.parametrize("joint", [0, 2])
 def test_a_joint_without_torque_is_said(joint, covariance):
@@ -430,7 +434,7 @@ def coverage(name: str, runs: int, settings: Settings) -> tuple[float, float, fl
     return float(share.mean()), float(share.mean(0).min()), float(share.mean(0).max())
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "runs", "reversal"), [("3r", 200, "auto"), ("kuka_lwr4_friction", 60, 0.0)]
 )
@@ -511,6 +515,7 @@ def test_rows_at_rest_are_left_out_by_default() -> None:
     assert torch.equal(shown.judged("all"), shown.relative_percent)
 
 
+@pytest.mark.slow
 def test_a_fit_that_is_lost_in_rounding_is_refused() -> None:
     """Not a mass of 20 million kilograms with its standard deviation."""
     settings = Settings(cutoff=None, rows="all")

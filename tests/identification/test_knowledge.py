@@ -101,6 +101,7 @@ def test_a_second_session_knows_more_and_lies_between() -> None:
     assert len(both.knowledge.sources) == 2
 
 
+@pytest.mark.slow
 def test_results_that_share_a_session_are_said_to(tmp_path) -> None:
     first = identify(ROBOT, session(1), settings=SETTINGS)
     both = identify(known_after(first), session(2), settings=SETTINGS)
@@ -117,6 +118,7 @@ def test_friction_may_change_between_sessions() -> None:
     assert between_sessions(ROBOT) == {}
 
 
+@pytest.mark.slow
 def test_what_is_known_is_written_and_read(tmp_path) -> None:
     found = identify(ROBOT, session(1), settings=SETTINGS)
     found.save(tmp_path / "identification.json")
@@ -153,6 +155,7 @@ def test_base_parameters_of_a_model_that_knows_are_as_sure_as_it_is() -> None:
 BOX = torch.tensor([1.5, 0.06, 0.0, 0.03, 0.01, 0.0, 0.0, 0.012, 0.0, 0.011], dtype=torch.float64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_empty", [True, False])
 def test_a_payload_is_what_a_known_arm_has_more(with_empty: bool) -> None:
     """What is known is of the arm without payload, and never of that with it."""

@@ -14,6 +14,7 @@ from hypothesis import strategies as some
 
 from tests.arms import arm, consistent_parameters, states
 from tests.identification.test_paper_tables import plan
+from tests.marks import quick_first
 from tests.oracles import PinocchioOracle
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.errors import RobotError, TorchidError
@@ -93,6 +94,7 @@ def test_without_noise_the_box_is_recovered_in_both_frames(name):
     assert not found.warnings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["3r_friction", "kuka_lwr4"])
 def test_models_with_fewer_parameters_recover_bodies_of_their_kind(name):
     disc = body(0.7, (0, 0, 0.05), (0.1, 0.1, 0.04))
@@ -317,7 +319,7 @@ TRUE = tensor(MASS, *COM, *[0.0] * 6)
 TRUE[[4, 7, 9]] = torch.from_numpy(_box_inertia())
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "runs"), [("3r_friction", 40), ("kuka_lwr4_friction", 30)])
 def test_intervals_hold_the_truth_as_often_as_they_say(name, runs):
     """Of the 95 % intervals of all ten quantities in the tool frame."""
@@ -334,6 +336,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(name, runs):
     assert float(share.mean(0).min()) > 0.82
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["3r_friction", "kuka_lwr4_friction"])
 def test_with_honest_noise_the_box_is_near(name):
     found = estimate_payload(noisy(name, 0, 0.0), noisy(name, 0, MASS))
@@ -346,7 +349,7 @@ def test_with_honest_noise_the_box_is_near(name):
     assert found.nearest is not None
 
 
-@pytest.mark.parametrize("name", ["3r_friction", "kuka_lwr4_friction"])
+@pytest.mark.parametrize("name", quick_first(["3r_friction", "kuka_lwr4_friction"], 1))
 def test_without_payload_none_is_seen(name):
     other = identify(
         load_robot(name),

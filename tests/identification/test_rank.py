@@ -42,6 +42,7 @@ def planted(draw) -> tuple[torch.Tensor, list[bool]]:
     return torch.stack(columns, 1), truth
 
 
+@pytest.mark.slow
 @given(planted())
 @settings(max_examples=150, deadline=None, derandomize=True)
 def test_planted_dependent_columns_are_found(case):

@@ -99,7 +99,7 @@ def test_held_out_errors(name):
     assert bool((error <= 1.15 * (expected + 0.05)).all()), shown(error)
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", LINES)
 def test_the_automatic_cutoff_is_not_worse(name):
     line = LINES[name]

@@ -90,7 +90,7 @@ CASES = [
 ]  # fmt: skip
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 @pytest.mark.parametrize(("kind", "method"), CASES)
 def test_standard_deviations_are_the_spread_of_many_fits(kind, method):
     ours, _ = scores(kind, method)

@@ -38,6 +38,7 @@ def found(log: torchid.Log):
     return torchid.identify(TREE, log, settings=settings)
 
 
+@pytest.mark.slow
 def test_base_parameters_and_friction_come_back(log):
     result = found(log)
     expected = nominal_values(TREE, result.base)

@@ -106,6 +106,7 @@ def test_candidates_of_short_and_of_slow_logs():
     assert choose_cutoff(training(both, RIGID, ())).candidates == (2.0,)
 
 
+@pytest.mark.slow
 def test_progress_is_reported():
     calls: list[tuple[int, int]] = []
     log = log_of(ROBOT, HonestNoise(encoder_step=1e-3))
@@ -180,6 +181,7 @@ def test_without_friction_that_jumps_there_is_no_reversal_speed():
     assert none.tolist() == [0.0, 0.0, 0.0]
 
 
+@pytest.mark.slow
 def test_what_only_one_stretch_excites_spoils_no_score():
     """Joint 3 moves in the last fifth only: without it, its parameters are rounding's."""
     plan = trajectory_log(random_trajectory(ROBOT, 0, fill=True), 200.0)

@@ -55,6 +55,7 @@ def test_arrays_of_matlab_may_have_any_name(tmp_path) -> None:
     assert log.t.tolist() == table["t"].tolist()
 
 
+@pytest.mark.slow
 def test_an_endless_list_of_contents_is_given_up_and_the_next_file_is_read(
     tmp_path, monkeypatch
 ) -> None:

@@ -148,6 +148,7 @@ def test_select_refuses_nothing_and_nonsense(three: Log) -> None:
         three.select(torch.ones(4, dtype=torch.bool))
 
 
+@pytest.mark.slow
 @given(
     fraction=st.floats(0.1, 0.9),
     gap=st.floats(0.0, 0.2),

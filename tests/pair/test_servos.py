@@ -96,7 +96,7 @@ def test_short_motions_have_one_clock(kinds):
         assert b.clock.start == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_a_clock_of_another_rate_is_the_same_in_steps_ramps_and_sines():
     simulated = driven()
     both = aligned(simulated.replace(t=0.5 * simulated.t), driven(seed=1, kp=8.1))
@@ -128,7 +128,7 @@ def test_the_weaker_gain_and_the_friction_of_the_real_servo_are_named():
     assert any(title.startswith("servos") for title in titles)
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_the_servos_are_in_the_json(tmp_path: Path):
     path = tmp_path / "pair.json"
     weaker().save(path)
@@ -139,7 +139,7 @@ def test_the_servos_are_in_the_json(tmp_path: Path):
     ]
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_equal_servos_do_not_differ():
     found = compare_pair(driven(MOVING), driven(MOVING, seed=1), pendulum())
     assert found.servos
@@ -147,7 +147,7 @@ def test_equal_servos_do_not_differ():
     assert "agree" in verdict(found)
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_a_limit_that_the_real_servo_has_alone():
     real = driven(MOVING, seed=1, clip=2.5)
     found = compare_pair(driven(MOVING), real, pendulum())
@@ -158,7 +158,7 @@ def test_a_limit_that_the_real_servo_has_alone():
     assert "a torque limit" in verdict(found)
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_without_masses_ratios_to_the_gain_are_compared():
     bare = replace(pendulum(), parameters=None)
     found = compare_pair(driven(MOVING), driven(MOVING, seed=1, damping=1.2), bare)

@@ -19,6 +19,7 @@ def log() -> Log:
     return planted(true_servos(3), motions=2, seconds=8.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("u", "q", "problem", "hint"),
     [

@@ -65,7 +65,7 @@ def test_a_planted_cause_is_named(cause, tmp_path):
     assert len(moved.plot("positions").axes) == 3
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_a_load_is_found_beside_servos():
     """A body at the last link, which gains and offsets of single joints follow in part only."""
     arm = robot()
@@ -84,6 +84,7 @@ def test_a_load_is_found_beside_servos():
     assert float(result.answered.windows.mean()) < float(result.plain_servo.windows.mean())
 
 
+@pytest.mark.slow
 def test_a_joint_that_flickers_never_moves():
     log = planted(true_servos(3), motions=2, seconds=8.0)
     q = log.q.clone()
@@ -149,7 +150,7 @@ def test_a_delay_of_less_than_a_sample_is_no_cause():
     assert less.servos.of("delay").tolist() == pytest.approx([0.02, 0.03, 0.02])
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_without_masses_ratios_are_told():
     """Rods stand for the links: causes are named, and dry friction as a share of kp is right."""
     log = planted(true_servos(3, acceleration=(2, 4.0)), motions=6, seconds=16.0, seed=4)

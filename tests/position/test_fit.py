@@ -138,6 +138,7 @@ def test_a_joint_in_another_unit_is_seen():
     assert float(data.scale[2]) == pytest.approx(2.5, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_joint_at_rest_leaves_the_others_to_be_found():
     log = planted(true_servos(3), motions=2, seconds=6.0)
     q, u = log.q.clone(), log.u.clone()
@@ -160,7 +161,7 @@ def test_motions_of_one_servo_agree(found):
     assert again.spread < 0.05
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_every_motion_wants_what_moved_it():
     """Another offset in every second motion: by the motions' factors each of them has its own."""
     both = [planted(true_servos(3, offset=(2, value))) for value in (2.0, 4.0)]

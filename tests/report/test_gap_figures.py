@@ -7,13 +7,14 @@ import pytest
 import torch
 
 from tests.gap.diagnoses import FRICTION, coulomb, diagnosis, floor, some_left, trace
+from tests.marks import quick_first
 from torchid.gap.diagnosis import HowFar
 from torchid.gap.record import Planted
 from torchid.report.gap_figures import binned, figures, map_figure, samples, spectrum, worst_joints
 from torchid.report.panels import save
 
 
-@pytest.mark.parametrize("status", ["no_gap", "explained"])
+@pytest.mark.parametrize("status", quick_first(["explained", "no_gap"], 1))
 def test_every_figure_is_drawn(status, tmp_path):
     drawn = figures(diagnosis(status))
     assert set(drawn) == {"where", "how_far", "gap_joint_2", "torque"}
@@ -21,6 +22,7 @@ def test_every_figure_is_drawn(status, tmp_path):
         assert save(draw(), tmp_path / f"{name}.png").stat().st_size > 5000
 
 
+@pytest.mark.slow
 def test_figures_of_invalid_instants_zero_noise_and_two_trajectories(tmp_path):
     made = trace(coulomb, some_left, seconds=12.0)
     valid = made.valid.clone()

@@ -6,6 +6,7 @@ from typing import get_args
 import pytest
 
 from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, coulomb, diagnosis, some_left, trace
+from tests.marks import quick_first
 from tests.report.page.reading import parsed, rows_of, text_of
 from torchid.gap.diagnosis import HowFar
 from torchid.gap.record import Budget, Parametric, Status
@@ -130,7 +131,7 @@ def test_no_traces_no_budget(undrawn):
     assert len(list(tree.iter("figure"))) == 2
 
 
-@pytest.mark.parametrize("status", ["no_gap", "explained"])
+@pytest.mark.parametrize("status", quick_first(["explained", "no_gap"], 1))
 def test_every_figure_is_drawn(status):
     tree = page_of(diagnosis(status, **SHORT))
     assert len(list(tree.iter("figure"))) == 5
@@ -143,6 +144,7 @@ def test_worse_after_than_before_is_drawn():
     assert axes.get_xlim()[1] == 1.3
 
 
+@pytest.mark.slow
 def test_hostile_names():
     bad = '<img src="https://example.org/x.png" onerror="alert(1)"> $\\frac{ & \'"'
     d = diagnosis(**SHORT)
@@ -159,6 +161,7 @@ def test_hostile_names():
     assert bad in [li.text_content() for li in tree.iter("li")]
 
 
+@pytest.mark.slow
 def test_names_that_are_no_text():
     d = diagnosis(**SHORT)
     bad = "a\x00b\x1b[31m\udcff\uffff"

@@ -32,6 +32,7 @@ def tree(result):
     return parsed(render(identification_page(result, made())))
 
 
+@pytest.mark.slow
 def test_numbers_are_those_of_the_json(result, tree):
     data = result.plain()
     rows = rows_of(tree, "Base parameters")
@@ -82,6 +83,7 @@ def test_verdict_of_what_is_not_determined_and_of_joints_that_rest(result):
     assert "by 72.0 % of its size while the joint moves and is of no use there" in said
 
 
+@pytest.mark.slow
 def test_a_coefficient_that_is_held(result):
     free = result.free.clone()
     free[0] = False
@@ -91,6 +93,7 @@ def test_a_coefficient_that_is_held(result):
     assert rows[0][3:] == ["held at 0", "-", "-"]
 
 
+@pytest.mark.slow
 def test_pictures(result, tree):
     assert len(list(tree.iter("figure"))) == 2
     fitted = replace(result, held_out=None, held_out_predictions=())

@@ -140,6 +140,7 @@ def test_torque_figures_show_the_rows_they_judge(result, rows):
     assert f"{percent:.1f} %" in [text.get_text() for text in right.texts]
 
 
+@pytest.mark.slow
 def test_parameter_figures_have_a_mark_for_each_free_parameter(result):
     free = int(result.free.sum())
     assert len(parameter_figure(result.record).axes[0].patches) == free

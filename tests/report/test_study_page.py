@@ -27,6 +27,7 @@ def study() -> Study:
     )
 
 
+@pytest.mark.slow
 def test_page(study):
     page = study_page(study, made())
     # One of its pictures: all of them are drawn in the tests of the figures.

@@ -57,6 +57,7 @@ def test_masses_alone_count_only_where_their_weight_is_the_error() -> None:
         assert f"{100 * share[0]:.3g} % of the force error" in told(share)
 
 
+@pytest.mark.slow
 def test_kind_table_has_medians_per_joint() -> None:
     text = text_of([equal_torque.kind_table(study())])
     joints = text_of([equal_torque.joint_table(study())])
@@ -68,6 +69,7 @@ def test_kind_table_has_medians_per_joint() -> None:
             assert f"{value:.3g}" in line_of(joints, name)
 
 
+@pytest.mark.slow
 def test_reach_table_has_every_kind() -> None:
     text = text_of([equal_torque.reach_table(study())])
     for r in study().reach:
@@ -109,6 +111,7 @@ def test_sentences_follow_the_intervals() -> None:
     assert "no effect of the degree is visible" in " ".join(findings(degree))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["force_by_degree", "force_by_kind", "force_by_mass"])
 def test_figures_show_all_sets(name, tmp_path) -> None:
     figure = equal_torque.figures(study())[name]()

@@ -137,6 +137,7 @@ JSON = st.recursive(
 KEYS = ["robot", "base_values", "covariance", "flags", "entries", "model", "seed"]
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(st.sampled_from(KEYS), JSON)
 def test_any_other_json_is_read_or_refused(key, value):

@@ -13,8 +13,8 @@ pytestmark = pytest.mark.slow
     ("scene", "kills", "disks", "memories", "pairs"),
     [
         ("extract", 3, 2, 1, 1),
-        pytest.param("extract by two", 2, 0, 0, 0, marks=pytest.mark.calibration),
-        pytest.param("fleet identify by two", 2, 2, 0, 0, marks=pytest.mark.calibration),
+        pytest.param("extract by two", 2, 0, 0, 0, marks=pytest.mark.nightly),
+        pytest.param("fleet identify by two", 2, 2, 0, 0, marks=pytest.mark.nightly),
     ],
 )
 def test_what_is_killed_or_has_no_disk_goes_on_with_the_same_bits(

@@ -11,6 +11,7 @@ from tests.robustness.fuzz import CORPUS, changed, fault, fuzz, placed, read, se
 FOUND = sorted(CORPUS.glob("*")) if CORPUS.is_dir() else []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
 def test_what_was_found_stays_mended(path) -> None:
     assert fault(path) is None

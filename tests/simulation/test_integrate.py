@@ -26,6 +26,7 @@ def _energies(robot: Robot, states: list[State]) -> Tensor:
     return lagrange.kinetic_energy(robot, q, dq) + lagrange.potential_energy(robot, q)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["3r", "mixed"])
 def test_energy_of_a_free_arm_drifts_with_the_square_of_the_step(name: str) -> None:
     found = bare(name)
@@ -60,6 +61,7 @@ def test_energy_lost_is_the_work_of_friction() -> None:
     assert float((energy[0] - energy[-1] - lost).abs() / lost) < 2e-3
 
 
+@pytest.mark.slow
 def test_a_wheel_with_dry_friction_stops_where_it_must_and_stays() -> None:
     """v0^2 I / (2 Fc) after v0 I / Fc seconds; then not a trace of motion."""
     robot = flywheel()
@@ -177,6 +179,7 @@ def test_only_the_arm_that_diverges_stops() -> None:
     assert bool(states[-1].q.isfinite().all())
 
 
+@pytest.mark.slow
 def test_a_controlled_arm_moves_as_in_mujoco() -> None:
     """The 3R with viscous friction that its controller does not know, 0.3 s; MuJoCo at 10 us."""
     robot = bare("3r")

@@ -98,13 +98,14 @@ def by_mujoco(robot, servos: Servos, u: np.ndarray, step: float) -> np.ndarray:
     return np.array(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "cases", "samples", "bound"),
     [
         ("3r", range(4), 101, 1e-3),
         pytest.param("3r", range(10), 501, 1e-3, marks=pytest.mark.slow),
         # Motions of 2 rad/s and more: each of the two integrations is right to 1 mrad.
-        pytest.param("kuka_lwr4", range(0, 16, 4), 501, 3e-3, marks=pytest.mark.calibration),
+        pytest.param("kuka_lwr4", range(0, 16, 4), 501, 3e-3, marks=pytest.mark.nightly),
     ],
 )
 def test_the_closed_loop_is_mujocos(name, cases, samples, bound):
@@ -155,6 +156,7 @@ def test_a_stuck_joint_stays_for_minutes(share):
         assert abs(float(tracks.u[-1] - q[-1])) < dry / kp
 
 
+@pytest.mark.slow
 def test_a_step_is_the_second_order_answer():
     """Without friction a servo is a damped oscillator."""
     inertia, kp, b = 0.5 + 0.1, 40.0, 3.0
@@ -237,6 +239,7 @@ def test_an_integrating_servo_leaves_no_error_and_remembers_its_sum():
     assert float((unknown - whole).abs().max()) > 5 * float((parts - whole).abs().max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_stop_holds(side):
     servos = Servos.neutral(1, kp=20.0, damping=2.0, armature=0.02)

@@ -114,6 +114,7 @@ def test_forces_do_not_depend_on_the_inertias(name: str) -> None:
     torch.testing.assert_close(forces, others, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_at_rest_the_error_is_the_weight_of_the_carried_mass(name: str) -> None:
     case = setting(name)
@@ -189,6 +190,7 @@ def test_reach_at_rest_is_a_linear_program(name: str) -> None:
         assert float(found.bound[joint]) == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SLOW_FOR_THE_LWR)
 def test_no_drawn_set_exceeds_the_reach(name: str) -> None:
     found = drawn(name)
@@ -222,6 +224,7 @@ def test_forces_along_prismatic_axes_are_known(seed: int, letters: str) -> None:
     assert float(errors.torque_rms[:, prismatic].max()) < 1e-9
 
 
+@pytest.mark.slow
 def test_study_answers_every_question_for_the_3r() -> None:
     found = study()
     assert found.kinds == KINDS
@@ -256,6 +259,7 @@ def test_other_outer_bounds_change_the_setting() -> None:
     assert torch.equal(same.conditions.total_mass, case.conditions.total_mass)
 
 
+@pytest.mark.slow
 def test_bad_requests_are_refused() -> None:
     with pytest.raises(TorchidError, match="include feasible"):
         equal_torque_study(load_robot("3r"), kinds=("com",))

@@ -47,7 +47,7 @@ def test_settings_are_the_reports(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["3r", pytest.param("kuka_lwr4_friction", marks=pytest.mark.calibration)]
+    "name", ["3r", pytest.param("kuka_lwr4_friction", marks=pytest.mark.nightly)]
 )
 def test_a_whole_study(name):
     study = tiny(name)

@@ -43,6 +43,7 @@ def quiet():
     return data_of(arm(), log_of(Spec(0, 0)), GapSettings())
 
 
+@pytest.mark.slow
 def test_friction_is_put_on_the_worst_joint(data):
     terms = friction(data)
     assert {(t.name, t.place) for t in terms} == {
@@ -52,6 +53,7 @@ def test_friction_is_put_on_the_worst_joint(data):
     assert {t.place for t in friction(other)} == {0}
 
 
+@pytest.mark.slow
 def test_stepwise_selection_finds_a_plain_cause_first(data):
     first = bic(data)[0]
     assert (first.name, first.place) == ("coulomb_friction", 1)
@@ -69,6 +71,7 @@ def test_the_gap_closes_with_the_cause_and_not_with_another(data):
     assert answer_of(data, [])["how_far"]["closed"] == 0.0
 
 
+@pytest.mark.slow
 def test_answers_have_the_form_of_a_diagnosis(data, quiet):
     for found in (data, quiet):
         for method in METHODS.values():
@@ -81,6 +84,7 @@ def test_answers_have_the_form_of_a_diagnosis(data, quiet):
     assert (top.name, top.place, top.family) == ("coulomb_friction", (2,), "sign")
 
 
+@pytest.mark.slow
 def test_always_friction_cannot_be_quiet(quiet):
     assert answer_of(quiet, friction(quiet))["status"] == "explained"
 

@@ -24,7 +24,7 @@ def found():
     return withheld_own(ROBOT, logged(REAL), untouched=runs, settings=settings)
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_what_was_accepted_is_found_again_and_closes_as_much(found):
     assert [(w.effect, w.joints) for w in found.withheld] == [ONE]
     (friction,) = found.withheld
@@ -36,7 +36,7 @@ def test_what_was_accepted_is_found_again_and_closes_as_much(found):
     assert found.whole
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_without_the_right_name_nothing_is_found_again(found):
     """The corrected model knows the friction; searched over others, another name is none."""
     settings = replace(QUICK, effects=("torque_offset",))
@@ -49,7 +49,7 @@ def test_without_the_right_name_nothing_is_found_again(found):
     assert missed.as_much is False
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_a_planted_effect_has_the_size_that_is_told(found):
     log = logged(REAL, (3, 4, 3), 5)
     kind = own.plantable("coulomb_friction")
@@ -77,7 +77,7 @@ def test_the_smallest_size_is_sought_from_both_sides(from_level, tried, monkeypa
     assert set(tried) <= set(LEVELS)
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 def test_the_record_is_json_with_joints_from_one(found):
     data = found.plain()
     assert json.loads(json.dumps(data)) == data

@@ -75,6 +75,7 @@ def test_progress_counts_what_is_there(todo, said):
     assert shown == [("diagnosing", 2, 3), ("diagnosing", 3, 3)]
 
 
+@pytest.mark.slow
 def test_the_diagnosis_needs_no_key(todo, tmp_path):
     keys_beside(tmp_path / "set").unlink()
     quick = GapSettings(effects=("coulomb_friction", "viscous_friction"), rollout=False)

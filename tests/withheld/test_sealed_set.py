@@ -15,7 +15,7 @@ RECORDED = 8, 9
 outside the library (no wrong family for sure), poor data (said so, or right)."""
 
 
-@pytest.mark.calibration
+@pytest.mark.nightly
 @pytest.mark.usefixtures("types_unchecked")
 def test_the_score_is_not_below_the_recorded_one(tmp_path):
     cases = make(tmp_path / "set", CASES, SEED, jobs=2)

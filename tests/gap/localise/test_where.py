@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from tests.gap.diagnoses import NOISE, banded, coloured, floor, trace
+from tests.marks import quick_first
 from torchid.gap.localise.regimes import reversals
 from torchid.gap.localise.resampling import Draws, Look, best_of, corrected, linear, quadratic
 from torchid.gap.localise.signatures import white_share
@@ -70,7 +71,7 @@ PLANTED = {
 }
 
 
-@pytest.mark.parametrize("name", PLANTED)
+@pytest.mark.parametrize("name", quick_first(PLANTED, 5))
 def test_planted_structure_is_found_in_its_regime_and_on_its_joint_alone(name):
     formula, expected, also = PLANTED[name]
     for seed in (3, 4):
@@ -196,8 +197,8 @@ def test_same_seed_same_answer():
     [
         (0.0, 12),
         (0.98, 12),
-        pytest.param(0.0, 150, marks=pytest.mark.calibration),
-        pytest.param(0.98, 150, marks=pytest.mark.calibration),
+        pytest.param(0.0, 150, marks=pytest.mark.nightly),
+        pytest.param(0.98, 150, marks=pytest.mark.nightly),
     ],
 )
 def test_no_structure_no_regime(correlation, runs):

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from tests.gap.motions import motion_at, noises, segment_of, times
+from tests.marks import quick_first
 from torchid.design.segments import Samples, Segment
 from torchid.effects.base import Motion
 from torchid.gap.noise.flexible import predict_out_of_fold
@@ -42,7 +43,7 @@ def test_noise_is_not_predicted(hz):
     assert float(r2.max()) < 0.1
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", quick_first(range(2), 1))
 def test_a_hidden_function_of_the_motion_is_found(seed):
     """On joint 2 only, of its position and speed; what remains is near the noise."""
     segments = segments_of_seed(seed)
@@ -63,6 +64,7 @@ def test_a_hidden_function_of_the_motion_is_found(seed):
     assert float(left[1].square().mean() / noise[1].square().mean()) < 2.5
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same():
     segments = segments_of_seed(0)
     samples = Samples(segments, 8.0)
@@ -71,6 +73,7 @@ def test_the_same_seed_gives_the_same():
     assert torch.equal(one.prediction, two.prediction)
 
 
+@pytest.mark.slow
 def test_joints_that_are_not_asked_for_are_not_predicted():
     segments = segments_of_seed(0)
     samples = Samples(segments, 8.0)
@@ -83,6 +86,7 @@ def test_joints_that_are_not_asked_for_are_not_predicted():
     assert torch.equal(some.left(known)[0], known[0])
 
 
+@pytest.mark.slow
 def test_a_row_does_not_predict_itself():
     """A spike changes no prediction within its own block, where its fold is held out; the shrinkage
     may move by as little as one row weighs."""

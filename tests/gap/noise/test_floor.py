@@ -7,6 +7,7 @@ import torch
 
 from tests.gap.motions import ROBOT, motion_at, noises, segment_of, times
 from tests.gap.problems import data_of
+from tests.marks import quick_first
 from torchid.design.columns import Columns, Model
 from torchid.design.repeats import Repeats, find_repeats
 from torchid.design.segments import REACH, Samples, Segment, moving_samples
@@ -70,6 +71,7 @@ def test_repeats_tell_the_noise_and_not_what_repeats(hz, gap):
     assert float((ratio - 1).abs().max()) < (0.2 if hz == 1.0 else 0.12)
 
 
+@pytest.mark.slow
 def test_a_correction_that_differs_at_each_repeat_is_no_noise_of_the_log():
     """Friction that the corrected model lets drift, and the arm does not."""
     segments = runs(1, count=3)
@@ -117,7 +119,7 @@ def test_what_happens_once_does_not_raise_the_floor():
     assert first - 1 <= 11.0 <= last + 1
 
 
-@pytest.mark.parametrize("hz", COLOURS)
+@pytest.mark.parametrize("hz", quick_first(COLOURS, 1))
 @pytest.mark.parametrize("gap", [0.0, 2.0])
 def test_the_bracket_holds_the_noise(hz, gap):
     """Without repeats, with nothing unmodelled and with a smooth function of the motion. The lower
@@ -142,6 +144,7 @@ def test_the_bracket_holds_the_noise(hz, gap):
         assert int((found.structure > 0.3).sum()) >= 2
 
 
+@pytest.mark.slow
 def test_structure_is_found_beside_a_floor_from_repeats():
     """What repeats is no noise; a predictor finds it on its joint, and leaves the noise."""
     segments = runs(3, count=3)
@@ -157,6 +160,7 @@ def test_structure_is_found_beside_a_floor_from_repeats():
     assert float(found.unpredicted[1]) > 0.9 * float(truth[1])
 
 
+@pytest.mark.slow
 def test_repeats_too_short_to_measure_are_none():
     segments = runs(4)
     z = noises(segments, 4)

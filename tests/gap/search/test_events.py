@@ -101,6 +101,7 @@ def test_what_comes_again_with_the_motion_is_no_push(quiet, columns, seed):
     assert contacts(question, again) == contacts(question) != []
 
 
+@pytest.mark.slow
 def test_a_push_on_the_forearm_is_found_there():
     """The wrist feels nothing of it, which no force at the tool explains."""
     robot = load_robot("ur10e")

@@ -74,6 +74,7 @@ def test_hashes(tmp_path):
         input_files([("log", "x", tmp_path / "missing")])
 
 
+@pytest.mark.slow
 def test_every_theme_colour_is_given_for_light_and_dark(page):
     text = render(page)
     (style,) = parsed(text).iter("style")

@@ -60,12 +60,14 @@ def test_the_same_spec_is_the_same_case(case):
     assert all((again.columns[name] == x).all() for name, x in case.columns.items())
 
 
+@pytest.mark.slow
 def test_a_larger_level_is_a_larger_effect(case):
     more = simulate_case(viscous(level=10.0)).key["effects"][0]
     less = case.key["effects"][0]
     assert more["parameters"]["Fv"] / less["parameters"]["Fv"] == pytest.approx(2.0, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_poor_motion_has_the_effect_of_a_rich_one(case):
     spec = replace(viscous(), poor=replace(SHORT, levels=(0.05, 0.05)), excitation="slow")
     poor = simulate_case(spec).key
@@ -75,6 +77,7 @@ def test_a_poor_motion_has_the_effect_of_a_rich_one(case):
     assert poor["noise_std"] == case.key["noise_std"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poor", [None, replace(SHORT, levels=(0.05, 0.05))])
 def test_fresh_motions_move_the_same_arm(poor):
     spec = replace(viscous(), poor=poor)
@@ -89,6 +92,7 @@ def test_fresh_motions_move_the_same_arm(poor):
     assert 0.3 < speed[0] / speed[1] < 3.0
 
 
+@pytest.mark.slow
 def test_several_effects_have_a_size_each():
     names = ["torque_offset", "torque_gain"]
     spec = replace(draw_case(1, 2, effects=names, arm="3r"), motion=SHORT)

@@ -99,6 +99,7 @@ def test_stiff_bristles_are_coulomb_friction_where_it_moves(bench):
     np.testing.assert_allclose(gap[0][fast, 1], 2 * np.sign(thin[fast]), atol=0.1)
 
 
+@pytest.mark.slow
 def test_a_stiff_gear_is_no_effect(bench):
     scene, base, nominal = bench
     light = float(scene.inertia[1, 0])

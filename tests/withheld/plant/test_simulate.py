@@ -23,6 +23,7 @@ def signals(columns, n, trajectory=0):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", ["3r", "6r", "7r"])
 def test_torchid_explains_a_log_without_effects(arm, tmp_path):
     case = simulate_case(quiet(arm))
@@ -75,6 +76,7 @@ def test_the_arm_follows_its_reference(bench):
     assert np.abs(truth.q - q).max() < 0.05
 
 
+@pytest.mark.slow
 def test_half_the_step_is_the_same_motion(bench):
     scene, base, nominal = bench
     one, two = (simulated(scene, base, nominal, s)[0].truth for s in (STEP, STEP / 2))

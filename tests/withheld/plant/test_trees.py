@@ -68,6 +68,7 @@ def test_motors_lose_their_torque_towards_the_free_speed(arm):
     np.testing.assert_allclose(shares[:, 0], [1.0, 1.0, 0.5, 0.0, 0.0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_robot_without_causes_has_no_gap():
     """The plant's friction, rotors and late bus are what the described robot has, or no matter."""
     found = simulate_case(draw_case(3, 0, kind="none", arm="quadruped", mix="tree"))
