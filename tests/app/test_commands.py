@@ -290,20 +290,6 @@ def test_simulate_paper_noise_leaves_no_error(command, tmp_path):
 
 
 @pytest.mark.slow
-def test_demo(command, tmp_path):
-    shown = command("demo", "--out", tmp_path / "demo")
-    assert shown.code == 0, shown.err
-    data = json.loads((tmp_path / "demo" / "demo.json").read_text())
-    assert data["paper_3r"]["largest_error"] < 1e-11
-    assert data["kuka"]["inside_95"] >= 56
-    assert {p.name for p in (tmp_path / "demo").glob("*.png")} == {
-        "parameters.png",
-        "trajectory.png",
-        "validation.png",
-    }
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("more", [(), ("--json", "-")])
 def test_a_reader_that_leaves_is_no_error(tmp_path: Path, more: tuple[str, ...]) -> None:
     """`torchid ... | head`: what is left unsaid is no failure, and files are still written."""

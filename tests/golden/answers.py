@@ -27,6 +27,7 @@ from typing import Any
 import torch
 
 import torchid
+from tests.documents import ROOT
 from tests.fleet.simulated import Plan, make
 from tests.gap.small_logs import ONCE, REPEATED, ROBOT, Recording, arm, carrying, friction, logged
 from tests.position.planted import planted, true_servos
@@ -34,6 +35,9 @@ from torchid.json_data import plain
 from torchid.robot.library import load_robot
 
 STORED = Path(__file__).parent / "answers"
+
+MADE = ROOT / "build" / "golden"
+"""Where the answers of today are written."""
 
 WITHOUT = (
     "seconds", "version", "source", "robot", "model", "corrected", "covariance", "information",
@@ -74,26 +78,25 @@ def _base_parameters() -> dict[str, Any]:
     return _gap(bare, log, settings={"background": ("viscous_friction",)})
 
 
-def _delay_held_out() -> dict[str, Any]:
-    """Dynamic effects of two joints, judged on a motion of its own."""
-    late = arm(
-        {"effect": "time_delay", "joint": 1, "delay": 0.01},
+def _held_out() -> dict[str, Any]:
+    """Causes of two joints, judged on a motion of its own."""
+    real = arm(
+        {"effect": "rotor_inertia", "joint": 1, "Ia": 0.1},
         {"effect": "load_dependent_friction", "joint": 2, "mu": 0.06},
     )
-    log, apart = logged(late, SHORT(ONCE)), logged(late, SHORT((5,), seed=3))
+    log, apart = logged(real, SHORT(ONCE)), logged(real, SHORT((5,), seed=3))
     return _gap(ROBOT, log, held_out=apart)
 
 
 def _six_joints() -> dict[str, Any]:
-    """A UR10e with backlash-free friction of joint 4 in two short runs."""
-    from torchid.excitation.synthetic import simulate
-    from torchid.excitation.trajectories import random_trajectory, trajectory_log
+    """The demonstration's arm: a load, friction and a spring, with the whole library."""
+    from torchid.withheld.demo import write_files
 
-    robot = load_robot("ur10e")
-    motion = trajectory_log(random_trajectory(robot, 1, count=2, duration=6.0, fill=True), 100.0)
-    log = simulate(robot, motion, effects=[friction(4, Fc=2.0)], seed=1)
-    few = ("coulomb_friction", "viscous_friction", "torque_offset", "payload", "joint_spring")
-    return _gap(robot, log, settings={"effects": few, "rollout": False})
+    with tempfile.TemporaryDirectory() as folder:
+        files = write_files(Path(folder), seed=3)
+        robot, log = torchid.load_robot(str(files.robot)), torchid.read_log(list(files.logs))
+        apart = torchid.read_log(files.new)
+        return _gap(robot, log, held_out=apart, settings={"rollout": False})
 
 
 def _servos(**extra: tuple[int, float]) -> dict[str, Any]:
@@ -123,11 +126,11 @@ def _fleet() -> dict[str, Any]:
 
 ANSWERS: dict[str, Callable[[], dict[str, Any]]] = {
     "six_joints": _six_joints,
-    "servo_stiction": partial(_servos, stiction=(2, 2.0)),
+    "servo_dead_zone": partial(_servos, dead_zone=(2, 0.02)),
     "servo_profile": partial(_servos, acceleration=(2, 4.0)),
     "servo_plain": _servos,
     "friction_and_load": _friction_and_load,
-    "delay_held_out": _delay_held_out,
+    "held_out": _held_out,
     "base_parameters": _base_parameters,
     "no_gap": lambda: _gap(ROBOT, logged(ROBOT, SHORT(REPEATED))),
     "heavier": lambda: _gap(carrying(0.5, (0.1, 0.0, 0.0), 1e-3), logged(ROBOT, SHORT(ONCE))),
@@ -176,9 +179,8 @@ def _told(name: str, tolerance: float) -> tuple[str, str, bool]:
     took = f"{time.monotonic() - begun:.0f} s"
     file = STORED / f"{name}.json"
     was = json.loads(file.read_text()) if file.exists() else {}
-    (Path(tempfile.gettempdir()) / f"torchid_answer_{name}.json").write_text(
-        json.dumps(now, indent=1) + "\n"
-    )
+    MADE.mkdir(parents=True, exist_ok=True)
+    (MADE / file.name).write_text(json.dumps(now, indent=1) + "\n")
     found = list(differences(was, now))
     most = max((by for _, by in found), default=0.0)
     if most <= ROUNDING:
@@ -204,8 +206,7 @@ def main() -> int:
             print(said, flush=True)
             changed += other
             if asked.write:
-                made = Path(tempfile.gettempdir()) / f"torchid_answer_{name}.json"
-                made.replace(STORED / f"{name}.json")
+                (MADE / f"{name}.json").replace(STORED / f"{name}.json")
     print(f"{changed} of {len(asked.names or ANSWERS)} answers are others than before")
     return int(changed > 0 and not asked.write)
 

@@ -8,6 +8,7 @@ import typer
 from torchid import __version__
 from torchid.app.check import check_command
 from torchid.app.compare import compare_command
+from torchid.app.demo import demo_command
 from torchid.app.excite import excite_command
 from torchid.app.export import correct_command, export_command
 from torchid.app.extract import atlas_command, extract_command
@@ -22,7 +23,7 @@ from torchid.app.project import add
 from torchid.app.show import effects_command, explain_command, robot_command
 from torchid.app.signature import Debug
 from torchid.app.simulate import simulate_command
-from torchid.app.study import demo_command, study_command
+from torchid.app.study import study_command
 from torchid.app.withheld import withheld_app
 from torchid.app.wrenches import wrenches_command
 

@@ -1,17 +1,15 @@
-"""`torchid study` and `torchid demo`: the report's studies as one command, and the main job on its
-robots in under a minute."""
+"""`torchid study`: the report's studies as one command."""
 
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from torchid.app import options as opt
 from torchid.app.faults import resumable
-from torchid.app.output import Output, Reported
-from torchid.app.signature import Fields, Switch, command
+from torchid.app.output import Reported
+from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, Schedule
 from torchid.json_data import write_json
@@ -111,26 +109,3 @@ def study_command(
             folder = out / found.settings.name
             remove_checkpoints(found.settings, folder / _CHECKPOINTS)
             output.say(f"results of {found.settings.name} are in {folder}")
-
-
-@command
-def demo_command(
-    *,
-    seed: opt.Seed = 0,
-    output: Annotated[Output, Fields("json_file", "quiet", "threads", out=Path("demo"))],
-    device_name: opt.Device = "cpu",
-) -> None:
-    """Identify the report's 3R and KUKA LWR IV+ from synthetic logs, and compare with the truth.
-
-    Example: `torchid demo --out demo`
-
-    Args:
-        out: Folder for results.
-    """
-    from torchid.report.demo import shown
-    from torchid.study.demo import demo_record, kuka_demo, paper_demo
-
-    paper = paper_demo()
-    with output.progress() as progress:
-        kuka = kuka_demo(seed, device_name, progress)
-    output.give(demo_record(paper, kuka), "demo.json", lambda _: shown(paper, kuka))

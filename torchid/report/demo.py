@@ -1,40 +1,70 @@
 """What `torchid demo` shows."""
 
-from functools import partial
-
-from torchid.report import identification as one
-from torchid.report.log import trajectory_figure
+from torchid.doctor.examine import conclusion
+from torchid.gap.diagnosis import Finding
+from torchid.report.diagnosis import answer_table
+from torchid.report.identification import headline
 from torchid.report.table import Shown, Table
-from torchid.study.demo import Demo
+from torchid.results.words import effect_words, measure, sure
+from torchid.withheld.demo import Comparison, Demo, Files
 
 
-def shown(paper: Demo, kuka: Demo) -> Shown:
-    """For the terminal, and as figures of motion, held-out torque and parameters."""
-    design, inside, result = kuka.design, kuka.inside, kuka.result
-    robot, new = result.robot, result.held_out_predictions[0]
-    title = "torque on a motion never used for the fit"
-    conditions = f"{design.start_condition:.0f} -> {design.condition_after:.0f}" if design else "-"
+def introduction(files: Files) -> str:
+    """What the files are, before anything is done with them."""
+    return (
+        f"{files.robot}: a 6R arm as its maker describes it. The real one, which made three logs "
+        "of 5 s, carries 1 kg and rubs on joint 2. A third cause is withheld: it was drawn from "
+        f"the seed, and nothing reads {files.key} before the end "
+        f"(SHA-256 {files.sealed[:16]}..).\n"
+    )
+
+
+def shown(demo: Demo) -> Shown:
+    """Each step under the command that does the same, and what was withheld at the end."""
+    files, answer = demo.files, demo.diagnosis.answer
+    logs = " ".join(str(path) for path in files.logs)
     return Shown(
         parts=[
-            Table(
-                "The report's 3R (table A.1). Its noise of 30 dB is on the trajectory, and the "
-                "torque is\ncomputed from it, so least squares recovers the parameters to rounding",
-                ("base parameter", "identified", "true", "error"),
-                [(n, f"{v:.6g}", f"{true:.6g}", f"{v - true:.0e}") for n, v, true in paper.found],
-                words=("base parameter",),
-            ),
-            f"KUKA LWR IV+ with friction: designed trajectory, condition number {conditions}; "
-            "encoder of 18 bits, torque noise of 1 %\n",
-            *one.effect_tables(result),
-            one.error_table(result),
-            *(f"! {warning}" for warning in result.warnings),
-            f"\n{one.headline(result)}",
-            f"{int(inside.sum())} of {len(inside)} true values lie inside their 95 % intervals "
-            "(the report's own f_v6 is negative, so signs are left free here).",
+            f"$ torchid log doctor {files.robot} {logs}\n{conclusion(demo.examination)}\n",
+            f"$ torchid identify {files.robot} {logs} --held-out {files.new}\n"
+            f"{headline(demo.identification)}\n",
+            f"$ torchid gap {files.robot} {logs} --held-out {files.new}\n{answer.headline}\n",
+            answer_table(answer, demo.diagnosis.band),
+            opened_table(demo),
         ],
-        figures={
-            "trajectory": partial(trajectory_figure, robot, kuka.motion, "designed trajectory"),
-            "validation": partial(one.torque_figure, new, ["N m"] * robot.n, title),
-            "parameters": partial(one.truth_figure, result, kuka.truth),
-        },
     )
+
+
+def opened_table(demo: Demo) -> Table:
+    """Every planted cause beside what came out; then what was named and not planted."""
+    rows = [
+        (
+            _place(one.planted["effect"], one.planted.get("joint")),
+            "withheld" if one.withheld else "told",
+            _planted(one),
+            *_found(one.finding),
+        )
+        for one in demo.opened
+    ]
+    for f in demo.others:
+        joint = f.joints[0] + 1 if len(f.joints) == 1 else None
+        rows.append((_place(f.effect.name, joint), "not planted", "", *_found(f)))
+    columns = ("cause", "was", "planted", "diagnosis", "sure")
+    title = f"{demo.files.key} opened (SHA-256 {demo.files.sealed[:16]}..)"
+    return Table(title, columns, rows, names=columns[1:], words=columns[:1])
+
+
+def _place(effect: str, joint: int | None) -> str:
+    return effect_words(effect) + ("" if joint is None else f" on joint {joint}")
+
+
+def _planted(one: Comparison) -> str:
+    name, value = one.coefficient
+    return f"{name} {value:.3g}"
+
+
+def _found(finding: Finding | None) -> tuple[str, str]:
+    if finding is None:
+        return "not named", ""
+    first = finding.effect.coefficients[0]
+    return measure(finding.values[0], finding.std[0], first.unit), sure(finding.how_sure)

@@ -7,7 +7,6 @@ from functools import partial
 from itertools import count
 
 import numpy as np
-import torch
 
 from torchid.design.motion import MOVING
 from torchid.identification.identify import Identification
@@ -248,23 +247,6 @@ def parameter_figure(result: IdentificationRecord) -> Figure:
         "half-width of the 95 % interval, % of the value (100 %: not distinguishable from zero)"
     )
     return finish(figure, f"{result.robot}: how well each parameter is known")
-
-
-def truth_figure(result: Identification, truth: torch.Tensor) -> Figure:
-    """Errors against known true values, in units of each parameter's 95 % interval."""
-    half = result.uncertainty.quantile() * result.std
-    shown = [k for k in range(len(result.base)) if bool(result.free[k])]
-    error = ((result.values - truth) / half)[shown].numpy()
-    figure, axes = panel(9, 1.4 + 0.19 * len(shown))
-    axes.axvspan(-1, 1, color=GREEN, alpha=0.12, linewidth=0)
-    axes.axvline(0, color=GREY, linewidth=0.8)
-    colours = [BLUE if abs(e) <= 1 else RED for e in error]
-    axes.scatter(error, range(len(shown)), color=colours, s=18)
-    rows_of(axes, [short(result.base.names[k], 44) for k in shown])
-    limit = max(2.0, 1.1 * float(np.abs(error).max()))
-    axes.set_xlim(-limit, limit)
-    axes.set_xlabel("(identified - true) / half-width of the 95 % interval")
-    return finish(figure, f"{result.robot.name}: identified against true values")
 
 
 MOST_TRAJECTORIES = 3
