@@ -166,7 +166,7 @@ def test_commands_and_python_of_the_readme_run(tmp_path: Path) -> None:
     assert (tmp_path / "from_python/3r.urdf").stat().st_size > 0
 
 
-@pytest.mark.nightly
+@pytest.mark.slow
 def test_commands_and_python_of_the_tutorial_run(place: Shell) -> None:
     assert _commands_run(TUTORIAL, place) >= 10
     for name in (

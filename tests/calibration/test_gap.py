@@ -11,6 +11,7 @@ import torch
 
 from tests.gap.diagnoses import coloured
 from tests.gap.motions import ROBOT
+from tests.nights import seeds_of_the_night
 from torchid.effects.base import Motion
 from torchid.effects.registry import model_torque, nominal_effects
 from torchid.excitation.synthetic import synthetic_log
@@ -113,8 +114,10 @@ def truly_closed(found: TorqueDiagnosis, real: Robot) -> float:
 
 @pytest.fixture(scope="module")
 def outcomes() -> dict[Case, Outcome]:
-    cases = [Case(None, seed, c) for seed in range(QUIET // 2) for c in (0.0, 0.9)]
-    cases += [Case(name, 50 + s, c) for name in PLANTED for s in range(6) for c in (0.0, 0.9)]
+    cases = [Case(None, seed, c) for seed in seeds_of_the_night(QUIET // 2) for c in (0.0, 0.9)]
+    cases += [
+        Case(name, 50 + s, c) for name in PLANTED for s in seeds_of_the_night(6) for c in (0.0, 0.9)
+    ]
     return dict(zip(cases, each(outcome, cases, 2), strict=True))
 
 

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from tests.identification.test_statistics import noisy_source, truth
+from tests.nights import seeds_of_the_night
 from torchid.identification.least_squares import fit
 from torchid.identification.statistics import jackknife
 
@@ -15,7 +16,7 @@ RUNS = 100
 @pytest.mark.parametrize("kind", ["white", "ar1", "heteroscedastic", "heavy tails"])
 def test_intervals_of_base_parameters(kind, method):
     inside = []
-    for seed in range(RUNS):
+    for seed in seeds_of_the_night(RUNS):
         source = noisy_source(kind, seed)
         found = fit(source, method=method)
         uncertainty = jackknife(source, found)

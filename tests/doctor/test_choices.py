@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tests.doctor.synthetic import clean, log_faults
-from tests.marks import quick_first
+from tests.marks import quick_first, some
 from torchid.doctor.examine import conclusion, examine, untold
 from torchid.dynamics.regressor import regressor
 from torchid.errors import LogError
@@ -58,6 +58,7 @@ def test_torque_tells_a_slow_clock_from_a_scaled_velocity(signal, name, gears):
     assert torch.allclose(mended.dq, log.dq)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_either_sign_of_a_joint_in_the_plane_of_symmetry():
     """A 3R arm is its own mirror image: torque 1 negated is position 1 negated."""
@@ -71,6 +72,7 @@ def test_either_sign_of_a_joint_in_the_plane_of_symmetry():
     assert torch.equal(examine(robot, negated, ["position sign 1"]).mended().q, log.q * sign)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_what_rests_on_a_choice_waits_for_it():
     robot, log = clean("3r", 0)
@@ -94,10 +96,9 @@ def test_a_name_that_is_not_offered_is_refused():
     assert error.value.available == ["torque unit mNm", "torque unit Ncm"]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "turned", "invisible"),
-    [("3r", [0], True), ("3r", [1], False), ("kuka_lwr4", range(7), True)],
+    some([("3r", [0], True), ("3r", [1], False), ("kuka_lwr4", range(7), True)], 2, several=True),
 )
 def test_mirrored_bodies_make_the_torques_of_axes_turned_around(name, turned, invisible):
     """By least squares on the regressor, without the doctor: are -tau over -q of these joints a

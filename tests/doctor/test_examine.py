@@ -130,6 +130,7 @@ def test_a_gain_is_measured(factor):
     assert found.interval[0] < found.estimate < found.interval[1]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("nominal", [False, True])
 @pytest.mark.parametrize("fault", SHOWN)

@@ -42,7 +42,7 @@ def found(robot, log):
 
 
 @pytest.mark.parametrize("law", quick_first([stop, knee, table], 1), ids=lambda law: law.__name__)
-@pytest.mark.parametrize("name", ["3r", pytest.param("ur10e", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["3r", pytest.param("ur10e", marks=pytest.mark.nightly)])
 def test_a_law_beyond_a_limit_is_found_at_its_place(name, law):
     robot, log = clean(name, 2, duration=40.0)
     (check,) = found(robot, planted(robot, log, law, 0.3))
@@ -63,6 +63,7 @@ def test_what_comes_once_is_no_law():
     assert not found(robot, log.replace(tau=log.tau + torque))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_friction_that_grows_with_load_is_no_knee():
     robot, log = clean("ur10e", 2, duration=40.0)
@@ -73,7 +74,7 @@ def test_friction_that_grows_with_load_is_no_knee():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gears", [False, True], ids=["plain", "gears"])
-@pytest.mark.parametrize("name", ["3r", pytest.param("kuka_lwr4", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["3r", pytest.param("kuka_lwr4", marks=pytest.mark.nightly)])
 def test_a_clean_log_has_none(name, gears):
     robot, log = clean(name, 1, gears=gears)
     assert not found(robot, log)

@@ -229,6 +229,7 @@ def test_the_gradient_is_that_of_the_distance(tmp_path):
     assert clearance.penalty(rest).tolist() == [0.0, 0.0]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_design_uses_the_room_there_is(tmp_path):
     """With clearance in the search the motion keeps it, and excites more than one drawn back."""

@@ -187,8 +187,9 @@ def test_table_5_1_keeps_the_limits_of_the_3r():
 # --- limits
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("robot", [load_robot("3r"), load_robot("kuka_lwr4"), random_arm()])
+@pytest.mark.parametrize(
+    "robot", some([load_robot("3r"), load_robot("kuka_lwr4"), random_arm()], 1)
+)
 def test_random_trajectories_keep_the_limits_at_every_instant(robot):
     for seed in range(20):
         trajectory = random_trajectory(robot, seed, fill=seed % 2 == 0)
@@ -303,6 +304,7 @@ def test_a_sinusoid_is_eq_5_2():
 # --- design
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", some(["3r", "kuka_lwr4"], 1))
 def test_the_design_improves_the_condition_number(name):
     robot = load_robot(name)
@@ -319,6 +321,7 @@ def test_the_design_improves_the_condition_number(name):
     assert found == pytest.approx(designed.condition_after, rel=0.02)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "highest"), [("3r", 175.0), ("kuka_lwr4", 55.0)])
 @pytest.mark.parametrize("seed", some(range(5), 1))
 def test_the_whole_design(name, highest, seed):

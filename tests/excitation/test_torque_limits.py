@@ -11,6 +11,7 @@ import torch
 from tests.arms import mixed_arm
 from tests.compare.records import identification
 from tests.excitation.usage import limit_usage
+from tests.marks import some
 from tests.oracles import PinocchioOracle
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.registry import on_every_joint
@@ -82,8 +83,7 @@ def share(robot, tau):
     return (tau / robot.limits.torque[:, 1]).maximum(tau / robot.limits.torque[:, 0]).amax(0)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("usage", [1.0, 0.9])
+@pytest.mark.parametrize("usage", some([0.9, 1.0], 1))
 def test_the_written_trajectory_keeps_them(robot, usage, tmp_path):
     assert {r["effect"] for r in robot.effects} <= set(FRICTION)
     start = random_trajectory(robot, 0, fill=True, usage=usage)

@@ -207,6 +207,7 @@ def test_the_one_step_loss_has_the_same_ranges() -> None:
     torch.testing.assert_close(a.high, b.high, rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_confidence_ellipsoid() -> None:
     """Wider than the exact ranges, wider with more noise, and it holds a truth that is within the
@@ -241,6 +242,7 @@ def test_the_confidence_ellipsoid() -> None:
     torch.testing.assert_close(free.high, free.bounds_high, rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_reports_arm_of_least_loss() -> None:
     """No feasible set has exactly the base parameters: ranges are those of the least loss."""

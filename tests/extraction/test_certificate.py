@@ -117,6 +117,7 @@ def test_what_forces_the_loss() -> None:
     assert all(v <= found.phi_min * (1 + 1e-5) for v in found.released.values())
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_negative_friction_costs_its_square() -> None:
     """Table 3.4's f_v6 = -0.0132; no other parameter can make up for it."""

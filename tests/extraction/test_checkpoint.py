@@ -176,6 +176,7 @@ def kill_after(folder: Path, new_stages: int, delay: float) -> None:
     assert process.wait(30) == -signal.SIGKILL
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_sigkill_three_times(tmp_path: Path, whole: Extraction) -> None:
     chance = random.Random(int.from_bytes(os.urandom(4), "little"))

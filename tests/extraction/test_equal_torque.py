@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.arms import arm, mixed_arm, relative, states
+from tests.marks import some
 from tests.oracles import PinocchioOracle
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.errors import TorchidError
@@ -128,8 +129,7 @@ def test_the_kernel_is_orthonormal_and_changes_no_torque(name: str) -> None:
     assert float((y @ directions).abs().max()) < 1e-11 * float(y.abs().max())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", some(ROBOTS, 1))
 def test_torque_is_the_references(name: str) -> None:
     case, found = setting(name), family(name)
     motion = [x.unsqueeze(1) for x in states(case.robot, 20)]
@@ -194,8 +194,7 @@ def test_feasible_sets_by_the_definitions(name: str) -> None:
     assert (mass.sum(-1) < high).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", some(ROBOTS, 1))
 def test_degrees_are_spread(name: str) -> None:
     case, found = setting(name), family(name)
     checked = feasibility(found.sets, case.conditions)
@@ -330,6 +329,7 @@ def test_draws_are_uniform() -> None:
     assert float(y[..., 3].var()) == pytest.approx(1 / 12, rel=0.1)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @settings(max_examples=6, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 1000), letters=st.sampled_from(["RR", "RRP", "PRR", "RPRR", "RRRRR"]))

@@ -111,7 +111,7 @@ def test_sets_of_equal_torque_differ_with_their_starts() -> None:
     assert_inside(given, found.p)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["kuka_lwr4", "kuka_lwr4_friction"])
 def test_every_start_ends_at_the_least_loss(name: str) -> None:
     given = problem(name)
@@ -123,6 +123,7 @@ def test_every_start_ends_at_the_least_loss(name: str) -> None:
     assert_inside(given, found.p)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_inertia_bounds_that_matter_are_kept() -> None:
     """Where the certificate's relaxation is not exact, runs end between its two figures or at the

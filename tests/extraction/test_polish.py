@@ -77,6 +77,7 @@ def test_lwr_reaches_the_certificate() -> None:
     assert float(phi.min()) > 0.99 * LWR_NORMAL_PHI_MIN
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["kuka_lwr4", "kuka_lwr4_friction"])
 @pytest.mark.parametrize("group", ["normal", "normal_corrected", "loose_corrected"])

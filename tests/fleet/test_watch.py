@@ -26,6 +26,7 @@ def fleet(tmp_path_factory):
     return fleet_identify(FleetModel(robot, FleetSettings(effects=EFFECTS)), logs)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_unit_that_changes_is_named(fleet, tmp_path) -> None:
     found = watch(fleet, every=100)

@@ -37,11 +37,13 @@ FRICTION = {"effect": "coulomb_friction", "joint": 2, "Fc": FC}
 REAL = replace(ROBOT, effects=(FRICTION,))
 
 
-def logged(robot: Robot, runs: tuple[int, ...] = RUNS, seed: int = 0) -> Log:
+def logged(robot: Robot, runs: tuple[int, ...] = RUNS, seed: int = 0, duration: float = 8.0) -> Log:
     """What sensors make of these runs of a robot: encoder steps, white torque noise."""
     moved = Log.concatenate(
         [
-            trajectory_log(random_trajectory(ROBOT, k, duration=8.0, fill=True), RATE, (f"run{k}",))
+            trajectory_log(
+                random_trajectory(ROBOT, k, duration=duration, fill=True), RATE, (f"run{k}",)
+            )
             for k in runs
         ]
     )
@@ -70,8 +72,10 @@ CASES: dict[str, Callable[[], TorqueDiagnosis]] = {
         logged(REAL),
         settings=replace(QUICK, background=("viscous_friction",)),
     ),
-    "one run": lambda: diagnose_torque(ROBOT, logged(REAL, (0,)), settings=QUICK),
-    "one quiet run": lambda: diagnose_torque(ROBOT, logged(ROBOT, (0,)), settings=QUICK),
+    "one run": lambda: diagnose_torque(ROBOT, logged(REAL, (0,), duration=16.0), settings=QUICK),
+    "one quiet run": lambda: diagnose_torque(
+        ROBOT, logged(ROBOT, (0,), duration=16.0), settings=QUICK
+    ),
     "held out": lambda: diagnose_torque(
         ROBOT, logged(REAL, (0, 1, 0)), held_out=logged(REAL, (5,), 7), settings=QUICK
     ),
@@ -369,6 +373,7 @@ KEYS = {
 STATUSES = {"no_gap", "parametric_only", "explained", "detected_unexplained", "not_testable"}
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("name", marked(*CASES))
 def test_records_keep_the_contract(name):

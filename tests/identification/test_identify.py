@@ -448,6 +448,7 @@ def test_95_percent_intervals_cover_the_truth(name, runs, reversal, record_prope
     assert lowest > 0.95 - 5 * (0.95 * 0.05 / runs) ** 0.5
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_predictions_are_of_the_rigid_body_for_a_bare_robot():
     found = by_default("3r", 0)

@@ -206,6 +206,7 @@ def standing(seed: int = 0) -> Log:
     return Log(t, q, tau=tau + 0.05 * torch.randn(q.shape, generator=g, dtype=torch.float64))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_model_that_is_worse_than_none_is_refused() -> None:
     with pytest.raises(IdentificationError, match="worse than zero") as refused:

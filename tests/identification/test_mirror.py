@@ -54,6 +54,7 @@ def test_a_mirror_of_a_mirror_is_the_robot(front):
     torch.testing.assert_close(across @ own, own, rtol=0, atol=1e-9)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_symmetric_robot_is_known_better_and_rightly(front):
     log = legs_log(front, 5)

@@ -99,6 +99,7 @@ def test_standard_deviations_are_the_spread_of_many_fits(kind, method):
     assert 0.91 < float((ours.abs() < quantile).double().mean()) < 0.99
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_why_not_the_textbooks():
     """It is right for white noise, and several times too small for what a filter leaves."""

@@ -50,6 +50,7 @@ def test_base_parameters_and_friction_come_back(log):
     torch.testing.assert_close(friction, torch.full_like(friction, 0.4), rtol=0.1, atol=0.02)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_joints_own_columns_give_the_covariance_of_all(log, monkeypatch):
     short = found(log)

@@ -11,7 +11,7 @@ import torch
 
 import torchid
 from tests.gap.small_logs import carrying
-from tests.marks import quick_first
+from tests.marks import quick_first, some
 from torchid.errors import TorchidError
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
@@ -130,6 +130,7 @@ def test_gravity_friction_and_rotors_that_the_simulator_lacks():
         assert found.faults[0].side == "simulator"
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_an_effect_of_one_side_is_named_with_its_side():
     robot = load_robot("3r")
@@ -149,6 +150,7 @@ def test_an_effect_of_one_side_is_named_with_its_side():
     assert less.simulator["Fc"] == pytest.approx(0.8, abs=0.05)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_load_that_only_the_simulator_carries():
     """It is taken into the simulator's last link, which the arm's is lighter than."""
@@ -187,8 +189,7 @@ def test_bad_pairs():
 PAIRS = Path(__file__).parents[2] / "benchmarks" / "pairs.py"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [0, 3, 4, 5, 7])
+@pytest.mark.parametrize("number", some([0, 3, 4, 5, 7], 2))
 def test_pairs_of_mujoco(number):
     """A handful of the generator's pairs, of a seed on which thresholds were chosen."""
     pytest.importorskip("mujoco")

@@ -86,6 +86,7 @@ def weaker() -> PairDiagnosis:
     return compare_pair(driven(MOVING), real, pendulum())
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("kinds", some([("late step", "step"), KINDS, ("step",), ("ramp",)], 1))
 def test_short_motions_have_one_clock(kinds):
     both = aligned(driven(kinds), driven(kinds, seed=1, kp=8.1))
@@ -110,6 +111,7 @@ def test_an_arm_that_never_moves_ends_in_an_error():
         aligned(still, still)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_weaker_gain_and_the_friction_of_the_real_servo_are_named():
     found = weaker()
@@ -171,6 +173,7 @@ def test_without_masses_ratios_to_the_gain_are_compared():
     assert math.isfinite(damping.real_ci95[1])
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_logs_with_torque_have_no_servos():
     simulated = driven(MOVING)

@@ -62,6 +62,7 @@ def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Cluster]:
     found.kill()
 
 
+@pytest.mark.nightly
 def test_a_scheduler_that_comes_back_goes_on(cluster: Cluster, tmp_path: Path) -> None:
     killed = []
 

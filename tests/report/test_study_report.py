@@ -69,6 +69,7 @@ def text_of(study: Study) -> str:
     return console.export_text()
 
 
+@pytest.mark.nightly
 def test_every_file_is_there_and_figures_are_png(study, written):
     names = {path.name for path in written}
     assert {"study.md", "sets.json", "all_sets.json"} < names
@@ -219,6 +220,7 @@ def test_an_impossible_certificate_has_a_report(study):
             d.draw()
 
 
+@pytest.mark.nightly
 def test_a_study_without_feasible_sets_has_a_report(without_feasible):
     assert not any(s.feasible for s in without_feasible.scenarios)
     figures = drawings(without_feasible)

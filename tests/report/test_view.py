@@ -33,6 +33,7 @@ def found():
     return diagnose_torque(robot, real, settings=GapSettings(effects=names, rollout=False))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_parts_add_up_and_are_the_planted_ones(found):
     views = viewed(found)

@@ -46,6 +46,7 @@ def line_of(text: str, start: str) -> str:
     return next(x for x in text.splitlines() if x.strip().startswith(start))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_masses_alone_count_only_where_their_weight_is_the_error() -> None:
     def told(share: tuple[float, float, float]) -> str:

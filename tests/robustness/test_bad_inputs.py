@@ -6,13 +6,20 @@ from tests.robustness.table import COMMANDS, Table, beside
 
 pytestmark = pytest.mark.slow
 
+LONG = ("extract",)
+"""Commands whose rows take half a minute."""
+
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
     return Table.made(tmp_path_factory.mktemp("table"))
 
 
-@pytest.mark.parametrize("name", COMMANDS, ids=" ".join)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.nightly) if " ".join(n) in LONG else n for n in COMMANDS],
+    ids=" ".join,
+)
 def test_bad_inputs_of(table, name) -> None:
     assert not [fault for case in table.cases(name) if (fault := table.run(case))]
 

@@ -31,6 +31,7 @@ def test_good_files_are_read(good) -> None:
         read(placed(folder, name, content)[1])
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_damaged_files_end_in_one_error(tmp_path) -> None:
     found = fuzz(tmp_path, 20, minutes=2, count=2000, keep=None)
@@ -38,6 +39,7 @@ def test_damaged_files_end_in_one_error(tmp_path) -> None:
     assert not found
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @settings(
     max_examples=300, deadline=None, derandomize=True,

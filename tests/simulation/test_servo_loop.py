@@ -103,7 +103,7 @@ def by_mujoco(robot, servos: Servos, u: np.ndarray, step: float) -> np.ndarray:
     ("name", "cases", "samples", "bound"),
     [
         ("3r", range(4), 101, 1e-3),
-        pytest.param("3r", range(10), 501, 1e-3, marks=pytest.mark.slow),
+        pytest.param("3r", range(10), 501, 1e-3, marks=pytest.mark.nightly),
         # Motions of 2 rad/s and more: each of the two integrations is right to 1 mrad.
         pytest.param("kuka_lwr4", range(0, 16, 4), 501, 3e-3, marks=pytest.mark.nightly),
     ],
@@ -135,7 +135,7 @@ def steady(level: float, seconds: float) -> Tracks:
     return Tracks(u, torch.tensor([0]), torch.tensor([samples - 1]), DT)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("share", [0.95, 1.05])
 def test_a_stuck_joint_stays_for_minutes(share):
     """Below the dry friction a joint does not move at all; above it goes to where it holds."""
@@ -213,6 +213,7 @@ def test_a_filter_is_late_by_its_time_constant():
     assert (x - speed * (t - tau * (1 - (-t / tau).exp()))).abs().max() < 1e-12
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_an_integrating_servo_leaves_no_error_and_remembers_its_sum():
     """A load of 2 N m: a servo without integral action errs by 2 / kp for ever. Windows that begin

@@ -1,6 +1,7 @@
 """Fits whose truth is known: autocorrelated noise and columns of a given correlation time."""
 
 import math
+from collections.abc import Iterable
 
 import torch
 from scipy.signal import lfilter
@@ -65,10 +66,10 @@ def fitted(
     return x, fit_statistics(columns, residual, block)
 
 
-def coverage(runs: int, *args: object, **settings: object) -> float:
-    """Share of 95 % intervals, of all columns of `runs` fits, that hold the truth [%]."""
+def coverage(seeds: Iterable[int], *args: object, **settings: object) -> float:
+    """Share of 95 % intervals, of all columns of a fit a seed, that hold the truth [%]."""
     inside = []
-    for seed in range(runs):
+    for seed in seeds:
         x, found = fitted(*args, seed=seed, **settings)  # type: ignore[arg-type, misc]
         low, high = found.interval(x).unbind(-1)
         inside.append(((low <= 0) & (high >= 0)).double().mean())

@@ -37,7 +37,7 @@ def statistics(columns, y, block=BLOCK) -> Jackknife:
 def test_intervals_hold_the_truth_in_95_percent(kind):
     """Twice as many columns as blocks, AR(1) noise: standard deviations from block scores, with a
     normal quantile, hold it in less than 90 %."""
-    assert 93 < coverage(200, 0.9, 20, kind=kind) < 97.3
+    assert 93 < coverage(range(200), 0.9, 20, kind=kind) < 97.3
 
 
 def test_the_whole_leverage_is_the_solution_without_the_block(monkeypatch):

@@ -51,6 +51,7 @@ def test_spreads_are_where_the_likelihood_is_highest() -> None:
         assert found - best.fun < 1e-3
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_intervals_and_shrunken_values_cover_at_their_level() -> None:
     hits = []
@@ -69,6 +70,7 @@ def test_units_without_a_spread_shrink_to_one_value() -> None:
     assert float(found.shrunk_std.median()) < float(found.own_std.median())
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_odd_units_are_found_and_others_hardly_ever() -> None:
     """Twelve of 60 units are 6 spreads off in one of 20 quantities: without leaving them out of

@@ -241,6 +241,7 @@ def test_study_answers_every_question_for_the_3r() -> None:
     assert [t.third for t in found.statistics.thirds].count("middle") == len(KINDS)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_same_seed_same_study() -> None:
     again = equal_torque_study(

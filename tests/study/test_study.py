@@ -107,6 +107,7 @@ def _counting(calls: list[object]):
     return counted
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_interrupted_study_gives_the_same_sets(tmp_path, monkeypatch):
     settings = load_study("3r")
@@ -128,6 +129,7 @@ def test_interrupted_study_gives_the_same_sets(tmp_path, monkeypatch):
         assert torch.equal(one.extraction.sets.parameters.pi, two.extraction.sets.parameters.pi)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_searches_that_are_over_are_not_repeated(tmp_path, monkeypatch):
     settings = load_study("3r")

@@ -40,7 +40,7 @@ def opened_table(demo: Demo) -> Table:
     rows = [
         (
             _place(one.planted["effect"], one.planted.get("joint")),
-            "withheld" if one.withheld else "told",
+            "withheld" if one.withheld else "known",
             _planted(one),
             *_found(one.finding),
         )

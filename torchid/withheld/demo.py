@@ -2,7 +2,7 @@
 gap diagnosed; then what was withheld from the diagnosis is opened and compared.
 
 The arm is the withheld plant's 6R, as its maker describes it. The real one carries a load and rubs
-on a joint, which is told; a third cause is drawn from the seed and sealed.
+on a joint, which is known; a third cause is drawn from the seed and sealed.
 """
 
 import random
@@ -42,7 +42,7 @@ PLAIN: tuple[dict[str, Any], ...] = (
      "Jxz": 0.0, "Jyy": 0.01, "Jyz": 0.0, "Jzz": 0.005},
     {"effect": "coulomb_friction", "joint": 2, "Fc": 4.0},
 )  # fmt: skip
-"""Causes that are told."""
+"""Causes that are known from the start."""
 
 SHARES = (0.03, 0.06)
 """Of the withheld cause: its torque over the joint's limit of torque, at the limit of speed."""

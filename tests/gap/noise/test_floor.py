@@ -90,6 +90,7 @@ def test_a_correction_that_differs_at_each_repeat_is_no_noise_of_the_log():
     torch.testing.assert_close(found.high, alone.high, rtol=0.1, atol=0.0)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_interval_of_a_floor_holds_the_noise():
     """Of fifteen joints nine in ten, on average; and it is narrow."""

@@ -61,6 +61,7 @@ def test_a_push_is_found_in_its_window(quiet, columns, hz, force):
     assert min(off) < 0.1
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_noise_is_no_push(quiet, columns):
     """Twenty logs, white to slow; of a hundred one may have one, and the search decides."""

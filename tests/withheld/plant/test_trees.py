@@ -119,6 +119,7 @@ def test_sets_are_of_the_robots_asked_for(tmp_path):
         make(tmp_path / "set", 1, 1, robots="spider")
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_set_of_quadrupeds_is_sealed_and_read(tmp_path):
     made = make(tmp_path / "set", 2, 11, robots="quadruped")
