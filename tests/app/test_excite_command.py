@@ -78,7 +78,7 @@ def test_friction_that_is_known_is_no_news(command, tmp_path):
 @pytest.mark.parametrize(
     ("robot", "arguments", "message"),
     [
-        ("6r", ("--floor", 0.8), "clear of the floor"),
+        pytest.param("6r", ("--floor", 0.8), "clear of the floor", marks=pytest.mark.slow),
         ("6r", ("--workspace", "1,0,0,1,0,1"), "a workspace is a box"),
         ("6r", ("--workspace", "0,1,0,1,0"), "a workspace is a box"),
         ("6r", ("--workspace", "a,1,0,1,0,1"), "--workspace is not a number"),

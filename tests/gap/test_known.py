@@ -223,6 +223,7 @@ def pushed(
     return ROBOT.with_parameters(InertialParameters(pi)), Log(t, yielded, tau=tau)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("off", "compliance"),
     quick_first([(1.2, 5e-4), (1.0, 0.0), (1.2, 0.0), (1.0, 2e-4)], 1, several=True),
@@ -251,6 +252,7 @@ def test_what_stands_still_alone_shows_nothing(drift: float, off: float) -> None
         torchid.diagnose(robot, log, settings=GapSettings(rollout=False))
 
 
+@pytest.mark.slow
 def test_kinematics_are_not_told_of_base_parameters_alone() -> None:
     """Another split of the same base parameters has another torque of a displaced joint."""
     kind = KINDS["kinematic_error"]

@@ -46,6 +46,7 @@ def test_settings_are_the_reports(name):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["3r", pytest.param("kuka_lwr4_friction", marks=pytest.mark.nightly)]
 )
