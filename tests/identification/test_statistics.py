@@ -134,12 +134,14 @@ def test_coefficients_that_are_not_free_have_no_spread():
     assert bool((uncertainty.std[~out] > 0).all())
 
 
+@pytest.mark.parametrize(("method", "noise"), [("wls", "ar1"), ("huber", "heavy tails")])
 @pytest.mark.parametrize("covariance", ["diagonal", "full"])
 @pytest.mark.parametrize("moving_only", [False, True])
-def test_normal_equations_are_those_of_the_rows(covariance, moving_only):
+def test_normal_equations_are_those_of_the_rows(covariance, moving_only, method, noise):
     """The streamed sums, in the factor's coordinates, against one dense matrix of all rows."""
-    source = RowSource(noisy_source("ar1", 1).measured, LAYOUT, moving_only=moving_only)
-    found = fit(source, method="wls", covariance=covariance)
+    source = RowSource(noisy_source(noise, 1).measured, LAYOUT, moving_only=moving_only)
+    found = fit(source, method=method, covariance=covariance)
+    assert bool(((found.robust > 0) & (found.robust < 1)).any()) == (method == "huber")
     uncertainty = jackknife(source, found)
     bounds = [slice(a, b) for a, b in itertools.pairwise(source.boundaries)]
     correlation = correlation_instants(found.residual * found.kept, bounds)
@@ -148,7 +150,9 @@ def test_normal_equations_are_those_of_the_rows(covariance, moving_only):
     stack = torch.cat([a, tau.unsqueeze(-1)], -1) * keep.unsqueeze(-1)
     rows = torch.einsum("ij,mjb->mib", found.whitening, stack) * keep.unsqueeze(-1)
     columns, residual = rows[..., :-1].flatten(0, 1), (rows[..., -1] - rows[..., :-1] @ found.x)
-    dense = fit_statistics(columns, residual.flatten(), block.repeat_interleave(rows.shape[1]))
+    dense = fit_statistics(
+        columns, residual.flatten(), block.repeat_interleave(rows.shape[1]), found.robust.flatten()
+    )
     assert dense.blocks == uncertainty.blocks
     assert torch.allclose(uncertainty.covariance, dense.covariance, rtol=1e-6, atol=1e-12)
 
