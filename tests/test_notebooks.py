@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from _pytest.mark import ParameterSet
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 SMALL = {
@@ -47,8 +48,16 @@ SAID = {
 """What the words around the cells rest on."""
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+IN_CI = ("01", "03", "04", "06")
+"""One of each kind: identification, a gap of torque, a robot of one's own, a gap of servos."""
+
+
+def _marked(path: Path) -> ParameterSet:
+    mark = pytest.mark.slow if path.stem.startswith(IN_CI) else pytest.mark.nightly
+    return pytest.param(path, marks=mark)
+
+
+@pytest.mark.parametrize("path", map(_marked, NOTEBOOKS), ids=lambda path: path.stem)
 def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nbformat = pytest.importorskip("nbformat")
     nbclient = pytest.importorskip("nbclient")

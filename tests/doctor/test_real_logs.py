@@ -16,12 +16,16 @@ PATHS = [
     for path in sorted(FOLDER.glob(f"{arm}/*.parquet"))
     if not any(word in path.stem for word in ODD)
 ]
+ONE_AN_ARM = list({path.parent: path for path in PATHS}.values())
 ABSENT = pytest.param(None, marks=pytest.mark.skip(reason=NO_LOGS))
 pytestmark = [pytest.mark.real, pytest.mark.slow]
 
 
 @pytest.mark.parametrize(
-    "path", PATHS or [ABSENT], ids=lambda path: path and f"{path.parent.name}/{path.stem}"
+    "path",
+    [p if p in ONE_AN_ARM else pytest.param(p, marks=pytest.mark.nightly) for p in PATHS]
+    or [ABSENT],
+    ids=lambda path: path and f"{path.parent.name}/{path.stem}",
 )
 def test_a_real_log_raises_no_alarm(path):
     robot, log = load_robot(next(path.parent.glob("robot.*"))), read_log(path)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.gap.small_logs import NOISE, ONCE, ROBOT, Recording, arm, carrying, friction, logged
+from tests.marks import some
 from torchid.effects.registry import FAMILIES, effect_kind
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
@@ -204,7 +205,7 @@ QUICK = ("nothing, coloured, no repeats", "nothing, too short", "payload, white"
 
 
 @pytest.mark.parametrize(
-    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in LOGS]
+    "name", some([*QUICK, *(n for n in LOGS if n not in QUICK)], slow=4, quick=len(QUICK))
 )
 def test_diagnoses_keep_the_contract(name) -> None:
     broken = holds(diagnosed(name), LOGS[name][1].duration)

@@ -227,6 +227,7 @@ def test_wrong_parameters_are_no_effects():
     assert nominal_effects(found.corrected) == []
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_corrected_parameters_have_no_gap():
     """They may differ from the arm's; what they predict does not."""
@@ -284,6 +285,7 @@ def test_held_out_logs_are_not_fitted():
     assert other.how_far.closed is None or other.how_far.closed < 0
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_end_of_each_run_can_be_held_out():
     """The verdict is left open: it rests on three seconds of each run."""
@@ -293,6 +295,7 @@ def test_the_end_of_each_run_can_be_held_out():
     assert all(len(t.valid) < 0.4 * RATE * 8 for t in found.traces)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_an_effect_that_is_not_in_the_library_is_not_another_for_sure():
     """Other laws of friction on the same joint may together be as good as the one that is missing:
@@ -314,6 +317,7 @@ def test_a_log_held_out_twice_is_refused():
         )  # fmt: skip
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_held_out_log_of_another_rate_is_resampled():
     slow = logged(ROBOT, (5,)).select(torch.arange(1001) % 2 == 0)
@@ -336,6 +340,7 @@ def test_progress_is_told_to_the_end():
     assert len({stage for stage, _, _ in told}) > 3
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_nothing_is_left_to_chance():
     again = diagnose_torque(ROBOT, logged(REAL), settings=QUICK)

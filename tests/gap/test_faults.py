@@ -92,6 +92,7 @@ def test_what_is_left_is_what_the_answered_model_leaves(real, how) -> None:
     assert said.tolist() == pytest.approx(left.tolist(), rel=0.25)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("hz", [None, 2.0])
 # Fails as of 0.1.0 for coloured noise: an effect of p above alpha is accepted.
 @pytest.mark.slow
@@ -134,6 +135,7 @@ TOO_MUCH = {
 }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", TOO_MUCH)
 # Fails as of 0.1.0: stribeck and smoothed coulomb are not named; the spring is there twice.
 @pytest.mark.slow
@@ -268,6 +270,7 @@ def test_withheld_own_on_a_log_that_stands_still() -> None:
 # Nothing is named beside the one clear effect.
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [Recording(), Recording(runs=ONCE)], ids=["repeats", "once"])
 def test_a_ripple_of_two_per_mille_is_no_effect(how) -> None:
@@ -283,6 +286,7 @@ def test_a_ripple_of_two_per_mille_is_no_effect(how) -> None:
     assert named(found) == {("coulomb_friction", (2,))}
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("hz", [None, 2.0], ids=["white", "coloured"])
 def test_no_drift_at_the_end_of_its_range_and_no_p_above_alpha(hz) -> None:

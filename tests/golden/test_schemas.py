@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import torchid
-from tests.golden.documents import DOCUMENTS, SLOW, Bench
+from tests.golden.documents import DOCUMENTS, LONG, SLOW, Bench
 from tests.golden.shapes import losses, shape
 from tests.withheld.fakes import plant
 from torchid.app.output import Output
@@ -37,9 +37,12 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return Bench(tmp_path_factory.mktemp("golden"))
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in DOCUMENTS]
-)
+def _marked(name: str) -> Any:
+    mark = pytest.mark.nightly if name in LONG else pytest.mark.slow
+    return pytest.param(name, marks=mark) if name in (*SLOW, *LONG) else name
+
+
+@pytest.mark.parametrize("name", map(_marked, DOCUMENTS))
 def test_documents_have_what_they_had(name, bench, plant, types_unchecked, tmp_path) -> None:
     document = DOCUMENTS[name](bench)
     if name not in NO_RESULTS:

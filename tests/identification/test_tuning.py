@@ -58,6 +58,7 @@ def true_error(log: Log, robot, effects, cutoff: float) -> float:
 EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset")
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "effects", "step", "seed"),
@@ -118,6 +119,7 @@ def test_progress_is_reported():
     assert calls[count:] == [(k + 1, len(REVERSALS)) for k in range(len(REVERSALS))]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["another log", "a share of this log"])
 def test_choices_depend_on_training_data_only(how):
@@ -151,6 +153,7 @@ def slow_motion() -> Log:
     return trajectory_log(slowed, 200.0)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("joint", [0, 1, 2])
 def test_a_planted_delay_of_friction_is_found(joint):
