@@ -57,7 +57,7 @@ def _marked(path: Path) -> ParameterSet:
     return pytest.param(path, marks=mark)
 
 
-@pytest.mark.parametrize("path", map(_marked, NOTEBOOKS), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", list(map(_marked, NOTEBOOKS)), ids=lambda path: path.stem)
 def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nbformat = pytest.importorskip("nbformat")
     nbclient = pytest.importorskip("nbclient")

@@ -42,7 +42,7 @@ def _marked(name: str) -> Any:
     return pytest.param(name, marks=mark) if name in (*SLOW, *LONG) else name
 
 
-@pytest.mark.parametrize("name", map(_marked, DOCUMENTS))
+@pytest.mark.parametrize("name", list(map(_marked, DOCUMENTS)))
 def test_documents_have_what_they_had(name, bench, plant, types_unchecked, tmp_path) -> None:
     document = DOCUMENTS[name](bench)
     if name not in NO_RESULTS:
