@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from tests.identification.test_rows import layout_of
+from tests.marks import some
 from torchid.design.motion import direction, fast_speed, measurements
 from torchid.effects.base import Motion
 from torchid.excitation.synthetic import HonestNoise, nominal_torque, synthetic_log
@@ -153,9 +154,7 @@ def slow_motion() -> Log:
     return trajectory_log(slowed, 200.0)
 
 
-@pytest.mark.nightly
-@pytest.mark.slow
-@pytest.mark.parametrize("joint", [0, 1, 2])
+@pytest.mark.parametrize("joint", some([1, 0, 2], slow=0, quick=1))
 def test_a_planted_delay_of_friction_is_found(joint):
     plan = slow_motion()
     speed = torch.quantile(plan.dq.abs(), 0.99, dim=0)
