@@ -18,7 +18,7 @@ HALF := $(addprefix tests/,$(SHAPES) compare excitation export extraction feasib
 SHELL := bash
 .SHELLFLAGS := -o pipefail -c
 
-.PHONY: demo test test-one test-two test-slow nightly golden coverage lint format docs docs-site fuzz test-lowest test-newest bench clean
+.PHONY: demo test test-one test-two test-slow nightly golden durations coverage lint format docs docs-site fuzz test-lowest test-newest bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
@@ -47,6 +47,12 @@ nightly: $(VENV)/.dev
 # Answers to twelve small logs beside the stored ones: code that was only moved changes none of them.
 golden: $(VENV)/.dev
 	$(BIN)/python -m tests.golden.answers $(if $(WRITE),--write) $(NAMES)
+
+# CPU seconds of each test, on an idle machine, into tests/durations.md: half an hour and more.
+durations: $(VENV)/.dev
+	rm -rf build/durations
+	$(PYTEST) $(TWO) -p tests.durations
+	$(BIN)/python -m tests.durations
 
 coverage: $(VENV)/.dev
 	$(PYTEST) $(TWO) $(QUICK) --cov=torchid --cov-branch --cov-report=term

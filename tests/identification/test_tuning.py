@@ -159,8 +159,8 @@ def test_a_higher_reversal_speed_must_be_worth_a_hundredth(monkeypatch):
         [[1.02, 1.009, 5.0], [1.005, 1.0, 4.0], [1.0, 1.1, 3.0], [1.1, 1.2, 2.0], [1.2, 1.3, 1.1],
          [1.3, 1.4, 1.0]], dtype=torch.float64,
     )  # fmt: skip
-    told = iter(scores)
-    monkeypatch.setattr(tuning, "_cross_validated", lambda *_, **__: next(told))
+    given = iter(scores)
+    monkeypatch.setattr(tuning, "_cross_validated", lambda *_, **__: next(given))
     log = log_of(ROBOT, COARSE)
     found = choose_reversal(training(log), 8.0) / fast_speed(measurements(log, 8.0))
     expected = [tuning.REVERSALS[k] for k in (1, 0, 5)]
