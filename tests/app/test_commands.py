@@ -122,7 +122,6 @@ def test_identify_writes_everything(command, folder, tmp_path):
     assert not list(out.glob("*.tmp*"))
 
 
-@pytest.mark.slow
 def test_identify_takes_effects_with_places_and_shapes(command, folder, tmp_path):
     target = tmp_path / "result.json"
     effects = "viscous_friction,joint_spring:joint=2,curvature=0,stribeck_friction:joint=3"

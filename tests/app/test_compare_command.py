@@ -15,7 +15,6 @@ def results(tmp_path_factory):
     return several(tmp_path_factory.mktemp("results"), 3)
 
 
-@pytest.mark.slow
 def test_compare_writes_and_says_the_verdict_first(command, results, tmp_path):
     done = command("compare", *results, "--out", tmp_path / "out", "--json", tmp_path / "c.json")
     assert done.code == 0, done.err

@@ -296,7 +296,6 @@ def test_a_changed_result_is_refused(command, identified, tmp_path):
     assert "not a result of an identification" in command("extract", "3r_friction", broken).err
 
 
-@pytest.mark.slow
 def test_a_robot_of_known_kinematics_gets_bodies_and_a_file(command, folder, identified, tmp_path):
     """The 3R without its parameters: identified, extracted, exported, and MuJoCo's torque is that
     of the true parameters."""

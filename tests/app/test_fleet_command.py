@@ -48,7 +48,6 @@ def test_the_type_is_written_and_a_unit_is_asked_about(command, folder, tmp_path
     assert "--save-model" in bad.err
 
 
-@pytest.mark.slow
 def test_parts_then_the_whole_by_a_manifest(command, folder, tmp_path) -> None:
     logs = sorted(folder.rglob("*.parquet"))
     rows = [f"{log},{log.parent.name},{log.stem}" for log in logs]

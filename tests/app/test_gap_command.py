@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.marks import quick_first
 from tests.position.planted import planted, true_servos
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
@@ -144,8 +145,7 @@ def test_a_folder_takes_the_same_json_and_pictures(command, runs, tmp_path):
     assert list(out.glob("*.png"))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("held_out", [False, True])
+@pytest.mark.parametrize("held_out", quick_first([True, False], 1))
 def test_logs_of_two_rates_are_resampled_to_the_lower(command, runs, held_out):
     given = ("--held-out", runs / "slow.csv") if held_out else (runs / "slow.csv",)
     done = command("gap", "3r", runs / "a.csv", *given, *FEW)

@@ -253,7 +253,6 @@ def test_what_a_project_cannot_be() -> None:
         read_project(Path("/no/such/torchid.toml"))
 
 
-@pytest.mark.slow
 def test_converted_logs_and_the_written_folder(command, bench) -> None:
     """A raw log, diagnosed, in three words a command."""
     write_log(read_log("../run1.csv", columns="t=ms ms,q=p{j0},i=amp{j0}"), "own.npz")

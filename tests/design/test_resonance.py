@@ -65,7 +65,6 @@ def test_a_rigid_joint_does_not_swing(tmp_path: Path, late: int) -> None:
     assert seen(*logged(tmp_path, None, late)) == {}
 
 
-@pytest.mark.slow
 def test_the_diagnosis_names_it(tmp_path: Path) -> None:
     robot, log = logged(tmp_path, 10.0)
     settings = GapSettings(effects=("joint_elasticity", "viscous_friction"), rollout=False)

@@ -136,7 +136,6 @@ def test_a_good_log_says_so():
     assert conclusion(result) == "Nothing speaks against this log."
 
 
-@pytest.mark.slow
 def test_one_joint_that_moves_shows_nothing_about_the_others():
     robot, log = clean("3r", 0)
     still = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)

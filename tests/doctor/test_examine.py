@@ -67,7 +67,6 @@ def test_two_faults_at_once_are_both_found_and_mended():
     assert torch.allclose(mended, log.tau)
 
 
-@pytest.mark.slow
 def test_currents_are_said_to_need_gains():
     robot, log = clean("3r", 0, nominal=True)
     result = examine(robot, log.replace(tau=None, current=log.tau / 10.0))
@@ -104,7 +103,6 @@ def test_a_log_without_torque_is_examined_all_the_same():
     assert [c.name for c in alarms(result)] == ["torque columns"]
 
 
-@pytest.mark.slow
 def test_torque_that_no_arm_makes_is_said_to_be_so_and_nothing_else():
     robot, log = clean("3r", 0)
     t = log.t[:, None]
@@ -180,7 +178,6 @@ def test_clean_logs_are_silent(name, nominal):
         assert result.silent, alarms(result)
 
 
-@pytest.mark.slow
 def test_gravity_says_how_the_arm_is_mounted():
     robot, log = clean("3r", 0)
     result = examine(dataclasses.replace(robot, gravity=-robot.gravity), log)
@@ -190,7 +187,6 @@ def test_gravity_says_how_the_arm_is_mounted():
     assert np.asarray(found.estimate) == pytest.approx([0.0, 0.0, -9.81], abs=0.5)
 
 
-@pytest.mark.slow
 def test_the_unit_is_judged_by_torque_whose_gains_are_mended():
     robot, log = clean("3r", 1, gears=True)
     gains = torch.tensor([1.0, 100.0, 1.0], dtype=torch.float64)

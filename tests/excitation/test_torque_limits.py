@@ -166,7 +166,6 @@ def test_without_limits_or_parameters_the_design_is_the_same():
         assert torch.equal(made[0].trajectory.q0, other.trajectory.q0)
 
 
-@pytest.mark.slow
 def test_the_next_motion_keeps_them_by_what_was_identified(tmp_path):
     robot = limited("3r_friction", LIMITED["3r_friction"])
     path = identification(tmp_path / "a.json", 0, blocks=1000)

@@ -230,7 +230,6 @@ def test_what_is_kept_is_what_the_fit_itself_makes_of_the_effect(full, logs):
         assert kept[effect.name].share == pytest.approx(share, abs=0.05), effect.name
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("write", [write_mjcf, write_urdf])
 def test_a_copy_of_the_users_file_is_edited(write, tmp_path):
     """Class defaults, included files, shapes and the like are the user's; the original stays."""
@@ -253,7 +252,6 @@ def test_a_copy_of_the_users_file_is_edited(write, tmp_path):
     assert friction[1] == pytest.approx(2.0, rel=0.1)
 
 
-@pytest.mark.slow
 def test_a_file_that_an_engine_refuses_is_no_traceback(tmp_path):
     """A body off the chain that cannot exist: Pinocchio reads it, MuJoCo does not."""
     pytest.importorskip("pinocchio")

@@ -244,7 +244,6 @@ def test_analytic_centre_does_not_depend_on_the_start() -> None:
     torch.testing.assert_close(other.vector, nominal.vector, rtol=1e-5, atol=1e-7)
 
 
-@pytest.mark.slow
 def test_shapes_are_kept_and_violated() -> None:
     case = setting("3r")
     round_ = conditions(case.robot, com_box=case.geometry.com, shapes=True, total_mass=TOTAL["3r"])

@@ -154,7 +154,6 @@ def test_a_store_has_a_table_that_pandas_reads(found, store, logs) -> None:
     assert set(table["verdict"]) == {"good"}
 
 
-@pytest.mark.slow
 def test_damaged_logs_are_rows_and_stop_nothing(model, logs, store, found, tmp_path) -> None:
     bad = {
         "empty.parquet": b"",

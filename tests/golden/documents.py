@@ -287,9 +287,8 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
 """Name of the golden file -> the document. A gap's name says which status it must have."""
 
 SLOW = (
-    "compare_identifications", "excite", "fleet", "fleet_gap", "fleet_watch",
-    "gap_detected_unexplained", "gap_no_gap", "gap_parametric_only", "pair",
-    "payload", "randomisation", "simulate", "study", "withheld_score",
+    "compare_identifications", "excite", "fleet", "gap_detected_unexplained", "gap_no_gap",
+    "gap_parametric_only", "payload", "randomisation", "simulate", "study", "withheld_score",
 )  # fmt: skip
 """Those that take longer."""
 

@@ -7,6 +7,7 @@ import torch
 from torch.testing import assert_close
 
 import torchid
+from tests.marks import quick_first
 from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError, TorchidError
 from torchid.export.dynamics import of_base
@@ -155,8 +156,7 @@ def test_base_parameters_of_a_model_that_knows_are_as_sure_as_it_is() -> None:
 BOX = torch.tensor([1.5, 0.06, 0.0, 0.03, 0.01, 0.0, 0.0, 0.012, 0.0, 0.011], dtype=torch.float64)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("with_empty", [True, False])
+@pytest.mark.parametrize("with_empty", quick_first([False, True], 1))
 def test_a_payload_is_what_a_known_arm_has_more(with_empty: bool) -> None:
     """What is known is of the arm without payload, and never of that with it."""
     known = known_after(identify(ROBOT, session(1, 40.0), settings=SETTINGS))

@@ -74,7 +74,6 @@ def test_a_symmetric_robot_is_known_better_and_rightly(front):
     assert not any("no mirror images" in w for w in both.warnings)
 
 
-@pytest.mark.slow
 def test_one_heavier_leg_is_told_and_not_averaged(front):
     assert front.parameters is not None
     pi = front.parameters.pi.clone()

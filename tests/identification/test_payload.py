@@ -94,7 +94,6 @@ def test_without_noise_the_box_is_recovered_in_both_frames(name):
     assert not found.warnings
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["3r_friction", "kuka_lwr4"])
 def test_models_with_fewer_parameters_recover_bodies_of_their_kind(name):
     disc = body(0.7, (0, 0, 0.05), (0.1, 0.1, 0.04))

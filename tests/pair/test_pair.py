@@ -11,7 +11,7 @@ import torch
 
 import torchid
 from tests.gap.small_logs import carrying
-from tests.marks import quick_first, some
+from tests.marks import some
 from torchid.errors import TorchidError
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
@@ -94,7 +94,7 @@ def test_equal_logs_differ_by_nothing():
 
 @pytest.mark.parametrize(
     ("simulated", "answer"),
-    quick_first([
+    [
         (swapped, ("joint_order", (0, 1))),
         (lambda x: changed(x, q=x.q * torch.tensor([1, 1, -1])), ("sign", (2,))),
         (lambda x: changed(x, tau=x.tau * torch.tensor([1, -1, 1])), ("sign", (1,))),
@@ -103,7 +103,7 @@ def test_equal_logs_differ_by_nothing():
         (clipped, ("clipped", (1,))),
         (lambda x: changed(x, tau=x.tau / 57.29578), ("gain_units", (0, 1, 2))),
         (lambda x: changed(x, tau=3.0 * x.tau), ("servo_gain", (0, 1, 2))),
-    ], 4, several=True),
+    ],
 )  # fmt: skip
 def test_faults_of_the_set_up_without_a_model(simulated, answer):
     found = compare_pair(simulated(log(noise=1e-4)), log())

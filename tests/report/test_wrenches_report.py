@@ -112,7 +112,6 @@ def test_sentences_follow_the_intervals() -> None:
     assert "no effect of the degree is visible" in " ".join(findings(degree))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["force_by_degree", "force_by_kind", "force_by_mass"])
 def test_figures_show_all_sets(name, tmp_path) -> None:
     figure = equal_torque.figures(study())[name]()

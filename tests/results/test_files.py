@@ -182,7 +182,6 @@ MADE = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", MADE)
 def test_results_in_memory_can_what_their_files_can(name: str, tmp_path: Path) -> None:
     made = MADE[name]

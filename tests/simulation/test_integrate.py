@@ -179,7 +179,6 @@ def test_only_the_arm_that_diverges_stops() -> None:
     assert bool(states[-1].q.isfinite().all())
 
 
-@pytest.mark.slow
 def test_a_controlled_arm_moves_as_in_mujoco() -> None:
     """The 3R with viscous friction that its controller does not know, 0.3 s; MuJoCo at 10 us."""
     robot = bare("3r")

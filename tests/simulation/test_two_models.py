@@ -181,7 +181,6 @@ def test_starts_are_spread_and_leave_the_edges_out() -> None:
     assert (starts.length >= 0.5 * RATE - 1).all()
 
 
-@pytest.mark.slow
 def test_horizons_that_do_not_fit_are_said() -> None:
     robot = arm("3r")
     result = rollouts(robot, robot, [segment(robot, 1.5)], max_starts=8)

@@ -243,7 +243,6 @@ def two_masses(start: float, play: float, t: np.ndarray) -> np.ndarray:
     return np.array(out)
 
 
-@pytest.mark.slow
 def test_the_motor_is_ahead_by_the_compliance(tmp_path):
     """In slow motion, as torchid's own effect measures it, and on a gear whose resonance (5 kHz) is
     far beyond the step."""

@@ -125,7 +125,7 @@ LATE = {"kd": 0.5, "delay": 0.043}
             ({"delay": 0.02}, 2e-3),
             (LATE, 1e-3),
         ],
-        2,
+        4,
         several=True,
     ),
 )

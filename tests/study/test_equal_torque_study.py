@@ -260,7 +260,6 @@ def test_other_outer_bounds_change_the_setting() -> None:
     assert torch.equal(same.conditions.total_mass, case.conditions.total_mass)
 
 
-@pytest.mark.slow
 def test_bad_requests_are_refused() -> None:
     with pytest.raises(TorchidError, match="include feasible"):
         equal_torque_study(load_robot("3r"), kinds=("com",))

@@ -53,7 +53,6 @@ def test_friction_is_put_on_the_worst_joint(data):
     assert {t.place for t in friction(other)} == {0}
 
 
-@pytest.mark.slow
 def test_stepwise_selection_finds_a_plain_cause_first(data):
     first = bic(data)[0]
     assert (first.name, first.place) == ("coulomb_friction", 1)

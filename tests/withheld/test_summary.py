@@ -119,7 +119,6 @@ def test_a_better_baseline_is_said(cases, keys, answers):
     assert better[0] in markdown(summary(cases, keys, answers, baselines=simple))
 
 
-@pytest.mark.slow
 def test_figures_are_drawn_of_what_there_is(cases, keys, answers):
     found = summary(cases, keys, answers)
     assert set(figures(found)) == {"confusion"}

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.marks import some
+from tests.marks import quick_first, some
 from tests.withheld.plant.conftest import SHORT, quiet, short
 from torchid.errors import TorchidError
 from torchid.log.columns import log_from_columns
@@ -77,8 +77,7 @@ def test_a_poor_motion_has_the_effect_of_a_rich_one(case):
     assert poor["noise_std"] == case.key["noise_std"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("poor", [None, replace(SHORT, levels=(0.05, 0.05))])
+@pytest.mark.parametrize("poor", quick_first([replace(SHORT, levels=(0.05, 0.05)), None], 1))
 def test_fresh_motions_move_the_same_arm(poor):
     spec = replace(viscous(), poor=poor)
     known, fresh = simulate_case(spec, ideal=True), simulate_case(spec, ideal=True, fresh=True)

@@ -125,7 +125,6 @@ def test_motions_stay_within_limits():
     assert all((np.abs(u) <= limit).all() for u in drawn)
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("types_unchecked")
 def test_a_case_has_commands_positions_in_counts_and_a_key():
     case = simulate_case(draw_case(3, 0, effects=["command_delay"], arm="3r", mix="position"))
