@@ -72,7 +72,7 @@ def test_effects_with_a_memory_are_left_out_aloud(tmp_path):
     assert all(words in text for words in done.left_out)
 
 
-@pytest.mark.parametrize("name", quick_first(KINDS, 12))
+@pytest.mark.parametrize("name", quick_first(KINDS, 6))
 def test_every_effect_is_written_or_left_out(name, tmp_path):
     """A new effect is one or the other: never silently nothing."""
     effect = KINDS[name].exemplar(1)

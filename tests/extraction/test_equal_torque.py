@@ -171,6 +171,7 @@ def test_each_set_violates_exactly_what_was_asked_for(name: str) -> None:
     assert len(found.warnings) == len(missing)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [n if n == "3r" else pytest.param(n, marks=pytest.mark.slow) for n in ROBOTS]
 )

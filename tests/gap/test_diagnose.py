@@ -152,6 +152,7 @@ def test_the_least_worthwhile_size_is_the_users():
     assert names == [[], [("coulomb_friction", (1,))]]
 
 
+@pytest.mark.slow
 def test_no_effect_no_gap():
     found = case("none")
     assert found.status == "no_gap"

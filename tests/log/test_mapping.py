@@ -1,6 +1,7 @@
 """Column mappings: what is written is what is read, whatever the columns are called."""
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -177,9 +178,10 @@ def test_yaml_that_is_wrong_is_told_with_the_line(tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text("t: stamp\nq: [a, b\ntau: c\n")
     with pytest.raises(LogError) as info:
         read_mapping(tmp_path / "map.yaml")
-    assert info.value.got == (
-        "line 3: expected ',' or ']', but got ':', "
-        "while parsing a flow sequence that begins in line 2"
+    # libyaml and Python's own reader word the middle each in their way.
+    assert re.fullmatch(
+        r"line 3: .*expected ',' or ']'.*, while parsing a flow sequence that begins in line 2",
+        info.value.got,
     )
     (tmp_path / "map.yaml").write_text("t: stamp\nq: 'pos_{j}\n")
     with pytest.raises(LogError) as info:

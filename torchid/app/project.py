@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -120,6 +121,7 @@ def _path(ctx: Any) -> str:
     return " ".join(names)
 
 
+@cache
 def _commands() -> dict[str, dict[str, Taken]]:
     """The options of each command that takes a project file, by their names without dashes."""
     return {

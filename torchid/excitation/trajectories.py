@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-import yaml
 from torch import Tensor
 
 from torchid.effects.base import Motion
@@ -22,6 +21,7 @@ from torchid.log.model import Log
 from torchid.robot.config_files import config_folder
 from torchid.robot.model import Robot
 from torchid.typing import Float
+from torchid.yaml_data import parsed_yaml
 
 LARGEST_COEFFICIENT = 0.5
 """Random a and b lie within +-0.5 rad/s, as in table 5.1."""
@@ -37,7 +37,7 @@ def paper_trajectories_3r() -> FourierTrajectory:
     They keep the 3R's limits (table 3.3), so no scaling is applied.
     """
     path = config_folder("trajectories") / "3r_table_5_1.yaml"
-    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    data = parsed_yaml(path.read_text(encoding="utf-8"))
     a, b, q0 = (
         torch.tensor([entry[key] for entry in data["trajectories"]], dtype=torch.float64)
         for key in ("a", "b", "q0")

@@ -28,6 +28,7 @@ import yaml
 
 from torchid.errors import LogError
 from torchid.log.units import UNITS, unit_factor
+from torchid.yaml_data import parsed_yaml
 
 KEYS = tuple(UNITS)
 _ALIASES = {"current": "i", "time": "t"}
@@ -91,7 +92,7 @@ def read_mapping(given: "str | Path | Mapping[str, Any] | ColumnMapping") -> Col
     if isinstance(given, Path) or ("=" not in given and given.lower().endswith((".yaml", ".yml"))):
         path = Path(given)
         try:
-            content = yaml.safe_load(path.read_text(encoding="utf-8"))
+            content = parsed_yaml(path.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
             raise LogError(
                 f"the column mapping '{path}' cannot be read.", got=_where_and_why(error)

@@ -9,6 +9,7 @@ of it are simulated on all joints at once, and a joint takes the best of them if
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -37,6 +38,8 @@ TOUCHED = 0.02
 _ACCELERATIONS = (0.12, 0.25, 0.35, 0.5, 0.7, 1.0)
 """Limits to try, as shares of the largest acceleration that a joint shows."""
 _EARLIER = (0.01, 0.02)
+_LAGS = (0.02, 0.05, 0.1, 0.2)
+"""Time constants of a filter to try [s]."""
 _SCANS = (
     (0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5, 1.7),
     (0.9, 0.95, 1.0, 1.05, 1.1, 1.15),
@@ -100,7 +103,8 @@ def full(data: PositionData, windows: Windows, say: Callable[[str], None] | None
         if not names:
             now = _with_plane(data, now, windows)
         for name in names:
-            now = _grown(data, now, windows, name)
+            grown = _with_filter if name == "lag" else partial(_grown, name=name)
+            now = grown(data, now, windows)
     now = _scanned(data, now, windows)
     say("all together")
     return refit(data, now, windows, iterations=4)
@@ -172,9 +176,6 @@ def _grown(
     values = _SIZES[name](data, now.servos)
     sets = _batch(now.servos, 1 + len(values))
     sets.joint[1:, :, INDEX[name]] = values
-    if name == "lag":  # which servos without a filter have taken for delay
-        late = sets.joint[1:, :, INDEX["delay"]]
-        late.copy_((late - values).clamp(min=0))
     if name == "scale":  # whose share of the mean command is in the zero of servos without it
         mean = data.tracks.u.mean(0)
         column = sets.joint[1:, :, INDEX["offset"]]
@@ -235,6 +236,31 @@ def _with_profile(data: PositionData, now: Found, windows: Windows) -> Found:
     return best[1]
 
 
+def _with_filter(data: PositionData, now: Found, windows: Windows) -> Found:
+    """A filter of the set-point.
+
+    A servo without it has made up for it with delay, damping and inertia: at each size these give
+    way first, which costs no new set-points, and then the size itself moves.
+    """
+    before = _tried(data, _batch(now.servos, 1), windows)[:, 0]
+    lag, delay, begun = INDEX["lag"], INDEX["delay"], []
+    for size in _LAGS:
+        joint = now.servos.joint.clone()
+        joint[:, lag], joint[:, delay] = size, (joint[:, delay] - size).clamp(min=0)
+        filtered = replace(now.servos, joint=joint)
+        begun.append(fit(data, filtered, now.free, windows, iterations=4).joint)
+    sets = replace(_batch(now.servos, len(begun)), joint=torch.stack(begun))
+    cost, best = _tried(data, sets, windows).min(1)
+    gain = before - cost
+    joints = (gain > TAKEN * before) & (gain > least_loss(data, windows))
+    if not bool(joints.any()):
+        return now
+    own = sets.joint[best, torch.arange(len(joints))]
+    servos = replace(now.servos, joint=torch.where(joints[:, None], own, now.servos.joint))
+    free = {**now.free, "lag": now.free.get("lag", torch.zeros_like(joints)) | joints}
+    return refit(data, replace(now, servos=servos, free=free), windows, iterations=3)
+
+
 def _scanned(data: PositionData, now: Found, windows: Windows) -> Found:
     """With profiles and filters where simulations are best, farther and nearer about where they
     are: motions that chase their commands have a loss with many small valleys, over
@@ -293,7 +319,6 @@ _SIZES: dict[str, Callable[[PositionData, Servos], Tensor]] = {
     ),
     # Beside kp, in 1/s.
     "integral": lambda data, servos: _shares(0.1, 0.5, 2.0) * servos.of("kp"),
-    "lag": lambda data, servos: _shares(0.02, 0.05, 0.1).expand(-1, servos.n),
     "dead_zone": lambda data, servos: _shares(0.0015, 0.004).expand(-1, servos.n),
     "scale": lambda data, servos: _shares(0.9, 0.97, 1.03, 1.1).expand(-1, servos.n),
 }
@@ -448,6 +473,8 @@ def _beside(data: PositionData, simple: Found, windows: Windows, effect: ServoEf
         return _with_plane(data, simple, windows)
     if effect.name == "set_point_profile":
         return _with_profile(data, simple, windows)
+    if effect.name == "command_filter":
+        return _with_filter(data, simple, windows)
     now = simple
     if effect.parameters[0] in _SIZES:
         for name in effect.parameters:

@@ -9,6 +9,7 @@ import torch
 import yaml
 from torch import Tensor
 
+from torchid import yaml_data
 from torchid.errors import LARGEST, RobotError
 
 _EXPONENT = "yaml reads 1e-3 as text: write 1.0e-3"
@@ -17,7 +18,7 @@ _EXPONENT = "yaml reads 1e-3 as text: write 1.0e-3"
 def parsed_yaml(path: Path) -> Any:
     """The content of a yaml file, or a RobotError."""
     try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
+        return yaml_data.parsed_yaml(path.read_text(encoding="utf-8"))
     except RecursionError as error:
         raise RobotError(f"'{path}' is not valid yaml: it is nested too deeply.") from error
     except (yaml.YAMLError, ValueError, TypeError, KeyError) as error:
