@@ -8,7 +8,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= passive
 
 PYTEST := $(BIN)/python -m pytest
-TWO := -n 2 --dist loadscope
+TWO := -n 2 --dist loadscope --no-loadscope-reorder
 QUICK := -m "not slow and not nightly and not real"
 # `make test` is two processes, each of which reads and runs half of the tests, so that nothing is
 # made twice. In the first half annotations are checked where shapes are the subject.

@@ -42,6 +42,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--device", type=str, default="cpu", help="where the tests' tensors live")
 
 
+LONG = ("test_readme.py", "test_notebooks.py", "test_bad_inputs.py", "test_real_logs.py")
+"""Modules of few long tests: they begin first, or one process would end long after the other."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.path.name not in LONG)
+
+
 @pytest.fixture(autouse=True, scope="session")
 def one_thread() -> None:
     torch.set_num_threads(1)

@@ -8,7 +8,6 @@ TINY = ("--runs", "3", "--stages", "2", "--generations", "4")
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_study_leaves_its_page_sets_and_json(command, tmp_path):
     shown = command("study", "3r", *TINY, "--out", tmp_path, "--json", tmp_path / "s.json")
     assert shown.code == 0, shown.err

@@ -31,7 +31,7 @@ def seen(c: float, seed: int = 0, errors: float = 0.0) -> Compliance | None:
     return compliance(lag, load, q, [slice(0, len(q))])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("errors", [0.0, 3e-3])
 def test_a_compliance_is_found_beside_the_encoders_own_errors(errors: float):
     found = [seen(SOFT, seed, errors) for seed in range(40)]

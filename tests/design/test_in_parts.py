@@ -91,7 +91,7 @@ def test_fast_speed_is_of_the_same_samples(request):
     assert torch.allclose(fast_speed(measurements(LOG, CUTOFF)), expected, rtol=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "effects",
     [

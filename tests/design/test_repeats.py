@@ -102,7 +102,7 @@ def test_delay_by_spectrum_is_a_delay():
     assert torch.allclose(delayed(x, 0.3)[:, inner], y[:, inner], atol=2e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_ten_minutes():
     motion = periodic(60, 10.0)
     segment = segment_of(Motion(*(torch.cat([x, x.flip(-1), x[:, :1]], -1) for x in motion.state)))

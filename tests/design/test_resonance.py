@@ -59,7 +59,7 @@ def test_a_resonance_tells_the_compliance(tmp_path: Path, hertz: float) -> None:
     assert found[0].size > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("late", [0, 1, 4])
 def test_a_rigid_joint_does_not_swing(tmp_path: Path, late: int) -> None:
     assert seen(*logged(tmp_path, None, late)) == {}

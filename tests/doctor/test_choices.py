@@ -59,7 +59,6 @@ def test_torque_tells_a_slow_clock_from_a_scaled_velocity(signal, name, gears):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_either_sign_of_a_joint_in_the_plane_of_symmetry():
     """A 3R arm is its own mirror image: torque 1 negated is position 1 negated."""
     robot, log = clean("3r", 0)
@@ -73,7 +72,6 @@ def test_either_sign_of_a_joint_in_the_plane_of_symmetry():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_what_rests_on_a_choice_waits_for_it():
     robot, log = clean("3r", 0)
     sign = torch.tensor([-1.0, 1.0, -1.0], dtype=torch.float64)

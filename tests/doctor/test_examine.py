@@ -129,7 +129,6 @@ def test_a_gain_is_measured(factor):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 @pytest.mark.parametrize("nominal", [False, True])
 @pytest.mark.parametrize("fault", SHOWN)
 def test_every_fault_on_a_small_arm(fault, nominal):

@@ -64,7 +64,6 @@ def test_what_comes_once_is_no_law():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_friction_that_grows_with_load_is_no_knee():
     robot, log = clean("ur10e", 2, duration=40.0)
     load = 0.3 * log.tau[:, 1].abs() * log.dq[:, 1].sign()

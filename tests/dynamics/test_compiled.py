@@ -51,7 +51,7 @@ def test_regressor_equals_eager(short_arm: Robot, samples: int) -> None:
         torch.testing.assert_close(ours, eager, rtol=0, atol=1e-11)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_new_parameters_and_lengths_do_not_compile_again(
     short_arm: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -76,7 +76,6 @@ def test_built_in_arms_equal_eager(name: str) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_float32(short_arm: Robot) -> None:
     motion = [x.float() for x in states(short_arm, 50)]
     tau = compiled_dynamics(short_arm, CHUNK).inverse_dynamics(*motion)

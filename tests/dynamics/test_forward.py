@@ -110,15 +110,15 @@ def swing(robot: Robot, friction: float, *, seconds: float, step: float) -> tupl
     return torch.stack(energies), torch.stack(lost)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["3r", pytest.param("mixed", marks=pytest.mark.slow)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", ["3r", pytest.param("mixed", marks=pytest.mark.nightly)])
 def test_energy_is_kept_without_friction(name: str) -> None:
     energy, _ = swing(arm(name), 0.0, seconds=0.2, step=5e-4)
     exchanged = energy.abs().max()
     assert float((energy - energy[0]).abs().max() / exchanged) < 1e-8
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_energy_lost_is_the_work_of_friction() -> None:
     energy, lost = swing(arm("3r"), 0.05, seconds=0.2, step=5e-4)
     assert float(lost[-1]) > 1e-3

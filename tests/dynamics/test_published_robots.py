@@ -86,7 +86,7 @@ def test_torque_and_mass_equal_pinocchios(path: Path):
     agrees(path)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(not package_urdfs(), reason="needs the package example-robot-data")
 def test_torque_and_mass_of_all_equal_pinocchios():
     for path in package_urdfs():

@@ -54,7 +54,7 @@ def test_any_leading_batch(robot: Robot, batch: tuple[int, ...], method: Method)
     assert y.shape == (*batch, robot.n, 10 * robot.n)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("chunk", [1, 7, 100])
 def test_chunk_size_does_not_matter(

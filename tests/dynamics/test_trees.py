@@ -43,7 +43,7 @@ def test_torque_is_the_regressor_times_the_parameters(robot: Robot) -> None:
     assert relative(taped, closed) < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @TREES
 @given(trees())
 def test_torque_is_that_of_the_energies(robot: Robot) -> None:
@@ -84,7 +84,7 @@ def test_power_is_the_rate_of_the_energy(robot: Robot) -> None:
     assert relative(power, rate) < 1e-10
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @TREES
 @given(trees())
 def test_the_jacobian_of_each_tip_is_the_derivative_of_its_pose(robot: Robot) -> None:
@@ -97,7 +97,7 @@ def test_the_jacobian_of_each_tip_is_the_derivative_of_its_pose(robot: Robot) ->
         torch.testing.assert_close(found, torch.cat([rate[:3, 3], turning]), rtol=0, atol=1e-11)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @TREES
 @given(trees())
 def test_what_carries_a_joint_balances_what_it_gives(robot: Robot) -> None:

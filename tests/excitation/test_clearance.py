@@ -209,7 +209,7 @@ def bar(folder, mesh=""):
     return with_acceleration(load_robot(path))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_gradient_is_that_of_the_distance(tmp_path):
     robot, clearance = made("6r", tmp_path, floor=-0.4)
     start = random_trajectory(robot, 5, count=2, fill=True)
@@ -230,7 +230,6 @@ def test_the_gradient_is_that_of_the_distance(tmp_path):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_design_uses_the_room_there_is(tmp_path):
     """With clearance in the search the motion keeps it, and excites more than one drawn back."""
     robot, clearance = made("6r", tmp_path, floor=-0.4, usage=0.7)
@@ -306,7 +305,7 @@ def test_a_mesh_is_its_hull_and_a_missing_one_is_told(tmp_path):
     assert "only joints' origins" in unknown.warnings[0]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["3r", "kuka_lwr4"])
 def test_of_a_table_only_joints_and_tool_are_checked(name):
     robot = load_robot(name)
@@ -349,7 +348,7 @@ def test_an_mjcf_brings_its_floor(tmp_path):
     assert float(down[plane].min()) == pytest.approx(expected, abs=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_impossible_and_bad_numbers(tmp_path):
     robot, clearance = made("6r", tmp_path, floor=0.8)
     with pytest.raises(RobotError, match=r"keeps link\d clear of the floor"):

@@ -330,7 +330,7 @@ def test_the_whole_design(name, highest, seed):
     assert designed.condition_after < designed.start_condition / 3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_determinant_grows_too():
     robot = load_robot("3r")
     effects = on_every_joint(["viscous_friction", "coulomb_friction", "torque_offset"], 3)
@@ -358,7 +358,7 @@ def test_the_design_is_that_of_the_seed():
     assert not torch.equal(first.trajectory.a, other.trajectory.a)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_design_is_for_the_condition_number_of_the_basis():
     robot = load_robot("ur10e")
     made = {

@@ -28,7 +28,6 @@ def test_without_effects_the_log_is_that_of_the_nominal_arm(motion: Log) -> None
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_an_effect_is_a_record_or_an_object_and_adds_its_torque(motion: Log) -> None:
     """Friction of a joint is the torque that is not the rigid body's along the same motion."""
     robot = arm("3r")

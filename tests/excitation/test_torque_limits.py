@@ -194,7 +194,7 @@ def test_the_next_motion_keeps_them_by_what_was_identified(tmp_path):
     torch.testing.assert_close(torque.use([found.trajectory]).share, nominal.share)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_separating_motion_keeps_them_by_the_corrected_model():
     robot = limited("3r", LIMITED["3r"])
     given = (ViscousFriction(1), [0.5])

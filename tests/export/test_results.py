@@ -91,7 +91,6 @@ def test_base_parameters_as_table_and_as_code(tmp_path, to):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_base_parameters_of_no_bodies_are_written_as_the_nearest_bodies(tmp_path):
     robot = arm("kuka_lwr4")  # its published parameters are infeasible
     path, *_ = identification(tmp_path, robot)

@@ -132,7 +132,7 @@ def test_a_pendulum_with_bounds() -> None:
     assert bool(torch.isfinite(found.low).all() & torch.isfinite(found.high).all())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["3r", "3r_friction"])
 def test_the_ends_are_reached(name: str) -> None:
     """Sets at the ends reproduce the base parameters, are feasible to the solver's tolerance, and
@@ -160,7 +160,7 @@ def test_the_ends_are_reached(name: str) -> None:
     assert bool(((found.narrowed >= 0) & (found.narrowed <= 1)).all())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["3r", "3r_friction"])
 def test_sets_of_equal_torque_lie_in_the_ranges(name: str) -> None:
     """Feasible sets, as far out in the null space as they stay feasible, in random directions."""
@@ -208,7 +208,6 @@ def test_the_one_step_loss_has_the_same_ranges() -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_the_confidence_ellipsoid() -> None:
     """Wider than the exact ranges, wider with more noise, and it holds a truth that is within the
     quantile of chi squared."""
@@ -243,7 +242,6 @@ def test_the_confidence_ellipsoid() -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_the_reports_arm_of_least_loss() -> None:
     """No feasible set has exactly the base parameters: ranges are those of the least loss."""
     given = problem("kuka_lwr4")

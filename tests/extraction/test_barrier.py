@@ -108,7 +108,7 @@ def test_hessian_is_positive_semidefinite(name: str, physical: bool) -> None:
     assert float(values.min()) > -1e-10
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["3r", "3r_friction", "kuka_lwr4"])
 def test_hessian_is_the_true_one_where_inertias_are_free(name: str) -> None:
     """Bounds on barycentric inertias a thousand times wider than the inertias: all that is not

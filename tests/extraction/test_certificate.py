@@ -92,7 +92,7 @@ def test_the_reports_three_axis_arm_has_one(name: str, group: str) -> None:
     assert float(found.sets.parameters.consistency_margin().min()) >= 0.99 * found.strict
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_inertia_bounds_that_matter_are_bracketed() -> None:
     """The tight group's barycentric bounds cost something: phi_min counts them by a relaxation,
     the set meets them in full."""
@@ -118,7 +118,6 @@ def test_what_forces_the_loss() -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_negative_friction_costs_its_square() -> None:
     """Table 3.4's f_v6 = -0.0132; no other parameter can make up for it."""
     rigid = certificate(problem("kuka_lwr4"), explain=False)
@@ -210,7 +209,7 @@ def test_the_relaxation_leaves_no_set_out(name: str, group: str) -> None:
     assert all(distance(body, one) >= -1e-12 for one in x)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_restriction_lets_no_set_out() -> None:
     """Sets at its edge, in random directions, are within the bounds; the relaxation's are not."""
     given = problem("kuka_lwr4", "tight")

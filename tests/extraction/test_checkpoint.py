@@ -84,7 +84,7 @@ def test_killed_three_times(tmp_path: Path, whole: Extraction) -> None:
     assert_same(extract(problem_of("3r"), SETTINGS, checkpoint=path, resume=True), whole)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "changes", [{"penalty": "partial"}, {"schedule": "geometric"}, {"engine": "cma", "runs": 2}]
 )
@@ -96,7 +96,7 @@ def test_of_every_kind_of_search(changes: dict[str, object], tmp_path: Path) -> 
     assert_same(found, extract(problem_of("3r"), settings))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_other_workers_may_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torchid.extraction.extract.BLOCK", 1000)
     settings = replace(SETTINGS, runs=6)
@@ -177,7 +177,6 @@ def kill_after(folder: Path, new_stages: int, delay: float) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_sigkill_three_times(tmp_path: Path, whole: Extraction) -> None:
     chance = random.Random(int.from_bytes(os.urandom(4), "little"))
     for _ in range(3):

@@ -30,7 +30,7 @@ def test_batched_engine_finds_the_optimum(name: str, n: int) -> None:
     assert needed.isfinite().double().mean() >= p.share
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "n"), [("sphere", 2), ("active bounds", 2), ("sphere", 5)])
 def test_pycma_engine_finds_the_optimum(name: str, n: int) -> None:
     p = problem(name, n)
@@ -188,7 +188,7 @@ def test_no_generations_change_nothing(kind: str) -> None:
     torch.testing.assert_close(again.point, state.point, atol=1e-14, rtol=0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @ENGINE_CASES
 def test_a_grown_penalty_is_met(kind: str) -> None:
     """The best of the first objective is judged by the second before the search goes on."""

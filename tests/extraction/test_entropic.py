@@ -95,7 +95,7 @@ def test_the_minimum_is_that_of_a_conic_solver(strength):
     torch.testing.assert_close(mine, theirs, rtol=0.02, atol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["3r", "kuka_lwr4", "mixed"])
 def test_what_the_torque_shows_is_found_and_the_rest_stays_nominal(name):
     robot = arm(name)
@@ -138,7 +138,7 @@ def test_bodies_stay_bodies_and_believable_whatever_the_torque_asks(name, factor
     assert alone.least < found.least
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_nominal_robot_that_is_none_has_a_room_all_the_same():
     robot = arm("3r")
     pi = heavier(robot, 1.0)

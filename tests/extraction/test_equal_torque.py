@@ -141,7 +141,7 @@ def test_torque_is_the_references(name: str) -> None:
     assert torch.equal(found.sets.coefficients, case.start.coefficients.expand(len(found.sets), -1))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ROBOTS)
 def test_pinocchio_finds_the_same_torque(name: str) -> None:
     case, found = setting(name), family(name)
@@ -155,7 +155,7 @@ def test_pinocchio_finds_the_same_torque(name: str) -> None:
         assert relative(PinocchioOracle(one).inverse_dynamics(*motion), expected) < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ROBOTS)
 def test_each_set_violates_exactly_what_was_asked_for(name: str) -> None:
     case, found = setting(name), family(name)
@@ -171,9 +171,9 @@ def test_each_set_violates_exactly_what_was_asked_for(name: str) -> None:
     assert len(found.warnings) == len(missing)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
-    "name", [n if n == "3r" else pytest.param(n, marks=pytest.mark.slow) for n in ROBOTS]
+    "name", [n if n == "3r" else pytest.param(n, marks=pytest.mark.nightly) for n in ROBOTS]
 )
 def test_feasible_sets_by_the_definitions(name: str) -> None:
     """Bodies by the eigenvalues of the inertia tensors, in numpy; boxes and sums by hand."""
@@ -208,7 +208,7 @@ def test_degrees_are_spread(name: str) -> None:
     assert float(firm.min()) < 0.03
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_same_seed_same_sets_and_other_kinds_do_not_matter() -> None:
     case = setting("3r")
     options = {"per_kind": 8, "chains": 4}
@@ -222,7 +222,7 @@ def test_same_seed_same_sets_and_other_kinds_do_not_matter() -> None:
     assert not torch.equal(other.sets.vector, alone.sets.vector)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_clusters_are_chains_of_one_kind() -> None:
     found = family("kuka_lwr4")
     assert len(set(found.sets.ids)) == len(found.sets) == len(found.kind) == len(found.cluster)
@@ -330,7 +330,6 @@ def test_draws_are_uniform() -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 @settings(max_examples=6, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 1000), letters=st.sampled_from(["RR", "RRP", "PRR", "RPRR", "RRRRR"]))
 def test_random_arms(seed: int, letters: str) -> None:

@@ -77,7 +77,7 @@ def test_numbers_that_no_search_can_use_are_refused(name: str, value: int) -> No
 # ---- what comes out -------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "limit"), [("3r", 1e-18), ("kuka_lwr4", 1.02 * 1.032e-4)])
 def test_full_loss(name: str, limit: float) -> None:
     """Every run is feasible and at the least loss that there is; the search alone was not."""
@@ -172,7 +172,7 @@ def test_search_alone_descends(engine: str, changes: dict[str, object]) -> None:
     assert_descends(found)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_seeds() -> None:
     p = problem_of("3r")
     found = extract(p, SMALL)
@@ -191,7 +191,7 @@ def test_global_random_state_is_neither_read_nor_changed() -> None:
     assert_same(a, extract(p, SMALL))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_engine_of_pycma() -> None:
     p = problem_of("3r")
     settings = with_settings(engine="cma", runs=2, stages=3)
@@ -207,9 +207,9 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(room, "BLOCK", 3 * 30 * default_population(30))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("small_blocks")
-@pytest.mark.parametrize("engine", ["batched", pytest.param("cma", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("engine", ["batched", pytest.param("cma", marks=pytest.mark.nightly)])
 def test_the_bits_do_not_depend_on_the_workers(engine: str) -> None:
     p, settings = problem_of("3r"), with_settings(runs=10, engine=engine, stages=3)
     assert len(room._blocks(p, settings, "cpu")) == 3
@@ -218,7 +218,7 @@ def test_the_bits_do_not_depend_on_the_workers(engine: str) -> None:
         assert_same(extract(p, settings, workers=threads), found)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("small_blocks")
 def test_the_bits_do_not_depend_on_the_number_of_processes() -> None:
     p, settings = problem_of("3r"), with_settings(runs=10)

@@ -101,7 +101,7 @@ def test_a_feasible_target_is_reproduced(name: str, group: str) -> None:
     assert_inside(given, found.p)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sets_of_equal_torque_differ_with_their_starts() -> None:
     given = problem("3r")
     found = extract_log_cholesky(given, runs=4, seed=1, centring=0.01)
@@ -124,7 +124,6 @@ def test_every_start_ends_at_the_least_loss(name: str) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_inertia_bounds_that_matter_are_kept() -> None:
     """Where the certificate's relaxation is not exact, runs end between its two figures or at the
     upper, whose set keeps away from flat links."""
@@ -137,7 +136,7 @@ def test_inertia_bounds_that_matter_are_kept() -> None:
     assert float(found.phi.min()) <= 1.01 * bound.phi_strict
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_shapes_and_total_mass_are_kept() -> None:
     given = problem("3r")
     asked = conditions(arm("3r"), shapes=True, total_mass=(5.0, 6.0))
@@ -149,7 +148,7 @@ def test_shapes_and_total_mass_are_kept() -> None:
     assert float(found.phi.max()) <= 1e-18
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_bad_start_leaves_the_others_alone() -> None:
     given = problem("3r")
     start = given.physical(
@@ -167,7 +166,7 @@ def test_one_bad_start_leaves_the_others_alone() -> None:
     assert float(found.phi[2]) <= 1e-18
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_same_seed_gives_the_same_sets() -> None:
     given = problem("3r")
     a, b = (extract_log_cholesky(given, runs=2, seed=5, steps=8) for _ in range(2))

@@ -32,7 +32,7 @@ def apart(robot: Robot, other: Robot, oracle: type) -> Tensor:
     return (own - theirs).square().mean(0).sqrt() / own.square().mean(0).sqrt()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "bounds"), [("panda", "none"), ("ur10e", "none"), ("ur10e", "wide"), ("mixed", "wide")]
 )
@@ -67,7 +67,7 @@ def moving(robot: Robot, seed: int, noise: float) -> Log:
     return Log(t=t, q=q, dq=dq, ddq=ddq, tau=tau)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_of_a_noisy_log_no_link_is_denser_than_lead():
     true = arm("ur10e")
     true = true.with_parameters(replace(true.parameters, pi=true.parameters.pi * 2))
@@ -100,7 +100,7 @@ def test_conditions_that_it_does_not_keep_are_refused():
         near_set(elsewhere)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_nominal_bodies_outside_the_bounds_are_moved_inside():
     """The 3R's own parameters with a first link that is too heavy and a second
     that is elsewhere, within its own bounds."""

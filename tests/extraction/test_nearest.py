@@ -84,7 +84,7 @@ def test_feasible_sets_come_back(name: str) -> None:
     assert bool(found.feasible.all())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["mixed", "panda", "ur10e"])
 def test_random_infeasible_sets(name: str) -> None:
     robot = arm(name)
@@ -132,7 +132,7 @@ def test_the_second_stage_keeps_parameters_near() -> None:
     assert changes[0] < FAR
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["kuka_lwr4_friction", "3r_friction"])
 def test_conditions_bounds_and_signs_are_met(name: str) -> None:
     robot = arm(name)

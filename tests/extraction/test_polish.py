@@ -45,7 +45,7 @@ def test_3r_ends_at_zero(name: str, group: str, conditions: bool) -> None:
         assert float(gamma(p, q).max()) == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("conditions", [True, False])
 @pytest.mark.parametrize(("name", "group"), [("3r", "loose"), ("kuka_lwr4", "normal")])
 def test_never_up_and_never_out(name: str, group: str, conditions: bool) -> None:
@@ -78,7 +78,6 @@ def test_lwr_reaches_the_certificate() -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["kuka_lwr4", "kuka_lwr4_friction"])
 @pytest.mark.parametrize("group", ["normal", "normal_corrected", "loose_corrected"])
 def test_reaches_the_certificate_from_anywhere(name: str, group: str) -> None:
@@ -109,7 +108,7 @@ def test_with_shapes_and_total_mass() -> None:
 # ---- runs on their own ----------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("bad", [torch.nan, torch.inf])
 @pytest.mark.parametrize("conditions", [True, False])
 @pytest.mark.parametrize(("name", "group"), [("3r", "loose"), ("kuka_lwr4", "tight")])
@@ -128,7 +127,7 @@ def test_a_run_that_is_no_number_is_left_alone(
     assert torch.equal(found[2, 5:], broken[2, 5:])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_no_run_depends_on_how_long_another_takes() -> None:
     p = problem_of("kuka_lwr4", "loose")
     r = region(p, conditions=False)
@@ -140,7 +139,7 @@ def test_no_run_depends_on_how_long_another_takes() -> None:
     assert not torch.equal(a[3], b[3])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("conditions", [True, False])
 def test_runs_stay_different(conditions: bool) -> None:
     """The 3R's loss leaves 15 directions free; each run keeps what it had in them."""
@@ -204,7 +203,7 @@ def test_an_impossible_inertia_leaves_the_bounds() -> None:
     assert bool((p.phi(q) < p.phi(entered(p, r, starts))).all())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_step_weights_reach_zero_too() -> None:
     """Any weight, also an ill-conditioned one: the target is exact, so the loss ends at zero."""
     p = problem_of("3r", "loose")

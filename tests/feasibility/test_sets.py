@@ -84,7 +84,7 @@ def test_file_is_lossless(name: str, tmp_path: Path) -> None:
         assert torch.equal(again.vector, sets.vector)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

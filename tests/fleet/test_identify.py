@@ -99,7 +99,6 @@ def test_the_type_is_a_model_that_says_how_sure_it_is(found, model) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_the_bits_do_not_depend_on_the_workers(found, model, logs, tmp_path) -> None:
     backwards = tuple(reversed(logs))
     other = fleet_identify(model, backwards, store=Store(str(tmp_path)), workers=2)
@@ -240,7 +239,6 @@ def test_effects_that_need_a_search_are_refused() -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_cluster_of_two_gives_the_same_bits(found, model, logs, tmp_path) -> None:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(

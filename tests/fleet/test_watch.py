@@ -27,7 +27,6 @@ def fleet(tmp_path_factory):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_the_unit_that_changes_is_named(fleet, tmp_path) -> None:
     found = watch(fleet, every=100)
     assert {a.unit for a in found.alarms} == {unit_name(1)}

@@ -229,7 +229,6 @@ def test_wrong_parameters_are_no_effects():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_corrected_parameters_have_no_gap():
     """They may differ from the arm's; what they predict does not."""
     found = case("parameters")
@@ -287,7 +286,6 @@ def test_held_out_logs_are_not_fitted():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_the_end_of_each_run_can_be_held_out():
     """The verdict is left open: it rests on three seconds of each run."""
     found = case("end held out")
@@ -297,7 +295,6 @@ def test_the_end_of_each_run_can_be_held_out():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_an_effect_that_is_not_in_the_library_is_not_another_for_sure():
     """Other laws of friction on the same joint may together be as good as the one that is missing:
     within what is worth a name."""
@@ -319,7 +316,6 @@ def test_a_log_held_out_twice_is_refused():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_held_out_log_of_another_rate_is_resampled():
     slow = logged(ROBOT, (5,)).select(torch.arange(1001) % 2 == 0)
     found = diagnose_torque(ROBOT, logged(ROBOT), held_out=slow, settings=QUICK)
@@ -342,7 +338,6 @@ def test_progress_is_told_to_the_end():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_nothing_is_left_to_chance():
     again = diagnose_torque(ROBOT, logged(REAL), settings=QUICK)
     assert json.dumps(again.plain()) == json.dumps(case("coulomb").plain())
@@ -380,7 +375,6 @@ STATUSES = {"no_gap", "parametric_only", "explained", "detected_unexplained", "n
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 @pytest.mark.parametrize("name", marked(*CASES))
 def test_records_keep_the_contract(name):
     written = json.loads(json.dumps(case(name).plain(), allow_nan=False))

@@ -273,7 +273,6 @@ def test_withheld_own_on_a_log_that_stands_still() -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 @pytest.mark.parametrize("how", [Recording(), Recording(runs=ONCE)], ids=["repeats", "once"])
 def test_a_ripple_of_two_per_mille_is_no_effect(how) -> None:
     """Coulomb friction of joint 2, and beside it a ripple of 0.2 % of the joint's torque."""
@@ -289,7 +288,6 @@ def test_a_ripple_of_two_per_mille_is_no_effect(how) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 @pytest.mark.parametrize("hz", [None, 2.0], ids=["white", "coloured"])
 def test_no_drift_at_the_end_of_its_range_and_no_p_above_alpha(hz) -> None:
     """Noise alone, and noise that wanders as a warming arm does."""

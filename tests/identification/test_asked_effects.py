@@ -130,7 +130,6 @@ def test_what_motions_cannot_show_is_left_out_and_said():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_filter_and_two_searched_effects_of_one_joint():
     """With the automatic filter shapes and sizes are near the truth, and the fit is better than
     without them."""

@@ -449,7 +449,6 @@ def test_95_percent_intervals_cover_the_truth(name, runs, reversal, record_prope
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_predictions_are_of_the_rigid_body_for_a_bare_robot():
     found = by_default("3r", 0)
     q, dq, ddq = torch.randn(3, 10, 3, dtype=torch.float64)

@@ -207,7 +207,6 @@ def standing(seed: int = 0) -> Log:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_model_that_is_worse_than_none_is_refused() -> None:
     with pytest.raises(IdentificationError, match="worse than zero") as refused:
         identify(ROBOT, standing())

@@ -55,7 +55,6 @@ def test_a_mirror_of_a_mirror_is_the_robot(front):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_symmetric_robot_is_known_better_and_rightly(front):
     log = legs_log(front, 5)
     alone, both = (

@@ -100,7 +100,6 @@ def test_standard_deviations_are_the_spread_of_many_fits(kind, method):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_why_not_the_textbooks():
     """It is right for white noise, and several times too small for what a filter leaves."""
     assert float(scores("white", "wls")[1].square().mean().sqrt()) == pytest.approx(1.0, abs=0.1)

@@ -51,7 +51,6 @@ def test_base_parameters_and_friction_come_back(log):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_joints_own_columns_give_the_covariance_of_all(log, monkeypatch):
     short = found(log)
 

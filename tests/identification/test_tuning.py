@@ -59,7 +59,6 @@ EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset")
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "effects", "step", "seed"),
     [
@@ -120,7 +119,6 @@ def test_progress_is_reported():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 @pytest.mark.parametrize("how", ["another log", "a share of this log"])
 def test_choices_depend_on_training_data_only(how):
     log = log_of(ROBOT, COARSE)

@@ -131,7 +131,6 @@ def test_gravity_friction_and_rotors_that_the_simulator_lacks():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_an_effect_of_one_side_is_named_with_its_side():
     robot = load_robot("3r")
     with_it, without = log(("Fc",)), log(noise=1e-4)
@@ -151,7 +150,6 @@ def test_an_effect_of_one_side_is_named_with_its_side():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_load_that_only_the_simulator_carries():
     """It is taken into the simulator's last link, which the arm's is lighter than."""
     robot = load_robot("3r")

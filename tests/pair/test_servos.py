@@ -112,7 +112,6 @@ def test_an_arm_that_never_moves_ends_in_an_error():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_the_weaker_gain_and_the_friction_of_the_real_servo_are_named():
     found = weaker()
     assert found.which == ()
@@ -174,7 +173,6 @@ def test_without_masses_ratios_to_the_gain_are_compared():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_logs_with_torque_have_no_servos():
     simulated = driven(MOVING)
     torque = 17.0 * (simulated.u - simulated.q)

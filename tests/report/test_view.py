@@ -34,7 +34,6 @@ def found():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_parts_add_up_and_are_the_planted_ones(found):
     views = viewed(found)
     assert len(views) == 2 * 3

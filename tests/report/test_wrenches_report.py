@@ -47,7 +47,6 @@ def line_of(text: str, start: str) -> str:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_masses_alone_count_only_where_their_weight_is_the_error() -> None:
     def told(share: tuple[float, float, float]) -> str:
         return findings(replace(study(), static_share=share))[1]

@@ -32,7 +32,6 @@ def test_good_files_are_read(good) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_damaged_files_end_in_one_error(tmp_path) -> None:
     found = fuzz(tmp_path, 20, minutes=2, count=2000, keep=None)
     assert found.pop("") > 100
@@ -40,7 +39,6 @@ def test_damaged_files_end_in_one_error(tmp_path) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 @settings(
     max_examples=300, deadline=None, derandomize=True,
     suppress_health_check=list(HealthCheck),

@@ -60,7 +60,7 @@ def test_the_log_obeys_the_equations_of_motion() -> None:
     assert float(error[moving].median()) < 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_effects_change_how_the_arm_moves() -> None:
     robot = bare("3r")
     log = reference(robot, 1.0)
@@ -79,7 +79,7 @@ def test_nominal_effects_are_in_the_arm_and_in_the_feed_forward() -> None:
     assert relative(_tau(out), expected) < 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tracking_improves_with_the_gains() -> None:
     robot = bare("3r")
     log = reference(robot, 0.5)
@@ -98,7 +98,7 @@ def test_tracking_improves_with_the_gains() -> None:
     assert errors[0] > 2 * errors[1] > 4 * errors[2] > 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_batch_is_its_arms_one_by_one() -> None:
     """Different references, lengths, torque effects and bodies."""
     robot = bare("3r")
@@ -148,7 +148,7 @@ def test_a_changed_arm_has_the_torque_of_the_changed_arm(
     assert relative(_tau(out), model_torque(robot, [], _motion(out))) > 1e-2
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_slow_motion_sticks_and_slips_without_chatter() -> None:
     """A wheel pulled slowly over a friction that falls with speed, by a soft controller: it stands
     most of the time, and its speed changes sign no more often than it slips."""
@@ -179,7 +179,7 @@ def test_torque_stays_within_its_limit() -> None:
     assert float((held.q - log.q).abs().max()) > 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_another_rate_is_the_same_motion() -> None:
     robot = bare("3r")
     log = reference(robot, 0.6, 100.0)
@@ -191,7 +191,7 @@ def test_another_rate_is_the_same_motion() -> None:
     assert float((fast.q[::10] - slow.q).abs().max()) < 2e-5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_rollout_of_the_logged_torque_is_the_logged_motion() -> None:
     robot = bare("3r")
     law = [

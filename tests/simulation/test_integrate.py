@@ -26,7 +26,7 @@ def _energies(robot: Robot, states: list[State]) -> Tensor:
     return lagrange.kinetic_energy(robot, q, dq) + lagrange.potential_energy(robot, q)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["3r", "mixed"])
 def test_energy_of_a_free_arm_drifts_with_the_square_of_the_step(name: str) -> None:
     found = bare(name)
@@ -61,7 +61,7 @@ def test_energy_lost_is_the_work_of_friction() -> None:
     assert float((energy[0] - energy[-1] - lost).abs() / lost) < 2e-3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_wheel_with_dry_friction_stops_where_it_must_and_stays() -> None:
     """v0^2 I / (2 Fc) after v0 I / Fc seconds; then not a trace of motion."""
     robot = flywheel()
@@ -89,7 +89,7 @@ def test_dry_friction_holds_what_it_can(share: float, moves: bool) -> None:
     assert (moved > 1e-4) if moves else (moved == 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_joint_breaks_away_at_its_static_friction() -> None:
     """Stribeck: Fc + Fs holds, Fc slides; under a slow ramp it slips once the sum is exceeded."""
     robot = flywheel()

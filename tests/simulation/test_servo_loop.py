@@ -98,7 +98,7 @@ def by_mujoco(robot, servos: Servos, u: np.ndarray, step: float) -> np.ndarray:
     return np.array(out)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "cases", "samples", "bound"),
     [
@@ -156,7 +156,7 @@ def test_a_stuck_joint_stays_for_minutes(share):
         assert abs(float(tracks.u[-1] - q[-1])) < dry / kp
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_step_is_the_second_order_answer():
     """Without friction a servo is a damped oscillator."""
     inertia, kp, b = 0.5 + 0.1, 40.0, 3.0
@@ -214,7 +214,6 @@ def test_a_filter_is_late_by_its_time_constant():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_an_integrating_servo_leaves_no_error_and_remembers_its_sum():
     """A load of 2 N m: a servo without integral action errs by 2 / kp for ever. Windows that begin
     later know the sum from the errors until then."""
@@ -240,7 +239,7 @@ def test_an_integrating_servo_leaves_no_error_and_remembers_its_sum():
     assert float((unknown - whole).abs().max()) > 5 * float((parts - whole).abs().max())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_stop_holds(side):
     servos = Servos.neutral(1, kp=20.0, damping=2.0, armature=0.02)
@@ -265,7 +264,7 @@ def test_slopes_of_heights_are_their_derivatives():
         assert torch.allclose(here.slope[:, j], (there - back) / 2e-5, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_arm_stops_at_a_plane():
     """The tool's point rests in the plane as deep as the servos press it; without it, far below."""
     robot = arm("3r")
@@ -297,7 +296,7 @@ def test_windows_cover_every_row_once():
     assert rows == list(range(3 * 430))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sets_in_a_batch_do_not_disturb_each_other():
     robot, tracks = arm("3r"), sines(3, 100, 2, seed=4)
     a, b = drawn(3, 1), drawn(3, 2)

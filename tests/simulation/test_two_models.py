@@ -98,7 +98,7 @@ def coulomb() -> tuple[Robot, Robot, Segment]:
     return before, after, segment(after, 30.0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_planted_effect_makes_rollouts_better(coulomb: tuple[Robot, Robot, Segment]) -> None:
     before, after, run = coulomb
     result = rollouts(before, after, [run], max_starts=40)
@@ -135,7 +135,7 @@ def test_the_result_is_json_and_a_function_of_the_seed(
     assert one == same != other
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("scale", [0.02, -1.0, float("inf")])
 def test_divergence_is_counted_and_nothing_is_raised(
     coulomb: tuple[Robot, Robot, Segment], scale: float

@@ -192,7 +192,7 @@ def pendulum(effects: list[dict[str, object]], h: float, tmp_path: Path) -> Effe
     return Effects(robot, [(model, mujoco.MjData(model))])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("play", [0.0, PLAY])
 def test_a_gear_is_two_masses(play, tmp_path):
     """Link and motor as in a model that has both, with an error that falls with the step."""

@@ -32,7 +32,7 @@ def statistics(columns, y, block=BLOCK) -> Jackknife:
     return fit_statistics(columns, y - columns @ x, block)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["as the noise", "smooth"])
 def test_intervals_hold_the_truth_in_95_percent(kind):
     """Twice as many columns as blocks, AR(1) noise: standard deviations from block scores, with a

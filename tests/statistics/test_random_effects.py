@@ -52,7 +52,6 @@ def test_spreads_are_where_the_likelihood_is_highest() -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_intervals_and_shrunken_values_cover_at_their_level() -> None:
     hits = []
     for seed in range(3):
@@ -71,7 +70,6 @@ def test_units_without_a_spread_shrink_to_one_value() -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_odd_units_are_found_and_others_hardly_ever() -> None:
     """Twelve of 60 units are 6 spreads off in one of 20 quantities: without leaving them out of
     the spread they would hide each other."""
@@ -93,7 +91,7 @@ def test_a_fleet_without_odd_units_rarely_has_one() -> None:
     assert sum(alarms) <= 4  # at 5 % one is expected, and more than four in 3 of 1000 tests
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_no_session_tells_is_nothing_and_disturbs_nothing() -> None:
     data = drawn(5, 3, 6, 2, 1.0, 0.3, 0.3)
     whole = pooled(data)
@@ -107,7 +105,7 @@ def test_what_no_session_tells_is_nothing_and_disturbs_nothing() -> None:
     assert part.units.tolist() == [6, 0, 5]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("units", "sessions"), [(1, 1), (1, 3), (2, 1), (5, 1)])
 def test_small_fleets_say_what_they_cannot_tell(units, sessions) -> None:
     found = pooled(drawn(0, 3, units, sessions, 1.0, 0.3, 0.3))

@@ -34,7 +34,7 @@ from torchid.wrenches.regressor import internal_wrenches
 ROBOTS = ("3r", "kuka_lwr4_friction")
 KINDS = ("feasible", "inertia", "com", "total_mass")
 GRAVITY = 9.81
-SLOW_FOR_THE_LWR = ("3r", pytest.param("kuka_lwr4_friction", marks=pytest.mark.slow))
+SLOW_FOR_THE_LWR = ("3r", pytest.param("kuka_lwr4_friction", marks=pytest.mark.nightly))
 
 
 @lru_cache
@@ -82,7 +82,7 @@ def test_reference_of_the_lwr_is_feasible_and_says_what_changed() -> None:
     assert case.geometry == "normal_corrected"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ROBOTS)
 def test_torque_is_equal_by_pinocchio(name: str) -> None:
     found = drawn(name)
@@ -99,7 +99,7 @@ def test_torque_is_equal_by_pinocchio(name: str) -> None:
     assert float(relative.max()) < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ROBOTS)
 def test_forces_do_not_depend_on_the_inertias(name: str) -> None:
     found = drawn(name)
@@ -114,7 +114,7 @@ def test_forces_do_not_depend_on_the_inertias(name: str) -> None:
     torch.testing.assert_close(forces, others, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ROBOTS)
 def test_at_rest_the_error_is_the_weight_of_the_carried_mass(name: str) -> None:
     case = setting(name)
@@ -126,7 +126,7 @@ def test_at_rest_the_error_is_the_weight_of_the_carried_mass(name: str) -> None:
         torch.testing.assert_close(found.carried[:, joint], mass[:, joint:].sum(-1))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ROBOTS)
 def test_errors_against_other_truths_are_those_of_the_wrenches(name: str) -> None:
     found = drawn(name)
@@ -190,7 +190,7 @@ def test_reach_at_rest_is_a_linear_program(name: str) -> None:
         assert float(found.bound[joint]) == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", SLOW_FOR_THE_LWR)
 def test_no_drawn_set_exceeds_the_reach(name: str) -> None:
     found = drawn(name)
@@ -224,7 +224,7 @@ def test_forces_along_prismatic_axes_are_known(seed: int, letters: str) -> None:
     assert float(errors.torque_rms[:, prismatic].max()) < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_study_answers_every_question_for_the_3r() -> None:
     found = study()
     assert found.kinds == KINDS
@@ -242,7 +242,6 @@ def test_study_answers_every_question_for_the_3r() -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_same_seed_same_study() -> None:
     again = equal_torque_study(
         load_robot("3r"), per_kind=24, chains=12, kinds=KINDS, with_variants=False, resamples=50

@@ -46,7 +46,7 @@ def test_settings_are_the_reports(name):
     }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "name", ["3r", pytest.param("kuka_lwr4_friction", marks=pytest.mark.nightly)]
 )
@@ -109,7 +109,6 @@ def _counting(calls: list[object]):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_interrupted_study_gives_the_same_sets(tmp_path, monkeypatch):
     settings = load_study("3r")
     small = replace(settings, search=replace(settings.search, runs=3, stages=3, generations=5))
@@ -131,7 +130,6 @@ def test_interrupted_study_gives_the_same_sets(tmp_path, monkeypatch):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_searches_that_are_over_are_not_repeated(tmp_path, monkeypatch):
     settings = load_study("3r")
     small = replace(settings, search=replace(settings.search, runs=3, stages=3, generations=5))

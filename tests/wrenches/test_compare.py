@@ -91,7 +91,7 @@ def test_planted_effects_are_found() -> None:
     assert found.of("CoM only").median == pytest.approx(3.0, rel=0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_same_seed_same_intervals() -> None:
     assert planted(1) == planted(1)
     assert planted(1).effects != planted(2).effects
@@ -116,7 +116,7 @@ def test_intervals_cover() -> None:
     assert 86 <= inside <= 100
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_clusters_widen_the_interval() -> None:
     """Ten copies of each set are no more evidence than one: alone, they would look like it."""
     g = torch.Generator().manual_seed(0)

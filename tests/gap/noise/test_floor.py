@@ -91,7 +91,6 @@ def test_a_correction_that_differs_at_each_repeat_is_no_noise_of_the_log():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_the_interval_of_a_floor_holds_the_noise():
     """Of fifteen joints nine in ten, on average; and it is narrow."""
     inside = 0

@@ -62,7 +62,6 @@ def test_a_push_is_found_in_its_window(quiet, columns, hz, force):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_noise_is_no_push(quiet, columns):
     """Twenty logs, white to slow; of a hundred one may have one, and the search decides."""
     alarms = 0

@@ -30,7 +30,6 @@ def shown() -> Planted:
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_sizes_are_found_as_often_as_in_other_logs(shown: Planted) -> None:
     """Thirty logs a size, each with noise of its own, told by the evidence of the term alone."""
     expected = dict(shown.found)

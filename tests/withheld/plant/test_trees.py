@@ -120,7 +120,6 @@ def test_sets_are_of_the_robots_asked_for(tmp_path):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_set_of_quadrupeds_is_sealed_and_read(tmp_path):
     made = make(tmp_path / "set", 2, 11, robots="quadruped")
     found = read_cases(tmp_path / "set")
