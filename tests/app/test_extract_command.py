@@ -61,12 +61,11 @@ def test_the_kuka_has_a_least_loss_and_it_says_what_forces_it(command, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["sdp", "log-cholesky"])
-def test_other_methods(command, tmp_path, method):
+def test_the_convex_optimum(command, tmp_path):
     target = tmp_path / "x.json"
-    assert command("extract", "3r", "--method", method, "--runs", "2", "--json", target).code == 0
+    assert command("extract", "3r", "--method", "sdp", "--runs", "2", "--json", target).code == 0
     data = json.loads(target.read_text())
-    assert data["method"] == method
+    assert data["method"] == "sdp"
     assert all(s["feasible"] and s["phi"] < 1e-15 for s in data["sets"])
 
 

@@ -66,7 +66,7 @@ def extract_command(
     *,
     arm: opt.Arm,
     sought: Sought,
-    method: Literal["cma-es", "log-cholesky", "sdp", "near"] | None = None,
+    method: Literal["cma-es", "sdp", "near"] | None = None,
     loss: Literal["two-step", "one-step"] | None = None,
     settings: Annotated[
         SearchSettings,
@@ -88,9 +88,8 @@ def extract_command(
     Example: `torchid extract kuka_lwr4 --bounds normal --runs 50 --stages 35 --out sets`
 
     Args:
-        method: Population search (Algorithm 1), gradient, convex optimum, or the bodies nearest to
-            nominal or typical ones with nearly the least loss. Default: near within wide or none,
-            else cma-es.
+        method: Population search (Algorithm 1), convex optimum, or the bodies nearest to nominal or
+            typical ones with nearly the least loss. Default: near within wide or none, else cma-es.
         loss: Distance to the coefficients (2.28), or to the torques of the log (2.29), by the
             fit's triangular factor. Default: two-step; one-step within wide or none.
         stages: Stages of Algorithm 1.

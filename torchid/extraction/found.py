@@ -1,6 +1,5 @@
 """Sets of any method, judged: loss, penalty, torque and feasibility."""
 
-import time
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,7 +8,6 @@ from msgspec import UNSET
 
 from torchid.errors import TorchidError
 from torchid.extraction.convex.certificate import Certificate, certificate
-from torchid.extraction.log_cholesky.extract import extract_log_cholesky
 from torchid.extraction.penalty import gamma
 from torchid.extraction.polish.polish import polish
 from torchid.extraction.polish.region import region
@@ -87,7 +85,7 @@ class Found(Result):
 
     Attributes:
         problem: what was asked for.
-        method: cma-es, log-cholesky or sdp.
+        method: cma-es, sdp or near.
         sets: K of them.
         phi, gamma: (K,) loss and penalty.
         torque: (K, n) difference from the asked-for torque, relative (see `torque_error`).
@@ -240,28 +238,3 @@ def at_bounds(found: Found) -> list[str]:
         for name, below, above in zip(names, lower, upper, strict=True)
         if below or above
     ]
-
-
-def descended(problem: Problem, *, runs: int, seed: int) -> Found:
-    """Sets by gradients in a parametrisation in which every link is a body.
-
-    Args:
-        problem: loss, bounds and conditions, from `problem_of`.
-        runs: from random starts.
-        seed: of the starts.
-
-    Returns:
-        A set a run; `warnings` name the runs that did not converge.
-
-    Raises:
-        TorchidError: no start within bounds and conditions was found.
-    """
-    began = time.monotonic()
-    made = extract_log_cholesky(problem, runs=runs, seed=seed)
-    sets = problem.sets(made.p, [f"run_{k + 1}" for k in range(runs)])
-    done = zip(sets.ids, made.converged.tolist(), strict=True)
-    short = ", ".join(name for name, converged in done if not converged)
-    said = f"not converged, so their loss may be larger than it need be: {short}"
-    seconds = time.monotonic() - began
-    warnings = (said,) if short else ()
-    return Found(problem, "log-cholesky", *judged(problem, sets), None, seconds, warnings=warnings)

@@ -8,13 +8,13 @@ import torch
 
 from torchid.extraction.convex.certificate import certificate_where_possible
 from torchid.extraction.extract import extract, require_possible
-from torchid.extraction.found import Found, best_set, descended
+from torchid.extraction.found import Found, best_set
 from torchid.extraction.near import near_set
 from torchid.extraction.problem import Problem
 from torchid.extraction.settings import SearchSettings
 from torchid.parallel.workers import Progress, Workers, stage
 
-Method = Literal["cma-es", "log-cholesky", "sdp", "near"]
+Method = Literal["cma-es", "sdp", "near"]
 
 
 def found_by(
@@ -33,10 +33,9 @@ def found_by(
     """Sets by one method, with the certificate of the problem.
 
     Args:
-        method: population search, descent from random starts, convex optimum, or the bodies
-            nearest to expected ones.
+        method: population search, convex optimum, or the bodies nearest to expected ones.
         problem: loss, bounds and conditions, from `problem_of`.
-        settings: of the search; of a descent its runs and seed.
+        settings: of the search.
         certificate: whether the least loss possible is put beside it.
         search_anyway: also where no point of the bounds can be feasible.
         checkpoint, resume, device, workers: of a population search, whose checkpoint is kept; see
@@ -63,9 +62,6 @@ def found_by(
     elif method == "near":
         running("the nearest bodies")
         found = near_set(problem, proof=proof)
-    elif method == "log-cholesky":
-        running("descending")
-        found = descended(problem, runs=settings.runs, seed=settings.seed)
     else:
         found = extract(
             problem, settings, checkpoint=checkpoint, resume=resume, keep=True, device=device,
