@@ -1,4 +1,4 @@
-"""Held-out errors on logs of real arms, which are not part of the project (issue 2, figure 3)."""
+"""Held-out errors on logs of real arms, which are not part of the project."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
