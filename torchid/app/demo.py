@@ -37,8 +37,10 @@ def demo_command(
     inputs = input_files([(role, str(path), path) for role, path in roles])
     with output.progress("examining the log") as progress:
         demo = demonstrate(files, seed, progress)
-    paged = Output(out=folder, report=folder / "gap.html", quiet=True)
+    # The page holds all pictures.
+    paged = Output(report=folder / "gap.html", quiet=True)
     paged.keep(demo.diagnosis, "gap.json", diagnosis.shown, seed=seed, files=inputs)
+    output.put(folder / "gap.json", demo.diagnosis.save)
     output.put(folder / "identification.json", demo.identification.save)
     output.give(demo.plain(), "demo.json", lambda _: shown(demo))
     output.say(f"\nThe page: {folder / 'gap.html'}")
