@@ -23,8 +23,7 @@ def demo_command(
         out: Folder for robot, logs, results and page.
         seed: Of the withheld cause, the motions and the noise.
     """
-    from torchid.report import diagnosis
-    from torchid.report.demo import introduction, shown
+    from torchid.report.demo import brief, introduction, shown
     from torchid.report.page.document import input_files
     from torchid.withheld.demo import demonstrate, write_files
 
@@ -37,9 +36,8 @@ def demo_command(
     inputs = input_files([(role, str(path), path) for role, path in roles])
     with output.progress("examining the log") as progress:
         demo = demonstrate(files, seed, progress)
-    # The page holds all pictures.
     paged = Output(report=folder / "gap.html", quiet=True)
-    paged.keep(demo.diagnosis, "gap.json", diagnosis.shown, seed=seed, files=inputs)
+    paged.keep(demo.diagnosis, "gap.json", brief, seed=seed, files=inputs)
     output.put(folder / "gap.json", demo.diagnosis.save)
     output.put(folder / "identification.json", demo.identification.save)
     output.give(demo.plain(), "demo.json", lambda _: shown(demo))
