@@ -33,11 +33,11 @@ test-one: $(VENV)/.dev
 test-two: $(VENV)/.dev
 	@$(PYTEST) $(QUICK) $(addprefix --ignore=,$(HALF)) | sed -u 's/^/2 | /'
 
-# What only longer tests cover: real logs, notebooks, MuJoCo plants, the README's way.
+# What only longer tests cover: real logs, notebooks, MuJoCo plants, README and tutorial.
 test-slow: $(VENV)/.dev
 	$(PYTEST) $(TWO) -m "(slow or real) and not nightly"
 
-# All that takes longer: types in every quick test, rates over hundreds of runs, the tutorial. Property
+# All that takes longer: types in every quick test, rates over hundreds of runs. Property
 # tests draw from a seed of the day, which pytest prints; SEED=20261126 repeats that night's.
 nightly: SEED ?= $(shell date +%Y%m%d)
 nightly: $(VENV)/.dev
