@@ -5,7 +5,6 @@ from dataclasses import replace
 from torchid.doctor.examine import conclusion
 from torchid.gap.diagnosis import Finding, TorqueDiagnosis
 from torchid.report import diagnosis
-from torchid.report.diagnosis import answer_table
 from torchid.report.identification import headline
 from torchid.report.page.document import Origin, Page
 from torchid.report.table import Shown, Table
@@ -36,7 +35,7 @@ def shown(demo: Demo) -> Shown:
             f"$ torchid identify {files.robot} {logs} --held-out {files.new}\n"
             f"{headline(demo.identification)}\n",
             f"$ torchid gap {files.robot} {logs} --held-out {files.new}\n{answer.headline}\n",
-            answer_table(answer, demo.diagnosis.band),
+            diagnosis.answer_table(answer, demo.diagnosis.band),
             opened_table(demo),
         ],
     )
