@@ -31,13 +31,13 @@ def text_of(d) -> str:
 
 
 SENTENCES = {
-    "no_gap": "No gap: 0.105 N m, within the noise (0.0693 to 0.104). 2 effects could not have "
-    "been seen in it.",
-    "parametric_only": "Inertia of link 3 explains 93 % of the gap (0.617 -> 0.105 N m).",
-    "explained": "Coulomb friction on joint 2 (0.61 ± 0.02 N m) explains 93 % of the gap "
-    "(0.617 -> 0.105 N m).",
-    "detected_unexplained": "Coulomb friction on joint 2 (0.61 ± 0.02 N m) explains 93 % of the "
-    "gap (0.617 -> 0.105 N m). The rest has no known cause.",
+    "no_gap": "No gap beyond noise: 0.105 N m (noise 0.0693 to 0.104). 2 effects could not "
+    "have been seen in it.",
+    "parametric_only": "Inertia of link 3 lowers the gap: 0.617 -> 0.105 N m, 83 % less.",
+    "explained": "Coulomb friction on joint 2 (0.61 ± 0.02 N m) lowers the gap: "
+    "0.617 -> 0.105 N m, 83 % less.",
+    "detected_unexplained": "Coulomb friction on joint 2 (0.61 ± 0.02 N m) lowers the gap: "
+    "0.617 -> 0.105 N m, 83 % less. The rest has no known cause.",
     "not_testable": "This log cannot show what causes a gap: exactly a sum of base parameters.",
 }
 
@@ -58,15 +58,15 @@ def test_causes_that_close_nothing_are_not_confirmed():
 def test_headline_of_several_effects_names_the_two_that_close_most():
     d = diagnosis(findings=(VISCOUS, FRICTION, OFFSET), parametric=(Parametric((), 0.1, 0.01),))
     assert d.answer.headline == (
-        "Coulomb friction on joint 2 (0.61 ± 0.02 N m), inertial parameters and 2 more explain "
-        "93 % of the gap (0.617 -> 0.105 N m)."
+        "Coulomb friction on joint 2 (0.61 ± 0.02 N m), inertial parameters and 2 more lower "
+        "the gap: 0.617 -> 0.105 N m, 83 % less."
     )
 
 
 def test_headline_of_one_effect_on_two_joints():
     other = replace(FRICTION, effect=CoulombFriction(2), joints=(2,), values=(0.3,))
     answer = diagnosis(findings=(FRICTION, other)).answer
-    assert answer.headline.startswith("Coulomb friction on joints 2 and 3 explains 93 %")
+    assert answer.headline.startswith("Coulomb friction on joints 2 and 3 lowers the gap")
     assert ("all", "Coulomb friction on joints 2 and 3: Fc = 0.61, 0.3 N m") in [
         (row[0], row[5]) for row in answer.rows()
     ]

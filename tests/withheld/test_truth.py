@@ -10,7 +10,7 @@ import torch
 from tests.withheld.fakes import Spec, arm, simulate_case
 from torchid.log.columns import log_from_columns
 from torchid.withheld.case_set import keys_beside, make, read_keys
-from torchid.withheld.references import closed_share, true_shares
+from torchid.withheld.references import true_share, true_shares
 
 TRUE = 2.0
 """Coulomb friction of joint 2 [N m]."""
@@ -27,7 +27,7 @@ def share(model, spec=Spec(1, 0)):  # noqa: B008
         for bare in (False, True)
     ]
     noise = torch.tensor([0.05, 0.05], dtype=torch.float64)
-    return closed_share(arm(), *logs, model, noise, 20.0)
+    return true_share(arm(), *logs, model, noise, 20.0)
 
 
 @pytest.mark.parametrize(
@@ -35,12 +35,12 @@ def share(model, spec=Spec(1, 0)):  # noqa: B008
     [
         (corrected(TRUE), 1.0),
         (corrected(0.0), 0.0),
-        (corrected(0.5 * TRUE), 0.75),
+        (corrected(0.5 * TRUE), 0.5),
         (corrected(2 * TRUE), 0.0),
-        (corrected(TRUE, joint=1), -1.0),
+        (corrected(TRUE, joint=1), 1 - 2**0.5),
     ],
 )
-def test_the_share_is_that_of_squares(model, expected):
+def test_the_share_is_that_of_errors(model, expected):
     assert share(model) == pytest.approx(expected, abs=0.03)
 
 
@@ -53,8 +53,8 @@ def test_what_is_left_of_a_right_model_is_no_gap():
         added = {name: columns[name] + x[: len(columns[name])] for name, x in extra.items()}
         logs.append(log_from_columns(columns | added, "ideal.parquet"))
     noise = torch.tensor([0.05, 0.05], dtype=torch.float64)
-    for strength, expected in ((TRUE, 1.0), (0.5 * TRUE, 0.75)):
-        found = closed_share(arm(), *logs, corrected(strength), noise, 20.0)
+    for strength, expected in ((TRUE, 1.0), (0.5 * TRUE, 0.5)):
+        found = true_share(arm(), *logs, corrected(strength), noise, 20.0)
         assert found == pytest.approx(expected, abs=0.03)
 
 
@@ -81,7 +81,7 @@ def test_cases_with_an_interval_are_simulated_again(plant, tmp_path):
         "case-0003": {"status": "no_gap", "how_far": {"closed_ci95": None}},
     }
     found = true_shares(made, keys, answers, 1, None)
-    assert found == pytest.approx({"case-0001": 1.0, "case-0002": 0.75}, abs=0.03)
+    assert found == pytest.approx({"case-0001": 1.0, "case-0002": 0.5}, abs=0.03)
     keys[0]["effects"][0]["name"] = "contact"  # it happened once: no model predicts it
     assert set(true_shares(made, keys, answers, 1, None)) == {"case-0002"}
 

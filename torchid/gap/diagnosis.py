@@ -108,9 +108,9 @@ class Finding:
         changed: coefficients that the model knew otherwise; none of an effect that is new.
         replication: whether it is the same in every motion.
         one_of_a_set: whether it is the likeliest of a set none of which is likely by itself.
-        share: of the closable gap that it closes in its turn: at every turn that cause joins which
-            closes most, all refitted, so that the shares add up to one.
-        first: of the closable gap that it closes alone.
+        share: of the error that it closes in its turn: at every turn that cause joins which closes
+            most, all refitted, so that the shares add up to that of the answered model.
+        first: share of the error that it closes alone.
         notes: sentences, e.g. a coefficient that is not determined.
         common: whether one coefficient is common to all joints.
         planted: what the log would show of it and of its likeliest alternatives.
@@ -202,8 +202,8 @@ class HowFar:
     Attributes:
         rms_before, rms_after: (n,) on data used for no choice, while the joint moves: at rest, and
             where it may stick, friction can be anything.
-        closed: closed fraction of the closable gap, (L0 - L*) / (L0 - Ln), joints weighted by
-            their noise; None where the gap's interval holds zero.
+        closed: share of the error beyond noise that is closed (see
+            `torchid.gap.validate.closing`); None where the gap's interval holds zero.
         closed_ci95: what it may be on other motions, where the log has three different ones or
             more: of resampled motions and blocks of them; else of resampled blocks.
         rollout: simulated motion before and after, or None.
@@ -365,6 +365,7 @@ class TorqueDiagnosis(Diagnosis):
             noise=(float(floor.low.norm()), float(floor.high.norm())),
             closed=far.closed,
             closed_ci95=far.closed_ci95,
+            noise_measured=floor.source == "repeats",
             joints=tuple(
                 JointError(
                     joint=j,

@@ -123,6 +123,8 @@ def diagnose_torque(
         # A held-out log takes part in no choice: it judges what was chosen.
         noise = checked.measured
         checked = check(found, data, judged, folds, repeats, settings, fitted_first, noise)
+    far = checked.far
+    said = said.scaled(max(0.0, float(1 - far.rms_after.norm() / far.rms_before.norm())))
     if wanted.free and robot.parameters is not None:
         # With parameters always refitted: whether that alone closes a part of the gap.
         far = checked.refitted_far

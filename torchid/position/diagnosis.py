@@ -92,8 +92,8 @@ class PositionFinding:
 
     @property
     def cause(self) -> Cause:
-        """As the answer has it; it closes its share of the squared error of its joint."""
-        left = (self.error_with / self.error_without) ** 2 if self.error_without > 0 else 1.0
+        """As the answer has it; it closes its share of the error of its joint."""
+        left = self.error_with / self.error_without if self.error_without > 0 else 1.0
         return Cause(
             effect=self.effect,
             joints=() if self.joint is None else (self.joint - 1,),
@@ -173,10 +173,18 @@ class PositionDiagnosis(Diagnosis):
     held_out: tuple[float, float] | None = None
     nominal: tuple[NominalServo, ...] = ()
 
-    @cached_property
+    @property
     def closed(self) -> float:
-        """Share of what the plain servos leave, in squares and but for what calls for no cause,
-        that the answered model takes away; NaN where they leave nothing."""
+        """Share of the plain servos' error of whole motions that the answered model takes away; NaN
+        where they leave nothing that calls for a cause."""
+        if math.isnan(self._closed_in_windows):
+            return math.nan
+        return 1.0 - self.answered.mean[0] / self.plain_servo.mean[0]
+
+    @cached_property
+    def _closed_in_windows(self) -> float:
+        """Share of the squares of what the plain servos leave in windows, but for what calls for no
+        cause, that the answered model takes away; NaN where they leave nothing."""
         floor = self.unseen.square()
         plain, answered = (way.windows.square() for way in (self.plain_servo, self.answered))
         # What windows leave alone is their starts', whose velocities are those of a few samples.
@@ -196,7 +204,7 @@ class PositionDiagnosis(Diagnosis):
         `partly_explained`, where something else is there too; `detected_unexplained`."""
         if not self.findings:
             return "no_gap" if math.isnan(self.closed) else "detected_unexplained"
-        return "partly_explained" if self.closed < MOST else "explained"
+        return "partly_explained" if self._closed_in_windows < MOST else "explained"
 
     @cached_property
     def answer(self) -> Answer:

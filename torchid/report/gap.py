@@ -155,9 +155,9 @@ def which_table(record: GapRecord) -> Table:
         rows,
         names=columns[:3],
         words=columns[3:4],
-        note="or: effects that this log cannot separate from it; closes: share of the gap beyond "
-        "noise, each cause beside those that close more; repeats: motions that want it, of those "
-        "that can show it",
+        note="or: effects that this log cannot separate from it; closes: share of the error that "
+        "the cause removes, given those above it; repeats: motions in which it is the same, of "
+        "those that can show it",
     )
 
 

@@ -254,6 +254,14 @@ def torque_figure(
         t, after, color=AFTER, linewidth=1.3, linestyle=(0, (5, 1.5)),
         label="with the effects found",
     )  # fmt: skip
+    # What does not count for how far the gap shrinks: a joint at rest, or where it may stick.
+    aside = valid & ~trace.counting[pick, joint].numpy()
+    for axes, text in ((upper, "not counted: at rest, at a reversal"), (lower, None)):
+        if aside.any():
+            axes.fill_between(
+                t, 0, 1, where=aside, transform=axes.get_xaxis_transform(), color=GREY, alpha=0.22,
+                linewidth=0, label=text,
+            )  # fmt: skip
     high = float(diagnosis.floor.high[joint])
     lower.axhspan(-high, high, color=INK, alpha=0.12, linewidth=0, label="noise, ±1 RMS")
     lower.plot(t, measured - before, color=BEFORE, linewidth=1.2)
@@ -329,12 +337,12 @@ def joint_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure
 
 
 def samples(traces: tuple[Trace, ...], joint: int) -> dict[str, np.ndarray]:
-    """The valid instants of one joint, all trajectories, (N,) each: `t`, `q`, `dq`, `ddq`, `load`,
-    what is `before` and `after` measured - model, and the number of the `block`."""
+    """The instants of one joint that count, all trajectories, (N,) each: `t`, `q`, `dq`, `ddq`,
+    `load`, what is `before` and `after` measured - model, and the number of the `block`."""
     parts: dict[str, list[np.ndarray]] = {}
     clock, blocks = 0.0, 0
     for trace in traces:
-        v = trace.valid
+        v = trace.counting[:, joint]
         t = torch.arange(len(v), dtype=torch.float64) / trace.rate
         block = (t / BLOCK).long() + blocks
         motion = trace.motion
@@ -425,7 +433,8 @@ def _spectrum(axes: Any, diagnosis: TorqueDiagnosis, joint: int, unit: str) -> N
         " cut-off of the fit", (diagnosis.cutoff, 0.98), xycoords=("data", "axes fraction"),
         fontsize=7, color=GREY, va="top",
     )  # fmt: skip
-    axes.set(xlabel="frequency [Hz] (grey: noise)", ylabel=f"gap, spectral density [{unit}/√Hz]")
+    axes.set_xlabel("frequency [Hz], all instants (grey: noise)")
+    axes.set_ylabel(f"gap, spectral density [{unit}/√Hz]")
 
 
 def spectrum(traces: tuple[Trace, ...], joint: int, model: str) -> tuple[np.ndarray, np.ndarray]:

@@ -36,6 +36,9 @@ VALUES = 3
 UNCHANGED = 0.99
 """Share of the error that is left, from which on the causes have closed nothing."""
 
+ALL = 1 - 5e-4
+"""Share of the error beyond a measured noise from which on it is all of it."""
+
 KINDS = ("Change your log", "Mind this number")
 """How warnings begin that ask for something; all others are for information."""
 
@@ -133,6 +136,8 @@ class Answer(Part, frozen=True, kw_only=True):
             positions the mean of the joints that move.
         closed, closed_ci95: share of the error beyond noise that the causes close; None where that
             cannot be said.
+        noise_measured: whether repeats of a motion tell the noise: only then can all of the error
+            be explained.
         joints: joint by joint.
         causes: those that close most first.
         reason: why nothing is named, where that is so.
@@ -146,9 +151,15 @@ class Answer(Part, frozen=True, kw_only=True):
     noise: Ends
     closed: float | None
     closed_ci95: tuple[float, float] | None = None
+    noise_measured: bool = False
     joints: tuple[JointError, ...]
     causes: tuple[Cause, ...]
     reason: str = ""
+
+    @property
+    def less(self) -> float:
+        """Share of the error that the causes take away, 1 - after / before; NaN of no error."""
+        return 1.0 - self.after / self.before if self.before > 0 else math.nan
 
     @property
     def headline(self) -> str:
@@ -158,7 +169,7 @@ class Answer(Part, frozen=True, kw_only=True):
         noise = " to ".join(dict.fromkeys(f"{x:.3g}" for x in self.noise))
         if not self.causes:
             said = {
-                "no_gap": f"No gap: {size}, within the noise ({noise}).",
+                "no_gap": f"No gap beyond noise: {size} (noise {noise}).",
                 "negligible": f"No gap that matters: {size} (noise {noise}).",
                 "not_testable": "This log cannot show what causes a gap:",
             }
@@ -174,8 +185,9 @@ class Answer(Part, frozen=True, kw_only=True):
             if self.after > UNCHANGED * self.before:
                 rest = " Nothing is confirmed."
         else:
-            share = percent(self.closed).replace("> 99.9 %", "all")
-            verb, end = ("explains", "explain"), f"{share} of {self.error} ({change})."
+            verb, end = ("lowers", "lower"), f"{self.error}: {change}, {percent(self.less)} less."
+            if self.noise_measured and self.closed >= ALL:
+                end = f"{self.error} to the noise: {change}, {percent(self.less)} less."
             if self.closed_ci95 is not None and self.closed_ci95[0] <= 0:
                 rest = " Other motions may not confirm it."
             elif self.status in ("detected_unexplained", "partly_explained"):

@@ -43,10 +43,11 @@ class Replication(Part, frozen=True, kw_only=True):
 
     Attributes:
         motions: part by part.
-        mean: of those that can tell.
-        spread: standard deviation between motions, beyond that of each.
-        next_std: of the factor in the next motion.
-        repeats, asked: in how many of those that can tell it has the same sign and size.
+        mean: of the parts that can tell.
+        spread: standard deviation between these parts, beyond that of each.
+        next_std: of the factor in the next part.
+        repeats, asked: in how many of the trajectories that can tell it has the same sign and size;
+            of the parts of a log of one trajectory.
     """
 
     motions: tuple[MotionScale, ...]
@@ -59,8 +60,11 @@ class Replication(Part, frozen=True, kw_only=True):
 
 def times(found: Replication | None) -> str:
     """`5 of 6`: motions that want the effect with the same sign and size, of those that can show
-    it."""
-    return "-" if found is None else f"{found.repeats} of {found.asked}"
+    it; of a log of one motion its stretches."""
+    if found is None:
+        return "-"
+    one = len({m.trajectory for m in found.motions}) == 1
+    return f"{found.repeats} of {found.asked}{' stretches' if one else ''}"
 
 
 def replication_of(scales: Sequence[MotionScale]) -> Replication | None:
@@ -68,11 +72,17 @@ def replication_of(scales: Sequence[MotionScale]) -> Replication | None:
     telling = [s for s in scales if s.std <= TELLS]
     if len(telling) < 2:
         return None
-    x = torch.tensor([s.scale for s in telling], dtype=torch.float64)
-    v = torch.tensor([s.std**2 for s in telling], dtype=torch.float64)
+    x, v = _factors(telling)
     spread = between(x, v)
     w = 1 / (v + spread**2)
     mean = float((w * x).sum() / w.sum())
+    # Motions that are asked: all parts of a trajectory are one.
+    names = dict.fromkeys(s.trajectory for s in scales)
+    if len(names) > 1:
+        each = [_factors([s for s in scales if s.trajectory == name]) for name in names]
+        v = torch.stack([1 / (1 / own).sum() for _, own in each])
+        x = torch.stack([(own / var).sum() / (1 / var).sum() for own, var in each])
+        x, v = x[v <= TELLS**2], v[v <= TELLS**2]
     # The same sign and nearly the size of all, as far as the part can tell.
     slack = 2 * v.sqrt()
     same = (x > 0) & (x + slack >= mean / FACTOR) & (x - slack <= FACTOR * mean)
@@ -82,8 +92,14 @@ def replication_of(scales: Sequence[MotionScale]) -> Replication | None:
         spread=spread,
         next_std=math.sqrt(float(1 / w.sum()) + spread**2),
         repeats=int(same.sum()),
-        asked=len(telling),
+        asked=len(x),
     )
+
+
+def _factors(scales: Sequence[MotionScale]) -> tuple[Tensor, Tensor]:
+    """Factors and their variances (K,)."""
+    x, std = torch.tensor([(s.scale, s.std) for s in scales], dtype=torch.float64).unbind(1)
+    return x, std**2
 
 
 def between(x: Tensor, variances: Tensor) -> float:

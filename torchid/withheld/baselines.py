@@ -11,6 +11,7 @@ Samples are those of the diagnosis, joints weighted by their noise, or, in `bic`
 Nothing here knows a key.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -228,7 +229,8 @@ def answer_of(data: Data, terms: Sequence[Term]) -> dict[str, Any]:
 
 
 def _closed(data: Data, terms: Sequence[Term]) -> float | None:
-    """(L0 - L*) / (L0 - Ln), coefficients fitted on the other fold; None where there is no gap."""
+    """Share of the error beyond noise, joints in units of their noise, that is closed where
+    coefficients are fitted on the other fold; None where there is no gap."""
     before = after = 0.0
     fitted, judged = data.folds.of(subset_of(data.normal, terms))
     for k in range(len(data.folds)):
@@ -237,7 +239,9 @@ def _closed(data: Data, terms: Sequence[Term]) -> float | None:
         before += float(data.weight @ test.squares)
         after += float(data.weight @ test.losses(x))
     noise = float(data.folds.rows.sum())
-    return None if before <= noise else (before - after) / (before - noise)
+    if before <= noise:
+        return None
+    return 1 - math.sqrt(max(0.0, after - noise) / (before - noise))
 
 
 def baseline_case(job: Job) -> dict[str, Any]:

@@ -9,9 +9,9 @@ Answers lie beside the set, not in it, and are kept as long as the diagnosis doe
 - The *truth* is how far a corrected model really closes the gap: on new motions, seen by ideal
   sensors. The arm of a case, with its effects, moves along other trajectories of the same kind,
   read without noise, counts and jitter: what a diagnosis says is how far the gap shrinks on data
-  that it was not fitted on. The closed share is (L0 - L*) / (L0 - Ln), with L the sum of squares of
-  the gap below the report's band away from reversals, joints weighted by their noise; Ln is what
-  filters and dry friction leave of the same arm without the effects, whose model is right.
+  that it was not fitted on. The closed share is that of `torchid.gap.validate.closing`, below the
+  report's band away from reversals; its noise is what filters and dry friction leave of the same
+  arm without the effects, whose model is right.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,6 +27,7 @@ from torchid.errors import TorchidError
 from torchid.gap.data import prepare
 from torchid.gap.noise.floor import stuck
 from torchid.gap.settings import GapSettings
+from torchid.gap.validate.closing import closed_share, levels
 from torchid.gap.validate.folds import traces
 from torchid.json_data import read_json
 from torchid.log.columns import log_from_columns
@@ -143,7 +144,7 @@ def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:
         noise = torch.tensor(ideal.key["noise_std"], dtype=torch.float64)
         return {
             "status": "done",
-            "closed": closed_share(
+            "closed": true_share(
                 robot,
                 log,
                 right,
@@ -157,7 +158,7 @@ def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:
     return written(job, answer)
 
 
-def closed_share(
+def true_share(
     robot: Robot,
     log: Log,
     bare: Log,
@@ -167,18 +168,17 @@ def closed_share(
     *,
     reversals: bool = True,
 ) -> float | None:
-    """(L0 - L*) / (L0 - Ln) of a corrected model on a log without noise, 1 at most; None where
-    there is no gap.
+    """Closed share of a corrected model on a log without noise; None where there is no gap.
 
-    Ln is what filters and dry friction at reversals leave of an arm whose model is right: the loss
-    of the nominal model on a log without the effects.
+    What filters and dry friction at reversals leave of an arm whose model is right counts as noise:
+    the error of the nominal model on a log without the effects.
 
     Args:
         robot: the nominal model.
         log: as ideal sensors see it.
         bare: the same of the arm without the effects.
         corrected: parameters and effects of the corrected model, as in an answer.
-        noise: (n,) standard deviations that weigh the joints.
+        noise: (n,) standard deviations of the torque [N m; N].
         band: of the report [Hz].
         reversals: whether instants count at which a joint with dry friction may stick, as they do
             in an answer about a log without repeats.
@@ -188,15 +188,13 @@ def closed_share(
     effects = [effect_from_record(record, better) for record in corrected["effects"]]
     before, after = Model.of(robot), Model(better, tuple(effects))
 
-    def losses(log: Log) -> torch.Tensor:
-        """Of both models (2,)."""
-        out = torch.zeros(2, dtype=torch.float64)
+    def squares(log: Log) -> list[torch.Tensor]:
+        """Errors of both models, squared and summed over joints."""
         samples = prepare(robot, log, None).samples
         reach = None if reversals else stuck(Columns(after, samples), noise)
-        for t in traces(samples, None, [before], [after], band, reach=reach):
-            for k, predicted in enumerate((t.before, t.after)):
-                out[k] += ((t.measured - predicted) * t.counting / noise).square().sum()
-        return out
+        seen = traces(samples, None, [before], [after], band, reach=reach)
+        return [rms.square().sum() for rms in levels(seen)]
 
-    (first, last), (least, _) = ((float(x[0]), float(x[1])) for x in (losses(log), losses(bare)))
-    return min(1.0, (first - last) / (first - least)) if first > least else None
+    (first, last), (least, _) = squares(log), squares(bare)
+    share = float(closed_share(first, last, least))
+    return None if share != share else share

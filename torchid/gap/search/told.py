@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
+from msgspec import structs
 from scipy.special import chdtrc
 
 from torchid.design.gram import VISIBLE
@@ -69,6 +70,14 @@ class Told:
     open: tuple[tuple[Term, Term], ...]
     rivals: tuple[tuple[float, Term, Term], ...]
     unsure: tuple[Term, ...] = ()
+
+    def scaled(self, closed: float) -> "Told":
+        """The same, with shares of the error of which the causes close this share."""
+        findings = (
+            replace(f, share=closed * f.share, first=closed * f.first) for f in self.findings
+        )
+        bodies = (structs.replace(p, share=closed * p.share) for p in self.parametric)
+        return replace(self, findings=tuple(findings), parametric=tuple(bodies))
 
 
 def told(found: Explanation) -> Told:

@@ -1,11 +1,14 @@
 """How far: what the answered model closes on data it was not fitted on, and what is left.
 
-Losses are sums over joints of squared gaps in units of the joint's own squared noise, so that a
-wrist counts as much as a shoulder. L0 is the model as given, L1 the one with refitted base
-parameters, L* the answered one, Ln the noise.
+Errors are those that are shown: roots of the sums over joints of mean squares, E0 of the model as
+given, E1 of the one with refitted base parameters, E* of the answered one, En of the noise. Shares
+are of the error beyond noise, 1 - sqrt((E*^2 - En^2) / (E0^2 - En^2)). Only repeats of a motion
+measure the noise; without them its lower bound is all that is taken out, so that no share is above
+1 - E*/E0 but by as much as noise allows.
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -41,7 +44,8 @@ class Closing:
     Attributes:
         rms_before, rms_after: (n,) [N m; N].
         improves: whether resampled blocks are better after than before (one-sided 95 %).
-        closed, closed_ci95: (L0 - L*) / (L0 - Ln); None where the gap's interval holds zero.
+        closed, closed_ci95: share of the error beyond noise that is closed; None where the gap's
+            interval holds zero.
     """
 
     rms_before: Float[Tensor, " n"]
@@ -52,10 +56,26 @@ class Closing:
 
 
 def noise_variance(floor: NoiseFloor) -> Float[Tensor, " n"]:
-    """Squared noise of each joint in the band of the report, the unit of losses: the middle of an
-    interval measured on repeats; without repeats the upper end of the bracket."""
+    """Squared noise of each joint in the band of the report, in units of which joints are compared:
+    the middle of an interval measured on repeats; without repeats the upper end of the bracket."""
     low, high = floor.low.square(), floor.high.square()
     return (0.5 * (low + high) if floor.source == "repeats" else high).clamp(min=1e-24)
+
+
+def known_noise(floor: NoiseFloor) -> Float[Tensor, " n"]:
+    """Squared noise of each joint that no model can close: as repeats measure it; without repeats
+    the lower end of the bracket, for the upper one holds misfit."""
+    return noise_variance(floor) if floor.source == "repeats" else floor.low.square()
+
+
+def closed_share(
+    before: Float[Tensor, "*D"], after: Float[Tensor, "*D"], noise: Float[Tensor, "*D"]
+) -> Float[Tensor, "*D"]:
+    """Share of the error beyond noise that is closed, of squared errors (*D,); NaN where there is
+    no error beyond noise."""
+    gap = before - noise
+    left = ((after - noise).clamp(min=0) / gap.clamp(min=1e-300)).sqrt()
+    return torch.where(gap > 0, 1 - left, torch.nan)
 
 
 def levels(traces: Sequence[Trace]) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
@@ -79,8 +99,7 @@ def closing(
 
     What repeats tell of the noise has an interval of its own, from which it is drawn beside the
     blocks. But other motions may be noisier than the repeated one, so at most all that cannot be
-    predicted is noise; without repeats it lies anywhere in its bracket. The interval of the closed
-    share holds all of these.
+    predicted is noise. The interval of the closed share holds both.
 
     Args:
         traces: before and after, on data the models were not fitted on.
@@ -95,46 +114,43 @@ def closing(
     before, after, counts = (torch.cat([p[k] for p in parts]) for k in (0, 1, 2))
     total = counts.sum(0).clamp(min=1)
     rms = levels(traces)
-    unit = noise_variance(floor)
-    l0, l1 = (before / unit).sum(1), (after / unit).sum(1)
     rng = np.random.default_rng(seed)
-
-    def noise_of(rows: Tensor) -> list[Tensor]:
-        """Ln of every draw of rows (D, n), at each of the ends between which it lies."""
-        if floor.source != "repeats":
-            return [rows.sum(1), (rows * (floor.low.square() / unit)).sum(1)]
-        low, high = (x.clamp(min=1e-12).log() for x in (floor.low, floor.high))
-        z = torch.from_numpy(rng.standard_normal(tuple(rows.shape)))
-        ends = [(rows * torch.exp((high - low) / HALF_90 * z)).sum(1)]
-        if unpredicted is not None:
-            largest = torch.minimum(unpredicted.square(), after.sum(0) / total)
-            ends.append((rows * (largest / unit).clamp(min=1.0)).sum(1))
-        return ends
-
-    # Losses of these motions: blocks are drawn, all joints together.
+    # Whether there is a gap, and whether it shrinks, every joint in units of its own noise: blocks
+    # are drawn, all joints together.
+    unit = noise_variance(floor)
     weights = torch.from_numpy(bootstrap_weights(len(counts), DRAWS, rng))
-    first, last, rows = weights @ l0, weights @ l1, weights @ counts
+    first, last = (weights @ (x / unit).sum(1) for x in (before, after))
     improves = bool((first - last).quantile(1 - LEVEL) > 0)
-    ends = noise_of(rows)
-    excess = percentile_interval(((first - ends[0]) / rows.sum(1).clamp(min=1)).numpy())
+    low, high = (x.clamp(min=1e-12).log() for x in (floor.low, floor.high))
+    z = torch.from_numpy(rng.standard_normal((DRAWS, len(unit))))
+    drawn = torch.exp((high - low) / HALF_90 * z) if floor.source == "repeats" else 1.0
+    rows = weights @ counts
+    excess = percentile_interval(
+        ((first - (rows * drawn).sum(1)) / rows.sum(1).clamp(min=1)).numpy()
+    )
     # A gap that may be zero has no share that could be closed.
     if not excess[0] > 0:
         return Closing(rms[0], rms[1], improves, None, None)
     if motions is not None:
-        # Losses of others: motions are drawn, and then blocks of each.
+        # How far on others: motions are drawn, and then blocks of each.
         own = np.repeat(motions, [len(p[0]) for p in parts])
         weights = torch.from_numpy(nested_weights(own, DRAWS, rng))
-        first, last, rows = weights @ l0, weights @ l1, weights @ counts
-        ends = noise_of(rows)
+        rows = weights @ counts
+    # Mean squares of every draw, all joints together.
+    first, last = (((weights @ x) / rows.clamp(min=1)).sum(1) for x in (before, after))
+    noise = known_noise(floor)
+    ends = [(noise * drawn).sum(-1).expand(DRAWS)]
+    if floor.source == "repeats" and unpredicted is not None:
+        largest = torch.minimum(unpredicted.square(), after.sum(0) / total)
+        ends.append(torch.maximum(largest, noise).sum().expand(DRAWS))
     # There is no more noise than what is left.
     most = [torch.minimum(e, share * last) for e in ends for share in (1.0, SURELY_NOISE)]
-    intervals = [
-        percentile_interval(torch.where(first > e, (first - last) / (first - e), torch.nan).numpy())
-        for e in most
-    ]
-    noise = torch.minimum(counts.sum(), l1.sum())
+    intervals = [percentile_interval(closed_share(first, last, e).numpy()) for e in most]
     # The share itself, from all blocks; the interval holds it and the draws at all ends.
-    value = min(1.0, float((l0 - l1).sum() / (l0.sum() - noise)))
+    left = rms[1].square().sum()
+    value = float(closed_share(rms[0].square().sum(), left, torch.minimum(noise.sum(), left)))
+    if value != value:
+        return Closing(rms[0], rms[1], improves, None, None)
     ends_of = [*(x for pair in intervals for x in pair if x == x), value]
     return Closing(rms[0], rms[1], improves, value, (min(ends_of), max(ends_of)))
 
@@ -142,19 +158,18 @@ def closing(
 def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor) -> Budget:
     """Shares of the gap closed by refitted base parameters, by effects beyond them, and left.
 
-    Where refitting alone makes held-out data worse it closes nothing. Shares of a gap that is not
-    there are zero.
+    Shares are of the error beyond noise and add up to one; refitting alone closes no less than
+    nothing. Shares of a gap that is not there are zero.
     """
-    unit = noise_variance(floor)
-    l0, last = (sum(float((_blocks(t)[k] / unit).sum()) for t in traces) for k in (0, 1))
-    l1 = sum(float((_blocks(t)[1] / unit).sum()) for t in refitted)
-    noise = min(float(sum(_blocks(t)[2].sum() for t in traces)), last)
-    gap = l0 - noise
-    if gap <= 0:
+    (before, after), (_, base) = levels(traces), levels(refitted)
+    first, last, alone = (float(x.square().sum()) for x in (before, after, base))
+    noise = min(float(known_noise(floor).sum()), last)
+    if first <= noise:
         return Budget(0.0, 0.0, 0.0)
-    # Refitting closes no less than nothing, and no more than the whole model does.
-    l1 = max(min(l0, l1), last) if last < l0 else l0
-    return Budget((l0 - l1) / gap, (l1 - last) / gap, (last - noise) / gap)
+    # Refitting closes no more than the whole model does.
+    alone = max(min(first, alone), last) if last < first else first
+    left, rest = (math.sqrt((x - noise) / (first - noise)) for x in (alone, last))
+    return Budget(1 - left, left - rest, rest)
 
 
 def residuals(traces: Sequence[Trace]) -> tuple[Residual, ...]:

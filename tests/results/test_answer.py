@@ -1,0 +1,45 @@
+"""What an answer states is what its errors say."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from torchid.results.answer import Answer, Cause, JointError
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "answers"
+
+
+STORED = {file.stem: json.loads(file.read_text()) for file in sorted(GOLDEN.glob("*.json"))}
+ANSWERS = {name: stored["answer"] for name, stored in STORED.items() if stored.get("answer")}
+
+
+@pytest.mark.parametrize("answer", ANSWERS.values(), ids=ANSWERS)
+def test_no_share_is_above_what_the_errors_say(answer):
+    """By more than the noise that is taken out of both: where repeats measured it, at most that."""
+    before, after, (low, high) = answer["before"], answer["after"], answer["noise"]
+    noise = min(high if answer.get("noise_measured") else low, after)
+    left = ((after**2 - noise**2) / (before**2 - noise**2)) ** 0.5 if before > noise else 0.0
+    if answer["closed"] is not None:
+        assert answer["closed"] <= 1 - left + 1e-9
+    if answer["unit"] != "mrad":  # of positions each cause is judged on its own joint
+        assert sum(c["closes"] for c in answer["causes"]) <= 1 - after / before + 1e-9
+
+
+def answer(**other):
+    joints = (JointError(joint=0, name="j", before=10.0, after=8.0, noise=(0.1, 8.0)),)
+    cause = Cause(effect="torque_offset", joints=(0,), closes=0.2)
+    return Answer(
+        **{
+            "status": "explained", "error": "the gap", "unit": "N m", "before": 10.0, "after": 8.0,
+            "noise": (0.1, 8.0), "closed": 1.0, "joints": joints, "causes": (cause,), **other,
+        }
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_all_of_an_error_needs_a_measured_noise(measured):
+    said = answer(noise_measured=measured).headline
+    assert "10 -> 8 N m, 20 % less" in said
+    assert ("to the noise" in said) == measured
+    assert " all" not in said
