@@ -167,7 +167,13 @@ def test_every_effect_without_a_field_is_named_with_what_is_kept(done):
     assert all(0 <= one.share <= 1 for one in kept.values())
     assert (kept["stribeck_friction"].field, kept["stribeck_friction"].joint) == ("frictionloss", 0)
     assert done.exports[0].files[0].name == "3r_corrected.xml"
-    assert "no field for" in done.exports[0].files[0].read_text()
+    # A constant torque is its own RMS; on one joint what is lost of it is what is not kept.
+    offset = kept["torque_offset"]
+    assert offset.made == pytest.approx(0.4, rel=1e-6)
+    for one in kept.values():
+        assert one.lost / one.made == pytest.approx(1 - one.share, abs=0.1)
+    text = done.exports[0].files[0].read_text()
+    assert f"torque_offset of joint 2 ({offset.lost:.2g} of 0.4 RMS are lost)" in text
 
 
 @pytest.mark.slow

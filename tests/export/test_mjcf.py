@@ -14,9 +14,9 @@ from tests.arms import ISSUE_ARMS, arm, mixed_arm, relative, states
 from tests.export.arms import FRICTION, exported, with_other, write_mjcf, write_urdf
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.errors import TorchidError
-from torchid.export.joint_dynamics import split
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
+from torchid.simulators.joint_dynamics import split
 
 mujoco = pytest.importorskip("mujoco")
 

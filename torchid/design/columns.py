@@ -174,6 +174,11 @@ class Columns:
         place, columns = self.of(effect)
         return columns if place is None else on_joint(columns, place, self.n)
 
+    def torque(self, effect: Effect, values: Sequence[float]) -> Float[Tensor, "n N"]:
+        """Torque of an effect on all joints [N m; N]."""
+        columns = self.on_all_joints(effect)
+        return torch.tensordot(columns.new_tensor(values), columns, 1)
+
     def of_shapes(
         self, kind: type[JointEffect], joint: int, shapes: Float[Tensor, "S P"]
     ) -> Float[Tensor, "S C N"]:

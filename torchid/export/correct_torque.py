@@ -119,7 +119,10 @@ def correct_torque(
             inside = _in_file(projection.robot, whole, original, to)
             forward = _forward(inside, whole, to, before, full, on, settings, data.silent)
             judged = replace(judged, forward=forward)
-    beside = [f"{one.effect.name}{of_joints(one.joints)}" for one in projection.kept]
+    beside = [
+        f"{one.effect.name}{of_joints(one.joints)} ({one.lost:.2g} of {one.made:.2g} RMS are lost)"
+        for one in projection.kept
+    ]
     stem = f"{stem_of(robot)}_corrected" if name is None else name
 
     def write(one: Robot, stem: str, title: str, to: Target | Package = to) -> Export:

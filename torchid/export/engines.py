@@ -20,9 +20,9 @@ from lxml import etree
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.export.checks import EXACT, Comparison, compared, missing, relative_difference
-from torchid.export.joint_dynamics import JointDynamics
 from torchid.export.xml_tree import local, read_xml
 from torchid.robot.model import Robot
+from torchid.simulators.joint_dynamics import JointDynamics
 from torchid.typing import Joints
 
 _RIGID = "rigid body"

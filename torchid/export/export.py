@@ -9,7 +9,6 @@ from typing import Literal, get_args
 from torchid.errors import TorchidError
 from torchid.export.checks import Comparison
 from torchid.export.dynamics import Dynamics, described, nearest_representative, states
-from torchid.export.joint_dynamics import Target
 from torchid.export.nearest import nearest_bodies
 from torchid.export.record import ExportRecord, Places, Reader
 from torchid.export.results import Exportable, dynamics_of
@@ -23,6 +22,7 @@ from torchid.feasibility.record import Check, check_sets
 from torchid.feasibility.sets import nominal_set
 from torchid.results.record import Result
 from torchid.robot.model import Robot
+from torchid.simulators.joint_dynamics import Target
 from torchid.simulators.servo import AS_EFFORT
 
 Format = Literal["urdf", "mjcf", "drake", "yaml", "csv", "c", "isaaclab", "mjlab"]

@@ -15,7 +15,6 @@ from lxml import etree
 from torchid.digits import number
 from torchid.errors import TorchidError
 from torchid.export.exact_text import principal, quaternion_of, text
-from torchid.export.joint_dynamics import JointDynamics, dynamics_of_links
 from torchid.export.urdf import refuse_moment_without_mass
 from torchid.export.xml_tree import (
     DECLARATION,
@@ -31,6 +30,7 @@ from torchid.export.xml_tree import (
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.robot.xml_numbers import content_of, parsed
+from torchid.simulators.joint_dynamics import JointDynamics, dynamics_of_links
 from torchid.typing import Tensor
 
 _JOINTS = ("joint", "freejoint")

@@ -12,12 +12,10 @@ import torch
 
 from torchid.design.columns import Columns, Model
 from torchid.effects.base import Effect
-from torchid.effects.friction import CoulombFriction, ViscousFriction
-from torchid.effects.inertia import BodyEffect, RotorInertia
+from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.effects.spring import JointSpring
 from torchid.export.dynamics import folded, records
-from torchid.export.joint_dynamics import Target, attributes_in
 from torchid.extraction.entropic import (
     SPREAD,
     NearBodies,
@@ -34,15 +32,9 @@ from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot
 from torchid.simulation.loads import changes_measurement
 from torchid.simulation.open_loop import runs, undone
+from torchid.simulators.joint_dynamics import Target, attributes_in, kinds_in
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Tensor
-
-FIELDS: dict[Target, tuple[type[Effect], ...]] = {
-    "mjcf": (ViscousFriction, CoulombFriction, RotorInertia),
-    "urdf": (ViscousFriction, CoulombFriction),
-    "drake": (ViscousFriction, RotorInertia),
-}
-"""What a file says of every joint; an MJCF says springs, too, where they are."""
 
 WORDS = {
     "viscous_friction": "damping",
@@ -75,6 +67,8 @@ class Kept:
             and 1, over the samples and joints of the fit, each joint in units of its noise.
         field, joint, value: the field that carries most of it (`damping`, ..., `bodies`), of which
             joint from 0, and what it has become there [its unit]; None of bodies.
+        made, lost: RMS of its torque while joints move, and of what the fields leave of it; of
+            several joints as root of the sum of their mean squares [N m; N].
     """
 
     effect: Effect
@@ -83,6 +77,8 @@ class Kept:
     field: str
     joint: int | None
     value: float | None
+    made: float
+    lost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +134,9 @@ class Projector:
         # A joint whose torque says nothing keeps what the nominal robot has there.
         silent = set(data.silent)
         heard = [j for j in range(nominal.n) if j not in silent]
-        self.fields: list[Effect] = [kind(j) for kind in FIELDS[to] for j in heard]  # type: ignore[call-arg]
+        # Springs are where they are found only.
+        kinds = [kind for kind in kinds_in(to) if kind is not JointSpring]
+        self.fields: list[Effect] = [kind(j) for kind in kinds for j in heard]
         self.given = [
             (effect, values)
             for effect, values in nominal_effects(nominal)
@@ -254,8 +252,7 @@ class Projector:
         values = iter(found.coefficients.tolist())
         for field in fields:
             own = [next(values) for _ in field.coefficients]
-            columns = self.columns.on_all_joints(field) * self.data.keep
-            torque = torch.tensordot(torch.tensor(own, dtype=torch.float64), columns, 1)
+            torque = self.columns.torque(field, own) * self.data.keep
             if bool((torque.square().sum(1).sqrt() > NOTHING * sizes).any()):
                 pairs.append((field, own))
         robot = self.nominal.with_parameters(InertialParameters(found.pi))
@@ -287,15 +284,17 @@ class Projector:
         weighted = (matrix * self.weight).flatten(1)
         # Of each coefficient its field, and where that field's first one is.
         names = [f for f in self.fields for _ in f.coefficients]
+        counts = self.data.keep.sum(1).clamp(min=1)
         out = []
         for pairs in alike.values():
-            torque = torch.zeros_like(self.torque)
-            for effect, values in pairs:
-                columns = self.columns.on_all_joints(effect)
-                torque += torch.tensordot(torch.tensor(values, dtype=torch.float64), columns, 1)
+            torque = torch.stack([self.columns.torque(*pair) for pair in pairs]).sum(0)
             z = (torque * self.weight).flatten()
             x = response(self.quadratic, self.room, self.found, weighted @ z)
             left = float((z - x @ weighted).norm() / z.norm().clamp(min=1e-300))
+            made, lost = (
+                float(((one * self.data.keep).square().sum(1) / counts).sum().sqrt())
+                for one in (torque, torque - torch.tensordot(x, matrix, 1))
+            )
             # The field that carries most of what is kept; all bodies are one.
             sizes = [float((x[:bodies] @ weighted[:bodies]).norm())]
             sizes += (x[bodies:].abs() * weighted[bodies:].norm(dim=1)).tolist()
@@ -305,5 +304,5 @@ class Projector:
             if k >= 0:
                 value = float(self.found.coefficients[names.index(names[k])])
                 carrier = (WORDS[names[k].name], names[k].joints[0], value)
-            out.append(Kept(pairs[0][0], joints, max(0.0, 1 - left), *carrier))
+            out.append(Kept(pairs[0][0], joints, max(0.0, 1 - left), *carrier, made, lost))
         return tuple(sorted(out, key=lambda one: one.share))

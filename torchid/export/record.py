@@ -1,5 +1,7 @@
 """What was exported or corrected, as JSON: schemas torchid.export/1 and torchid.correction/1."""
 
+import math
+
 import msgspec
 from msgspec import UNSET, UnsetType
 
@@ -105,6 +107,8 @@ class KeptRecord(Part, frozen=True, kw_only=True, rename={"share": "kept", "fiel
     field: str
     joint: Joint | None
     value: float | None
+    made: Real = math.nan
+    lost: Real = math.nan
 
 
 class BodiesRecord(Part, frozen=True, kw_only=True):

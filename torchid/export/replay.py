@@ -21,11 +21,11 @@ from torchid.design.segments import Samples, Segment
 from torchid.effects.registry import nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.engines import Drake, mujoco_model, mujoco_places, pinocchio_torque
-from torchid.export.joint_dynamics import Target
 from torchid.robot.model import Robot
 from torchid.simulation.loads import changes_measurement
 from torchid.simulation.open_loop import true_torque
 from torchid.simulation.shooting import Windows
+from torchid.simulators.joint_dynamics import Target
 from torchid.typing import Float
 
 DRAKE_STEP = 1e-3

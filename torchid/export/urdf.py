@@ -15,7 +15,6 @@ from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued
 from torchid.errors import TorchidError
 from torchid.export.exact_text import roll_pitch_yaw_of, text
-from torchid.export.joint_dynamics import JointDynamics, dynamics_of_links
 from torchid.export.xml_tree import (
     DECLARATION,
     XmlFile,
@@ -32,6 +31,7 @@ from torchid.robot.model import JointType, Limits, Robot, free_name
 from torchid.robot.tree import Choice, choose
 from torchid.robot.urdf import urdf_tree
 from torchid.robot.xml_numbers import TENSOR, parse_xml
+from torchid.simulators.joint_dynamics import JointDynamics, dynamics_of_links
 from torchid.typing import Tensor
 
 

@@ -10,7 +10,6 @@ from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.checks import Comparison, compared
 from torchid.export.dynamics import Dynamics, described, folded, records, robot_torque
 from torchid.export.engines import check_drake, check_mujoco, check_pinocchio
-from torchid.export.joint_dynamics import JointDynamics, Target, split
 from torchid.export.keeping import Draft, kept, staged
 from torchid.export.mjcf import add_motors, edited_mjcf, new_mjcf
 from torchid.export.servo_mjcf import check_servos, write_servos
@@ -20,6 +19,7 @@ from torchid.robot.library import load_robot
 from torchid.robot.model import STANDARD_GRAVITY, Robot
 from torchid.robot.sidecar import sidecar_path, sidecar_yaml
 from torchid.robot.tree import Choice, choice_of
+from torchid.simulators.joint_dynamics import JointDynamics, Target, split
 
 SAME_FRAMES = 1e-9
 """Largest difference of entries of two poses of a frame that counts as the same [-; m]."""

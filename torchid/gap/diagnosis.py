@@ -7,6 +7,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from torchid.design.columns import Columns, Model
+from torchid.design.segments import EDGE, Samples, Segment
 from torchid.effects.base import PLACES, Coefficient, Effect, Motion
 from torchid.effects.registry import Valued
 from torchid.gap.record import (
@@ -40,6 +42,7 @@ from torchid.results.words import count, effect_words, joints_words, listed
 from torchid.robot.model import JointType, Robot
 from torchid.robot.writer import write_robot
 from torchid.simulation.two_models import Rollout
+from torchid.simulators.nearest_fields import NearestFields, nearest_fields
 from torchid.typing import Bool, Float, Tensor
 
 if TYPE_CHECKING:
@@ -335,8 +338,22 @@ class TorqueDiagnosis(Diagnosis):
             residual=self.residual,
             small=self.small,
             knowledge=self.knowledge,
+            nearest_fields=self.nearest_fields,
             answer=self.answer,
         )
+
+    @cached_property
+    def nearest_fields(self) -> tuple[NearestFields, ...]:
+        """What MJCF and URDF say of effects that they have no field for, along this log."""
+        segments = [
+            Segment(t.name, t.rate, self.band, t.motion, t.measured, own_velocity=False)
+            for t in self.traces
+            if len(t.valid) > 3 * EDGE * t.rate / self.band
+        ]
+        if not segments or not self.findings:
+            return ()
+        columns = Columns(Model.of(self.corrected), Samples(segments, self.band))
+        return (*nearest_fields(columns, "mjcf"), *nearest_fields(columns, "urdf"))
 
     @cached_property
     def answer(self) -> Answer:

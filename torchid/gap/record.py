@@ -23,6 +23,7 @@ from torchid.results.replication import Replication
 from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
 from torchid.simulation.two_models import Rollout
+from torchid.simulators.nearest_fields import NearestFields
 from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:
@@ -467,6 +468,8 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
         residual: what is left, joint by joint; none in older files.
         small: effects that are there and below what was asked for.
         knowledge: what was known before, and what this log adds.
+        nearest_fields: for effects of `corrected` that an MJCF or URDF has no field for; none in
+            older files.
         seed: of everything random, from a command.
     """
 
@@ -491,6 +494,7 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
     residual: tuple[Residual, ...] = ()
     small: tuple[SmallEffect, ...] = ()
     knowledge: Known | None = None
+    nearest_fields: tuple[NearestFields, ...] = ()
     seed: int | msgspec.UnsetType = msgspec.UNSET
 
     @property

@@ -3,23 +3,26 @@ its joints as text for a simulator's file."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from xml.sax.saxutils import quoteattr
 
 import torch
 
+from torchid.effects.registry import KINDS
 from torchid.export.correct_positions import WINDOW_S
 from torchid.export.correction import Correction
 from torchid.export.export import Export
-from torchid.export.joint_dynamics import Target, split
 from torchid.export.mjcf import ATTRIBUTES
 from torchid.export.projection import Kept
 from torchid.export.randomisation import Randomisation
 from torchid.export.record import RangeRow
 from torchid.feasibility.margins import inertia_eigenvalues
-from torchid.report.table import Shown, Table, cells, filled, joint_numbers
-from torchid.results.words import count, listed
+from torchid.report.table import Shown, Table, cells, filled, joint_numbers, joint_unit, torque_unit
+from torchid.results.words import count, effect_words, joints_words, listed
 from torchid.robot.model import JointType, Robot
 from torchid.simulation.servo import Servos
+from torchid.simulators.joint_dynamics import JointDynamics, Target, split
+from torchid.simulators.nearest_fields import NearestFields
 
 
 def export_shown(done: Export) -> Shown:
@@ -140,7 +143,9 @@ def correction_tables(done: Correction) -> list[Table]:
     kept = [_kept(one, projection.to) for one in projection.kept]
     band = f"error of the torque, while a joint moves, below {judged.band:.3g} Hz [%]"
     after = "simulated motion, given the measured torque: error after a while [deg; mm]"
-    beside = "effects without a field, which stay beside the file"
+    beside = (
+        f"effects without a field, which stay beside the file (lost: RMS, {torque_unit(nominal)})"
+    )
     return filled(
         Table(band, ("", *joints, "mean"), errors, words=("",)),
         Table(after, ("after", "model", *joints), motion, words=("model",)),
@@ -157,6 +162,7 @@ def _kept(one: Kept, to: str) -> tuple[str, str, str]:
     else:
         field = "friction" if to == "urdf" and one.field == "frictionloss" else one.field
         words += f"{field} {one.value:.3g} of joint {one.joint + 1}"
+    words += f"; {one.lost:.2g} of {one.made:.2g} lost"
     return one.effect.name.replace("_", " "), joints, words
 
 
@@ -217,12 +223,13 @@ def ranges_table(ranges: Sequence[RangeRow]) -> Table:
     )
 
 
-def simulator_block(robot: Robot) -> str:
-    """Attributes of the joints for MJCF and URDF; what a format has no field for is named in a
-    comment, and `torchid export` puts it beside the file.
+def simulator_block(robot: Robot, nearest: Sequence[NearestFields] = ()) -> str:
+    """Attributes of the joints for MJCF and URDF. Of an effect without a field the nearest fields
+    are in them, and a comment says what is lost; what none comes near is named there, too.
 
     Args:
         robot: corrected.
+        nearest: of its effects without a field.
 
     >>> from torchid import load_robot
     >>> print(simulator_block(load_robot("3r_friction")).splitlines()[1].split(" damping")[0])
@@ -232,20 +239,45 @@ def simulator_block(robot: Robot) -> str:
     formats: tuple[Target, ...] = ("mjcf", "urdf")
     for to in formats:
         mjcf = to == "mjcf"
-        joints, rest = split(robot, to)
+        held, rest = split(robot, to)
+        joints, own = list(held), [row for row in nearest if row.to == to]
+        for row in own:
+            joints[row.joint] = replace(joints[row.joint], **row.fields)
         angles = ', of a file with <compiler angle="radian"/>' if mjcf else ""
         lines.append(f"<!-- {to.upper()}: into the joint of the same name{angles} -->")
-        for name, own in zip(robot.joint_names, joints, strict=True):
-            if mjcf:
-                given = {key: getattr(own, attribute) for key, attribute in ATTRIBUTES.items()}
-                given |= {"springref": own.rest} if own.stiffness else {}
-                said = "".join(f' {key}="{value:.6g}"' for key, value in given.items() if value)
-                line = f"<joint name={quoteattr(name)}{said}/>"
-            else:
-                said = f'damping="{own.damping:.6g}" friction="{own.friction:.6g}"'
-                line = f"<joint name={quoteattr(name)}> <dynamics {said}/> </joint>"
-            lines.append(line)
+        for name, one in zip(robot.joint_names, joints, strict=True):
+            said = _attributes(one, to).items()
+            text = "".join(f' {key}="{value:.6g}"' for key, value in said if value or not mjcf)
+            text = f"{text}/>" if mjcf else f"> <dynamics{text}/> </joint>"
+            lines.append(f"<joint name={quoteattr(name)}{text}")
+        lines += [f"<!-- {_nearest(row, held[row.joint], robot)} -->" for row in own]
         # A double hyphen would end a comment.
-        left = listed(list(dict.fromkeys(effect.name for effect, _ in rest))).replace("--", "-")
-        lines += [f"<!-- no field for: {left} -->"] if rest else []
+        told = {name for row in own for name in row.effects}
+        left = dict.fromkeys(effect.name for effect, _ in rest if effect.name not in told)
+        lines += [f"<!-- no field for: {listed(list(left)).replace('--', '-')} -->"] if left else []
     return "\n".join(lines)
+
+
+def _attributes(joint: JointDynamics, to: Target) -> dict[str, float]:
+    """Attributes of a joint, as the format calls them."""
+    if to == "urdf":
+        return {"damping": joint.damping, "friction": joint.friction}
+    given = {key: getattr(joint, attribute) for key, attribute in ATTRIBUTES.items()}
+    return given | ({"springref": joint.rest} if joint.stiffness else {})
+
+
+def _nearest(row: NearestFields, held: JointDynamics, robot: Robot) -> str:
+    """What the fields say of a joint's effects without one, and what is lost."""
+    effects = [f"{effect_words(name)} ({KINDS[name].signature})" for name in row.effects]
+    what = f"{joints_words([row.joint])}, {listed(effects)}:"
+    made = f"{row.made:.2g} {joint_unit(robot, row.joint)} RMS"
+    if not row.fields:
+        return f"{what} no field comes near; all {made} are lost"
+    before = _attributes(held, row.to)
+    after = _attributes(replace(held, **row.fields), row.to)
+    said = [
+        f"{key} {value:.3g} instead of {before.get(key, 0):.3g}"
+        for key, value in after.items()
+        if value != before.get(key, 0)
+    ]
+    return f"{what} the nearest is {listed(said)}; {row.lost:.2g} of {made} are lost"

@@ -377,7 +377,9 @@ def page_tables(record: GapRecord) -> list[Table]:
 
 def block(record: GapRecord) -> str:
     """The joints' attributes for a simulator's file."""
-    return simulator_block(record.corrected) if record.corrected and record.which else ""
+    if record.corrected is None or not record.which:
+        return ""
+    return simulator_block(record.corrected, record.nearest_fields)
 
 
 def coefficient_table(record: GapRecord) -> Table:

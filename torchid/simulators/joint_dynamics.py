@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from torchid.effects.base import Effect
-from torchid.effects.registry import Valued, nominal_effects
+from torchid.effects.base import Effect, JointEffect
+from torchid.effects.registry import KINDS, Valued, nominal_effects
 from torchid.robot.model import Robot
 
 Target = Literal["mjcf", "urdf", "drake"]
@@ -47,6 +47,16 @@ def attributes_in(to: Target, effect: Effect, values: Sequence[float]) -> dict[s
     """What an effect adds to its joint's fields in a format; None where it has no field there."""
     added = effect.attributes(values)
     return added if added is not None and SAID[to].issuperset(added) else None
+
+
+def kinds_in(to: Target) -> dict[type[JointEffect], tuple[str, ...]]:
+    """Effects that a format's joints have fields for, and a field for each coefficient."""
+    ones = {
+        kind: attributes_in(to, kind.exemplar(0), [1.0] * len(kind.coefficients))
+        for kind in KINDS.values()
+        if issubclass(kind, JointEffect)
+    }
+    return {kind: tuple(added) for kind, added in ones.items() if added is not None}
 
 
 def dynamics_of_links(robot: Robot, joints: Sequence[JointDynamics]) -> tuple[JointDynamics, ...]:
