@@ -103,6 +103,24 @@ def test_a_known_coefficient_that_changed_is_told_with_before_and_after() -> Non
     assert found.plain()["which"][0]["changed"][0]["name"] == change.name
 
 
+def test_a_change_is_no_less_sure_than_what_was_known() -> None:
+    """By five of its own standard deviations: what was known is exact, no block of one degree of
+    freedom, whose Student's quantile would be six times as wide."""
+    model, name = first().corrected, "viscous_friction Fv2"
+    known = model.knowledge
+    assert known is not None
+    root = known.root.clone()
+    root[:, known.rigid + known.coefficients.index(name)] *= known.std(name) / 0.3
+    open_one = replace(model, knowledge=replace(known, root=root))
+    worn = arm(friction(1, Fv=0.8), friction(2, Fc=0.5), friction(2, Fv=2.5), friction(3, Fc=0.2))
+    found = torchid.diagnose(open_one, log_of(worn, SECOND), settings=settings())
+    assert names(found) == {("viscous_friction", (1,))}
+    (change,) = found.findings[0].changed
+    assert change.before_std == pytest.approx(0.3, rel=0.05)
+    assert found.findings[0].std[0] < change.before_std
+    assert found.findings[0].how_sure > 0.999
+
+
 def test_a_load_is_told_beside_what_is_known() -> None:
     loaded = replace(carrying(0.8, (0.0, 0.0, 0.1), 0.002), effects=TRUE.effects)
     found = torchid.diagnose(first().corrected, log_of(loaded, SECOND), settings=settings())

@@ -1,5 +1,7 @@
 """The leverage-corrected block jackknife: what it is, what leaves it as it is, what it covers."""
 
+import math
+
 import pytest
 import torch
 from hypothesis import given, settings
@@ -189,3 +191,49 @@ def test_more_columns_than_a_block_has_rows():
     assert found.blocks == 20
     assert bool((found.std > 0).all())
     assert x.shape == found.std.shape
+
+
+def test_what_was_known_is_no_block_of_one_degree_of_freedom():
+    """A coefficient known to 0.5 beforehand, and by how much it has changed: blocks tell their sum,
+    and of the change alone what was known tells, as exactly as it was known."""
+    g = torch.Generator().manual_seed(4)
+    column = torch.randn(4000, 1, generator=g, dtype=torch.float64)
+    block, left = torch.arange(4000) // 200, torch.randn(4000, generator=g, dtype=torch.float64)
+    known = torch.diag(torch.tensor([0.5**-2, 0.0], dtype=torch.float64))
+    found = fit_statistics(column.repeat(1, 2), left, block, variance=1.0, known=known)
+    data = float(fit_statistics(column, left, block, variance=1.0).std[0])
+    change = float(found.widened()[1, 1].sqrt())
+    assert change == pytest.approx(math.hypot(0.5, data), rel=0.02)
+    both = torch.ones(2, dtype=torch.float64)
+    assert float((both @ found.widened() @ both).sqrt()) == pytest.approx(data, rel=0.2)
+
+
+def test_with_what_was_known_the_covariance_is_the_spread_of_the_solution():
+    """Rows of white noise, and values drawn as they are known."""
+    g = torch.Generator().manual_seed(5)
+    columns = torch.randn(300, 3, generator=g, dtype=torch.float64)
+    root = torch.tensor([[12.0, 3.0, 0.0], [0.0, 9.0, 0.0], [0.0, 0.0, 20.0]], dtype=torch.float64)
+    known, block = root.T @ root, torch.arange(300) // 5
+    total = columns.T @ columns + known
+    spread, told = [], []
+    for _ in range(400):
+        noise = torch.randn(300, generator=g, dtype=torch.float64)
+        drawn = root.T @ torch.randn(3, generator=g, dtype=torch.float64)
+        x = torch.linalg.solve(total, columns.T @ noise + drawn)
+        spread.append(x.outer(x))
+        told.append(fit_statistics(columns, noise - columns @ x, block, known=known))
+    true = torch.stack(spread).mean(0)
+    mean = torch.stack([f.covariance + f.given for f in told]).mean(0)
+    unit = true.diagonal().sqrt()
+    assert float(((mean - true) / unit / unit[:, None]).abs().max()) < 0.15
+
+
+def test_nothing_known_is_no_known():
+    g = torch.Generator().manual_seed(6)
+    columns = torch.randn(200, 4, generator=g, dtype=torch.float64)
+    left, block = torch.randn(200, generator=g, dtype=torch.float64), torch.arange(200) // 10
+    one = fit_statistics(columns, left, block)
+    two = fit_statistics(columns, left, block, known=torch.zeros(4, 4, dtype=torch.float64))
+    assert torch.equal(one.covariance, two.covariance)
+    assert not two.given.any()
+    assert torch.equal(one.freedom, two.freedom)

@@ -13,7 +13,6 @@ from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
 from torchid.robot.knowledge import NOTHING, Knowledge, coefficient_keys
 from torchid.robot.model import Robot
 from torchid.statistics.jackknife import fit_statistics
-from torchid.statistics.proportion import HALF_95
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -79,8 +78,7 @@ def robust_root(
     into = scale.unsqueeze(1) * axes[there].T / values[there]
     back = values[there].unsqueeze(1) * axes[there] * size
     found = fit_statistics(table @ into, rest, block, variance=1.0)
-    wide = torch.where(found.by_one_block, 1.0, found.quantile() / HALF_95)
-    spread, mixed = torch.linalg.eigh(found.covariance * wide * wide.unsqueeze(1))
+    spread, mixed = torch.linalg.eigh(found.widened())
     return (mixed.T @ back) / spread.clamp(min=1.0).sqrt().unsqueeze(1)
 
 

@@ -22,6 +22,10 @@ of freedom are those of the chi square with the mean and variance that V has for
 (Bell and McCaffrey 2002; Imbens and Kolesar 2016); K - 1 where all blocks are alike. Intervals take
 Student's quantile with them.
 
+What was known beforehand is no block: its variance is given. It counts in H, and its inverse
+covariance P adds H^-1 P H^-1 to V, exactly, beside the spread of the blocks and its few degrees of
+freedom.
+
 For Huber's estimate g sums psi(r) a over a block's rows and H sums a a' over its rows that are not
 clipped. Repeating the fit with the weights held would take clipped rows for informative ones, and
 give standard deviations that are a sixth too small.
@@ -33,6 +37,7 @@ import torch
 from scipy.special import stdtrit
 
 from torchid.statistics.blocks import block_products
+from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Int, Tensor
 
 LEVERAGE = 0.75
@@ -52,14 +57,16 @@ class Jackknife:
     """Covariance of P parameters, from the spread between blocks.
 
     Attributes:
-        covariance: (P, P); zero along directions that no block determines.
-        freedom: (P,) degrees of freedom of each variance, between 1 and `blocks` - 1.
+        covariance: (P, P) from the blocks; zero along directions that none determines.
+        given: (P, P) from what was known beforehand; zero of nothing.
+        freedom: (P,) degrees of freedom of the blocks' variances, between 1 and `blocks` - 1.
         by_one_block: (P,) parameters that one block alone determines: blocks cannot tell of their
             spread, and their variance is that for white residuals, a lower bound.
         blocks: number of blocks that hold anything.
     """
 
     covariance: Float[Tensor, "P P"]
+    given: Float[Tensor, "P P"]
     freedom: Float[Tensor, " P"]
     by_one_block: Bool[Tensor, " P"]
     blocks: int
@@ -67,7 +74,13 @@ class Jackknife:
     @property
     def std(self) -> Float[Tensor, " P"]:
         """Standard deviations (P,)."""
-        return self.covariance.diagonal().clamp(min=0).sqrt()
+        return (self.covariance + self.given).diagonal().clamp(min=0).sqrt()
+
+    def widened(self) -> Float[Tensor, "P P"]:
+        """The covariance (P, P) of which `HALF_95` deviations are the 95 % interval: of few
+        blocks Student's; of one alone, and of what was known, that of a normal variable."""
+        wide = torch.where(self.by_one_block, 1.0, self.quantile() / HALF_95)
+        return self.covariance * wide * wide.unsqueeze(1) + self.given
 
     def quantile(self, level: float = 0.95) -> Float[Tensor, " P"]:
         """Half-widths (P,) of two-sided intervals, in standard deviations."""
@@ -90,6 +103,7 @@ def jackknife(
     *,
     variance: float = 0.0,
     combinations: Float[Tensor, "Q P"] | None = None,
+    known: Float[Tensor, "P P"] | None = None,
 ) -> Jackknife:
     """Covariance of a least-squares (or Huber) solution from its blocks' normal equations.
 
@@ -100,16 +114,20 @@ def jackknife(
         combinations: (Q, P) linear combinations whose covariance is asked for; the parameters
             themselves if None. A caller whose columns are nearly dependent passes H and g in
             coordinates from a QR factor, and here the way back.
+        known: (P, P) inverse covariance of what was known of the parameters beforehand, in units of
+            the rows' residuals, with which they were solved for; nothing if None.
     """
     # Coordinates of unit Gram: columns of length one first, so that units do not matter.
-    total = hessians.sum(0)
+    before = torch.zeros_like(hessians[0]) if known is None else known
+    total = hessians.sum(0) + before
     size = total.diagonal().clamp(min=0).sqrt()
     scale = torch.where(size > 0, 1 / size, 0.0)
     values, vectors = torch.linalg.eigh(total * scale * scale.unsqueeze(1))
     kept = values > DETERMINED * values.sum()
     root = scale.unsqueeze(1) * vectors[:, kept] / values[kept].sqrt()
     back = root if combinations is None else combinations @ root  # (Q, D)
-    held = root.T @ hessians @ root  # (K, D, D), sums to 1: what each block holds of a direction
+    # (K, D, D), with what was known sums to 1: what each block holds of a direction.
+    held = root.T @ hessians @ root
     # Each block's pull, raised by as much as the solution followed it.
     left, axes = torch.linalg.eigh(torch.eye(held.shape[-1]).to(held) - held)
     alone = left < ALONE
@@ -125,7 +143,8 @@ def jackknife(
     covariance = covariance + torch.diag(torch.where(lone, short, 0.0))
     blocks = int((held.diagonal(dim1=1, dim2=2).sum(-1) > 0).sum())
     freedom = _degrees_of_freedom(adjusted, held).clamp(1, max(1, blocks - 1))
-    return Jackknife(covariance, freedom, lone, blocks)
+    given = back @ (root.T @ before @ root) @ back.T
+    return Jackknife(covariance, given, freedom, lone, blocks)
 
 
 def _degrees_of_freedom(
@@ -152,6 +171,7 @@ def fit_statistics(
     block: Int[Tensor, " R"],
     robust: Float[Tensor, " R"] | None = None,
     variance: float | None = None,
+    known: Float[Tensor, "C C"] | None = None,
 ) -> Jackknife:
     """Covariance of a least-squares fit from its columns and its residual.
 
@@ -163,6 +183,7 @@ def fit_statistics(
             residual without them.
         variance: of a row, for parameters that one block alone determines; as if the residual were
             white if None.
+        known: (C, C) inverse covariance of what was known beforehand; see `jackknife`.
     """
     pull, informative = residual, columns
     if robust is not None:
@@ -173,7 +194,7 @@ def fit_statistics(
     gradients = block_products(columns, pull.unsqueeze(1), block, count).squeeze(-1)
     if variance is None:
         variance = float((pull * residual).sum()) / max(1, len(residual) - columns.shape[1])
-    return jackknife(hessians, gradients, variance=variance)
+    return jackknife(hessians, gradients, variance=variance, known=known)
 
 
 def from_left_out(estimates: Float[Tensor, "K P"]) -> Jackknife:
@@ -184,6 +205,7 @@ def from_left_out(estimates: Float[Tensor, "K P"]) -> Jackknife:
     p = estimates.shape[1]
     return Jackknife(
         (k - 1) / k * spread.T @ spread,
+        estimates.new_zeros(p, p),
         torch.full((p,), float(max(1, k - 1))).to(estimates),
         torch.zeros(p, dtype=torch.bool),
         k,

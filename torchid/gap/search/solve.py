@@ -22,7 +22,6 @@ from torchid.gap.search.evidence import prior_of
 from torchid.gap.search.terms import BASE, LINK, Term, Wanted, term_columns
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.jackknife import fit_statistics
-from torchid.statistics.proportion import HALF_95
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -143,22 +142,15 @@ def solved(
     assert best is not None
     if not len(best.a):
         return best
-    # Standard deviations from the spread of whole blocks of samples, all joints together; what is
-    # known beforehand is as many measurements more, of which each is a block of its own.
+    # Standard deviations from the spread of whole blocks of samples, all joints together, and from
+    # what is known beforehand. Few blocks tell little of a spread, and one alone nothing: rows are
+    # in units of what an independent sample leaves.
     whole = torch.cat(best.values)
-    sizes, axes = torch.linalg.eigh(known.squares)
-    there = sizes > 1e-12 * sizes[-1:].clamp(min=1e-300)
-    before = axes[:, there].T * sizes[there].sqrt().unsqueeze(1)
-    table = torch.cat([(best.a * weight).flatten(1).T, before])
-    rest = torch.cat([(best.left * weight).flatten(), torch.ones(len(before)).double()])
-    own = int(block.max()) + 1 + torch.arange(len(before))
-    # Few blocks tell little of a spread, and one alone nothing: rows are in units of what an
-    # independent sample leaves.
     found = fit_statistics(
-        table, rest, torch.cat([block.repeat(len(best.left)), own]), variance=1.0
-    )
-    wide = torch.where(found.by_one_block, 1.0, found.quantile() / HALF_95)
-    covariance = found.covariance * wide * wide.unsqueeze(1)
+        (best.a * weight).flatten(1).T, (best.left * weight).flatten(),
+        block.repeat(len(best.left)), variance=1.0, known=known.squares,
+    )  # fmt: skip
+    covariance = found.widened()
     # With another scale of a joint's torque all coefficients of its effects have it, too; those of
     # the whole arm have that of all joints.
     places = [-1 if t.place is None else t.place for t in best.terms for _ in t.at]
