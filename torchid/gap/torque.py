@@ -21,15 +21,29 @@ from torchid.gap.localise.where import where
 from torchid.gap.noise.floor import sliding_only
 from torchid.gap.record import Budget, Parametric
 from torchid.gap.search.explain import explained, gone_on, without_terms
+from torchid.gap.search.findings import (
+    describe_findings,
+    judge_terms,
+    next_experiment,
+    not_testable,
+    unsure_terms,
+)
 from torchid.gap.search.joint_fits import joint_fits
 from torchid.gap.search.known import after_log, known_of
 from torchid.gap.search.small import small_effects
-from torchid.gap.search.told import next_experiment, not_testable, told
 from torchid.gap.search.wanted import pushes, start_of, wanted_of
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import budget, residuals
 from torchid.gap.validate.folds import make_folds
-from torchid.gap.validate.judge import blocks_of, check, harmful, refitted, status_of, warnings_of
+from torchid.gap.validate.judge import (
+    blocks_of,
+    check,
+    harmful,
+    misfit_of,
+    refitted,
+    status_of,
+    warnings_of,
+)
 from torchid.identification.knowledge import known_names
 from torchid.log.model import Log
 from torchid.results.answer import ordered
@@ -102,29 +116,29 @@ def diagnose_torque(
     # not, until nothing does. Of the first something was there that it took the place of.
     least = found.question.least(found.empty.losses / found.question.normal.rows.clamp(min=1.0))
     taken = False
-    said = told(found)
     while True:
         gone = harmful(found, checked, least)
         taken |= bool(gone)
         refused = list(gone)
         if gone:
             found = without_terms(found, gone, data, block)
-            said = told(found)
-        while said.unsure:
-            refused += said.unsure[:1]
-            found = without_terms(found, said.unsure[:1], data, block, small=True)
-            said = told(found)
+        misfit = misfit_of(found, checked, data)
+        terms = judge_terms(found, misfit)
+        while unsure := unsure_terms(terms):
+            refused += unsure[:1]
+            found = without_terms(found, unsure[:1], data, block, small=True)
+            terms = judge_terms(found, misfit)
         if not refused:
             break
         found = gone_on(found, refused, data, block)
-        said = told(found)
         checked = check(found, data, None, folds, repeats, settings, fitted_first)
     if judged is not None:
         # A held-out log takes part in no choice: it judges what was chosen.
         noise = checked.measured
         checked = check(found, data, judged, folds, repeats, settings, fitted_first, noise)
     far = checked.far
-    said = said.scaled(max(0.0, float(1 - far.rms_after.norm() / far.rms_before.norm())))
+    closed = max(0.0, float(1 - far.rms_after.norm() / far.rms_before.norm()))
+    said = describe_findings(found, terms, closed)
     if wanted.free and robot.parameters is not None:
         # With parameters always refitted: whether that alone closes a part of the gap.
         far = checked.refitted_far
@@ -140,7 +154,7 @@ def diagnose_torque(
     places |= {(x.effect, x.joints) for x in hidden}
     poor = len(hidden) > 0.5 * len(places) or data.seconds < SHORTEST
     far = checked.far
-    if not (said.findings or said.parametric):
+    if not (said.effects or said.parametric):
         far = replace(far, closed=None, closed_ci95=None)  # nothing is there that could close it
         checked = replace(checked, far=far)
     shares = Budget(0.0, 0.0, 0.0)
@@ -158,10 +172,10 @@ def diagnose_torque(
         of = {c.name: c for c in known.coefficients}
         changed = (
             replace(f, changed=tuple(of[n] for n in known_names(f.effect) if n in of))
-            for f in said.findings
+            for f in said.effects
         )
-        said = replace(said, findings=tuple(changed))
-    small = small_effects(found, data, block, robot)
+        said = replace(said, effects=tuple(changed))
+    small = small_effects(found, data, block, robot, misfit)
     result = TorqueDiagnosis(
         robot=start.described(),
         corrected=corrected,
@@ -177,7 +191,7 @@ def diagnose_torque(
         ),
         joints=joints,
         regimes=regimes,
-        findings=said.findings,
+        findings=said.effects,
         parametric=said.parametric,
         how_far=HowFar(far.rms_before, far.rms_after, far.closed, far.closed_ci95),
         budget=shares,

@@ -530,8 +530,9 @@ def common_names(terms: Iterable[Term], n: int) -> set[str]:
 def in_turn(
     question: Question, fit: Fitted, terms: Sequence[Term]
 ) -> tuple[list[float], list[float]]:
-    """What each term closes of the gap when at every turn the one joins that closes most: shares
-    that add up to one, the curve of the answer. And the loss that each term leaves alone."""
+    """What each term closes of what all close, when at every turn the one joins that closes most:
+    shares that add up to one, the curve of the answer. And the share that each term closes
+    alone."""
     weight = question.normal.rows / fit.losses.clamp(min=1e-300)
     # What is known beforehand counts as so many samples that are not independent.
     dependent = float(question.normal.rows.sum() / fit.effective.sum())
@@ -553,8 +554,9 @@ def in_turn(
         order.append(rest[k])
         left.append(loss(best))
     if left[-1] >= left[0]:  # what another sensor alone shows closes nothing
-        return [0.0] * len(terms), alone
+        return [0.0] * len(terms), [0.0] * len(terms)
     drops = [(a - b) / (left[0] - left[-1]) for a, b in itertools.pairwise(left)]
+    alone = [max(0.0, left[0] - one) / (left[0] - left[-1]) for one in alone]
     return [drops[order.index(k)] for k in range(len(terms))], alone
 
 

@@ -516,7 +516,8 @@ def _closest(
 def _again(candidates: Candidates, term: Term) -> Term | None:
     """The same term among other candidates."""
     for other in candidates.terms:
-        if other.name == term.name and other.effects == term.effects:
+        same = other.name == term.name and other.wrong == term.wrong
+        if same and other.effects == term.effects:
             return other
     return None
 

@@ -10,9 +10,9 @@ from torchid.effects.registry import EVENTS
 from torchid.gap.data import Data
 from torchid.gap.record import Fitted, JointFit
 from torchid.gap.search.explain import Explanation, settled
+from torchid.gap.search.findings import Findings
 from torchid.gap.search.solve import Solution, solved
 from torchid.gap.search.terms import BASE, LINK, Term
-from torchid.gap.search.told import Told
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.typing import Int, Tensor
 
@@ -21,7 +21,7 @@ MOST = 8
 
 
 def joint_fits(
-    found: Explanation, said: Told, data: Data, block: Int[Tensor, " N"]
+    found: Explanation, said: Findings, data: Data, block: Int[Tensor, " N"]
 ) -> tuple[JointFit, ...]:
     """The answered explanation, and those with one term in another's place whose odds against it
     are within what counts; none where nothing was fitted.

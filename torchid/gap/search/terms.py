@@ -40,6 +40,10 @@ PRIOR = 0.3
 some ten per cent. Half of it asks for 1.2 times the evidence of an error of 30 %, double hardly
 any."""
 
+WRONG = 10.0
+"""The same of a body that is plainly wrong, over that of a usual one [1]: errors of files have a
+heavy tail (an inertia in another unit, one of two halves). It has the price of a shape."""
+
 
 @dataclass(frozen=True, eq=False)
 class Term:
@@ -59,6 +63,7 @@ class Term:
         bodies: what is known of them as corrections of bodies, in the place of `sigma`, with which
             candidates are only ranked; None: nothing.
         seen: what is known of it beside the fit's torque: from other sensors, or above its band.
+        wrong: whether it is a body that may be plainly wrong.
         information: (C, F) its rows of the inverse covariance of all F coefficients of the fixed
             terms, where the model knows how sure it is: the correction is what that leaves open.
     """
@@ -74,6 +79,7 @@ class Term:
     bodies: Bodies | None = None
     seen: Compliance | Swing | None = None
     information: Float[Tensor, "C F"] | None = None
+    wrong: bool = False
 
     @cached_property
     def limits(self) -> Float[Tensor, "C 3"]:
@@ -132,10 +138,10 @@ class Term:
 
     @property
     def shapes(self) -> int:
-        """Number of its parameters that are searched beside the coefficients; none of the model's
-        own effect, whose shape is given."""
+        """Number of its parameters that are searched beside the coefficients, how wrong a body may
+        be among them; none of the model's own effect, whose shape is given."""
         own = any(self.known) and not self.inertial
-        return len(self.effects[0].shapes) if self.effects and not own else 0
+        return len(self.effects[0].shapes) if self.effects and not own else int(self.wrong)
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,9 +375,14 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
         if wanted.inertial and LINK in wanted.names and link in robot.own_links:
             effect = KINDS[LINK](robot.own_links.index(link))  # type: ignore[call-arg]
             known, near = tuple(pi[link].tolist()), links[link] if links else None
-            out.append(
-                Term(LINK, (effect,), None, at, effect.coefficients, known, (), sigma[link], near)
+            term = Term(
+                LINK, (effect,), None, at, effect.coefficients, known, (), sigma[link], near
             )
+            out.append(term)
+            if near is not None:
+                metric = near.metric / WRONG**2
+                near, wide = replace(near, metric=metric), WRONG * sigma[link]
+                out.append(replace(term, sigma=wide, bodies=near, wrong=True))
     described = (Coefficient("", "", False, "a base parameter"),)
     if links and not wanted.free:
         # All links at once: whatever base parameters do, and no more.

@@ -13,11 +13,11 @@ from torchid.gap.noise.floor import Noise, noise_of
 from torchid.gap.record import Status
 from torchid.gap.search.evidence import fit_terms
 from torchid.gap.search.explain import Explanation
+from torchid.gap.search.findings import Findings
 from torchid.gap.search.solve import Solution, solved
 from torchid.gap.search.terms import BASE, Term, Wanted, fixed_terms
-from torchid.gap.search.told import Told
 from torchid.gap.settings import GapSettings
-from torchid.gap.validate.closing import Closing, closing, levels
+from torchid.gap.validate.closing import Closing, closing, known_noise, levels
 from torchid.gap.validate.folds import FEW, Folds, traces
 from torchid.robot.model import Robot, joint_list
 from torchid.statistics.autocorrelation import integrated_time
@@ -127,6 +127,14 @@ def check(
     )
 
 
+def misfit_of(found: Explanation, checked: Checked, data: Data) -> Float[Tensor, " n"]:
+    """Mean square (n,) of what an explanation leaves in the fit's band and is no noise: noise is
+    white, or as repeats measure it."""
+    rows = found.question.normal.rows.clamp(min=1.0)
+    share = min(1.0, data.samples.cutoff / data.band)
+    return (found.fit.losses / rows - share * known_noise(checked.noise.floor)).clamp(min=0)
+
+
 def harmful(found: Explanation, checked: Checked, least: Float[Tensor, " n"]) -> list[Term]:
     """Terms that do no good on data that was not fitted: those of a joint that gets worse; those
     that several joints feel, where the one they are located at gets worse by what would be worth a
@@ -152,7 +160,7 @@ def harmful(found: Explanation, checked: Checked, least: Float[Tensor, " n"]) ->
 
 
 def status_of(
-    said: Told,
+    said: Findings,
     checked: Checked,
     least: Float[Tensor, " n"],
     poor: bool,
@@ -187,7 +195,7 @@ def status_of(
     if noise.floor.source != "repeats":
         odd = clear = torch.zeros_like(odd)  # of the noise there is an upper bound only
     unexplained = bool((odd | clear | ((noise.structure > STRUCTURE) & (beyond > least))).any())
-    if not (said.findings or said.parametric):
+    if not (said.effects or said.parametric):
         if unexplained or taken:
             return "detected_unexplained"
         if poor or hidden:
@@ -195,7 +203,7 @@ def status_of(
         return "negligible" if small else "no_gap"
     if unexplained or not (shown or (far.improves and far.closed is not None)):
         return "detected_unexplained"
-    return "explained" if said.findings else "parametric_only"
+    return "explained" if said.effects else "parametric_only"
 
 
 def warnings_of(

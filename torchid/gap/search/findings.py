@@ -2,10 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
-from msgspec import structs
 from scipy.special import chdtrc
 
 from torchid.design.gram import VISIBLE
@@ -32,16 +31,13 @@ from torchid.gap.search.evidence import (
     risen,
 )
 from torchid.gap.search.explain import Explanation
+from torchid.gap.search.odds import LIKELY, Odds, odds
 from torchid.gap.search.planting import Planting, planted
-from torchid.gap.search.replication import replication
-from torchid.gap.search.solve import Solution
+from torchid.gap.search.replication import OwnTorque, own_torque, replication
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
-from torchid.typing import Int, Tensor
-
-LIKELY = 0.5
-"""Probability from which a cause is told by its name."""
+from torchid.typing import Float, Int, Tensor
 
 RIVALS = 5
 """Others that are planted in the place of a cause."""
@@ -54,95 +50,107 @@ HOPELESS = 3600.0
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
-    """What is told of an explanation.
+class Judged:
+    """A term of an explanation, and what may be there in its place.
 
     Attributes:
-        findings: effects, the largest share first.
-        parametric: corrections of inertial parameters.
-        open: (term, best alternative that other data could separate from it).
-        rivals: (rise of the evidence, term, alternative in its place), as far as within the odds.
-        unsure: terms that are less likely there than not, the least likely first: no names.
+        term: which.
+        without: the other terms, fitted without it.
+        tried: all that were tried in its place, with the rise of the evidence, the best first.
+        others: those of them that it cannot be told from.
+        odds: of everything that may be there.
+        own: torque that it alone makes.
     """
 
-    findings: tuple[Finding, ...]
-    parametric: tuple[Parametric, ...]
-    open: tuple[tuple[Term, Term], ...]
-    rivals: tuple[tuple[float, Term, Term], ...]
-    unsure: tuple[Term, ...] = ()
+    term: Term
+    without: Fitted
+    tried: tuple[tuple[float, Term], ...]
+    others: tuple[tuple[float, Term], ...]
+    odds: Odds
+    own: OwnTorque
 
-    def scaled(self, closed: float) -> "Told":
-        """The same, with shares of the error of which the causes close this share."""
-        findings = (
-            replace(f, share=closed * f.share, first=closed * f.first) for f in self.findings
-        )
-        bodies = (structs.replace(p, share=closed * p.share) for p in self.parametric)
-        return replace(self, findings=tuple(findings), parametric=tuple(bodies))
+    @property
+    def one_of_a_set(self) -> bool:
+        """Whether it is the likeliest of a set none of which is likely by itself."""
+        return self.odds.sure < LIKELY <= self.odds.set_sure and bool(self.others)
+
+    @property
+    def sure(self) -> float:
+        """Probability of it, or of the set."""
+        return self.odds.set_sure if self.one_of_a_set else self.odds.sure
 
 
-def told(found: Explanation) -> Told:
-    """Findings of an explanation, each with what it cannot be told from."""
-    question, fit = found.question, found.fit
-    weight = question.normal.rows / fit.losses.clamp(min=1e-300)
-    dependent = float(question.normal.rows.sum() / fit.effective.sum())
-    start = float((weight * found.empty.losses).sum()) + dependent * found.empty.known
-    last = float((weight * fit.losses).sum()) + dependent * fit.known
-    closable = max(start - last, 1e-12)
-    closes, alone = in_turn(question, fit, found.terms)
-    planting = Planting(question, fit)
-    findings, parametric, undecided, rivals, unsure = [], [], [], [], []
-    fixed = len(question.fixed)
+def judge_terms(found: Explanation, misfit: Float[Tensor, " n"]) -> list[Judged]:
+    """The terms of an explanation, in its order.
+
+    Args:
+        found: the explanation.
+        misfit: (n,) mean square of what it leaves and is no noise.
+    """
+    question, fit, fixed = found.question, found.fit, len(found.question.fixed)
+    out = []
     for k, term in enumerate(found.terms):
         # What the others leave, refitted.
         rest = [t for t in found.terms if t is not term]
         without = fit_terms(question, rest, fit.effective, fit.weight, 10)
-        share, first = closes[k], max(0.0, (start - alone[k]) / closable)
-        with_it, without_it = apart(question, fit, without)
-        rise = without_it.evidence - with_it.evidence
-        if term.name == PAYLOAD:
-            # All base parameters hold whatever a load does, so it is tested without them.
-            effects = [t for t in found.terms if t.name != BASE]
-            lighter = [t for t in effects if t is not term]
-            both = (
-                fit_terms(question, e, fit.effective, fit.weight, 10) for e in (effects, lighter)
-            )
-            with_it, without_it = apart(question, *both)
-        p = p_value(question, with_it, without_it, term)
         tried = likely(question, fit, without, term)
         others = alternatives(question, fit, without, term, tried)
-        names = tuple(dict.fromkeys(LINK if t.name == BASE else t.name for _, t in others))
-        # An alternative that leaves the same is the same: no data of this kind tell them apart.
-        separable = []
-        for _, other in others:
-            again = fit_terms(question, (*rest, other), fit.effective, fit.weight)
-            differs = risen(fit.effective, again.losses, fit.losses)
-            if other.name != BASE and float(differs.abs().sum()) >= 0.1:
-                separable.append(other)
-        sure = how_sure([rise, *(r for r, _ in others)])
-        values, std = (x[fixed + k] for x in (found.solution.values, found.solution.std))
-        one_of = sure < LIKELY and bool(names) and how_sure([rise]) >= LIKELY
-        if one_of:
-            sure = how_sure([rise])
-        # What happened once lies in one block, and what acts beyond a limit in few: no others can
-        # speak for it.
-        if not (term.inertial or any(e.event or e.at_ends for e in term.effects)):
-            searched = term.name not in common_names(found.terms, question.joints)
-            looks = question.looks if searched else 1.0
-            sure = min(sure, determined(found.solution, fixed + k, looks))
-        repeated = replication(found.solution, fixed + k, question.candidates.columns.samples)
-        if repeated is not None and 2 * repeated.repeats < repeated.asked:
-            sure = min(sure, repeated.repeats / repeated.asked)  # a law is so in every motion
-        if sure < LIKELY:
-            unsure.append((sure, term))
-        rivals += [(r, term, other) for r, other in others if r > -2 * math.log(ODDS)]
+        own = own_torque(found.solution, fixed + k)
+        its = odds(question, (fit, without), found.solution, fixed + k, own, misfit, others)
+        out.append(Judged(term, without, tuple(tried), tuple(others), its, own))
+    return out
+
+
+def unsure_terms(judged: Sequence[Judged]) -> list[Term]:
+    """Terms that are less likely there than not, the least likely first: no names."""
+    return [j.term for j in sorted(judged, key=lambda j: j.sure) if j.sure < LIKELY]
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What is said of an explanation.
+
+    Attributes:
+        effects: the largest share first.
+        parametric: corrections of inertial parameters.
+        open: (term, best alternative that other data could separate from it).
+        rivals: (rise of the evidence, term, alternative in its place), as far as within the odds.
+    """
+
+    effects: tuple[Finding, ...]
+    parametric: tuple[Parametric, ...]
+    open: tuple[tuple[Term, Term], ...]
+    rivals: tuple[tuple[float, Term, Term], ...]
+
+
+def describe_findings(found: Explanation, judged: Sequence[Judged], closed: float) -> Findings:
+    """Findings of an explanation, each with what it cannot be told from.
+
+    Args:
+        found: the explanation.
+        judged: its terms.
+        closed: share of the error that they close together.
+    """
+    question, fit, fixed = found.question, found.fit, len(found.question.fixed)
+    samples = question.candidates.columns.samples
+    shares, firsts = in_turn(question, fit, found.terms)
+    planting = Planting(question, fit)
+    effects, parametric, undecided, rivals = [], [], [], []
+    for k, (term, one) in enumerate(zip(found.terms, judged, strict=True)):
+        share, first = closed * shares[k], closed * firsts[k]
+        names = tuple(dict.fromkeys(LINK if t.name == BASE else t.name for _, t in one.others))
+        rivals += [(r, term, other) for r, other in one.others if r > -2 * math.log(ODDS)]
+        p = p_value(question, *_without_bodies(found, one), term)
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()
-            parametric.append(Parametric(links, share, p, names, sure))
+            parametric.append(Parametric(links, share, p, names, one.sure))
             continue
-        if separable:
-            undecided.append((term, separable[0]))
+        separable = _separable(found, one)
+        if separable is not None:
+            undecided.append((term, separable))
+        values, std = (x[fixed + k] for x in (found.solution.values, found.solution.std))
         own = found.solution.terms[fixed + k].effects
-        findings.append(
+        effects.append(
             Finding(
                 effect=own[0],
                 values=tuple(values.tolist()),
@@ -150,39 +158,47 @@ def told(found: Explanation) -> Told:
                 ambiguous_with=names,
                 std=tuple(std.tolist()),
                 p_value=p,
-                how_sure=sure,
-                one_of_a_set=one_of,
-                replication=repeated,
+                how_sure=one.sure,
+                one_of_a_set=one.one_of_a_set,
+                replication=replication(one.own, found.solution, fixed + k, samples),
                 share=share,
                 first=first,
                 notes=_notes(found, term, own[0], values, std),
                 common=len(own) > 1,
-                planted=_planted(planting, term, tried),
+                planted=_planted(planting, term, one.tried),
             )
         )
-    return Told(
-        tuple(sorted(findings, key=lambda f: -f.share)),
+    return Findings(
+        tuple(sorted(effects, key=lambda f: -f.share)),
         tuple(parametric),
         tuple(undecided),
         tuple(rivals),
-        tuple(term for _, term in sorted(unsure, key=lambda pair: pair[0])),
     )
 
 
-def determined(solution: Solution, k: int, looks: float) -> float:
-    """One less the level at which the spread between blocks would let all coefficients of a term be
-    zero (Wald 1943), for the best of so many that were looked at (Bonferroni). Evidence counts
-    samples; blocks may disagree all the same."""
-    first = sum(len(v) for v in solution.values[:k])
-    values = solution.values[k]
-    own = slice(first, first + len(values))
-    covariance = solution.covariance[own, own]
-    size = covariance.diagonal().clamp(min=1e-300).sqrt()
-    spread, axes = torch.linalg.eigh(covariance / size / size.unsqueeze(1))
-    there = spread > 1e-9 * spread[-1]
-    along = (axes.T @ (values / size))[there]
-    level = float(chdtrc(int(there.sum()), float((along.square() / spread[there]).sum())))
-    return max(0.0, 1.0 - looks * level)
+def _separable(found: Explanation, one: Judged) -> Term | None:
+    """The best alternative that other data could separate from a term: one that leaves the same is
+    the same, and no data of this kind tell them apart."""
+    question, fit = found.question, found.fit
+    rest = [t for t in found.terms if t is not one.term]
+    for _, other in one.others:
+        again = fit_terms(question, (*rest, other), fit.effective, fit.weight)
+        differs = risen(fit.effective, again.losses, fit.losses)
+        if other.name != BASE and float(differs.abs().sum()) >= 0.1:
+            return other
+    return None
+
+
+def _without_bodies(found: Explanation, one: Judged) -> tuple[Fitted, Fitted]:
+    """The explanation with a term and without it; of a load beside the effects alone, for all base
+    parameters hold whatever it does."""
+    question, fit = found.question, found.fit
+    if one.term.name != PAYLOAD:
+        return apart(question, fit, one.without)
+    effects = [t for t in found.terms if t.name != BASE]
+    lighter = [t for t in effects if t is not one.term]
+    both = (fit_terms(question, e, fit.effective, fit.weight, 10) for e in (effects, lighter))
+    return apart(question, *both)
 
 
 def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> float:
@@ -198,13 +214,6 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
     searched = term.name not in common_names(own, question.joints)
     looks = question.looks if searched else 1.0
     return min(1.0, looks * float(chdtrc(df, max(0.0, ratio))))
-
-
-def how_sure(rises: Sequence[float]) -> float:
-    """Probability of a term, from the rises of the evidence with none in its place and with each
-    alternative: the odds are exp of half of them (Kass and Raftery 1995), for the evidence holds
-    what was known beforehand and counts independent samples only."""
-    return 1 / (1 + sum(math.exp(min(0.5 * rise, 500.0)) for rise in rises))
 
 
 def likely(
@@ -342,7 +351,9 @@ def _notes(
     return tuple(out)
 
 
-def next_experiment(found: Explanation, said: Told, block: Int[Tensor, " N"]) -> Experiment | None:
+def next_experiment(
+    found: Explanation, said: Findings, block: Int[Tensor, " N"]
+) -> Experiment | None:
     """What would separate the largest ambiguity: in words, and where this log comes closest."""
     if not said.open:
         return None

@@ -1,0 +1,168 @@
+"""How sure a cause is: one probability, from one calculation.
+
+In the place of a cause there may be nothing, another effect of the library, or something that is in
+no library. The odds of each against the cause are exp of half of a rise (Kass and Raftery 1995):
+
+- nothing, or another effect: the rise of the evidence without the cause or with the other one in
+  its place. Blocks of samples may disagree by more than dependent samples do; the likelihood then
+  counts as much less as their spread says (a power of it, Grünwald and van Ommen 2017), the cost of
+  coefficients and causes stays.
+- an unknown effect: real arms leave a misfit that is no noise. A cause is told from a part of that
+  by its size and by being the same everywhere. An unknown effect as large as the misfit is as large
+  as the cause by chance with odds of exp(-t^2 / 2 U^2), t being the torque that the cause takes
+  away and U the misfit, joint by joint. A law wants the same factor in all regimes (thirds of
+  travel, speed, load, time and both directions), to a tenth or so; what stands in for something
+  else wants another one in some regime, which is not known beforehand. Where a share of a joint's
+  squares has no name, what has one may belong to it: these odds are no less than in proportion.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from torchid.effects.registry import EVENTS
+from torchid.gap.search.evidence import Fitted, Question, acting, apart, cost, risen
+from torchid.gap.search.replication import Factors, OwnTorque, motions, regimes
+from torchid.gap.search.solve import Solution
+from torchid.gap.search.terms import Term
+from torchid.typing import Float, Tensor
+
+LIKELY = 0.5
+"""Probability from which a cause is named."""
+
+LAW, PROXY = 0.1, 0.5
+"""Standard deviation between regimes of the factor by which a law is wanted, and of what stands in
+for something else [1]: friction of real arms varies by .05 to .15, causes that are not there by
+.3 to .6."""
+
+DOUBT = 4 / 9
+"""Odds of an unknown effect in the place of a cause, over the share of the joint's squares that has
+no name: with half of the RMS left a cause is 90 % sure at most."""
+
+
+@dataclass(frozen=True)
+class Odds:
+    """Twice the logarithms of the odds of what may be there in the place of a cause.
+
+    Attributes:
+        nothing: that nothing is there.
+        others: effects of the library, each with its name.
+        unknown: that something is there that is not in the library.
+    """
+
+    nothing: float
+    others: tuple[tuple[float, str], ...] = ()
+    unknown: float = -math.inf
+
+    @property
+    def sure(self) -> float:
+        """Probability of the cause."""
+        return probability([self.nothing, self.unknown, *(rise for rise, _ in self.others)])
+
+    @property
+    def set_sure(self) -> float:
+        """Probability that the cause is there or one of the others in its place."""
+        return probability([self.nothing, self.unknown])
+
+
+def probability(rises: Sequence[float]) -> float:
+    """Of what each rise is against."""
+    return 1 / (1 + sum(math.exp(min(0.5 * rise, 500.0)) for rise in rises))
+
+
+def odds(
+    question: Question,
+    fits: tuple[Fitted, Fitted],
+    solution: Solution,
+    k: int,
+    own: OwnTorque,
+    misfit: Float[Tensor, " n"],
+    others: Sequence[tuple[float, Term]] = (),
+) -> Odds:
+    """What may be there in the place of a term.
+
+    Args:
+        question: of the search.
+        fits: with the term, and of the others without it.
+        solution: with all terms; the k-th is asked.
+        own: torque of it that no other term makes.
+        misfit: (n,) mean square of what the model leaves and is no noise.
+        others: terms that may stand in its place, with the rise of the evidence.
+    """
+    now, then = apart(question, *fits)
+    term = solution.terms[k]
+    rest = then.terms[len(question.fixed) :]
+    paid = cost(question, now.terms[len(question.fixed) :], now.effective)
+    gain = float(risen(now.effective, then.losses, now.losses).sum()) + then.known - now.known
+    # What happened once lies in one block, and what acts beyond a limit in few: no others can speak
+    # for it.
+    local = any(e.event or e.at_ends for e in term.effects)
+    power = 1.0 if local or gain <= 0 else min(1.0, wald(solution, k) / gain)
+
+    def tempered(rise: float, cheaper: float) -> float:
+        """A rise of the evidence whose likelihoods count less; what is cheaper by stays."""
+        return power * (rise - cheaper) + cheaper
+
+    nothing = tempered(then.evidence - now.evidence, paid - cost(question, rest, now.effective))
+    return Odds(
+        nothing,
+        tuple(
+            (tempered(rise, paid - cost(question, [*rest, t], now.effective)), t.name)
+            for rise, t in others
+        ),
+        -math.inf if question.shows(term) else unknown(question, fits, own, term, misfit),
+    )
+
+
+def wald(solution: Solution, k: int) -> float:
+    """Squared size of a term's coefficients in standard deviations between blocks (Wald 1943)."""
+    first = sum(len(v) for v in solution.values[:k])
+    values = solution.values[k]
+    own = slice(first, first + len(values))
+    covariance = solution.covariance[own, own]
+    size = covariance.diagonal().clamp(min=1e-300).sqrt()
+    spread, axes = torch.linalg.eigh(covariance / size / size.unsqueeze(1))
+    there = spread > 1e-9 * spread[-1]
+    along = (axes.T @ (values / size))[there]
+    return float((along.square() / spread[there]).sum())
+
+
+def unknown(
+    question: Question,
+    fits: tuple[Fitted, Fitted],
+    own: OwnTorque,
+    term: Term,
+    misfit: Float[Tensor, " n"],
+) -> float:
+    """Twice the logarithm of the odds that something else than the library's is in a term's
+    place."""
+    rows = question.normal.rows.clamp(min=1.0)
+    fall = ((fits[1].losses - fits[0].losses) / rows).clamp(min=0) / acting(question, [term])
+    misfit = misfit.clamp(min=1e-12 * float(fall.max()) + 1e-300)
+    ratio = fall / misfit
+    # Where it acts, or shows most.
+    places = term.effects[0].joints if len(term.effects) == 1 else ()
+    joint = places[0] if len(places) == 1 else int(ratio.argmax())
+    rise = -float(ratio.sum())
+    if not any(e.name in EVENTS or e.at_ends for e in term.effects):
+        columns = question.candidates.columns
+        ways = [own.factors(w) for w in regimes(columns, joint, question.candidates.keep[joint])]
+        several = motions(columns.samples)
+        ways += [own.factors([rows for _, rows in several])] if len(several) > 1 else []
+        # It is not known beforehand in which way the factor of something else varies.
+        each = torch.tensor([stands_in(w) for w in ways], dtype=torch.float64)
+        rise += 2 * (float(each.logsumexp(0)) - math.log(len(each)))
+    before = float(question.squares[joint] / rows[joint])
+    share = float(misfit[joint]) / max(before, float(misfit[joint]))
+    return max(rise, 2 * math.log(max(DOUBT * share, 1e-300)))
+
+
+def stands_in(factors: Factors) -> float:
+    """Logarithm of how much likelier factors are of what stands in for something else than of a
+    law."""
+    x, std = torch.tensor(factors, dtype=torch.float64).reshape(-1, 2).unbind(1)
+    law, proxy = std.square() + LAW**2, std.square() + PROXY**2
+    each = 0.5 * ((law / proxy).log() + (x - 1).square() * (1 / law - 1 / proxy))
+    return float(each.nan_to_num().sum())
