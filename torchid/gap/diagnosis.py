@@ -29,8 +29,8 @@ from torchid.gap.record import (
     Planted,
     RegimeGap,
     Residual,
-    SmallEffect,
     Status,
+    UnnamedEffect,
     Where,
 )
 from torchid.gap.settings import GapSettings
@@ -266,6 +266,7 @@ class TorqueDiagnosis(Diagnosis):
             told from it.
         residual: what is left of each joint's torque on data it was not fitted on.
         small: effects that are there and below what was asked for.
+        suspects: the likeliest causes that are not sure enough to be named, the likeliest first.
         knowledge: what was known of the model before, and what this log adds.
     """
 
@@ -289,7 +290,8 @@ class TorqueDiagnosis(Diagnosis):
     warnings: tuple[str, ...]
     joint_fits: tuple[JointFit, ...] = ()
     residual: tuple[Residual, ...] = ()
-    small: tuple[SmallEffect, ...] = ()
+    small: tuple[UnnamedEffect, ...] = ()
+    suspects: tuple[UnnamedEffect, ...] = ()
     knowledge: Known | None = None
 
     def __repr__(self) -> str:
@@ -337,6 +339,7 @@ class TorqueDiagnosis(Diagnosis):
             joint_fits=self.joint_fits,
             residual=self.residual,
             small=self.small,
+            suspects=self.suspects,
             knowledge=self.knowledge,
             nearest_fields=self.nearest_fields,
             answer=self.answer,
@@ -394,6 +397,7 @@ class TorqueDiagnosis(Diagnosis):
                 for j, (before, after) in enumerate(levels)
             ),
             causes=tuple(sorted(causes, key=lambda c: -c.closes)),
+            suspects=tuple(e.cause for e in self.suspects),
             reason=self._reason,
         )
 

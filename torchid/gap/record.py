@@ -1,13 +1,14 @@
 """A diagnosis as its JSON has it: the schema torchid.gap/1."""
 
 import itertools
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 
 from torchid.errors import TorchidError
-from torchid.results.answer import DiagnosisRecord
+from torchid.results.answer import Cause, DiagnosisRecord, Size
 from torchid.results.record import (
     FINITE,
     Ends,
@@ -99,6 +100,10 @@ class Where(Part, frozen=True):
 
     joints: tuple[JointGap, ...]
     regimes: tuple[RegimeGap, ...]
+
+
+MOVED = 3.0
+"""Standard deviations of what was known beyond which a coefficient is said to have moved."""
 
 
 class Planted(Part, frozen=True):
@@ -194,13 +199,14 @@ class FoundEffect(Part, frozen=True, kw_only=True):
     planted: Planted | None = None
 
 
-class SmallEffect(Part, frozen=True, kw_only=True):
-    """An effect that the evidence has, of a size below what was asked for.
+class UnnamedEffect(Part, frozen=True, kw_only=True):
+    """An effect that gets no name: of a size below what was asked for, or not sure enough.
 
     Attributes:
         effect, family, joints, parameters, std, unit, how_sure, replication: as FoundEffect's.
         closes_rms: error that it takes away, as a root of the fall of the mean square while the
             joint moves, on the joint where that is most [N m; N].
+        settles: what would settle whether it is there.
     """
 
     effect: str
@@ -212,6 +218,23 @@ class SmallEffect(Part, frozen=True, kw_only=True):
     closes_rms: Real
     how_sure: float
     replication: Replication | None = None
+    settles: str = ""
+
+    @property
+    def cause(self) -> Cause:
+        """As an answer has it."""
+        sizes = (
+            Size(name=name, unit=unit, value=float(value), std=self.std.get(name))
+            for name, unit in self.unit.items()
+            if isinstance(value := self.parameters[name], float | int)
+        )
+        return Cause(
+            effect=self.effect,
+            joints=self.joints,
+            sizes=tuple(sizes),
+            how_sure=self.how_sure,
+            remedy=self.settles,
+        )
 
 
 class Open(Part, frozen=True, kw_only=True):
@@ -249,6 +272,16 @@ class Known(Part, frozen=True, kw_only=True):
     joints: tuple[Open, ...] = ()
     between_sessions: float | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """Coefficients, not named, that are others than they were by more than `MOVED` of what was
+        left open: suspects at least."""
+        return tuple(
+            c.name
+            for c in self.coefficients
+            if not c.changed and abs(c.after - c.before) > MOVED * (c.before_std or math.inf)
+        )
 
 
 class Parametric(Part, frozen=True):
@@ -467,6 +500,7 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
             told from it; none in older files.
         residual: what is left, joint by joint; none in older files.
         small: effects that are there and below what was asked for.
+        suspects: the likeliest causes that are not sure enough to be named, the likeliest first.
         knowledge: what was known before, and what this log adds.
         nearest_fields: for effects of `corrected` that an MJCF or URDF has no field for; none in
             older files.
@@ -492,7 +526,8 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
     corrected: Model | None = None
     joint_fits: tuple[JointFit, ...] = ()
     residual: tuple[Residual, ...] = ()
-    small: tuple[SmallEffect, ...] = ()
+    small: tuple[UnnamedEffect, ...] = ()
+    suspects: tuple[UnnamedEffect, ...] = ()
     knowledge: Known | None = None
     nearest_fields: tuple[NearestFields, ...] = ()
     seed: int | msgspec.UnsetType = msgspec.UNSET

@@ -19,7 +19,7 @@ from torchid.gap.data import read
 from torchid.gap.diagnosis import HowFar, TorqueDiagnosis
 from torchid.gap.localise.where import where
 from torchid.gap.noise.floor import sliding_only
-from torchid.gap.record import Budget, Parametric
+from torchid.gap.record import Budget, Parametric, UnnamedEffect
 from torchid.gap.search.explain import explained, gone_on, without_terms
 from torchid.gap.search.findings import (
     describe_findings,
@@ -30,7 +30,7 @@ from torchid.gap.search.findings import (
 )
 from torchid.gap.search.joint_fits import joint_fits
 from torchid.gap.search.known import after_log, known_of
-from torchid.gap.search.small import small_effects
+from torchid.gap.search.unnamed import small_effects, suspects
 from torchid.gap.search.wanted import pushes, start_of, wanted_of
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import budget, residuals
@@ -176,6 +176,11 @@ def diagnose_torque(
         )
         said = replace(said, effects=tuple(changed))
     small = small_effects(found, data, block, robot, misfit)
+    likely: tuple[UnnamedEffect, ...] = ()
+    if not data.stands:
+        listed = [*(t.key for t in found.terms), *((e.effect, e.joints) for e in small)]
+        moved = () if known is None else known.moved
+        likely = suspects(found, data, block, robot, misfit, listed, moved)
     result = TorqueDiagnosis(
         robot=start.described(),
         corrected=corrected,
@@ -187,6 +192,7 @@ def diagnose_torque(
             shown=all(map(found.question.shows, found.terms)),
             taken=taken,
             small=bool(small),
+            suspected=bool(likely),
             hidden=known is not None and any(j.hides for j in known.joints),
         ),
         joints=joints,
@@ -207,6 +213,7 @@ def diagnose_torque(
         joint_fits=joint_fits(found, said, data, block),
         residual=residuals(checked.shown),
         small=small,
+        suspects=likely,
         knowledge=known,
     )
     if settings.rollout and not robot.floating:

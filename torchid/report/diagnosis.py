@@ -11,8 +11,16 @@ from torchid.position.record import PositionRecord
 from torchid.report import gap, gap_figures, position
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Picture
-from torchid.report.table import Shown, Table
-from torchid.results.answer import COLUMNS, Answer, Diagnosis, DiagnosisRecord
+from torchid.report.table import Shown, Table, filled
+from torchid.results.answer import (
+    COLUMNS,
+    MOST_SIZES,
+    Answer,
+    Diagnosis,
+    DiagnosisRecord,
+    named_size,
+)
+from torchid.results.words import sure
 
 if TYPE_CHECKING:
     from torchid.report.panels import Figures
@@ -33,6 +41,23 @@ def answer_table(answer: Answer, band: float | None = None) -> Table:
         words=("cause (value ± std)", "what to do"),
         note="Bars: what stays, and what the causes close.",
     )
+
+
+def suspects_table(answer: Answer) -> Table:
+    """The likeliest causes that are not sure enough for a name."""
+    rows = [
+        (f"{c.name} {c.place}".strip(), ", ".join(map(named_size, c.sizes[:MOST_SIZES])),
+         sure(c.how_sure), c.remedy)
+        for c in answer.suspects
+    ]  # fmt: skip
+    columns = ("suspect", "value ± std", "sure", "what would settle it")
+    title = "suspects: the likeliest causes that are not sure enough"
+    return Table(title, columns, rows, names=columns[:1], words=columns[3:])
+
+
+def first_tables(answer: Answer, band: float | None = None) -> list[Table]:
+    """The answer, and its suspects."""
+    return filled(answer_table(answer, band), suspects_table(answer))
 
 
 def shown(result: Diagnosis | DiagnosisRecord) -> Shown:
@@ -59,7 +84,11 @@ def shown(result: Diagnosis | DiagnosisRecord) -> Shown:
         figures = position.figures(result)
     return Shown(
         verdict=record.answer.headline,
-        parts=[answer_table(record.answer, band), *lower, *notes],
+        parts=[
+            *filled(answer_table(record.answer, band), suspects_table(record.answer)),
+            *lower,
+            *notes,
+        ],
         warnings=record.warnings,
         figures=figures,
         page=partial(page, result) if isinstance(result, Diagnosis) else None,
@@ -88,7 +117,7 @@ def page(result: Diagnosis, origin: Origin) -> Page:
         answer.headline,
         facts,
         origin,
-        answer=[answer_table(answer, band).on_page()],
+        answer=[table.on_page() for table in first_tables(answer, band)],
         pictures=pictures,
         tables=[table.on_page() for table in tables],
         notes=list(dict.fromkeys(notes)),

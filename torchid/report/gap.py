@@ -8,7 +8,7 @@ from typing import Any
 
 from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import TorqueDiagnosis
-from torchid.gap.record import Experiment, GapRecord, NotTestable
+from torchid.gap.record import Experiment, GapRecord, Known, NotTestable
 from torchid.report import gap_figures
 from torchid.report.exported import simulator_block
 from torchid.report.gap_words import (
@@ -180,16 +180,16 @@ def small_table(record: GapRecord) -> Table:
 
 def known_table(record: GapRecord) -> Table:
     """Coefficients of the model's effects before this log and after it."""
-    known, rows = record.knowledge, []
-    for c in () if known is None else known.coefficients:
+    known, rows = record.knowledge or Known(sources=()), []
+    for c in known.coefficients:
         unit = "" if c.unit == "1" else unit_words(c.unit)
         before, after = ((c.before, c.before_std), (c.after, c.after_std))
         name, place = c.name.rsplit(" ", 1)
-        moved = "changed" if c.changed else "as known"
+        moved = "changed" if c.changed else "suspected" if c.name in known.moved else "as known"
         rows.append(
             (f"{effect_words(name)} {place}", measure(*before, unit), measure(*after, unit), moved)
         )
-    sources = "" if known is None else ", ".join(known.sources)
+    sources = ", ".join(known.sources)
     columns = ("coefficient", "known before", "with this log", "")
     return Table(f"known: what this log adds to {sources}", columns, rows, names=columns[:1])
 

@@ -31,8 +31,8 @@ LONGEST = 160
 """Characters of a headline: two lines of 80."""
 NAME = 18
 """Characters of a joint's name in the table."""
-VALUES = 3
-"""Numbers of a cause that are shown in the table."""
+MOST_SIZES = 3
+"""Numbers of a cause that are shown in a table."""
 UNCHANGED = 0.99
 """Share of the error that is left, from which on the causes have closed nothing."""
 
@@ -140,6 +140,8 @@ class Answer(Part, frozen=True, kw_only=True):
             be explained.
         joints: joint by joint.
         causes: those that close most first.
+        suspects: causes that are not sure enough, the likeliest first; their remedy says what would
+            settle them.
         reason: why nothing is named, where that is so.
     """
 
@@ -154,6 +156,7 @@ class Answer(Part, frozen=True, kw_only=True):
     noise_measured: bool = False
     joints: tuple[JointError, ...]
     causes: tuple[Cause, ...]
+    suspects: tuple[Cause, ...] = ()
     reason: str = ""
 
     @property
@@ -178,7 +181,12 @@ class Answer(Part, frozen=True, kw_only=True):
                 f"No known effect explains {self.error} of {size} (noise "
                 f"{noise}). It is largest on joint {worst.joint + 1}."
             )
-            return _cut(f"{said.get(self.status, gap)} {self.reason}".rstrip())
+            text = said.get(self.status, gap)
+            if self.status != "not_testable" and self.suspects:
+                first = self.suspects[0]
+                likely = f"No cause is sure; most likely {self.suspect_words(first)}."
+                text = likely if self.status == "detected_unexplained" else text
+            return _cut(f"{text} {self.reason}".rstrip())
         rest = ""
         if self.closed is None or self.after > UNCHANGED * self.before:
             verb, end = ("fits", "fit"), f"{self.error}; on new data: {change}."
@@ -204,6 +212,12 @@ class Answer(Part, frozen=True, kw_only=True):
             if len(said_all) <= LONGEST:
                 return said_all
         return _cut(said_all)
+
+    def suspect_words(self, cause: Cause) -> str:
+        """`viscous friction on joint 3 (5.6 ± 0.7 N m s/rad, 82 %)`."""
+        sizes = [size_words(s) for s in cause.sizes[:1] if s.determined]
+        inner = ", ".join([*sizes, sure(cause.how_sure)])
+        return f"{cause.name} {cause.place} ({inner})".replace("  ", " ")
 
     def groups(self) -> Iterator[list[Cause]]:
         """Causes of one name together, in the order of what they close: those that are new, and
@@ -286,15 +300,20 @@ class Answer(Part, frozen=True, kw_only=True):
             changes = "; ".join(size_words(s) for s in first.sizes if s.was is not None)
             return (f"{first.name} changed: {changes}{end}", *cells)
         sizes = [s for s in first.sizes if s.determined]
-        sizes = sizes[:1] if first.effect == "payload" else sizes[:VALUES]
+        sizes = sizes[:1] if first.effect == "payload" else sizes[:MOST_SIZES]
         one = len(first.sizes) == 1
-        texts = [size_words(s) if one else f"{s.name} = {size_words(s)}" for s in sizes]
+        texts = [size_words(s) if one else named_size(s) for s in sizes]
         return (f"{first.name} {', '.join(texts)}".rstrip() + end, *cells)
 
     @property
     def title(self) -> str:
         """Of the table."""
         return f"the answer: RMS error [{self.unit}]"
+
+    @property
+    def suspect_lines(self) -> list[str]:
+        """Each suspect, and what would settle it."""
+        return [f"{self.suspect_words(c)}: {c.remedy}" for c in self.suspects]
 
     def _repr_html_(self) -> str:
         """The headline and the table, for notebooks."""
@@ -305,6 +324,7 @@ class Answer(Part, frozen=True, kw_only=True):
         return (
             f"<p><b>{escape(self.headline)}</b></p><table><caption>{escape(self.title)}</caption>"
             f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+            + (f"<p>Suspects: {escape('; '.join(self.suspect_lines))}</p>" if self.suspects else "")
         )
 
 
@@ -373,6 +393,11 @@ def size_words(size: Size) -> str:
     unit = "" if size.unit == "1" else unit_words(size.unit)
     was = "" if size.was is None else f", was {size.was:.3g}"
     return measure(size.value, size.std, unit) + was
+
+
+def named_size(size: Size) -> str:
+    """`Fv = 5.6 ± 0.7 N m s/rad`."""
+    return f"{size.name} = {size_words(size)}"
 
 
 def first_clause(remedy: str) -> str:

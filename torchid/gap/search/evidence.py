@@ -183,9 +183,10 @@ class Question:
             return False
         return term.seen.explained >= self.settings.worthwhile
 
-    def price(self) -> float:
-        """Of a cause."""
-        return 2 * math.log(self.looks / self.settings.alpha)
+    def price(self, alpha: float | None = None) -> float:
+        """Of a cause, at a level of a false one among all that are looked at; that of the settings
+        if None. At a level of one it is the prior: one cause is expected among them."""
+        return 2 * math.log(self.looks / (self.settings.alpha if alpha is None else alpha))
 
 
 def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
@@ -495,9 +496,14 @@ def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
     return [t for t, own in zip(terms, parts, strict=True) if bool(own.any())]
 
 
-def cost(question: Question, terms: Sequence[Term], effective: Float[Tensor, " n"]) -> float:
-    """Of the coefficients and shapes of terms, and of their causes."""
-    total = question.price() * len(cause_groups(terms, question.joints))
+def cost(
+    question: Question,
+    terms: Sequence[Term],
+    effective: Float[Tensor, " n"],
+    alpha: float | None = None,
+) -> float:
+    """Of the coefficients and shapes of terms, and of their causes at a level (see `price`)."""
+    total = question.price(alpha) * len(cause_groups(terms, question.joints))
     counts = effective.tolist()
     logs = [math.log(max(n, 2.0)) for n in (*counts, sum(counts))]
     for term in terms:

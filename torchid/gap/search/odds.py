@@ -4,9 +4,9 @@ In the place of a cause there may be nothing, another effect of the library, or 
 no library. The odds of each against the cause are exp of half of a rise (Kass and Raftery 1995):
 
 - nothing, or another effect: the rise of the evidence without the cause or with the other one in
-  its place. Blocks of samples may disagree by more than dependent samples do; the likelihood then
-  counts as much less as their spread says (a power of it, Grünwald and van Ommen 2017), the cost of
-  coefficients and causes stays.
+  its place, where one cause is expected among all that were looked at. Blocks of samples may
+  disagree by more than dependent samples do; the likelihood then counts as much less as their
+  spread says (a power of it, Grünwald and van Ommen 2017), the cost of coefficients stays.
 - an unknown effect: real arms leave a misfit that is no noise. A cause is told from a part of that
   by its size and by being the same everywhere. An unknown effect as large as the misfit is as large
   as the cause by chance with odds of exp(-t^2 / 2 U^2), t being the torque that the cause takes
@@ -94,26 +94,22 @@ def odds(
     now, then = apart(question, *fits)
     term = solution.terms[k]
     rest = then.terms[len(question.fixed) :]
-    paid = cost(question, now.terms[len(question.fixed) :], now.effective)
+
+    def price(terms: Sequence[Term]) -> float:
+        return cost(question, terms, now.effective, 1.0)
+
+    mine = price(now.terms[len(question.fixed) :])
     gain = float(risen(now.effective, then.losses, now.losses).sum()) + then.known - now.known
     # What happened once lies in one block, and what acts beyond a limit in few: no others can speak
     # for it.
     local = any(e.event or e.at_ends for e in term.effects)
     power = 1.0 if local or gain <= 0 else min(1.0, wald(solution, k) / gain)
-
-    def tempered(rise: float, cheaper: float) -> float:
-        """A rise of the evidence whose likelihoods count less; what is cheaper by stays."""
-        return power * (rise - cheaper) + cheaper
-
-    nothing = tempered(then.evidence - now.evidence, paid - cost(question, rest, now.effective))
-    return Odds(
-        nothing,
-        tuple(
-            (tempered(rise, paid - cost(question, [*rest, t], now.effective)), t.name)
-            for rise, t in others
-        ),
-        -math.inf if question.shows(term) else unknown(question, fits, own, term, misfit),
-    )
+    each = []
+    for rise, other in others:
+        cheaper = mine - price([*rest, other])
+        each.append((power * (rise - cheaper) + cheaper, other.name))
+    beyond = -math.inf if question.shows(term) else unknown(question, fits, own, term, misfit)
+    return Odds(mine - price(rest) - power * gain, tuple(each), beyond)
 
 
 def wald(solution: Solution, k: int) -> float:

@@ -167,6 +167,7 @@ def status_of(
     shown: bool,
     taken: bool = False,
     small: bool = False,
+    suspected: bool = False,
     hidden: bool = False,
 ) -> Status:
     """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that
@@ -199,7 +200,7 @@ def status_of(
         if unexplained or taken:
             return "detected_unexplained"
         if poor or hidden:
-            return "not_testable"
+            return "detected_unexplained" if suspected else "not_testable"
         return "negligible" if small else "no_gap"
     if unexplained or not (shown or (far.improves and far.closed is not None)):
         return "detected_unexplained"

@@ -1,0 +1,180 @@
+"""What the evidence has and gets no name: causes that are too small, and those that are not sure
+enough, the suspects."""
+
+import math
+from collections.abc import Collection
+
+from msgspec import structs
+
+from torchid.design.columns import Place
+from torchid.gap.data import Data
+from torchid.gap.diagnosis import unit_of
+from torchid.gap.record import UnnamedEffect
+from torchid.gap.search.climb import allowed, moves
+from torchid.gap.search.evidence import Fitted, Question, apart, fit_each, fit_terms
+from torchid.gap.search.explain import Explanation
+from torchid.gap.search.odds import LIKELY, odds, probability
+from torchid.gap.search.replication import own_torque, replication
+from torchid.gap.search.solve import solved
+from torchid.gap.search.terms import BASE, Term
+from torchid.identification.knowledge import known_names
+from torchid.json_data import plain
+from torchid.robot.model import Robot
+from torchid.typing import Float, Int, Tensor
+
+PLACES, EACH = 8, 4
+"""Places that are looked at for suspects beside what is named, and candidates of each."""
+
+MOST = 5
+UNLIKELY = 0.1
+"""Suspects that are listed at most, and the probability of the least likely one."""
+
+
+def small_effects(
+    found: Explanation,
+    data: Data,
+    block: Int[Tensor, " N"],
+    robot: Robot,
+    misfit: Float[Tensor, " n"],
+) -> tuple[UnnamedEffect, ...]:
+    """Causes that the evidence has beside what is told, each likelier there than not, the largest
+    first; bodies are none of them.
+
+    Args:
+        found: what is told, and what was not worth a name.
+        data, block: of the log, as for `solved`.
+        robot: for units.
+        misfit: (n,) mean square of what the answer leaves and is no noise.
+    """
+    question, fit = found.question, found.fit
+    named = {t.key for t in found.terms}
+    last = {t.key: t for t in found.unworthy if t.key not in named and not t.inertial}
+    whole = allowed(question, fit_terms(question, [*found.terms, *last.values()], fit.effective))
+    # Causes that stand for each other: the least needed leaves first.
+    without: dict[int, tuple[float, Tensor, Fitted]] = {}
+    while own := [t for t in whole.terms[len(question.fixed) :] if t.key in last]:
+        without = {id(t): _without(question, whole, t) for t in own}
+        gone = max(own, key=lambda t: without[id(t)][0])
+        if probability([without[id(gone)][0]]) >= LIKELY:
+            break
+        rest = [t for t in whole.terms[len(question.fixed) :] if t is not gone]
+        whole = allowed(question, fit_terms(question, rest, whole.effective, whole.weight))
+    if not own:
+        return ()
+    # Their sizes, fitted together with what is told.
+    columns = question.candidates.columns.at(found.solution.start)
+    values = whole.values()
+    solution = solved(
+        columns, whole.terms, values, data, found.solution.wanted, block, whole.effective
+    )
+    out = []
+    for k, term in enumerate(whole.terms):
+        if id(term) not in without:
+            continue
+        _, closes, other = without[id(term)]
+        own_part = own_torque(solution, k)
+        sure = odds(question, (whole, other), solution, k, own_part, misfit).sure
+        if sure >= LIKELY:
+            own_values, std = solution.values[k], solution.std[k]
+            again = replication(own_part, solution, k, question.candidates.columns.samples)
+            one = _entry(solution.terms[k], own_values, std, closes, sure, robot)
+            out.append(structs.replace(one, replication=again))
+    return tuple(sorted(out, key=lambda e: -e.closes_rms))
+
+
+def _without(question: Question, whole: Fitted, term: Term) -> tuple[float, Tensor, Fitted]:
+    """Rise of the evidence without a term, the error (n,) that it takes away [N m; N], and the fit
+    without it."""
+    rest = [t for t in whole.terms[len(question.fixed) :] if t is not term]
+    without = fit_terms(question, rest, whole.effective, whole.weight)
+    now, then = apart(question, whole, without)
+    fall = (without.losses - whole.losses).clamp(min=0) / question.normal.rows.clamp(min=1.0)
+    return then.evidence - now.evidence, fall.sqrt(), without
+
+
+def suspects(
+    found: Explanation,
+    data: Data,
+    block: Int[Tensor, " N"],
+    robot: Robot,
+    misfit: Float[Tensor, " n"],
+    listed: Collection[object],
+    moved: Collection[str] = (),
+) -> tuple[UnnamedEffect, ...]:
+    """The likeliest causes that have no name, the most probable first: of every place the best, and
+    what may be there instead. Those of one place, nothing and something else sum up to one.
+
+    Args:
+        found, data, block, robot, misfit: as for `small_effects`.
+        listed: keys of effects that are listed elsewhere.
+        moved: known coefficients that are others than they were, which are suspects at least.
+    """
+    question, fit = found.question, found.fit
+    solution, rows = found.solution, question.normal.rows.clamp(min=1.0)
+
+    def is_moved(term: Term) -> bool:
+        return any(name in moved for e in term.effects for name in known_names(e))
+
+    # The likeliest candidates of every place, to first order; beside what is named, each by itself.
+    places: dict[Place, dict[object, Term]] = {}
+    for _, (term, *more) in moves(question, fit):
+        if more or term.name == BASE or term.key in listed:
+            continue
+        own = places.setdefault(term.place, {})
+        if is_moved(term) or (len(places) <= PLACES and len(own) < EACH):
+            own.setdefault(term.key, term)
+    best: list[list[tuple[Fitted, Term]]] = []
+    for own in places.values():
+        each = [[*found.terms, t] for t in own.values()]
+        fits = fit_each(question, each, fit.effective, fit.weight)
+        there = [p for p in zip(fits, own.values(), strict=True) if p[0].evidence > -math.inf]
+        best += [sorted(there, key=lambda p: -_rise(question, p[0], fit))] if there else []
+    # The best of each place is asked how sure it is, all beside each other.
+    every = [*fit.terms, *(pairs[0][1] for pairs in best)]
+    start = [*fit.values(), *(pairs[0][0].values()[-1] for pairs in best)]
+    columns = question.candidates.columns.at(solution.start)
+    solution = solved(columns, every, start, data, solution.wanted, block, fit.effective)
+    out: list[tuple[bool, UnnamedEffect]] = []
+    for k, ((first, term), *others) in enumerate(best, len(fit.terms)):
+        rivals = [(_rise(question, f, first), t) for f, t in others]
+        left = (misfit - (fit.losses - first.losses).clamp(min=0) / rows).clamp(min=0)
+        own_part = own_torque(solution, k)
+        here = odds(question, (first, fit), solution, k, own_part, left, rivals)
+        numbers = [(term, solution.values[k], solution.std[k], first, here.sure)]
+        for (f, other), (rise, _) in zip(others, here.others, strict=True):
+            values, std = f.values()[-1], f.root.norm(dim=1)[-len(other.at) :]
+            numbers.append((other, values, std, f, here.sure * math.exp(0.5 * rise)))
+        for one, values, std, f, sure in numbers:
+            closes = ((fit.losses - f.losses).clamp(min=0) / rows).sqrt()
+            out.append((is_moved(one), _entry(one, values, std, closes, sure, robot)))
+    # What has moved is listed, however unlikely.
+    kept = [pair for pair in out if pair[0] or pair[1].how_sure >= UNLIKELY]
+    kept = sorted(kept, key=lambda pair: (not pair[0], -pair[1].how_sure))[:MOST]
+    return tuple(sorted((e for _, e in kept), key=lambda e: -e.how_sure))
+
+
+def _rise(question: Question, fit: Fitted, other: Fitted) -> float:
+    """Of the evidence of a fit over another one."""
+    one, two = apart(question, fit, other)
+    return one.evidence - two.evidence
+
+
+def _entry(
+    term: Term, values: Tensor, std: Tensor, closes: Tensor, sure: float, robot: Robot
+) -> UnnamedEffect:
+    effect = term.effects[0]
+    joints = effect.joints if len(term.effects) == 1 else ()
+    felt = joints or (int(closes.argmax()),)
+    names = [c.name for c in effect.coefficients]
+    shapes = dict(zip((s.name for s in effect.shapes), effect.shape_values, strict=True))
+    return UnnamedEffect(
+        effect=effect.name,
+        family=effect.family,
+        joints=joints,
+        parameters=plain(dict(zip(names, values.tolist(), strict=True)) | shapes),
+        std=plain(dict(zip(names, std.tolist(), strict=True))),
+        unit={c.name: unit_of(c.unit, felt, robot) for c in effect.coefficients},
+        closes_rms=float(closes.max()),
+        how_sure=sure,
+        settles=effect.experiment,
+    )
