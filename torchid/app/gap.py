@@ -1,5 +1,8 @@
 """`torchid gap`: where simulator and arm disagree, which effects cause it, how far it shrinks."""
 
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -42,6 +45,8 @@ class _Asked:
             does.
         simulated: Log of the simulator, of the same commands as --real. May be given several times.
         real: Log of the arm, one for each of --simulated.
+        force: Diagnose a log that looks wrong (order or sign of joints, units, lag, a run with a
+            load of its own) all the same, and say so first.
     """
 
     save_model: opt.Written = None
@@ -50,6 +55,7 @@ class _Asked:
     for_: Annotated[Simulated | None, typer.Option("--for")] = None
     simulated: opt.LogFiles = None
     real: opt.LogFiles = None
+    force: Annotated[bool, typer.Option("--force")] = False
 
 
 @command
@@ -110,10 +116,10 @@ def gap_command(
     handed = [log]
     if kind is None:
         del log
-    with output.progress("preparing") as progress:
+    with output.progress("preparing") as progress, _line_to_mend(trials):
         result = torchid.diagnose(
             found, handed.pop(), held_out=apart, settings=settings, servo=asked.servo,
-            progress=progress,
+            force=asked.force, progress=progress,
         )  # fmt: skip
     # The worst joints of an earlier run may have been others.
     to_print = [
@@ -146,6 +152,28 @@ def settings_of(result: "Diagnosis", servo: str | None) -> dict[str, object]:
     return used | {
         "band of the report [Hz]": data["band_hz"], "cut-off [Hz]": data["cutoff_hz"],
     }  # fmt: skip
+
+
+@contextmanager
+def _line_to_mend(trials: _Trials) -> Iterator[None]:
+    """An error that a log is wrong says what to paste: `--columns`, or how the doctor mends it."""
+    from torchid.doctor.first import WrongLogError
+    from torchid.doctor.flag import flag_for
+
+    try:
+        yield
+    except WrongLogError as stop:
+        found, logs = stop.examination, trials.logs or []
+        choices = [c for check in found.undecided for c in check.choices]
+        own = not (trials.columns or trials.topic)
+        flag = flag_for(found.repairs, found.robot.n, logs) if own else None
+        fix = f'--fix "{choices[0].name}" ' if choices else ""
+        names = shlex.join([trials.robot, *map(str, logs)])
+        line = f"torchid log doctor {names} {fix}--apply mended.parquet"
+        if flag is not None:
+            line = f'read it with --columns "{flag}", or: {line}'
+        mends = any(c.repairs for c in stop.wrong)
+        raise WrongLogError(found, stop.wrong, line if mends else None) from None
 
 
 def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings) -> None:

@@ -22,7 +22,8 @@ def doctor_command(
     output: Computed,
 ) -> None:
     """Examine a log before anything is fitted to it: units, signs, joint order, gains, gravity,
-    lag, velocities, clock, dropouts, saturation, excitation; with evidence, and what to change.
+    lag, velocities, clock, dropouts, saturation, excitation, runs that contradict each other; with
+    evidence, and what to change. The exit code is 1 if something is wrong.
 
     Example: `torchid log doctor panda.yaml run1.parquet --apply mended.parquet`
 
@@ -52,6 +53,8 @@ def doctor_command(
         output.say("--apply FILE writes a copy with the fixes that can be applied")
     if flag is not None:
         output.say(f'or read the log with --columns "{flag}"')
+    if any(check.verdict == "wrong" for check in result.checks):
+        raise typer.Exit(1)
 
 
 @command

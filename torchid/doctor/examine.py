@@ -29,6 +29,7 @@ from torchid.doctor.motion import (
 )
 from torchid.doctor.record import CheckRecord, DoctorRecord, Examined
 from torchid.doctor.repair import Repair, repaired
+from torchid.doctor.runs import check_runs
 from torchid.doctor.samples import samples
 from torchid.doctor.search import CLEAR, Search, rms, search
 from torchid.doctor.size import check_nominal, check_size
@@ -102,13 +103,17 @@ class Examination(Examined[Check], Result):
         return repaired(self.log, self.repairs)
 
 
-def examine(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> Examination:
+def examine(
+    robot: Robot, log: Log, fixes: Sequence[str] = (), *, first: bool = False
+) -> Examination:
     """Examine a log before anything is fitted to it.
 
     Args:
         robot: kinematics and gravity; nominal parameters and limits help, and are not needed.
         log: as it was read; other commands may refuse it.
         fixes: names of the choices to take where explanations are equally good.
+        first: only what a diagnosis asks first, in half the time: order, signs, units, lag, and
+            runs that contradict each other.
 
     Raises:
         LogError: another number of joints than the robot's, too few samples, no usable row, or a
@@ -149,7 +154,7 @@ def examine(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> Examination:
     if any(c.name == "clock" and c.verdict == "wrong" and not c.repairs for c in checks):
         result = Examination(robot, log, tuple(checks))
     else:
-        result = _with_model(robot, log, now, checks, fixes)
+        result = _with_model(robot, log, now, checks, fixes, first)
     offered = [choice.name for c in result.checks for choice in c.choices]
     unknown = [name for name in fixes if name not in offered]
     if unknown:
@@ -215,7 +220,7 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
 
 
 def _with_model(
-    robot: Robot, log: Log, now: Log, checks: list[Check], fixes: Sequence[str]
+    robot: Robot, log: Log, now: Log, checks: list[Check], fixes: Sequence[str], first: bool
 ) -> Examination:
     rows = samples(now)
     if isinstance(rows, str):
@@ -226,18 +231,24 @@ def _with_model(
     end = found.final.hypothesis
     if found.explained:
         now = repaired(now, [r for f in found.found for r in f.move.repairs])
+    turned = any(f.move.kind == "gravity" for f in found.found)
     more = [
-        check_gravity(judge, found, fixes),  # first: if it leaves a choice, the others wait
+        # First: if it leaves a choice, the others wait.
+        *([check_gravity(judge, found, fixes)] if turned or not first else []),
         *fault_checks(judge, found, fixes),
         check_lag(judge, found),
         check_size(judge, now, end, fixes),
-        *check_nominal(judge, now, end),
-        *check_branches(judge, end),
-        *(check_limits(judge, end) if found.explained else ()),
-        check_side(judge, found),
-        check_excitation(judge, end, now),
-        *unseen(judge, found),
+        *(check_runs(judge, end) if found.explained else ()),
     ]
+    if not first:
+        more += [
+            *check_nominal(judge, now, end),
+            *check_branches(judge, end),
+            *(check_limits(judge, end) if found.explained else ()),
+            check_side(judge, found),
+            check_excitation(judge, end, now),
+            *unseen(judge, found),
+        ]
     return Examination(robot, log, (*checks, *more), found, judge)
 
 

@@ -6,11 +6,12 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from torchid.doctor.check import Check, Choice, among
-from torchid.doctor.hypothesis import Judge
+from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.moves import LEAST_GAIN, Move
 from torchid.doctor.profile import profile
 from torchid.doctor.repair import TORQUE, Scale, within
 from torchid.doctor.search import CLEAR, Found, Search
+from torchid.doctor.size import nominal_loss
 from torchid.robot.model import joint_list
 
 CHECK_OF = {
@@ -40,6 +41,8 @@ _UNSEEN = {
     "explained",
 }
 _TOLD = 4
+_MODELLED = ("joint order", "torque sign", "position sign")
+"""Checks that nominal parameters bear out, or not."""
 
 
 def fault_checks(judge: Judge, result: Search, fixes: Collection[str] = ()) -> list[Check]:
@@ -132,9 +135,12 @@ def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -
         unsure |= interval[0] < LEAST_GAIN and interval[1] > 1.0 / LEAST_GAIN
     if found.rivals:
         text += "; as good: " + ", ".join(_name(r) for r in found.rivals)
+    doubtful = CHECK_OF[move.kind] in _MODELLED and _nominal_objects(judge, result, found)
+    if doubtful:
+        text += "; the robot's own parameters do not confirm it"
     check = Check(
         CHECK_OF[move.kind],
-        "cannot tell" if unsure else "wrong",
+        "cannot tell" if unsure else "doubtful" if doubtful else "wrong",
         f"{_name(move)}: {text}",
         joints=move.joints,
         estimate=estimate,
@@ -142,6 +148,17 @@ def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -
         unit="ratio" if move.kind == "gain" else "",
     )
     return check if unsure else among(check, [first, *others], fixes)
+
+
+def _nominal_objects(judge: Judge, result: Search, found: Found) -> bool:
+    """Whether the robot has parameters that explain the torque no better with a fault mended: two
+    witnesses, for free bodies find more than one way to explain a slow or narrow motion."""
+    if judge.robot.parameters is None or not judge.robot.parameters.pi.any():
+        return False
+    place = result.found.index(found)
+    before = result.found[place - 1].move.after if place else Hypothesis.literal(judge.robot)
+    gain = nominal_loss(judge, before) - nominal_loss(judge, found.move.after)
+    return gain < CLEAR
 
 
 def choices_of(found: Found) -> list[Choice]:

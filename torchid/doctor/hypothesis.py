@@ -111,14 +111,16 @@ class Judge:
         where a joint does not move."""
         return errors_left_out(self.normal(hypothesis), self.cone)
 
-    def normal(self, hypothesis: Hypothesis) -> Normal:
-        """Normal equations of the rows under a hypothesis."""
+    def normal(self, hypothesis: Hypothesis, members: Sequence[np.ndarray] = ()) -> Normal:
+        """Normal equations of the rows under a hypothesis, in blocks of time or the given ones."""
         a, gram = self.columns(hypothesis)
+        gram = _products(a, members) if members else gram
+        members = members or self.members
         moving = self.moving(hypothesis)
         tau = self.torque(hypothesis) * moving
-        cross = [np.einsum("tnp,tn->np", a[m], tau[m], optimize=True) for m in self.members]
-        square = [(tau[m] ** 2).sum(0) for m in self.members]
-        counts = np.stack([moving[m].sum(0) for m in self.members])
+        cross = [np.einsum("tnp,tn->np", a[m], tau[m], optimize=True) for m in members]
+        square = [(tau[m] ** 2).sum(0) for m in members]
+        counts = np.stack([moving[m].sum(0) for m in members])
         total = np.maximum(counts.sum(0), 1)
         spread = (tau**2).sum(0) / total - (tau.sum(0) / total) ** 2
         dead = (spread < 1e-12 * max(1e-300, spread.max())) | (total < FEWEST * BLOCKS)
@@ -158,11 +160,7 @@ class Judge:
                 own[:, i, OWN * i : OWN * (i + 1)] = columns
             rows = torch.cat([rigid, own], -1).numpy()
             a = rows * self.moving(hypothesis)[..., None]
-            gram = []
-            for m in self.members:
-                joints = np.ascontiguousarray(a[m].transpose(1, 0, 2))
-                gram.append(joints.transpose(0, 2, 1) @ joints)
-            self._columns[key] = (a, np.stack(gram))
+            self._columns[key] = (a, _products(a, self.members))
         return self._columns[key]
 
     def motion(self, hypothesis: Hypothesis) -> torch.Tensor:
@@ -170,6 +168,12 @@ class Judge:
         factor = torch.tensor(hypothesis.q_factor, dtype=torch.float64)
         factors = torch.stack([factor, factor, factor, factor.sign()], -1)
         return self.samples.motion[:, list(hypothesis.q_order)] * factors
+
+
+def _products(a: np.ndarray, members: Sequence[np.ndarray]) -> np.ndarray:
+    """(B, n, P, P) products of the columns (T, n, P), a block of rows apart."""
+    joints = [np.ascontiguousarray(a[m].transpose(1, 0, 2)) for m in members]
+    return np.stack([x.transpose(0, 2, 1) @ x for x in joints])
 
 
 def errors_left_out(normal: Normal, bodies: np.ndarray) -> np.ndarray:

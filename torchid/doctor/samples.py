@@ -60,6 +60,8 @@ class Samples:
         stretches: one a trajectory.
         motion, moving: (T, n, 4), (T, n) rows of all of them.
         block: (T,) block of each row, 0..BLOCKS-1.
+        run: (T,) trajectory of each row, a number of `names`.
+        names: of the trajectories of the log.
         reach: how far torque may be shifted [s].
         step: of the log [s].
         signals: that the log has.
@@ -69,6 +71,8 @@ class Samples:
     motion: Float[Tensor, "T n 4"]
     moving: Bool[Tensor, "T n"]
     block: Int[Tensor, " T"]
+    run: Int[Tensor, " T"]
+    names: tuple[str, ...]
     reach: float
     step: float
     signals: tuple[str, ...]
@@ -87,15 +91,17 @@ def samples(log: Log) -> Samples | str:
     log = log if log.tau is not None else log.replace(tau=log.current)
     if log.tau is None:
         return "there is no torque"
-    even = resample(log)
+    # Numbers in place of names, which need not differ: a run may be split at long gaps.
+    even = resample(log.replace(names=tuple(map(str, range(log.trajectory_count)))))
     parts = list(zip(even.trajectories(), sampling_rate(even), strict=True))
     usable = [(p, r) for p, r in parts if p.samples > _FEWEST]
     if not usable:
         return f"no trajectory has more than {_FEWEST} samples"
     cutoff = max(_cutoff(p, r) for p, r in usable)
     total = sum(p.samples / r for p, r in usable)
-    made = [_stretch(p, r, cutoff, MOST / total) for p, r in usable]
-    kept = [s for s in made if s is not None]
+    made = [(_stretch(p, r, cutoff, MOST / total), p.names[0]) for p, r in usable]
+    kept = [s for s, _ in made if s is not None]
+    runs = [torch.full_like(s.t[s.inside], int(name.partition("[")[0])) for s, name in made if s]
     count = sum(len(s.t[s.inside]) for s in kept)
     if count < 10 * BLOCKS:
         # The length that the rows of all blocks and the ends of a trajectory need.
@@ -109,6 +115,8 @@ def samples(log: Log) -> Samples | str:
         torch.cat([s.motion[s.inside] for s in kept]),
         torch.cat([s.moving[s.inside] for s in kept]),
         block=torch.arange(count) * BLOCKS // count,
+        run=torch.cat(runs).long() if runs else torch.zeros(0).long(),
+        names=log.names,
         reach=min(float(s.t[s.inside.start] - s.t[0]) for s in kept),
         step=1.0 / max(r for _, r in usable),
         signals=signals,

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy.optimize import nnls
 
 from torchid.doctor.check import Check, Choice, Verdict, among
-from torchid.doctor.cone import reach_of
+from torchid.doctor.cone import reach_of, shares
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.repair import Scale
 from torchid.doctor.search import CLEAR
@@ -79,6 +80,21 @@ def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
         rows.append((j, float(values[0]), low, high))
     table = np.array([r[1:] for r in rows]).reshape(-1, 3)
     return Slopes(tuple(r[0] for r in rows), *table.T)
+
+
+def nominal_loss(judge: Judge, hypothesis: Hypothesis) -> float:
+    """Sum of the joints' log errors of the nominal torque at a size of each joint's own, with
+    friction and rotor, none of them negative, and an offset."""
+    q, dq, ddq, sign = judge.motion(hypothesis).unbind(-1)
+    nominal, one = inverse_dynamics(judge.robot, q, dq, ddq), torch.ones_like(q)
+    columns = torch.stack([nominal, dq, sign, ddq, one, -one], -1).numpy()
+    tau, moving, loss = judge.torque(hypothesis), judge.moving(hypothesis), 0.0
+    for j in judge.live(hypothesis):
+        use = moving[:, j]
+        _, left = nnls(columns[use, j], tau[use, j])
+        spread = tau[use, j].std() * math.sqrt(use.sum())
+        loss += float(np.log(shares((left / spread) ** 2, np.array(1.0))))
+    return loss
 
 
 def check_size(

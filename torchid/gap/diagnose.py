@@ -5,11 +5,14 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 
 from torchid.design.sensor import sensor_of
+from torchid.doctor.first import ask_first
 from torchid.errors import TorchidError
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.position.diagnose import diagnose_positions
+from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.nominal import nominal_servos
 from torchid.results.answer import Diagnosis
 from torchid.robot.model import Robot
@@ -24,6 +27,7 @@ def diagnose(
     held_out: Log | None = None,
     settings: GapSettings | None = None,
     servo: str | None = None,
+    force: bool = False,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Where the simulator disagrees with the arm, which effects cause it, how far they close it.
@@ -38,12 +42,15 @@ def diagnose(
         settings: how; defaults if None. Of logs of positions none but the seed has a meaning.
         servo: what the servos are said to be, for logs of positions: `STS3215`, `kp=12`; shown
             beside what is found.
+        force: diagnose a log that the doctor's decisive checks say is wrong (order or sign of
+            joints, units, lag, a run with a load of its own), and say so first.
         progress: called with (stage, done, total).
 
     Returns:
         A `TorqueDiagnosis` [N m; N] or a `PositionDiagnosis` [mrad]: `answer` is the same for both.
 
     Raises:
+        WrongLogError: a decisive check of `torchid.doctor.first` says that a log is wrong.
         LogError: logs that do not fit the robot or cannot be used.
         TorchidError: settings or a servo that the log has no use for.
 
@@ -56,12 +63,33 @@ def diagnose(
     >>> [(c.effect, c.joints) for c in diagnose(robot, log, settings=settings).answer.causes]
     [('viscous_friction', (1,))]
     """
-    if sensor_of(log, robot) != "position":
-        if servo is not None:
-            raise TorchidError(
-                "`servo=...` is for logs of commands and positions.", got=f"{log.label}: torques"
-            )
-        return diagnose_torque(robot, log, held_out=held_out, settings=settings, progress=progress)
+    torques = sensor_of(log, robot) != "position"
+    if torques and servo is not None:
+        raise TorchidError(
+            "`servo=...` is for logs of commands and positions.", got=f"{log.label}: torques"
+        )
+    every = log if held_out is None else Log.concatenate([log, held_out])
+    doubts = ask_first(robot, every, force=force)
+    del every
+    found: TorqueDiagnosis | PositionDiagnosis
+    if torques:
+        found = diagnose_torque(robot, log, held_out=held_out, settings=settings, progress=progress)
+    else:
+        found = _of_positions(robot, log, held_out, settings, servo, progress)
+    if not doubts.short:
+        return found
+    return replace(found, doubt=doubts.short, warnings=(*doubts.warnings, *found.warnings))
+
+
+def _of_positions(
+    robot: Robot,
+    log: Log,
+    held_out: Log | None,
+    settings: GapSettings | None,
+    servo: str | None,
+    progress: Progress | None,
+) -> PositionDiagnosis:
+    """Of logs of commands and positions."""
     settings = settings or GapSettings()
     default = GapSettings(seed=settings.seed)
     changed = [

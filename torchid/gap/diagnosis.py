@@ -7,6 +7,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from msgspec import UNSET
+
 from torchid.design.columns import Columns, Model
 from torchid.design.segments import EDGE, Samples, Segment
 from torchid.effects.base import PLACES, Coefficient, Effect, Motion
@@ -268,6 +270,7 @@ class TorqueDiagnosis(Diagnosis):
         small: effects that are there and below what was asked for.
         suspects: the likeliest causes that are not sure enough to be named, the likeliest first.
         knowledge: what was known of the model before, and what this log adds.
+        doubt: what speaks against the log, which the headline says first.
     """
 
     robot: Robot
@@ -293,6 +296,7 @@ class TorqueDiagnosis(Diagnosis):
     small: tuple[UnnamedEffect, ...] = ()
     suspects: tuple[UnnamedEffect, ...] = ()
     knowledge: Known | None = None
+    doubt: str = ""
 
     def __repr__(self) -> str:
         effects = ", ".join(f.effect.name for f in self.findings) or "no effects"
@@ -399,6 +403,7 @@ class TorqueDiagnosis(Diagnosis):
             causes=tuple(sorted(causes, key=lambda c: -c.closes)),
             suspects=tuple(e.cause for e in self.suspects),
             reason=self._reason,
+            doubt=self.doubt or UNSET,
         )
 
     @property

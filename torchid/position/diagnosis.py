@@ -153,6 +153,7 @@ class PositionDiagnosis(Diagnosis):
         held_out: errors of a log that took part in nothing, mean of the joints that move: whole
             motions and windows of 2 s [mrad]; None without one.
         nominal: what the joints' servos are said to be; empty where nothing says it.
+        doubt: what speaks against the log, which the headline says first.
     """
 
     data: PositionData
@@ -172,6 +173,7 @@ class PositionDiagnosis(Diagnosis):
     known: tuple[tuple[tuple[str, ...], Float[Tensor, "_ _"]], ...] = ()
     held_out: tuple[float, float] | None = None
     nominal: tuple[NominalServo, ...] = ()
+    doubt: str = ""
 
     @property
     def closed(self) -> float:
@@ -236,6 +238,7 @@ class PositionDiagnosis(Diagnosis):
             ),
             causes=tuple(sorted(causes, key=lambda c: -c.closes)),
             reason=small if self.status == "no_gap" else "",
+            doubt=self.doubt or UNSET,
         )
 
     def __repr__(self) -> str:

@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from pathlib import Path
 
+from msgspec import UNSET, UnsetType
+
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result
 from torchid.results.words import (
     effect_words,
@@ -143,6 +145,7 @@ class Answer(Part, frozen=True, kw_only=True):
         suspects: causes that are not sure enough, the likeliest first; their remedy says what would
             settle them.
         reason: why nothing is named, where that is so.
+        doubt: what speaks against the log, said first; absent where nothing does.
     """
 
     status: str
@@ -158,6 +161,7 @@ class Answer(Part, frozen=True, kw_only=True):
     causes: tuple[Cause, ...]
     suspects: tuple[Cause, ...] = ()
     reason: str = ""
+    doubt: str | UnsetType = UNSET
 
     @property
     def less(self) -> float:
@@ -166,7 +170,12 @@ class Answer(Part, frozen=True, kw_only=True):
 
     @property
     def headline(self) -> str:
-        """The answer in at most two lines of 80 characters."""
+        """The answer in at most two lines of 80 characters, after what speaks against the log."""
+        if not self.doubt:
+            return self._headline(LONGEST)
+        return f"{self.doubt} {self._headline(LONGEST - len(self.doubt) - 1)}"
+
+    def _headline(self, longest: int) -> str:
         change = f"{self.before:.3g} -> {self.after:.3g} {self.unit}"
         size = f"{self.before:.3g} {self.unit}"
         noise = " to ".join(dict.fromkeys(f"{x:.3g}" for x in self.noise))
@@ -186,7 +195,7 @@ class Answer(Part, frozen=True, kw_only=True):
                 first = self.suspects[0]
                 likely = f"No cause is sure; most likely {self.suspect_words(first)}."
                 text = likely if self.status == "detected_unexplained" else text
-            return _cut(f"{text} {self.reason}".rstrip())
+            return _cut(f"{text} {self.reason}".rstrip(), longest)
         rest = ""
         if self.closed is None or self.after > UNCHANGED * self.before:
             verb, end = ("fits", "fit"), f"{self.error}; on new data: {change}."
@@ -209,9 +218,9 @@ class Answer(Part, frozen=True, kw_only=True):
             text = listed(names)
             many = len(names) > 1 or (len(groups[0]) > 1 and groups[0][0].effect == "link_inertia")
             said_all = f"{text[:1].upper()}{text[1:]} {verb[many]} {end}{rest}"
-            if len(said_all) <= LONGEST:
+            if len(said_all) <= longest:
                 return said_all
-        return _cut(said_all)
+        return _cut(said_all, longest)
 
     def suspect_words(self, cause: Cause) -> str:
         """`viscous friction on joint 3 (5.6 ± 0.7 N m s/rad, 82 %)`."""
@@ -412,8 +421,8 @@ def _bar(before: float, after: float, longest: float) -> str:
     return "█" * left + "░" * (whole - left)
 
 
-def _cut(text: str) -> str:
+def _cut(text: str, longest: int) -> str:
     """No longer than a headline may be: whole words, and an ellipsis."""
-    if len(text) <= LONGEST:
+    if len(text) <= longest:
         return text
-    return text[: LONGEST - 2].rsplit(" ", 1)[0].rstrip(",;") + " …"
+    return text[: longest - 2].rsplit(" ", 1)[0].rstrip(",;") + " …"

@@ -31,8 +31,8 @@ from torchid.gap.search.evidence import (
     rows_of,
     subset_of,
 )
+from torchid.gap.search.findings import p_value
 from torchid.gap.search.terms import BASE, Term
-from torchid.gap.search.told import p_value
 from torchid.robot.model import tool_pose
 from torchid.typing import Tensor
 

@@ -12,9 +12,10 @@ from torchid.effects.inertia import Payload
 from torchid.gap.search.climb import fitted
 from torchid.gap.search.evidence import apart, fit_terms
 from torchid.gap.search.explain import Explanation
+from torchid.gap.search.findings import alternatives, likely, not_testable
+from torchid.gap.search.odds import probability
 from torchid.gap.search.solve import Solution, solved
 from torchid.gap.search.terms import BASE, PAYLOAD
-from torchid.gap.search.told import alternatives, how_sure, likely, not_testable
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.blocks import block_numbers
 
@@ -71,7 +72,7 @@ def test_a_shape_at_the_end_of_its_range_is_never_told_alone(a: float, others: s
     assert {t.name for _, t in found} == others
     now, then = apart(question, fit, without)
     rises = [then.evidence - now.evidence, *(rise for rise, _ in found)]
-    assert how_sure(rises) > 0.99  # they are named, not believed
+    assert probability(rises) > 0.99  # they are named, not believed
 
 
 @pytest.mark.parametrize("bodies", [True, False])

@@ -1,0 +1,88 @@
+"""One probability: of a cause against nothing, against others, and against something unknown."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.gap.problems import measured, question_of, wanted_of
+from torchid.effects.friction import CoulombFriction, ViscousFriction
+from torchid.gap.search.evidence import fit_terms
+from torchid.gap.search.odds import DOUBT, Odds, odds, probability, stands_in
+from torchid.gap.search.replication import own_torque
+from torchid.gap.search.solve import solved
+from torchid.statistics.blocks import block_numbers
+
+NOISE = 0.01
+
+
+def asked(planted, misfit, name="viscous_friction", joint=1):
+    """Odds of an effect of a joint on a log with what is planted, beside so much misfit."""
+    data = measured(planted, noise=NOISE)
+    question = question_of(data, (name,))
+    term = next(t for t in question.candidates.terms if t.place == joint)
+    rows = question.normal.rows
+    fit, without = (fit_terms(question, terms, rows, None, 10) for terms in ([term], []))
+    block = block_numbers(data.samples.bounds, len(data.samples) // 40)
+    columns = question.candidates.columns
+    wanted = wanted_of((name,))
+    solution = solved(columns, fit.terms, fit.values(), data, wanted, block, rows)
+    k = len(question.fixed)
+    left = torch.full((len(rows),), misfit, dtype=torch.float64)
+    return odds(question, (fit, without), solution, k, own_torque(solution, k), left)
+
+
+LAW = [(ViscousFriction(1), [0.5])]
+
+
+def test_a_law_without_misfit_is_sure():
+    found = asked(LAW, 0.0)
+    assert found.sure > 0.999
+
+
+def test_nothing_is_more_likely_than_what_is_not_there():
+    assert asked([], 0.0).sure < 0.1
+
+
+def test_the_odds_end_where_misfit_begins():
+    """The larger what no cause explains, the less sure, however clear the evidence is."""
+    found = [asked(LAW, misfit) for misfit in (1e-4, 0.05, 0.2, 1.0)]
+    assert all(f.nothing < -20 for f in found)
+    sure = [f.sure for f in found]
+    assert sure == sorted(sure, reverse=True)
+    assert sure[0] > 0.99
+    assert sure[-1] < 1 / (1 + 0.9 * DOUBT)
+
+
+def test_with_half_of_the_error_left_no_cause_is_surer_than_nine_in_ten():
+    assert probability([-500.0, 2 * math.log(DOUBT * 0.25)]) == pytest.approx(0.9)
+
+
+def test_what_another_law_leaves_to_a_proxy_is_less_sure():
+    """Dry friction seen as viscous: in slow and in fast motion it wants another factor."""
+    misfit = 0.02
+    law, proxy = asked(LAW, misfit), asked([(CoulombFriction(1), [0.3])], misfit)
+    assert proxy.nothing < -2
+    assert proxy.unknown > law.unknown + 4
+
+
+@given(st.lists(st.floats(-60, 60), min_size=1, max_size=6))
+def test_hypotheses_sum_to_one(rises):
+    sure = probability(rises)
+    others = [math.exp(0.5 * r) * sure for r in rises]
+    assert sure + sum(others) == pytest.approx(1.0)
+    each = Odds(rises[0], tuple((r, "x") for r in rises[1:]))
+    assert each.sure == pytest.approx(sure)
+    assert each.set_sure >= each.sure
+
+
+@given(st.lists(st.floats(0.02, 5.0), min_size=2, max_size=5))
+def test_equal_factors_speak_for_a_law_as_far_as_they_are_known(stds):
+    same = stands_in([(1.0, s) for s in stds])
+    assert same <= 1e-12
+    assert stands_in([(1.0, 10 * s) for s in stds]) >= same
+    assert stands_in([(1.0, math.inf), (1.0, math.inf)]) == 0.0
+    spread = [(1.0 + (-1) ** k, s) for k, s in enumerate(stds)]
+    assert stands_in(spread) > same

@@ -1,0 +1,121 @@
+"""What a diagnosis asks of a log first: faults that effects would explain away."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from torchid.doctor.check import Check
+from torchid.doctor.examine import LEAST_SAMPLES, Examination, examine
+from torchid.doctor.faults import CHECK_OF
+from torchid.errors import LogError
+from torchid.log.model import Log
+from torchid.results.words import short
+from torchid.robot.model import Robot, joint_list
+
+DECISIVE = (
+    "time unit", "dropouts", "position unit", "position unit, by torque",
+    "velocity", "joint order", "torque sign", "position sign", "lag",
+    "torque unit", "runs",
+)  # fmt: skip
+"""Checks of faults for which no effect stands."""
+EXPLAINED = 0.2
+"""Share of a torque's spread that bodies leave in no joint of a log, from which on it is worth a
+diagnosis as it stands: a fault that is found there is a doubt."""
+LONGEST = 70
+"""Characters of a doubt, which a headline begins with."""
+
+
+class WrongLogError(LogError):
+    """A log that must be mended before anything is told from it.
+
+    Attributes:
+        examination: that says so.
+        wrong: its checks that do.
+    """
+
+    def __init__(self, examination: Examination, wrong: Sequence[Check], line: str | None = None):
+        self.examination, self.wrong = examination, tuple(wrong)
+        mends = any(c.repairs for c in wrong)
+        line = line or ("`torchid.examine(robot, log).mended()` is mended" if mends else None)
+        super().__init__(
+            f"log '{examination.log.source}' is not diagnosed, it looks wrong: {_names(wrong)}.",
+            got="; ".join(c.evidence for c in wrong),
+            expected="; ".join(c.fix or "another log" for c in wrong),
+            hint="; ".join(filter(None, (line, "`force=True` diagnoses it all the same"))),
+        )
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """What speaks against a log that is diagnosed all the same.
+
+    Attributes:
+        short: for the headline; empty where nothing does.
+        warnings: with the evidence.
+    """
+
+    short: str = ""
+    warnings: tuple[str, ...] = ()
+
+
+def ask_first(robot: Robot, log: Log, *, force: bool = False) -> Doubts:
+    """Make the decisive checks of a log that is to be diagnosed.
+
+    Args:
+        robot: that it is of.
+        log: all that is to be diagnosed; one that cannot be examined raises no doubt.
+        force: whether a wrong log is a doubt, and no error.
+
+    Raises:
+        WrongLogError: a decisive check says that the log is wrong.
+    """
+    longest = max(rows.stop - rows.start for rows in log.slices())
+    if robot.floating or log.n != robot.n or longest < LEAST_SAMPLES:
+        return Doubts()
+    try:
+        found = examine(robot, log, first=True)
+    except LogError:  # which the diagnosis says, if it matters there
+        return Doubts()
+    odd = [c for c in found.by_verdict() if c.name in DECISIVE]
+    # A dq that only lags, or is coarse, is left out by the diagnosis itself.
+    odd = [
+        c for c in odd if c.verdict == "wrong" or (c.verdict == "doubtful" and c.name != "velocity")
+    ]
+    wrong = [c for c in odd if _stops(c, found)]
+    if wrong and not force:
+        raise WrongLogError(found, wrong)
+    said = (
+        [f"Wrong log: {_names(wrong)}."] if wrong else [f"Doubt: {_names(odd)}."] if odd else [""]
+    )
+    odd.sort(key=lambda c: c not in wrong)
+    notes = (f"Change your log: {c.evidence}{f'; {c.fix}' if c.fix else ''}." for c in odd)
+    return Doubts(said[0], tuple(notes))
+
+
+def _stops(check: Check, found: Examination) -> bool:
+    """Whether a fault is sure, and none that an effect or a wrong model could stand for: what the
+    search found, where bodies explain the torque badly without."""
+    if check.verdict != "wrong":
+        return False
+    if check.name == "torque unit":  # a model is wrong by any factor, a unit by its own
+        return bool(check.repairs)
+    if check.name not in ("lag", *CHECK_OF.values()) or found.search is None:
+        return True
+    return any(
+        CHECK_OF.get(f.move.kind, f.move.kind) == check.name
+        and f.move.joints == (check.joints if check.name != "lag" else ())
+        and f.before.max() > EXPLAINED
+        for f in found.search.found
+    )
+
+
+def _names(checks: Sequence[Check]) -> str:
+    """Faults in few words: `torque sign of joint 2; run two contradicts the others`."""
+    words = [
+        c.evidence.partition(":")[0]
+        if c.name == "runs"
+        else f"{c.name} of {joint_list(c.joints)}"
+        if c.joints
+        else c.name
+        for c in checks
+    ]
+    return short("; ".join(words), LONGEST)

@@ -1,0 +1,139 @@
+"""Does one run contradict the others, as if a load had hung on the last link in it alone?
+
+The run's own base parameters are then the others' plus those of a body on the last link. Of each
+run a part of the time is predicted from its other parts and all other runs: with such a body in
+that run, with friction and offsets of its own (a warmer gear), and with neither.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from torchid.doctor.check import Check
+from torchid.doctor.cone import Normal, fit, shares
+from torchid.doctor.hypothesis import FEWEST, Hypothesis, Judge
+from torchid.doctor.search import CLEAR
+
+PIECES = 4
+"""Parts of a run that are left out in turn,"""
+LEAST_ROWS = 10
+"""... of this many rows or more."""
+STEADY = 2.0
+"""Largest over smallest mass of a load, a part left out in turn, that is one load."""
+MOST_LOOKED = 3
+"""Runs that a load explains best, which alone are looked at with parts left out."""
+
+
+@dataclass(frozen=True)
+class _Own:
+    """What a run alone may have.
+
+    Attributes:
+        columns: of the parameters (P,) that it has once more.
+        bodies: (columns, U) what those may be.
+    """
+
+    columns: np.ndarray
+    bodies: np.ndarray
+
+
+def check_runs(judge: Judge, hypothesis: Hypothesis) -> list[Check]:
+    """A check whether one run agrees with the others with a load of its own alone; nothing where
+    there are not two runs that are long enough to be held against each other."""
+    owner, names = judge.samples.run.numpy(), judge.samples.names
+    count = np.bincount(owner, minlength=len(names))
+    runs = np.flatnonzero(count >= PIECES * LEAST_ROWS).tolist()
+    if len(runs) < 2 or not judge.live(hypothesis):
+        return []
+    piece = np.full(len(owner), PIECES * len(runs))
+    for place, run in enumerate(runs):
+        piece[owner == run] = PIECES * place + np.arange(count[run]) * PIECES // count[run]
+    normal = judge.normal(hypothesis, [piece == k for k in range(piece.max() + 1)])
+    plain = fit(normal, judge.cone)
+    last = _last_link(judge.robot.n)
+    body = judge.cone[last][:, judge.cone[last].any(0)]
+    looked = []
+    # Of two runs one is heavier, or the other lighter: it is said of the heavier one.
+    for sign in (1.0, -1.0) if len(runs) > 2 else (1.0,):
+        for place, run in enumerate(runs):
+            mine = np.arange(PIECES * place, PIECES * (place + 1))
+            load = _Own(last, sign * body)
+            wide, cone = _with_own(normal, judge.cone, mine, load)
+            x = fit(wide, cone, weights=plain.weights).x
+            gain = _loss(normal, mine, plain.x) - _loss(wide, mine, x)
+            looked += [(gain, names[run], mine, load)] if gain > CLEAR else []
+    for _, name, mine, load in sorted(looked, key=lambda x: -x[0])[:MOST_LOOKED]:
+        if (found := _contradicts(judge, normal, name, mine, load)) is not None:
+            return [found]
+    return [Check("runs", "fine", f"{len(runs)} runs agree: none needs a load of its own")]
+
+
+def _last_link(n: int) -> np.ndarray:
+    """(10,) columns of the last link's parameters among those of n links."""
+    return np.r_[n - 1, n + 3 * (n - 1) : 4 * n, 4 * n + 6 * (n - 1) : 10 * n]
+
+
+def _contradicts(
+    judge: Judge, normal: Normal, name: str, mine: np.ndarray, load: _Own
+) -> Check | None:
+    """The check of a run that a load of its own explains clearly better than friction of its own or
+    nothing, in each part that is left out; None of any other run."""
+    rubbing = np.arange(10 * judge.robot.n, len(judge.cone))
+    both = np.hstack([np.eye(len(rubbing)), -np.eye(len(rubbing))])
+    nothing = _Own(rubbing[:0], np.zeros((0, 0)))
+    without, _ = _left_out(normal, judge.cone, mine, nothing)
+    loaded, values = _left_out(normal, judge.cone, mine, load)
+    mass = np.abs(values[:, 0])
+    gain = without - loaded
+    if mass.max() > STEADY * mass.min() or gain.min() <= 0 or gain.mean() < CLEAR:
+        return None
+    gain = _left_out(normal, judge.cone, mine, _Own(rubbing, both))[0] - loaded
+    if gain.min() <= 0 or gain.mean() < CLEAR:
+        return None
+    left = 100 * np.exp((loaded - without).mean() / max(1, int((normal.spread > 0).sum())))
+    word = "more" if values[0, 0] > 0 else "less"
+    return Check(
+        "runs",
+        "wrong",
+        f"run {name} contradicts the others: it fits with {mass.mean():.2g} kg {word} on the last "
+        f"link, which leaves {left:.0f} % of its error on parts of it that are left out",
+        estimate=float(values[:, 0].mean()),
+        unit="kg",
+        fix=f"was a load attached? Diagnose run {name} apart, or leave it out",
+    )
+
+
+def _left_out(
+    normal: Normal, cone: np.ndarray, mine: np.ndarray, own: _Own
+) -> tuple[np.ndarray, np.ndarray]:
+    """(B,) sums of the joints' log errors of a run's parts under the fit to all else, and the
+    (B, columns) values of its own parameters."""
+    wide, bodies = _with_own(normal, cone, mine, own)
+    fits = [fit(wide.without(k), bodies).x for k in mine]
+    losses = [_loss(wide, np.array([k]), x) for k, x in zip(mine, fits, strict=True)]
+    return np.array(losses), np.stack(fits)[:, normal.gram.shape[-1] :]
+
+
+def _with_own(
+    normal: Normal, cone: np.ndarray, mine: np.ndarray, own: _Own
+) -> tuple[Normal, np.ndarray]:
+    """The rows and what may be, with columns once more that act in a run's parts alone."""
+    size = normal.gram.shape[-1]
+    every = np.r_[np.arange(size), own.columns]
+    gram, cross = normal.gram[:, :, every][..., every], normal.cross[..., every]
+    others = np.setdiff1d(np.arange(len(gram)), mine)
+    gram[others, :, size:], gram[others, :, :, size:], cross[others, :, size:] = 0.0, 0.0, 0.0
+    bodies = np.zeros((len(every), cone.shape[1] + own.bodies.shape[1]))
+    bodies[:size, : cone.shape[1]], bodies[size:, cone.shape[1] :] = cone, own.bodies
+    return replace(normal, gram=gram, cross=cross), bodies
+
+
+def _loss(normal: Normal, parts: np.ndarray, x: np.ndarray) -> float:
+    """Sum of the joints' log errors in some parts."""
+    some = replace(
+        normal, gram=normal.gram[parts], cross=normal.cross[parts], square=normal.square[parts],
+        count=normal.count[parts],
+    )  # fmt: skip
+    count = some.count.sum(0)
+    mean = (some.mean_square(x) * some.count).sum(0) / np.maximum(count, 1)
+    return float(np.log(shares(mean, normal.spread))[count >= FEWEST].sum())
