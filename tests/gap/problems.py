@@ -95,7 +95,8 @@ def question_of(
     if parts is None:
         parts = torch.zeros(len(data.samples), dtype=torch.long)
     wanted = wanted_of(names, free=free, inertial=inertial)
-    found = candidates_of(columns, gap, data, wanted, parts, tuple(given), tuple(extra))
+    model = Model(ROBOT, tuple(given))
+    found = candidates_of(columns, gap, data, wanted, parts, model, tuple(extra))
     return Question(found, found.gram.over(), settings)
 
 

@@ -10,6 +10,7 @@ from torchid.effects.backlash import Backlash
 from torchid.effects.base import PLACES, Effect, JointEffect, Motion
 from torchid.effects.bearing import AxialLoadFriction, BearingMomentFriction
 from torchid.effects.coupling import GearCoupling
+from torchid.effects.file_mistakes import InertiaReferencePoint, InertiaScale, MirroredLink
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import (
     AsymmetricFriction,
@@ -65,6 +66,9 @@ KINDS: dict[str, type[Effect]] = {
         KinematicError,
         Payload,
         LinkInertia,
+        InertiaReferencePoint,
+        InertiaScale,
+        MirroredLink,
         TimeDelay,
         FilterLag,
         JointElasticity,

@@ -6,7 +6,7 @@ import torch
 
 from torchid.design.columns import Columns
 from torchid.effects.base import Effect
-from torchid.effects.inertia import BodyEffect
+from torchid.effects.inertia import LinkInertia, Payload
 from torchid.effects.registry import KINDS, Valued, nominal_effects
 from torchid.identification.base_parameters import BaseParameters
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
@@ -111,7 +111,9 @@ def learned(
     parts = [columns.regressor.flatten(0, 1)[independent]]
     robot = columns.model.robot
     parts += [
-        columns.regressor[e.link(robot)] if isinstance(e, BodyEffect) else columns.on_all_joints(e)
+        columns.regressor[e.link(robot)]
+        if isinstance(e, Payload | LinkInertia)
+        else columns.on_all_joints(e)
         for e in effects
     ]
     a = torch.cat(parts) * keep

@@ -98,9 +98,7 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
     torque = samples.of([s.tau.T for s in samples.segments])
 
     def asked(extra: Sequence[Effect]) -> Question:
-        found = candidates_of(
-            columns, gap, given, wanted, folds.parts, columns.model.effects, extra
-        )
+        found = candidates_of(columns, gap, given, wanted, folds.parts, columns.model, extra)
         return Question(found, found.gram.over(), settings)
 
     question = asked(())

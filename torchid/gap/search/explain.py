@@ -109,7 +109,7 @@ def explained(
 
     def asked(columns: Columns) -> Question:
         """Candidates at a model, for the gap of the model as given."""
-        candidates = candidates_of(columns, gap, data, wanted, parts, model.effects, extra)
+        candidates = candidates_of(columns, gap, data, wanted, parts, model, extra)
         normal = candidates.gram.over()
         left = None if wanted.knowledge is None else wanted.knowledge.left
         return Question(candidates, normal, settings, left=left)

@@ -260,7 +260,8 @@ def alternatives(
         if other.name != term.name:
             names.setdefault(other.name, (rise, other))
     for base in question.candidates.terms:
-        if base.name == BASE and not (term.inertial or LINK in names or question.shows(term)):
+        skip = term.inertial or term.change is not None or LINK in names or question.shows(term)
+        if base.name == BASE and not skip:
             # What does not do as well with any numbers does not with those of bodies.
             for conic in (False, True):
                 again = fit_terms(
@@ -406,7 +407,7 @@ def not_testable(found: Explanation, robot: Robot, data: Data) -> list[NotTestab
     accepted = {t.key for t in found.terms}
     best: dict[tuple[object, ...], tuple[float, float, Term]] = {}
     for term in question.candidates.terms:
-        if term.inertial or term.key in accepted:
+        if term.inertial or term.change is not None or term.key in accepted:
             continue
         # Of the first column's square, what no combination of the model's columns holds.
         size, row = 0.0, int(term.at[0])

@@ -238,6 +238,8 @@ def corrected(
     for term, v in zip(terms, values, strict=True):
         if term.name == BASE:
             pi.view(-1)[term.at if term.bodies else wanted.independent] += v
+        elif term.change is not None:
+            pi += float(v) * term.change
         elif term.name == LINK:
             pi[term.effects[0].joints[0]] += v
         else:

@@ -15,11 +15,12 @@ from torchid.design.bodies import (
     together,
     usual_bodies,
 )
-from torchid.design.columns import Columns, Place
+from torchid.design.columns import Columns, Model, Place
 from torchid.design.deflection import Compliance, compliance
 from torchid.design.gram import Gram
 from torchid.design.resonance import Swing
 from torchid.effects.base import Coefficient, Effect, JointEffect, ModelEffect
+from torchid.effects.file_mistakes import FileMistake
 from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import KINDS, Valued
 from torchid.gap.data import Data
@@ -63,6 +64,8 @@ class Term:
         bodies: what is known of them as corrections of bodies, in the place of `sigma`, with which
             candidates are only ranked; None: nothing.
         seen: what is known of it beside the fit's torque: from other sensors, or above its band.
+        change: (L, 10) of the links' parameters per unit of the one coefficient, of a mistake of
+            the robot's file.
         wrong: whether it is a body that may be plainly wrong.
         information: (C, F) its rows of the inverse covariance of all F coefficients of the fixed
             terms, where the model knows how sure it is: the correction is what that leaves open.
@@ -80,6 +83,7 @@ class Term:
     seen: Compliance | Swing | None = None
     information: Float[Tensor, "C F"] | None = None
     wrong: bool = False
+    change: Float[Tensor, "L 10"] | None = None
 
     @cached_property
     def limits(self) -> Float[Tensor, "C 3"]:
@@ -234,6 +238,8 @@ def term_columns(columns: Columns, term: Term) -> Float[Tensor, "C n N"]:
     if term.name == BASE:
         flat = columns.regressor.flatten(0, 1)
         return flat[term.at]
+    if term.change is not None:
+        return torch.tensordot(term.change, columns.regressor, 2).unsqueeze(0)
     if term.name in (LINK, PAYLOAD):
         # A body is the ten rows of its link; the payload those of the last one.
         robot = columns.model.robot
@@ -248,7 +254,7 @@ def candidates_of(
     data: Data,
     wanted: Wanted,
     parts: Int[Tensor, " N"],
-    given: Sequence[Valued],
+    given: Model,
     extra: Sequence[Effect] = (),
 ) -> Candidates:
     """Columns of all candidates at a model, put into normal equations.
@@ -259,7 +265,7 @@ def candidates_of(
         data: which samples count, and what the log holds.
         wanted: what is looked for.
         parts: (N,) fold of every sample, from 1; 0 of those between folds.
-        given: effects of the model as given.
+        given: the model as given.
         extra: further shapes and windows of effects.
     """
     n, robot = columns.n, columns.model.robot
@@ -281,7 +287,7 @@ def candidates_of(
             local[place].append(x)
             own[place] += len(x)
         effect = effects[0]
-        coefficients, known = effect.coefficients, _known(effects, given)
+        coefficients, known = effect.coefficients, _known(effects, given.effects)
         # Another sensor says what a coefficient is, or else physics how large it can be.
         seen = _seen(columns, data, effect)
         sizes = [c.largest / 2 for c in coefficients] if seen is None else [seen.std]
@@ -296,15 +302,18 @@ def candidates_of(
     for some in _model_effects(wanted, data, columns, extra):
         for effect, (place, x) in zip(some, columns.of_several(some), strict=True):
             terms.append(put((effect,), place, x))
+    for made, change in _file_mistakes(wanted, given.robot):
+        x = torch.tensordot(change, columns.regressor, 2).unsqueeze(0)
+        terms.append(replace(put(made, None, x), change=change))
     # The model's own, which are corrected within what is known of them, candidates or not.
     there = {e for t in terms for e in t.effects}
-    own_effects = [e for e, _ in given if wanted.knowledge is not None and not e.event]
+    own_effects = [e for e, _ in given.effects if wanted.knowledge is not None and not e.event]
     beside: list[Term] = []
     for e in own_effects:
         if isinstance(e, ModelEffect) and not e.inertial and e not in there:
             beside.append(put((e,), *columns.of(e)))
     for name in wanted.names:
-        if KINDS[name].shared:
+        if KINDS[name].shared and not issubclass(KINDS[name], FileMistake):
             every = tuple(KINDS[name].candidates(robot))  # type: ignore[attr-defined]
             terms.append(put(every, None, sum(columns.on_all_joints(e) for e in every)))  # type: ignore[arg-type]
     # Effects of one joint: all shapes of the grid, and some that no grid holds. Once they are in
@@ -319,7 +328,7 @@ def candidates_of(
             effects = [kind(joint, **dict(zip(names, v, strict=True))) for v in shapes.tolist()]
             found = columns.of_shapes(kind, joint, shapes)
             terms += [put((e,), joint, x) for e, x in zip(effects, found, strict=True)]
-        for shaped in _own_shapes(wanted, given, joint, extra):
+        for shaped in _own_shapes(wanted, given.effects, joint, extra):
             terms.append(put((shaped,), joint, columns.of(shaped)[1]))
         there = {t.effects[0] for t in terms if t.place == joint}
         for e in own_effects:
@@ -332,9 +341,9 @@ def candidates_of(
         [t if t.place is None else replace(t, at=t.at + filled) for t in some]
         for some in (terms, beside)
     )
-    terms = _standing_in(terms, given)
+    terms = _standing_in(terms, given.effects)
     if wanted.knowledge is not None:
-        fixed = known_terms([*terms, *beside], wanted.knowledge, given)
+        fixed = known_terms([*terms, *beside], wanted.knowledge, given.effects)
         chosen = [t for t in terms if wanted.allows(t)]
         return Candidates(
             columns, gap, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen))
@@ -434,6 +443,22 @@ def _model_effects(
             found = [_swinging(e, data) for e in kind.starts(columns.model.robot)]
             yield [e for e in found if not e.joints or not silent.issuperset(e.joints)]
     yield from ([e] for e in extra if isinstance(e, ModelEffect))
+
+
+def _file_mistakes(
+    wanted: Wanted, robot: Robot
+) -> Iterator[tuple[tuple[Effect, ...], Float[Tensor, "L 10"]]]:
+    """Mistakes of the robot's file, where its parameters may be wrong and were fitted to no log:
+    effects, and the change of its parameters per unit coefficient; of one link, and of all."""
+    kinds = [KINDS[name] for name in wanted.names if issubclass(KINDS[name], FileMistake)]
+    if not wanted.inertial or wanted.free or wanted.knowledge is not None:
+        return
+    for kind in kinds:
+        assert issubclass(kind, FileMistake)
+        each = [(e, e.change(robot)) for e in kind.starts(robot) if isinstance(e, FileMistake)]
+        yield from (((e,), change) for e, change in each if bool(change.any()))
+        if kind.shared:
+            yield tuple(e for e, _ in each), torch.stack([change for _, change in each]).sum(0)
 
 
 def _swinging(effect: ModelEffect, data: Data) -> ModelEffect:
