@@ -8,6 +8,7 @@ import torch
 from tests.effects.cases import JOINT, on_joint, trajectory
 from torchid.effects.backlash import Backlash
 from torchid.effects.base import Effect, JointEffect, ModelEffect
+from torchid.effects.file_mistakes import InertiaReferencePoint, InertiaScale, MirroredLink
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.friction_laws import StribeckFriction
 from torchid.effects.gravity import EncoderOffset, TorqueCrosstalk
@@ -49,12 +50,24 @@ def test_its_example_can_be_made(kind: type[Effect]) -> None:
         assert value >= 0 or not c.non_negative
 
 
+MISTAKES = (InertiaReferencePoint, InertiaScale, MirroredLink)
+
+
 @pytest.mark.parametrize(
     ("flag", "names"),
     [
         ("event", {"contact", "dropped_samples"}),
-        ("shared", {"time_delay", "torque_gain"}),
-        ("inertial", {"payload", "link_inertia"}),
+        ("shared", {"time_delay", "torque_gain", *(kind.name for kind in MISTAKES[:2])}),
+        (
+            "inertial",
+            {
+                "payload",
+                "link_inertia",
+                "inertia_reference_point",
+                "inertia_scale",
+                "mirrored_link",
+            },
+        ),
         ("smooth", {"time_delay", "filter_lag", "joint_elasticity"}),
         (
             "on_all",

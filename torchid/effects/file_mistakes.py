@@ -67,11 +67,11 @@ class InertiaReferencePoint(FileMistake):
     """A link's inertia is given about its frame's origin, and declared at its centre of mass."""
 
     name = "inertia_reference_point"
-    coefficients = (ArmCoefficient("share", "1", True, "share of m c^2 counted twice", 1.3),)
+    coefficients = (ArmCoefficient("w", "1", True, "share of m c^2 that is counted twice", 1.3),)
     meaning = (
         "The link's inertia is about its joint, and the file says that it is about its centre."
     )
-    equation = "-Y_j (0, 0, J(m, c)), J = m (c'c 1 - c c')"
+    equation = "-w Y_j (0, 0, m (c'c 1 - c c'))"
     signature = "with acceleration, as the mass times the square of its distance counted twice"
     remedy = "Subtract m (c'c 1 - c c') from the link's inertia in the file."
     source = _SOURCE
@@ -94,7 +94,7 @@ class InertiaScale(FileMistake):
     """A link's inertia about its centre of mass is another one by a factor."""
 
     name = "inertia_scale"
-    coefficients = (ArmCoefficient("scale", "1", False, "relative change of the inertia", 1e6),)
+    coefficients = (ArmCoefficient("s", "1", False, "relative change of the inertia", 1e6),)
     meaning = "The link's inertia is in another unit (g mm^2 for kg m^2), or of one of two halves."
     equation = "s Y_j (0, 0, J_c)"
     signature = "with acceleration alone; gravity is right"
@@ -122,9 +122,9 @@ class MirroredLink(FileMistake):
 
     name = "mirrored_link"
     shared = False
-    coefficients = (ArmCoefficient("share", "1", True, "share of the mirror image", 1.3),)
+    coefficients = (ArmCoefficient("w", "1", True, "share of the mirror image", 1.3),)
     meaning = "The link's body is mirrored: a left arm's file on a right arm, or a sign of its CAD."
-    equation = "Y_j (M pi - pi), M a reflection of the link's frame"
+    equation = "w Y_j (M pi_j - pi_j), M a reflection of the link's frame along an axis"
     signature = "with gravity, of the other sign along one axis, and with acceleration"
     remedy = (
         "Turn round the sign of the centre of mass and of the products of inertia of that axis."
