@@ -28,6 +28,7 @@ from torchid.position.judge import (
     value_interval,
 )
 from torchid.position.model import ServoArm, accuracy
+from torchid.position.odds import effect_sure
 from torchid.position.payload import Loaded, with_load
 from torchid.position.rods import PER_METRE
 from torchid.position.search import (
@@ -42,6 +43,7 @@ from torchid.position.search import (
     shared,
     slight,
 )
+from torchid.results.replication import Replication
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
 from torchid.simulation.servo_loop import Windows, windows_of
@@ -110,7 +112,7 @@ def diagnose_positions(
     say("how far it goes")
     known = equations(data, servos, found.free, more)
     ways, errors_of = _accuracies(((given, simple), (data, found)), windows, few)
-    findings = _findings(answered, known)
+    findings = _findings(answered, known, few)
     still = _still(data)
     deviation = known.deviations()[:, known.names.index("kp")]
     interval = [
@@ -489,8 +491,20 @@ def _returned(
     return shown, stood, now
 
 
-def _findings(answered: _Answer, known: Equations) -> tuple[PositionFinding, ...]:
+def _findings(answered: _Answer, known: Equations, windows: Windows) -> tuple[PositionFinding, ...]:
+    """What is named, by what it was worth in windows."""
     data, found, rivals = answered.data, answered.found, answered.rivals
+    least = slight(data, windows)
+    seconds = float((windows.length * windows.weight).sum()) * data.tracks.dt
+
+    def sure(losses: Sequence[Tensor], numbers: int, again: Replication | None = None) -> float:
+        """Of an effect, from losses without it and with it, and the least that calls for one."""
+        without, with_it, slightest = (float(x.sum()) for x in losses)
+        looks = len(EFFECTS) * data.robot.n
+        return effect_sure(
+            without, with_it, slightest, numbers, again, seconds=seconds, looks=looks
+        )
+
     deviation = known.deviations()
     looked = float(data.tracks.u.shape[0])
     motions = list(zip(data.log.names, data.log.duration, strict=True))
@@ -511,6 +525,7 @@ def _findings(answered: _Answer, known: Equations) -> tuple[PositionFinding, ...
             PositionFinding(
                 PAYLOAD.name, PAYLOAD.family, None, body, far, near, others,
                 PAYLOAD.meaning, PAYLOAD.remedy,
+                how_sure=sure((light, heavy, least), len(body)),
             )
         )  # fmt: skip
     for name, losses in answered.worth.items():
@@ -525,7 +540,15 @@ def _findings(answered: _Answer, known: Equations) -> tuple[PositionFinding, ...
             ends = float(without.square().mean().sqrt()), float(with_it.square().mean().sqrt())
             out.append(
                 PositionFinding(
-                    name, effect.family, None, plane, *ends, (), effect.meaning, effect.remedy
+                    name,
+                    effect.family,
+                    None,
+                    plane,
+                    *ends,
+                    (),
+                    effect.meaning,
+                    effect.remedy,
+                    how_sure=sure((*losses, least), len(plane)),
                 )
             )
             continue
@@ -553,6 +576,7 @@ def _findings(answered: _Answer, known: Equations) -> tuple[PositionFinding, ...
                 PositionFinding(
                     name, effect.family, j + 1, tuple(sizes), *ends, others,
                     effect.meaning, effect.remedy, again,
+                    sure([x[j] for x in (*losses, least)], len(sizes), again),
                 )
             )  # fmt: skip
     return tuple(sorted(out, key=lambda f: f.error_with - f.error_without))

@@ -77,6 +77,7 @@ class PositionFinding:
         meaning, remedy: one sentence each.
         replication: whether it is the same in every motion; None of what acts at the ends of the
             travel, and of what all joints feel.
+        how_sure: probability of it, or of the set with what does as well.
     """
 
     effect: str
@@ -89,6 +90,7 @@ class PositionFinding:
     meaning: str
     remedy: str
     replication: Replication | None = None
+    how_sure: float | None = None
 
     @property
     def cause(self) -> Cause:
@@ -100,6 +102,7 @@ class PositionFinding:
             sizes=tuple(
                 AnswerSize(name=s.name, unit=s.unit, value=s.value, std=s.std) for s in self.sizes
             ),
+            how_sure=self.how_sure,
             ambiguous_with=self.ambiguous_with,
             closes=1.0 - left,
             remedy=self.remedy,

@@ -59,6 +59,7 @@ class EffectRecord(Part, frozen=True, kw_only=True):
     error_without_mrad: Real
     error_with_mrad: Real
     replication: Replication | None = None
+    how_sure: float | None = None
     meaning: str
     remedy: str
 

@@ -13,11 +13,11 @@ from torchid.gap.search.climb import fitted
 from torchid.gap.search.evidence import apart, fit_terms
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.findings import alternatives, likely, not_testable
-from torchid.gap.search.odds import probability
 from torchid.gap.search.solve import Solution, solved
 from torchid.gap.search.terms import BASE, PAYLOAD
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.blocks import block_numbers
+from torchid.statistics.odds import probability
 
 LOAD = [0.5, 0.05, -0.02, 0.1, 0.08, 0.0, 0.0, 0.08, 0.0, 0.08]
 

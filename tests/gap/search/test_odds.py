@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from tests.gap.problems import measured, question_of, wanted_of
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.gap.search.evidence import fit_terms
-from torchid.gap.search.odds import DOUBT, Odds, odds, probability, stands_in
+from torchid.gap.search.odds import Odds, odds
 from torchid.gap.search.replication import own_torque
 from torchid.gap.search.solve import solved
 from torchid.statistics.blocks import block_numbers
+from torchid.statistics.odds import DOUBT, probability, stands_in
 
 NOISE = 0.01
 

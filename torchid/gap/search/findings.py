@@ -31,12 +31,13 @@ from torchid.gap.search.evidence import (
     risen,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.odds import LIKELY, Odds, odds
+from torchid.gap.search.odds import Odds, odds
 from torchid.gap.search.planting import Planting, planted
 from torchid.gap.search.replication import OwnTorque, own_torque, replication
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
+from torchid.statistics.odds import LIKELY
 from torchid.typing import Float, Int, Tensor
 
 RIVALS = 5

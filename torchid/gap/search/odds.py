@@ -1,19 +1,14 @@
 """How sure a cause is: one probability, from one calculation.
 
 In the place of a cause there may be nothing, another effect of the library, or something that is in
-no library. The odds of each against the cause are exp of half of a rise (Kass and Raftery 1995):
+no library. The odds of each against the cause are exp of half of a rise:
 
 - nothing, or another effect: the rise of the evidence without the cause or with the other one in
   its place, where one cause is expected among all that were looked at. Blocks of samples may
   disagree by more than dependent samples do; the likelihood then counts as much less as their
   spread says (a power of it, Grünwald and van Ommen 2017), the cost of coefficients stays.
-- an unknown effect: real arms leave a misfit that is no noise. A cause is told from a part of that
-  by its size and by being the same everywhere. An unknown effect as large as the misfit is as large
-  as the cause by chance with odds of exp(-t^2 / 2 U^2), t being the torque that the cause takes
-  away and U the misfit, joint by joint. A law wants the same factor in all regimes (thirds of
-  travel, speed, load, time and both directions), to a tenth or so; what stands in for something
-  else wants another one in some regime, which is not known beforehand. Where a share of a joint's
-  squares has no name, what has one may belong to it: these odds are no less than in proportion.
+- an unknown effect: its regimes are thirds of travel, speed, load and time, both directions, and
+  motions (see `torchid.statistics.odds`).
 """
 
 import math
@@ -24,22 +19,11 @@ import torch
 
 from torchid.effects.registry import EVENTS
 from torchid.gap.search.evidence import Fitted, Question, acting, apart, cost, risen
-from torchid.gap.search.replication import Factors, OwnTorque, motions, regimes
+from torchid.gap.search.replication import OwnTorque, motions, regimes
 from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import Term
+from torchid.statistics.odds import Factors, probability, unknown_rise
 from torchid.typing import Float, Tensor
-
-LIKELY = 0.5
-"""Probability from which a cause is named."""
-
-LAW, PROXY = 0.1, 0.5
-"""Standard deviation between regimes of the factor by which a law is wanted, and of what stands in
-for something else [1]: friction of real arms varies by .05 to .15, causes that are not there by
-.3 to .6."""
-
-DOUBT = 4 / 9
-"""Odds of an unknown effect in the place of a cause, over the share of the joint's squares that has
-no name: with half of the RMS left a cause is 90 % sure at most."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +49,6 @@ class Odds:
     def set_sure(self) -> float:
         """Probability that the cause is there or one of the others in its place."""
         return probability([self.nothing, self.unknown])
-
-
-def probability(rises: Sequence[float]) -> float:
-    """Of what each rise is against."""
-    return 1 / (1 + sum(math.exp(min(0.5 * rise, 500.0)) for rise in rises))
 
 
 def odds(
@@ -141,24 +120,12 @@ def unknown(
     # Where it acts, or shows most.
     places = term.effects[0].joints if len(term.effects) == 1 else ()
     joint = places[0] if len(places) == 1 else int(ratio.argmax())
-    rise = -float(ratio.sum())
+    ways: list[Factors] = []
     if not any(e.name in EVENTS or e.at_ends for e in term.effects):
         columns = question.candidates.columns
         ways = [own.factors(w) for w in regimes(columns, joint, question.candidates.keep[joint])]
         several = motions(columns.samples)
-        ways += [own.factors([rows for _, rows in several])] if len(several) > 1 else []
-        # It is not known beforehand in which way the factor of something else varies.
-        each = torch.tensor([stands_in(w) for w in ways], dtype=torch.float64)
-        rise += 2 * (float(each.logsumexp(0)) - math.log(len(each)))
+        ways += [own.factors([part for _, part in several])] if len(several) > 1 else []
     before = float(question.squares[joint] / rows[joint])
     share = float(misfit[joint]) / max(before, float(misfit[joint]))
-    return max(rise, 2 * math.log(max(DOUBT * share, 1e-300)))
-
-
-def stands_in(factors: Factors) -> float:
-    """Logarithm of how much likelier factors are of what stands in for something else than of a
-    law."""
-    x, std = torch.tensor(factors, dtype=torch.float64).reshape(-1, 2).unbind(1)
-    law, proxy = std.square() + LAW**2, std.square() + PROXY**2
-    each = 0.5 * ((law / proxy).log() + (x - 1).square() * (1 / law - 1 / proxy))
-    return float(each.nan_to_num().sum())
+    return unknown_rise(float(ratio.sum()), share, ways)

@@ -15,14 +15,12 @@ from torchid.design.segments import Samples
 from torchid.gap.search.evidence import prior_of
 from torchid.gap.search.solve import Solution
 from torchid.results.replication import MotionScale, Replication, replication_of
+from torchid.statistics.odds import Factors
 from torchid.typing import Bool, Float, Tensor
 
 PART = 10.0
 """Length of a part of a longer trajectory [s]: several motions of a joint, and many of the
 residual's correlation times."""
-
-Factors = list[tuple[float, float]]
-"""By which factors parts of the data want a term, each with its standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)

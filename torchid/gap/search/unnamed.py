@@ -13,13 +13,14 @@ from torchid.gap.record import UnnamedEffect
 from torchid.gap.search.climb import allowed, moves
 from torchid.gap.search.evidence import Fitted, Question, apart, fit_each, fit_terms
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.odds import LIKELY, odds, probability
+from torchid.gap.search.odds import odds
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.solve import solved
 from torchid.gap.search.terms import BASE, Term
 from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
 from torchid.robot.model import Robot
+from torchid.statistics.odds import LIKELY, probability
 from torchid.typing import Float, Int, Tensor
 
 PLACES, EACH = 8, 4
