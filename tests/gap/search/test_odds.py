@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.gap.problems import measured, question_of, wanted_of
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.gap.search.evidence import fit_terms
-from torchid.gap.search.odds import Odds, odds
+from torchid.gap.search.odds import Misfit, Odds, odds
 from torchid.gap.search.replication import own_torque
 from torchid.gap.search.solve import solved
 from torchid.statistics.blocks import block_numbers
@@ -31,7 +31,8 @@ def asked(planted, misfit, name="viscous_friction", joint=1):
     wanted = wanted_of((name,))
     solution = solved(columns, fit.terms, fit.values(), data, wanted, block, rows)
     k = len(question.fixed)
-    left = torch.full((len(rows),), misfit, dtype=torch.float64)
+    share = misfit / (misfit + question.squares / rows)
+    left = Misfit(torch.full_like(rows, misfit), share)
     return odds(question, (fit, without), solution, k, own_torque(solution, k), left)
 
 

@@ -31,14 +31,14 @@ from torchid.gap.search.evidence import (
     risen,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.odds import Odds, odds
+from torchid.gap.search.odds import Misfit, Odds, odds
 from torchid.gap.search.planting import Planting, planted
 from torchid.gap.search.replication import OwnTorque, own_torque, replication
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.statistics.odds import LIKELY
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Int, Tensor
 
 RIVALS = 5
 """Others that are planted in the place of a cause."""
@@ -81,12 +81,12 @@ class Judged:
         return self.odds.set_sure if self.one_of_a_set else self.odds.sure
 
 
-def judge_terms(found: Explanation, misfit: Float[Tensor, " n"]) -> list[Judged]:
+def judge_terms(found: Explanation, misfit: Misfit) -> list[Judged]:
     """The terms of an explanation, in its order.
 
     Args:
         found: the explanation.
-        misfit: (n,) mean square of what it leaves and is no noise.
+        misfit: that it leaves.
     """
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
     out = []

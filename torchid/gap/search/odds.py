@@ -13,7 +13,7 @@ no library. The odds of each against the cause are exp of half of a rise:
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -24,6 +24,23 @@ from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import Term
 from torchid.statistics.odds import Factors, probability, unknown_rise
 from torchid.typing import Float, Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """What an explanation leaves without a name.
+
+    Attributes:
+        squares: (n,) mean squares of what it leaves in the fit's band and is no noise.
+        share: (n,) of the squares of each joint's error, on data that was not fitted.
+    """
+
+    squares: Float[Tensor, " n"]
+    share: Float[Tensor, " n"]
+
+    def less(self, fall: Float[Tensor, " n"]) -> "Misfit":
+        """With a cause more, by which mean squares fall by (n,)."""
+        return replace(self, squares=(self.squares - fall).clamp(min=0))
 
 
 @dataclass(frozen=True)
@@ -57,7 +74,7 @@ def odds(
     solution: Solution,
     k: int,
     own: OwnTorque,
-    misfit: Float[Tensor, " n"],
+    misfit: Misfit,
     others: Sequence[tuple[float, Term]] = (),
 ) -> Odds:
     """What may be there in the place of a term.
@@ -67,7 +84,7 @@ def odds(
         fits: with the term, and of the others without it.
         solution: with all terms; the k-th is asked.
         own: torque of it that no other term makes.
-        misfit: (n,) mean square of what the model leaves and is no noise.
+        misfit: that the model leaves.
         others: terms that may stand in its place, with the rise of the evidence.
     """
     now, then = apart(question, *fits)
@@ -109,14 +126,13 @@ def unknown(
     fits: tuple[Fitted, Fitted],
     own: OwnTorque,
     term: Term,
-    misfit: Float[Tensor, " n"],
+    misfit: Misfit,
 ) -> float:
     """Twice the logarithm of the odds that something else than the library's is in a term's
     place."""
     rows = question.normal.rows.clamp(min=1.0)
     fall = ((fits[1].losses - fits[0].losses) / rows).clamp(min=0) / acting(question, [term])
-    misfit = misfit.clamp(min=1e-12 * float(fall.max()) + 1e-300)
-    ratio = fall / misfit
+    ratio = fall / misfit.squares.clamp(min=1e-12 * float(fall.max()) + 1e-300)
     # Where it acts, or shows most.
     places = term.effects[0].joints if len(term.effects) == 1 else ()
     joint = places[0] if len(places) == 1 else int(ratio.argmax())
@@ -126,6 +142,4 @@ def unknown(
         ways = [own.factors(w) for w in regimes(columns, joint, question.candidates.keep[joint])]
         several = motions(columns.samples)
         ways += [own.factors([part for _, part in several])] if len(several) > 1 else []
-    before = float(question.squares[joint] / rows[joint])
-    share = float(misfit[joint]) / max(before, float(misfit[joint]))
-    return unknown_rise(float(ratio.sum()), share, ways)
+    return unknown_rise(float(ratio.sum()), float(misfit.share[joint]), ways)

@@ -11,9 +11,9 @@ from torchid.gap.data import Data
 from torchid.gap.diagnosis import unit_of
 from torchid.gap.record import UnnamedEffect
 from torchid.gap.search.climb import allowed, moves
-from torchid.gap.search.evidence import Fitted, Question, apart, fit_each, fit_terms
+from torchid.gap.search.evidence import Fitted, Question, acting, apart, fit_each, fit_terms
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.odds import odds
+from torchid.gap.search.odds import Misfit, odds
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.solve import solved
 from torchid.gap.search.terms import BASE, Term
@@ -21,13 +21,13 @@ from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
 from torchid.robot.model import Robot
 from torchid.statistics.odds import LIKELY, probability
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Int, Tensor
 
 PLACES, EACH = 8, 4
 """Places that are looked at for suspects beside what is named, and candidates of each."""
 
 MOST = 5
-UNLIKELY = 0.1
+UNLIKELY = 0.03
 """Suspects that are listed at most, and the probability of the least likely one."""
 
 
@@ -36,7 +36,7 @@ def small_effects(
     data: Data,
     block: Int[Tensor, " N"],
     robot: Robot,
-    misfit: Float[Tensor, " n"],
+    misfit: Misfit,
 ) -> tuple[UnnamedEffect, ...]:
     """Causes that the evidence has beside what is told, each likelier there than not, the largest
     first; bodies are none of them.
@@ -45,7 +45,7 @@ def small_effects(
         found: what is told, and what was not worth a name.
         data, block: of the log, as for `solved`.
         robot: for units.
-        misfit: (n,) mean square of what the answer leaves and is no noise.
+        misfit: that the answer leaves.
     """
     question, fit = found.question, found.fit
     named = {t.key for t in found.terms}
@@ -98,12 +98,13 @@ def suspects(
     data: Data,
     block: Int[Tensor, " N"],
     robot: Robot,
-    misfit: Float[Tensor, " n"],
+    misfit: Misfit,
     listed: Collection[object],
     moved: Collection[str] = (),
 ) -> tuple[UnnamedEffect, ...]:
-    """The likeliest causes that have no name, the most probable first: of every place the best, and
-    what may be there instead. Those of one place, nothing and something else sum up to one.
+    """The likeliest causes as large as is worth a name that have none, the most probable first: of
+    every place the best, and what may be there instead. Those of one place, nothing and something
+    else sum up to one.
 
     Args:
         found, data, block, robot, misfit: as for `small_effects`.
@@ -135,10 +136,11 @@ def suspects(
     start = [*fit.values(), *(pairs[0][0].values()[-1] for pairs in best)]
     columns = question.candidates.columns.at(solution.start)
     solution = solved(columns, every, start, data, solution.wanted, block, fit.effective)
+    least = question.least(fit.losses / rows)
     out: list[tuple[bool, UnnamedEffect]] = []
     for k, ((first, term), *others) in enumerate(best, len(fit.terms)):
         rivals = [(_rise(question, f, first), t) for f, t in others]
-        left = (misfit - (fit.losses - first.losses).clamp(min=0) / rows).clamp(min=0)
+        left = misfit.less((fit.losses - first.losses).clamp(min=0) / rows)
         own_part = own_torque(solution, k)
         here = odds(question, (first, fit), solution, k, own_part, left, rivals)
         numbers = [(term, solution.values[k], solution.std[k], first, here.sure)]
@@ -147,7 +149,9 @@ def suspects(
             numbers.append((other, values, std, f, here.sure * math.exp(0.5 * rise)))
         for one, values, std, f, sure in numbers:
             closes = ((fit.losses - f.losses).clamp(min=0) / rows).sqrt()
-            out.append((is_moved(one), _entry(one, values, std, closes, sure, robot)))
+            large = bool((closes / acting(question, [one]) ** 0.5 >= least).any())
+            if large or is_moved(one):
+                out.append((is_moved(one), _entry(one, values, std, closes, sure, robot)))
     # What has moved is listed, however unlikely.
     kept = [pair for pair in out if pair[0] or pair[1].how_sure >= UNLIKELY]
     kept = sorted(kept, key=lambda pair: (not pair[0], -pair[1].how_sure))[:MOST]

@@ -14,6 +14,7 @@ from torchid.gap.record import Status
 from torchid.gap.search.evidence import fit_terms
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.findings import Findings
+from torchid.gap.search.odds import Misfit
 from torchid.gap.search.solve import Solution, solved
 from torchid.gap.search.terms import BASE, Term, Wanted, fixed_terms
 from torchid.gap.settings import GapSettings
@@ -127,12 +128,16 @@ def check(
     )
 
 
-def misfit_of(found: Explanation, checked: Checked, data: Data) -> Float[Tensor, " n"]:
-    """Mean square (n,) of what an explanation leaves in the fit's band and is no noise: noise is
-    white, or as repeats measure it."""
-    rows = found.question.normal.rows.clamp(min=1.0)
-    share = min(1.0, data.samples.cutoff / data.band)
-    return (found.fit.losses / rows - share * known_noise(checked.noise.floor)).clamp(min=0)
+def misfit_of(found: Explanation, checked: Checked, data: Data) -> Misfit:
+    """What an explanation leaves without a name. Noise is white, or as repeats measure it; without
+    them it is not known how much of what is left on other data is noise."""
+    rows, floor = found.question.normal.rows.clamp(min=1.0), checked.noise.floor
+    noise = known_noise(floor)
+    in_band = min(1.0, data.samples.cutoff / data.band) * noise
+    measured = noise if floor.source == "repeats" else torch.zeros_like(noise)
+    before, after = (x.square() - measured for x in (checked.far.rms_before, checked.far.rms_after))
+    share = (after.clamp(min=0) / before.clamp(min=1e-300)).clamp(max=1.0)
+    return Misfit((found.fit.losses / rows - in_band).clamp(min=0), share)
 
 
 def harmful(found: Explanation, checked: Checked, least: Float[Tensor, " n"]) -> list[Term]:
