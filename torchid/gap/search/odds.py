@@ -21,9 +21,14 @@ from torchid.effects.registry import EVENTS
 from torchid.gap.search.evidence import Fitted, Question, acting, apart, cost, risen
 from torchid.gap.search.replication import OwnTorque, motions, regimes
 from torchid.gap.search.solve import Solution
-from torchid.gap.search.terms import Term
+from torchid.gap.search.terms import BASE, LINK, Term
 from torchid.statistics.odds import Factors, probability, unknown_rise
 from torchid.typing import Float, Tensor
+
+WRONG_FILE = 1 / 9
+"""Odds that inertial parameters are the cause where all of them do as well as an effect, and the
+model does not say how sure it is: an effect that stands only if a file is trusted is 90 % sure at
+most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +107,9 @@ def odds(
     power = 1.0 if local or gain <= 0 else min(1.0, wald(solution, k) / gain)
     each = []
     for rise, other in others:
+        if other.name == BASE and not question.known:
+            each.append((2 * math.log(WRONG_FILE), LINK))
+            continue
         cheaper = mine - price([*rest, other])
         each.append((power * (rise - cheaper) + cheaper, other.name))
     beyond = -math.inf if question.shows(term) else unknown(question, fits, own, term, misfit)

@@ -43,7 +43,8 @@ any."""
 
 WRONG = 10.0
 """The same of a body that is plainly wrong, over that of a usual one [1]: errors of files have a
-heavy tail (an inertia in another unit, one of two halves). It has the price of a shape."""
+heavy tail (an inertia in another unit, one of two halves). It has the price of a shape, and so has
+the scale of a torque that nobody doubts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,7 @@ class Term:
         seen: what is known of it beside the fit's torque: from other sensors, or above its band.
         change: (L, 10) of the links' parameters per unit of the one coefficient, of a mistake of
             the robot's file.
-        wrong: whether it is a body that may be plainly wrong.
+        wrong: whether it is a body, or the scale of a torque, that would be plainly wrong.
         information: (C, F) its rows of the inverse covariance of all F coefficients of the fixed
             terms, where the model knows how sure it is: the correction is what that leaves open.
     """
@@ -293,10 +294,14 @@ def candidates_of(
         sizes = [c.largest / 2 for c in coefficients] if seen is None else [seen.std]
         # A model that was fitted to the arm's own logs is in units of its sensors: a scale that is
         # another one now has changed, by whatever amount.
-        if effect.scale_of_torque and data.gain_said and wanted.knowledge is None:
+        scale = effect.scale_of_torque and wanted.knowledge is None
+        if scale and data.gain_said:
             sizes = [data.gain_std]
         sigma = torch.tensor(sizes, dtype=torch.float64)
-        return Term(effect.name, effects, place, at, coefficients, known, sigma=sigma, seen=seen)
+        return Term(
+            effect.name, effects, place, at, coefficients, known, sigma=sigma, seen=seen,
+            wrong=scale and not data.gain_said,
+        )  # fmt: skip
 
     # Effects of the whole arm, and those that all joints share.
     for some in _model_effects(wanted, data, columns, extra):
