@@ -28,7 +28,7 @@ from gap_hard import RATE, arm
 import torchid
 from torchid.design.columns import Columns
 from torchid.gap.data import prepare
-from torchid.gap.search.wanted import start_of
+from torchid.gap.wanted import start_of
 from torchid.robot.model import Robot
 
 STEP = 5e-4

@@ -26,7 +26,7 @@ from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.noise.floor import stuck
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
-from torchid.gap.validate.folds import traces
+from torchid.gap.validate.traces import traces
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot

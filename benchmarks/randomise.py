@@ -27,7 +27,7 @@ from torchid.gap.data import prepare
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
-from torchid.gap.validate.folds import traces
+from torchid.gap.validate.traces import traces
 from torchid.identification.base_parameters import base_parameters
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters

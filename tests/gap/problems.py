@@ -8,10 +8,13 @@ import torch
 
 from tests.gap.motions import ROBOT, motion_at, noises, segment_of, times
 from torchid.design.columns import Columns, Model
+from torchid.design.repeats import find_repeats
 from torchid.design.segments import Samples, Segment, moving_samples
 from torchid.effects.base import Effect, Motion
 from torchid.effects.registry import Valued, model_torque
 from torchid.gap.data import Data, sharp_direction
+from torchid.gap.folds import make_folds
+from torchid.gap.problem import Problem
 from torchid.gap.search.evidence import Question
 from torchid.gap.search.terms import Term, Wanted, candidates_of
 from torchid.gap.settings import GapSettings
@@ -117,3 +120,19 @@ def term(question: Question, name: str, place: int | None) -> Term:
 
 def named(terms: Sequence[Term]) -> set[tuple[str, int | None]]:
     return {(t.name, t.place) for t in terms}
+
+
+def problem_of(data: Data, wanted: Wanted, robot: Robot = ROBOT) -> Problem:
+    """The gap between data and a robot, with blocks of fifty samples."""
+    repeats = find_repeats(data.segments)
+    return Problem(
+        given=Columns(Model(robot, ()), data.samples),
+        data=data,
+        judged=None,
+        folds=make_folds(data.samples, 5, repeats.groups(len(data.segments))),
+        block=torch.arange(len(data.samples)) // 50,
+        repeats=repeats,
+        wanted=wanted,
+        settings=SETTINGS,
+        fitted_first=False,
+    )

@@ -27,8 +27,9 @@ from torchid.export.write_xml import xml_of
 from torchid.extraction.entropic import SPREAD
 from torchid.gap.data import Data, read
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
+from torchid.gap.folds import make_folds
 from torchid.gap.settings import GapSettings
-from torchid.gap.validate.folds import make_folds, traces
+from torchid.gap.validate.traces import traces
 from torchid.log.model import Log
 from torchid.robot.model import Robot, joint_list
 from torchid.simulation.shooting import starts_of, windows_of

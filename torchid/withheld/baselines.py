@@ -24,13 +24,13 @@ from torchid.design.repeats import find_repeats
 from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS
 from torchid.gap.data import prepare
+from torchid.gap.folds import make_folds
 from torchid.gap.noise.floor import noise_of, sliding_only
 from torchid.gap.search.events import contacts
 from torchid.gap.search.evidence import Offer, Question, fit_terms, offers, subset_of
 from torchid.gap.search.terms import LINK, Term, Wanted, candidates_of
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import noise_variance
-from torchid.gap.validate.folds import make_folds
 from torchid.identification.base_parameters import base_parameters
 from torchid.json_data import plain
 from torchid.log.model import Log

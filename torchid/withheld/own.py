@@ -33,7 +33,7 @@ from torchid.gap.record import GapRecord
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.gap.validate.closing import closing
-from torchid.gap.validate.folds import traces
+from torchid.gap.validate.traces import traces
 from torchid.identification.identify import prepared
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log

@@ -28,7 +28,7 @@ from torchid.gap.data import prepare
 from torchid.gap.noise.floor import stuck
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import closed_share, levels
-from torchid.gap.validate.folds import traces
+from torchid.gap.validate.traces import traces
 from torchid.json_data import read_json
 from torchid.log.columns import log_from_columns
 from torchid.log.model import Log

@@ -13,6 +13,7 @@ from tests.gap.problems import (
     two_folds,
 )
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
+from torchid.gap.folds import make_folds
 from torchid.gap.search.climb import (
     climbed,
     fitted,
@@ -22,7 +23,6 @@ from torchid.gap.search.climb import (
 )
 from torchid.gap.search.evidence import cause_groups, fit_terms, subset_of
 from torchid.gap.settings import GapSettings
-from torchid.gap.validate.folds import make_folds
 
 PLANTED = {
     "viscous": (ViscousFriction(1), [1.0]),

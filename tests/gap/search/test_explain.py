@@ -10,6 +10,7 @@ from tests.gap.problems import (
     SIMPLE,
     measured,
     named,
+    problem_of,
     question_of,
     term,
     two_folds,
@@ -21,7 +22,14 @@ from torchid.effects.periodic import Cogging
 from torchid.effects.transient import Saturation
 from torchid.gap.search.climb import climbed, fitted, moves, worthy
 from torchid.gap.search.evidence import apart, offers
-from torchid.gap.search.explain import Explanation, gone_on, refined, resumed, vanished
+from torchid.gap.search.explain import (
+    Explanation,
+    refined,
+    search_again_without,
+    search_without_small,
+    solve,
+    terms_without_torque,
+)
 from torchid.gap.search.solve import solved
 from torchid.gap.search.terms import Term
 
@@ -44,11 +52,11 @@ def test_the_search_goes_on_without_what_has_left() -> None:
     folds = question.candidates.gram.folds()
     left = [term(question, "viscous_friction", 1)]
     start, _ = worthy(question, folds, fitted(question, [term(question, "viscous_friction", 0)]))
-    fit, gone = resumed(question, folds, start, left)
+    fit, gone = search_without_small(question, folds, start, left)
     assert named(fit.terms) == {("coulomb_friction", 1), ("viscous_friction", 0)}
     assert gone == left
     # Where nothing has left nothing is looked for.
-    same, none = resumed(question, folds, start, [])
+    same, none = search_without_small(question, folds, start, [])
     assert same is start
     assert none == []
 
@@ -59,20 +67,21 @@ def test_another_cause_may_follow_one_that_was_refused() -> None:
     data = measured([(CoulombFriction(1), [0.6]), (ViscousFriction(0), [0.8])])
     question = question_of(data, parts=two_folds(data))
     dry, viscous = term(question, "coulomb_friction", 1), term(question, "viscous_friction", 0)
-    columns, empty = question.candidates.columns, fitted(question)
-    block, wanted = torch.arange(len(data.samples)) // 50, wanted_of(SIMPLE)
+    empty = fitted(question)
+    problem = problem_of(data, wanted_of(SIMPLE))
     fit = fitted(question, [viscous])
-    solution = solved(columns, fit.terms, fit.values(), data, wanted, block, fit.effective)
+    solution = solve(problem, fit)
     without = Explanation(question, empty, fit, (dry,), solution)
-    more = gone_on(without, [dry], data, block)
+    more = search_again_without(without, [dry], problem)
     assert ("coulomb_friction", 1) not in named(more.terms)
     assert named(more.terms) > {("viscous_friction", 0)}
     assert dry.key in more.question.barred
-    again = gone_on(more, [t for t in more.terms if t.place == 1], data, block)
+    second = [t for t in more.terms if t.place == 1]
+    again = search_again_without(more, second, problem)
     assert again.question.barred >= more.question.barred
     # Where nothing more is barred nothing is looked for again.
     complete = replace(more, unworthy=())
-    assert gone_on(complete, [dry], data, block) is complete
+    assert search_again_without(complete, [dry], problem) is complete
 
 
 @pytest.mark.parametrize("between", [0.35, 0.5])
@@ -114,7 +123,7 @@ def test_what_makes_no_torque_at_the_corrected_model_vanishes() -> None:
         fit = fitted(question, terms)
         columns = Columns(Model(ROBOT, ()), data.samples)
         solution = solved(columns, fit.terms, fit.values(), data, wanted_of(names), blocks)
-        return [(t.name, t.place) for t in vanished(question, solution)]
+        return [(t.name, t.place) for t in terms_without_torque(question, solution)]
 
     friction = term(question, "coulomb_friction", 0)
     clipped = next(t for t in question.candidates.terms if t.effects == (clip,))

@@ -90,5 +90,5 @@ def test_what_needs_bodies_is_not_testable_without_them(bodies: bool) -> None:
     wanted = wanted_of(names)
     solution = solved(columns, empty.terms, empty.values(), data, wanted, block, empty.effective)
     found = Explanation(question, empty, empty, (), solution)
-    reasons = {x.effect: x.reason for x in not_testable(found, robot, data)}
+    reasons = {x.effect: x.reason for x in not_testable(found, data)}
     assert ("no bodies" in reasons.get("bearing_moment_friction", "")) is not bodies

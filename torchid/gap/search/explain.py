@@ -8,13 +8,14 @@ import torch
 
 from torchid.design.columns import Columns, Model, Place, on_joint
 from torchid.design.gram import Folds, visible_root
-from torchid.design.repeats import Repeats, counterparts
+from torchid.design.repeats import counterparts
 from torchid.design.segments import Samples
 from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.motion import Motion
 from torchid.effects.surroundings import PlaneContact
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
+from torchid.gap.problem import Problem
 from torchid.gap.search.climb import (
     CLOSELY,
     allowed,
@@ -37,10 +38,9 @@ from torchid.gap.search.evidence import (
     rows_of,
 )
 from torchid.gap.search.solve import Solution, at_estimate, corrected, solved
-from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, Wanted, candidates_of
-from torchid.gap.settings import GapSettings
+from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, candidates_of
 from torchid.robot.model import Robot
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Float, Tensor
 
 PASSES = 2
 """Times the columns are taken at the model found and the search goes on."""
@@ -80,39 +80,22 @@ class Explanation:
         return self.fit.terms[len(self.question.fixed) :]
 
 
-def explained(
-    given: Columns,
-    data: Data,
-    wanted: Wanted,
-    settings: GapSettings,
-    parts: Int[Tensor, " N"],
-    block: Int[Tensor, " N"],
-    repeats: Repeats,
-) -> Explanation:
-    """Which effects explain the gap between a log and a model.
-
-    Args:
-        given: columns at the model as given, with parameters.
-        data: of the log.
-        wanted: what is looked for.
-        settings: how it is decided.
-        parts: (N,) fold of every sample, from 1; 0 of those between folds.
-        block: (N,) block of every sample.
-        repeats: of motions.
-    """
+def explained(problem: Problem) -> Explanation:
+    """Which effects explain the gap between a log and a model."""
+    given, data, wanted = problem.given, problem.data, problem.wanted
     # The gap is always that of the model as given; columns are taken at the model found so far.
     model = at = given.model
     extra: list[Effect] = []
     start: tuple[Term, ...] = ()
     gap = given.gap
-    repeated = counterparts(given.samples, repeats)
+    repeated = counterparts(given.samples, problem.repeats)
 
     def asked(columns: Columns) -> Question:
         """Candidates at a model, for the gap of the model as given."""
-        candidates = candidates_of(columns, gap, data, wanted, parts, model, extra)
+        candidates = candidates_of(columns, gap, data, wanted, problem.folds.parts, model, extra)
         normal = candidates.gram.over()
         left = None if wanted.knowledge is None else wanted.knowledge.left
-        return Question(candidates, normal, settings, left=left)
+        return Question(candidates, normal, problem.settings, left=left)
 
     for attempt in range(PASSES):
         columns = given.at(at) if attempt else given
@@ -134,7 +117,7 @@ def explained(
         finer = [
             *refined(question, fit),
             *at_their_size(question, fit),
-            *sharpened(question, fit, model, data, wanted),
+            *sharpened(question, fit, problem),
         ]
         if finer:
             extra += finer
@@ -146,18 +129,18 @@ def explained(
         folds = question.candidates.gram.folds()
         fit, left = worthy(question, folds, fit)
         # Where a cause has left or bodies have joined, another one may say the rest better.
-        fit, left = exchanged(question, folds, fit, left)
-        fit, left = resumed(question, folds, fit, left)
+        fit, left = improve_by_swaps(question, folds, fit, left)
+        fit, left = search_without_small(question, folds, fit, left)
         # Without the events that do not stand out any more, the search goes on from the laws.
-        while gone := hidden(question, fit, left, repeated):
+        while gone := events_not_standing_out(question, fit, left, repeated):
             question = replace(question, barred=question.barred | {t.key for t in gone})
             own = fit.terms[len(question.fixed) :]
             laws = [t for t in own if all(t is not g for g in gone)]
             fit, left = worthy(question, folds, climbed(question, laws))
-            fit, left = exchanged(question, folds, fit, left)
+            fit, left = improve_by_swaps(question, folds, fit, left)
         whole = with_bodies(question, folds, fit)
         if whole is not fit:
-            fit, left = exchanged(question, folds, whole, left)
+            fit, left = improve_by_swaps(question, folds, whole, left)
         # Once more with the columns of the model found, if they are others.
         latest = corrected(model, fit.terms, fit.values(), wanted)
         # What scales with the torque must not see the friction that it is to be told from.
@@ -172,19 +155,19 @@ def explained(
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
         extra += [e for t in start for e in t.effects if e.linearised and len(t.effects) == 1]
     while True:
-        fit = settled(question, fit.terms, fit)
-        solution = solved(given, fit.terms, fit.values(), data, wanted, block, fit.effective)
-        gone = vanished(question, solution)
+        fit = fit_to_convergence(question, fit.terms, fit)
+        solution = solve(problem, fit)
+        gone = terms_without_torque(question, solution)
         if not gone:
             return Explanation(question, fitted(question), fit, tuple(left), solution)
         # The search ends without what vanished at the model found.
         question = replace(question, barred=question.barred | {t.key for t in gone})
         rest = [t for t in fit.terms[len(question.fixed) :] if t.key not in question.barred]
         fit = allowed(question, fit_terms(question, rest, fit.effective, fit.weight))
-        fit, left = exchanged(question, folds, fit, left)
+        fit, left = improve_by_swaps(question, folds, fit, left)
 
 
-def vanished(question: Question, solution: Solution) -> list[Term]:
+def terms_without_torque(question: Question, solution: Solution) -> list[Term]:
     """Causes that make less torque at the corrected model than is worth a name, whatever they made
     at the model that their columns were taken at: no error falls by more than the torque that is
     added to a model. What most joints have may be small on one of them."""
@@ -204,7 +187,7 @@ def vanished(question: Question, solution: Solution) -> list[Term]:
     return gone
 
 
-def settled(question: Question, terms: Sequence[Term], fit: Fitted) -> Fitted:
+def fit_to_convergence(question: Question, terms: Sequence[Term], fit: Fitted) -> Fitted:
     """What is told: terms, the fixed ones first, fitted until the joints' weights settle, without
     those that physics then refuses; samples and first weights are those of a fit."""
     own = terms[len(question.fixed) :]
@@ -241,14 +224,13 @@ def better(question: Question, found: Sequence[Fitted]) -> Fitted:
     return best
 
 
-def exchanged(
+def improve_by_swaps(
     question: Question,
     folds: Folds,
     fit: Fitted,
     left: Sequence[Term],
 ) -> tuple[Fitted, list[Term]]:
-    """Causes that are worth a name, changed for others as long as the evidence rises; and those
-    that are not worth one."""
+    """Swap causes for others while the evidence rises; also return those that are too small."""
     out = list(left)
     while (other := swapped(question, fit, every=True)) is not None:
         other, more = worthy(question, folds, other)
@@ -258,14 +240,13 @@ def exchanged(
     return fit, out
 
 
-def resumed(
+def search_without_small(
     question: Question,
     folds: Folds,
     fit: Fitted,
     left: Sequence[Term],
 ) -> tuple[Fitted, list[Term]]:
-    """The search goes on without the causes that are not worth a name, for these have held what
-    others say, as long as the evidence rises."""
+    """Drop the small causes and continue the search; repeat while the evidence rises."""
     out = list(left)
     while out:
         barred = replace(question, barred=frozenset(t.key for t in out))
@@ -278,7 +259,7 @@ def resumed(
     return fit, out
 
 
-def hidden(
+def events_not_standing_out(
     question: Question, fit: Fitted, left: Sequence[Term], repeated: Counterparts
 ) -> list[Term]:
     """Events that do not stand out from what the laws leave elsewhere in the log: these laws, and
@@ -325,15 +306,23 @@ def with_bodies(question: Question, folds: Folds, fit: Fitted) -> Fitted:
         more = best
 
 
+def solve(problem: Problem, fit: Fitted) -> Solution:
+    """The corrected model of a fit."""
+    data, wanted, block = problem.data, problem.wanted, problem.block
+    return solved(problem.given, fit.terms, fit.values(), data, wanted, block, fit.effective)
+
+
 def without_terms(
-    found: Explanation, gone: Sequence[Term], data: Data, block: Tensor, *, small: bool = False
+    found: Explanation, gone: Sequence[Term], problem: Problem, *, small: bool = False
 ) -> Explanation:
     """The same explanation without some terms, which then are among those that are not worth a name
     if they are small."""
     question, fit = found.question, found.fit
     # The other terms are fitted anew.
-    less = settled(question, [t for t in fit.terms if all(t is not g for g in gone)], fit)
-    return _with_fit(found, question, less, gone if small else (), data, block)
+    less = fit_to_convergence(
+        question, [t for t in fit.terms if all(t is not g for g in gone)], fit
+    )
+    return _with_fit(found, question, less, gone if small else (), problem)
 
 
 def _with_fit(
@@ -341,20 +330,17 @@ def _with_fit(
     question: Question,
     fit: Fitted,
     unworthy: Sequence[Term],
-    data: Data,
-    block: Tensor,
+    problem: Problem,
 ) -> Explanation:
-    """An explanation with another fit, solved at the model that it began with, and with some more
-    terms that are not worth a name."""
-    before = found.solution
-    columns = question.candidates.columns.at(before.start)
-    values, wanted = fit.values(), before.wanted
-    solution = solved(columns, fit.terms, values, data, wanted, block, fit.effective)
-    return Explanation(question, found.empty, fit, (*found.unworthy, *unworthy), solution)
+    """An explanation with another fit, and with some more terms that are not worth a name."""
+    unworthy = (*found.unworthy, *unworthy)
+    return Explanation(question, found.empty, fit, unworthy, solve(problem, fit))
 
 
-def gone_on(found: Explanation, refused: Sequence[Term], data: Data, block: Tensor) -> Explanation:
-    """The search gone on from an explanation that some terms have left, without them: what was
+def search_again_without(
+    found: Explanation, refused: Sequence[Term], problem: Problem
+) -> Explanation:
+    """Continue the search from an explanation that some terms have left, without them: what was
     refused a name may have held what another cause says."""
     fit, barred = found.fit, found.question.barred
     barred |= {t.key for t in (*refused, *found.unworthy)} - {t.key for t in found.terms}
@@ -365,8 +351,8 @@ def gone_on(found: Explanation, refused: Sequence[Term], data: Data, block: Tens
     more, left = worthy(question, folds, climbed(question, found.terms))
     if better(question, [fit, more]) is fit:
         return replace(found, question=question)
-    more, left = exchanged(question, folds, more, left)
-    return _with_fit(found, question, settled(question, more.terms, more), left, data, block)
+    more, left = improve_by_swaps(question, folds, more, left)
+    return _with_fit(found, question, fit_to_convergence(question, more.terms, more), left, problem)
 
 
 def refined(question: Question, fit: Fitted) -> list[Effect]:
@@ -396,18 +382,10 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
     return out
 
 
-def sharpened(
-    question: Question, fit: Fitted, start: Model, data: Data, wanted: Wanted
-) -> list[Effect]:
+def sharpened(question: Question, fit: Fitted, problem: Problem) -> list[Effect]:
     """Causes with impacts or swings, each with the shape that explains most of the gap in the band
-    of the report, where these show how they are; all other terms keep their coefficients.
-
-    Args:
-        question, fit: of the search.
-        start: model whose gap is explained.
-        data: of the log.
-        wanted: what is looked for.
-    """
+    of the report, where these show how they are; all other terms keep their coefficients."""
+    start, data, wanted = problem.given.model, problem.data, problem.wanted
     own = list(zip(fit.terms, fit.values(), strict=True))
     some = data.segments[:1] if data.seconds > LONGEST else data.segments
     samples = Samples(some, data.band)

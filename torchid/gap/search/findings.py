@@ -36,7 +36,7 @@ from torchid.gap.search.planting import Planting, planted
 from torchid.gap.search.replication import OwnTorque, own_torque, replication
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies
 from torchid.robot.inertia import InertialParameters
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import JointType
 from torchid.statistics.odds import LIKELY
 from torchid.typing import Int, Tensor
 
@@ -400,11 +400,11 @@ def next_experiment(
     )
 
 
-def not_testable(found: Explanation, robot: Robot, data: Data) -> list[NotTestable]:
+def not_testable(found: Explanation, data: Data) -> list[NotTestable]:
     """Effects that these data cannot show, one entry an effect and place: with the smallest first
     coefficient whose evidence would be positive on average."""
     question, fit = found.question, found.fit
-    normal, weight = question.normal, fit.weight
+    normal, weight, robot = question.normal, fit.weight, found.solution.start.robot
     accepted = {t.key for t in found.terms}
     best: dict[tuple[object, ...], tuple[float, float, Term]] = {}
     for term in question.candidates.terms:

@@ -7,45 +7,41 @@ import msgspec
 from torchid.design.columns import Model
 from torchid.effects.inertia import LinkInertia
 from torchid.effects.registry import EVENTS
-from torchid.gap.data import Data
+from torchid.gap.problem import Problem
 from torchid.gap.record import Fitted, JointFit
-from torchid.gap.search.explain import Explanation, settled
+from torchid.gap.search.explain import Explanation, fit_to_convergence, solve
 from torchid.gap.search.findings import Findings
-from torchid.gap.search.solve import Solution, solved
+from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import BASE, LINK, Term
 from torchid.robot.inertia import PARAMETERS_PER_LINK
-from torchid.typing import Int, Tensor
 
 MOST = 8
 """Alternatives that are fitted at most, the likeliest first."""
 
 
-def joint_fits(
-    found: Explanation, said: Findings, data: Data, block: Int[Tensor, " N"]
-) -> tuple[JointFit, ...]:
+def joint_fits(found: Explanation, said: Findings, problem: Problem) -> tuple[JointFit, ...]:
     """The answered explanation, and those with one term in another's place whose odds against it
     are within what counts; none where nothing was fitted.
 
     Args:
         found: the answered one.
         said: what is told of it, with the rivals of its terms.
-        data, block: of the log, as for `solved`.
+        problem: of which it is an explanation.
     """
     solution = found.solution
     if not len(solution.covariance):
         return ()
     question, fit = found.question, found.fit
-    columns = question.candidates.columns.at(solution.start)
     out = [_fit(solution, 0.0, "")]
     for rise, term, other in sorted(said.rivals, key=lambda r: -r[0])[:MOST]:
         others = [t for t in fit.terms if t is not term]
-        again = settled(question, [*others, other], fit)
+        again = fit_to_convergence(question, [*others, other], fit)
         # What physics then refuses has left, and with it the alternative.
         if not any(t is other for t in again.terms):
             continue
-        values, wanted = again.values(), solution.wanted
-        fitted = solved(columns, again.terms, values, data, wanted, block, again.effective)
-        out.append(_fit(fitted, rise, f"{_words(other)} in the place of {_words(term)}"))
+        out.append(
+            _fit(solve(problem, again), rise, f"{_words(other)} in the place of {_words(term)}")
+        )
     total = sum(one.weight for one in out)
     return tuple(msgspec.structs.replace(one, weight=one.weight / total) for one in out)
 

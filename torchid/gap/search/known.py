@@ -6,14 +6,14 @@ from dataclasses import replace
 import torch
 
 from torchid.effects.base import Effect
-from torchid.gap.data import Data
+from torchid.gap.problem import Problem
 from torchid.gap.record import Known, KnownCoefficient, Open
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.terms import BASE, LINK, Wanted
+from torchid.gap.search.terms import BASE, LINK
 from torchid.identification.knowledge import BETWEEN, known_names, learned
 from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import JointType, Robot
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Float, Tensor
 
 AS_CAD = (
     "the model does not say how sure it is: its inertial parameters are taken as those of a CAD "
@@ -21,13 +21,12 @@ AS_CAD = (
 )
 
 
-def after_log(
-    found: Explanation, data: Data, wanted: Wanted, block: Int[Tensor, " N"]
-) -> Knowledge:
+def after_log(found: Explanation, problem: Problem) -> Knowledge:
     """What was known of the model, as far as it has not changed, and what the log adds."""
+    data, wanted = problem.data, problem.wanted
     at = found.question.candidates.columns.at(found.solution.model)
     source = ", ".join(dict.fromkeys(s.name for s in data.segments))
-    now = learned(at, data.keep, block, found.fit.effective, wanted.base, source)
+    now = learned(at, data.keep, problem.block, found.fit.effective, wanted.base, source)
     if wanted.knowledge is None:
         return now
     changed = [n for t in found.terms for e in t.effects for n in known_names(e)]
@@ -41,24 +40,20 @@ def after_log(
 
 
 def known_of(
-    found: Explanation,
-    wanted: Wanted,
-    after: Knowledge,
-    least: Float[Tensor, " n"],
-    *,
-    as_cad: bool,
+    found: Explanation, problem: Problem, after: Knowledge, least: Float[Tensor, " n"]
 ) -> Known | None:
     """What was known before, and what the log adds to it; None where there is nothing to say.
 
     Args:
         found: the answered explanation.
-        wanted: with the knowledge before.
+        problem: with the knowledge before.
         after: the knowledge with this log.
         least: (n,) torque that is worth a name [N m; N].
-        as_cad: whether parameters were given that nobody vouches for.
     """
-    before = wanted.knowledge
+    before = problem.wanted.knowledge
     if before is None:
+        # Parameters were given that nobody vouches for.
+        as_cad = problem.settings.parameters == "auto" and not problem.fitted_first
         return Known(sources=(), notes=(AS_CAD,)) if as_cad else None
     solution = found.solution
     robot = solution.start.robot

@@ -24,15 +24,13 @@ from torchid.effects.file_mistakes import FileMistake
 from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import KINDS, Valued
 from torchid.gap.data import Data
-from torchid.identification.base_parameters import BaseParameters
+from torchid.gap.wanted import BASE, Wanted
 from torchid.identification.knowledge import known_names
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
 from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Int, Tensor
 
-BASE = "all_base"
-"""Name of a correction of all base parameters."""
 LINK = "link_inertia"
 PAYLOAD = "payload"
 
@@ -168,47 +166,6 @@ class Batch:
     def standing_in(self) -> tuple[tuple[int, Term], ...]:
         """Those that stand in the place of the model's own, with their numbers."""
         return tuple((m, t) for m, t in enumerate(self.terms) if t.instead)
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What a search looks for.
-
-    Attributes:
-        names: effects.
-        free: whether base parameters are always fitted.
-        background: effects that are always fitted with them, on every joint.
-        inertial: whether corrections of the links' parameters compete.
-        only: (effect, joint from 0 or None) that alone are candidates; None for all.
-        base: rigid base parameters of the robot.
-        knowledge: how sure the model as given is; None where it does not say.
-    """
-
-    names: tuple[str, ...]
-    free: bool
-    background: tuple[str, ...]
-    inertial: bool
-    only: tuple[tuple[str, int | None], ...] | None
-    base: BaseParameters
-    knowledge: Knowledge | None = None
-
-    @property
-    def independent(self) -> list[int]:
-        """Numbers, link by link, of the parameters that stand for the base parameters."""
-        # Base parameters are numbered by kind, regressors link by link.
-        order = paper_order(self.base.n_rigid_parameters // PARAMETERS_PER_LINK)
-        return order[list(self.base.independent[: self.base.n_rigid])].tolist()
-
-    def allows(self, term: Term) -> bool:
-        """Whether a term is one of the candidates."""
-        joints = term.effects[0].joints if len(term.effects) == 1 else ()
-        return self.asks(term.name, joints)
-
-    def asks(self, name: str, joints: Sequence[int]) -> bool:
-        """Whether an effect of this name at these joints is looked for."""
-        if self.only is None or name == BASE:
-            return self.only is None
-        return any(name == n and (j is None or j in joints) for n, j in self.only)
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,7 +306,7 @@ def candidates_of(
     terms = _standing_in(terms, given.effects)
     if wanted.knowledge is not None:
         fixed = known_terms([*terms, *beside], wanted.knowledge, given.effects)
-        chosen = [t for t in terms if wanted.allows(t)]
+        chosen = [t for t in terms if _is_asked(wanted, t)]
         return Candidates(
             columns, gap, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen))
         )
@@ -357,10 +314,15 @@ def candidates_of(
     asked = [(t.name, t.effects) for t in fixed_terms(columns, wanted)]
     fixed = tuple(t for t in terms if (t.name, t.effects) in asked)
     always = {id(t) for t in fixed}
-    chosen = [t for t in terms if wanted.allows(t) and id(t) not in always]
+    chosen = [t for t in terms if _is_asked(wanted, t) and id(t) not in always]
     if wanted.free:
         chosen = [t for t in chosen if not t.inertial]
     return Candidates(columns, gap, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen)))
+
+
+def _is_asked(wanted: Wanted, term: Term) -> bool:
+    """Whether a term is one of the candidates."""
+    return wanted.asks(term.name, term.effects[0].joints if len(term.effects) == 1 else ())
 
 
 def are_bodies(robot: Robot) -> bool:

@@ -7,12 +7,12 @@ from collections.abc import Collection
 from msgspec import structs
 
 from torchid.design.columns import Place
-from torchid.gap.data import Data
 from torchid.gap.diagnosis import unit_of
+from torchid.gap.problem import Problem
 from torchid.gap.record import UnnamedEffect
 from torchid.gap.search.climb import allowed, moves
 from torchid.gap.search.evidence import Fitted, Question, acting, apart, fit_each, fit_terms
-from torchid.gap.search.explain import Explanation
+from torchid.gap.search.explain import Explanation, solve
 from torchid.gap.search.odds import Misfit, odds
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.solve import solved
@@ -21,7 +21,7 @@ from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
 from torchid.robot.model import Robot
 from torchid.statistics.odds import LIKELY, probability
-from torchid.typing import Int, Tensor
+from torchid.typing import Tensor
 
 PLACES, EACH = 8, 4
 """Places that are looked at for suspects beside what is named, and candidates of each."""
@@ -32,19 +32,14 @@ UNLIKELY = 0.03
 
 
 def small_effects(
-    found: Explanation,
-    data: Data,
-    block: Int[Tensor, " N"],
-    robot: Robot,
-    misfit: Misfit,
+    found: Explanation, problem: Problem, misfit: Misfit
 ) -> tuple[UnnamedEffect, ...]:
     """Causes that the evidence has beside what is told, each likelier there than not, the largest
     first; bodies are none of them.
 
     Args:
-        found: what is told, and what was not worth a name.
-        data, block: of the log, as for `solved`.
-        robot: for units.
+        found: what is named, and what was not worth it.
+        problem: of which it is an explanation.
         misfit: that the answer leaves.
     """
     question, fit = found.question, found.fit
@@ -63,11 +58,7 @@ def small_effects(
     if not own:
         return ()
     # Their sizes, fitted together with what is told.
-    columns = question.candidates.columns.at(found.solution.start)
-    values = whole.values()
-    solution = solved(
-        columns, whole.terms, values, data, found.solution.wanted, block, whole.effective
-    )
+    solution = solve(problem, whole)
     out = []
     for k, term in enumerate(whole.terms):
         if id(term) not in without:
@@ -78,7 +69,7 @@ def small_effects(
         if sure >= LIKELY:
             own_values, std = solution.values[k], solution.std[k]
             again = replication(own_part, solution, k, question.candidates.columns.samples)
-            one = _entry(solution.terms[k], own_values, std, closes, sure, robot)
+            one = _entry(solution.terms[k], own_values, std, closes, sure, problem.robot)
             out.append(structs.replace(one, replication=again))
     return tuple(sorted(out, key=lambda e: -e.closes_rms))
 
@@ -95,9 +86,7 @@ def _without(question: Question, whole: Fitted, term: Term) -> tuple[float, Tens
 
 def suspects(
     found: Explanation,
-    data: Data,
-    block: Int[Tensor, " N"],
-    robot: Robot,
+    problem: Problem,
     misfit: Misfit,
     listed: Collection[object],
     moved: Collection[str] = (),
@@ -107,12 +96,12 @@ def suspects(
     else sum up to one.
 
     Args:
-        found, data, block, robot, misfit: as for `small_effects`.
+        found, problem, misfit: as for `small_effects`.
         listed: keys of effects that are listed elsewhere.
         moved: known coefficients that are others than they were, which are suspects at least.
     """
     question, fit = found.question, found.fit
-    solution, rows = found.solution, question.normal.rows.clamp(min=1.0)
+    rows = question.normal.rows.clamp(min=1.0)
 
     def is_moved(term: Term) -> bool:
         return any(name in moved for e in term.effects for name in known_names(e))
@@ -134,8 +123,8 @@ def suspects(
     # The best of each place is asked how sure it is, all beside each other.
     every = [*fit.terms, *(pairs[0][1] for pairs in best)]
     start = [*fit.values(), *(pairs[0][0].values()[-1] for pairs in best)]
-    columns = question.candidates.columns.at(solution.start)
-    solution = solved(columns, every, start, data, solution.wanted, block, fit.effective)
+    data, wanted, block = problem.data, problem.wanted, problem.block
+    solution = solved(problem.given, every, start, data, wanted, block, fit.effective)
     least = question.least(fit.losses / rows)
     out: list[tuple[bool, UnnamedEffect]] = []
     for k, ((first, term), *others) in enumerate(best, len(fit.terms)):
@@ -151,7 +140,7 @@ def suspects(
             closes = ((fit.losses - f.losses).clamp(min=0) / rows).sqrt()
             large = bool((closes / acting(question, [one]) ** 0.5 >= least).any())
             if large or is_moved(one):
-                out.append((is_moved(one), _entry(one, values, std, closes, sure, robot)))
+                out.append((is_moved(one), _entry(one, values, std, closes, sure, problem.robot)))
     # What has moved is listed, however unlikely.
     kept = [pair for pair in out if pair[0] or pair[1].how_sure >= UNLIKELY]
     kept = sorted(kept, key=lambda pair: (not pair[0], -pair[1].how_sure))[:MOST]

@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.design.columns import Columns
-from torchid.design.repeats import Repeats
 from torchid.effects.registry import EVENTS
 from torchid.gap.data import Data
 from torchid.gap.diagnosis import Trace
+from torchid.gap.folds import FEW
 from torchid.gap.noise.floor import Noise, noise_of
+from torchid.gap.problem import Problem
 from torchid.gap.record import Status
 from torchid.gap.search.evidence import fit_terms
 from torchid.gap.search.explain import Explanation
@@ -17,10 +18,9 @@ from torchid.gap.search.findings import Findings
 from torchid.gap.search.odds import Misfit
 from torchid.gap.search.solve import Solution, solved
 from torchid.gap.search.terms import BASE, Term, Wanted, fixed_terms
-from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import Closing, closing, known_noise, levels
-from torchid.gap.validate.folds import FEW, Folds, traces
-from torchid.robot.model import Robot, joint_list
+from torchid.gap.validate.traces import traces
+from torchid.robot.model import joint_list
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_length, block_numbers
 from torchid.typing import Float, Int, Tensor
@@ -75,26 +75,18 @@ def blocks_of(data: Data, columns: Columns | None) -> Int[Tensor, " N"]:
 
 
 def check(
-    found: Explanation,
-    data: Data,
-    judged: Data | None,
-    folds: Folds,
-    repeats: Repeats,
-    settings: GapSettings,
-    fitted_first: bool,
-    noise: Noise | None = None,
+    found: Explanation, problem: Problem, judged: Data | None = None, noise: Noise | None = None
 ) -> Checked:
     """Models fitted without each fold, or on all data where a log was held out, and what they do.
 
     Args:
-        found: the answered explanation.
-        data, judged: the log searched, and the one held out.
-        folds: of the log searched.
-        repeats: among its trajectories.
-        settings: the user's.
-        fitted_first: whether the model before was fitted too, because the robot has no parameters.
+        found: the explanation.
+        problem: of which it is one.
+        judged: the log that is held out; None to leave out each fold.
         noise: beside this explanation, where it has been measured.
     """
+    data, folds, settings = problem.data, problem.folds, problem.settings
+    repeats, fitted_first = problem.repeats, problem.fitted_first
     solution = found.solution
     columns = found.question.candidates.columns.at(solution.model)
     base = refitted(columns.at(solution.start), data, solution.wanted)
@@ -128,12 +120,12 @@ def check(
     )
 
 
-def misfit_of(found: Explanation, checked: Checked, data: Data) -> Misfit:
+def misfit_of(found: Explanation, checked: Checked, problem: Problem) -> Misfit:
     """What an explanation leaves without a name. Noise is white, or as repeats measure it; without
     them it is not known how much of what is left on other data is noise."""
     rows, floor = found.question.normal.rows.clamp(min=1.0), checked.noise.floor
     noise = known_noise(floor)
-    in_band = min(1.0, data.samples.cutoff / data.band) * noise
+    in_band = min(1.0, problem.data.samples.cutoff / problem.data.band) * noise
     measured = noise if floor.source == "repeats" else torch.zeros_like(noise)
     before, after = (x.square() - measured for x in (checked.far.rms_before, checked.far.rms_after))
     share = (after.clamp(min=0) / before.clamp(min=1e-300)).clamp(max=1.0)
@@ -212,18 +204,11 @@ def status_of(
     return "explained" if said.effects else "parametric_only"
 
 
-def warnings_of(
-    found: Explanation,
-    data: Data,
-    judged: Data | None,
-    checked: Checked,
-    folds: Folds,
-    settings: GapSettings,
-    robot: Robot,
-) -> list[str]:
+def warnings_of(found: Explanation, checked: Checked, problem: Problem) -> list[str]:
     """What a user must know beside the findings."""
-    solution = found.solution
-    out = [*data.warnings, *(() if judged is None else judged.warnings), *checked.noise.floor.notes]
+    solution, settings, judged = found.solution, problem.settings, problem.judged
+    out = [*problem.data.warnings, *checked.noise.floor.notes]
+    out += [] if judged is None else judged.warnings
     # A gap larger than the torque's own variation: the log may be of another robot.
     torque = torch.cat([t.measured[t.valid] for t in checked.shown])
     gap = torch.cat([(t.measured - t.before)[t.valid] for t in checked.shown])
@@ -258,12 +243,12 @@ def warnings_of(
             "physically possible. `torchid check corrected.yaml --nearest near.json` finds "
             "possible ones near in torque."
         )
-    if robot.parameters is None:
+    if problem.fitted_first:
         out.append(
             "The robot has no inertial parameters. Base parameters were fitted first, so the gap "
             "is what even the best rigid body leaves."
         )
-    if judged is None and not folds.whole:
+    if judged is None and not problem.folds.whole:
         out.append(
             "Change your log: record three different motions. With fewer, held-out data are "
             "stretches of the same motions, and intervals are wider than they look."

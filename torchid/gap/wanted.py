@@ -1,6 +1,7 @@
 """What settings look for on a robot, and the model that the search starts from."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -9,12 +10,51 @@ from torchid.effects.friction import TorqueOffset
 from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
 from torchid.errors import TorchidError
-from torchid.gap.search.terms import Wanted
 from torchid.gap.settings import GapSettings
-from torchid.identification.base_parameters import base_parameters
+from torchid.identification.base_parameters import BaseParameters, base_parameters
 from torchid.identification.knowledge import known_later
-from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
+from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, paper_order
+from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot
+
+BASE = "all_base"
+"""Name of a correction of all base parameters."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a search looks for.
+
+    Attributes:
+        names: effects.
+        free: whether base parameters are always fitted.
+        background: effects that are always fitted with them, on every joint.
+        inertial: whether corrections of the links' parameters compete.
+        only: (effect, joint from 0 or None) that alone are candidates; None for all.
+        base: rigid base parameters of the robot.
+        knowledge: how sure the model as given is; None where it does not say.
+    """
+
+    names: tuple[str, ...]
+    free: bool
+    background: tuple[str, ...]
+    inertial: bool
+    only: tuple[tuple[str, int | None], ...] | None
+    base: BaseParameters
+    knowledge: Knowledge | None = None
+
+    @property
+    def independent(self) -> list[int]:
+        """Numbers, link by link, of the parameters that stand for the base parameters."""
+        # Base parameters are numbered by kind, regressors link by link.
+        order = paper_order(self.base.n_rigid_parameters // PARAMETERS_PER_LINK)
+        return order[list(self.base.independent[: self.base.n_rigid])].tolist()
+
+    def asks(self, name: str, joints: Sequence[int]) -> bool:
+        """Whether an effect of this name at these joints is looked for."""
+        if self.only is None or name == BASE:
+            return self.only is None
+        return any(name == n and (j is None or j in joints) for n, j in self.only)
 
 
 def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:

@@ -1,0 +1,44 @@
+"""What a diagnosis has to explain, and what it is judged by."""
+
+from dataclasses import dataclass
+
+from torchid.design.columns import Columns
+from torchid.design.repeats import Repeats
+from torchid.gap.data import Data
+from torchid.gap.folds import Folds
+from torchid.gap.settings import GapSettings
+from torchid.gap.wanted import Wanted
+from torchid.robot.model import Robot
+from torchid.typing import Int, Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The gap between a model and a log.
+
+    Attributes:
+        given: columns at the model as given.
+        data: of the log that is searched.
+        judged: of the log that is held out; None without one.
+        folds: of the samples, each left out in turn.
+        block: (N,) block of every sample, several times as long as the gap is correlated.
+        repeats: among the trajectories.
+        wanted: what is looked for.
+        settings: the user's.
+        fitted_first: whether the model as given was fitted, because the robot has no parameters.
+    """
+
+    given: Columns
+    data: Data
+    judged: Data | None
+    folds: Folds
+    block: Int[Tensor, " N"]
+    repeats: Repeats
+    wanted: Wanted
+    settings: GapSettings
+    fitted_first: bool
+
+    @property
+    def robot(self) -> Robot:
+        """As given."""
+        return self.given.model.robot
