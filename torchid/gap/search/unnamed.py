@@ -3,6 +3,7 @@ enough, the suspects."""
 
 import math
 from collections.abc import Collection
+from dataclasses import replace
 
 from msgspec import structs
 
@@ -125,7 +126,8 @@ def suspects(
     start = [*fit.values(), *(pairs[0][0].values()[-1] for pairs in best)]
     data, wanted, block = problem.data, problem.wanted, problem.block
     solution = solved(problem.given, every, start, data, wanted, block, fit.effective)
-    least = question.least(fit.losses / rows)
+    # What was seen to be left unexplained before may hide a name, and no suspect.
+    least = replace(question, left=None).least(fit.losses / rows)
     out: list[tuple[bool, UnnamedEffect]] = []
     for k, ((first, term), *others) in enumerate(best, len(fit.terms)):
         rivals = [(_rise(question, f, first), t) for f, t in others]
