@@ -102,6 +102,11 @@ class InertiaScale(FileMistake):
     source = _SOURCE
     example = Example((1.0,), "acceleration")
 
+    @property
+    def ranges(self) -> tuple[tuple[float, float], ...]:
+        """No body has a negative inertia."""
+        return ((-1.0, self.coefficients[0].largest),)
+
     def correction(self, body: InertialParameters) -> InertialParameters:
         """Once more the inertia about the centre of mass."""
         out = torch.zeros_like(body.pi)

@@ -351,14 +351,15 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
         if wanted.inertial and LINK in wanted.names and link in robot.own_links:
             effect = KINDS[LINK](robot.own_links.index(link))  # type: ignore[call-arg]
             known, near = tuple(pi[link].tolist()), links[link] if links else None
-            term = Term(
-                LINK, (effect,), None, at, effect.coefficients, known, (), sigma[link], near
-            )
-            out.append(term)
-            if near is not None:
-                metric = near.metric / WRONG**2
-                near, wide = replace(near, metric=metric), WRONG * sigma[link]
-                out.append(replace(term, sigma=wide, bodies=near, wrong=True))
+            # A single link that is wrong may be plainly so.
+            wide = None if near is None else replace(near, metric=near.metric / WRONG**2)
+            about = WRONG * sigma[link]
+            out.append(
+                Term(
+                    LINK, (effect,), None, at, effect.coefficients, known, (), about, wide,
+                    wrong=True,
+                )
+            )  # fmt: skip
     described = (Coefficient("", "", False, "a base parameter"),)
     if links and not wanted.free:
         # All links at once: whatever base parameters do, and no more.
