@@ -135,7 +135,7 @@ def test_all_regimes_of_all_joints_are_there():
 
 
 def test_joints_by_hand():
-    """RMS of valid instants alone; shares in units of each joint's noise."""
+    """RMS of valid instants alone; shares of the squares above the noise."""
     made = trace(n=2, seconds=10.0)
     gap = torch.tensor([0.3, 0.4], dtype=torch.float64)
     measured = made.before + gap
@@ -144,7 +144,7 @@ def test_joints_by_hand():
     bracket = NoiseFloor(level, level, "bracket")
     joints, _ = where([replace(made, measured=measured)], bracket, 0, band=20.0)
     assert [j.gap_rms for j in joints] == pytest.approx([0.3, 0.4])
-    above = [0.09 / 0.01 - 1, 0.16 / 0.04 - 1]
+    above = [0.09 - 0.01, 0.16 - 0.04]
     assert [j.share for j in joints] == pytest.approx([x / sum(above) for x in above])
 
 

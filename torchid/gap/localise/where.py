@@ -50,18 +50,14 @@ def where(
 
 
 def joint_gaps(traces: Sequence[Trace], floor: NoiseFloor) -> tuple[JointGap, ...]:
-    """RMS of the gap on each joint, and its share of the squared excess over the noise floor, each
-    joint's in units of its own squared noise (mean square of the bracket's ends)."""
-    # Mean squares of gap and torque, and of the noise as the middle of its bracket.
+    """RMS of the gap on each joint, and its share of the squares above the noise floor (mean square
+    of the bracket's ends)."""
     # At the instants that count, as how far the gap closes has them.
     counting = torch.cat([t.counting.cpu() for t in traces])
     squared = torch.cat([(t.measured - t.before).square().cpu() for t in traces]) * counting
     gap = squared.sum(0) / counting.sum(0).clamp(min=1)
-    measured = torch.cat([t.measured[t.valid].square().cpu() for t in traces]).mean(0)
     noise = 0.5 * (floor.low.square() + floor.high.square()).to(gap)
-    # In units of the joint's noise, a wrist counts as much as a shoulder.
-    unit = noise.maximum(1e-8 * measured).clamp(min=1e-300)
-    above = ((gap - noise) / unit).clamp(min=0)
+    above = (gap - noise).clamp(min=0)
     share = above / above.sum() if float(above.sum()) > 0 else above
     return tuple(
         JointGap(
