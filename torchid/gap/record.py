@@ -25,6 +25,7 @@ from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
 from torchid.simulation.two_models import Rollout
 from torchid.simulators.nearest_fields import NearestFields
+from torchid.statistics.criteria import MOVED_STD
 from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:
@@ -100,10 +101,6 @@ class Where(Part, frozen=True):
 
     joints: tuple[JointGap, ...]
     regimes: tuple[RegimeGap, ...]
-
-
-MOVED = 3.0
-"""Standard deviations of what was known beyond which a coefficient is said to have moved."""
 
 
 class Planted(Part, frozen=True):
@@ -275,12 +272,12 @@ class Known(Part, frozen=True, kw_only=True):
 
     @property
     def moved(self) -> tuple[str, ...]:
-        """Coefficients, not named, that are others than they were by more than `MOVED` of what was
-        left open: suspects at least."""
+        """Coefficients, not named, that are others than they were by more than `MOVED_STD` of what
+        was left open: suspects at least."""
         return tuple(
             c.name
             for c in self.coefficients
-            if not c.changed and abs(c.after - c.before) > MOVED * (c.before_std or math.inf)
+            if not c.changed and abs(c.after - c.before) > MOVED_STD * (c.before_std or math.inf)
         )
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from torchid.errors import TorchidError
+from torchid.statistics.criteria import WORTHWHILE, WORTHWHILE_TORQUE
 
 Parameters = Literal["auto", "trusted", "free"]
 
@@ -50,8 +51,8 @@ class GapSettings:
     cutoff: float | Literal["auto"] = "auto"
     report_band: float = 20.0
     alpha: float = 0.01
-    worthwhile: float = 0.05
-    worthwhile_torque: float = 0.01
+    worthwhile: float = WORTHWHILE
+    worthwhile_torque: float = WORTHWHILE_TORQUE
     gain_std: float | None = None
     folds: int = 5
     max_effects: int = 20

@@ -37,11 +37,9 @@ from torchid.log.model import Log
 from torchid.results.answer import ordered
 from torchid.robot.model import Robot
 from torchid.simulation.two_models import rollouts
+from torchid.statistics.criteria import SHORTEST_LOG
 
 Progress = Callable[[str, int, int], None]
-
-SHORTEST = 8.0
-"""Length of all samples below which `no gap` cannot be said [s]."""
 
 
 def diagnose_torque(
@@ -173,4 +171,4 @@ def is_poor(decision: Decision, problem: Problem, unseen: list[NotTestable]) -> 
     """Whether a log is too short, or could not have shown most of what is looked for."""
     places = {t.key for t in decision.found.question.candidates.terms if not t.inertial}
     places |= {(x.effect, x.joints) for x in unseen}
-    return len(unseen) > 0.5 * len(places) or problem.data.seconds < SHORTEST
+    return len(unseen) > 0.5 * len(places) or problem.data.seconds < SHORTEST_LOG

@@ -47,14 +47,15 @@ from torchid.results.replication import Replication
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
 from torchid.simulation.servo_loop import Windows, windows_of
+from torchid.statistics.criteria import WORTHWHILE
 from torchid.statistics.proportion import HALF_95
 
 STAGES = 16
 """That are told as progress."""
 MOST = 250
 """Windows that a search looks at [1]: more do not change what it finds, only how long it takes."""
-WORTHWHILE = 0.05
-"""Share of a joint's squared error that a cause must take away to be named [1]."""
+SQUARES = 1.0 - (1.0 - WORTHWHILE) ** 2
+"""Share of the squared error by which an effect must lower it to be worth a name."""
 RATIO = 0.2
 """Standard deviation of a torque's scale from which only ratios are told [1]."""
 
@@ -277,7 +278,7 @@ def _answer(
         before = losses_of(data, found.servos, few)
         after = losses_of(load.data, load.found.servos, few)
         total = (before - after).sum(1, keepdim=True)
-        needed = float(total.sum()) > WORTHWHILE * float(before.sum()) and bool(_sure(total))
+        needed = float(total.sum()) > SQUARES * float(before.sum()) and bool(_sure(total))
         gain = (load, before.sum(0), after.sum(0), others) if needed else None
     if gain is not None:
         data, found = gain[0].data, settled(gain[0].data, gain[0].found, few)
@@ -414,7 +415,7 @@ def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, 
         if not effect.parameters:
             gain, total = gain.sum(1, keepdim=True).expand(-1, n), total.sum().expand(n)
         often = _mostly(gain) if effect.family == "world" else _sure(gain)
-        keep = on & (gain.sum(0) > WORTHWHILE * total) & (gain.sum(0) > least) & often
+        keep = on & (gain.sum(0) > SQUARES * total) & (gain.sum(0) > least) & often
         if effect.name == "command_delay":
             keep &= found.servos.of("delay") > data.tracks.dt
         worth[effect.name] = without.sum(0), whole.sum(0)
@@ -454,7 +455,7 @@ def _returned(
 ) -> tuple[Worth, Rivals, Found]:
     """Effects that stood for each other: one of them returns, with the others' names."""
     lean = losses_of(data, now.servos, windows).sum(0)
-    lost = (lean > (1 + WORTHWHILE) * whole.sum(0)) & (lean - whole.sum(0) > least)
+    lost = ((1.0 - SQUARES) * lean > whole.sum(0)) & (lean - whole.sum(0) > least)
     candidates = {
         name: joints & lost
         for name, joints in removed.items()

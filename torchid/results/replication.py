@@ -12,15 +12,8 @@ from collections.abc import Sequence
 import torch
 
 from torchid.results.record import Part, Real
+from torchid.statistics.criteria import SAME_FACTOR, TELLING_STD
 from torchid.typing import Tensor
-
-FACTOR = 2.0
-"""Factor within which sizes are the same law [1]; friction laws vary by 1.02 - 1.04 between motions
-that have them, effects that are not there by 1.3 - 1.6."""
-
-TELLS = 0.5
-"""Standard deviation of a factor up to which a part can tell whether the effect is there: two of
-them from 0 to 1."""
 
 
 class MotionScale(Part, frozen=True):
@@ -69,7 +62,7 @@ def times(found: Replication | None) -> str:
 
 def replication_of(scales: Sequence[MotionScale]) -> Replication | None:
     """The factors of all parts together; None where fewer than two can tell."""
-    telling = [s for s in scales if s.std <= TELLS]
+    telling = [s for s in scales if s.std <= TELLING_STD]
     if len(telling) < 2:
         return None
     x, v = _factors(telling)
@@ -82,10 +75,10 @@ def replication_of(scales: Sequence[MotionScale]) -> Replication | None:
         each = [_factors([s for s in scales if s.trajectory == name]) for name in names]
         v = torch.stack([1 / (1 / own).sum() for _, own in each])
         x = torch.stack([(own / var).sum() / (1 / var).sum() for own, var in each])
-        x, v = x[v <= TELLS**2], v[v <= TELLS**2]
+        x, v = x[v <= TELLING_STD**2], v[v <= TELLING_STD**2]
     # The same sign and nearly the size of all, as far as the part can tell.
     slack = 2 * v.sqrt()
-    same = (x > 0) & (x + slack >= mean / FACTOR) & (x - slack <= FACTOR * mean)
+    same = (x > 0) & (x + slack >= mean / SAME_FACTOR) & (x - slack <= SAME_FACTOR * mean)
     return Replication(
         motions=tuple(scales),
         mean=mean,

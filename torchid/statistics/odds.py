@@ -13,17 +13,7 @@ from collections.abc import Sequence
 
 import torch
 
-LIKELY = 0.5
-"""Probability from which a cause is named."""
-
-LAW, PROXY = 0.1, 0.5
-"""Standard deviation between regimes of the factor by which a law is wanted, and of what stands in
-for something else [1]: friction of real arms varies by .05 to .15, causes that are not there by
-.3 to .6."""
-
-DOUBT = 4 / 9
-"""Odds of an unknown effect in the place of a cause, over the share of the squares that has no
-name: with half of the RMS left a cause is 90 % sure at most."""
+from torchid.statistics.criteria import DOUBT, LAW_STD, PROXY_STD
 
 Factors = list[tuple[float, float]]
 """By which factors parts of the data want a cause, each with its standard deviation."""
@@ -54,6 +44,6 @@ def stands_in(factors: Factors) -> float:
     """Logarithm of how much likelier factors are of what stands in for something else than of a
     law."""
     x, std = torch.tensor(factors, dtype=torch.float64).reshape(-1, 2).unbind(1)
-    law, proxy = std.square() + LAW**2, std.square() + PROXY**2
+    law, proxy = std.square() + LAW_STD**2, std.square() + PROXY_STD**2
     each = 0.5 * ((law / proxy).log() + (x - 1).square() * (1 / law - 1 / proxy))
     return float(each.nan_to_num().sum())

@@ -23,7 +23,6 @@ from torchid.effects.motion import Motion
 from torchid.effects.surroundings import PlaneContact
 from torchid.effects.transient import Contact
 from torchid.gap.search.evidence import (
-    ODDS,
     Fitted,
     Question,
     fit_terms,
@@ -34,6 +33,7 @@ from torchid.gap.search.evidence import (
 from torchid.gap.search.terms import BASE, Term
 from torchid.statistics.autocorrelation import correlation_instants
 from torchid.statistics.blocks import FEWEST_BLOCKS
+from torchid.statistics.criteria import SET_ODDS
 from torchid.statistics.resampling import LEVEL
 from torchid.statistics.robust import HUBER, robust_std
 from torchid.statistics.tail import beyond
@@ -103,7 +103,7 @@ def contacts(question: Question, again: Counterparts = ()) -> list[Contact]:
         window = torch.tensor([span[0]]), torch.tensor([span[1]])
         gains = {p: float(w.gains(*window)) for p, w in searched.items()}
         rivals = [
-            gains[p] + (0.0 if p.along is not None else 2 * usual * math.log(ODDS))
+            gains[p] + (0.0 if p.along is not None else 2 * usual * math.log(SET_ODDS))
             for p in gains
             if p is not place
         ]

@@ -37,11 +37,8 @@ from torchid.effects.transient import Contact
 from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
 from torchid.gap.settings import GapSettings
 from torchid.statistics.autocorrelation import autocorrelation, time_of
+from torchid.statistics.criteria import FORBIDDEN_STD
 from torchid.typing import Bool, Float, Tensor
-
-ODDS = 20.0
-"""Odds against an alternative from which it is no longer told: exp of half the difference of the
-evidence. Half and double of it change the mean set size by less than 0.1."""
 
 LOOKED_AT = 24
 """Terms of one place and number of columns that are offered at most; more than all effects
@@ -49,9 +46,6 @@ there."""
 
 TOGETHER = 32
 """Explanations that are fitted at once: of a hundred columns and seven joints 18 MB."""
-
-SURE = 2.0
-"""Standard deviations beyond what physics allows from which a coefficient is refused."""
 
 TAIL = 0.01
 """Share of a cause's largest torque that the fit's filter may leave where it does not act [1]."""
@@ -486,7 +480,7 @@ def forbidden(terms: Sequence[Term], solved: Solved) -> Bool[Tensor, " K"]:
         return torch.zeros(0, dtype=torch.bool)
     # The whole coefficient, with what the model has of it, is what physics bounds.
     known, least, largest = torch.cat([t.limits for t in terms]).unbind(1)
-    slack = SURE * solved.root.norm(dim=1) + 1e-12
+    slack = FORBIDDEN_STD * solved.root.norm(dim=1) + 1e-12
     return (solved.x + known < least - slack) | (solved.x.abs() > largest + slack)
 
 
@@ -720,8 +714,8 @@ def _gains(
         x, std = (root @ along).squeeze(-1), root.norm(dim=-1)
         # A sign counts only where the coefficient is determined, and is no noise.
         sure = (root @ (root.transpose(1, 2) @ left)).diagonal(dim1=1, dim2=2) > 0.99
-        low = sure & (x + batch.known < -SURE * std) & batch.signed
-        high = sure & (x.abs() > batch.largest + SURE * std)
+        low = sure & (x + batch.known < -FORBIDDEN_STD * std) & batch.signed
+        high = sure & (x.abs() > batch.largest + FORBIDDEN_STD * std)
         # A friction that drives, or a coefficient larger than on any arm, is no gain.
         wrong = (high | (low & ~batch.optional)).any(-1)
         held = low & ~wrong.unsqueeze(-1) & (size > 0)

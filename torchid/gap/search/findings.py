@@ -18,7 +18,6 @@ from torchid.gap.diagnosis import Finding
 from torchid.gap.record import Experiment, Informative, NotTestable, Parametric, Planted
 from torchid.gap.search.climb import TRIED, moves
 from torchid.gap.search.evidence import (
-    ODDS,
     Fitted,
     Question,
     apart,
@@ -37,7 +36,7 @@ from torchid.gap.search.replication import OwnTorque, own_torque, replication
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType
-from torchid.statistics.odds import LIKELY
+from torchid.statistics.criteria import LIKELY, SET_ODDS
 from torchid.typing import Int, Tensor
 
 RIVALS = 5
@@ -140,7 +139,7 @@ def describe_findings(found: Explanation, judged: Sequence[Judged], closed: floa
     for k, (term, one) in enumerate(zip(found.terms, judged, strict=True)):
         share, first = closed * shares[k], closed * firsts[k]
         names = tuple(dict.fromkeys(LINK if t.name == BASE else t.name for _, t in one.others))
-        rivals += [(r, term, other) for r, other in one.others if r > -2 * math.log(ODDS)]
+        rivals += [(r, term, other) for r, other in one.others if r > -2 * math.log(SET_ODDS)]
         p = p_value(question, *_without_bodies(found, one), term)
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()
@@ -234,7 +233,7 @@ def likely(
         for (other, *_), again in zip(some, fits, strict=True):
             now, then = apart(question, fit, again)
             tried.append((then.evidence - now.evidence, other))
-            failed += tried[-1][0] <= -2 * math.log(ODDS)
+            failed += tried[-1][0] <= -2 * math.log(SET_ODDS)
     return sorted(tried, key=lambda pair: -pair[0])
 
 
@@ -249,7 +248,7 @@ def alternatives(
     the odds; and base parameters that do as well, whatever they cost, for then the effect stands
     only if the parameters are trusted."""
     others = without.terms[len(question.fixed) :]
-    found = [pair for pair in tried if pair[0] > -2 * math.log(ODDS)]
+    found = [pair for pair in tried if pair[0] > -2 * math.log(SET_ODDS)]
     # A shape at the end of its range has become another effect, which is never left out.
     alone = term.effects[0] if len(term.effects) == 1 else None
     motions = question.candidates.columns.motions
@@ -270,7 +269,7 @@ def alternatives(
                 )
                 now, then = apart(question, fit, again)
                 lost = risen(now.effective, then.losses, now.losses)
-                if float(lost.sum()) >= 2 * math.log(ODDS):
+                if float(lost.sum()) >= 2 * math.log(SET_ODDS):
                     break
             else:
                 names[LINK] = then.evidence - now.evidence, base
@@ -381,7 +380,7 @@ def next_experiment(
     name, start = when(samples.segments, float(t[instants[0]]))
     total = float(left.sum())
     # As much more of the same motion as makes the odds, if it is as clear as here.
-    seconds = len(block) * samples.interval * 2 * math.log(ODDS) / max(1e-12, total)
+    seconds = len(block) * samples.interval * 2 * math.log(SET_ODDS) / max(1e-12, total)
     joints = next((e.joints for e in (*term.effects, *other.effects) if e.joints), ())
     # What to do, from the effects' own descriptions.
     advice = dict.fromkeys(KINDS[n].experiment for n in (term.name, other.name))

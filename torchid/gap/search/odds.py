@@ -22,13 +22,9 @@ from torchid.gap.search.evidence import Fitted, Question, acting, apart, cost, r
 from torchid.gap.search.replication import OwnTorque, motions, regimes
 from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import BASE, LINK, Term
+from torchid.statistics.criteria import WRONG_FILE
 from torchid.statistics.odds import Factors, probability, unknown_rise
 from torchid.typing import Float, Tensor
-
-WRONG_FILE = 1 / 9
-"""Odds that inertial parameters are the cause where all of them do as well as an effect, and the
-model does not say how sure it is: an effect that stands only if a file is trusted is 90 % sure at
-most."""
 
 
 @dataclass(frozen=True, eq=False)

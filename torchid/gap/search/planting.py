@@ -16,7 +16,6 @@ import torch
 from torchid.design.gram import inverse_root
 from torchid.gap.record import Planted
 from torchid.gap.search.evidence import (
-    ODDS,
     Fitted,
     Question,
     cost,
@@ -29,6 +28,7 @@ from torchid.gap.search.evidence import (
 from torchid.gap.search.terms import Term
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_length
+from torchid.statistics.criteria import SET_ODDS
 from torchid.typing import Float, Int, Tensor
 
 DRAWS = 200
@@ -137,7 +137,7 @@ def planted(planting: Planting, rivals: Sequence[Term]) -> Planted:
     for size in SIZES:
         # Told, alone or in a set: as good as any but for the odds, and better than none.
         values = evidence(0, size)
-        there = values[0] > torch.maximum(values.amax(0) - 2 * math.log(ODDS), values[-1])
+        there = values[0] > torch.maximum(values.amax(0) - 2 * math.log(SET_ODDS), values[-1])
         found.append((size, float(there.double().mean())))
     return Planted(tuple(t.name for t in rivals), tuple(told), tuple(found))
 

@@ -29,20 +29,11 @@ from torchid.identification.knowledge import known_names
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
 from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot
+from torchid.statistics.criteria import BODY_STD, WRONG_BODY
 from torchid.typing import Bool, Float, Int, Tensor
 
 LINK = "link_inertia"
 PAYLOAD = "payload"
-
-PRIOR = 0.3
-"""Standard deviation of the relative error of a model's inertial parameters [1]: CAD is known to
-some ten per cent. Half of it asks for 1.2 times the evidence of an error of 30 %, double hardly
-any."""
-
-WRONG = 10.0
-"""The same of a body that is plainly wrong, over that of a usual one [1]: errors of files have a
-heavy tail (an inertia in another unit, one of two halves). It has the price of a shape, and so has
-the scale of a torque that nobody doubts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,7 +319,7 @@ def _is_asked(wanted: Wanted, term: Term) -> bool:
 def are_bodies(robot: Robot) -> bool:
     """Whether a model's links are bodies: those of base parameters alone hardly ever are."""
     pi = robot.require_parameters("a diagnosis").pi.double()
-    return links_near(pi, usual_bodies(pi), PRIOR) is not None
+    return links_near(pi, usual_bodies(pi), BODY_STD) is not None
 
 
 def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
@@ -338,8 +329,8 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
     robot = columns.model.robot
     n = robot.n_links
     pi = robot.require_parameters("a diagnosis").pi.double()
-    sigma, usual = PRIOR * body_sizes(pi), usual_bodies(pi)
-    links = links_near(pi, usual, PRIOR)
+    sigma, usual = BODY_STD * body_sizes(pi), usual_bodies(pi)
+    links = links_near(pi, usual, BODY_STD)
     out = []
     for link in robot.bodies:
         at = torch.arange(link * PARAMETERS_PER_LINK, (link + 1) * PARAMETERS_PER_LINK)
@@ -352,8 +343,8 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
             effect = KINDS[LINK](robot.own_links.index(link))  # type: ignore[call-arg]
             known, near = tuple(pi[link].tolist()), links[link] if links else None
             # A single link that is wrong may be plainly so.
-            wide = None if near is None else replace(near, metric=near.metric / WRONG**2)
-            about = WRONG * sigma[link]
+            wide = None if near is None else replace(near, metric=near.metric / WRONG_BODY**2)
+            about = WRONG_BODY * sigma[link]
             out.append(
                 Term(
                     LINK, (effect,), None, at, effect.coefficients, known, (), about, wide,

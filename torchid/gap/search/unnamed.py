@@ -21,15 +21,15 @@ from torchid.gap.search.terms import BASE, Term
 from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
 from torchid.robot.model import Robot
-from torchid.statistics.odds import LIKELY, probability
+from torchid.statistics.criteria import LIKELY, UNLIKELY
+from torchid.statistics.odds import probability
 from torchid.typing import Tensor
 
 PLACES, EACH = 8, 4
 """Places that are looked at for suspects beside what is named, and candidates of each."""
 
 MOST = 5
-UNLIKELY = 0.03
-"""Suspects that are listed at most, and the probability of the least likely one."""
+"""Suspects that are listed at most."""
 
 
 def small_effects(

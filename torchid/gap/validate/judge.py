@@ -23,17 +23,8 @@ from torchid.gap.validate.traces import traces
 from torchid.robot.model import joint_list
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_length, block_numbers
+from torchid.statistics.criteria import CLEAR_EXCESS, EXCESS, STRUCTURE
 from torchid.typing import Float, Int, Tensor
-
-EXCESS = 1.35
-"""Held-out variance of a joint, relative to its noise, from which something is unexplained where a
-flexible predictor agrees [1]: noise is known to a few ten per cent."""
-
-CLEAR_EXCESS = 2.0
-"""The same from which it is, whatever a predictor says [1]."""
-
-STRUCTURE = 0.25
-"""Predictable share of a joint's noise variance from which structure is worth saying [1]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,69 @@
+"""The numbers that decide an answer, each with its unit and reason; all others are tolerances of an
+algorithm and stand beside it. What a user may choose is in `GapSettings`."""
+
+LIKELY = 0.5
+"""Probability from which a cause is named [1]."""
+
+UNLIKELY = 0.03
+"""Probability of the least likely suspect that is listed [1]."""
+
+SET_ODDS = 20.0
+"""Odds against an alternative from which it is no longer named beside a cause [1]. Half and double
+of it change the mean set size by less than 0.1."""
+
+WORTHWHILE = 0.05
+"""Least share of a joint's error by which a cause must lower it to be worth a name [1]."""
+
+WORTHWHILE_TORQUE = 0.01
+"""The same as a share of the joint's torque [1]."""
+
+LAW_STD, PROXY_STD = 0.1, 0.5
+"""Standard deviation between regimes of the factor by which a law is wanted, and of what stands in
+for something else [1]: friction of real arms varies by .05 to .15, causes that are not there by
+.3 to .6."""
+
+DOUBT = 4 / 9
+"""Odds of an unknown effect in the place of a cause, over the share of the squares that has no name
+[1]: with half of the RMS left a cause is 90 % sure at most."""
+
+WRONG_FILE = 1 / 9
+"""Odds that inertial parameters are the cause where all of them do as well as an effect, and the
+model does not say how sure it is [1]: what stands only if a file is trusted is 90 % sure at
+most."""
+
+BODY_STD = 0.3
+"""Standard deviation of the relative error of a model's inertial parameters [1]: CAD is known to
+some ten per cent. Half of it asks for 1.2 times the evidence of an error of 30 %, double hardly
+any."""
+
+WRONG_BODY = 10.0
+"""The same of a body that is plainly wrong, over that of a usual one [1]: errors of files have a
+heavy tail (an inertia in another unit, one of two halves). It has the price of a shape, and so has
+the scale of a torque that nobody doubts."""
+
+MOVED_STD = 3.0
+"""Standard deviations of what was known beyond which a coefficient has moved [1]."""
+
+FORBIDDEN_STD = 2.0
+"""Standard deviations beyond what physics allows from which a coefficient is refused [1]."""
+
+SAME_FACTOR = 2.0
+"""Factor within which sizes are the same law [1]; friction laws vary by 1.02 to 1.04 between
+motions that have them, effects that are not there by 1.3 to 1.6."""
+
+TELLING_STD = 0.5
+"""Standard deviation of a factor up to which a part can tell whether the effect is there [1]: two
+of them from 0 to 1."""
+
+EXCESS = 1.35
+"""Held-out variance of a joint, relative to its noise, from which something is unexplained where a
+flexible predictor agrees [1]: noise is known to a few ten per cent."""
+
+CLEAR_EXCESS = 2.0
+"""The same from which it is, whatever a predictor says [1]."""
+
+STRUCTURE = 0.25
+"""Predictable share of a joint's noise variance from which structure is worth saying [1]."""
+
+SHORTEST_LOG = 8.0
+"""Length of all samples below which `no gap` cannot be said [s]."""
