@@ -235,7 +235,7 @@ def torque_figure(
     joint = worst_joints(diagnosis.record)[0] if joint is None else joint
     trace, rows, most = diagnosis.traces[0], slice(0, len(diagnosis.traces[0].valid)), -1.0
     for own in diagnosis.traces:
-        squares = (own.measured - own.before)[:, joint].square() * own.valid
+        squares = (own.measured - own.before)[:, joint].square() * own.counting[:, joint]
         stretch, mean = worst_stretch(squares, max(2, round(_SHORTEST * own.rate)))
         if mean > most:
             trace, rows, most = own, stretch, mean

@@ -8,6 +8,7 @@ from dataclasses import replace
 from msgspec import structs
 
 from torchid.design.columns import Place
+from torchid.effects.base import JointEffect
 from torchid.gap.diagnosis import unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import UnnamedEffect
@@ -107,10 +108,15 @@ def suspects(
     def is_moved(term: Term) -> bool:
         return any(name in moved for e in term.effects for name in known_names(e))
 
+    def is_another(term: Term) -> bool:
+        """Whether its shape is at the end of its range, where it has become another effect."""
+        shaped = (e for e in term.effects if term.shapes and isinstance(e, JointEffect))
+        return any(e.at_an_end(question.candidates.columns.motions) for e in shaped)
+
     # The likeliest candidates of every place, to first order; beside what is named, each by itself.
     places: dict[Place, dict[object, Term]] = {}
     for _, (term, *more) in moves(question, fit):
-        if more or term.name == BASE or term.key in listed:
+        if more or term.name == BASE or term.key in listed or is_another(term):
             continue
         own = places.setdefault(term.place, {})
         if is_moved(term) or (len(places) <= PLACES and len(own) < EACH):
