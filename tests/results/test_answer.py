@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from torchid.results.answer import Answer, Cause, JointError
+from torchid.results.answer import Answer, Cause, JointError, Size
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "answers"
 
@@ -43,3 +43,17 @@ def test_all_of_an_error_needs_a_measured_noise(measured):
     assert "10 -> 8 N m, 20 % less" in said
     assert ("to the noise" in said) == measured
     assert " all" not in said
+
+
+@pytest.mark.parametrize("status", ["detected_unexplained", "not_testable", "no_gap"])
+def test_a_headline_without_a_cause_says_the_likeliest(status):
+    suspect = Cause(
+        effect="viscous_friction", joints=(2,), how_sure=0.82, remedy="move faster",
+        sizes=(Size(name="Fv", unit="N m s/rad", value=5.6, std=0.7),),
+    )  # fmt: skip
+    said = answer(status=status, causes=(), suspects=(suspect,), closed=None).headline
+    likely = "Most likely: viscous friction on joint 3 (5.6 ± 0.7 N m s/rad, 82 %)."
+    assert said.endswith(likely) == (status != "no_gap")
+    assert answer(suspects=(suspect,)).suspect_lines == [
+        "viscous friction on joint 3 (5.6 ± 0.7 N m s/rad, 82 %): move faster"
+    ]

@@ -37,7 +37,7 @@ from torchid.log.model import Log
 from torchid.results.answer import ordered
 from torchid.robot.model import Robot
 from torchid.simulation.two_models import rollouts
-from torchid.statistics.criteria import SHORTEST_LOG
+from torchid.statistics.criteria import LIKELY, SHORTEST_LOG
 
 Progress = Callable[[str, int, int], None]
 
@@ -122,7 +122,7 @@ def described(decision: Decision, problem: Problem) -> TorqueDiagnosis:
             shown=all(map(found.question.shows, found.terms)),
             taken=decision.taken_back,
             small=bool(small),
-            suspected=bool(likely),
+            suspected=any(e.how_sure >= LIKELY for e in likely),
             hidden=known is not None and any(j.hides for j in known.joints),
         ),
         joints=joints,

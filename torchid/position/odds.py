@@ -3,6 +3,7 @@
 import math
 
 from torchid.results.replication import Replication
+from torchid.statistics.criteria import EXPECTED
 from torchid.statistics.odds import probability, unknown_rise
 
 
@@ -33,7 +34,7 @@ def effect_sure(
         spread = replication.next_std**2 - replication.spread**2
         risen = min(risen, replication.mean**2 / max(spread, 1e-300))
         ways.append([(m.scale, m.std) for m in replication.motions])
-    paid = 2 * math.log(looks) + numbers * math.log(max(seconds, 2.0))
+    paid = 2 * math.log(looks / EXPECTED) + numbers * math.log(max(seconds, 2.0))
     misfit = max(with_it - least, 1e-12 * with_it + 1e-300)
     ratio = (without - with_it) / misfit
     beyond = unknown_rise(ratio, misfit / max(without, misfit), ways)

@@ -190,12 +190,11 @@ class Answer(Part, frozen=True, kw_only=True):
                 f"No known effect explains {self.error} of {size} (noise "
                 f"{noise}). It is largest on joint {worst.joint + 1}."
             )
-            text = said.get(self.status, gap)
-            if self.status != "not_testable" and self.suspects:
-                first = self.suspects[0]
-                likely = f"No cause is sure; most likely {self.suspect_words(first)}."
-                text = likely if self.status == "detected_unexplained" else text
-            return _cut(f"{text} {self.reason}".rstrip(), longest)
+            text = f"{said.get(self.status, gap)} {self.reason}".rstrip()
+            if self.suspects and self.status in ("detected_unexplained", "not_testable"):
+                why = "No cause is sure." if self.status == "detected_unexplained" else text
+                text = f"{why} Most likely: {self.suspect_words(self.suspects[0])}."
+            return _cut(text, longest)
         rest = ""
         if self.closed is None or self.after > UNCHANGED * self.before:
             verb, end = ("fits", "fit"), f"{self.error}; on new data: {change}."

@@ -179,7 +179,7 @@ class Question:
 
     def price(self, alpha: float | None = None) -> float:
         """Of a cause, at a level of a false one among all that are looked at; that of the settings
-        if None. At a level of one it is the prior: one cause is expected among them."""
+        if None. It is a prior, too: of so many causes that are expected among them."""
         return 2 * math.log(self.looks / (self.settings.alpha if alpha is None else alpha))
 
 

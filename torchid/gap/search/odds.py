@@ -4,8 +4,8 @@ In the place of a cause there may be nothing, another effect of the library, or 
 no library. The odds of each against the cause are exp of half of a rise:
 
 - nothing, or another effect: the rise of the evidence without the cause or with the other one in
-  its place, where one cause is expected among all that were looked at. Blocks of samples may
-  disagree by more than dependent samples do; the likelihood then counts as much less as their
+  its place, where `EXPECTED` causes are expected among all that were looked at. Blocks of samples
+  may disagree by more than dependent samples do; the likelihood then counts as much less as their
   spread says (a power of it, Grünwald and van Ommen 2017), the cost of coefficients stays.
 - an unknown effect: its regimes are thirds of travel, speed, load and time, both directions, and
   motions (see `torchid.statistics.odds`).
@@ -22,7 +22,7 @@ from torchid.gap.search.evidence import Fitted, Question, acting, apart, cost, r
 from torchid.gap.search.replication import OwnTorque, motions, regimes
 from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import BASE, LINK, Term
-from torchid.statistics.criteria import WRONG_FILE
+from torchid.statistics.criteria import EXPECTED, WRONG_FILE
 from torchid.statistics.odds import Factors, probability, unknown_rise
 from torchid.typing import Float, Tensor
 
@@ -93,7 +93,7 @@ def odds(
     rest = then.terms[len(question.fixed) :]
 
     def price(terms: Sequence[Term]) -> float:
-        return cost(question, terms, now.effective, 1.0)
+        return cost(question, terms, now.effective, EXPECTED)
 
     mine = price(now.terms[len(question.fixed) :])
     gain = float(risen(now.effective, then.losses, now.losses).sum()) + then.known - now.known
