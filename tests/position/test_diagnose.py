@@ -126,10 +126,8 @@ def test_windows_that_tell_more_are_taken_sooner_and_stand_for_fewer(most):
 @pytest.mark.slow
 def test_an_answer_says_whether_what_it_names_is_all():
     found = diagnosis(finding("set_point_profile", 2, 9.0, 3.0, acceleration=4.0))
-    # Of (14 / 2)^2 + (9 / 2)^2 mrad^2 in windows of 2 s, (6 / 2)^2 + (4 / 2)^2 are left; joint 3
-    # never moves.
-    floor = (1e3 * found.data.slight[:2]).square().sum()
-    assert found.closed == pytest.approx(1 - float((13.0 - floor) / (69.25 - floor)), rel=1e-6)
+    # Of (14 + 9) / 2 mrad of whole motions (6 + 4) / 2 are left; joint 3 never moves.
+    assert found.closed == pytest.approx(1 - 5.0 / 11.5)
     assert found.status == "partly_explained"
     near = Accuracy(*(0.2 * x for x in (found.answered.whole, found.answered.windows)))
     assert replace(found, answered=near).status == "explained"

@@ -355,7 +355,7 @@ class TorqueDiagnosis(Diagnosis):
         segments = [
             Segment(t.name, t.rate, self.band, t.motion, t.measured, own_velocity=False)
             for t in self.traces
-            if len(t.valid) > 3 * EDGE * t.rate / self.band
+            if len(t.valid) > 3 * EDGE * t.rate / self.band and t.rate == self.traces[0].rate
         ]
         if not segments or not self.findings:
             return ()
