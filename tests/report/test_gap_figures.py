@@ -9,7 +9,6 @@ import torch
 from tests.gap.diagnoses import FRICTION, coulomb, diagnosis, floor, some_left, trace
 from tests.marks import quick_first
 from torchid.gap.diagnosis import HowFar
-from torchid.gap.record import Planted
 from torchid.report.gap_figures import binned, figures, map_figure, samples, spectrum, worst_joints
 from torchid.report.panels import save
 
@@ -95,15 +94,3 @@ def test_a_negative_and_a_missing_result_are_drawn(tmp_path):
     d = diagnosis(findings=(FRICTION,))
     worse = HowFar(d.how_far.rms_after, d.how_far.rms_before, -0.5, (-0.7, 0.1))
     save(figures(replace(d, how_far=worse))["how_far"](), tmp_path / "worse.png")
-
-
-def test_what_the_log_would_show_is_drawn_where_it_is_known(tmp_path):
-    d = diagnosis("explained")
-    finding = d.findings[0]
-    names = (finding.effect.name, "torque_offset")
-    told = ((0.9, 0.05, 0.05), (0.4, 0.6, 0.0))
-    planted = Planted(names, told, ((0.5, 0.1), (1.0, 0.9)))
-    drawn = figures(replace(d, findings=(replace(finding, planted=planted),)))["planted"]()
-    texts = [t.get_text() for axes in drawn.axes for t in axes.texts]
-    assert texts == ["90", "5", "5", "40", "60"]
-    assert save(drawn, tmp_path / "planted.png").stat().st_size > 5000

@@ -28,7 +28,6 @@ from torchid.gap.record import (
     NoiseFloor,
     NotTestable,
     Parametric,
-    Planted,
     RegimeGap,
     Residual,
     Status,
@@ -118,7 +117,6 @@ class Finding:
         first: share of the error that it closes alone.
         notes: sentences, e.g. a coefficient that is not determined.
         common: whether one coefficient is common to all joints.
-        planted: what the log would show of it and of its likeliest alternatives.
     """
 
     effect: Effect
@@ -132,7 +130,6 @@ class Finding:
     first: float
     notes: tuple[str, ...] = ()
     common: bool = False
-    planted: Planted | None = None
     one_of_a_set: bool = False
     changed: tuple[KnownCoefficient, ...] = ()
     replication: Replication | None = None
@@ -240,7 +237,6 @@ def _link(changed: Parametric) -> FoundEffect:
         remedy=INERTIA_REMEDY,
         source=None,
         notes=(),
-        planted=None,
         replication=None,
     )
 

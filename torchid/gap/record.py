@@ -1,6 +1,5 @@
 """A diagnosis as its JSON has it: the schema torchid.gap/1."""
 
-import itertools
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -55,9 +54,6 @@ Regime = Literal[
 
 Interval = tuple[float, float]
 
-OFTEN = 0.8
-"""Share of draws in which a cause must be told to count as one that is found."""
-
 
 class JointGap(Part, frozen=True):
     """Gap of the model as given on one joint."""
@@ -103,34 +99,6 @@ class Where(Part, frozen=True):
     regimes: tuple[RegimeGap, ...]
 
 
-class Planted(Part, frozen=True):
-    """What this log would show of a cause and of R - 1 others in its place, if what the answer
-    leaves were noise: shares of draws.
-
-    Attributes:
-        names: (R,) the cause first.
-        told: (R, R + 1) with each of them planted, which is told; none, last.
-        found: by size, as a share of the fitted one, how often the cause is told.
-        smallest: the size, as a share of the fitted one, from which on the cause is told in four
-            of five draws, between sizes by interpolation; None if there is none.
-    """
-
-    names: tuple[str, ...]
-    told: tuple[tuple[float, ...], ...]
-    found: tuple[tuple[float, float], ...]
-    smallest: float | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        msgspec.structs.force_setattr(self, "smallest", self._smallest())
-
-    def _smallest(self) -> float | None:
-        for (a, low), (b, high) in itertools.pairwise(((0.0, 0.0), *self.found)):
-            if high >= OFTEN:
-                return a + (b - a) * (OFTEN - low) / (high - low)
-        return None
-
-
 class KnownCoefficient(Part, frozen=True, kw_only=True):
     """A known coefficient of the model before the log and after it.
 
@@ -168,7 +136,6 @@ class FoundEffect(Part, frozen=True, kw_only=True):
         replication: whether it is the same in every motion; None of what is asked no such thing.
         meaning, remedy, source: of the effect, in words.
         notes: sentences.
-        planted: what the log would show of it.
     """
 
     effect: str
@@ -193,7 +160,6 @@ class FoundEffect(Part, frozen=True, kw_only=True):
     remedy: str = ""
     source: str | None = None
     notes: tuple[str, ...] = ()
-    planted: Planted | None = None
 
 
 class UnnamedEffect(Part, frozen=True, kw_only=True):

@@ -469,19 +469,6 @@ def pictures(d: TorqueDiagnosis) -> list[Picture]:
             )
         )
     out += repeats_pictures(record)
-    if any(f.planted for f in d.findings):
-        out.append(
-            Picture(
-                "planted",
-                "What this log can show, if what the answer leaves is noise. Each cause and its "
-                "likeliest alternatives are planted into shuffled blocks of it and searched for. A "
-                "cause whose row is found under another name cannot be separated from that here. "
-                "The curve gives the size from which on the cause is found, alone or in a set. It "
-                "is an upper bound: a real arm's remainder holds other causes, too.",
-                "Shares of draws in which each planted cause is found, and by size of the cause.",
-                partial(gap_figures.planted_figure, record),
-            )
-        )
     return out
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
-from torchid.gap.record import OFTEN, GapRecord, Regime
+from torchid.gap.record import GapRecord, Regime
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
 from torchid.report.gap_words import CLEAR, clear_regimes
 from torchid.report.panels import (
@@ -19,7 +19,6 @@ from torchid.report.panels import (
     finish,
     new_figure,
     panel,
-    ruled,
     shaded_map,
     side_bars,
     styled,
@@ -36,9 +35,6 @@ WORST = 3
 
 NARROW = 4.2
 """Width of a figure on a phone [inch]."""
-
-MOST_PLANTED = 5
-"""Findings whose planting is shown, the largest ones."""
 
 _MOST_POINTS = 4000
 _SHORTEST = 12.0
@@ -62,8 +58,6 @@ def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
     out |= repeats_figures(record)
     if record.knowledge is not None and record.knowledge.coefficients:
         out["known"] = partial(known_figure, record)
-    if any(f.planted for f in record.which):
-        out["planted"] = partial(planted_figure, record)
     return out
 
 
@@ -157,42 +151,6 @@ def budget_figure(record: GapRecord) -> Figure:
     axes.grid(axis="y", visible=False)
     axes.xaxis.set_major_formatter(lambda v, _: f"{100 * v:.0f}\u2009%")
     return finish(figure, f"{record.robot}: what closes the gap", axes, columns=3)
-
-
-def planted_figure(record: GapRecord) -> Figure:
-    """A row a finding: which cause is found where it or another one is planted in this log, and
-    from which size on the finding itself is."""
-    shown = [(f, f.planted) for f in record.which if f.planted is not None][:MOST_PLANTED]
-    figure = new_figure(9.6, 0.7 + 2.5 * len(shown))
-    rows = figure.subplots(len(shown), 2, width_ratios=(1.7, 1), squeeze=False)
-    for (finding, planted), (table, curve) in zip(shown, rows, strict=True):
-        words = [name.replace("_", " ") for name in planted.names]
-        shares = np.array(planted.told)
-        table.imshow(shares, cmap="Blues", vmin=0, vmax=1.6, aspect="auto")
-        for (y, x), share in np.ndenumerate(shares):
-            if share >= 0.005:
-                text = f"{100 * share:.0f}"
-                table.text(x, y, text, ha="center", va="center", fontsize=SMALL, color=INK)
-        columns = [*words, "none"]
-        table.set_xticks(range(len(columns)), [w.replace(" ", "\n") for w in columns])
-        table.set_yticks(range(len(words)), words)
-        ruled(table, len(words), len(columns), 2)
-        where = ", ".join(str(j + 1) for j in finding.located)
-        table.set_title(
-            f"{words[0]}{f', joint {where}' if where else ''}: found (across), planted (down), "
-            "% of draws",
-            fontsize=SMALL, color=INK, loc="left",
-        )  # fmt: skip
-        styled(curve)
-        sizes, found = np.array(planted.found).T
-        curve.plot(sizes, 100 * found, "o-", color=AFTER, markersize=4)
-        curve.set_xscale("log", base=2)
-        curve.set_xticks(sizes, ["1" if s == 1 else f"1/{1 / s:.0f}" for s in sizes])
-        if planted.smallest is not None:
-            said = f"found in {100 * OFTEN:.0f} % of draws from {planted.smallest:.2g} of it on"
-            curve.set_title(said, fontsize=SMALL, color=INK, loc="left")
-        curve.set(ylim=(-4, 104), xlabel="size, as a share of the one found", ylabel="found [%]")
-    return finish(figure, f"{record.robot}: what this log would show")
 
 
 def known_figure(record: GapRecord) -> Figure:

@@ -15,7 +15,7 @@ from torchid.effects.spring import JointSpring
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
 from torchid.gap.diagnosis import Finding
-from torchid.gap.record import Experiment, Informative, NotTestable, Parametric, Planted
+from torchid.gap.record import Experiment, Informative, NotTestable, Parametric
 from torchid.gap.search.climb import TRIED, moves
 from torchid.gap.search.evidence import (
     Fitted,
@@ -31,16 +31,12 @@ from torchid.gap.search.evidence import (
 )
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.odds import Misfit, Odds, odds
-from torchid.gap.search.planting import Planting, planted
 from torchid.gap.search.replication import OwnTorque, own_torque, replication
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType
 from torchid.statistics.criteria import LIKELY, SET_ODDS
 from torchid.typing import Int, Tensor
-
-RIVALS = 5
-"""Others that are planted in the place of a cause."""
 
 LARGE = 0.5
 """Torque, as a share of the joint's own, below which a testable effect must be detectable."""
@@ -56,15 +52,13 @@ class Judged:
     Attributes:
         term: which.
         without: the other terms, fitted without it.
-        tried: all that were tried in its place, with the rise of the evidence, the best first.
-        others: those of them that it cannot be told from.
+        others: terms that it cannot be told from, with the rise of the evidence.
         odds: of everything that may be there.
         own: torque that it alone makes.
     """
 
     term: Term
     without: Fitted
-    tried: tuple[tuple[float, Term], ...]
     others: tuple[tuple[float, Term], ...]
     odds: Odds
     own: OwnTorque
@@ -97,7 +91,7 @@ def judge_terms(found: Explanation, misfit: Misfit) -> list[Judged]:
         others = alternatives(question, fit, without, term, tried)
         own = own_torque(found.solution, fixed + k)
         its = odds(question, (fit, without), found.solution, fixed + k, own, misfit, others)
-        out.append(Judged(term, without, tuple(tried), tuple(others), its, own))
+        out.append(Judged(term, without, tuple(others), its, own))
     return out
 
 
@@ -134,7 +128,6 @@ def describe_findings(found: Explanation, judged: Sequence[Judged], closed: floa
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
     samples = question.candidates.columns.samples
     shares, firsts = in_turn(question, fit, found.terms)
-    planting = Planting(question, fit)
     effects, parametric, undecided, rivals = [], [], [], []
     for k, (term, one) in enumerate(zip(found.terms, judged, strict=True)):
         share, first = closed * shares[k], closed * firsts[k]
@@ -165,7 +158,6 @@ def describe_findings(found: Explanation, judged: Sequence[Judged], closed: floa
                 first=first,
                 notes=_notes(found, term, own[0], values, std),
                 common=len(own) > 1,
-                planted=_planted(planting, term, one.tried),
             )
         )
     return Findings(
@@ -274,18 +266,6 @@ def alternatives(
             else:
                 names[LINK] = then.evidence - now.evidence, base
     return list(names.values())
-
-
-def _planted(planting: Planting, term: Term, tried: Sequence[tuple[float, Term]]) -> Planted | None:
-    """What the log would show of a term and the likeliest of other names; of one that replaces a
-    part of the model, or happened once, nothing."""
-    best: dict[str, Term] = {}
-    for rise, other in tried:
-        if other.name != term.name and not other.instead and rise > -math.inf:
-            best.setdefault(other.name, other)
-    if term.instead or any(e.event for e in term.effects):
-        return None
-    return planted(planting, [term, *list(best.values())[:RIVALS]])
 
 
 def _felt(found: Explanation, k: int, effects: Sequence[Effect]) -> tuple[int, ...]:
