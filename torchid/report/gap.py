@@ -359,7 +359,7 @@ def facts(record: GapRecord) -> list[tuple[str, str]]:
     low, high = far.noise_floor_rms
     return [
         ("Status", STATUS[record.status]),
-        ("Closed [95 %]", closed_words(record)),
+        ("Closed beyond noise [95 %]", closed_words(record)),
         ("Gap before, RMS", f"{far.rms_before:.3g} {unit}"),
         ("Gap after, RMS", f"{far.rms_after:.3g} {unit}"),
         ("Noise, RMS", f"{low:.3g} to {high:.3g} {unit}"),
