@@ -31,6 +31,7 @@ from torchid.results.answer import Size as AnswerSize
 from torchid.results.record import Rows
 from torchid.results.replication import Replication
 from torchid.simulation.servo import Servos
+from torchid.statistics.criteria import LIKELY
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
 
@@ -218,7 +219,8 @@ class PositionDiagnosis(Diagnosis):
         unseen, moves = self.unseen, ~self.still
         before, after = self.plain_servo.whole, self.answered.whole
         names = self.data.robot.joint_names
-        causes = [f.cause for f in self.findings]
+        every = sorted((f.cause for f in self.findings), key=lambda c: -c.closes)
+        sure = [c for c in every if c.how_sure is None or c.how_sure >= LIKELY]
         low, high = (float(x) for x in unseen[moves].aminmax()) if bool(moves.any()) else (0.0, 0.0)
         small = f"What moves a joint by less than {low:.1f} to {high:.1f} mrad could not be seen."
         return Answer(
@@ -239,7 +241,8 @@ class PositionDiagnosis(Diagnosis):
                 )
                 for j in range(len(names))
             ),
-            causes=tuple(sorted(causes, key=lambda c: -c.closes)),
+            causes=tuple(sure),
+            suspects=tuple(c for c in every if c not in sure),
             reason=small if self.status == "no_gap" else "",
             doubt=self.doubt or UNSET,
         )

@@ -2,7 +2,7 @@
 enough, the suspects."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 from msgspec import structs
@@ -108,25 +108,10 @@ def suspects(
     def is_moved(term: Term) -> bool:
         return any(name in moved for e in term.effects for name in known_names(e))
 
-    def is_another(term: Term) -> bool:
-        """Whether its shape is at the end of its range, where it has become another effect."""
-        shaped = (e for e in term.effects if term.shapes and isinstance(e, JointEffect))
-        return any(e.at_an_end(question.candidates.columns.motions) for e in shaped)
-
-    # The likeliest candidates of every place, to first order; beside what is named, each by itself.
-    places: dict[Place, dict[object, Term]] = {}
-    for _, (term, *more) in moves(question, fit):
-        if more or term.name == BASE or term.key in listed or is_another(term):
-            continue
-        own = places.setdefault(term.place, {})
-        if is_moved(term) or (len(places) <= PLACES and len(own) < EACH):
-            own.setdefault(term.key, term)
-    best: list[list[tuple[Fitted, Term]]] = []
-    for own in places.values():
-        each = [[*found.terms, t] for t in own.values()]
-        fits = fit_each(question, each, fit.effective, fit.weight)
-        there = [p for p in zip(fits, own.values(), strict=True) if p[0].evidence > -math.inf]
-        best += [sorted(there, key=lambda p: -_rise(question, p[0], fit))] if there else []
+    best = [_fitted_beside(found, own) for own in _likely_places(found, listed, is_moved)]
+    best = [pairs for pairs in best if pairs]
+    if not best:
+        return ()
     # The best of each place is asked how sure it is, all beside each other.
     every = [*fit.terms, *(pairs[0][1] for pairs in best)]
     start = [*fit.values(), *(pairs[0][0].values()[-1] for pairs in best)]
@@ -153,6 +138,37 @@ def suspects(
     kept = [pair for pair in out if pair[0] or pair[1].how_sure >= UNLIKELY]
     kept = sorted(kept, key=lambda pair: (not pair[0], -pair[1].how_sure))[:MOST]
     return tuple(sorted((e for _, e in kept), key=lambda e: -e.how_sure))
+
+
+def _likely_places(
+    found: Explanation, listed: Collection[object], is_moved: Callable[[Term], bool]
+) -> list[list[Term]]:
+    """The likeliest candidates of every place, to first order, and all of what has moved; none
+    whose shape is at the end of its range, where it has become another effect."""
+    question = found.question
+
+    def is_another(term: Term) -> bool:
+        shaped = (e for e in term.effects if term.shapes and isinstance(e, JointEffect))
+        return any(e.at_an_end(question.candidates.columns.motions) for e in shaped)
+
+    places: dict[Place, dict[object, Term]] = {}
+    for _, (term, *more) in moves(question, found.fit):
+        if more or term.name == BASE or term.key in listed or is_another(term):
+            continue
+        own = places.setdefault(term.place, {})
+        if is_moved(term) or (len(places) <= PLACES and len(own) < EACH):
+            own.setdefault(term.key, term)
+    return [list(own.values()) for own in places.values()]
+
+
+def _fitted_beside(found: Explanation, terms: list[Term]) -> list[tuple[Fitted, Term]]:
+    """Each term by itself beside what is named, the best first; without those that physics
+    refuses."""
+    question, fit = found.question, found.fit
+    each = [[*found.terms, t] for t in terms]
+    fits = fit_each(question, each, fit.effective, fit.weight) if each else []
+    there = [pair for pair in zip(fits, terms, strict=True) if pair[0].evidence > -math.inf]
+    return sorted(there, key=lambda pair: -_rise(question, pair[0], fit))
 
 
 def _rise(question: Question, fit: Fitted, other: Fitted) -> float:
