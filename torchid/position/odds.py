@@ -29,10 +29,8 @@ def effect_sure(
     """
     risen = seconds * math.log(max(without, 1e-300) / max(with_it, 1e-300))
     ways = []
-    if replication is not None:
-        # Motions may disagree by more than errors within them do.
-        spread = replication.next_std**2 - replication.spread**2
-        risen = min(risen, replication.mean**2 / max(spread, 1e-300))
+    if replication is not None and replication.repeats < replication.asked:
+        # A servo's effect is not linear: factors count where they differ by more than that makes.
         ways.append([(m.scale, m.std) for m in replication.motions])
     paid = 2 * math.log(looks / EXPECTED) + numbers * math.log(max(seconds, 2.0))
     misfit = max(with_it - least, 1e-12 * with_it + 1e-300)
