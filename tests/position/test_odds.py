@@ -30,7 +30,7 @@ def test_what_stays_unexplained_bounds_it():
 
 @pytest.mark.parametrize("factors", [(1.0, 1.02, 0.97, 1.01), (1.9, 0.2, 1.5, 0.4)])
 def test_motions_that_want_another_factor_make_it_less_sure(factors):
-    found = sure(10.0, 2.0, replication=again(*factors))
+    found = sure(10.0, 1.0, replication=again(*factors))
     assert (found > 0.9) == (factors[0] == 1.0)
     assert (found < 0.5) == (factors[0] != 1.0)
 
