@@ -124,8 +124,9 @@ def gap_command(
     # The worst joints of an earlier run may have been others.
     to_print = [
         output.keep(
-            result, "gap.json", shown, seed=settings.seed, old=["gap_joint_*.png", "which.png"],
-            files=files, settings=settings_of(result, asked.servo),
+            result, "gap.json", shown, seed=settings.seed,
+            old=["gap_joint_*.png", "which.png", "planted.png"], files=files,
+            settings=settings_of(result, asked.servo),
         )
     ]  # fmt: skip
     output.put(asked.save_model, result.write_corrected)

@@ -11,19 +11,18 @@ import torch
 from torch import Tensor
 
 from torchid.effects.base import Columns, Example, ModelEffect, Motion
-from torchid.effects.inertia import WEIGHED, BodyEffect
-from torchid.effects.variation import ArmCoefficient, OneJointEffect, needed
+from torchid.effects.inertia import LinkEffect
+from torchid.effects.variation import ArmCoefficient, needed
 from torchid.robot.inertia import InertialParameters, parallel_axis
 from torchid.robot.model import Robot
 from torchid.typing import Float
 
-_SOURCE = "Atkeson, An and Hollerbach 1986, IJRR 5(3), for the parameters; URDF: inertial, inertia"
 _WHOLE = (0.7, 1.3)
-"""Shares of a mistake that are it: it is there, or it is not."""
+"""Shares of a mistake that are the whole of it [1]."""
 
 
 @dataclass(frozen=True)
-class FileMistake(BodyEffect, OneJointEffect):
+class FileMistake(LinkEffect):
     """A link's parameters as its file would have them without a mistake.
 
     Attributes:
@@ -32,12 +31,16 @@ class FileMistake(BodyEffect, OneJointEffect):
 
     of_bodies = True
     shared = True
-    beyond = WEIGHED
     experiment = "swing the link fast about its own joint, and hold it level"
 
-    def link(self, robot: Robot) -> int:
-        """Index of the link, which is its joint's but for mimics before it."""
-        return robot.own_links[self.joint]
+    source = (
+        "Atkeson, An and Hollerbach 1986, IJRR 5(3), for the parameters; URDF: inertial, inertia"
+    )
+
+    @property
+    def ranges(self) -> tuple[tuple[float, float], ...]:
+        """The whole mistake: it is there, or it is not."""
+        return (_WHOLE,)
 
     def correction(self, body: InertialParameters) -> InertialParameters:
         """What a link's parameters lack per unit coefficient."""
@@ -74,13 +77,7 @@ class InertiaReferencePoint(FileMistake):
     equation = "-w Y_j (0, 0, m (c'c 1 - c c'))"
     signature = "with acceleration, as the mass times the square of its distance counted twice"
     remedy = "Subtract m (c'c 1 - c c') from the link's inertia in the file."
-    source = _SOURCE
     example = Example((1.0,), "acceleration")
-
-    @property
-    def ranges(self) -> tuple[tuple[float, float], ...]:
-        """The whole mistake."""
-        return (_WHOLE,)
 
     def correction(self, body: InertialParameters) -> InertialParameters:
         """Less m c^2 about the link frame."""
@@ -99,7 +96,6 @@ class InertiaScale(FileMistake):
     equation = "s Y_j (0, 0, J_c)"
     signature = "with acceleration alone; gravity is right"
     remedy = "Multiply the link's inertia in the file by 1 + s; near a power of ten it is a unit."
-    source = _SOURCE
     example = Example((1.0,), "acceleration")
 
     @property
@@ -134,17 +130,11 @@ class MirroredLink(FileMistake):
     remedy = (
         "Turn round the sign of the centre of mass and of the products of inertia of that axis."
     )
-    source = _SOURCE
     example = Example((1.0,), "position")
 
     def __post_init__(self) -> None:
         if self.axis not in ("x", "y", "z"):
             raise ValueError("axis must be x, y or z")
-
-    @property
-    def ranges(self) -> tuple[tuple[float, float], ...]:
-        """The whole mistake."""
-        return (_WHOLE,)
 
     @classmethod
     def starts(cls, robot: Robot) -> list[ModelEffect]:

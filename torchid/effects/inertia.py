@@ -87,12 +87,21 @@ class Payload(BodyEffect):
 
 
 @dataclass(frozen=True)
-class LinkInertia(BodyEffect, OneJointEffect):
-    """The inertial parameters of one link differ from the model's.
+class LinkEffect(BodyEffect, OneJointEffect):
+    """A change of one link's parameters.
 
     Attributes:
         joint: the joint that moves the link, from 0.
     """
+
+    def link(self, robot: Robot) -> int:
+        """Index of the link, which is its joint's but for mimics before it."""
+        return robot.own_links[self.joint]
+
+
+@dataclass(frozen=True)
+class LinkInertia(LinkEffect):
+    """The inertial parameters of one link differ from the model's."""
 
     name = "link_inertia"
     coefficients = _body("missing in the link", positive_mass=False)
@@ -102,10 +111,6 @@ class LinkInertia(BodyEffect, OneJointEffect):
     experiment = "compare the link's parameters with CAD, or weigh it"
     remedy = "Correct the link's inertial parameters: `torchid identify`, `extract`."
     source = "eq. 2.18; Atkeson, An and Hollerbach 1986, IJRR 5(3)"
-
-    def link(self, robot: Robot) -> int:
-        """Index of the link, which is its joint's but for mimics before it."""
-        return robot.own_links[self.joint]
 
 
 @dataclass(frozen=True)

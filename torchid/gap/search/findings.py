@@ -252,7 +252,7 @@ def alternatives(
         if other.name != term.name:
             names.setdefault(other.name, (rise, other))
     for base in question.candidates.terms:
-        skip = term.inertial or term.change is not None or LINK in names or question.shows(term)
+        skip = term.of_links or LINK in names or question.shows(term)
         if base.name == BASE and not skip:
             # What does not do as well with any numbers does not with those of bodies.
             for conic in (False, True):
@@ -274,10 +274,8 @@ def _felt(found: Explanation, k: int, effects: Sequence[Effect]) -> tuple[int, .
     if len(effects) == 1 and effects[0].joints:
         return effects[0].joints
     solution = found.solution
-    first = sum(len(v) for v in solution.values[:k])
-    values = solution.values[k]
     # Where its torque is worth a name.
-    torque = torch.tensordot(values, solution.a[first : first + len(values)], 1)
+    torque = torch.tensordot(solution.values[k], solution.a[solution.at(k)], 1)
     rows = found.question.normal.rows.clamp(min=1)
     felt = (torque.square().sum(1) / rows).sqrt() >= found.question.least(found.empty.losses / rows)
     return tuple(felt.nonzero().flatten().tolist())
@@ -387,7 +385,7 @@ def not_testable(found: Explanation, data: Data) -> list[NotTestable]:
     accepted = {t.key for t in found.terms}
     best: dict[tuple[object, ...], tuple[float, float, Term]] = {}
     for term in question.candidates.terms:
-        if term.inertial or term.change is not None or term.key in accepted:
+        if term.of_links or term.key in accepted:
             continue
         # Of the first column's square, what no combination of the model's columns holds.
         size, row = 0.0, int(term.at[0])

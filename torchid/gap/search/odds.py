@@ -114,9 +114,7 @@ def odds(
 
 def wald(solution: Solution, k: int) -> float:
     """Squared size of a term's coefficients in standard deviations between blocks (Wald 1943)."""
-    first = sum(len(v) for v in solution.values[:k])
-    values = solution.values[k]
-    own = slice(first, first + len(values))
+    values, own = solution.values[k], solution.at(k)
     covariance = solution.covariance[own, own]
     size = covariance.diagonal().clamp(min=1e-300).sqrt()
     spread, axes = torch.linalg.eigh(covariance / size / size.unsqueeze(1))

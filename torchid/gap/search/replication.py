@@ -48,15 +48,18 @@ class OwnTorque:
 
 def own_torque(solution: Solution, k: int) -> OwnTorque:
     """Of the k-th term of a solution."""
-    sizes = [len(v) for v in solution.values]
-    own = slice(sum(sizes[:k]), sum(sizes[: k + 1]))
-    weight = solution.weight.sqrt().unsqueeze(1)
-    torque = torch.tensordot(solution.values[k], solution.a[own], 1) * weight
-    others = torch.cat([solution.a[: own.start], solution.a[own.stop :]]) * weight
+    # Its coefficients, and less of the others' what they would make in its place.
+    own = solution.at(k)
+    x = torch.zeros(len(solution.a), dtype=torch.float64)
+    x[own] = solution.values[k]
+    others = torch.ones(len(x), dtype=torch.bool)
+    others[own] = False
     rest = [t for i, t in enumerate(solution.terms) if i != k]
-    flat = others.flatten(1)
-    held = prior_of(rest).solve(flat @ flat.T, flat @ torque.flatten()).x if rest else flat.sum(1)
-    return OwnTorque(torque - torch.tensordot(held, others, 1), solution.left * weight)
+    if rest:
+        gram, right = solution.products[others], solution.products[others][:, own]
+        x[others] = -prior_of(rest).solve(gram[:, others], right @ solution.values[k]).x
+    weight = solution.weight.sqrt().unsqueeze(1)
+    return OwnTorque(torch.tensordot(x, solution.a, 1) * weight, solution.left * weight)
 
 
 def replication(own: OwnTorque, solution: Solution, k: int, samples: Samples) -> Replication | None:

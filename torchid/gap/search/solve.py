@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 
@@ -58,6 +59,17 @@ class Solution:
     weight: Float[Tensor, " n"]
     a: Float[Tensor, "K n N"]
     left: Float[Tensor, "n N"]
+
+    def at(self, k: int) -> slice:
+        """Places of the k-th term's coefficients among all."""
+        first = sum(len(v) for v in self.values[:k])
+        return slice(first, first + len(self.values[k]))
+
+    @cached_property
+    def products(self) -> Float[Tensor, "K K"]:
+        """Of the columns, joints by their weights."""
+        flat = (self.a * self.weight.sqrt().unsqueeze(1)).flatten(1)
+        return flat @ flat.T
 
     def without(self, fitted: Bool[Tensor, " N"]) -> Model:
         """The same terms, fitted on some of the samples only. What happened once cannot be

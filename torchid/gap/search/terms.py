@@ -131,6 +131,11 @@ class Term:
         return self.name in (BASE, LINK)
 
     @property
+    def of_links(self) -> bool:
+        """Whether it changes links' parameters, as a body or as a mistake of the file."""
+        return self.inertial or self.change is not None
+
+    @property
     def shapes(self) -> int:
         """Number of its parameters that are searched beside the coefficients, how wrong a body may
         be among them; none of the model's own effect, whose shape is given."""

@@ -81,9 +81,8 @@ def _without(question: Question, whole: Fitted, term: Term) -> tuple[float, Tens
     without it."""
     rest = [t for t in whole.terms[len(question.fixed) :] if t is not term]
     without = fit_terms(question, rest, whole.effective, whole.weight)
-    now, then = apart(question, whole, without)
     fall = (without.losses - whole.losses).clamp(min=0) / question.normal.rows.clamp(min=1.0)
-    return then.evidence - now.evidence, fall.sqrt(), without
+    return _rise(question, without, whole), fall.sqrt(), without
 
 
 def suspects(

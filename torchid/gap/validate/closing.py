@@ -113,7 +113,7 @@ def closing(
     parts = [_blocks(t) for t in traces]
     before, after, counts = (torch.cat([p[k] for p in parts]) for k in (0, 1, 2))
     total = counts.sum(0).clamp(min=1)
-    rms = levels(traces)
+    rms = tuple((x.sum(0) / total).sqrt() for x in (before, after))
     rng = np.random.default_rng(seed)
     # Whether there is a gap, and whether it shrinks, every joint in units of its own noise: blocks
     # are drawn, all joints together.

@@ -225,7 +225,7 @@ def warnings_of(found: Explanation, checked: Checked, problem: Problem) -> list[
     events = sorted({e.name for e, _ in solution.model.effects if e.name in EVENTS})
     if events:
         out.append(f"For this log alone, not part of the corrected model: {', '.join(events)}.")
-    changed = any(t.inertial or t.change is not None for t in solution.terms)
+    changed = any(t.of_links for t in solution.terms)
     # Corrected parameters that no body has.
     margins = solution.model.robot.require_parameters("a check").consistency_margin()
     if changed and bool((margins < 0).any()):
@@ -259,7 +259,7 @@ def needs_trust(found: Explanation) -> list[str]:
     """Effects that are not needed once base parameters are refitted."""
     question, fit = found.question, found.fit
     base = [t for t in question.candidates.terms if t.name == BASE]
-    if not base or any(t.inertial or t.change is not None for t in found.terms):
+    if not base or any(t.of_links for t in found.terms):
         return []
     # A term is needed if the evidence, base parameters refitted, falls without it.
     every = fit_terms(question, [*found.terms, *base], fit.effective, fit.weight)
