@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gap_planted import identity, names_it
 
 EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.97, 1.0)
 
@@ -30,18 +31,13 @@ def claims_of(answer: dict[str, Any], names: tuple[str, ...] = ("which", "suspec
 def planted(folder: Path) -> Iterator[tuple[float, bool]]:
     """Probability and truth of every new claim about planted effects."""
     for none in sorted(folder.glob("*/none.json")):
-        before = {(c["effect"], *c["joints"]) for c in claims_of(json.loads(none.read_text()))}
-        for file in sorted(set(none.parent.glob("*-*.json"))):
+        before = {identity(c) for c in claims_of(json.loads(none.read_text()))}
+        for file in sorted(none.parent.glob("*-*.json")):
             case = json.loads(file.read_text())
-            key = case["planted"]
-            places = {j + 1 for j in (*key["joints"], *key["felt_by"])}
-            right = set(key.get("right", [key["effect"]]))
             for c in claims_of(case["answer"]):
-                names = {c["effect"], *c.get("ambiguous_with", ())}
-                near = not c["joints"] or bool(places & set(c["joints"]))
-                it = near and bool(right & names)
-                if it or (c["effect"], *c["joints"]) not in before:
-                    yield c["how_sure"], it
+                right = names_it(case["planted"], c, in_set=True)
+                if right or identity(c) not in before:
+                    yield c["how_sure"], right
 
 
 def sealed(folder: Path, keys: Path) -> Iterator[tuple[float, bool]]:

@@ -251,21 +251,21 @@ def formed(
 def score(work: Path, sizes: Sequence[float]) -> None:
     """A table, a line a size; and a line a log of what is named without anything planted."""
     unplanted = {p.parent: json.loads(p.read_text()) for p in sorted(work.glob("*/none.json"))}
-    print("| planted, times what the model leaves | named first on its joint | named | in a set |")
-    print("|---|---|---|---|")
+    heads = ("planted, times what the model leaves", "named first on its joint", "named", "in a set",
+             "first of names and suspects", "anywhere")  # fmt: skip
+    print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
     false = []
     for size in sizes:
         rows = []
         for folder, none in unplanted.items():
-            before = {(w["effect"], tuple(w["joints"])) for w in none["which"]}
             for file in sorted(folder.glob(f"*-{size:g}.json")):
                 case = json.loads(file.read_text())
                 if abs(case["planted"]["size"] / size - 1) > 0.3:
                     continue  # no plausible value is as large
-                rows.append(judged(case, before))
-                false.append(rows[-1][3])
+                rows.append(judged(case, none))
+                false.append(rows[-1][-1])
         if rows:
-            cells = [f"{sum(r[k] for r in rows)} of {len(rows)}" for k in range(3)]
+            cells = [f"{sum(r[k] for r in rows)} of {len(rows)}" for k in range(len(heads) - 1)]
             print(f"| {size:g} | {' | '.join(cells)} |")
     low, high = wilson(sum(map(bool, false)), len(false))
     print(
@@ -277,28 +277,43 @@ def score(work: Path, sizes: Sequence[float]) -> None:
         print(f"- {folder.name}: {none['status']}: {names or 'nothing'}")
 
 
-def judged(case: dict[str, Any], before: set[tuple[str, tuple[int, ...]]]) -> tuple[bool, ...]:
-    """Whether the first new name is right, any name is, any set holds it; number of false names."""
-    key = case["planted"]
+def names_it(key: dict[str, Any], claim: dict[str, Any], *, in_set: bool = False) -> bool:
+    """Whether a claim names what was planted at a joint that feels it; or holds it in its set."""
     places = {j + 1 for j in (*key["joints"], *key["felt_by"])}
     right = set(key.get("right", [key["effect"]]))
-    new = [w for w in case["answer"]["which"] if (w["effect"], tuple(w["joints"])) not in before]
+    also = claim.get("ambiguous_with", ()) if in_set else ()
+    # Felt by no joint as much as by another: it is the whole arm's.
+    near = not claim["joints"] or not places or bool(places & set(claim["joints"]))
+    return near and bool(right & {claim["effect"], *also})
 
-    def is_it(w: dict[str, Any], also: Sequence[str] = ()) -> bool:
-        # Felt by no joint as much as by another: it is the whole arm's.
-        near = not w["joints"] or not places or bool(places & set(w["joints"]))
-        return near and bool(right & {w["effect"], *also})
 
-    def holds_it(w: dict[str, Any]) -> bool:
-        return is_it(w, w["ambiguous_with"])
+def identity(claim: dict[str, Any]) -> tuple[str, ...]:
+    """Effect and joints of a claim."""
+    return claim["effect"], *map(str, claim["joints"])
 
-    named = [w for w in case["answer"]["which"] if is_it(w)]
-    held = [w for w in case["answer"]["which"] if holds_it(w)]
+
+def judged(case: dict[str, Any], none: dict[str, Any]) -> tuple[bool, bool, bool, bool, bool, int]:
+    """Whether the first new name is right, any name is, any set holds it, the first of new names
+    and suspects is right, any entry of the answer holds it; number of false names."""
+    key, answer = case["planted"], case["answer"]
+    before = {identity(w) for w in none["which"]}
+    suspected = {identity(s) for s in none.get("suspects", ())}
+    new = [w for w in answer["which"] if identity(w) not in before]
+    likely = answer.get("suspects", [])
+    listed = [*new, *(s for s in likely if identity(s) not in suspected or names_it(key, s))]
+    every = [*answer["which"], *likely, *answer.get("small", ())]
+    named = [w for w in answer["which"] if names_it(key, w)]
     # Known on the joint before it was planted, it can only change its size.
-    known = any(e in right and places & set(j) for e, j in before)
-    first = (bool(new) and is_it(new[0])) or (known and bool(named))
-    wrong = [w for w in new if not holds_it(w)]
-    return first, bool(named), bool(held), len(wrong)
+    known = any(names_it(key, w) for w in none["which"] if w["joints"])
+    first = (bool(new) and names_it(key, new[0])) or (known and bool(named))
+    return (
+        first,
+        bool(named),
+        any(names_it(key, w, in_set=True) for w in answer["which"]),
+        first or (bool(listed) and names_it(key, listed[0])),
+        any(names_it(key, c, in_set=True) for c in every),
+        sum(not names_it(key, w, in_set=True) for w in new),
+    )
 
 
 def main() -> None:
