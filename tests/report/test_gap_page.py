@@ -97,23 +97,23 @@ def test_numbers_are_those_of_the_json(undrawn):
     )
 
 
-def test_the_answer_has_a_row_a_joint_the_largest_gap_first(undrawn):
+def test_the_answer_has_a_row_a_joint_the_largest_remaining_error_first(undrawn):
     """With what stands below it: one number for one thing."""
     d = diagnosis(findings=(FRICTION, VISCOUS, OFFSET), parametric=(Parametric((2,), 0.1, 0.01),))
     rows = rows_of(page_of(d), "RMS error [N m], below 20 Hz")
     per_joint = {str(j["joint"]): j for j in d.plain()["how_far"]["per_joint"]}
     joints = [r for r in rows if r[0] in per_joint]
     assert sorted(r[0] for r in joints) == sorted(per_joint)
-    before = [float(r[1]) for r in joints]
-    assert before == sorted(before, reverse=True)
+    after = [float(r[2]) for r in joints]
+    assert after == sorted(after, reverse=True)
     for r in joints:
         assert float(r[1]) == pytest.approx(per_joint[r[0]]["before"], rel=5e-3)
         assert float(r[2]) == pytest.approx(per_joint[r[0]]["after"], rel=5e-3)
     # Every cause is there, with its action.
-    causes = " ".join(r[5] for r in rows)
-    for name in ("Coulomb friction", "viscous friction", "torque offset", "inertia of link 3"):
+    causes = " ".join(r[4] for r in rows)
+    for name in ("Coulomb friction", "viscous friction", "torque offset", "inertia"):
         assert name in causes
-    assert all(r[7] for r in rows if r[5] not in ("-", ""))
+    assert all(r[6] for r in rows if r[4] not in ("-", ""))
 
 
 def test_captions_say_where(undrawn):

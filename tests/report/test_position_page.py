@@ -44,7 +44,7 @@ def test_the_first_screen(found):
     assert "plane contact" in text
     assert "something to bear in mind" in text
     # A regime that a joint is never in has no error.
-    assert rows_of(tree, "By regime, plain -> answered [mrad]")[0][1:] == [
+    assert rows_of(tree, "By kind of motion, plain servo -> corrected [mrad]")[0][1:] == [
         "3.0 -> 1.0", "4.0 -> 1.5", "-",
     ]  # fmt: skip
     # Where, which, how far, and the joints that move; one row a motion.
@@ -74,7 +74,7 @@ def test_figures_by_name(found):
     assert rows.stop >= 599
     above, below = joint_figure(found, 1).axes
     assert [line.get_label() for line in above.lines] == [
-        "command", "measured", "a plain servo", "with what was found",
+        "command", "measured", "a plain servo", "corrected",
     ]  # fmt: skip
     assert max(abs(below.lines[0].get_ydata())) > 25
 

@@ -107,7 +107,7 @@ def excite_command(
     Example: `torchid excite --for result/identification.json --max-acceleration 5 --out next`
 
     Args:
-        robot: Built-in name, or a .yaml (ours), .urdf or .xml (MJCF) file; with --for, the one
+        robot: Built-in name, or a torchid .yaml, .urdf or .xml (MJCF) file; with --for, the one
             that the result records if absent.
         to: Trajectory file (.csv, .parquet, .npz).
         max_velocity: Velocity limits, in place of the robot's.

@@ -13,7 +13,7 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.export import Simulated
-from torchid.app.output import Output, Reported
+from torchid.app.output import Diagnosed, Output
 from torchid.app.project import current
 from torchid.app.signature import command
 from torchid.errors import TorchidError
@@ -60,7 +60,7 @@ class _Asked:
 
 @command
 def gap_command(
-    *, trials: _Trials, settings: Annotated[GapSettings, opt.GAP], asked: _Asked, output: Reported
+    *, trials: _Trials, settings: Annotated[GapSettings, opt.GAP], asked: _Asked, output: Diagnosed
 ) -> None:
     """Find where a simulator's torque and the arm's disagree, which unmodelled effects cause it,
     and how far the gap shrinks with them.
@@ -93,6 +93,7 @@ def gap_command(
         rollout: Simulate short motions with the model before and after.
     """
     from torchid.export.correct import file_format, require_field
+    from torchid.report.brief import model_words
     from torchid.report.diagnosis import shown
     from torchid.report.exported import correction_shown
     from torchid.report.view import require_viewer
@@ -120,11 +121,15 @@ def gap_command(
         result = torchid.diagnose(
             found, handed.pop(), held_out=apart, settings=settings, servo=asked.servo,
             force=asked.force, progress=progress,
+            watch=None if progress is None else progress.so_far,
         )  # fmt: skip
+    model = None if asked.save_model is None else str(asked.save_model)
+    held_out = [path.stem for path in trials.held_out or ()]
+    words = model_words(result.answer, model, trials.robot, held_out)
     # The worst joints of an earlier run may have been others.
     to_print = [
         output.keep(
-            result, "gap.json", shown, seed=settings.seed,
+            result, "gap.json", partial(shown, model=words), seed=settings.seed,
             old=["gap_joint_*.png", "which.png", "planted.png"], files=files,
             settings=settings_of(result, asked.servo),
         )

@@ -38,7 +38,7 @@ def init(
 
     Args:
         logs: Logs; those in the folder if absent.
-        robot: Built-in name, or a .yaml (ours), .urdf or .xml (MJCF) file.
+        robot: Built-in name, or a torchid .yaml, .urdf or .xml (MJCF) file.
         held_out: Logs to hold out; those whose names say so (test, val, check) if absent.
         out: Folder for results.
         to: The project file.

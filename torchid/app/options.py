@@ -335,7 +335,7 @@ class Arm(Part):
     """One robot.
 
     Attributes:
-        robot: Built-in name, or a .yaml (ours), .urdf or .xml (MJCF) file.
+        robot: Built-in name, or a torchid .yaml, .urdf or .xml (MJCF) file.
     """
 
     robot: Annotated[str, typer.Argument(metavar="ROBOT")]

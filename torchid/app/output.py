@@ -1,12 +1,13 @@
 """Where a command's results go: JSON, a folder, a page, and then the terminal."""
 
 import logging
+import math
 import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,9 +25,11 @@ from torchid.files import make_folder, write_text
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
-    from torchid.parallel.workers import Progress
+    from rich.console import RenderableType
+
     from torchid.report.page.document import InputFile, Origin, Page
     from torchid.report.table import Shown
+    from torchid.results.answer import Answer
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ class Output:
         out: Folder for JSON, tables and figures.
         report: Write one self-contained page: verdict, pictures, tables, how it was obtained
             (needs torchid's extra `report`).
+        verbose: Print every table, too: what the answer rests on.
         quiet: Print errors only.
         threads: Threads of torch and BLAS (default 1: fastest on shared machines).
         started: of `time.monotonic`.
@@ -49,6 +53,7 @@ class Output:
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE"), WRITTEN] = None
     out: Annotated[Path | None, typer.Option(metavar="DIR"), PLACE] = None
     report: Annotated[Path | None, typer.Option(metavar="FILE.html"), WRITTEN] = None
+    verbose: Annotated[bool, typer.Option("--verbose", "-v")] = False
     quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False
     threads: Annotated[int | None, typer.Option(min=1, max=1024)] = None
     started: float = field(default_factory=time.monotonic, init=False)
@@ -86,7 +91,7 @@ class Output:
         if error is not None:
             return
         others = [str(f) for f in self.written if f.parent != self.out]
-        inside = ", ".join(f.name for f in self.written if f.parent == self.out)
+        inside = _few([f.name for f in self.written if f.parent == self.out])
         files = "; ".join([*others, *([f"{inside} in {self.out}"] if inside else [])])
         self.say(*([f"written: {files}"] if files else []))
         if self.unsaid:
@@ -154,9 +159,14 @@ class Output:
         Returns:
             What is left to print.
         """
-        data = result if isinstance(result, Mapping) else result.plain()
-        self.write_json(data if seed is None else {**data, "seed": seed}, name)
-        shown = show(result)
+        data = dict(result if isinstance(result, Mapping) else result.plain())
+        data |= {} if seed is None else {"seed": seed}
+        try:
+            shown = show(result)
+            # What `torchid explain` prints again, without any computation.
+            data["explanation"] = shown.plain()
+        finally:
+            self.write_json(data, name)  # is safe, whatever fails in what is shown of it
         if self.out is not None:
             from torchid.report.panels import save
 
@@ -203,12 +213,18 @@ class Output:
         return input_files(named)
 
     def tell(self, shown: "Shown") -> None:
-        """Print all that there is to say of a result."""
-        if shown.verdict:
+        """Print all that there is to say of a result; of one that has a screen no more, unless all
+        is asked for."""
+        if shown.screen is not None:
+            self.say(replace(shown.screen, in_words=in_options))
+            if not self.verbose:
+                return
+        elif shown.verdict:
             self.verdict(shown.verdict)
         self.say(*shown.parts)
         self.warn(shown.warnings)
-        self.say(*([f"\n{shown.last}"] if shown.last else []))
+        if shown.last and shown.screen is None:
+            self.say(f"\n{shown.last}")
 
     def say(self, *objects: Any) -> None:
         """Print for people, one after another, unless quiet: texts as they are, without markup."""
@@ -229,10 +245,10 @@ class Output:
             self.say(worded("! ", "yellow") + worded(warning))
 
     @contextmanager
-    def progress(self, first: str = "") -> "Iterator[Progress | None]":
-        """A callback (stage, done, total) that draws one bar on standard error: what is running,
-        how much is left; where that is no terminal, one line a stage, when it is over, with the
-        seconds that it took. None, and nothing is said, with --quiet.
+    def progress(self, first: str = "") -> "Iterator[Watcher | None]":
+        """What takes (stage, done, total) and an answer so far, and shows both on standard error:
+        one bar, and two lines above it; where that is no terminal, one line a stage, when it is
+        over, with the seconds that it took. None, and nothing is said, with --quiet.
 
         Args:
             first: what is running until it is called.
@@ -241,41 +257,109 @@ class Output:
         if self.silent:
             yield None
             return
-        if not console.is_terminal:
-            running, began, told = first, time.monotonic(), {""}
+        watcher = _Lines(first) if not console.is_terminal else _Bars(first, console)
+        with watcher:
+            yield watcher
 
-            def over(next_one: str) -> None:
-                nonlocal running, began
-                if next_one == running:
-                    return
-                if running not in told:  # what runs in turns is told once
-                    typer.echo(f"{visible(running)}: {time.monotonic() - began:.1f} s", err=True)
-                    told.add(running)
-                running, began = next_one, time.monotonic()
 
-            yield lambda stage, done, total: over("" if done == total > 0 else stage)
-            over("")
+SAID_EVERY_S = 10.0
+"""Least time between two lines of what is known so far [s]."""
+
+
+class Watcher:
+    """Shows what is running and what is known so far."""
+
+    def __enter__(self) -> "Watcher":
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        pass
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """How far a stage is; a total of 0 where it is not known."""
+        raise NotImplementedError
+
+    def so_far(self, answer: "Answer") -> None:
+        """What is known before the end."""
+        raise NotImplementedError
+
+
+class _Lines(Watcher):
+    """One line a stage, for files and other programs."""
+
+    def __init__(self, first: str) -> None:
+        self.running, self.began, self.written = first, time.monotonic(), {""}
+        self.said, self.at = "", -math.inf
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        following = "" if done == total > 0 else stage
+        if following == self.running:
             return
+        if self.running not in self.written:  # what runs in turns has one line
+            seconds = time.monotonic() - self.began
+            typer.echo(f"{visible(self.running)}: {seconds:.1f} s", err=True)
+            self.written.add(self.running)
+        self.running, self.began = following, time.monotonic()
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is None:
+            self("", 0, 0)
+
+    def so_far(self, answer: "Answer") -> None:
+        if answer.headline != self.said and time.monotonic() > self.at + SAID_EVERY_S:
+            self.said, self.at = answer.headline, time.monotonic()
+            typer.echo(visible(self.said), err=True)
+
+
+class _Bars(Watcher):
+    """A bar for what is running, below what is known so far; both go at the end."""
+
+    def __init__(self, first: str, console: Console) -> None:
         from rich import progress as bar
+        from rich.live import Live
 
         words = bar.TextColumn("{task.description}"), bar.BarColumn(), bar.MofNCompleteColumn()
         times = bar.TimeElapsedColumn(), bar.TextColumn("left:"), bar.TimeRemainingColumn()
-        with bar.Progress(*words, *times, console=console, transient=True) as bars:
-            task, running = bars.add_task(escape(visible(first)), total=None), first
+        self.bars, self.known = bar.Progress(*words, *times, console=console), Text()
+        self.task, self.running = self.bars.add_task(escape(visible(first)), total=None), first
+        self.live = Live(console=console, transient=True, get_renderable=self._shown)
 
-            def report(stage: str, done: int, total: int) -> None:
-                nonlocal task, running
-                if stage != running:  # a new bar: how long the last stage took predicts nothing
-                    bars.remove_task(task)
-                    task, running = bars.add_task(escape(visible(stage)), total=None), stage
-                bars.update(task, completed=done, total=total or None)
+    def _shown(self) -> "RenderableType":
+        from rich.console import Group
 
-            yield report
+        return Group(self.known, self.bars) if self.known else self.bars
+
+    def __enter__(self) -> "Watcher":
+        self.live.start(refresh=True)
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        self.live.stop()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        if stage != self.running:  # a new bar: how long the last stage took predicts nothing
+            self.bars.remove_task(self.task)
+            self.task = self.bars.add_task(escape(visible(stage)), total=None)
+            self.running = stage
+        self.bars.update(self.task, completed=done, total=total or None)
+
+    def so_far(self, answer: "Answer") -> None:
+        self.known = Text(visible(answer.headline))
+
+
+def _few(names: Sequence[str]) -> str:
+    """Names of files; many pictures are counted."""
+    pictures = [name for name in names if name.endswith(".png")]
+    if len(pictures) <= 2:
+        return ", ".join(names)
+    others = [name for name in names if name not in pictures]
+    return " and ".join([*([", ".join(others)] if others else []), f"{len(pictures)} pictures"])
 
 
 Printed = Annotated[Output, Fields("json_file", "quiet")]
 Kept = Annotated[Output, Fields("json_file", "out", "quiet")]
 Computed = Annotated[Output, Fields("json_file", "out", "quiet", "threads")]
+Diagnosed = Annotated[Output, Fields("json_file", "out", "report", "verbose", "quiet", "threads")]
 Reported = Annotated[Output, Fields("json_file", "out", "report", "quiet", "threads")]
 
 _ARGUMENT = re.compile(r"""`(\w+)=(\.\.\.|True|\d[\d.]*|"[^`]*"|'[^`]*')`""")

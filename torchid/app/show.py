@@ -70,7 +70,7 @@ def effects_command(
 def explain_command(
     *, result: Annotated[Path, typer.Argument(metavar="RESULT")], output: Printed
 ) -> None:
-    """Print a result again from its JSON: the answer, and what it rests on.
+    """Print a result again from its JSON: the answer, and the evidence for it.
 
     Example: `torchid explain result/gap.json`
 
@@ -78,7 +78,7 @@ def explain_command(
         result: JSON of any command.
     """
     from torchid.report.explain import shown
-    from torchid.results.files import load
 
-    record = load(result)
-    output.give(record, "result.json", shown)
+    data, said = shown(result)
+    output.write_json(data, "result.json")
+    replace(output, verbose=True).tell(said)

@@ -87,7 +87,7 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False) -> Doubts:
         [f"Wrong log: {_names(wrong)}."] if wrong else [f"Doubt: {_names(odd)}."] if odd else [""]
     )
     odd.sort(key=lambda c: c not in wrong)
-    notes = (f"Change your log: {c.evidence}{f'; {c.fix}' if c.fix else ''}." for c in odd)
+    notes = (f"Caution: {c.evidence}{f'; {c.fix}' if c.fix else ''}." for c in odd)
     return Doubts(said[0], tuple(notes))
 
 

@@ -158,7 +158,7 @@ class Contact(ModelEffect):
     signature = "on all joints at once, in a window of time, in proportion to the tool's lever arms"
     experiment = "repeat the motion away from obstacles"
     beyond = experiment
-    remedy = "Leave the window out of the identification, and clear the path."
+    remedy = "Exclude this window of the log, and clear the path."
     source = (
         "Haddadin, De Luca and Albu-Schaeffer 2017, Robot collisions: a survey on detection, "
         "isolation, and identification, IEEE Trans. Robotics 33(6), eq. 5"

@@ -101,7 +101,7 @@ def correct_positions(
             raise TorchidError(
                 f"{one.log.label} is in other units than the servos' own log.",
                 got=one.scale.tolist(),
-                expected=f"{arm.scale.tolist()} rad (m) per unit, as its own velocities tell",
+                expected=f"{arm.scale.tolist()} rad (m) per unit, by the recorded velocities",
             )
     alone, running = refitted(arm, fitted, SAID, (*SAID, *AT_RUN_TIME))
     own, beside = (_in_engine(robot, _rigid(one, log), data) for one in (alone, running))

@@ -137,7 +137,7 @@ class Data:
             return self
         joints = tuple(silent.nonzero().flatten().tolist())
         said = (
-            f"Mind this number: {joint_list(joints)}: neither the model nor any rigid body with "
+            f"Caution: {joint_list(joints)}: neither the model nor any rigid body with "
             "friction predicts the measured torque better than its mean does, so no cause is "
             "sought there, and all of the gap there counts as noise."
         )
@@ -244,7 +244,7 @@ def prepare(
     said = [*warnings, *(w for m in measured for w in m.warnings)]
     if still:
         said.append(
-            f"Change your log: {joint_list(still)} is at rest in all of it, so no cause can be "
+            f"Next time: {joint_list(still)} is at rest in all of it, so no cause can be "
             "found there."
         )
     if highest < CUTOFF:
@@ -261,7 +261,7 @@ def prepare(
     if gain_std is None and from_current(log):
         gain_std = DRIVE_GAIN
         said.append(
-            "Mind this number: torque is computed from current. Its gain is assumed known to "
+            "Caution: torque is computed from current. Its gain is assumed known to "
             f"{DRIVE_GAIN:.0%} (`gain_std=...`); every ± includes that."
         )
     samples = Samples(long, narrow)

@@ -4,10 +4,13 @@ error is explained (see `torchid.design.sensor`)."""
 from collections.abc import Callable
 from dataclasses import fields, replace
 
+from threadpoolctl import threadpool_limits
+
 from torchid.design.sensor import sensor_of
 from torchid.doctor.first import ask_first
 from torchid.errors import TorchidError
 from torchid.gap.diagnosis import TorqueDiagnosis
+from torchid.gap.early import Watch
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
@@ -29,6 +32,7 @@ def diagnose(
     servo: str | None = None,
     force: bool = False,
     progress: Progress | None = None,
+    watch: Watch | None = None,
 ) -> Diagnosis:
     """Where the simulator disagrees with the arm, which effects cause it, how far they close it.
 
@@ -45,6 +49,8 @@ def diagnose(
         force: diagnose a log that the doctor's decisive checks say is wrong (order or sign of
             joints, units, lag, a run with a load of its own), and say so first.
         progress: called with (stage, done, total).
+        watch: called with an `Answer` of status `searching` whenever more is known: first within
+            seconds, of the usual effects. Its errors are of data that were fitted.
 
     Returns:
         A `TorqueDiagnosis` [N m; N] or a `PositionDiagnosis` [mrad]: `answer` is the same for both.
@@ -69,13 +75,19 @@ def diagnose(
             "`servo=...` is for logs of commands and positions.", got=f"{log.label}: torques"
         )
     every = log if held_out is None else Log.concatenate([log, held_out])
-    doubts = ask_first(robot, every, force=force)
-    del every
-    found: TorqueDiagnosis | PositionDiagnosis
-    if torques:
-        found = diagnose_torque(robot, log, held_out=held_out, settings=settings, progress=progress)
-    else:
-        found = _of_positions(robot, log, held_out, settings, servo, progress)
+    say = progress or (lambda stage, done, total: None)
+    say("checking the log", 0, 1)
+    # Several threads of BLAS make small matrices many times slower.
+    with threadpool_limits(1, "blas"):
+        doubts = ask_first(robot, every, force=force)
+        del every
+        found: TorqueDiagnosis | PositionDiagnosis
+        if torques:
+            found = diagnose_torque(
+                robot, log, held_out=held_out, settings=settings, progress=say, watch=watch
+            )
+        else:
+            found = _of_positions(robot, log, held_out, settings, servo, say, watch)
     if not doubts.short:
         return found
     return replace(found, doubt=doubts.short, warnings=(*doubts.warnings, *found.warnings))
@@ -87,7 +99,8 @@ def _of_positions(
     held_out: Log | None,
     settings: GapSettings | None,
     servo: str | None,
-    progress: Progress | None,
+    progress: Progress,
+    watch: Watch | None,
 ) -> PositionDiagnosis:
     """Of logs of commands and positions."""
     settings = settings or GapSettings()
@@ -102,5 +115,5 @@ def _of_positions(
             expected="none of the options on how to search",
         )
     nominal = nominal_servos(robot, servo)
-    found = diagnose_positions(robot, log, held_out=held_out, progress=progress)
+    found = diagnose_positions(robot, log, held_out=held_out, progress=progress, watch=watch)
     return replace(found, nominal=nominal)

@@ -398,6 +398,7 @@ class TorqueDiagnosis(Diagnosis):
             ),
             causes=tuple(sorted(causes, key=lambda c: -c.closes)),
             suspects=tuple(e.cause for e in self.suspects),
+            small=tuple(e.cause for e in self.small),
             reason=self._reason,
             doubt=self.doubt or UNSET,
         )

@@ -14,6 +14,7 @@ from torchid.design.columns import Model
 from torchid.effects.registry import EVENTS
 from torchid.errors import LogError
 from torchid.gap.diagnosis import HowFar, TorqueDiagnosis
+from torchid.gap.early import Watch, first_answer, so_far
 from torchid.gap.localise.where import where
 from torchid.gap.problem import Problem
 from torchid.gap.record import Budget, Known, NotTestable, Parametric, UnnamedEffect
@@ -49,6 +50,7 @@ def diagnose_torque(
     held_out: Log | None = None,
     settings: GapSettings | None = None,
     progress: Progress | None = None,
+    watch: Watch | None = None,
 ) -> TorqueDiagnosis:
     """A diagnosis of logs with torques; arguments and errors are those of `torchid.diagnose`.
 
@@ -67,7 +69,9 @@ def diagnose_torque(
     problem = pose(robot, log, held_out, settings)
     del log, held_out  # a long one is searched in part, and may now be let go
     say("searching for effects", 0, 1)
-    found = explained(problem)
+    if watch is not None and not problem.data.stands:
+        watch(first_answer(problem))
+    found = explained(problem, watch and (lambda q, fit: watch(so_far(q, fit, problem.robot))))
     if not found.terms:
         problem.data.require_motion()
     say("judging", 0, 1)

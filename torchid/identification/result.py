@@ -199,11 +199,11 @@ def findings(result: Identification) -> list[str]:
             + ", ".join(result.undetermined)
         )
     if result.bounded:
-        said.append(
-            "the data ask for a sign that physics forbids; held at 0: " + ", ".join(result.bounded)
-        )
+        said.append("fitted negative, set to 0: " + ", ".join(result.bounded))
     if result.wrong_sign:
-        said.append("kept with a sign that physics forbids: " + ", ".join(result.wrong_sign))
+        said.append(
+            "fitted negative, which physics forbids, and kept: " + ", ".join(result.wrong_sign)
+        )
     if result.dropped:
         said.append(
             "not distinguishable from 0, dropped as not essential: " + ", ".join(result.dropped)

@@ -17,6 +17,7 @@ from torchid.log.checks import STILL
 from torchid.log.model import Log
 from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare
 from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
+from torchid.position.early import EarlyAnswer
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, neutral
 from torchid.position.fit import NOISE, TOGETHER, errors, fit
 from torchid.position.judge import (
@@ -43,6 +44,7 @@ from torchid.position.search import (
     shared,
     slight,
 )
+from torchid.results.answer import Answer
 from torchid.results.replication import Replication
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
@@ -66,6 +68,7 @@ def diagnose_positions(
     *,
     held_out: Log | None = None,
     progress: Callable[[str, int, int], None] | None = None,
+    watch: Callable[[Answer], None] | None = None,
 ) -> PositionDiagnosis:
     """Which causes part an arm's positions from its commands, and how far that goes.
 
@@ -74,7 +77,8 @@ def diagnose_positions(
             taken for rods, and all torques are told in their ratios.
         log: t, q and u of several motions; of one alone nothing can be held out but its parts.
         held_out: motions that take part in nothing but the judgement.
-        progress: told the stage, steps done and steps in all.
+        progress: called with the stage, steps done and steps in all.
+        watch: called with an `Answer` of status `searching` whenever more is known.
 
     Returns:
         The answer; its `corrected` arm is what `torchid.replay` moves.
@@ -108,7 +112,12 @@ def diagnose_positions(
     simple = plain(data, some_of(windows, MOST))
     telling = _telling(data, simple, windows)
     few, more = some_of(windows, MOST, telling), some_of(windows, 3 * MOST, telling)
-    given, answered = data, _answer(data, simple, few, more, say)
+    early = (
+        None
+        if watch is None
+        else EarlyAnswer(watch, data, losses_of(data, simple.servos, few).sum(0), few)
+    )
+    given, answered = data, _answer(data, simple, few, more, say, early)
     data, found, servos = answered.data, answered.found, answered.found.servos
     say("how far it goes")
     known = equations(data, servos, found.free, more)
@@ -242,10 +251,11 @@ def _answer(
     few: Windows,
     more: Windows,
     say: Callable[[str], None],
+    early: EarlyAnswer | None = None,
 ) -> _Answer:
     """What the search finds in few windows and each effect is worth there, fitted to more."""
     say("one effect at a time")
-    found, explained, alike = alone(data, simple, few)
+    found, explained, alike = alone(data, simple, few, early)
     say("a load")
     load, others = None, tuple[str, ...]()
     if bool((losses_of(data, simple.servos, few).sum(0) > slight(data, few)).any()):

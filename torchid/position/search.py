@@ -334,13 +334,19 @@ Rivals = dict[tuple[str, int], tuple[str, ...]]
 """By effect and joint: what does as well in its place."""
 
 
-def alone(data: PositionData, simple: Found, windows: Windows) -> tuple[Found, Tensor, Rivals]:
+def alone(
+    data: PositionData,
+    simple: Found,
+    windows: Windows,
+    watch: Callable[[str, Tensor], None] | None = None,
+) -> tuple[Found, Tensor, Rivals]:
     """Each effect by itself beside a plain servo: a joint that one of them explains needs no other.
 
     Args:
         data: motions.
         simple: the plain servos.
         windows: to fit to.
+        watch: called with each effect and the losses (n,) that are left with it.
 
     Returns:
         The plain servos, and on every joint that has a gap the effect that closes most of it; the
@@ -350,12 +356,15 @@ def alone(data: PositionData, simple: Found, windows: Windows) -> tuple[Found, T
     if bool((before <= least).all()):
         return simple, before <= least, {}
     tried: dict[str, Found] = {}
+    cost: dict[str, Tensor] = {}
     calm = _calm(data, simple, windows, before > NEAR * least)
     for effect in EFFECTS:
         if effect.name not in KEPT:
             limit = bool(effect.parameters) and effect.parameters[0] in _SIZES
-            tried[effect.name] = _beside(data, calm if limit else simple, windows, effect)
-    cost = {name: _one(data, model, windows) for name, model in tried.items()}
+            model = _beside(data, calm if limit else simple, windows, effect)
+            tried[effect.name], cost[effect.name] = model, _one(data, model, windows)
+            if watch is not None:
+                watch(effect.name, cost[effect.name])
     # What makes set-points is brought to where they are best, where that can matter.
     for name in ("set_point_profile", "set_point_speed", "command_filter"):
         best = torch.stack(list(cost.values())).amin(0)

@@ -1,4 +1,4 @@
-"""A diagnosis for people, the same for every kind of log: the answer, then what it rests on."""
+"""A diagnosis for people, the same for every kind of log: the answer, then the evidence for it."""
 
 from functools import partial
 from typing import TYPE_CHECKING
@@ -9,6 +9,7 @@ from torchid.gap.record import GapRecord
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.record import PositionRecord
 from torchid.report import gap, gap_figures, position
+from torchid.report.brief import Screen
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Picture
 from torchid.report.table import Shown, Table, filled
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def answer_table(answer: Answer, band: float | None = None) -> Table:
-    """The answer: a row a joint, the largest error first, with its causes.
+    """The answer: a row a joint, the largest remaining error first, with its causes.
 
     Args:
         answer: of a diagnosis.
@@ -37,9 +38,8 @@ def answer_table(answer: Answer, band: float | None = None) -> Table:
         answer.title + (f", below {band:g} Hz" if band else ""),
         COLUMNS,
         answer.rows(),
-        names=("joint", "", "sure"),
+        names=("joint", "sure"),
         words=("cause (value ± std)", "what to do"),
-        note="Bars: what stays, and what the causes close.",
     )
 
 
@@ -60,8 +60,12 @@ def first_tables(answer: Answer, band: float | None = None) -> list[Table]:
     return filled(answer_table(answer, band), suspects_table(answer))
 
 
-def shown(result: Diagnosis | DiagnosisRecord) -> Shown:
+def shown(result: Diagnosis | DiagnosisRecord, model: str = "") -> Shown:
     """All that there is to see of a diagnosis, or of one that was read back.
+
+    Args:
+        result: what was diagnosed.
+        model: which model to use next, one sentence.
 
     Raises:
         TorchidError: the file of an older version, which holds no answer.
@@ -83,13 +87,11 @@ def shown(result: Diagnosis | DiagnosisRecord) -> Shown:
         band, lower, notes = None, position.tables(record), position.remarks(record)
         figures = position.figures(result)
     return Shown(
+        screen=Screen(answer=record.answer, band=band, warnings=record.warnings, model=model),
         verdict=record.answer.headline,
-        parts=[
-            *filled(answer_table(record.answer, band), suspects_table(record.answer)),
-            *lower,
-            *notes,
-        ],
+        parts=[*filled(suspects_table(record.answer)), *lower, *notes],
         warnings=record.warnings,
+        last=model,
         figures=figures,
         page=partial(page, result) if isinstance(result, Diagnosis) else None,
     )

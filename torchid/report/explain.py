@@ -1,8 +1,15 @@
-"""A result that was read back, for people."""
+"""A result that was read back, for people: what was printed when it was made."""
 
-from torchid.report import diagnosis
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec import UNSET, UnsetType
+
+from torchid.report.brief import Screen
 from torchid.report.table import Shown, Table
-from torchid.results.answer import DiagnosisRecord
+from torchid.results.answer import Answer
+from torchid.results.files import contents, load, parsed
 from torchid.results.record import Record
 from torchid.results.words import listed
 
@@ -12,12 +19,57 @@ MOST_CHARACTERS = 60
 """Of a cell."""
 
 
-def shown(record: Record) -> Shown:
+class _Explanation(msgspec.Struct):
+    """What was printed of a result."""
+
+    parts: list[dict[str, Any] | str]
+    verdict: str = ""
+    warnings: tuple[str, ...] = ()
+    last: str = ""
+
+
+class _Stored(msgspec.Struct):
+    """What a result's file says to people."""
+
+    schema: str
+    explanation: _Explanation | UnsetType = UNSET
+    answer: Answer | None = None
+    band_hz: float | None = None
+
+
+def shown(path: Path) -> tuple[dict[str, Any], Shown]:
+    """The content of a result's file, and all that there is to say of it.
+
+    Raises:
+        TorchidError: no such file, no result, or a diagnosis of an older version, which holds no
+            answer.
+    """
+    content = contents(path, "a result")
+    stored = parsed(content, _Stored, path, "a result")
+    if stored.explanation is UNSET:  # of Python's `save`, or of an older version
+        record = load(path)
+        return record.plain(), of_record(record)
+    own, screen = stored.explanation, None
+    if stored.answer is not None:
+        screen = Screen(
+            answer=stored.answer, band=stored.band_hz, warnings=own.warnings, model=own.last
+        )  # fmt: skip
+    parts = [part if isinstance(part, str) else Table(**part) for part in own.parts]
+    said = Shown(
+        screen=screen, verdict=own.verdict, parts=parts, warnings=own.warnings, last=own.last
+    )
+    return msgspec.json.decode(content), said
+
+
+def of_record(record: Record) -> Shown:
     """The answer of a diagnosis with all that it rests on; of another result its main table.
 
     Raises:
         TorchidError: a diagnosis of an older version, which holds no answer.
     """
+    from torchid.report import diagnosis
+    from torchid.results.answer import DiagnosisRecord
+
     if isinstance(record, DiagnosisRecord):
         return diagnosis.shown(record)
     rows = record.table.plain()

@@ -97,7 +97,7 @@ def servo_tables(done: Correction) -> list[Table]:
     rows = [
         ("the position is the command", judged.nominal),
         ("all effects", judged.full),
-        ("the file alone, claimed", judged.claim),
+        ("the file alone, predicted", judged.claim),
         (f"the file alone, {judged.by}", judged.engine),
         ("with set-points at run time", judged.run_time),
     ]
@@ -122,7 +122,7 @@ def correction_tables(done: Correction) -> list[Table]:
     rows = [
         (_given(nominal), judged.nominal),
         ("all effects", judged.full),
-        ("the file alone, claimed", judged.claim),
+        ("the file alone, predicted", judged.claim),
         (f"the file alone, {judged.by}", judged.engine),
         ("with effects at run time", judged.run_time),
     ]

@@ -148,16 +148,15 @@ def which_table(record: GapRecord) -> Table:
         for p in record.parametric
         if not p.links
     ]  # fmt: skip
-    columns = ("effect", "joints", "value", "or", "closes", "how sure", "repeats")
+    columns = ("effect", "joints", "value", "could also be", "removes", "sure", "found in")
     return Table(
         "which: effects the model lacks (value ± std)",
         columns,
         rows,
         names=columns[:3],
         words=columns[3:4],
-        note="or: effects that this log cannot separate from it; closes: share of the error that "
-        "the cause removes, given those above it; repeats: motions in which it is the same, of "
-        "those that can show it",
+        note="or: could also be; removes: share of the error that this cause removes, given the "
+        "causes above it; found in: motions with the same size, of those that can show it",
     )
 
 
@@ -173,8 +172,8 @@ def small_table(record: GapRecord) -> Table:
         last = (f"{e.closes_rms:.2g}", sure(e.how_sure), times(e.replication))
         place = _numbers(e.joints) or "all"
         rows.append((effect_words(e.effect), place, "\n".join(values), *last))
-    columns = ("effect", "joints", "value", "takes away, RMS", "how sure", "repeats")
-    title = "small effects: present, below what was asked for (`worthwhile`)"
+    columns = ("effect", "joints", "value", "removes, RMS", "sure", "found in")
+    title = "small effects (real, but below `worthwhile=...`)"
     return Table(title, columns, rows, names=columns[:3])
 
 
@@ -203,7 +202,7 @@ def open_table(record: GapRecord) -> Table:
         if j.hides
     ]
     columns = ("joint", "open before this log, RMS", "to be sure")
-    title = "open: torque that what was known before did not determine"
+    title = "torque that the previous model could not predict"
     return Table(title, columns, rows, names=columns[:1], words=columns[2:])
 
 
@@ -282,7 +281,7 @@ def remarks(record: GapRecord) -> list[str]:
         f"from {source}.",
     ]
     if not stands_out(record):
-        out.append("No kind of motion holds more of the gap than its share of the time.")
+        out.append("The error is spread evenly over all kinds of motion.")
     if record.knowledge is not None:
         out += [f"{note[0].upper()}{note[1:]}." for note in record.knowledge.notes]
     rollout = record.how_far.rollout
@@ -303,7 +302,7 @@ def not_testable_table(record: GapRecord) -> Table:
             if x.smallest_detectable is None:
                 never.append(place)
             else:
-                sizes.append(f"{place}: {x.smallest_detectable:.3g} {x.unit}".rstrip())
+                sizes.append(f"{place}: {x.smallest_detectable:.3g} {unit_words(x.unit)}".rstrip())
         sizes += [f"{', '.join(never)}: at no size"] if never else []
         rows.append((effect_words(effect), "; ".join(sizes), _reason(members)))
     columns = ("effect", "joint: smallest size that this log would show", "why")

@@ -111,8 +111,8 @@ def bar_figure(record: GapRecord) -> Figure:
     figure, axes = panel(2.4 + 0.85 * n, 4.3)
     before, after = np.array([j.before for j in far]), np.array([j.after for j in far])
     place = np.arange(n)
-    axes.bar(place - 0.2, before, 0.38, color=BEFORE, label="model as given")
-    axes.bar(place + 0.2, after, 0.38, color=AFTER, label="with the effects found")
+    axes.bar(place - 0.2, before, 0.38, color=BEFORE, label="as given")
+    axes.bar(place + 0.2, after, 0.38, color=AFTER, label="corrected")
     low, high = floor.low.numpy(), floor.high.numpy()
     axes.bar(
         place, np.maximum(high - low, 1e-12), 0.86, bottom=low, color=INK, alpha=0.22,
@@ -207,10 +207,10 @@ def torque_figure(
     )
     figure, (upper, lower) = panel(width, 5.4, 2, 1, sharex=True, height_ratios=(3, 2))
     upper.plot(t, measured, color=INK, linewidth=2.2, label="measured")
-    upper.plot(t, before, color=BEFORE, linewidth=1.3, label="model as given")
+    upper.plot(t, before, color=BEFORE, linewidth=1.3, label="as given")
     upper.plot(
         t, after, color=AFTER, linewidth=1.3, linestyle=(0, (5, 1.5)),
-        label="with the effects found",
+        label="corrected",
     )  # fmt: skip
     # What does not count for how far the gap shrinks: a joint at rest, or where it may stick.
     aside = valid & ~trace.counting[pick, joint].numpy()
@@ -256,7 +256,7 @@ def joint_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure
         (s["load"], f"torque of the model [{unit}]"),
     )
     models = (
-        (s["before"], BEFORE, "model as given"), (s["after"], AFTER, "with the effects found"),
+        (s["before"], BEFORE, "as given"), (s["after"], AFTER, "corrected"),
     )  # fmt: skip
     # Half the height of the panels is the scatter but for its outermost points.
     both = np.abs(np.concatenate([s["before"], s["after"]]))

@@ -12,7 +12,7 @@ from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.separation import DECISIVE, Rival, beyond, named
 from torchid.report.log import trajectory_figure
 from torchid.report.table import Shown, Table, joint_unit
-from torchid.results.words import short
+from torchid.results.words import percent, short
 from torchid.robot.model import Robot
 
 
@@ -105,11 +105,10 @@ MOST_ROWS = 20
 def informed_verdict(d: InformedDesign) -> str:
     """What the motion does for the least known parameters."""
     count, every = int(d.targets.sum()), len(d.prior.base)
-    which = f"the {count} least known of {every} parameters" if count < every else "all parameters"
+    which = f"the {count} worst of {every} parameters" if count < every else "all parameters"
     said = (
-        f"After this motion and the log together, {which} are known to {d.shrinks(d.after):.2g} of "
-        "their present standard deviation on average; after a plain exciting motion of the same "
-        f"length to {d.shrinks(d.with_plain):.2g}."
+        f"The new motion cuts the uncertainty of {which} to {percent(d.shrinks(d.after))} (a plain "
+        f"exciting motion of the same length: to {percent(d.shrinks(d.with_plain))})."
     )
     unknown = int((~d.prior.known).sum())
     if unknown:

@@ -64,7 +64,7 @@ def remarks(record: PositionRecord) -> list[str]:
     out = [
         f"Errors are of whole motions that no model was fitted to, the mean of the joints that "
         f"move: the command alone {far.commanded.whole_mrad:.1f} mrad, a plain servo "
-        f"{far.plain.whole_mrad:.1f}, the answer {far.answered.whole_mrad:.1f}; in windows of 2 s "
+        f"{far.plain.whole_mrad:.1f}, corrected {far.answered.whole_mrad:.1f}; in windows of 2 s "
         f"{far.answered.windows_2s_mrad:.1f}. A plain servo has a gain, friction, inertia, delay "
         "and offset."
     ]
@@ -110,7 +110,16 @@ def tables(record: PositionRecord) -> list[Table]:
         joints.append((str(j.joint + 1), j.name, *cells))
     where = Table(
         "Position error of motions left out [mrad]",
-        ("joint", "name", "command", "plain", "answered", "plain 2 s", "answered 2 s", "kp"),
+        (
+            "joint",
+            "name",
+            "command",
+            "plain servo",
+            "corrected",
+            "plain, 2 s",
+            "corrected, 2 s",
+            "kp",
+        ),
         joints,
         names=("name",),
         note="kp [N m/rad]; (ratio): without a load on the joint its torques are known up to one "
@@ -121,10 +130,10 @@ def tables(record: PositionRecord) -> list[Table]:
         for name, own in regimes_of(record).items()
     ]
     when = Table(
-        "By regime, plain -> answered [mrad]",
-        ("regime", *(j.name for j in record.where.joints)),
+        "By kind of motion, plain servo -> corrected [mrad]",
+        ("kind of motion", *(j.name for j in record.where.joints)),
         regimes,
-        names=("regime",),
+        names=("kind of motion",),
     )
     findings = [
         (
@@ -139,12 +148,12 @@ def tables(record: PositionRecord) -> list[Table]:
     ]
     which = Table(
         "What lies between command and position",
-        ("effect", "joint", "size (95 %)", "without -> with [mrad]", "or", "repeats"),
+        ("effect", "joint", "size (95 %)", "without -> with [mrad]", "could also be", "found in"),
         findings,
         names=("effect", "joint"),
-        words=("size (95 %)", "or"),
+        words=("size (95 %)", "could also be"),
         note="error in windows of 2 s when all else is fitted without the effect, and with it; "
-        "repeats: motions that want it with the same sign and size, of those that can show it",
+        "found in: motions with the same sign and size, of the motions that can show it",
     )
     meant = [(effect_words(f.effect), f.meaning, f.remedy) for f in record.which]
     columns = ("effect", "what it means", "what to do")
@@ -221,7 +230,7 @@ def facts(record: PositionRecord) -> list[tuple[str, str]]:
         ("Status", record.status.replace("_", " ")),
         ("Command alone", f"{far.commanded.whole_mrad:.1f} mrad"),
         ("Plain servo, motions left out", f"{far.plain.whole_mrad:.1f} mrad"),
-        ("With what was found", f"{far.answered.whole_mrad:.1f} mrad"),
+        ("Corrected", f"{far.answered.whole_mrad:.1f} mrad"),
         ("The same, windows of 2 s", f"{far.answered.windows_2s_mrad:.1f} mrad"),
         *most,
     ]
@@ -236,7 +245,7 @@ def pictures(r: PositionDiagnosis) -> list[Picture]:
             f"joint_{j + 1}",
             f"Joint {label(record, j)} where a plain servo errs most: "
             f"{record.where.joints[j].plain_mrad:.1f} mrad over all motions, "
-            f"{record.where.joints[j].answered_mrad:.1f} mrad with what was found.",
+            f"{record.where.joints[j].answered_mrad:.1f} mrad corrected.",
             f"Command, measured and simulated positions of joint {j + 1} over time.",
             partial(joint_figure, r, j),
         )
@@ -260,7 +269,7 @@ def pictures(r: PositionDiagnosis) -> list[Picture]:
             "blue cell is one that a plain servo (gain, friction, inertia, delay, offset) does not "
             f"predict. It errs most on joint {label(record, worst)}, above all at "
             f"{regime_words(regime.regime)}: {regime.plain_mrad:.1f} mrad, "
-            f"{regime.answered_mrad:.1f} mrad with what was found.",
+            f"{regime.answered_mrad:.1f} mrad corrected.",
             f"Map of joints and regimes. Plain servo and answer [mrad]: {each}.",
             partial(where_figure, record),
         ),
@@ -375,7 +384,7 @@ def where_figure(record: PositionRecord) -> Figure:
     title = "command less position [mrad]"
     side_bars(bars, sizes, words, GREY, title, 1.35 * max(*sizes, 1e-9))
     axes.set_title(
-        "error of whole motions left out [mrad]: a plain servo \u2192 with what was found",
+        "error of whole motions left out [mrad]: a plain servo \u2192 corrected",
         fontsize=SMALL, color=INK, loc="left",
     )  # fmt: skip
     return finish(figure, f"{record.robot}: where command and position part")
@@ -413,7 +422,7 @@ def error_figure(record: PositionRecord) -> Figure:
     ways = (
         ("the command alone", GREY, [j.commanded_mrad for j in joints]),
         ("a plain servo", BEFORE, [j.plain_mrad for j in joints]),
-        ("with what was found", AFTER, [j.answered_mrad for j in joints]),
+        ("corrected", AFTER, [j.answered_mrad for j in joints]),
     )
     for k, (name, colour, errors) in enumerate(ways):
         axes.bar(place + 0.27 * (k - 1), errors, 0.25, color=colour, label=name)
@@ -479,7 +488,7 @@ def joint_figure(result: PositionDiagnosis, joint: int | None = None) -> Figure:
     above.plot(t, q.numpy(), color=INK, linewidth=1.4, label="measured")
     for error, colour, name in (
         (plain[rows, joint], BEFORE, "a plain servo"),
-        (answered[rows, joint], AFTER, "with what was found"),
+        (answered[rows, joint], AFTER, "corrected"),
     ):
         above.plot(t, (q + error).numpy(), color=colour, linewidth=1, label=name)
         below.plot(t, 1e3 * error.numpy(), color=colour, linewidth=1)

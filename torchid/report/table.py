@@ -11,13 +11,15 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from torchid.errors import visible
-from torchid.report.panels import Picture
 from torchid.results.words import unit_words
-from torchid.robot.model import JointType, Robot
-from torchid.typing import Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from torchid.report.brief import Screen
+    from torchid.report.panels import Picture
+    from torchid.robot.model import Robot
+    from torchid.typing import Tensor
 
 Cell = str | Text
 """Plain text; a `Text` where the terminal shows it in a colour."""
@@ -98,6 +100,13 @@ class Table:
             lines += ["", _plain(self.note)]
         return "\n".join(lines) + "\n"
 
+    def plain(self) -> dict[str, object]:
+        """As JSON has it: words without colours."""
+        words = {"title": self.title, "note": self.note}
+        lists = {"columns": self.columns, "names": self.names, "words": self.words}
+        rows = [[str(cell) for cell in row] for row in self.rows]
+        return {**words, **{key: list(value) for key, value in lists.items()}, "rows": rows}
+
 
 def filled(*tables: Table | None) -> list[Table]:
     """Those of several tables that have rows."""
@@ -163,7 +172,7 @@ class Page:
     verdict: str
     facts: Sequence[tuple[str, str]]
     origin: Origin
-    pictures: Sequence[Picture]
+    pictures: "Sequence[Picture]"
     tables: Sequence[Table]
     notes: Sequence[str]
     findings: Sequence[str] = ()
@@ -177,6 +186,7 @@ class Shown:
     """A result for people.
 
     Attributes:
+        screen: the answer on one screen; where there is one, all else is printed on demand.
         verdict: the answer, which stands out.
         parts: tables and sentences in the order in which they are printed.
         warnings: one sentence each.
@@ -185,12 +195,20 @@ class Shown:
         page: of the origin of the result.
     """
 
+    screen: "Screen | None" = None
     verdict: str = ""
     parts: Sequence[Table | str]
     warnings: Iterable[str] = ()
     last: str = ""
     figures: "Mapping[str, Callable[[], Figure | None]]" = field(default_factory=dict)
     page: Callable[[Origin], Page] | None = None
+
+    def plain(self) -> dict[str, object]:
+        """Its words as JSON has them: `verdict`, `parts` (tables and sentences), `warnings`,
+        `last`."""
+        parts = [part.plain() if isinstance(part, Table) else part for part in self.parts]
+        own = {"verdict": self.verdict, "warnings": list(self.warnings), "last": self.last}
+        return {**own, "parts": parts}
 
 
 def pipe_table(
@@ -215,9 +233,9 @@ def _plain(text: str) -> str:
     return text
 
 
-def cells(values: Iterable[float] | Tensor, digits: str = ".3g") -> list[str]:
+def cells(values: "Iterable[float] | Tensor", digits: str = ".3g") -> list[str]:
     """Numbers of one row; a dash for what is not finite."""
-    numbers = values.tolist() if isinstance(values, Tensor) else values
+    numbers = values.tolist() if hasattr(values, "tolist") else values
     return [f"{v:{digits}}" if math.isfinite(v) else "-" for v in numbers]
 
 
@@ -226,12 +244,12 @@ def joint_numbers(n: int) -> list[str]:
     return [str(j + 1) for j in range(n)]
 
 
-def joint_unit(robot: Robot, joint: int) -> str:
+def joint_unit(robot: "Robot", joint: int) -> str:
     """Unit of the torque of a joint (from 0)."""
-    return "N" if robot.joint_types[joint] is JointType.PRISMATIC else "N m"
+    return "N" if robot.joint_types[joint].name == "PRISMATIC" else "N m"
 
 
-def torque_unit(robot: Robot, both: str = "N m, N") -> str:
+def torque_unit(robot: "Robot", both: str = "N m, N") -> str:
     """Unit of the torques of all joints together; `both` where the joints differ."""
     units = {joint_unit(robot, j) for j in range(robot.n)}
     return units.pop() if len(units) == 1 else both

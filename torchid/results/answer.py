@@ -8,9 +8,11 @@ positions under commands give mrad of the log's unit.
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
+import msgspec
 from msgspec import UNSET, UnsetType
 
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result
@@ -20,19 +22,14 @@ from torchid.results.words import (
     listed,
     measure,
     percent,
-    short,
     sure,
     unit_words,
 )
 
-BAR = 8
-"""Characters of the longest bar."""
 MOST = 0.5
 """Share of the joints above which a cause that they have in common is one row."""
 LONGEST = 160
 """Characters of a headline: two lines of 80."""
-NAME = 18
-"""Characters of a joint's name in the table."""
 MOST_SIZES = 3
 """Numbers of a cause that are shown in a table."""
 UNCHANGED = 0.99
@@ -41,10 +38,10 @@ UNCHANGED = 0.99
 ALL = 1 - 5e-4
 """Share of the error beyond a measured noise from which on it is all of it."""
 
-KINDS = ("Change your log", "Mind this number")
+KINDS = ("Next time", "Caution")
 """How warnings begin that ask for something; all others are for information."""
 
-COLUMNS = ("joint", "before", "after", "noise", "", "cause (value ± std)", "sure", "what to do")
+COLUMNS = ("joint", "before", "after", "noise", "cause (value ± std)", "sure", "what to do")
 
 
 class Size(Part, frozen=True, kw_only=True):
@@ -62,6 +59,12 @@ class Size(Part, frozen=True, kw_only=True):
     value: Real
     std: float | None = None
     was: float | None = None
+
+    @property
+    def rounded(self) -> float:
+        """Its value with as many digits as its standard deviation leaves, two or three."""
+        digits = 3 if self.std is None or self.std < 0.02 * abs(self.value) else 2
+        return float(f"{self.value:.{digits}g}")
 
     @property
     def determined(self) -> bool:
@@ -103,6 +106,27 @@ class Cause(Part, frozen=True, kw_only=True):
         links = listed(str(k + 1) for k in self.joints)
         return f"inertia of link {links}" if self.joints else "inertial parameters"
 
+    def values(self, std: bool = True) -> str:
+        """Its numbers: `0.61 ± 0.02 N m`, `k = -1.0 ± 0.2 N m/rad, c0 = 8.8 ± 0.5 N m`, those that
+        the model had with other values alone; where the data determine none of them, or bodies have
+        none, how much of the error it removes. Without standard deviations the first alone."""
+        sizes = [s for s in self.sizes if s.was is not None or not self.changed]
+        sizes = [s for s in sizes if s.determined]
+        sizes = sizes[:1] if self.effect == "payload" else sizes[:MOST_SIZES]
+        if not sizes:
+            return "" if math.isnan(self.closes) else f"{percent(self.closes)} of the error"
+        one = len(self.sizes) == 1 or self.changed
+        if not std:
+            sizes = [msgspec.structs.replace(sizes[0], std=None, value=sizes[0].rounded)]
+        return ", ".join(size_words(s) if one else named_size(s) for s in sizes)
+
+    @property
+    def rivals(self) -> str:
+        """`, or Stribeck friction`: what the log cannot separate from it."""
+        others = [effect_words(name) for name in self.ambiguous_with]
+        more = f" or {len(others) - 1} others" if len(others) > 2 else ""
+        return f", or {others[0] if more else listed(others, 'or')}{more}" if others else ""
+
     @property
     def place(self) -> str:
         """`on joint 2`; nothing of the whole arm, or where the name has it."""
@@ -127,6 +151,35 @@ class JointError(Part, frozen=True, kw_only=True):
     noise: Ends
 
 
+@dataclass(frozen=True)
+class JointRow:
+    """What the answer says of one joint.
+
+    Attributes:
+        error: before and after.
+        causes: its own, which most joints do not share.
+        suspects: that are not sure enough, the likeliest first.
+        small: effects that remove less than was asked for.
+    """
+
+    error: JointError
+    causes: tuple[Cause, ...]
+    suspects: tuple[Cause, ...]
+    small: tuple[Cause, ...]
+
+    @property
+    def label(self) -> str:
+        """Its number, and its name where it has one of its own."""
+        number, name = str(self.error.joint + 1), self.error.name
+        known = name not in ("", f"joint_{number}", f"joint {number}", f"joint{number}")
+        return f"{number} {name}" if known else number
+
+    @property
+    def never_moves(self) -> bool:
+        """Whether it has no error to explain."""
+        return self.error.before != self.error.before
+
+
 class Answer(Part, frozen=True, kw_only=True):
     """What a diagnosis answers.
 
@@ -144,6 +197,7 @@ class Answer(Part, frozen=True, kw_only=True):
         causes: those that close most first.
         suspects: causes that are not sure enough, the likeliest first; their remedy says what would
             settle them.
+        small: causes that are sure and remove less than was asked for.
         reason: why nothing is named, where that is so.
         doubt: what speaks against the log, said first; absent where nothing does.
     """
@@ -160,6 +214,7 @@ class Answer(Part, frozen=True, kw_only=True):
     joints: tuple[JointError, ...]
     causes: tuple[Cause, ...]
     suspects: tuple[Cause, ...] = ()
+    small: tuple[Cause, ...] = ()
     reason: str = ""
     doubt: str | UnsetType = UNSET
 
@@ -179,6 +234,8 @@ class Answer(Part, frozen=True, kw_only=True):
         change = f"{self.before:.3g} -> {self.after:.3g} {self.unit}"
         size = f"{self.before:.3g} {self.unit}"
         noise = " to ".join(dict.fromkeys(f"{x:.3g}" for x in self.noise))
+        if self.status == "searching":
+            return self._so_far(longest)
         if not self.causes:
             said = {
                 "no_gap": f"No gap beyond noise: {size} (noise {noise}).",
@@ -221,6 +278,21 @@ class Answer(Part, frozen=True, kw_only=True):
                 return said_all
         return _cut(said_all, longest)
 
+    def _so_far(self, longest: int) -> str:
+        """Of a search that goes on: where the error is, and what removes most of it."""
+        moving = [j for j in self.joints if j.before == j.before]
+        worst = sorted(moving, key=lambda j: -j.before)[:2]
+        joints = listed(f"joint {j.joint + 1} ({j.before:.3g})" for j in worst)
+        text = f"So far: {self.error} is {self.before:.3g} {self.unit}, largest on {joints}."
+        if self.causes:
+            names = [
+                same[0].name if same[0].effect == "link_inertia" else
+                f"{same[0].name} ({self.where(same)})"
+                for same in self.groups()
+            ]  # fmt: skip
+            text += f" Likeliest: {listed(names, most=3)}; {self.after:.3g} {self.unit} remain."
+        return _cut(text, 2 * longest)
+
     def suspect_words(self, cause: Cause) -> str:
         """`viscous friction on joint 3 (5.6 ± 0.7 N m s/rad, 82 %)`."""
         sizes = [size_words(s) for s in cause.sizes[:1] if s.determined]
@@ -256,67 +328,63 @@ class Answer(Part, frozen=True, kw_only=True):
             inner.append(f"or {listed(others, 'or', most=2 if values else 1)}")
         return f"{text} ({'; '.join(inner)})" if inner else text
 
-    def rows(self) -> list[tuple[str, ...]]:
-        """Cells under `COLUMNS`, a row a joint, the largest error first. Causes that most joints
-        have, and causes of the whole arm, have rows of their own before these."""
-        common: list[list[Cause]] = []
-        own: dict[int, list[Cause]] = {}
+    def shared(self) -> list[tuple[Cause, ...]]:
+        """Causes that most joints have, those of one name together; and each cause that is not of
+        one joint alone."""
+        out: list[tuple[Cause, ...]] = []
         for same in self.groups():
             local = [c for c in same if len(c.joints) == 1 and c.effect != "link_inertia"]
-            if len(local) > max(1.0, MOST * len(self.joints)):
-                common.append(local)
-            else:
-                for c in local:
-                    own.setdefault(c.joints[0], []).append(c)
-            common += [[c] for c in same if c not in local]
-        out: list[tuple[str, ...]] = [("all", "", "", "", "", *self._cells(c)) for c in common]
-        longest = max((j.before for j in self.joints if j.before == j.before), default=0.0)
-
-        def order(joint: JointError) -> float:
-            return -joint.before if joint.before == joint.before else math.inf
-
-        for joint in sorted(self.joints, key=order):
-            place = str(joint.joint + 1)
-            if joint.name not in ("", f"joint_{place}", f"joint {place}", f"joint{place}"):
-                place += f" {short(joint.name, NAME)}"
-            if joint.before != joint.before:
-                out.append((place, "-", "-", "-", "", "never moves", "-", ""))
-                continue
-            noise = " - ".join(dict.fromkeys(f"{x:.2g}" for x in joint.noise))
-            bar = _bar(joint.before, joint.after, longest)
-            numbers = (place, f"{joint.before:.3g}", f"{joint.after:.3g}", noise, bar)
-            first, *others = [self._cells([c]) for c in own.get(joint.joint, [])] or [("-", "", "")]
-            out.append((*numbers, *first))
-            out += [("", "", "", "", "", *other) for other in others]
+            many = len(local) > max(1.0, MOST * len(self.joints))
+            out += [tuple(local)] if many else []
+            out += [(c,) for c in same if not any(c is x for x in local)]
         return out
 
-    def _cells(self, same: Sequence[Cause]) -> tuple[str, str, str]:
-        """What a cause is, how sure, and what to do."""
-        first = same[0]
-        others = list(dict.fromkeys(effect_words(x) for c in same for x in c.ambiguous_with))
-        end = f", or {listed(others, 'or')}" if others else ""
-        known = [c.how_sure for c in same if c.how_sure is not None]
-        cells = (sure(min(known, default=None)), first_clause(first.remedy))
-        if len(same) > 1:
-            joints = [c.joints[0] for c in same]
-            every = len(joints) == len(self.joints)
-            place = "" if every else f" on joints {listed(str(j + 1) for j in joints)}"
-            values = ", ".join(f"{c.sizes[0].value:.3g}" for c in same if c.sizes)
-            unit = "" if first.sizes[0].unit == "1" else f" {unit_words(first.sizes[0].unit)}"
-            return (f"{first.name}{place}: {first.sizes[0].name} = {values}{unit}{end}", *cells)
-        if first.changed:
-            changes = "; ".join(size_words(s) for s in first.sizes if s.was is not None)
-            return (f"{first.name} changed: {changes}{end}", *cells)
-        sizes = [s for s in first.sizes if s.determined]
-        sizes = sizes[:1] if first.effect == "payload" else sizes[:MOST_SIZES]
-        one = len(first.sizes) == 1
-        texts = [size_words(s) if one else named_size(s) for s in sizes]
-        return (f"{first.name} {', '.join(texts)}".rstrip() + end, *cells)
+    def joint_rows(self) -> list[JointRow]:
+        """A row a joint, the largest remaining error first; joints that never move at the end."""
+        apart = [c for same in self.shared() for c in same]
+        own = [c for c in self.causes if all(c is not x for x in apart)]
+
+        def on(joint: Joint, causes: Iterable[Cause]) -> tuple[Cause, ...]:
+            return tuple(c for c in causes if c.joints == (joint,))
+
+        rows = [
+            JointRow(e, on(e.joint, own), on(e.joint, self.suspects), on(e.joint, self.small))
+            for e in self.joints
+        ]
+        return sorted(rows, key=lambda r: math.inf if r.never_moves else -r.error.after)
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Cells under `COLUMNS`: joints and their own causes, then what joints share."""
+        out: list[tuple[str, ...]] = []
+        for row in self.joint_rows():
+            if row.never_moves:
+                out.append((row.label, "-", "-", "-", "never moves", "-", ""))
+                continue
+            noise = " - ".join(dict.fromkeys(f"{x:.2g}" for x in row.error.noise))
+            numbers = (f"{row.error.before:.3g}", f"{row.error.after:.3g}", noise)
+            first, *others = [cause_cells((c,)) for c in row.causes] or [("-", "", "")]
+            out.append((row.label, *numbers, *first))
+            out += [("", "", "", "", *other) for other in others]
+        return out + [(self.where(same), "", "", "", *cause_cells(same)) for same in self.shared()]
+
+    def where(self, same: Sequence[Cause]) -> str:
+        """`all joints`, `joints 1, 2 and 4`, `link 5`, `the arm`: where causes of one name act."""
+        joints = [j for c in same for j in c.joints]
+        if same[0].effect == "link_inertia" and joints:
+            return f"link {listed(str(j + 1) for j in joints)}"
+        if len(set(joints)) == len(self.joints) > 1:
+            return "all joints"
+        return joints_words(joints)
+
+    @property
+    def given(self) -> str:
+        """What the error before is of."""
+        return "plain servo" if self.error == "a plain servo's error" else "as given"
 
     @property
     def title(self) -> str:
         """Of the table."""
-        return f"the answer: RMS error [{self.unit}]"
+        return f"RMS error [{self.unit}]"
 
     @property
     def suspect_lines(self) -> list[str]:
@@ -413,11 +481,21 @@ def first_clause(remedy: str) -> str:
     return re.split(r"[,;:(]", remedy, maxsplit=1)[0].strip().rstrip(".")
 
 
-def _bar(before: float, after: float, longest: float) -> str:
-    """`██░░░░░░`: what is left, and what is closed, on one scale."""
-    whole = round(BAR * before / longest) if longest > 0 else 0
-    left = min(whole, round(BAR * after / longest) if longest > 0 else 0)
-    return "█" * left + "░" * (whole - left)
+def cause_cells(same: Sequence[Cause]) -> tuple[str, str, str]:
+    """Causes of one name with their values, how sure the least of them is, and what to do."""
+    first = same[0]
+    known = [c.how_sure for c in same if c.how_sure is not None]
+    end = (sure(min(known, default=None)), first_clause(first.remedy))
+    if len(same) == 1:
+        link = first.effect == "link_inertia" and first.joints
+        name = "inertia" if link else first.name
+        text = f"{name} {'changed: ' if first.changed else ''}{first.values()}".rstrip()
+        return (text + first.rivals, *end)
+    size = first.sizes[0]
+    values = ", ".join(f"{c.sizes[0].rounded:g}" for c in same)
+    unit = "" if size.unit == "1" else f" {unit_words(size.unit)}"
+    rivals = next((c.rivals for c in same if c.rivals), "")
+    return (f"{first.name} {size.name} = {values}{unit}{rivals}", *end)
 
 
 def _cut(text: str, longest: int) -> str:

@@ -7,6 +7,7 @@ count from 0 here, count from 1.
 
 import math
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache, partial
@@ -17,6 +18,7 @@ from typing import (
     TYPE_CHECKING,
     Annotated,
     Any,
+    TypeGuard,
     TypeVar,
     get_args,
     get_origin,
@@ -25,20 +27,18 @@ from typing import (
 
 import msgspec
 import numpy as np
-import torch
 from jaxtyping import AbstractArray, jaxtyped
 from msgspec import UNSET, UnsetType
 
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.json_data import plain, write_json
-from torchid.robot.model import Robot
-from torchid.robot.writer import to_mapping
-from torchid.robot.yaml_file import from_mapping
-from torchid.typing import Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
+    from torch import Tensor
+
+    from torchid.robot.model import Robot
 
 FINITE = "finite"
 """Marks a tensor that is computed with: no entry may be null."""
@@ -53,9 +53,16 @@ _T = TypeVar("_T")
 _P = TypeVar("_P", bound=msgspec.Struct)
 
 
+def is_robot(value: object) -> "TypeGuard[Robot]":
+    """Whether it is a `Robot`. What prints an answer again loads neither robots nor torch; before
+    they are loaded nothing is one."""
+    loaded = sys.modules.get("torchid.robot.model")
+    return loaded is not None and isinstance(value, loaded.Robot)
+
+
 class _Robots(type):
     def __instancecheck__(cls, value: object) -> bool:
-        return isinstance(value, Robot)
+        return is_robot(value)
 
 
 class _Floats(type):
@@ -191,7 +198,7 @@ class Part(msgspec.Struct, frozen=True):
                 elif not isinstance(value, kind):
                     size = "x".join(map(str, value.shape))
                     raise ValueError(f"`{key}` is of size {size}, not {kind.dim_str.strip()}")
-                elif finite and not bool(torch.isfinite(value).all()):
+                elif finite and not bool(value.isfinite().all()):
                     raise ValueError(f"`{key}` is not all finite")
 
     @classmethod
@@ -243,7 +250,7 @@ class _View:
             if value is UNSET:
                 raise AttributeError(name)
         # What is one number is a tensor where it was computed.
-        return value.item() if isinstance(value, torch.Tensor) and not value.ndim else value
+        return value.item() if getattr(value, "ndim", None) == 0 else value
 
 
 @cache
@@ -275,7 +282,7 @@ def _plan(part: type[Part]) -> tuple[tuple[str, str, Any, bool], ...]:
 def _computed(kind: Any, value: Any) -> Any:
     if kind in (Joint, Real):
         return Joint(value) if kind is Joint else float(value)
-    if isinstance(value, Tensor | Robot):
+    if hasattr(value, "isfinite") or is_robot(value):
         return value
     raise TypeError(f"{type(value).__name__} is no {kind}")
 
@@ -290,7 +297,7 @@ def as_plain(value: Any) -> Any:
         return tag | {key: as_plain(entry) for key, entry in entries if entry is not UNSET}
     if isinstance(value, Joint) and not TYPE_CHECKING:
         return int(value) + 1
-    if isinstance(value, Robot):
+    if is_robot(value):
         return robot_record(value)
     if is_dataclass(value):
         return {f.name: as_plain(getattr(value, f.name)) for f in fields(value)}
@@ -301,8 +308,10 @@ def as_plain(value: Any) -> Any:
     return plain(value)
 
 
-def robot_record(robot: Robot) -> dict[str, Any]:
+def robot_record(robot: "Robot") -> dict[str, Any]:
     """The robot's yaml as JSON-ready data, without bounds; infinite limits are null."""
+    from torchid.robot.writer import to_mapping
+
     return {key: plain(entry) for key, entry in to_mapping(robot).items() if key != "bounds"}
 
 
@@ -336,8 +345,10 @@ def _decoded(source: str, kind: Any, value: Any) -> Any:
     return _robot(value, source) if kind is Model else _tensor(kind, value)
 
 
-def _tensor(kind: type[AbstractArray], value: Any) -> Tensor:
+def _tensor(kind: type[AbstractArray], value: Any) -> "Tensor":
     """A tensor of nested lists, with as many axes as its kind has; null is not a number."""
+    import torch
+
     flags = "bool" in kind.dtypes
     entries: Any = bool if flags else float | None
     for _ in kind.dims:
@@ -354,7 +365,9 @@ def _tensor(kind: type[AbstractArray], value: Any) -> Tensor:
     return found
 
 
-def _robot(value: Any, source: str) -> Robot:
+def _robot(value: Any, source: str) -> "Robot":
+    from torchid.robot.yaml_file import from_mapping
+
     if not isinstance(value, Mapping):
         raise ValueError(f"Expected a robot, got {type(value).__name__}")
     limits = value.get("limits") or {}

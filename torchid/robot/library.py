@@ -42,7 +42,7 @@ def load_robot(
     lock: Mapping[str, float] | None = None,
     base: Base = "fixed",
 ) -> Robot:
-    """A robot by built-in name, or from a .yaml (ours), .urdf or .xml (MJCF) file.
+    """A robot by built-in name, or from a torchid .yaml, .urdf or .xml (MJCF) file.
 
     A URDF or MJCF is read whole, with all its branches, unless a part is chosen.
 

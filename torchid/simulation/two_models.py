@@ -261,7 +261,7 @@ def _sentences(
         names = ", ".join(name.replace("_", " ") for name in ignored)
         out.append(f"Rollouts are without {names}: a replay of torque cannot have them.")
     if fitted_here:
-        out.append("The corrected model was fitted on these trajectories, which favours it.")
+        out.append("The corrected model was also fitted to these runs: the numbers are optimistic.")
     return out
 
 

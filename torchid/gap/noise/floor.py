@@ -244,7 +244,7 @@ def _from_repeats(
         name, start = when(differences, float(own.t[inside[0]]))
         stop = start + float(own.t[inside[-1]] - own.t[inside[0]])
         notes[j] = (
-            f"non-repeatable effect on joint {j + 1}: worst at {start:.1f} to {stop:.1f} s "
-            f"('{name}'); the floor is the median over {BLOCK_SECONDS:g} s blocks"
+            f"joint {j + 1} did not repeat well at {start:.1f} to {stop:.1f} s in {name}; its "
+            f"noise is the median over {BLOCK_SECONDS:g} s blocks"
         )
     return NoiseFloor(rms * torch.exp(-half), rms * torch.exp(half), "repeats", tuple(notes))

@@ -1,7 +1,7 @@
 """The whole search: events, laws from several starts, shapes refined, columns taken anew."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -80,8 +80,15 @@ class Explanation:
         return self.fit.terms[len(self.question.fixed) :]
 
 
-def explained(problem: Problem) -> Explanation:
-    """Which effects explain the gap between a log and a model."""
+def explained(
+    problem: Problem, watch: Callable[[Question, Fitted], None] | None = None
+) -> Explanation:
+    """Which effects explain the gap between a log and a model.
+
+    Args:
+        problem: gap, log, and what is looked for.
+        watch: called with each fit that the search goes on from.
+    """
     given, data, wanted = problem.given, problem.data, problem.wanted
     # The gap is always that of the model as given; columns are taken at the model found so far.
     model = at = given.model
@@ -113,6 +120,8 @@ def explained(problem: Problem) -> Explanation:
         # Laws, from the last model's or from several starts.
         start = tuple(t for t in (_again(question.candidates, s) for s in start) if t is not None)
         fit = best_explanation(question, start)
+        if watch is not None:
+            watch(question, fit)
         # Shapes between those of the grid, secants of rivals, and the search once more with both.
         finer = [
             *refined(question, fit),
@@ -131,6 +140,8 @@ def explained(problem: Problem) -> Explanation:
         # Where a cause has left or bodies have joined, another one may say the rest better.
         fit, left = improve_by_swaps(question, folds, fit, left)
         fit, left = search_without_small(question, folds, fit, left)
+        if watch is not None:
+            watch(question, fit)
         # Without the events that do not stand out any more, the search goes on from the laws.
         while gone := events_not_standing_out(question, fit, left, repeated):
             question = replace(question, barred=question.barred | {t.key for t in gone})

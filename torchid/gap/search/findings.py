@@ -412,9 +412,9 @@ def not_testable(found: Explanation, data: Data) -> list[NotTestable]:
         elif size <= 1e-9:
             smallest, reason = None, "the motion does not excite it"
         elif share < 1e-6:
-            smallest, reason = None, "it cannot be separated from the inertial parameters"
+            smallest, reason = None, "indistinguishable from a change of the inertial parameters"
         elif share < VISIBLE:
-            reason = f"only {100 * share:.2g} % of it can be separated from the inertial parameters"
+            reason = "indistinguishable from a change of the inertial parameters"
         elif term.place is not None:
             square = size / float(weight[term.place] * normal.rows[term.place].clamp(min=1))
             torque = float(question.torque[term.place].sqrt())

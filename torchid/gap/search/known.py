@@ -16,8 +16,8 @@ from torchid.robot.model import JointType, Robot
 from torchid.typing import Float, Tensor
 
 AS_CAD = (
-    "the model does not say how sure it is: its inertial parameters are taken as those of a CAD "
-    "model are, right to some ten per cent, and its effects as they are given"
+    "the model carries no uncertainties: its inertias are taken as right to ±10 %, its friction as "
+    "exact"
 )
 
 

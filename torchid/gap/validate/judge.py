@@ -207,18 +207,18 @@ def warnings_of(found: Explanation, checked: Checked, problem: Problem) -> list[
     if 2 * int(useless.sum()) > len(useless):
         joints = ", ".join(str(j + 1) for j in useless.nonzero().flatten().tolist())
         out.append(
-            f"Change your log: the model explains nothing of the torque of joints {joints}. Is the "
+            f"Caution: the model explains nothing of the torque of joints {joints}. Is the "
             "log of this robot, its joints in this order, in these units? `torchid log doctor "
             "ROBOT LOG` checks it."
         )
     if checked.noise.floor.source != "repeats":
         out.append(
-            "Change your log: drive one motion twice. No motion is repeated, so the noise is known "
+            "Next time: record one motion twice. None is repeated here, so the noise is known "
             "only between bounds."
         )
     if len(found.terms) >= settings.max_effects:
         out.append(
-            f"Mind this number: stopped at {settings.max_effects} effects; there may be more "
+            f"Caution: stopped at {settings.max_effects} effects; there may be more "
             "(`max_effects=...`)."
         )
     # What holds for this log alone.
@@ -230,7 +230,7 @@ def warnings_of(found: Explanation, checked: Checked, problem: Problem) -> list[
     margins = solution.model.robot.require_parameters("a check").consistency_margin()
     if changed and bool((margins < 0).any()):
         out.append(
-            "Mind this number: the corrected inertial parameters fit the torque but are not "
+            "Caution: the corrected inertial parameters fit the torque but are not "
             "physically possible. `torchid check corrected.yaml --nearest near.json` finds "
             "possible ones near in torque."
         )
@@ -241,7 +241,7 @@ def warnings_of(found: Explanation, checked: Checked, problem: Problem) -> list[
         )
     if judged is None and not problem.folds.whole:
         out.append(
-            "Change your log: record three different motions. With fewer, held-out data are "
+            "Next time: record three different motions. With fewer, held-out data are "
             "stretches of the same motions, and intervals are wider than they look."
         )
     # Joints on which the corrected model is worse.
@@ -249,8 +249,7 @@ def warnings_of(found: Explanation, checked: Checked, problem: Problem) -> list[
     if found.terms and bool(worse.any()):
         joints = joint_list(worse.nonzero().flatten().tolist())
         out.append(
-            "Mind this number: on data that was not fitted, the corrected model is worse on "
-            f"{joints}."
+            f"Caution: on data that was not fitted, the corrected model is worse on {joints}."
         )
     return out + needs_trust(found)
 
@@ -273,6 +272,6 @@ def needs_trust(found: Explanation) -> list[str]:
     if not lost:
         return []
     return [
-        "Mind this number: if the robot's inertial parameters are wrong, they explain these "
+        "Caution: if the robot's inertial parameters are wrong, they explain these "
         f"effects as well: {', '.join(lost)}."
     ]

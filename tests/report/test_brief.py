@@ -1,0 +1,128 @@
+"""The answer on one screen of a terminal."""
+
+import itertools
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from torchid.effects.registry import KINDS
+from torchid.report.brief import MOST_LINES, Screen, bar, merged, model_words, shortened
+from torchid.results.answer import Answer, Cause, JointError, Size
+
+WARNINGS = (
+    "run1: time steps of 8 / 10 / 13 ms; resampled to 10 ms.",
+    "run2: time steps of 2 / 10 / 12 ms; resampled to 10 ms.",
+    "Caution: torque is computed from current.",
+    "Next time: record one motion twice.",
+)
+
+
+def cause(name: str, joint: int, **about: object) -> Cause:
+    size = Size(name="c", unit="N m", value=1.5, std=0.1)
+    return Cause(effect=name, joints=(joint,), sizes=(size,), how_sure=0.9, closes=0.1,
+                 remedy="Set it in the simulator, or clean the joint.", **about)  # fmt: skip
+
+
+def answer(n: int, causes: tuple[Cause, ...], **about: object) -> Answer:
+    joints = tuple(
+        JointError(joint=j, name=f"arm_{j}_joint", before=9.0, after=8.0 - j / 4, noise=(0.1, 0.2))
+        for j in range(n)
+    )
+    return Answer(status="explained", error="the gap", unit="N m", before=20.0, after=9.0,
+                  noise=(0.1, 0.2), closed=0.5, joints=joints, causes=causes, **about)  # fmt: skip
+
+
+def lines_of(screen: Screen, width: int) -> list[str]:
+    console = Console(width=width, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    console.print(screen)
+    return console.export_text().splitlines()
+
+
+@given(
+    names=st.lists(st.sampled_from(sorted(KINDS)), min_size=0, max_size=12, unique=True),
+    n=st.integers(1, 30),
+    width=st.integers(60, 160),
+    hints=st.booleans(),
+)
+def test_a_screen_is_a_screen(names: list[str], n: int, width: int, hints: bool) -> None:
+    """Whatever is found on however many joints: no more lines than fit, none longer than the
+    terminal is wide, and the joint with the largest error in them."""
+    causes = tuple(
+        cause(name, j) for k, name in enumerate(names) for j in range(1 + (n - 1) % (k + 1))
+    )
+    suspects = tuple(cause("backlash", j) for j in range(n)) if hints else ()
+    given_answer = answer(n, causes[:60], suspects=suspects)
+    model = model_words(given_answer, "corrected.yaml", "robot.urdf", ["run9"])
+    lines = lines_of(Screen(answer=given_answer, band=20.0, warnings=WARNINGS, model=model), width)
+    shared = len(given_answer.shared())
+    assert len(lines) <= MOST_LINES + 3 * max(0, shared - 3)
+    assert all(len(line) <= width for line in lines)
+    assert any(line.startswith("1 arm_0") for line in lines)
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_rows_have_values_and_hints(width: int) -> None:
+    """A named cause has its value and how sure it is; a joint without one says what may help."""
+    given_answer = answer(
+        3, (cause("backlash", 0),), suspects=(cause("joint_spring", 1),),
+        small=(cause("time_delay", 2),),
+    )  # fmt: skip
+    text = " ".join(" ".join(lines_of(Screen(answer=given_answer), width)).split())
+    for part in (
+        "backlash 1.50 ± 0.10 N m (90 %)", "perhaps joint spring 1.50 ± 0.10 N m (90 %)",
+        "small: time delay 1.50 ± 0.10 N m (90 %)", "Do first: set it in the simulator",
+    ):  # fmt: skip
+        assert part in text, (part, text)
+
+
+def test_what_all_joints_share_is_one_line_with_a_value_a_joint() -> None:
+    causes = tuple(cause("viscous_friction", j) for j in range(3))
+    lines = lines_of(Screen(answer=answer(3, causes)), 100)
+    assert "all joints: viscous friction c = 1.5, 1.5, 1.5 N m (90 %)" in lines
+
+
+def test_cautions_are_merged() -> None:
+    assert merged(WARNINGS) == [
+        "Next time: record one motion twice.",
+        "Caution: torque is computed from current.",
+        "2 logs: time steps of 2 to 8 / 10 / 12 to 13 ms; resampled to 10 ms.",
+    ]
+    assert merged(["a: b 1.", "c"]) == ["a: b 1.", "c"]
+
+
+def test_which_model_to_use() -> None:
+    some = answer(2, (cause("backlash", 0),))
+    assert model_words(some, "c.yaml", "r.urdf", ["run9"]) == (
+        "Use c.yaml: it errs 9 N m on run9, as given 20. Export: torchid export c.yaml --to urdf "
+        "--out DIR"
+    )
+    assert "--save-model" in model_words(some, None, "r.urdf", [])
+    assert model_words(answer(2, ()), None, "r.urdf", []).startswith("Use r.urdf as it is")
+
+
+@pytest.mark.parametrize(
+    ("label", "short"),
+    [
+        ("2 shoulder_lift_joint", "2 shoulder_lift"),
+        ("2 elbow", "2 elbow"),
+        ("3 joint_of_the_elbow_here", "3 of_the_elbow_here"),
+    ],
+)
+def test_a_long_name_loses_what_says_nothing(label: str, short: str) -> None:
+    assert shortened(label, 19) == short
+
+
+def test_bars_are_on_one_scale() -> None:
+    widths = [len(bar(b, a, 8.0)) for b, a in itertools.product((8.0, 4.0, 0.1), (0.1, 8.0))]
+    assert widths == [8, 8, 4, 4, 0, 0]
+    assert bar(8.0, 2.0, 8.0) == "██░░░░░░"
+
+
+def test_the_screen_needs_no_torch() -> None:
+    program = "import sys, torchid.report.explain; print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)
+    assert done.stdout == b"False\n"

@@ -1,0 +1,56 @@
+"""A first answer while the search goes on."""
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from torchid.position.data import PositionData
+from torchid.results.answer import Answer, Cause, JointError
+from torchid.simulation.servo_loop import Windows
+from torchid.statistics.criteria import WORTHWHILE
+
+
+class EarlyAnswer:
+    """What is known while the search goes on: the plain servos' errors in some windows, and of the
+    effects that were tried the one that removes most of each joint's."""
+
+    def __init__(
+        self, watch: Callable[[Answer], None], data: PositionData, plain: Tensor, windows: Windows
+    ) -> None:
+        self.watch, self.names, self.scale = watch, data.robot.joint_names, data.scale
+        self.seconds = float((windows.length * windows.weight).sum())
+        self.before = self.after = self._errors(plain)
+        self.best = [""] * len(self.names)
+        self("", self.before)
+
+    def _errors(self, losses: Tensor) -> Tensor:
+        return 1e3 * (losses / self.seconds).sqrt() / self.scale
+
+    def __call__(self, effect: str, losses: Tensor) -> None:
+        """An effect beside the plain servos, and the losses that it leaves."""
+        errors = self._errors(losses) if effect else self.before
+        for j in torch.nonzero(errors < (1 - WORTHWHILE) * self.after).flatten().tolist():
+            self.best[j] = effect
+        self.after = torch.minimum(self.after, errors)
+        levels = zip(self.names, self.before.tolist(), self.after.tolist(), strict=True)
+        nothing = (math.nan, math.nan)
+        self.watch(
+            Answer(
+                status="searching",
+                error="a plain servo's error",
+                unit="mrad",
+                before=float(self.before.mean()),
+                after=float(self.after.mean()),
+                noise=nothing,
+                closed=None,
+                joints=tuple(
+                    JointError(joint=j, name=name, before=b, after=a, noise=nothing)
+                    for j, (name, b, a) in enumerate(levels)
+                ),
+                causes=tuple(
+                    Cause(effect=name, joints=(j,)) for j, name in enumerate(self.best) if name
+                ),
+            )
+        )

@@ -1,0 +1,264 @@
+"""The answer of a diagnosis on one screen of a terminal: at most `MOST_LINES` lines from 60 columns
+on. It needs no torch, so that it is printed again at once."""
+
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+from rich import box
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.table import Table
+from rich.text import Text
+
+from torchid.errors import visible
+from torchid.results.answer import (
+    KINDS,
+    Answer,
+    Cause,
+    JointRow,
+    cause_cells,
+    ordered,
+)
+from torchid.results.words import count, sure
+
+MOST_LINES = 23
+"""Of the screen; with the prompt's command and the files' line they are 25."""
+MOST_JOINTS = 8
+"""That have a row."""
+CAUTION_LINES = 3
+WIDE = 100
+"""Columns from which noise and bars are shown."""
+BAR = 8
+"""Characters of the longest bar."""
+NAME = 18
+"""Characters of a joint's name."""
+_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])")
+
+
+@dataclass(frozen=True)
+class Detail:
+    """How much the screen says.
+
+    Attributes:
+        causes: of a joint that are listed.
+        joints: that have a row.
+        remedies: that are said.
+        values: whether causes of a joint come with values, and those with standard deviations.
+        std: whether values come with standard deviations.
+    """
+
+    causes: int
+    joints: int = MOST_JOINTS
+    remedies: int = 1
+    values: bool = True
+    std: bool = True
+
+
+_DETAILS = (
+    Detail(9, remedies=2), Detail(9), Detail(2), Detail(1), Detail(1, std=False),
+    Detail(1, 6, std=False), Detail(1, 5, std=False), Detail(1, 6, values=False),
+    Detail(1, 5, values=False), Detail(1, 4, values=False), Detail(1, 3, 0, values=False),
+    Detail(1, 2, 0, values=False),
+)  # fmt: skip
+"""From the most on; the first that fits is shown."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Screen:
+    """The answer as a renderable of rich: headline, one row a joint, what joints share, what to do
+    first, which model to use, and cautions.
+
+    Attributes:
+        answer: of a diagnosis.
+        band: below which errors are counted [Hz]; None of positions.
+        warnings: of the diagnosis, as they are.
+        model: which model to use next, one sentence.
+        in_words: a warning of the library in the words of the command line.
+    """
+
+    answer: Answer
+    band: float | None = None
+    warnings: Sequence[str] = ()
+    model: str = ""
+    in_words: Callable[[str], str] = str
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        for detail in _DETAILS:
+            parts = list(self._parts(detail, options.max_width))
+            if sum(len(console.render_lines(part, options)) for part in parts) <= MOST_LINES:
+                break
+        yield from parts
+
+    def _parts(self, detail: Detail, width: int) -> Iterator[Text | Table]:
+        """From the headline to the cautions."""
+        answer, rows = self.answer, self.answer.joint_rows()
+        yield Text(visible(answer.headline), "bold")
+        if rows:
+            band = f" below {self.band:g} Hz" if self.band else ""
+            yield Text(f"{answer.title}{band}, on data that was not fitted", "italic")
+            yield self._table(rows[: detail.joints], detail, width)
+            if rest := rows[detail.joints :]:
+                left = max((r.error.after for r in rest if not r.never_moves), default=0.0)
+                yield Text(f"and {count(len(rest), 'more joint')}, {left:.3g} at most: --verbose")
+        for same in answer.shared():
+            text, how_sure, _ = cause_cells(same)
+            yield Text(visible(f"{answer.where(same)}: {text} ({how_sure})"))
+        yield from (Text(visible(line)) for line in first_steps(answer, detail.remedies))
+        if self.model:
+            yield Text(visible(self.model))
+        yield from cautions(map(self.in_words, self.warnings), width)
+
+    def _table(self, rows: Sequence[JointRow], detail: Detail, width: int) -> Table:
+        """One row a joint."""
+        table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False)
+        wide, given = width >= WIDE, self.answer.given
+        table.add_column("joint", no_wrap=True)
+        table.add_column(f"{given} -> corrected" if wide else f"{given} -> now", no_wrap=True)
+        if wide:
+            table.add_column("noise", no_wrap=True)
+            table.add_column("█ left ░ removed", no_wrap=True)
+        table.add_column(
+            "its own causes, value ± std (how sure)" if wide else "own cause (how sure)"
+        )
+        longest = max((r.error.before for r in rows if not r.never_moves), default=0.0)
+        for row in rows:
+            error, label = row.error, shortened(row.label, NAME)
+            if row.never_moves:
+                table.add_row(label, "never moves")
+                continue
+            cells = [label, f"{error.before:.3g} -> {error.after:.3g}"]
+            if wide:
+                cells.append(" - ".join(dict.fromkeys(f"{x:.2g}" for x in error.noise)))
+                cells.append(bar(error.before, error.after, longest))
+            text = "; ".join(_causes(row, detail)) or self._hint(row, detail)
+            table.add_row(*(Text(visible(cell)) for cell in (*cells, text)))
+        return table
+
+    def _hint(self, row: JointRow, detail: Detail) -> str:
+        """What would lower the error of a joint without a cause of its own."""
+        if may := _may(row, detail):
+            return may
+        if any(row.error.joint in c.joints for same in self.answer.shared() for c in same):
+            return "as listed below"
+        if row.error.after <= row.error.noise[0]:
+            return "within the noise"
+        return "no known effect" if self.answer.noise_measured else "unknown, or noise"
+
+
+def _causes(row: JointRow, detail: Detail) -> list[str]:
+    """Its causes, those that remove most first, and how many are not listed."""
+    causes = sorted(row.causes, key=lambda c: -c.closes)
+    shown = causes[: detail.causes]
+    texts = [_named(c, detail) for c in shown]
+    if more := len(causes) - len(shown):
+        texts.append(f"{more} more")
+    elif causes and detail.causes > len(causes) and (may := _may(row, detail)):
+        texts.append(may)
+    return texts
+
+
+def _may(row: JointRow, detail: Detail) -> str:
+    """What may lower what is left of a joint's error: a suspect, or an effect that is small."""
+    every = [("perhaps", c) for c in row.suspects] + [("small:", c) for c in row.small]
+    return next((f"{word} {_named(c, detail)}" for word, c in every), "")
+
+
+def _named(cause: Cause, detail: Detail) -> str:
+    """`torque gain 0.11 ± 0.02 (51 %)`."""
+    values = f" {cause.values(detail.std)}{cause.rivals}".rstrip() if detail.values else ""
+    return f"{cause.name}{values} ({sure(cause.how_sure)})"
+
+
+def first_steps(answer: Answer, most: int) -> list[str]:
+    """What to do first: the remedies of the causes that remove most; without a cause, what would
+    make the likeliest one sure."""
+    groups = sorted(answer.groups(), key=lambda g: -sum(_known(c.closes) for c in g))
+    steps = dict.fromkeys(g[0].remedy.rstrip(".") for g in groups if g[0].remedy)
+    if steps:
+        return [
+            f"{'Do first' if not k else 'Then'}: {step[:1].lower() + step[1:]}."
+            for k, step in enumerate(list(steps)[:most])
+        ]
+    return [f"To be sure: {c.remedy.rstrip('.')}." for c in answer.suspects[:1] if c.remedy]
+
+
+def _known(share: float) -> float:
+    return 0.0 if math.isnan(share) else share
+
+
+def bar(before: float, after: float, longest: float) -> str:
+    """`██░░░░░░`: what is left, and what the causes removed, on one scale."""
+    whole = round(BAR * before / longest) if longest > 0 else 0
+    left = min(whole, round(BAR * after / longest) if longest > 0 else 0)
+    return "█" * left + "░" * (whole - left)
+
+
+def shortened(label: str, length: int) -> str:
+    """A joint's number and name; a long name without `joint`, then cut between its words."""
+    if len(label) <= length:
+        return label
+    number, _, name = label.partition(" ")
+    name = re.sub(r"[_ ]?joint(?=[_ ]|$)[_ ]?", "_", name).strip("_ ")
+    label = f"{number} {name}".rstrip()
+    return label if len(label) <= length else label[: length - 1] + "…"
+
+
+def cautions(warnings: Iterable[str], width: int) -> Iterator[Text]:
+    """The warnings that matter most, in at most `CAUTION_LINES` lines."""
+    every, room, shown = merged(warnings), CAUTION_LINES, 0
+    for text in every:
+        lines = math.ceil((len(text) + 2) / (width - 1))
+        last = room - lines <= 0 and shown + 1 < len(every)
+        if lines > room or (last and lines + 1 > room):
+            break
+        room -= lines
+        shown += 1
+        yield Text.assemble(("! ", "yellow"), visible(text))
+    if shown < len(every):
+        yield Text(f"! {len(every) - shown} more cautions: --verbose, or torchid explain")
+
+
+def merged(warnings: Iterable[str]) -> list[str]:
+    """Warnings, the pressing ones first; those that differ in a log's name and in numbers alone are
+    one: `all 4 logs: uneven time steps of 2 to 13 ms`."""
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for text in ordered(warnings):
+        name, colon, rest = text.partition(": ")
+        kind = rest if colon and name not in KINDS else text
+        groups.setdefault(_NUMBER.sub("#", kind), []).append((name if kind is rest else "", kind))
+    out = []
+    for members in groups.values():
+        name, text = members[0]
+        if len(members) > 1:
+            text = spanned([text for _, text in members])
+            name = f"{len(members)} logs" if all(name for name, _ in members) else ""
+        out.append(f"{name}: {text}" if name else text)
+    return out
+
+
+def spanned(texts: Sequence[str]) -> str:
+    """Texts that differ in their numbers alone, as one: of a number that differs, from the least to
+    the greatest."""
+    found = zip(*(_NUMBER.findall(text) for text in texts), strict=True)
+    ends = [(min(same, key=float), max(same, key=float)) for same in found]
+    spans = iter([low if low == high else f"{low} to {high}" for low, high in ends])
+    return _NUMBER.sub(lambda _: next(spans), texts[0])
+
+
+def model_words(answer: Answer, model: str | None, given: str, held_out: Sequence[str]) -> str:
+    """Which model to use next, and how much better it is on motion that took part in no fit.
+
+    Args:
+        answer: of a diagnosis.
+        model: file of the corrected model, or None where it was not kept.
+        given: the robot's file or name.
+        held_out: names of logs that took part in nothing; empty where each was left out in turn.
+    """
+    if not answer.causes or not answer.after < answer.before:
+        return f"Use {given} as it is: this log gives no better model."
+    on = f"on {', '.join(held_out)}" if held_out else "on motions left out of the fit"
+    change = f"errs {answer.after:.3g} {answer.unit} {on}, {answer.given} {answer.before:.3g}"
+    if model is None:
+        return f"The corrected model {change}. --save-model corrected.yaml keeps it."
+    return f"Use {model}: it {change}. Export: torchid export {model} --to urdf --out DIR"
