@@ -326,7 +326,7 @@ def test_an_engine_moves_as_torchid_does(kind, tmp_path, monkeypatch):
     step = round(0.5 / windows.dt)
     use = windows.steps >= step
     error = (positions[use, step] - windows.q[use, step]).square().mean(0).sqrt()
-    own = rollouts(robot, robot, data.segments, (0.1, 0.5), max_starts=12).horizons[1]
+    own = rollouts(robot, robot, data.segments, (0.1, 0.5), max_starts=12)[0].horizons[1]
     moved = (windows.q[use, step] - windows.q[use, 0]).square().mean(0).sqrt()
     assert bool(((error - own.rms_after).abs() < 0.03 * moved).all())
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()

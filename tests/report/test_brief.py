@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from torchid.effects.registry import KINDS
-from torchid.report.brief import MOST_LINES, Screen, bar, merged, model_words, shortened
+from torchid.report.brief import MOST_LINES, Screen, bar, model_words, shortened
 from torchid.results.answer import Answer, Cause, JointError, Size
 
 WARNINGS = (
@@ -74,7 +74,7 @@ def test_rows_have_values_and_hints(width: int) -> None:
     text = " ".join(" ".join(lines_of(Screen(answer=given_answer), width)).split())
     for part in (
         "backlash 1.50 ± 0.10 N m (90 %)", "perhaps joint spring 1.50 ± 0.10 N m (90 %)",
-        "small: time delay 1.50 ± 0.10 N m (90 %)", "Do first: set it in the simulator",
+        "small: time delay 1.50 ± 0.10 N m (90 %)", "Do first: backlash, joint 1 (10 % of the error): set it in the simulator, or clean the joint.",
     ):  # fmt: skip
         assert part in text, (part, text)
 
@@ -86,12 +86,12 @@ def test_what_all_joints_share_is_one_line_with_a_value_a_joint() -> None:
 
 
 def test_cautions_are_merged() -> None:
-    assert merged(WARNINGS) == [
-        "Next time: record one motion twice.",
-        "Caution: torque is computed from current.",
-        "2 logs: time steps of 2 to 8 / 10 / 12 to 13 ms; resampled to 10 ms.",
+    lines = lines_of(Screen(answer=answer(2, ()), warnings=WARNINGS), 100)
+    assert lines[-3:] == [
+        "! Next time: record one motion twice.",
+        "! Caution: torque is computed from current.",
+        "! run1 and run2: time steps of 2 to 8 / 10 / 12 to 13 ms; resampled to 10 ms.",
     ]
-    assert merged(["a: b 1.", "c"]) == ["a: b 1.", "c"]
 
 
 def test_which_model_to_use() -> None:

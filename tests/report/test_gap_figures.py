@@ -41,6 +41,10 @@ def test_no_traces_no_joint_figures():
     assert set(figures(diagnosis(traces=()))) == {"where", "how_far"}
 
 
+def test_a_map_that_would_be_empty_is_not_drawn():
+    assert "where" not in figures(diagnosis(regimes=()))
+
+
 def test_map_shows_clear_cells_only():
     texts = [t.get_text() for t in map_figure(diagnosis().record).axes[0].texts]
     assert sorted(t for t in texts if t != "·") == ["20\u2009%", "40\u2009%", "64\u2009%"]

@@ -1,20 +1,26 @@
 """The page of a diagnosis says what the diagnosis holds."""
 
+import base64
+import gzip
+import hashlib
+import json
 from dataclasses import replace
 from typing import get_args
 
+import numpy as np
 import pytest
+import torch
 
 from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, coulomb, diagnosis, some_left, trace
 from tests.marks import quick_first
-from tests.report.page.reading import parsed, rows_of, text_of
+from tests.report.page.reading import headings, parsed, rows_of, text_of
 from torchid.gap.diagnosis import HowFar
 from torchid.gap.record import Budget, Parametric, Status
 from torchid.report.diagnosis import page
-from torchid.report.gap import STATUS
-from torchid.report.gap_figures import budget_figure
 from torchid.report.page import document as rendering
+from torchid.report.page.diagnosis import STATUS, which_model
 from torchid.report.page.document import InputFile, origin, render
+from torchid.simulation.two_models import Horizon, Rollout, SimulatedMotion, TorqueGap
 
 FILES = (InputFile("log", "run <1>.csv", 1234567, "ab" * 32),)
 
@@ -54,38 +60,44 @@ def test_verdict_and_status(status, undrawn):
     assert tree.xpath("//header/*[2]")[0].get("class") == "verdict"
 
 
-def test_order(undrawn):
-    tree = page_of(diagnosis())
-    headings = [h.text_content() for h in tree.iter("h2")]
-    assert headings == [
-        "The answer",
-        "Pictures",
-        "Numbers",
+def test_one_screen_then_sections_that_fold(undrawn):
+    tree = page_of(with_motion(diagnosis()))
+    assert headings(tree) == [
+        "Motion: the arm and the simulation, before and after",
+        "Torque, before and after",
+        "Where the error lies",
+        "What the error depends on",
+        "The causes in numbers (1 cause)",
+        "Errors in numbers",
         "For your simulator",
-        "To bear in mind",
+        "Cautions (3)",
+        "What this log could not show",
         "How this was obtained",
     ]
-    links = [a.get("href") for a in tree.xpath("//nav/a")]
-    assert links == ["#answer", "#pictures", "#numbers", "#block", "#remarks", "#origin"]
+    # The first figure and the motion are seen at once, and nothing else below the answer.
+    opened = [d.xpath("./summary/h2")[0].text_content() for d in tree.xpath("//details[@open]")]
+    assert opened == headings(tree)[:1]
+    assert [f.get("id") for f in tree.xpath("//section[@id='answer']//figure")] == ["robot"]
+    titles = [h.text_content() for h in tree.xpath("//div[@class='advice']/h2")]
+    assert titles == ["What to do first", "Which model to use"]
+
+
+def with_motion(d):
+    """With a second of simulated motion."""
+    q = torch.linspace(0, 1, 50, dtype=torch.float64)[:, None].expand(50, 3)
+    one = SimulatedMotion("run", torch.arange(50) / 50.0, q, q + 0.2, q + 0.01)
+    return replace(d, how_far=replace(d.how_far, motions=(one,)))
 
 
 def test_numbers_are_those_of_the_json(undrawn):
     d = diagnosis(findings=(FRICTION, VISCOUS, OFFSET), parametric=(Parametric((2,), 0.1, 0.01),))
     tree, data = page_of(d), d.plain()
-    rows = rows_of(tree, "Coefficients of the effects")
-    found = [f for f in data["which"] if f["std"]]
-    assert len(rows) == len(found) == 3
-    for row, f in zip(rows, found, strict=True):
-        ((name, std),) = f["std"].items()
-        value = f["parameters"][name]
-        assert float(row[3]) == pytest.approx(value, rel=1e-5)
-        if std is None:
-            assert row[4:6] == ["-", "-"]
-            continue
-        low, high = (float(x) for x in row[5].strip("[]").split(", "))
-        assert float(row[4]) == pytest.approx(std, rel=1e-2)
-        assert (low + high) / 2 == pytest.approx(value, abs=1e-5)
-        assert (high - low) / 2 == pytest.approx(1.96 * std, rel=1e-3)
+    rows = rows_of(tree, "effects the model lacks (value ± std)")
+    assert len(rows) == len(data["which"]) == 4
+    for row, f in zip(rows, data["which"], strict=True):
+        for name in f["std"]:
+            value, _, unit = row[2].removeprefix(f"{name} = ").partition(" ")
+            assert float(value) == pytest.approx(f["parameters"][name], rel=1e-2), unit
     rms = rows_of(tree, "RMS of what the model lacks [N m]")
     for name, key in (("as given", "before"), ("corrected", "after")):
         (row,) = (r for r in rms if r[0] == name)
@@ -97,51 +109,122 @@ def test_numbers_are_those_of_the_json(undrawn):
     )
 
 
-def test_the_answer_has_a_row_a_joint_the_largest_remaining_error_first(undrawn):
+def test_the_answer_has_a_bar_a_joint_the_largest_error_first(undrawn):
     """With what stands below it: one number for one thing."""
     d = diagnosis(findings=(FRICTION, VISCOUS, OFFSET), parametric=(Parametric((2,), 0.1, 0.01),))
-    rows = rows_of(page_of(d), "RMS error [N m], below 20 Hz")
+    rows = page_of(d).xpath("//div[contains(@class, 'bars')]//tbody/tr")
     per_joint = {str(j["joint"]): j for j in d.plain()["how_far"]["per_joint"]}
-    joints = [r for r in rows if r[0] in per_joint]
-    assert sorted(r[0] for r in joints) == sorted(per_joint)
-    after = [float(r[2]) for r in joints]
-    assert after == sorted(after, reverse=True)
-    for r in joints:
-        assert float(r[1]) == pytest.approx(per_joint[r[0]]["before"], rel=5e-3)
-        assert float(r[2]) == pytest.approx(per_joint[r[0]]["after"], rel=5e-3)
-    # Every cause is there, with its action.
-    causes = " ".join(r[4] for r in rows)
-    for name in ("Coulomb friction", "viscous friction", "torque offset", "inertia"):
+    longest = max(j["before"] for j in per_joint.values())
+    seen = []
+    for row in rows:
+        joint = per_joint[row.xpath("./th")[0].text_content().split()[0]]
+        before, after = row.xpath(".//td[@class='bar']/span")[0].text_content().split(" → ")
+        seen.append(float(before))
+        assert float(before) == pytest.approx(joint["before"], rel=5e-3)
+        assert float(after) == pytest.approx(joint["after"], rel=5e-3)
+        # Solid and light add up to the error before, on one scale.
+        solid, light = (
+            float(i.get("style").removeprefix("width:").removesuffix("%"))
+            for i in row.xpath(".//td[@class='bar']//i[starts-with(@style, 'width')]")
+        )
+        assert solid == pytest.approx(100 * joint["after"] / longest, abs=0.1)
+        assert solid + light == pytest.approx(
+            100 * max(joint["before"], joint["after"]) / longest, abs=0.11
+        )
+    assert len(seen) == len(per_joint)
+    assert seen == sorted(seen, reverse=True)
+    causes = " ".join(row.text_content() for row in rows)
+    for name in ("Coulomb friction", "Viscous friction", "Torque offset", "Inertia of link 3"):
         assert name in causes
-    assert all(r[6] for r in rows if r[4] not in ("-", ""))
 
 
 def test_captions_say_where(undrawn):
-    captions = [c.text_content() for c in page_of(diagnosis()).iter("figcaption")]
+    captions = {f.get("id"): f.xpath("./figcaption")[0].text_content()
+                for f in page_of(diagnosis()).iter("figure")}  # fmt: skip
     assert (
-        "Joint 2 holds 98 % of the gap, above all at velocity reversals and at low" in captions[1]
+        "Joint 2 holds 98 % of the error, above all at velocity reversals and at low"
+        in (captions["where"])
     )
-    assert captions[0].startswith("Figure 1. Torque of joint 2")
-    assert "RMS 0.61 N m before and 0.07 after" in captions[2]
+    assert captions["robot"].startswith("Figure 1. The robot in a pose of this log.")
+    assert "RMS 0.61 N m before and 0.07 after" in captions["joint_2"]
+    assert list(captions) == ["robot", "torque", "where", "joint_2"]
 
 
-def test_no_traces_no_budget(undrawn):
+def test_what_holds_nothing_is_not_drawn(undrawn):
     far = HowFar(*(2 * [diagnosis().how_far.rms_after]), None, None)
-    tree = page_of(diagnosis("no_gap", traces=(), budget=Budget(0, 0, 0), how_far=far))
-    assert len(list(tree.iter("figure"))) == 2
+    d = diagnosis("no_gap", traces=(), budget=Budget(0, 0, 0), how_far=far, regimes=(), findings=())
+    tree = page_of(d)
+    assert not list(tree.iter("figure"))
+    assert "Where the error lies" not in headings(tree)
+    assert "Is each cause the same in every motion?" not in headings(tree)
 
 
 @pytest.mark.parametrize("status", quick_first(["explained", "no_gap"], 1))
 def test_every_figure_is_drawn(status):
-    tree = page_of(diagnosis(status, **SHORT))
-    assert len(list(tree.iter("figure"))) == 5
-    assert all(len(svg) > 10 for svg in tree.iter("svg"))
+    tree = page_of(with_motion(diagnosis(status, **SHORT)))
+    names = [f.get("id") for f in tree.iter("figure")]
+    assert names == ["robot", "motion", "torque", "where", "joint_2"]
+    assert all(len(svg.xpath(".//*")) > 10 for svg in tree.iter("svg"))
 
 
-def test_worse_after_than_before_is_drawn():
-    (axes,) = budget_figure(diagnosis(budget=Budget(0.0, -0.3, 1.3)).record).axes
-    assert [p.get_width() for p in axes.patches] == [0.0, 0.0, 1.3]
-    assert axes.get_xlim()[1] == 1.3
+def test_cautions_are_few_and_say_one_thing_once(undrawn):
+    steps = [f"run{k}: time steps of {8 + k} ms; resampled to 10 ms." for k in range(12)]
+    many = [f"Caution of its own kind {'x' * k}." for k in range(20)]
+    tree = page_of(replace(diagnosis(), warnings=(*steps, *many)))
+    said = [li.text_content() for li in tree.xpath("//details[starts-with(@id, 'cautions')]//li")]
+    assert len(said) == 10
+    assert said[0] == (
+        "12 logs (run0, run1 and 10 more): time steps of 8 to 19 ms; resampled to 10 ms."
+    )
+    assert "more are in the JSON" in said[-1]
+
+
+def test_plotly_stands_there_once_and_gets_the_very_numbers(undrawn):
+    pytest.importorskip("plotly")
+    d = with_motion(diagnosis(**SHORT))
+    tree = page_of(d)
+    (library,) = tree.xpath("//script[@id='plotly']/text()")
+    policy = tree.xpath("//meta[@http-equiv='Content-Security-Policy']/@content")[0]
+    plain = gzip.decompress(base64.b64decode(library))
+    digest = base64.b64encode(hashlib.sha256(plain).digest()).decode()
+    assert f"'sha256-{digest}'" in policy
+    assert "unsafe" not in policy.split("script-src")[1]
+    data = [json.loads(x) for x in tree.xpath("//script[@type='application/json']/text()")]
+    motion, torque = data
+    assert [one["quantity"] for one in data] == ["position", "torque"]
+    assert motion["joints"] == ["1", "2", "3"]
+    most, coded = motion["runs"][0]["curves"]["after"][1]
+    shares = np.frombuffer(base64.b64decode(coded), "<i2") / 32767
+    assert most * shares == pytest.approx(np.linspace(0, 1, 50) + 0.01, abs=1e-4)
+    # Instants at the edges, which do not count, are no numbers.
+    first = np.frombuffer(base64.b64decode(torque["runs"][0]["curves"]["arm"][0][1]), "<i2")
+    assert first[0] == -32768
+    assert torque["runs"][0]["aside"] == [[], [], []]
+
+
+def test_without_plotly_the_drawings_stay(undrawn, monkeypatch):
+    monkeypatch.setattr(rendering, "_plotly", lambda: None)
+    tree = page_of(with_motion(diagnosis(**SHORT)))
+    assert not list(tree.iter("script"))
+    assert "script-src" not in tree.xpath("//meta[@http-equiv]/@content")[0]
+    assert {"motion", "torque"} <= {f.get("id") for f in tree.iter("figure")}
+
+
+@pytest.mark.parametrize(
+    ("ratio", "said"), [(0.1, "err 0.1 times as much"), (1.2, "no better (1.2 of the error")]
+)
+def test_which_model_to_use(ratio, said):
+    d = diagnosis()
+    row = Horizon(horizon_s=0.5, starts=9, ratio=ratio)
+    zero = torch.zeros(3)
+    simulated = Rollout(
+        starts=9, step_s=0.004, diverged_beyond=1.0, torque=TorqueGap(zero, zero, 0.1),
+        horizons=(row,), ignored_effects=(), fitted_on_these_data=False, sentences=(),
+    )  # fmt: skip
+    moved = replace(d, how_far=replace(d.how_far, rollout=simulated))
+    assert said in which_model(moved)
+    assert "--save-model" in which_model(d)
+    assert "as given" in which_model(diagnosis("no_gap", findings=()))
 
 
 @pytest.mark.slow
@@ -188,8 +271,3 @@ def test_how_it_was_obtained(undrawn):
 def test_of_the_library_there_is_no_command(undrawn):
     (block,) = page_of(diagnosis(), made(arguments=[])).iter("pre")
     assert "MJCF" in block.text_content()  # what is to be copied
-
-
-def test_budget_alt_is_spoken(undrawn):
-    labels = [svg.get("aria-label") for svg in page_of(diagnosis()).iter("svg")]
-    assert labels[-1] == "Shares of the gap: base parameters 2 %, effects 93 %, unexplained 5 %."

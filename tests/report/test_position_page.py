@@ -9,16 +9,9 @@ from tests.position.diagnosed import diagnosis, finding
 from tests.report.page.reading import parsed, rows_of, text_of
 from torchid.position.diagnosis import Accuracy
 from torchid.report.diagnosis import page
+from torchid.report.over_time import motion_over_time
 from torchid.report.page.document import origin, render
-from torchid.report.position import (
-    figures,
-    joint_figure,
-    nominal_table,
-    remarks,
-    tables,
-    worst_joints,
-    worst_place,
-)
+from torchid.report.position import figures, nominal_table, remarks, tables, worst_joints
 
 PROFILE = finding("set_point_profile", 2, 14.0, 6.5, acceleration=39.0)
 PLANE = finding("plane_contact", None, 8.0, 6.0)
@@ -34,7 +27,7 @@ def test_the_first_screen(found):
     tree = parsed(render(page(found, made)))
     assert text_of(tree, "verdict") == found.answer.headline
     facts = text_of(tree, "facts")
-    for said in ("35.0 mrad", "11.5 mrad", "5.0 mrad", "joint 2 joint_2: 6.0 mrad"):
+    for said in ("35 mrad", "11.5 mrad", "5 mrad", "explained"):
         assert said in facts
     text = tree.text_content()
     assert "It errs most on joint 2 joint_2, above all at reversal: 21.0 mrad, 7.0 mrad" in text
@@ -47,8 +40,7 @@ def test_the_first_screen(found):
     assert rows_of(tree, "By kind of motion, plain servo -> corrected [mrad]")[0][1:] == [
         "3.0 -> 1.0", "4.0 -> 1.5", "-",
     ]  # fmt: skip
-    # Where, which, how far, and the joints that move; one row a motion.
-    assert len(tree.xpath("//figure")) == 5
+    assert [f.get("id") for f in tree.xpath("//figure")] == ["robot", "motion", "where"]
     assert len(rows_of(tree, "Error of each motion, left out [mrad]")) == 2
 
 
@@ -58,25 +50,25 @@ def test_without_a_finding():
     made = origin(arguments=[], started=0.0, seeds={}, settings={}, files=())
     text = parsed(render(page(plain, made))).text_content()
     assert "No known effect explains a plain servo's error" in text
-    assert "which" not in figures(plain)
     assert len(tables(plain.record)) == 2
     assert "nominal" not in plain.plain()
 
 
 def test_figures_by_name(found):
-    assert set(figures(found)) == {"where", "which", "how_far", "gap_joint_2", "gap_joint_1"}
+    assert set(figures(found)) == {"where", "how_far", "gap_joint_2", "gap_joint_1"}
     assert worst_joints(found.record) == [1, 0]  # the third never moves
-    drawn = found.plot("joint", joint=0)
-    assert "joint 1 joint_1" in drawn.get_suptitle()
+    assert "joint 1:" in found.plot("joint", joint=0).get_suptitle()
     # The joint is shown where the plain servo errs most: rows 400 to 599, in the first motion.
-    rows = worst_place(found, 1)
+    motion = motion_over_time(found)
+    assert motion.worst(1) == 0
+    rows, _ = motion.runs[0].window(1)
     assert rows.start <= 400
     assert rows.stop >= 599
-    above, below = joint_figure(found, 1).axes
+    above, below = motion.draw(1).axes
     assert [line.get_label() for line in above.lines] == [
-        "command", "measured", "a plain servo", "corrected",
+        "command", "arm, measured", "plain servo", "corrected servo",
     ]  # fmt: skip
-    assert max(abs(below.lines[0].get_ydata())) > 25
+    assert max(abs(below.lines[1].get_ydata())) > 25
 
 
 def test_nominal_beside_found(found):

@@ -26,7 +26,7 @@ FIELDS = {"rms_before", "rms_after", "joint_ratio", "joint_ratio_ci95", "ratio",
 
 def rollouts(*arguments, **settings):  # type: ignore[no-untyped-def]
     """As the JSON has them."""
-    return as_plain(simulated(*arguments, **settings))
+    return as_plain(simulated(*arguments, **settings)[0])
 
 
 def motion(n: int, seconds: float, seed: int = 0) -> Motion:

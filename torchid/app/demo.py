@@ -23,7 +23,8 @@ def demo_command(
         out: Folder for robot, logs, results and page.
         seed: Of the withheld cause, the motions and the noise.
     """
-    from torchid.report.demo import brief, introduction, shown
+    from torchid.report import diagnosis
+    from torchid.report.demo import introduction, shown
     from torchid.report.page.document import input_files
     from torchid.withheld.demo import demonstrate, write_files
 
@@ -37,7 +38,7 @@ def demo_command(
     with output.progress("examining the log") as progress:
         demo = demonstrate(files, seed, progress)
     paged = Output(report=folder / "gap.html", quiet=True)
-    paged.keep(demo.diagnosis, "gap.json", brief, seed=seed, files=inputs)
+    paged.keep(demo.diagnosis, "gap.json", diagnosis.shown, seed=seed, files=inputs)
     output.put(folder / "gap.json", demo.diagnosis.save)
     output.put(folder / "identification.json", demo.identification.save)
     output.give(demo.plain(), "demo.json", lambda _: shown(demo))

@@ -1,14 +1,16 @@
 """`torchid robot` and `torchid effects`: what a robot description says, what effects there are."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Kept, Printed
-from torchid.app.signature import command
+from torchid.app.output import Kept, Output
+from torchid.app.signature import Fields, command
+from torchid.errors import TorchidError
 
 
 @command
@@ -68,17 +70,36 @@ def effects_command(
 
 @command
 def explain_command(
-    *, result: Annotated[Path, typer.Argument(metavar="RESULT")], output: Printed
+    *,
+    result: Annotated[Path, typer.Argument(metavar="RESULT")],
+    output: Annotated[Output, Fields("json_file", "report", "quiet")],
 ) -> None:
-    """Print a result again from its JSON: the answer, and the evidence for it.
+    """Print a result again from its JSON: the answer, and the evidence for it. Of a folder: all
+    results below it.
 
     Example: `torchid explain result/gap.json`
 
+    Example: `torchid explain results --report index.html`
+
     Args:
-        result: JSON of any command.
+        result: JSON of any command, or a folder of them.
+        report: Of a folder: write an index of its results, with links to their pages and files.
     """
     from torchid.report.explain import shown
 
+    if result.is_dir():
+        from torchid.report.page.index import index_shown, write_index
+
+        listing = index_shown(result)
+        output.put(output.report, partial(write_index, result))
+        output.tell(listing)
+        return
+    if output.report is not None:
+        raise TorchidError(
+            "--report writes an index of a folder.",
+            got=result,
+            hint="the page of one result is written by the command that computes it",
+        )
     data, said = shown(result)
     output.write_json(data, "result.json")
     replace(output, verbose=True).tell(said)

@@ -194,7 +194,7 @@ def _forward(
     replayed = full.how_far.rollout if isinstance(full, TorqueDiagnosis) else None
     if replayed is None:
         corrected = full.corrected if isinstance(full, TorqueDiagnosis) else full
-        replayed = rollouts(before, corrected, on.segments, HORIZONS, settings.seed, STARTS)
+        replayed, _ = rollouts(before, corrected, on.segments, HORIZONS, settings.seed, STARTS)
     horizons = [row.horizon_s for row in replayed.horizons]
     starts = starts_of(on.segments, min(HORIZONS), STARTS, settings.seed)
     if not horizons or not len(starts.first):

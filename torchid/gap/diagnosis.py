@@ -42,7 +42,7 @@ from torchid.results.replication import Replication
 from torchid.results.words import count, effect_words, joints_words, listed
 from torchid.robot.model import JointType, Robot
 from torchid.robot.writer import write_robot
-from torchid.simulation.two_models import Rollout
+from torchid.simulation.two_models import Rollout, SimulatedMotion
 from torchid.simulators.nearest_fields import NearestFields, nearest_fields
 from torchid.typing import Bool, Float, Tensor
 
@@ -208,7 +208,8 @@ class HowFar:
             `torchid.gap.validate.closing`); None where the gap's interval holds zero.
         closed_ci95: what it may be on other motions, where the log has three different ones or
             more: of resampled motions and blocks of them; else of resampled blocks.
-        rollout: simulated motion before and after, or None.
+        rollout: errors of simulated motion before and after, or None.
+        motions: simulated positions, one stretch a trajectory.
     """
 
     rms_before: Float[Tensor, " n"]
@@ -216,6 +217,7 @@ class HowFar:
     closed: float | None
     closed_ci95: tuple[float, float] | None
     rollout: Rollout | None = None
+    motions: tuple[SimulatedMotion, ...] = ()
 
 
 def _link(changed: Parametric) -> FoundEffect:

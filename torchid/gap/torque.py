@@ -82,10 +82,11 @@ def diagnose_torque(
         say("simulating forwards", 0, 1)
         here = problem.judged is None
         on = problem.judged or problem.data
-        replayed = rollouts(
+        replayed, motions = rollouts(
             result.robot, result.corrected, on.segments, seed=settings.seed, fitted_here=here
         )
-        result = replace(result, how_far=replace(result.how_far, rollout=replayed))
+        far = replace(result.how_far, rollout=replayed, motions=motions)
+        result = replace(result, how_far=far)
     say("done", 1, 1)
     return result
 

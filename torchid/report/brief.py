@@ -3,7 +3,7 @@ on. It needs no torch, so that it is printed again at once."""
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from rich import box
@@ -12,14 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from torchid.errors import visible
-from torchid.results.answer import (
-    KINDS,
-    Answer,
-    Cause,
-    JointRow,
-    cause_cells,
-    ordered,
-)
+from torchid.report.cautions import cautions
+from torchid.report.page.answer import first_steps
+from torchid.results.answer import Answer, Cause, JointRow, cause_cells, ordered
 from torchid.results.words import count, sure
 
 MOST_LINES = 23
@@ -33,7 +28,6 @@ BAR = 8
 """Characters of the longest bar."""
 NAME = 18
 """Characters of a joint's name."""
-_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])")
 
 
 @dataclass(frozen=True)
@@ -104,10 +98,11 @@ class Screen:
         for same in answer.shared():
             text, how_sure, _ = cause_cells(same)
             yield Text(visible(f"{answer.where(same)}: {text} ({how_sure})"))
-        yield from (Text(visible(line)) for line in first_steps(answer, detail.remedies))
+        for k, step in enumerate(first_steps(answer)[: detail.remedies]):
+            yield Text(visible(f"{'Then' if k else 'Do first'}: {step}"))
         if self.model:
             yield Text(visible(self.model))
-        yield from cautions(map(self.in_words, self.warnings), width)
+        yield from caution_lines([self.in_words(w) for w in self.warnings], width)
 
     def _table(self, rows: Sequence[JointRow], detail: Detail, width: int) -> Table:
         """One row a joint."""
@@ -170,23 +165,6 @@ def _named(cause: Cause, detail: Detail) -> str:
     return f"{cause.name}{values} ({sure(cause.how_sure)})"
 
 
-def first_steps(answer: Answer, most: int) -> list[str]:
-    """What to do first: the remedies of the causes that remove most; without a cause, what would
-    make the likeliest one sure."""
-    groups = sorted(answer.groups(), key=lambda g: -sum(_known(c.closes) for c in g))
-    steps = dict.fromkeys(g[0].remedy.rstrip(".") for g in groups if g[0].remedy)
-    if steps:
-        return [
-            f"{'Do first' if not k else 'Then'}: {step[:1].lower() + step[1:]}."
-            for k, step in enumerate(list(steps)[:most])
-        ]
-    return [f"To be sure: {c.remedy.rstrip('.')}." for c in answer.suspects[:1] if c.remedy]
-
-
-def _known(share: float) -> float:
-    return 0.0 if math.isnan(share) else share
-
-
 def bar(before: float, after: float, longest: float) -> str:
     """`██░░░░░░`: what is left, and what the causes removed, on one scale."""
     whole = round(BAR * before / longest) if longest > 0 else 0
@@ -204,9 +182,9 @@ def shortened(label: str, length: int) -> str:
     return label if len(label) <= length else label[: length - 1] + "…"
 
 
-def cautions(warnings: Iterable[str], width: int) -> Iterator[Text]:
+def caution_lines(warnings: Sequence[str], width: int) -> Iterator[Text]:
     """The warnings that matter most, in at most `CAUTION_LINES` lines."""
-    every, room, shown = merged(warnings), CAUTION_LINES, 0
+    every, room, shown = cautions(ordered(warnings), len(warnings)), CAUTION_LINES, 0
     for text in every:
         lines = math.ceil((len(text) + 2) / (width - 1))
         last = room - lines <= 0 and shown + 1 < len(every)
@@ -217,33 +195,6 @@ def cautions(warnings: Iterable[str], width: int) -> Iterator[Text]:
         yield Text.assemble(("! ", "yellow"), visible(text))
     if shown < len(every):
         yield Text(f"! {len(every) - shown} more cautions: --verbose, or torchid explain")
-
-
-def merged(warnings: Iterable[str]) -> list[str]:
-    """Warnings, the pressing ones first; those that differ in a log's name and in numbers alone are
-    one: `all 4 logs: uneven time steps of 2 to 13 ms`."""
-    groups: dict[str, list[tuple[str, str]]] = {}
-    for text in ordered(warnings):
-        name, colon, rest = text.partition(": ")
-        kind = rest if colon and name not in KINDS else text
-        groups.setdefault(_NUMBER.sub("#", kind), []).append((name if kind is rest else "", kind))
-    out = []
-    for members in groups.values():
-        name, text = members[0]
-        if len(members) > 1:
-            text = spanned([text for _, text in members])
-            name = f"{len(members)} logs" if all(name for name, _ in members) else ""
-        out.append(f"{name}: {text}" if name else text)
-    return out
-
-
-def spanned(texts: Sequence[str]) -> str:
-    """Texts that differ in their numbers alone, as one: of a number that differs, from the least to
-    the greatest."""
-    found = zip(*(_NUMBER.findall(text) for text in texts), strict=True)
-    ends = [(min(same, key=float), max(same, key=float)) for same in found]
-    spans = iter([low if low == high else f"{low} to {high}" for low, high in ends])
-    return _NUMBER.sub(lambda _: next(spans), texts[0])
 
 
 def model_words(answer: Answer, model: str | None, given: str, held_out: Sequence[str]) -> str:

@@ -1,18 +1,12 @@
 """What `torchid demo` shows."""
 
-from dataclasses import replace
-
 from torchid.doctor.examine import conclusion
-from torchid.gap.diagnosis import Finding, TorqueDiagnosis
+from torchid.gap.diagnosis import Finding
 from torchid.report import diagnosis
 from torchid.report.identification import headline
-from torchid.report.page.document import Origin, Page
 from torchid.report.table import Shown, Table
 from torchid.results.words import effect_words, measure, sure
 from torchid.withheld.demo import Comparison, Demo, Files
-
-PICTURES = 5
-"""On the page."""
 
 
 def introduction(files: Files) -> str:
@@ -39,16 +33,6 @@ def shown(demo: Demo) -> Shown:
             opened_table(demo),
         ],
     )
-
-
-def brief(result: TorqueDiagnosis) -> Shown:
-    """A diagnosis whose page has its first pictures: all of them take as long as the search."""
-
-    def page(origin: Origin) -> Page:
-        whole = diagnosis.page(result, origin)
-        return replace(whole, pictures=whole.pictures[:PICTURES])
-
-    return replace(diagnosis.shown(result), page=page)
 
 
 def opened_table(demo: Demo) -> Table:

@@ -10,8 +10,7 @@ from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.record import PositionRecord
 from torchid.report import gap, gap_figures, position
 from torchid.report.brief import Screen
-from torchid.report.page.document import Origin, Page
-from torchid.report.panels import Picture
+from torchid.report.page.diagnosis import page
 from torchid.report.table import Shown, Table, filled
 from torchid.results.answer import (
     COLUMNS,
@@ -94,34 +93,4 @@ def shown(result: Diagnosis | DiagnosisRecord, model: str = "") -> Shown:
         last=model,
         figures=figures,
         page=partial(page, result) if isinstance(result, Diagnosis) else None,
-    )
-
-
-def page(result: Diagnosis, origin: Origin) -> Page:
-    """The page of a diagnosis."""
-    answer = result.answer
-    pictures: list[Picture]
-    if isinstance(result, TorqueDiagnosis):
-        own = result.record
-        title, facts = f"Sim-to-real gap of {own.robot}", gap.facts(own)
-        tables, notes, block = gap.page_tables(own), gap.remarks(own), gap.block(own)
-        notes = [*own.warnings, *own.noise_floor.notes, *notes]
-        pictures, band = gap.pictures(result), own.band_hz
-    else:
-        assert isinstance(result, PositionDiagnosis)
-        found = result.record
-        title, facts = f"Command and position of {found.robot}", position.facts(found)
-        tables, block, band = position.page_tables(found), "", None
-        notes = [*found.warnings, *position.remarks(found)]
-        pictures = position.pictures(result)
-    return Page(
-        title,
-        answer.headline,
-        facts,
-        origin,
-        answer=[table.on_page() for table in first_tables(answer, band)],
-        pictures=pictures,
-        tables=[table.on_page() for table in tables],
-        notes=list(dict.fromkeys(notes)),
-        block=block,
     )

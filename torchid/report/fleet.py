@@ -9,10 +9,11 @@ from torchid.fleet.gap import FleetGapRecord
 from torchid.fleet.identify import USED
 from torchid.fleet.record import FleetRecord, LogRow
 from torchid.fleet.watch import WatchRecord
+from torchid.report.cautions import caution_section
 from torchid.report.colours import BLUE, GREY, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Picture, panel
-from torchid.report.table import Cell, Shown, Table, filled
+from torchid.report.table import Cell, Section, Shown, Table, filled
 from torchid.results.words import count, listed, short
 
 MOST = 20
@@ -201,9 +202,18 @@ def fleet_gap_page(found: FleetGapRecord, origin: Origin) -> Page:
         verdict=gap_verdict(found),
         facts=facts,
         origin=origin,
-        pictures=[Picture("map", caption, alt, partial(gap_map, found))],
-        tables=[effect_table(found).on_page(), diagnosed_table(found).on_page()],
-        notes=found.notes,
+        sections=[
+            Section(
+                "Which unit has which effect",
+                [
+                    Picture("map", caption, alt, partial(gap_map, found)),
+                    effect_table(found).on_page(),
+                ],
+                folded=False,
+            ),
+            Section("Every log", [diagnosed_table(found).on_page()]),
+            caution_section(found.notes),
+        ],
         sortable=True,
     )
 

@@ -10,7 +10,6 @@ from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import Experiment, GapRecord, Known, NotTestable
 from torchid.report import gap_figures
-from torchid.report.exported import simulator_block
 from torchid.report.gap_words import (
     CLEAR,
     REGIMES,
@@ -22,7 +21,6 @@ from torchid.report.gap_words import (
     shapes,
 )
 from torchid.report.panels import Picture
-from torchid.report.repeats import repeats_pictures
 from torchid.report.table import Table, cells, filled, joint_numbers, joint_unit, torque_unit
 from torchid.results.record import as_plain
 from torchid.results.replication import times
@@ -38,21 +36,10 @@ from torchid.results.words import (
 )
 from torchid.robot.model import Robot
 from torchid.simulation.two_models import Rollout
-from torchid.statistics.proportion import HALF_95
 
 _MOST_REGIMES = 3
 _MOST_NUMBERS = 12
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
-
-STATUS = {
-    "no_gap": "no gap",
-    "negligible": "too small to matter",
-    "parametric_only": "wrong parameters only",
-    "explained": "explained",
-    "detected_unexplained": "not fully explained",
-    "not_testable": "cannot tell",
-}
-"""What a status says, in the fewest words."""
 
 
 def tables(record: GapRecord) -> list[Table]:
@@ -352,150 +339,65 @@ def _others(names: tuple[str, ...]) -> str:
     return "\n".join(effect_words(name) for name in names) or "-"
 
 
-def facts(record: GapRecord) -> list[tuple[str, str]]:
-    """The few numbers beside the headline."""
-    far, unit = record.how_far, torque_unit(model_of(record))
-    low, high = far.noise_floor_rms
-    return [
-        ("Status", STATUS[record.status]),
-        ("Closed beyond noise [95 %]", closed_words(record)),
-        ("Gap before, RMS", f"{far.rms_before:.3g} {unit}"),
-        ("Gap after, RMS", f"{far.rms_after:.3g} {unit}"),
-        ("Noise, RMS", f"{low:.3g} to {high:.3g} {unit}"),
-    ]
-
-
-def page_tables(record: GapRecord) -> list[Table]:
-    """The tables of the page: those of the terminal, with the coefficients' intervals."""
-    out = tables(record)
-    if any(f.std for f in record.which):
-        after = [k for k, table in enumerate(out) if table.title.startswith("which")]
-        out.insert(after[0] + 1, coefficient_table(record))
-    return out
-
-
-def block(record: GapRecord) -> str:
-    """The joints' attributes for a simulator's file."""
-    if record.corrected is None or not record.which:
-        return ""
-    return simulator_block(record.corrected, record.nearest_fields)
-
-
-def coefficient_table(record: GapRecord) -> Table:
-    """Every coefficient of every accepted effect, with its interval."""
-    rows = []
-    for f in record.which:
-        for name, std in f.std.items():
-            value = f.parameters[name]
-            assert isinstance(value, int | float)
-            spread = ("-", "-")
-            if std is not None:
-                half = HALF_95 * std
-                spread = (f"{std:.3g}", f"[{value - half:.6g}, {value + half:.6g}]")
-            unit = "-" if f.unit[name] == "1" else unit_words(f.unit[name])
-            place = joints_words(f.located)
-            rows.append((effect_words(f.effect), place, name, f"{value:.6g}", *spread, unit))
-    return Table(
-        "Coefficients of the effects",
-        ("effect", "place", "coefficient", "value", "std", "95 % interval", "unit"),
-        rows,
-        names=("effect", "place", "coefficient", "unit"),
-        note=f"Interval: value ± {HALF_95} std; std over blocks of the log, because neighbouring "
-        "residuals are alike. A dash: the data do not determine it.",
-    )
-
-
-def pictures(d: TorqueDiagnosis) -> list[Picture]:
-    """The torque of the worst joint, where, how far, what closes the gap."""
-    record, unit, budget = d.record, torque_unit(d.robot), d.budget
+def joint_pictures(d: TorqueDiagnosis) -> list[Picture]:
+    """What the model lacks on the worst joints, against all that it may depend on."""
     out = []
-    for k, joint in enumerate(gap_figures.worst_joints(record) if d.traces else ()):
-        number, own = joint + 1, record.how_far.per_joint[joint]
+    for k, joint in enumerate(gap_figures.worst_joints(d.record) if d.traces else ()):
+        own = d.record.how_far.per_joint[joint]
+        unit = joint_unit(d.robot, joint)
         change = f"RMS {own.before:.3g} {unit} before and {own.after:.3g} after"
-        # The first joint's pictures say how to read them.
-        out += [
+        out.append(
             Picture(
-                f"torque_{number}",
-                f"Torque of joint {number} on data not fitted, where its gap is largest."
-                f"{'' if k else _OVER_TIME}",
-                f"Measured and modelled torque of joint {number} over time: {change}.",
-                partial(gap_figures.torque_figure, d, joint),
-                narrow=partial(gap_figures.torque_figure, d, joint, gap_figures.NARROW),
-            ),
-            Picture(
-                f"joint_{number}",
-                f"What the model lacks on joint {number}: {change}.{'' if k else _AGAINST}",
-                f"Gap of joint {number} against velocity, position, acceleration, torque and time, "
-                f"and its spectrum: {change}.",
+                f"joint_{joint + 1}",
+                f"What the model lacks on joint {joint + 1}: {change}.{'' if k else _AGAINST}",
+                f"Gap of joint {joint + 1} against velocity, position, acceleration, torque and "
+                f"time, and its spectrum: {change}.",
                 partial(gap_figures.joint_figure, d, joint),
-            ),
-        ]
-    if stands_out(record):
-        out.insert(1, _where_picture(record))
-    levels = record.how_far.per_joint
-    each = ", ".join(f"joint {j.joint + 1} {j.before:.3g} to {j.after:.3g}" for j in levels)
-    out.append(
-        Picture(
-            "how_far",
-            "How far the gap shrinks, joint by joint, on data that took part in no choice. No "
-            "model can be better than the grey noise; what of the blue bar rises above it is "
-            "unexplained.",
-            f"Bars of the gap before and after [{unit}]: {each}.",
-            partial(gap_figures.bar_figure, record),
-        )
-    )
-    if any((budget.parametric, budget.structural, budget.unexplained)):
-        out.append(
-            Picture(
-                "budget",
-                "What closes the gap: other values of the model's own inertial parameters, effects "
-                "that it lacks, and nothing. A share of the parameters alone means that the model "
-                "needs no new effect, only better numbers.",
-                f"Shares of the gap: base parameters {percent(budget.parametric)}, effects "
-                f"{percent(budget.structural)}, unexplained {percent(budget.unexplained)}.",
-                partial(gap_figures.budget_figure, record),
             )
         )
-    if d.knowledge is not None and d.knowledge.coefficients:
-        out.append(
-            Picture(
-                "known",
-                "What this log makes of what was known. Intervals hold 95 %; those before the log "
-                "hold the change from one session to the next. A diamond marks a coefficient that "
-                "has changed.",
-                "Known coefficients before this log and with it.",
-                partial(gap_figures.known_figure, record),
-            )
-        )
-    out += repeats_pictures(record)
     return out
 
 
-def _where_picture(record: GapRecord) -> Picture:
-    """The map of joints and kinds of motion."""
+def where_pictures(record: GapRecord) -> list[Picture]:
+    """The map of joints and kinds of motion, where it shows something."""
+    if not stands_out(record):
+        return []
     worst = gap_figures.worst_joints(record, 1)[0]
     clear = clear_regimes(record, worst)
     when = f"above all {listed([REGIMES[r.regime] for r in clear])}"
     shares = {gap.joint: percent(gap.share) for gap in record.where.joints}
     each = ", ".join(f"joint {j + 1} {share}" for j, share in shares.items())
-    return Picture(
-        "where",
-        "Where the gap lies. Rows are joints, columns are kinds of motion: a blue cell holds "
-        "more of the joint's gap than its share of time would. The bars say which joints "
-        "matter, each gap beside its joint's noise: a pattern on a joint with a small share "
-        f"matters little. Joint {worst + 1} holds {shares[worst]} of the gap, "
-        f"{when if clear else 'at no time more than at others'}.",
-        f"Map of joints and kinds of motion. Shares of the gap: {each}.",
-        partial(gap_figures.map_figure, record),
-    )
+    return [
+        Picture(
+            "where",
+            "Rows are joints, columns kinds of motion: a blue cell holds more of the joint's error "
+            "than its share of the time. The bars are the joints' shares of all of it. Joint "
+            f"{worst + 1} holds {shares[worst]} of the error, "
+            f"{when if clear else 'at no time more than at others'}.",
+            f"Map of joints and kinds of motion. Shares of the error: {each}.",
+            partial(gap_figures.map_figure, record),
+        )
+    ]
+
+
+def known_pictures(record: GapRecord) -> list[Picture]:
+    """What a log makes of what was known, where something was."""
+    if record.knowledge is None or not record.knowledge.coefficients:
+        return []
+    return [
+        Picture(
+            "known",
+            "What this log makes of what was known. Intervals hold 95 %; those before the log hold "
+            "the change from one session to the next. A diamond marks a coefficient that has "
+            "changed.",
+            "Known coefficients before this log and with it.",
+            partial(gap_figures.known_figure, record),
+        )
+    ]
 
 
 _AGAINST = (
     " Points are samples, lines their means with 95 % intervals. An orange line that leaves the "
     "grey band of noise follows a quantity that the cause depends on; where the blue one stays in "
     "the band, nothing systematic is left."
-)
-_OVER_TIME = (
-    " Above: measured, of the model as given, and with the effects found; below: what each of the "
-    "two models leaves, which should look like noise after the correction."
 )

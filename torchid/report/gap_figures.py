@@ -12,19 +12,18 @@ from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.record import GapRecord, Regime
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
 from torchid.report.gap_words import CLEAR, clear_regimes
+from torchid.report.over_time import torque_over_time
 from torchid.report.panels import (
     SMALL,
     Figure,
     Figures,
     finish,
+    map_with_bars,
     new_figure,
     panel,
-    shaded_map,
-    side_bars,
     styled,
-    worst_stretch,
 )
-from torchid.report.repeats import repeats_figures
+from torchid.report.repeats import error_figure, repeats_figures
 from torchid.report.table import joint_unit
 from torchid.results.words import percent, regime_words
 from torchid.statistics.jackknife import student_quantile
@@ -33,28 +32,22 @@ from torchid.statistics.proportion import HALF_95
 WORST = 3
 """Joints that get a figure of their own."""
 
-NARROW = 4.2
-"""Width of a figure on a phone [inch]."""
-
-_MOST_POINTS = 4000
-_SHORTEST = 12.0
-"""Seconds of a trajectory shown in the torque overlay, at most."""
-
 
 def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
     """What draws each figure, by the names of their files; of a record those that need no torque
     over time."""
     record = result.record
     assert isinstance(record, GapRecord)
-    out: dict[str, Callable[[], Figure]] = {
-        "where": partial(map_figure, record),
-        "how_far": partial(bar_figure, record),
-    }
+    out: dict[str, Callable[[], Figure]] = {}
+    if any(clear_regimes(record, gap.joint) for gap in record.where.joints):
+        out["where"] = partial(map_figure, record)
+    if record.answer is not None:
+        out["how_far"] = partial(error_figure, record.answer, record.robot)
     if isinstance(result, TorqueDiagnosis) and result.traces:
         out |= {
             f"gap_joint_{j + 1}": partial(joint_figure, result, j) for j in worst_joints(record)
         }
-        out["torque"] = partial(torque_figure, result)
+        out["torque"] = torque_over_time(result).draw
     out |= repeats_figures(record)
     if record.knowledge is not None and record.knowledge.coefficients:
         out["known"] = partial(known_figure, record)
@@ -72,85 +65,31 @@ def map_figure(record: GapRecord) -> Figure:
     share of the gap beside it."""
     regimes = get_args(Regime)
     joints = [gap.joint for gap in record.where.joints]
-    found = {(r.joint, r.regime): r for r in record.where.regimes}
-    figure = new_figure(9.6, 2.0 + 0.42 * len(joints))
-    axes, bars = figure.subplots(1, 2, width_ratios=(4.4, 1), sharey=True)
-    clear = np.zeros((len(joints), len(regimes)))
-    for y, j in enumerate(joints):
-        for x, name in enumerate(regimes):
-            r = found.get((j, name))
-            if r is None:
-                continue
-            # A number where the excess is clear, else a dot.
-            if r in clear_regimes(record, j):
-                clear[y, x] = r.excess
-                text = percent(r.excess).replace(" ", "\u2009")
-                style = {"fontsize": SMALL, "color": INK, "fontweight": "bold"}
-            else:
-                text, style = "·", {"fontsize": 12, "color": GREY}
-            axes.text(x, y, text, ha="center", va="center", **style)
-    label = "share of the joint's gap beyond\nthe regime's share of time"
-    names = [f"joint {j + 1}" for j in joints]
-    bar = shaded_map(axes, clear, [regime_words(r) for r in regimes], names, label, 1.0)
-    bar.ax.yaxis.set_major_formatter(lambda v, _: f"{100 * v:.0f} %")
+    clear, cells = np.zeros((len(joints), len(regimes))), {}
+    for r in record.where.regimes:
+        y, x = joints.index(r.joint), regimes.index(r.regime)
+        cells[y, x] = ("·", {"fontsize": 12, "color": GREY})
+        # A number where the excess is clear, else a dot.
+        if r in clear_regimes(record, r.joint):
+            clear[y, x] = r.excess
+            cells[y, x] = (percent(r.excess).replace(" ", "\u2009"), {"fontweight": "bold"})
     shares = [gap.share for gap in record.where.joints]
     words = [f" {percent(share)}" for share in shares]
-    side_bars(bars, shares, words, BEFORE, "share of the gap", 1.3)
-    axes.set_title(
+    figure, bar = map_with_bars(
+        f"{record.robot}: where the gap lies",
         f"numbers: excess where p < {CLEAR:g}, corrected over all cells; "
         "dots: nothing beyond chance",
-        fontsize=SMALL, color=INK, loc="left",
-    )  # fmt: skip
-    return finish(figure, f"{record.robot}: where the gap lies")
-
-
-def bar_figure(record: GapRecord) -> Figure:
-    """RMS of the gap before and after, joint by joint, over the noise bracket."""
-    far, floor = record.how_far.per_joint, record.noise_floor
-    n = len(far)
-    figure, axes = panel(2.4 + 0.85 * n, 4.3)
-    before, after = np.array([j.before for j in far]), np.array([j.after for j in far])
-    place = np.arange(n)
-    axes.bar(place - 0.2, before, 0.38, color=BEFORE, label="as given")
-    axes.bar(place + 0.2, after, 0.38, color=AFTER, label="corrected")
-    low, high = floor.low.numpy(), floor.high.numpy()
-    axes.bar(
-        place, np.maximum(high - low, 1e-12), 0.86, bottom=low, color=INK, alpha=0.22,
-        linewidth=0, label="noise, from lowest to highest estimate",
-    )  # fmt: skip
-    top = float(max(before.max(), after.max(), high.max()))
-    for bars, heights in ((place - 0.2, before), (place + 0.2, after)):
-        for x, height in zip(bars, heights, strict=True):
-            text = f"{height:.3g}"
-            axes.text(x, height + 0.02 * top, text, ha="center", fontsize=SMALL, color=INK)
-    axes.set_xticks(place, [f"joint {j + 1}" for j in range(n)])
-    axes.set(xlim=(-0.6, n - 0.4), ylim=(0, 1.12 * top if top > 0 else 1.0))
-    axes.grid(axis="x", visible=False)
-    unit = "" if record.answer is None else f" [{record.answer.unit}]"
-    axes.set_ylabel(f"measured - model, RMS{unit}")
-    title = f"{record.robot}: how far the gap shrinks on data not fitted"
-    return finish(figure, title, axes, columns=3 if n > 5 else 1)
-
-
-def budget_figure(record: GapRecord) -> Figure:
-    """One bar: what refitted parameters close, what effects close, what stays unexplained."""
-    b = record.budget
-    parts = (
-        ("base parameters", b.parametric, GREY),
-        ("effects", b.structural, AFTER),
-        ("unexplained", b.unexplained, BEFORE),
+        [f"joint {j + 1}" for j in joints],
+        [regime_words(r) for r in regimes],
+        clear,
+        cells,
+        "share of the joint's gap beyond\nthe regime's share of time",
+        ("share of the gap", shares, words, BEFORE, 1.3),
+        most=1.0,
+        width=9.6,
     )
-    figure, axes = panel(9.6, 1.5)
-    left = 0.0
-    for name, share, colour in parts:
-        width = max(0.0, share)
-        axes.barh(0, width, left=left, color=colour, height=0.6, label=f"{name} {percent(share)}")
-        left += width
-    axes.set(xlim=(0, max(1.0, left)), yticks=[], xlabel="share of the gap beyond noise")
-    axes.spines["left"].set_visible(False)
-    axes.grid(axis="y", visible=False)
-    axes.xaxis.set_major_formatter(lambda v, _: f"{100 * v:.0f}\u2009%")
-    return finish(figure, f"{record.robot}: what closes the gap", axes, columns=3)
+    bar.ax.yaxis.set_major_formatter(lambda v, _: f"{100 * v:.0f} %")
+    return figure
 
 
 def known_figure(record: GapRecord) -> Figure:
@@ -183,54 +122,6 @@ def known_figure(record: GapRecord) -> Figure:
     axes.set_xlim(max(low, -1.0), min(high, 3.0))  # what is hardly known leaves the picture
     axes.legend(fontsize=SMALL, frameon=False)
     return finish(figure, f"{record.robot}: what this log makes of what was known")
-
-
-def torque_figure(
-    diagnosis: TorqueDiagnosis, joint: int | None = None, width: float = 10.0
-) -> Figure:
-    """Measured torque and both models on a joint (from 0; the worst, if None), in the stretch with
-    the largest gap, and what stays of it; `width` [inch]."""
-    joint = worst_joints(diagnosis.record)[0] if joint is None else joint
-    trace, rows, most = diagnosis.traces[0], slice(0, len(diagnosis.traces[0].valid)), -1.0
-    for own in diagnosis.traces:
-        squares = (own.measured - own.before)[:, joint].square() * own.counting[:, joint]
-        stretch, mean = worst_stretch(squares, max(2, round(_SHORTEST * own.rate)))
-        if mean > most:
-            trace, rows, most = own, stretch, mean
-    step = max(1, (rows.stop - rows.start) // _MOST_POINTS)
-    pick = slice(rows.start, rows.stop, step)
-    t = np.arange(rows.start, rows.stop, step) / trace.rate
-    valid = trace.valid[pick].numpy()
-    measured, before, after = (
-        np.where(valid, x[pick, joint].numpy(), np.nan)
-        for x in (trace.measured, trace.before, trace.after)
-    )
-    figure, (upper, lower) = panel(width, 5.4, 2, 1, sharex=True, height_ratios=(3, 2))
-    upper.plot(t, measured, color=INK, linewidth=2.2, label="measured")
-    upper.plot(t, before, color=BEFORE, linewidth=1.3, label="as given")
-    upper.plot(
-        t, after, color=AFTER, linewidth=1.3, linestyle=(0, (5, 1.5)),
-        label="corrected",
-    )  # fmt: skip
-    # What does not count for how far the gap shrinks: a joint at rest, or where it may stick.
-    aside = valid & ~trace.counting[pick, joint].numpy()
-    for axes, text in ((upper, "not counted: at rest, at a reversal"), (lower, None)):
-        if aside.any():
-            axes.fill_between(
-                t, 0, 1, where=aside, transform=axes.get_xaxis_transform(), color=GREY, alpha=0.22,
-                linewidth=0, label=text,
-            )  # fmt: skip
-    high = float(diagnosis.floor.high[joint])
-    lower.axhspan(-high, high, color=INK, alpha=0.12, linewidth=0, label="noise, ±1 RMS")
-    lower.plot(t, measured - before, color=BEFORE, linewidth=1.2)
-    lower.plot(t, measured - after, color=AFTER, linewidth=1.2)
-    unit = joint_unit(diagnosis.robot, joint)
-    upper.set_ylabel(f"torque [{unit}]")
-    lower.set(xlabel=f"time in {trace.name} [s]", ylabel=f"measured - model [{unit}]")
-    lower.set_xlim(t[0], t[-1])
-    where = " on data not fitted" if width > NARROW else ""
-    title = f"{diagnosis.robot.name}: torque of joint {joint + 1}{where}"
-    return finish(figure, title, upper, lower, columns=4 if width > NARROW else 1)
 
 
 BINS = 24

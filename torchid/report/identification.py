@@ -15,10 +15,11 @@ from torchid.identification.record import Errors, IdentificationRecord
 from torchid.identification.result import UNEXPLAINED
 from torchid.identification.settings import Rows
 from torchid.identification.validation import Prediction
+from torchid.report.cautions import caution_section
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Figures, Picture, finish, joint_rows, note, panel, rows_of
-from torchid.report.table import Shown, Table, cells, filled, joint_numbers, joint_unit
+from torchid.report.table import Section, Shown, Table, cells, filled, joint_numbers, joint_unit
 from torchid.results.words import listed, short, unit_words
 
 _ZERO = 100.0
@@ -275,9 +276,11 @@ def identification_page(result: Identification, origin: Origin) -> Page:
             ("Condition number, scaled", f"{result.scaled_condition_number:.0f}"),
         ),
         origin,
-        pictures=_pictures(result),
-        tables=tables,
-        notes=result.warnings,
+        sections=[
+            Section("Pictures", _pictures(result), folded=False),
+            Section("Numbers", tables),
+            caution_section(result.warnings),
+        ],
     )
 
 

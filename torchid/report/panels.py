@@ -41,6 +41,7 @@ class Picture:
         draw: the figure.
         section: of a page of several, by key.
         narrow: the same figure for a phone; None where the wide one scrolls sideways there.
+        numbers: what a page's script draws in its place, to be zoomed (`OverTime.numbers`).
     """
 
     name: str
@@ -49,6 +50,7 @@ class Picture:
     draw: Callable[[], Figure]
     section: str = ""
     narrow: Callable[[], Figure] | None = None
+    numbers: Callable[[], Mapping[str, Any]] | None = None
 
     @property
     def file(self) -> str:
@@ -258,6 +260,42 @@ def shaded_map(
     bar.set_label(label, fontsize=SMALL)
     bar.ax.tick_params(labelsize=SMALL, length=0)
     return bar
+
+
+def map_with_bars(
+    title: str,
+    heading: str,
+    rows: Sequence[str],
+    columns: Sequence[str],
+    shades: np.ndarray,
+    cells: Mapping[tuple[int, int], tuple[str, Mapping[str, Any]]],
+    label: str,
+    bars: tuple[str, Sequence[float], Sequence[str], str, float],
+    most: float | None = None,
+    width: float = 9.0,
+) -> tuple[Figure, Any]:
+    """A map with words in its cells, and bars beside its rows; the figure, and the bar of colours.
+
+    Args:
+        title, heading: of the figure, and above the map.
+        rows, columns: their names.
+        shades: (rows, columns) from 0 on.
+        cells: text and style by row and column.
+        label: of the bar of colours.
+        bars: title, lengths, words, colour and right end.
+        most: with the deepest blue; the largest if None.
+        width: of the figure [inch].
+    """
+    figure = new_figure(width, 2.0 + 0.42 * len(rows))
+    axes, beside = figure.subplots(1, 2, width_ratios=(len(columns), 2), sharey=True)
+    scale = shaded_map(axes, shades, columns, rows, label, most)
+    for (y, x), (text, style) in cells.items():
+        look = {"fontsize": SMALL, "color": INK} | dict(style)
+        axes.text(x, y, text, ha="center", va="center", **look)
+    name, lengths, words, colour, right = bars
+    side_bars(beside, lengths, words, colour, name, right)
+    axes.set_title(heading, fontsize=SMALL, color=INK, loc="left")
+    return finish(figure, title), scale
 
 
 def side_bars(

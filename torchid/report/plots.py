@@ -31,7 +31,9 @@ from torchid.report import (
     withheld,
 )
 from torchid.report import gap_figures as gap
+from torchid.report.over_time import motion_over_time
 from torchid.report.panels import Figure, Figures
+from torchid.report.skeleton import skeleton_of
 from torchid.report.study.page import drawings
 from torchid.results.record import Result
 from torchid.study.equal_torque.given_sets import GivenSets
@@ -46,8 +48,9 @@ def draw(result: Result, kind: str | None = None, **which: Any) -> Figure:
     Args:
         result: in memory, or read back: that has no torque over time.
         kind: which figure; the first of its kinds if None.
-        which: what else it asks for: `joint` (from 0) of a gap's `gap` and `torque`, `trajectory`
-            (from 0) of an identification's `torque`, `log` (from 0) of a replay's `positions`.
+        which: what else it asks for: `joint` (from 0) of a gap's `gap`, `torque` and `motion`,
+            `trajectory` (from 0) of an identification's `torque`, `log` (from 0) of a replay's
+            `positions`.
 
     Returns:
         A matplotlib Figure, which needs no display.
@@ -123,11 +126,12 @@ def _gap(found: TorqueDiagnosis | GapRecord) -> Figures:
     """By kind; those of one joint take it as `joint`."""
     record = found.record
     assert isinstance(record, GapRecord)
-    drawn: dict[str, Callable[..., Figure | None]] = dict(gap.figures(found))
-    drawn = {k: v for k, v in drawn.items() if not k.startswith("gap_joint")}
-    drawn["budget"] = partial(gap.budget_figure, record)
+    drawn: dict[str, Callable[..., Figure | None]] = {"where": partial(gap.map_figure, record)}
+    drawn |= {k: v for k, v in gap.figures(found).items() if not k.startswith("gap_joint")}
     if isinstance(found, TorqueDiagnosis) and found.traces:
-        drawn["gap"] = partial(gap.joint_figure, found)
+        drawn |= {"gap": partial(gap.joint_figure, found), "robot": partial(skeleton_of, found)}
+        if (motion := motion_over_time(found)) is not None:
+            drawn["motion"] = motion.draw
     return drawn
 
 

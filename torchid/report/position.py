@@ -4,6 +4,7 @@ record, but for figures of motions over time."""
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,32 +16,23 @@ from torchid.position.model import Replay
 from torchid.position.next_motion import NextCommands
 from torchid.position.nominal import unit_of
 from torchid.position.record import EffectRecord, NominalRecord, PositionRecord, RegimeRecord
-from torchid.report.colours import AFTER, BEFORE, GREY, INK
+from torchid.report.colours import AFTER, GREY, INK
+from torchid.report.over_time import motion_over_time
 from torchid.report.panels import (
-    SMALL,
     Figure,
     Figures,
     Picture,
-    finish,
     joint_lines,
-    new_figure,
-    panel,
-    shaded_map,
-    side_bars,
+    map_with_bars,
     thin,
-    worst_stretch,
 )
-from torchid.report.repeats import repeats_figures, repeats_pictures
+from torchid.report.repeats import error_figure, repeats_figures
 from torchid.report.table import Shown, Table, filled
 from torchid.results.replication import times
-from torchid.results.words import effect_words, listed, regime_words
+from torchid.results.words import effect_words, regime_words
 
 WORST = 3
 """Joints that get a figure of their own."""
-MOST_FINDINGS = 16
-"""That are drawn, those that close most."""
-SHOWN_S = 8.0
-"""Of a motion in a joint's figure [s]."""
 MOST_WORSE = 3
 """Places where an answer is worse than a plain servo that are named."""
 
@@ -97,8 +89,15 @@ def _worse(record: PositionRecord) -> list[str]:
 
 def tables(record: PositionRecord) -> list[Table]:
     """What stands below the answer: where, which and how far."""
-    far = record.how_far
-    joints = []
+    return filled(
+        where_table(record), regime_table(record), which_table(record), meaning_table(record),
+        nominal_table(record, () if record.nominal is UNSET else record.nominal),
+    )  # fmt: skip
+
+
+def where_table(record: PositionRecord) -> Table:
+    """Joints: errors of the command alone, of a plain servo and of the answer, and the gain."""
+    far, joints = record.how_far, []
     for j in record.where.joints:
         levels = (
             j.commanded_mrad, j.plain_mrad, j.answered_mrad,
@@ -108,7 +107,7 @@ def tables(record: PositionRecord) -> list[Table]:
         gain = f"{j.kp:.1f}" + (" (ratio)" if j.ratio_only else "")
         cells = ["-"] * 6 if j.never_moves else [*(f"{x:.1f}" for x in levels), gain]
         joints.append((str(j.joint + 1), j.name, *cells))
-    where = Table(
+    return Table(
         "Position error of motions left out [mrad]",
         (
             "joint",
@@ -125,16 +124,25 @@ def tables(record: PositionRecord) -> list[Table]:
         note="kp [N m/rad]; (ratio): without a load on the joint its torques are known up to one "
         "factor",
     )
-    regimes = [
+
+
+def regime_table(record: PositionRecord) -> Table:
+    """Errors by what the command does."""
+    rows = [
         (regime_words(name), *(_change(r.plain_mrad, r.answered_mrad) for r in own))
         for name, own in regimes_of(record).items()
     ]
-    when = Table(
+    columns = ("kind of motion", *(j.name for j in record.where.joints))
+    return Table(
         "By kind of motion, plain servo -> corrected [mrad]",
-        ("kind of motion", *(j.name for j in record.where.joints)),
-        regimes,
+        columns,
+        rows,
         names=("kind of motion",),
     )
+
+
+def which_table(record: PositionRecord) -> Table:
+    """Effects with their sizes."""
     findings = [
         (
             f.effect,
@@ -146,23 +154,25 @@ def tables(record: PositionRecord) -> list[Table]:
         )
         for f in record.which
     ]
-    which = Table(
+    return Table(
         "What lies between command and position",
         ("effect", "joint", "size (95 %)", "without -> with [mrad]", "could also be", "found in"),
         findings,
         names=("effect", "joint"),
         words=("size (95 %)", "could also be"),
         note="error in windows of 2 s when all else is fitted without the effect, and with it; "
-        "found in: motions with the same sign and size, of the motions that can show it",
+        "repeats: found in that many of the motions that can show it",
     )
+
+
+def meaning_table(record: PositionRecord) -> Table:
+    """What each effect means and what to do."""
     meant = [(effect_words(f.effect), f.meaning, f.remedy) for f in record.which]
     columns = ("effect", "what it means", "what to do")
-    meaning = Table(
+    return Table(
         "What it means, and what to do", columns, list(dict.fromkeys(meant)), names=("effect",),
         words=columns[1:],
     )  # fmt: skip
-    nominal = () if record.nominal is UNSET else record.nominal
-    return filled(where, when, which, meaning, nominal_table(record, nominal))
 
 
 def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> Table:
@@ -214,96 +224,26 @@ def motion_table(record: PositionRecord) -> Table:
     return Table("Error of each motion, left out [mrad]", columns, rows, names=("motion",))
 
 
-def page_tables(record: PositionRecord) -> list[Table]:
-    """The tables of the page: those of the terminal, and one of motions."""
-    return [*tables(record), motion_table(record)]
-
-
-def facts(record: PositionRecord) -> list[tuple[str, str]]:
-    """The few numbers beside the headline."""
-    far = record.how_far
-    moving = [j for j in record.where.joints if not j.never_moves]
-    worst = max(moving, key=lambda j: j.answered_mrad, default=None)
-    most = [] if worst is None else [("Most is left on", f"joint {label(record, worst.joint)}: "
-                                      f"{worst.answered_mrad:.1f} mrad")]  # fmt: skip
-    return [
-        ("Status", record.status.replace("_", " ")),
-        ("Command alone", f"{far.commanded.whole_mrad:.1f} mrad"),
-        ("Plain servo, motions left out", f"{far.plain.whole_mrad:.1f} mrad"),
-        ("Corrected", f"{far.answered.whole_mrad:.1f} mrad"),
-        ("The same, windows of 2 s", f"{far.answered.windows_2s_mrad:.1f} mrad"),
-        *most,
-    ]
-
-
-def pictures(r: PositionDiagnosis) -> list[Picture]:
-    """The worst joint over time, where, which, how far, and the other joints."""
-    record = r.record
-    order = worst_joints(record)
-    joints = [
-        Picture(
-            f"joint_{j + 1}",
-            f"Joint {label(record, j)} where a plain servo errs most: "
-            f"{record.where.joints[j].plain_mrad:.1f} mrad over all motions, "
-            f"{record.where.joints[j].answered_mrad:.1f} mrad corrected.",
-            f"Command, measured and simulated positions of joint {j + 1} over time.",
-            partial(joint_figure, r, j),
-        )
-        for j in order
-    ]
+def where_picture(record: PositionRecord) -> Picture:
+    """The map of joints and of what the command does."""
+    worst = (worst_joints(record, 1) or [0])[0]
+    regime = max(
+        (x for x in record.where.regimes if x.joint == worst),
+        key=lambda x: x.plain_mrad if x.plain_mrad == x.plain_mrad else -1.0,
+    )
     each = ", ".join(
         f"joint {j.joint + 1} {j.plain_mrad:.1f} to {j.answered_mrad:.1f}"
         for j in record.where.joints
         if not j.never_moves
     )
-    worst = order[0] if order else 0
-    regime = max(
-        (x for x in record.where.regimes if x.joint == worst),
-        key=lambda x: x.plain_mrad if x.plain_mrad == x.plain_mrad else -1.0,
-    )
-    out = [
-        *joints[:1],
-        Picture(
-            "where",
-            "Where command and position part. Rows are joints, columns what the command does; a "
-            "blue cell is one that a plain servo (gain, friction, inertia, delay, offset) does not "
-            f"predict. It errs most on joint {label(record, worst)}, above all at "
-            f"{regime_words(regime.regime)}: {regime.plain_mrad:.1f} mrad, "
-            f"{regime.answered_mrad:.1f} mrad corrected.",
-            f"Map of joints and regimes. Plain servo and answer [mrad]: {each}.",
-            partial(where_figure, record),
-        ),
-    ]
-    if record.which:
-        out.append(
-            Picture(
-                "which",
-                "Which effects close it: the error when one is left out and all others are fitted "
-                "again, and with it. A short bar is a cause that others can nearly replace.",
-                f"Effects by what they close; most: {sentence(record, record.which[0])}",
-                partial(which_figure, record),
-            )
-        )
-    out += repeats_pictures(record)
-    out.append(
-        Picture(
-            "how_far",
-            "How far, joint by joint, on motions that took no part in the fit that predicts them.",
-            f"Bars of errors of a plain servo and of the answer [mrad]: {each}.",
-            partial(error_figure, record),
-        )
-    )
-    return [*out, *joints[1:]]
-
-
-def sentence(record: PositionRecord, f: EffectRecord) -> str:
-    """Which, where, how much."""
-    place = f"joint {label(record, f.joints[0])}" if f.joints else "the arm"
-    others = listed(map(effect_words, f.ambiguous_with), "or")
-    return (
-        f"{effect_words(f.effect)} on {place} ({', '.join(_sizes(f))}): "
-        f"{f.error_without_mrad:.1f} mrad without, {f.error_with_mrad:.1f} with it"
-        f"{f'; this log cannot separate it from {others}' if others else ''}."
+    return Picture(
+        "where",
+        "Rows are joints, columns what the command does; a blue cell is one that a plain servo "
+        f"does not predict. It errs most on joint {label(record, worst)}, above all at "
+        f"{regime_words(regime.regime)}: {regime.plain_mrad:.1f} mrad, "
+        f"{regime.answered_mrad:.1f} mrad corrected.",
+        f"Map of joints and regimes. Plain servo and answer [mrad]: {each}.",
+        partial(where_figure, record),
     )
 
 
@@ -335,23 +275,22 @@ def figures(result: PositionDiagnosis | PositionRecord) -> Figures:
     assert isinstance(record, PositionRecord)
     out: dict[str, Callable[[], Figure | None]] = {
         "where": partial(where_figure, record),
-        "how_far": partial(error_figure, record),
     }
-    if record.which:
-        out["which"] = partial(which_figure, record)
+    if record.answer is not None:
+        out["how_far"] = partial(error_figure, record.answer, record.robot)
     out |= repeats_figures(record)
     if isinstance(result, PositionDiagnosis):
-        for j in worst_joints(record):
-            out[f"gap_joint_{j + 1}"] = partial(joint_figure, result, j)
+        motion = motion_over_time(result)
+        assert motion is not None
+        out |= {f"gap_joint_{j + 1}": partial(motion.draw, j) for j in worst_joints(record)}
     return out
 
 
 def kinds(result: PositionDiagnosis | PositionRecord) -> Figures:
     """By kind; that of one joint takes it as `joint`."""
     out = {k: v for k, v in figures(result).items() if not k.startswith("gap_joint")}
-    return out | (
-        {"joint": partial(joint_figure, result)} if isinstance(result, PositionDiagnosis) else {}
-    )
+    motion = motion_over_time(result) if isinstance(result, PositionDiagnosis) else None
+    return out if motion is None else out | {"joint": motion.draw}
 
 
 def worst_joints(record: PositionRecord, most: int = WORST) -> list[int]:
@@ -368,75 +307,26 @@ def where_figure(record: PositionRecord) -> Figure:
         np.array([[getattr(r, key) for r in own] for own in regimes.values()]).T
         for key in ("plain_mrad", "answered_mrad")
     )
-    figure = new_figure(9.0, 2.0 + 0.42 * len(joints))
-    axes, bars = figure.subplots(1, 2, width_ratios=(3, 1), sharey=True)
-    labels = [label(record, j.joint) for j in joints]
-    names = [regime_words(name) for name in regimes]
-    shaded_map(axes, np.nan_to_num(before), names, labels, "plain servo [mrad]")
-    for (y, x), value in np.ndenumerate(before):
-        text = "-" if np.isnan(value) else f"{value:.1f} \u2192 {after[y, x]:.1f}"
-        axes.text(x, y, text, ha="center", va="center", fontsize=SMALL, color=INK)
+    cells: dict[Any, tuple[str, dict[str, Any]]] = {
+        place: ("-" if np.isnan(value) else f"{value:.1f} \u2192 {after[place]:.1f}", {})
+        for place, value in np.ndenumerate(before)
+    }
     sizes = [0.0 if j.never_moves else j.commanded_mrad for j in joints]
     words = [
         " never moves" if j.never_moves else f" {value:.1f}"
         for j, value in zip(joints, sizes, strict=True)
     ]
     title = "command less position [mrad]"
-    side_bars(bars, sizes, words, GREY, title, 1.35 * max(*sizes, 1e-9))
-    axes.set_title(
+    return map_with_bars(
+        f"{record.robot}: where command and position part",
         "error of whole motions left out [mrad]: a plain servo \u2192 corrected",
-        fontsize=SMALL, color=INK, loc="left",
-    )  # fmt: skip
-    return finish(figure, f"{record.robot}: where command and position part")
-
-
-def which_figure(record: PositionRecord) -> Figure:
-    """Effects: the error when each is left out and all others are fitted again, and with it."""
-    shown = record.which[:MOST_FINDINGS]
-    figure, axes = panel(8.0, 1.6 + 0.3 * len(shown))
-    for y, f in enumerate(shown):
-        with_it, without = f.error_with_mrad, f.error_without_mrad
-        axes.plot([with_it, without], [y, y], color=GREY, linewidth=2, zorder=1)
-        axes.scatter([without], [y], color=BEFORE, s=28, label="without it", zorder=2)
-        axes.scatter([with_it], [y], color=AFTER, s=28, label="with it", zorder=2)
-        place = record.where.joints[f.joints[0]].name if f.joints else "arm"
-        axes.text(
-            without, y, f"  {without - with_it:.1f} mrad", va="center", fontsize=SMALL, color=INK
-        )
-        axes.text(
-            -0.01, y, f"{effect_words(f.effect)}, {place}", ha="right", va="center",
-            fontsize=SMALL, color=INK, transform=axes.get_yaxis_transform(),
-        )  # fmt: skip
-    axes.set(yticks=[], ylim=(len(shown) - 0.4, -0.6), xlabel="error in windows of 2 s [mrad]")
-    axes.set_xlim(0, 1.25 * max(f.error_without_mrad for f in shown))
-    many = len(record.which)
-    most = f" (the {len(shown)} largest of {many})" if many > len(shown) else ""
-    return finish(figure, f"what closes it: each effect left out{most}", axes)
-
-
-def error_figure(record: PositionRecord) -> Figure:
-    """RMS errors of motions left out, joint by joint: command alone, plain servo, answer."""
-    joints = record.where.joints
-    figure, axes = panel(2.4 + 1.0 * len(joints), 4.0)
-    place = np.arange(len(joints))
-    ways = (
-        ("the command alone", GREY, [j.commanded_mrad for j in joints]),
-        ("a plain servo", BEFORE, [j.plain_mrad for j in joints]),
-        ("corrected", AFTER, [j.answered_mrad for j in joints]),
-    )
-    for k, (name, colour, errors) in enumerate(ways):
-        axes.bar(place + 0.27 * (k - 1), errors, 0.25, color=colour, label=name)
-        for x, error in zip(place, errors, strict=True):
-            if math.isnan(error):
-                continue
-            axes.text(
-                x + 0.27 * (k - 1), error, f"{error:.1f}", ha="center", va="bottom", fontsize=7,
-                color=INK,
-            )  # fmt: skip
-    axes.set_xticks(place, [f"joint {j.joint + 1}" for j in joints])
-    axes.set_ylabel("RMS error of whole motions left out [mrad]")
-    axes.grid(False, axis="x")
-    return finish(figure, "how far: motions that the model has not seen", axes)
+        [label(record, j.joint) for j in joints],
+        [regime_words(name) for name in regimes],
+        np.nan_to_num(before),
+        cells,
+        "plain servo [mrad]",
+        (title, sizes, words, GREY, 1.35 * max(*sizes, 1e-9)),
+    )[0]
 
 
 def replay_figure(result: Replay, log: int = 0) -> Figure:
@@ -460,44 +350,6 @@ def replay_figure(result: Replay, log: int = 0) -> Figure:
     alone = real.trajectory_count == 1
     t, x = (thin(real.t - real.t[0]), "time [s]") if alone else (samples, "sample")
     return joint_lines(title, "position [rad or m]", t, curves, x)[0]
-
-
-def worst_place(result: PositionDiagnosis, joint: int) -> slice:
-    """Rows of `SHOWN_S` of the motion left out in which the plain servo errs most on a joint."""
-    data = result.data
-    length = max(2, round(SHOWN_S / data.tracks.dt))
-    best, chosen = -1.0, slice(0, 0)
-    for a, b in zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True):
-        rows, mean = worst_stretch(result.errors[0][a : b + 1, joint].square(), length)
-        if mean > best:
-            best, chosen = mean, slice(a + rows.start, a + rows.stop)
-    return chosen
-
-
-def joint_figure(result: PositionDiagnosis, joint: int | None = None) -> Figure:
-    """One joint (from 0; the worst, if None) where a plain servo errs most: command, measured and
-    simulated positions, and both models' errors below."""
-    joint = worst_joints(result.record)[0] if joint is None else joint
-    rows = worst_place(result, joint)
-    log, (plain, answered) = result.data.log, result.errors
-    t = log.t[rows].numpy()
-    q = log.q[rows, joint]
-    figure, (above, below) = panel(9.0, 4.8, 2, 1, sharex=True, height_ratios=(2, 1))
-    if log.u is not None:
-        above.plot(t, log.u[rows, joint].numpy(), color=GREY, linewidth=1, label="command")
-    above.plot(t, q.numpy(), color=INK, linewidth=1.4, label="measured")
-    for error, colour, name in (
-        (plain[rows, joint], BEFORE, "a plain servo"),
-        (answered[rows, joint], AFTER, "corrected"),
-    ):
-        above.plot(t, (q + error).numpy(), color=colour, linewidth=1, label=name)
-        below.plot(t, 1e3 * error.numpy(), color=colour, linewidth=1)
-    below.axhline(0, color=INK, linewidth=0.6)
-    above.set_ylabel("position [rad or m]")
-    below.set(ylabel="simulated less\nmeasured [mrad]", xlabel="time [s]")
-    motion = log.names[int(log.trajectory[rows.start])]
-    place = label(result.record, joint)
-    return finish(figure, f"joint {place} in {motion}, which was left out", above)
 
 
 def commands_shown(made: NextCommands, unknown: Sequence[str] = ()) -> Shown:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from torchid.report.brief import Screen
+    from torchid.report.page.answer import AnswerBars
     from torchid.report.panels import Picture
     from torchid.robot.model import Robot
     from torchid.typing import Tensor
@@ -153,32 +154,66 @@ class Origin:
 
 
 @dataclass(frozen=True)
+class Code:
+    """Text to copy, with a note above it."""
+
+    text: str
+    note: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page, which folds; what is empty is left out.
+
+    Attributes:
+        title: of the section.
+        parts: tables, figures, texts to copy, and lists of sentences, in their order.
+        folded: whether its reader opens it.
+    """
+
+    title: str
+    parts: "Sequence[Table | Picture | Code | Sequence[str]]"
+    folded: bool = True
+
+    @property
+    def key(self) -> str:
+        """Of its place on the page."""
+        return "".join(c if c.isalnum() else "-" for c in self.title.lower())
+
+
+@dataclass(frozen=True)
 class Page:
-    """A whole page; what is empty is left out.
+    """A whole page.
 
     Attributes:
         title: what was done to what: `Sim-to-real gap of panda`.
         verdict: one sentence.
         facts: (label, value) the few numbers beside it.
         origin: how to repeat it.
-        pictures, findings, tables: the figures, what they say, and the numbers.
-        notes: what to bear in mind, one sentence each.
-        answer: the numbers that come first.
+        sections: below them, in their order.
+        answer: of a diagnosis: joints, bars and causes.
+        picture: beside the answer.
+        advice: (title, sentences) what to do.
         sortable: whether its tables can be sorted by a click.
-        block: text to copy.
     """
 
     title: str
     verdict: str
     facts: Sequence[tuple[str, str]]
     origin: Origin
-    pictures: "Sequence[Picture]"
-    tables: Sequence[Table]
-    notes: Sequence[str]
-    findings: Sequence[str] = ()
-    answer: Sequence[Table] = ()
+    sections: Sequence[Section]
+    answer: "AnswerBars | None" = None
+    picture: "Picture | None" = None
+    advice: Sequence[tuple[str, Sequence[str]]] = ()
     sortable: bool = False
-    block: str = ""
+
+    @property
+    def pictures(self) -> "list[Picture]":
+        """All of them, in their order."""
+        from torchid.report.panels import Picture
+
+        inside = [p for s in self.sections for p in s.parts if isinstance(p, Picture)]
+        return inside if self.picture is None else [self.picture, *inside]
 
 
 @dataclass(frozen=True, kw_only=True)

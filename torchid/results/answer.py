@@ -18,6 +18,7 @@ from msgspec import UNSET, UnsetType
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result
 from torchid.results.words import (
     effect_words,
+    joint_labels,
     joints_words,
     listed,
     measure,
@@ -170,9 +171,8 @@ class JointRow:
     @property
     def label(self) -> str:
         """Its number, and its name where it has one of its own."""
-        number, name = str(self.error.joint + 1), self.error.name
-        known = name not in ("", f"joint_{number}", f"joint {number}", f"joint{number}")
-        return f"{number} {name}" if known else number
+        j = self.error.joint
+        return joint_labels([*[""] * j, self.error.name])[j]
 
     @property
     def never_moves(self) -> bool:

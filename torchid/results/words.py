@@ -74,6 +74,15 @@ def short(name: str, length: int) -> str:
     return name if len(name) <= length else name[: length - 1] + "…"
 
 
+def joint_labels(names: Iterable[str]) -> list[str]:
+    """Joints by number, and by name where that says more: `2 shoulder_lift`."""
+    plain = ("", "joint_{}", "joint {}", "joint{}")
+    return [
+        f"{k}" if name in [p.format(k) for p in plain] else f"{k} {name.removesuffix('_joint')}"
+        for k, name in enumerate(names, start=1)
+    ]
+
+
 def count(k: int, what: str, many: str = "") -> str:
     """1 set, 2 sets."""
     return f"{k} {what if k == 1 else many or what + 's'}"

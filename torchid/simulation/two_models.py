@@ -9,7 +9,7 @@ starts. Neighbouring rollouts share data: intervals come from whole blocks of th
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -92,6 +92,23 @@ class Rollout(Part, frozen=True, kw_only=True):
     sentences: tuple[str, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class SimulatedMotion:
+    """Joint positions of the arm and of both models, from one measured start on.
+
+    Attributes:
+        name: of the trajectory.
+        t: (T,) from the trajectory's first sample on [s].
+        measured, before, after: (T, n) positions [rad; m]; NaN where a model has lost the arm.
+    """
+
+    name: str
+    t: Float[Tensor, " T"]
+    measured: Float[Tensor, "T n"]
+    before: Float[Tensor, "T n"]
+    after: Float[Tensor, "T n"]
+
+
 def rollouts(
     before: Robot,
     after: Robot,
@@ -100,7 +117,7 @@ def rollouts(
     seed: int = 0,
     max_starts: int = 128,
     fitted_here: bool = False,
-) -> Rollout:
+) -> tuple[Rollout, tuple[SimulatedMotion, ...]]:
     """Position errors of two models, simulated from measured states with the measured torque.
 
     Args:
@@ -111,19 +128,28 @@ def rollouts(
         max_starts: how many rollouts; they run as one batch.
         fitted_here: whether the model after was fitted on these passages.
 
+    Returns:
+        The errors, and of each passage the simulation in which the arm moves most, of those that
+        last longest.
+
     Raises:
         RobotError: a model has no parameters, or an effect that does not exist.
     """
     starts = starts_of(passages, min(horizons), max_starts, seed)
     torque, step, rows, ignored = _torque_gap(before, after, passages), None, [], list[str]()
+    motions: tuple[SimulatedMotion, ...] = ()
     said = ["No trajectory is long enough for a rollout."]
     if len(starts.first):
         windows = windows_of(passages, starts, max(horizons))
-        runs = [_errors(robot, windows) for robot in (before, after)]
-        rows = [_at(h, windows, [error for error, _ in runs], before, seed) for h in horizons]
+        runs = [_simulated(robot, windows) for robot in (before, after)]
+        # Saturated; what is not a number has diverged.
+        offs = [(q - windows.q).abs() for q, _ in runs]
+        errors = [torch.where(off < DIVERGED, off, DIVERGED) for off in offs]
+        rows = [_at(h, windows, errors, before, seed) for h in horizons]
+        motions = _motions(passages, windows, [q for q, _ in runs], errors)
         ignored = sorted({name for _, names in runs for name in names})
         step, said = windows.dt, _sentences(torque, rows, ignored, fitted_here)
-    return Rollout(
+    replayed = Rollout(
         starts=len(starts.first),
         step_s=step,
         diverged_beyond=DIVERGED,
@@ -133,18 +159,42 @@ def rollouts(
         fitted_on_these_data=fitted_here,
         sentences=tuple(said),
     )
+    return replayed, motions
 
 
-def _errors(robot: Robot, windows: Windows) -> tuple[Float[Tensor, "B T n"], Sequence[str]]:
-    """Saturated position errors at the samples, and names of effects left out."""
+def _motions(
+    passages: Sequence[Segment],
+    windows: Windows,
+    positions: Sequence[Float[Tensor, "B T n"]],
+    errors: Sequence[Float[Tensor, "B T n"]],
+) -> tuple[SimulatedMotion, ...]:
+    """Of each passage the simulation in which the arm moves most."""
+    out = []
+    for k in windows.passage.unique().tolist():
+        own = (windows.passage == k).nonzero()[:, 0]
+        last = min(int(windows.steps[own].max()), windows.q.shape[1] - 1)
+        own = own[windows.steps[own] >= last]
+        far = windows.q[own, : last + 1].std(1).square().sum(1)
+        b, p, rows = int(own[far.argmax()]), passages[k], slice(0, last + 1)
+        before, after = (
+            torch.where(e[b, rows] < DIVERGED, q[b, rows], math.nan)
+            for q, e in zip(positions, errors, strict=True)
+        )
+        begun = float(windows.t0[b] - p.motion.require("t", "a rollout")[0])
+        t = begun + windows.dt * torch.arange(last + 1, dtype=before.dtype)
+        out.append(SimulatedMotion(p.name, t, windows.q[b, rows], before, after))
+    return tuple(out)
+
+
+def _simulated(robot: Robot, windows: Windows) -> tuple[Float[Tensor, "B T n"], Sequence[str]]:
+    """Positions at the samples, and names of effects left out."""
     # As effects beyond a bare robot, those in the sensors are undone.
     bare, effects = replace(robot, effects=()), nominal_effects(robot)
     q0, dt = windows.q[:, 0], windows.dt
     run = rollout(
         bare, effects, q0, windows.dq0, windows.tau, dt, windows.t0, longest_step=_LONGEST_STEP
     )
-    error = (run.q - windows.q).abs()
-    return torch.where(error < DIVERGED, error, DIVERGED), run.ignored  # not a number: diverged
+    return run.q, run.ignored
 
 
 def _at(

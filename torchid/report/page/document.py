@@ -1,14 +1,18 @@
-"""What a page consists of: the verdict, pictures, tables, and how all of it was obtained; and the
-page as HTML: one file, nothing to load, and no script but one that sorts the tables of a page with
-many rows.
+"""A page as HTML: one file, and nothing to load. Without scripts it is whole; with them its figures
+over time zoom (plotly, where it is installed), and the tables of a page with many rows sort.
+
+Scripts are allowed by their hashes alone. plotly's stands in the page once, compressed, and a few
+lines of the page's own unpack it.
 
 A figure is SVG inside the page: transparent, its colours those of the page's theme. The house
 colours become CSS variables (templates/style.css gives them for light and dark), text takes the
 page's font, coordinates are rounded to a tenth of a point, and what cannot be seen is left out.
 """
 
+import gzip
 import hashlib
 import io
+import json
 import platform
 import re
 import shlex
@@ -17,7 +21,9 @@ from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,14 +35,14 @@ from torchid.errors import MissingExtraError, TorchidError
 from torchid.files import write_text
 from torchid.report.colours import AFTER, BEFORE, BLUE, GREEN, GREY, GRID, INK, ORANGE, RED
 from torchid.report.panels import Picture, literal, printable
-from torchid.report.table import InputFile, Origin, Page
+from torchid.report.table import Code, InputFile, Origin, Page, Table
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
 
 MOST_BYTES = 3_000_000
-"""Of a page, and more than any of them needs."""
+"""Of a page beside plotly's script, and more than any of them needs."""
 _WORDS_AND_TABLES = 400_000
 """Bytes of it that figures leave free."""
 _PACKAGES = ("numpy", "scipy", "scikit-learn", "pytorch-kinematics", "clarabel", "matplotlib")
@@ -56,7 +62,7 @@ def require_page(file: Path) -> None:
             expected="FILE.html",
             hint="a browser prints it as PDF",
         )
-    _environment()
+    environment()
 
 
 def render(page: Page) -> str:
@@ -68,22 +74,58 @@ def render(page: Page) -> str:
     Raises:
         MissingExtraError: Jinja2 is not installed.
     """
-    template = _environment().get_template("page.html.j2")
-    room, drawn = MOST_BYTES - _WORDS_AND_TABLES, {}
+    templates = environment()
+    library = _plotly() if any(p.numbers for p in page.pictures) else None
+    room, drawn, plots = MOST_BYTES - _WORDS_AND_TABLES, {}, {}
     for picture in page.pictures:
         svg = inline_svg(picture)
         if picture.narrow is not None:
             # The style sheet shows one of the two, by the width of the screen.
             own = replace(picture, name=f"{picture.name}_narrow", draw=picture.narrow)
             svg = f'<div class="wide">{svg}</div><div class="narrow">{inline_svg(own)}</div>'
-        room -= len(svg.encode())
+        if library is not None and picture.numbers is not None:
+            # As the text of a script element nothing in it may look like the end of one.
+            plots[picture.name] = json.dumps(picture.numbers()).replace("<", "\\u003c")
+        room -= len(svg.encode()) + len(plots.get(picture.name, ""))
         if room < 0:
+            plots.pop(picture.name, None)
             break
         drawn[picture.name] = svg
-    script = template.environment.get_template("sort.js").render() if page.sortable else ""
-    # The page allows this script by its hash, and no other.
-    digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return template.render(page=page, drawn=drawn, script=script, script_hash=digest)
+    names = [*(["sort.js"] if page.sortable else []), *(["plots.js"] if plots else [])]
+    scripts = [templates.get_template(name).render() for name in names]
+    allowed = [*scripts, *([library[0]] if library is not None and plots else [])]
+    return templates.get_template("page.html.j2").render(
+        page=page,
+        drawn=drawn,
+        plots=plots,
+        library=library[1] if library is not None and plots else "",
+        scripts=scripts,
+        # The page allows these scripts by their hashes, and no other.
+        hashes=[b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in allowed],
+    )
+
+
+@cache
+def _plotly() -> tuple[str, str] | None:
+    """plotly's script, and the same compressed, as base64; None where it is not installed."""
+    found = find_spec("plotly")
+    for place in (found.submodule_search_locations or []) if found is not None else []:
+        file = Path(place) / "package_data" / "plotly.min.js"
+        if file.is_file():
+            text = file.read_text(encoding="utf-8")
+            return text, b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
+    return None
+
+
+def _marked(text: Any) -> Any:
+    """Commands between backquotes as code; the text is escaped."""
+    return type(text)(_COMMAND.sub(r"<code>\1</code>", str(text)))
+
+
+def _kind(part: object) -> str:
+    """What a part of a section is, for the template."""
+    kinds = {Table: "table", Picture: "picture", Code: "code"}
+    return kinds.get(type(part), "sentences")
 
 
 def write_page(page: Page, path: str | Path) -> Path:
@@ -96,9 +138,15 @@ def write_page(page: Page, path: str | Path) -> Path:
     return Path(path)
 
 
-def _environment() -> "Environment":
+def environment() -> "Environment":
+    """Of the pages' templates.
+
+    Raises:
+        MissingExtraError: Jinja2 is not installed.
+    """
     try:
         from jinja2 import Environment, PackageLoader, StrictUndefined
+        from markupsafe import escape
     except ModuleNotFoundError as error:
         raise MissingExtraError("jinja2", "report", "A page") from error
     made = Environment(
@@ -111,6 +159,8 @@ def _environment() -> "Environment":
         lstrip_blocks=True,
     )
     made.filters["thousands"] = lambda k: f"{k:,}".replace(",", "\u202f")
+    made.filters["kind"] = _kind
+    made.filters["marked"] = lambda text: _marked(escape(printable(text)))
     return made
 
 
@@ -208,13 +258,12 @@ _SVG = "{http://www.w3.org/2000/svg}"
 _HREF = "{http://www.w3.org/1999/xlink}href"
 _DPI = 144
 """Of parts that are drawn as pixels: scatters of many points."""
+_COMMAND = re.compile(r"`([^`]+)`")
 _COLOUR = re.compile(r"#[0-9a-f]{6}\b")
 _NUMBER = re.compile(r"-?\d+\.\d+")
 _FONT = re.compile(r"font: (?:(?:normal|italic|oblique) )?(\d+ )?([\d.]+px) [^;]*")
 _FAMILY = re.compile(r"font-family: [^;]*;? ?")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
-_STEP = re.compile(r" (?=[LM] )")
-_LINE = re.compile(r"L \S+ \S+")
 _SIMPLIFY = 0.4
 """Pixels by which a curve may differ from its data."""
 
@@ -247,7 +296,6 @@ def inline_svg(picture: Picture) -> str:
     for name in ("width", "height", "version"):
         root.attrib.pop(name, None)
     _prefix(root, picture.name)
-    _flatten(root)
     for element in root.iter():
         _themed(element)
     root.set("role", "img")
@@ -276,20 +324,6 @@ def _prefix(root: Any, name: str) -> None:
                 element.set(key, _REFERENCE.sub(lambda m: f"url(#{short[m[1]]})", value))
 
 
-def _flatten(root: Any) -> None:
-    """Groups that say nothing give way to what is in them; nothing is indented."""
-    for element in list(root.iter(f"{_SVG}g", f"{_SVG}defs")):
-        plain = element.tag == f"{_SVG}g" and not element.attrib
-        if plain or not len(element):
-            parent = element.getparent()
-            at = parent.index(element)
-            parent[at : at + 1] = list(element)
-    for element in root.iter():
-        for part in ("text", "tail"):
-            if not (getattr(element, part) or "").strip():
-                setattr(element, part, None)
-
-
 def _themed(element: Any) -> None:
     """Colours, font and rounded coordinates."""
     for key in ("fill", "stroke"):
@@ -304,7 +338,7 @@ def _themed(element: Any) -> None:
     if element.get("transform", "").startswith("rotate(-0 "):
         del element.attrib["transform"]
     if "d" in element.attrib:
-        element.set("d", _shorter(element.get("d")))
+        element.set("d", " ".join(_rounded(element.get("d")).split()))
     if element.tag != f"{_SVG}image":
         for key in ("x", "y", "width", "height"):
             if key in element.attrib:
@@ -318,30 +352,3 @@ def _font(found: re.Match[str]) -> str:
 
 def _rounded(text: str) -> str:
     return _NUMBER.sub(lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), text)
-
-
-def _shorter(path: str) -> str:
-    """A path on one line, its numbers rounded, without points that change nothing."""
-    kept: list[str] = []
-    for step in _STEP.split(_rounded(" ".join(path.split()))):
-        if _LINE.fullmatch(step):
-            if kept and _end(kept[-1]) == _end(step):
-                continue
-            if len(kept) > 1 and _LINE.fullmatch(kept[-1]) and _between(kept[-2], kept[-1], step):
-                kept.pop()
-        kept.append(step)
-    return "".join(kept)
-
-
-def _end(step: str) -> list[str]:
-    return step.split(" ")[-2:]
-
-
-def _between(before: str, point: str, after: str) -> bool:
-    """Whether a point lies on the horizontal or vertical line between its neighbours."""
-    (x0, y0), (x1, y1), (x2, y2) = (_end(step) for step in (before, point, after))
-    if y0 == y1 == y2:
-        return (float(x1) - float(x0)) * (float(x2) - float(x1)) >= 0
-    if x0 == x1 == x2:
-        return (float(y1) - float(y0)) * (float(y2) - float(y1)) >= 0
-    return False

@@ -12,13 +12,14 @@ from typing import Any
 from torchid.extraction.cma.search import default_population
 from torchid.feasibility.sets import joined, sets_record
 from torchid.files import make_folder, write_text
+from torchid.report.cautions import caution_section
 from torchid.report.page.document import Origin, Page, versions
 from torchid.report.panels import Picture, save_small
 from torchid.report.study import facts
 from torchid.report.study.facts import by_feasibility, ids, kept, number, verdict
 from torchid.report.study.figures import motion_drawings, search_drawings, torque_drawings
 from torchid.report.study.wrench_figures import payload_drawings, wrench_drawings
-from torchid.report.table import Shown, Table, filled, torque_unit
+from torchid.report.table import Section, Shown, Table, filled, torque_unit
 from torchid.results.words import count, listed
 from torchid.study.result import Study
 from torchid.wrenches.compare import ClassSummary
@@ -411,6 +412,7 @@ _MOST_NAMED = 4
 def study_page(study: Study, origin: Origin) -> Page:
     """The page of a study."""
     error, real = facts.torque_errors(study.sets_motion)
+    pictures = sorted(drawings(study), key=lambda d: _ORDER.index(d.section))
     good = len(by_feasibility(study, True))
     feasible, runs = facts.feasible_runs(study)
     return Page(
@@ -423,11 +425,16 @@ def study_page(study: Study, origin: Origin) -> Page:
             ("Largest torque error of a set", f"{number(100 * float((error / real).max()), 2)} %"),
         ),
         origin,
-        pictures=sorted(drawings(study), key=lambda d: _ORDER.index(d.section)),
-        findings=[s for s in verdict(study) if not s.startswith("Noticed:")],
-        tables=[*all_tables(study), reason_error_table(study)],
-        notes=study.warnings,
-    )
+        sections=[
+            Section(
+                "Findings", [[s for s in verdict(study) if not s.startswith("Noticed:")]],
+                folded=False,
+            ),
+            Section("Pictures", pictures),
+            Section("Numbers", [*all_tables(study), reason_error_table(study)]),
+            caution_section(study.warnings),
+        ],
+    )  # fmt: skip
 
 
 def seeds_and_settings(study: Study) -> dict[str, dict[str, Any]]:

@@ -1,0 +1,22 @@
+"""`torchid explain`: one result again, and an index of a folder of them."""
+
+from tests.gap.diagnoses import diagnosis
+
+
+def test_a_folder_is_listed_and_indexed(command, tmp_path):
+    (tmp_path / "results" / "arm").mkdir(parents=True)
+    diagnosis().save(tmp_path / "results" / "arm" / "gap.json")
+    index = tmp_path / "results" / "index.html"
+    done = command("explain", tmp_path / "results", "--report", index)
+    assert done.code == 0, done.err
+    assert "1 result below" in done.out
+    assert 'href="arm/gap.json"' in index.read_text()
+
+
+def test_the_page_of_one_result_is_refused(command, tmp_path):
+    file, page = tmp_path / "gap.json", tmp_path / "page.html"
+    diagnosis().save(file)
+    done = command("explain", file, "--report", page)
+    assert done.code == 1
+    assert "an index of a folder" in done.err
+    assert not page.exists()

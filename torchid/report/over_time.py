@@ -1,0 +1,259 @@
+"""Signals of the arm and of two models over time: one drawing for every kind of log, of which a
+page lets its reader zoom, and choose the joint and the run."""
+
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from torchid.gap.diagnosis import TorqueDiagnosis
+from torchid.position.diagnosis import PositionDiagnosis
+from torchid.report.colours import AFTER, BEFORE, GREY, INK
+from torchid.report.panels import Figure, finish, panel, worst_stretch
+from torchid.report.table import joint_unit
+from torchid.results.words import joint_labels
+from torchid.typing import Bool, Float, Tensor
+
+NARROW = 4.2
+"""Width of a figure on a phone [inch]."""
+BYTES = 700_000
+"""Of one drawing's numbers on a page."""
+MOST_INSTANTS = 6000
+"""Of a run."""
+WINDOW_S = 12.0
+"""Of a run that is shown first, where a model errs most [s]."""
+_DRAWN = 4000
+_LEVELS = 32767  # of a number on a page, from 0 to its curve's largest
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run.
+
+    Attributes:
+        name: of the run.
+        t: (T,) [s].
+        measured, before, after: (T, n) of the arm and of both models; NaN where there is nothing.
+        command: (T, n) what the arm was asked for.
+        aside: (T, n) instants that do not count.
+    """
+
+    name: str
+    t: Float[Tensor, " T"]
+    measured: Float[Tensor, "T n"]
+    before: Float[Tensor, "T n"]
+    after: Float[Tensor, "T n"]
+    command: Float[Tensor, "T n"] | None = None
+    aside: Bool[Tensor, "T n"] | None = None
+
+    def window(self, joint: int) -> tuple[slice, float]:
+        """Rows of `WINDOW_S` where the model before errs most on a joint, and its mean square."""
+        squares = (self.measured - self.before)[:, joint].square().nan_to_num()
+        if self.aside is not None:
+            squares = squares * ~self.aside[:, joint]
+        step = float(self.t.diff().median()) if len(self.t) > 1 else 1.0
+        return worst_stretch(squares, max(2, round(WINDOW_S / step)))
+
+
+@dataclass(frozen=True, eq=False)
+class OverTime:
+    """Arm and models, joint by joint and run by run; below them what parts them.
+
+    Attributes:
+        quantity: that is shown: `torque`.
+        runs: some.
+        joints, units: names and units, n.
+        order: joints, the one with the largest error first.
+        models: names of the models before and after.
+        error: unit of the errors, and how many of it one of the joint's units is; the joint's own
+            unit if None.
+        noise: (n,) RMS in the joints' units, or None.
+        where: added to the title.
+    """
+
+    quantity: str
+    runs: Sequence[Run]
+    joints: Sequence[str]
+    units: Sequence[str]
+    order: Sequence[int]
+    models: tuple[str, str]
+    error: tuple[str, float] | None = None
+    noise: Float[Tensor, " n"] | None = None
+    where: str = ""
+
+    def worst(self, joint: int) -> int:
+        """The run in which the model before errs most on a joint."""
+        return max(range(len(self.runs)), key=lambda k: self.runs[k].window(joint)[1])
+
+    def error_unit(self, joint: int) -> tuple[str, float]:
+        """Of the errors below, and how many of it one of the joint's units is."""
+        return self.error or (self.units[joint], 1.0)
+
+    def draw(self, joint: int | None = None, width: float = 10.0) -> Figure:
+        """A joint (from 0; the worst, if None) in the run and at the time where it is worst;
+        `width` [inch]."""
+        joint = self.order[0] if joint is None else joint
+        run = self.runs[self.worst(joint)]
+        whole, _ = run.window(joint)
+        rows = slice(whole.start, whole.stop, max(1, (whole.stop - whole.start) // _DRAWN))
+        t = run.t[rows].numpy()
+        measured, before, after = (
+            x[rows, joint].numpy() for x in (run.measured, run.before, run.after)
+        )
+        figure, (upper, lower) = panel(width, 4.9, 2, 1, sharex=True, height_ratios=(3, 2))
+        if run.command is not None:
+            command = run.command[rows, joint].numpy()
+            upper.plot(t, command, color=GREY, linewidth=1.2, label="command")
+        upper.plot(t, measured, color=INK, linewidth=2.2, label="arm, measured")
+        upper.plot(t, before, color=BEFORE, linewidth=1.3, label=self.models[0])
+        dashes = {"linestyle": (0, (5, 1.5))}
+        upper.plot(t, after, color=AFTER, linewidth=1.3, label=self.models[1], **dashes)
+        aside = None if run.aside is None else run.aside[rows, joint].numpy()
+        if aside is not None and aside.any():
+            for axes, text in ((upper, "not counted: at rest, at a reversal"), (lower, None)):
+                axes.fill_between(
+                    t, 0, 1, where=aside, transform=axes.get_xaxis_transform(), color=GREY,
+                    alpha=0.22, linewidth=0, label=text,
+                )  # fmt: skip
+        unit, scale = self.error_unit(joint)
+        if self.noise is not None:
+            high = scale * float(self.noise[joint])
+            lower.axhspan(-high, high, color=INK, alpha=0.12, linewidth=0, label="noise, ±1 RMS")
+        lower.axhline(0, color=GREY, linewidth=0.8)
+        lower.plot(t, scale * (measured - before), color=BEFORE, linewidth=1.2)
+        lower.plot(t, scale * (measured - after), color=AFTER, linewidth=1.2)
+        upper.set_ylabel(f"{self.quantity} [{self.units[joint]}]")
+        lower.set(xlabel=f"time in {run.name} [s]", ylabel=f"arm - model [{unit}]")
+        lower.set_xlim(t[0], t[-1])
+        where = self.where if width > NARROW else ""
+        title = f"joint {self.joints[joint]}: {self.quantity}{where}"
+        return finish(figure, title, upper, lower, columns=5 if width > NARROW else 1)
+
+    def numbers(self) -> dict[str, Any]:
+        """All that a page's script draws: every joint of every run, thinned so that the page stays
+        small, each curve as 16-bit numbers."""
+        n = len(self.joints)
+        curves = 3 + any(run.command is not None for run in self.runs)
+        most = min(MOST_INSTANTS, BYTES // (len(self.runs) * n * curves * 8 // 3))
+        scales = [self.error_unit(j) for j in range(n)]
+        return {
+            "quantity": self.quantity,
+            "joints": list(self.joints),
+            "units": list(self.units),
+            "errors": [unit for unit, _ in scales],
+            "scales": [scale for _, scale in scales],
+            "noise": None if self.noise is None else [_short(x) for x in self.noise.tolist()],
+            "models": self.models,
+            "joint": self.order[0],
+            "run": self.worst(self.order[0]),
+            "runs": [_packed(run, most) for run in self.runs],
+        }
+
+
+def _packed(run: Run, most: int) -> dict[str, Any]:
+    """A run for a page's script, evenly thinned."""
+    step = max(1, -(-len(run.t) // most))
+    t = run.t[::step]
+    curves = {"arm": run.measured, "before": run.before, "after": run.after, "command": run.command}
+    windows = [run.window(j)[0] for j in range(run.measured.shape[1])]
+    ends = [[_short(float(run.t[w.start])), _short(float(run.t[w.stop - 1]))] for w in windows]
+    return {
+        "name": run.name,
+        "from": float(t[0]),
+        "step": float((t[-1] - t[0]) / max(1, len(t) - 1)),
+        "windows": ends,
+        "curves": {
+            name: [_coded(x[::step, j]) for j in range(x.shape[1])]
+            for name, x in curves.items()
+            if x is not None
+        },
+        "aside": [] if run.aside is None else [_stretches(t, x[::step]) for x in run.aside.T],
+    }
+
+
+def _coded(x: Float[Tensor, " T"]) -> list[Any]:
+    """[largest size, 16-bit shares of it]; the lowest number is none."""
+    most = float(x.abs().nan_to_num().max()) or 1.0
+    shares = (x / most * _LEVELS).round().nan_to_num(nan=-_LEVELS - 1)
+    return [_short(most), b64encode(shares.numpy().astype("<i2").tobytes()).decode()]
+
+
+def _stretches(t: Float[Tensor, " T"], marked: Bool[Tensor, " T"]) -> list[list[float]]:
+    """[begin, end] of what is marked [s]."""
+    padded = torch.cat([marked.new_zeros(1), marked, marked.new_zeros(1)]).int().diff()
+    ends = zip((padded > 0).nonzero()[:, 0], (padded < 0).nonzero()[:, 0] - 1, strict=True)
+    return [[_short(float(t[a])), _short(float(t[b]))] for a, b in ends]
+
+
+def _short(x: float) -> float:
+    return float(f"{x:.6g}")
+
+
+def torque_over_time(d: TorqueDiagnosis) -> OverTime:
+    """Torque of the arm and of both models, on data that was not fitted."""
+    runs = []
+    for trace in d.traces:
+        valid = trace.valid[:, None]
+        measured, before, after = (
+            torch.where(valid, x, torch.nan) for x in (trace.measured, trace.before, trace.after)
+        )
+        t = torch.arange(len(trace.valid), dtype=torch.float64) / trace.rate
+        # What does not count for how far the gap shrinks: a joint at rest, or where it may stick.
+        runs.append(Run(trace.name, t, measured, before, after, aside=valid & ~trace.counting))
+    return OverTime(
+        "torque", runs, joint_labels(d.robot.joint_names),
+        [joint_unit(d.robot, j) for j in range(d.robot.n)], _torque_order(d),
+        ("model as given", "corrected model"), noise=d.floor.high, where=" on data not fitted",
+    )  # fmt: skip
+
+
+def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime | None:
+    """Positions of the arm and of both models: of torques simulated from a measured state with the
+    measured torque; of commands, whole motions left out. None where nothing was simulated."""
+    if isinstance(d, TorqueDiagnosis):
+        units = ["m" if joint_unit(d.robot, j) == "N" else "rad" for j in range(d.robot.n)]
+        runs = [
+            Run(f"{m.name}, from {float(m.t[0]):.1f} s", m.t, m.measured, m.before, m.after)
+            for m in d.how_far.motions
+        ]
+        same = None if len(set(units)) > 1 else ("mm" if units[0] == "m" else "mrad", 1e3)
+        models = ("model as given", "corrected model")
+        return OverTime(
+            "position", runs, joint_labels(d.robot.joint_names), units, _moving_order(runs), models,
+            same, where=", simulated with the measured torque",
+        ) if runs else None  # fmt: skip
+    data, (plain, answered), runs = d.data, d.errors, []
+    log = data.log
+    for k, (a, b) in enumerate(
+        zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True)
+    ):
+        rows = slice(a, b + 1)
+        q = log.q[rows]
+        command = None if log.u is None else log.u[rows]
+        runs.append(
+            Run(log.names[int(log.trajectory[a])] if len(log.names) else f"motion {k + 1}",
+                log.t[rows] - log.t[a], q, q + plain[rows], q + answered[rows], command)
+        )  # fmt: skip
+    moving = [j for j in range(data.robot.n) if not bool(d.still[j])]
+    order = sorted(moving, key=lambda j: -float(d.plain_servo.whole[j])) or [0]
+    units = ["m" if joint_unit(data.robot, j) == "N" else "rad" for j in range(data.robot.n)]
+    units = [u if float(s) == 1 else "log's unit" for u, s in zip(units, data.scale, strict=True)]
+    return OverTime(
+        "position", runs, joint_labels(data.robot.joint_names), units, order,
+        ("plain servo", "corrected servo"), ("mrad" if "m" not in units else "1e-3", 1e3),
+        where=", in a motion left out",
+    )  # fmt: skip
+
+
+def _moving_order(runs: Sequence[Run]) -> list[int]:
+    """Joints, the one that moves most first."""
+    far = torch.stack([run.measured.std(0) for run in runs]).amax(0) if runs else torch.zeros(1)
+    order: list[int] = far.argsort(descending=True).tolist()
+    return order
+
+
+def _torque_order(d: TorqueDiagnosis) -> list[int]:
+    """Joints, the one with the largest share of the gap first."""
+    return [gap.joint for gap in sorted(d.record.where.joints, key=lambda gap: -gap.share)]
