@@ -27,6 +27,7 @@ from torchid.robot.writer import write_robot
 
 README = ROOT / "README.md"
 TUTORIAL = ROOT / "docs/tutorial.md"
+PYTHON = ROOT / "docs/python.md"
 SMALLER = {
     " --cases 40": " --cases 1",
     " --runs 10": " --runs 2 --stages 2",
@@ -142,13 +143,20 @@ def _commands_run(page: Path, place: Shell) -> int:
     return len(found)
 
 
-def _python_runs(page: Path, folder: Path, names: dict[str, Any]) -> None:
+def _python_runs(page: Path, folder: Path) -> dict[str, Any]:
+    """The names that a page's Python leaves: its blocks run as printed, in order, with nothing but
+    the files that the shell lines made."""
+    names: dict[str, Any] = {}
     before = Path.cwd()
     os.chdir(folder)
     try:
-        exec(compile("\n".join(blocks(page, "python")), page.name, "exec"), names)
+        for k, block in enumerate(blocks(page, "python"), start=1):
+            exec(compile(block, f"{page.name}, Python block {k}", "exec"), names)
     finally:
         os.chdir(before)
+    tensors = {name: x for name, x in names.items() if isinstance(x, torch.Tensor)}
+    assert all(bool(torch.isfinite(x).all()) for x in tensors.values()), tensors
+    return names
 
 
 @pytest.mark.slow
@@ -158,13 +166,11 @@ def test_commands_and_python_of_the_readme_run(tmp_path: Path) -> None:
         assert _commands_run(README, place) == 7
     for name in ("gap/gap.json", "corrected.yaml", "exported/3r.urdf", "next/trajectory.csv"):
         assert (tmp_path / name).stat().st_size > 0, name
-    names: dict[str, Any] = dict(
-        zip(("q", "dq", "ddq"), torch.zeros(3, 5, 3, dtype=torch.float64), strict=True)
-    )
-    _python_runs(README, tmp_path, names)
-    assert names["tau"].shape == (5, 3)
-    assert torch.isfinite(names["tau"]).all()
-    assert (tmp_path / "from_python/3r.urdf").stat().st_size > 0
+    assert blocks(README, "python")
+    before = set(tmp_path.rglob("*"))
+    for page in (README, PYTHON):
+        _python_runs(page, tmp_path)
+    assert set(tmp_path.rglob("*")) > before, "what the README's Python saves"
 
 
 @pytest.mark.slow
@@ -179,6 +185,5 @@ def test_commands_and_python_of_the_tutorial_run(place: Shell) -> None:
         "corrected.yaml",
     ):
         assert (place.folder / name).stat().st_size > 0, name
-    names: dict[str, Any] = {}
-    _python_runs(TUTORIAL, place.folder, names)
+    names = _python_runs(TUTORIAL, place.folder)
     assert names["best"].ids == (f"run_{names['found'].best + 1}",)

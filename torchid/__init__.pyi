@@ -23,6 +23,7 @@ from torchid.feasibility.sets import ParameterSets as ParameterSets
 from torchid.feasibility.sets import read_sets as read_sets
 from torchid.gap.diagnose import diagnose as diagnose
 from torchid.gap.settings import GapSettings as GapSettings
+from torchid.identification.estimator import DynamicsRegressor as DynamicsRegressor
 from torchid.identification.identify import identify as identify
 from torchid.identification.payload import payload as payload
 from torchid.identification.settings import Settings as Settings

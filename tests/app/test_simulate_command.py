@@ -93,3 +93,19 @@ def test_bad_options_are_explained(command, trajectory, tmp_path, options, said)
     assert done.code == 1
     assert said in " ".join(done.err.split())
     assert not target.exists()
+
+
+def test_several_trajectories_are_several_logs(command, trajectory, tmp_path) -> None:
+    """Side by side, each as it is alone; the noise of each is its own."""
+    given = ("simulate", "3r", trajectory, trajectory)
+    exact = command(*given, "--to", tmp_path / "run{k}.csv", "--noise", "none")
+    assert exact.code == 0, exact.err
+    for k in (1, 2):
+        assert torch.equal(read_log(tmp_path / f"run{k}.csv").q, read_log(trajectory).q)
+    assert command(*given, "--to", tmp_path / "noisy{k}.csv").code == 0
+    one, two = (read_log(tmp_path / f"noisy{k}.csv").tau for k in (1, 2))
+    assert not torch.equal(one, two)
+    refused = command(*given, "--to", tmp_path / "run.csv")
+    assert refused.code == 1
+    assert "run{k}.parquet" in refused.err
+    assert not (tmp_path / "run.csv").exists()

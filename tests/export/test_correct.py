@@ -17,6 +17,7 @@ from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.export.correct import correct
 from torchid.export.correction import CLAIMED, Correction
+from torchid.export.export import export_dynamics
 from torchid.export.projection import Projector
 from torchid.export.replay import InDrake, InMujoco, InPinocchio
 from torchid.export.write_xml import xml_of
@@ -29,6 +30,7 @@ from torchid.robot.inertia import InertialParameters
 from torchid.robot.knowledge import Knowledge
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
+from torchid.robot.writer import write_robot
 from torchid.simulation.shooting import starts_of, windows_of
 from torchid.simulation.two_models import rollouts
 
@@ -369,3 +371,20 @@ def test_nothing_is_written_that_was_not_better_or_not_checked(full, logs, tmp_p
     with pytest.raises(MissingExtraError, match=r"torchid\[mjcf\]"):
         correct(nominal, full, logs[0], "mjcf", tmp_path / "x", settings=GapSettings())
     assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.slow
+def test_a_yaml_is_corrected_in_the_file_that_it_was_made_from(tmp_path):
+    """By names of files alone: a copy of the MJCF is edited, not a new one written."""
+    saved = tmp_path / "corrected.yaml"
+    file = export_dynamics("3r", "mjcf", tmp_path, "arm", nominal="3r").files[0]
+    file.write_text(file.read_text().replace("<worldbody>", "<worldbody><!-- by hand -->"))
+    real = replace(load_robot(file), effects=tuple(FIELDS))
+    write_robot(real, saved)
+    motion = trajectory_log(random_trajectory(arm("3r"), 1, duration=6.0, fill=True), 100.0)
+    log = tmp_path / "run.parquet"
+    write_log(synthetic_log(real, motion, HonestNoise(), 1), log)
+    settings = GapSettings(rollout=False, cutoff=10.0)
+    done = correct(saved, saved, log, "mjcf", tmp_path / "out", settings=settings)
+    assert "by hand" in done.files[0].read_text()
+    assert bool((done.judged.engine < 0.3 * done.judged.nominal).all())

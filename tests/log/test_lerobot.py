@@ -167,3 +167,55 @@ def test_two_arms_are_found_by_their_names(tmp_path: Path, ending: str) -> None:
     text = "q=observation.state[:,4:8] *[1,1,1,0.044],u=action[:,4:8] *[1,1,1,0.044]"
     right = read_log(path, columns=text)
     assert close(right.q[:, 3], 0.044 * both.q[:, 7])
+
+
+SO101 = ["shoulder_pan", "shoulder_lift", "elbow_flex", "gripper"]
+ASKED = 'columns="q=observation.state[:,0:4] deg,u=action[:,0:4] deg"'
+
+
+def bus_servos(
+    path: Path, log: Log, scale: float, kind: str, ending: str, unit: object = None
+) -> Path:
+    """A dataset of an arm of bus servos, whose largest position is `scale` of the arm's joints."""
+    q = scale * log.q / log.q.abs().max()
+    values = np.concatenate([q.numpy(), 0 * q.numpy()[:, :1] + 30.0], 1)
+    names = [f"{name}{ending}" for name in SO101]
+    features = {"observation.state": (names, values), "action": (names, values + 1.0)}
+    write_lerobot(path, "v3.0", log, features)
+    info = json.loads((path / "meta" / "info.json").read_text()) | {"robot_type": kind}
+    if unit is not None:
+        info["features"]["observation.state"]["unit"] = unit
+    (path / "meta" / "info.json").write_text(json.dumps(info))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("scale", "kind", "ending", "unit", "factor", "said"),
+    [
+        (90.0, "so100", "", None, DEG, "taken for degrees"),  # as drivers recorded at first
+        (130.0, "so101_follower", ".pos", None, DEG, "taken for degrees"),
+        (1.5, "so101_follower", ".pos", None, 1.0, "taken for radians"),
+        (90.0, "so101_follower", ".pos", "degrees", DEG, "as meta/info.json says"),
+        (90.0, "so101_follower", ".pos", "rad", 1.0, "as meta/info.json says"),
+        (90.0, "another_arm", ".pos", None, 1.0, "taken for radians"),
+    ],
+)  # fmt: skip
+def test_units_are_what_the_dataset_says(
+    tmp_path: Path, log: Log, scale: float, kind: str, ending: str, unit: object, factor: float,
+    said: str,
+) -> None:  # fmt: skip
+    read = read_log(bus_servos(tmp_path / "set", log, scale, kind, ending, unit))
+    assert float(read.q[:, :3].abs().max()) == pytest.approx(factor * scale)
+    assert read.u is not None
+    assert close(read.u, read.q + factor)
+    assert any(said in warning for warning in read.warnings)
+
+
+def test_a_unit_that_nothing_tells_is_asked_for(tmp_path: Path, log: Log) -> None:
+    """Degrees and -100 .. 100 of the calibrated range look alike: the line to paste settles it."""
+    path = bus_servos(tmp_path / "set", log, 90.0, "so101_follower", ".pos")
+    with pytest.raises(LogError, match="does not say") as refused:
+        read_log(path)
+    assert ASKED in str(refused.value)
+    read = read_log(path, columns=ASKED.split('"')[1])
+    assert float(read.q[:, :3].abs().max()) == pytest.approx(90.0 * DEG)

@@ -205,3 +205,27 @@ def test_commands_travel_with_a_log(tmp_path):
     assert torch.allclose(both.u, torch.cat([u[100:], u[:100]]))
     with pytest.raises(LogError, match="some logs have u"):
         Log.concatenate([log, log.replace(u=None)])
+
+
+def test_a_notebook_shows_trajectories_and_ranges(three: Log) -> None:
+    assert repr(three).startswith("Log(3 trajectories of ")
+    assert repr(three.trajectories()[0]) in three.trajectories()[0]._repr_html_()
+    html = three._repr_html_()
+    assert all(f"<td>{name}</td>" in html for name in (*three.names, *three.signals))
+    assert html.count("<tr>") == 2 + three.trajectory_count + len(three.signals)
+
+
+def test_frame_is_what_a_file_holds(three: Log) -> None:
+    pytest.importorskip("pandas")
+    frame = three.to_frame()
+    assert same(read_log(frame), [three.t, three.trajectory, *three.signals.values()])
+
+
+def test_plot_has_a_panel_for_each_joint_and_signal(three: Log) -> None:
+    shown = sum(getattr(three, name) is not None for name in ("q", "dq", "tau"))
+    figure = three.plot()
+    assert len(figure.axes) == three.n * shown
+    lines = [line for line in figure.axes[0].lines if len(line.get_xdata()) > 2]
+    starts = [line.get_xdata()[0] for line in lines]
+    assert len(lines) == three.trajectory_count
+    assert starts == sorted(starts)

@@ -1,14 +1,21 @@
 """Logs of commands and positions that cannot be what they should be, each in a clear sentence."""
 
 import math
+import re
+from importlib import import_module
+from pathlib import Path
 
 import pytest
 import torch
 
+import torchid
+from tests.position.diagnosed import diagnosis
 from tests.position.planted import COUNT, planted, robot, true_servos
-from torchid.errors import LogError
+from torchid.errors import LogError, TorchidError
+from torchid.export.correct_positions import correct_positions
 from torchid.log.model import Log
 from torchid.position.data import missing_commands, prepare, tracks_of
+from torchid.position.model import ServoArm
 
 DEGREES = 180 / math.pi
 ONE = torch.ones(3, dtype=torch.float64)
@@ -97,3 +104,38 @@ def test_nothing_to_tell_from(log: Log) -> None:
         prepare(robot(), planted(true_servos(3), motions=1, seconds=8.0))
     with pytest.raises(LogError, match="has no commands"):
         prepare(robot(), log.replace(u=None))
+
+
+def test_servos_know_the_unit_of_their_logs(log: Log) -> None:
+    """Of a motion that says nothing of it, and of one whose velocities do."""
+    scale = ONE.clone()
+    scale[2] = 2.3
+    assert log.u is not None
+    other = log.replace(q=log.q / scale, u=log.u / scale)
+    assert torch.allclose(prepare(robot(), other, scale).q, prepare(robot(), log).q)
+    told = other.replace(dq=prepare(robot(), log).dq)
+    assert float(prepare(robot(), told).scale[2]) == pytest.approx(2.3, rel=0.05)
+    assert torch.equal(prepare(robot(), told, scale).scale, scale)
+
+
+def test_a_log_in_another_unit_than_the_servos_is_refused(log: Log, tmp_path: Path) -> None:
+    scale = ONE.clone()
+    scale[2] = 2.3
+    assert log.u is not None
+    other = log.replace(q=log.q / scale, u=log.u / scale, dq=prepare(robot(), log).dq)
+    arm = ServoArm(robot(), true_servos(3), ONE)
+    with pytest.raises(TorchidError, match="joint 3 in another unit than the servos'"):
+        correct_positions(robot(), arm, other, tmp_path)
+
+
+def test_saved_servos_are_compared_with_the_answer(
+    log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = import_module("torchid.gap.diagnose")
+    monkeypatch.setattr(module, "diagnose_positions", lambda *_, **__: diagnosis())
+    ServoArm(robot(), true_servos(3), ONE).write(tmp_path / "corrected.yaml")
+    said = torchid.diagnose(tmp_path / "corrected.yaml", log, force=True).warnings[0]
+    assert "fitted anew" in said
+    far = float(re.search(r"leave (\S+) mrad", said)[1])  # type: ignore[index]
+    assert far < 2.0  # these servos made the log, in encoder counts of 1.5 mrad
+    assert not any("fitted anew" in w for w in torchid.diagnose(robot(), log, force=True).warnings)

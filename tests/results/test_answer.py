@@ -57,3 +57,9 @@ def test_a_headline_without_a_cause_says_the_likeliest(status):
     assert answer(suspects=(suspect,)).suspect_lines == [
         "viscous friction on joint 3 (5.6 ± 0.7 N m s/rad, 82 %): move faster"
     ]
+
+
+def test_printed_it_is_the_headline_and_its_table():
+    headline, blank, title, head, row = str(answer()).split("\n")
+    assert (headline, blank, title) == (answer().headline, "", answer().title)
+    assert head.index("before") == row.index("10")

@@ -55,9 +55,10 @@ def simulate_command(
     Example: `torchid simulate corrected.yaml run1.parquet run2.parquet --replay --to simulated`
 
     Args:
-        trajectory: File with t, q1.., dq1.., ddq1.. ; with --replay, logs with u1.. and q1.. .
-        to: Log file (.parquet, .csv, .npz); with --replay, a folder for one file a log, with the
-            log's name, t and simulated q1.. .
+        trajectory: File with t, q1.., dq1.., ddq1.., or several, whose arms move side by side; with
+            --replay, logs with u1.. and q1.. .
+        to: Log file (.parquet, .csv, .npz), of several `run{k}.parquet`; with --replay, a folder
+            for one file a log, with the log's name, t and simulated q1.. .
         noise: `paper`: on the trajectory, torque computed from it. `honest`: encoder steps, torque
             noise, no accelerations.
         snr: paper: signal-to-noise ratio [dB].
@@ -77,21 +78,22 @@ def simulate_command(
     if replay:
         _replay(output, arm, trajectory, to, windows, columns, seed)
         return
-    if windows is not None or columns is not None or len(trajectory) > 1:
-        raise TorchidError(
-            "several logs, --windows and --columns are for --replay.",
-            got=", ".join(str(path) for path in trajectory),
-            expected="one trajectory, or --replay",
-        )
-    if to is not None:
-        require_writable(to, "--to")
+    if windows is not None or columns is not None:
+        raise TorchidError("--windows and --columns are for --replay.")
     from torchid.effects.written import effect_written
     from torchid.excitation.synthetic import noise_model, simulation_record
     from torchid.simulation.controller import Controller
 
-    target = to or (output.out and output.out / "log.parquet")
-    if target is None:
-        raise TorchidError("nowhere to write the log.", expected="--to FILE or --out DIR")
+    several = len(trajectory) > 1
+    target = to or (output.out and output.out / ("log{k}.parquet" if several else "log.parquet"))
+    if target is None or (several and "{k}" not in target.name):
+        what = "several logs need several names." if target else "nowhere to write the log."
+        where = '--to "run{k}.parquet", for run1, run2, ..' if several else "--to FILE or --out DIR"
+        raise TorchidError(what, got=target, expected=where)
+    numbers = range(1, len(trajectory) + 1)
+    targets = [target.with_name(target.name.replace("{k}", str(k))) for k in numbers]
+    for file in targets if to is not None else ():
+        require_writable(file, "--to")
     model = noise_model(
         noise,
         snr=snr,
@@ -103,15 +105,25 @@ def simulate_command(
     found = arm.load()
     effects = [effect_written(text, found, "--effect") for text in effect or []]
     moves = closed_loop or bool(effects)
-    motion = torchid.read_log(trajectory[0])
+    motions = [torchid.read_log(path) for path in trajectory]
+    # All arms move side by side: it takes no longer than one.
+    motion = torchid.Log.concatenate(motions)
     with output.progress("simulating"):
         controller = Controller(control_frequency) if moves else None
         log = torchid.simulate(
             found, motion, effects=effects, noise=model, closed_loop=moves, rate=rate,
             controller=controller, seed=seed, device=device_name,
         )  # fmt: skip
-    output.put(target, partial(torchid.write_log, log))
-    asked = {"file": target.name, "noise": noise, "closed_loop": moves, "seed": seed}
+    runs = log.trajectories()
+    for file, one in zip(targets, motions, strict=True):
+        own, runs = runs[: one.trajectory_count], runs[one.trajectory_count :]
+        output.put(file, partial(torchid.write_log, torchid.Log.concatenate(own)))
+    asked = {
+        "file": ", ".join(file.name for file in targets),
+        "noise": noise,
+        "closed_loop": moves,
+        "seed": seed,
+    }
     output.write_json(simulation_record(found, log, effects, **asked), "simulation.json")
     output.warn(log.warnings)
     output.say(f"{log.samples} samples of {log.trajectory_count} trajectories")

@@ -15,6 +15,7 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import GapRecord
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
+from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
 from torchid.robot.model import Robot
 from torchid.robot.tree import Choice
@@ -25,8 +26,8 @@ Compared = Comparison | GapComparison | SetComparison
 def compare_results(
     results: Sequence[str | Path | Identification | TorqueDiagnosis],
     *,
-    robot: Robot | None = None,
-    on: Log | None = None,
+    robot: RobotLike | None = None,
+    on: LogLike | None = None,
     seed: int = 0,
 ) -> Compared:
     """Which parameters agree between results within their intervals, which drift, which are never
@@ -56,6 +57,8 @@ def compare_results(
     >>> found.labels, len(found.having("drift", "differ"))
     (('result 1', 'result 2'), 0)
     """
+    robot = None if robot is None else as_robot(robot)
+    on = None if on is None else as_log(on, robot)
     read = read_results(results)
     return compared(read, robot or common_robot(read), on=on, seed=seed)
 

@@ -42,6 +42,7 @@ from torchid.doctor.torque import (
 )
 from torchid.doctor.velocity import check_velocity
 from torchid.errors import LogError
+from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.json_data import plain
 from torchid.log.model import Log
 from torchid.results.record import Result
@@ -104,7 +105,7 @@ class Examination(Examined[Check], Result):
 
 
 def examine(
-    robot: Robot, log: Log, fixes: Sequence[str] = (), *, first: bool = False
+    robot: RobotLike, log: LogLike, fixes: Sequence[str] = (), *, first: bool = False
 ) -> Examination:
     """Examine a log before anything is fitted to it.
 
@@ -131,6 +132,8 @@ def examine(
     >>> bool((found.mended().q - torchid.Log(t, q).q).abs().max() < 1e-9)
     True
     """
+    robot = as_robot(robot)
+    log = as_log(log, robot)
     robot.require_fixed_base("the log doctor")
     if log.n != robot.n:
         raise LogError(

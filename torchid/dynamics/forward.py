@@ -13,6 +13,7 @@ from torch import Tensor
 from torchid.dynamics.recursion import ChainGeometry, chain_geometry, forces, kinematics
 from torchid.dynamics.scalars import ZERO, Scalar
 from torchid.dynamics.world_frame import Posture, arms_of
+from torchid.inputs import RobotLike, as_robot
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.tensors import joint_signals
@@ -23,7 +24,7 @@ SMALL_BATCH, SMALL_BATCH_BIAS = 1500, 250
 
 
 def mass_matrix(
-    robot: Robot, q: Numbers, parameters: InertialParameters | None = None
+    robot: RobotLike, q: Numbers, parameters: InertialParameters | None = None
 ) -> JointMatrix:
     """Mass matrix M(q) of the rigid body (eq. 2.15): column j is the torque of a unit acceleration
     of joint j, at rest and without gravity.
@@ -46,6 +47,7 @@ def mass_matrix(
     >>> m.shape, bool((m - m.T).abs().max() < 1e-12)
     (torch.Size([3, 3]), True)
     """
+    robot = as_robot(robot)
     (q,) = joint_signals(robot.n, q=q)
     if _is_small(q, parameters):
         return _posture(robot, q, parameters).mass_matrix()
@@ -82,7 +84,7 @@ def gravity_torque(
 
 
 def forward_dynamics(
-    robot: Robot,
+    robot: RobotLike,
     q: Numbers,
     dq: Numbers,
     tau: Numbers,
@@ -111,6 +113,7 @@ def forward_dynamics(
     >>> [round(x, 9) for x in forward_dynamics(robot, q, dq, tau).tolist()]
     [3.0, -1.0, 2.0]
     """
+    robot = as_robot(robot)
     q, dq, tau = joint_signals(robot.n, q=q, dq=dq, tau=tau)
     if _is_small(torch.broadcast_tensors(q, dq, tau)[0], parameters):
         posture = _posture(robot, q, parameters)

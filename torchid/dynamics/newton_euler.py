@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchid.dynamics.recursion import chain_geometry, forces, kinematics
 from torchid.dynamics.scalars import Scalar
+from torchid.inputs import RobotLike, as_robot
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.tensors import joint_signals
@@ -21,7 +22,7 @@ _KEEP_FREED_BYTES = 31 * 2**20
 
 
 def inverse_dynamics(
-    robot: Robot,
+    robot: RobotLike,
     q: Numbers,
     dq: Numbers,
     ddq: Numbers,
@@ -50,6 +51,7 @@ def inverse_dynamics(
     >>> upright.shape, bool(upright[0].abs() < 1e-9)  # joint 1 is vertical: it carries none
     (torch.Size([7]), True)
     """
+    robot = as_robot(robot)
     q, dq, ddq = joint_signals(robot.n, q=q, dq=dq, ddq=ddq)
     pi = _parameters(robot, parameters, "inverse dynamics").pi.to(q)
     geometry = chain_geometry(robot)
@@ -64,7 +66,7 @@ def inverse_dynamics(
 
 
 def joint_wrenches(
-    robot: Robot,
+    robot: RobotLike,
     q: Numbers,
     dq: Numbers,
     ddq: Numbers,
@@ -95,6 +97,7 @@ def joint_wrenches(
     >>> w.shape, round(float(w[0, :3].norm()) / weight, 9)
     (torch.Size([3, 6]), 1.0)
     """
+    robot = as_robot(robot)
     q, dq, ddq = joint_signals(robot.n, q=q, dq=dq, ddq=ddq)
     pi = _parameters(robot, parameters, "internal wrenches").pi.to(q)
     geometry = chain_geometry(robot)

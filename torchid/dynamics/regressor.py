@@ -23,6 +23,7 @@ from torchid.dynamics.recursion import (
     kinematics,
     regressor_rows,
 )
+from torchid.inputs import RobotLike, as_robot
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
 from torchid.tensors import joint_signals
@@ -98,7 +99,7 @@ def regressor_chunks(
 
 
 def regressor(
-    robot: Robot,
+    robot: RobotLike,
     q: Numbers,
     dq: Numbers,
     ddq: Numbers,
@@ -127,6 +128,7 @@ def regressor(
     >>> y.shape, torch.allclose(tau, torchid.inverse_dynamics(robot, q, dq, ddq))
     (torch.Size([50, 3, 30]), True)
     """
+    robot = as_robot(robot)
     motion = torch.broadcast_tensors(*joint_signals(robot.n, q=q, dq=dq, ddq=ddq))
     batch, n = motion[0].shape[:-1], motion[0].shape[-1]
     flat = [x.reshape(-1, n) for x in motion]

@@ -32,6 +32,7 @@ from torchid.identification.base_parameters import (
     base_parameters,
     stacked_regressor,
 )
+from torchid.inputs import RobotLike, as_robot
 from torchid.log.model import Log
 from torchid.robot.model import Basis, Robot
 from torchid.typing import Float
@@ -66,6 +67,12 @@ class Excitation:
     gain: float
     torque: TorqueLimits | None = None
 
+    def __repr__(self) -> str:
+        return (
+            f"Excitation({self.trajectory.duration:g} s of {len(self.trajectory.q0)} joints, "
+            f"condition number {self.start_condition:.3g} -> {self.condition_after:.3g})"
+        )
+
     @property
     def hardly(self) -> bool:
         """Whether it is hardly better than a random motion within the same limits: by less than a
@@ -89,7 +96,7 @@ class Excitation:
 
 
 def excite(
-    robot: Robot,
+    robot: RobotLike,
     *,
     effects: Sequence[str] = EXCITED_EFFECTS,
     criterion: Criterion = "condition",
@@ -140,6 +147,7 @@ def excite(
     >>> found.condition_after <= found.start_condition, found.log(50).samples
     (True, 201)
     """
+    robot = as_robot(robot)
     robot.require_fixed_base("the design of motions")
     return optimise_trajectory(
         robot,

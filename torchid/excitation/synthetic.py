@@ -23,6 +23,7 @@ from torchid.effects.registry import (
     nominal_effects,
 )
 from torchid.errors import LogError, TorchidError
+from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.sampling import sampling_rate
 from torchid.robot.model import Robot
@@ -79,8 +80,8 @@ HONEST = HonestNoise()
 
 
 def simulate(
-    robot: Robot,
-    motion: Log,
+    robot: RobotLike,
+    motion: LogLike,
     *,
     effects: Sequence[Mapping[str, Any] | Valued] = (),
     noise: NoiseModel = HONEST,
@@ -126,6 +127,8 @@ def simulate(
     >>> log.samples, log.tau is not None, log.ddq is None
     (200, True, True)
     """
+    robot = as_robot(robot)
+    motion = as_log(motion, robot)
     robot.require_fixed_base("a simulated log")
     own = [effect_from_record(one, robot) if isinstance(one, Mapping) else one for one in effects]
     if not (own or closed_loop):

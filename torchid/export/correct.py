@@ -9,15 +9,18 @@ from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.correct_positions import correct_positions
 from torchid.export.correct_torque import correct_torque
 from torchid.export.correction import Correction
+from torchid.export.export import SUFFIXES
 from torchid.export.projection import Target
 from torchid.export.write_actuator import Package
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
+from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import ServoArm
 from torchid.results.answer import Diagnosis
 from torchid.robot.model import Robot
+from torchid.robot.origin import of_own_file
 
 _FILES: dict[str, Target] = {
     "mjcf": "mjcf", "urdf": "urdf", "drake": "drake", "mujoco": "mjcf", "mjlab": "mjcf",
@@ -51,14 +54,14 @@ def require_field(to: Target, robot: Robot, log: Log) -> None:
 
 
 def correct(
-    robot: Robot,
-    full: Robot | ServoArm | Diagnosis,
-    log: Log,
+    robot: RobotLike,
+    full: RobotLike | ServoArm | Diagnosis,
+    log: LogLike,
     to: Target,
     folder: Path | str,
     name: str | None = None,
     *,
-    held_out: Log | None = None,
+    held_out: LogLike | None = None,
     settings: GapSettings | None = None,
     with_effects: bool | Package = False,
     keep: Sequence[Path] = (),
@@ -98,6 +101,11 @@ def correct(
     >>> bool(done.judged.engine.mean() < 0.3 * done.judged.nominal.mean())
     True
     """
+    robot, _ = of_own_file(as_robot(robot), SUFFIXES[to])
+    log = as_log(log, robot)
+    held_out = None if held_out is None else as_log(held_out, robot)
+    if isinstance(full, str | Path):
+        full = ServoArm.of_file(full) or as_robot(full)
     robot.require_fixed_base("a correction")
     file_format(to)
     if isinstance(full, PositionDiagnosis | ServoArm):

@@ -20,6 +20,7 @@ from torchid.export.results import servo_dynamics
 from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid, write_servos
 from torchid.export.write_actuator import Package
 from torchid.export.write_xml import xml_of
+from torchid.log.checks import own_units
 from torchid.log.model import Log
 from torchid.position.data import PositionData, prepare
 from torchid.position.diagnose import refitted
@@ -70,18 +71,6 @@ def correct_positions(
         LogError: logs that do not fit the robot, or have no commands.
         MissingExtraError: MuJoCo is not installed.
         TorchidError: another arm, or a file that follows hardly better than its commands.
-
-    >>> from tempfile import TemporaryDirectory
-    >>> import numpy as np, torchid
-    >>> robot, servo = torchid.load_robot("3r"), {"kp": 260.0, "damping": 22.0, "armature": 0.8}
-    >>> real = torchid.ServoArm.of(robot, **servo, delay=0.02)
-    >>> t = 0.04 * np.arange(260)
-    >>> u = 0.3 * np.sin(np.outer(t, [1.0, 2.0, 3.0]))
-    >>> log = torchid.replay(real, torchid.Log(t, q=u, u=u)).simulated[0]
-    >>> with TemporaryDirectory() as folder:
-    ...     done = correct_positions(robot, real, log, folder)
-    >>> bool(done.judged.engine.mean() < 0.1 * done.judged.nominal.mean())
-    True
     """
     arm = full.corrected if isinstance(full, PositionDiagnosis) else full
     require_same_arm(arm.robot, robot, "servos are")
@@ -92,17 +81,21 @@ def correct_positions(
             f"the servos would take the place of '{yaml}'.",
             hint="another `name=...`, or another folder",
         )
-    fitted = prepare(arm.robot, log)
+    fitted = prepare(arm.robot, log, arm.scale)
     on, data = log, fitted
     if held_out is not None:
-        on, data = held_out, prepare(arm.robot, held_out)
+        on, data = held_out, prepare(arm.robot, held_out, arm.scale)
     for one in (fitted, data):
-        if not torch.allclose(one.scale, arm.scale, rtol=UNITS):
-            raise TorchidError(
-                f"{one.log.label} is in other units than the servos' own log.",
-                got=one.scale.tolist(),
-                expected=f"{arm.scale.tolist()} rad (m) per unit, by the recorded velocities",
-            )
+        # Most motions say nothing of their unit: then it is that of the servos' own logs.
+        for j, told in own_units(one.log).items():
+            known = float(arm.scale[j])
+            if abs(told - known) > UNITS * known:
+                raise TorchidError(
+                    f"{one.log.label} has joint {j + 1} in another unit than the servos' own logs.",
+                    got=f"{told:.3g} rad (m) per unit, by the recorded velocities",
+                    expected=f"{known:.3g}",
+                    hint="diagnose this log together with the others",
+                )
     alone, running = refitted(arm, fitted, SAID, (*SAID, *AT_RUN_TIME))
     own, beside = (_in_engine(robot, _rigid(one, log), data) for one in (alone, running))
     judged = Judged(

@@ -20,8 +20,10 @@ from torchid.feasibility.findings import by_percent
 from torchid.feasibility.plausibility import LEAD
 from torchid.feasibility.record import Check, check_sets
 from torchid.feasibility.sets import nominal_set
+from torchid.inputs import RobotLike, as_robot
 from torchid.results.record import Result
 from torchid.robot.model import Robot
+from torchid.robot.origin import of_own_file
 from torchid.simulators.joint_dynamics import Target
 from torchid.simulators.servo import AS_EFFORT
 
@@ -98,8 +100,8 @@ def export_dynamics(
     folder: Path | str,
     name: str | None = None,
     *,
-    nominal: Robot,
-    original: Robot | None = None,
+    nominal: RobotLike,
+    original: RobotLike | None = None,
     geometry: str | None = None,
     force: bool = False,
     seed: int = 0,
@@ -118,7 +120,8 @@ def export_dynamics(
         name: of the file, without suffix; the robot's own by default.
         nominal: the robot that the result belongs to, with its own parameters.
         original: for urdf, mjcf and drake: the robot whose file a copy is edited of, the nominal
-            one by default. If its file is of another format, a new one is written.
+            one by default, or the file that its yaml was made from. If that is of another format,
+            a new one is written.
         geometry: group of bounds, or `none`, of the check (see `check_sets`).
         force: write infeasible parameters, too.
         seed: of the states of the comparison.
@@ -137,12 +140,15 @@ def export_dynamics(
     >>> [file.name for file in done.files], all(c.difference < 1e-9 for c in done.comparisons)
     (['3r.urdf'], True)
     """
+    nominal = as_robot(nominal)
+    original = None if original is None else as_robot(original)
     nominal.require_fixed_base("an export")
     dynamics, folder = dynamics_of(result, nominal), Path(folder)
     name = stem_of(nominal) if name is None else name
     require_name(name)
     path = folder / f"{name}{SUFFIXES[to]}"
-    model = nominal if original is None else original
+    own = nominal if original is None else original
+    model, lost = of_own_file(own, SUFFIXES[to])
     sources = [*keep, Path(nominal.source), Path(model.source)]
     if path.resolve() in [source.resolve() for source in sources]:
         raise TorchidError(
@@ -191,7 +197,7 @@ def export_dynamics(
         in_file=in_file,
         beside=beside,
         left_out=left_out,
-        notes=(*_of_servos(dynamics, to), *draft.notes),
+        notes=(*_of_servos(dynamics, to), *(lost if xml else ()), *draft.notes),
     )
 
 

@@ -36,6 +36,7 @@ from torchid.export.record import RangeRow, Share
 from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, room_of
 from torchid.gap.record import GapRecord, JointFit
 from torchid.identification.base_parameters import Basis, base_parameters
+from torchid.inputs import RobotLike, as_robot
 from torchid.position.record import PositionRecord
 from torchid.results.files import read
 from torchid.robot.inertia import (
@@ -79,7 +80,7 @@ def randomise(
     found: GapRecord | PositionRecord | Robot,
     level: float = 0.95,
     *,
-    robot: Robot | None = None,
+    robot: RobotLike | None = None,
     spread: Sequence[Path | str] = (),
     draws: int = 256,
     seed: int = 0,
@@ -112,6 +113,7 @@ def randomise(
     >>> {r.field for r in wide.ranges} == {"damping", "friction"}
     True
     """
+    robot = None if robot is None else as_robot(robot)
     if not 0 < level < 1:
         raise TorchidError("the level is out of range.", got=level, expected="0..1, e.g. 0.95")
     if draws < 2:

@@ -43,18 +43,6 @@ def randomise_positions(
     Raises:
         TorchidError: a diagnosis of an older version, which has no covariance; a level outside 0
             to 1; a robot with another number of joints.
-
-    >>> import numpy as np, torchid
-    >>> robot = torchid.load_robot("3r")
-    >>> real = torchid.ServoArm.of(robot, kp=260.0, damping=22.0, armature=0.8, coulomb=1.5)
-    >>> t, logs = 0.02 * np.arange(300), []
-    >>> for k in range(2):
-    ...     u = 0.3 * np.sin(np.outer(t, [1.1, 2.3, 3.1]) + k)
-    ...     logs.append(torchid.replay(real, torchid.Log(t, q=u, u=u)).simulated[0])
-    >>> found = torchid.diagnose(robot, torchid.Log.concatenate(logs))
-    >>> wide = randomise_positions(found.record, draws=64)
-    >>> wide.draws.of("kp").shape
-    torch.Size([64, 3])
     """
     if not 0 < level < 1:
         raise TorchidError("the level is out of range.", got=level, expected="0..1, e.g. 0.95")

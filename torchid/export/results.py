@@ -32,12 +32,12 @@ from torchid.json_data import read_json
 from torchid.position.model import ServoArm
 from torchid.position.record import PositionRecord
 from torchid.results.files import read
-from torchid.robot.library import is_robot, load_both, load_robot, named_robot
-from torchid.robot.model import Robot
+from torchid.robot.library import as_robot, is_robot, load_both, load_robot, named_robot
+from torchid.robot.model import Robot, RobotLike
 from torchid.robot.tree import Choice
 from torchid.typing import Float, Tensor
 
-Exportable = Dynamics | Identification | ParameterSets | Robot
+Exportable = Dynamics | Identification | ParameterSets | RobotLike
 IDENTIFICATION = "torchid.identification/1"
 CORRECTED = "corrected"
 """Where a diagnosis has the robot that it corrected."""
@@ -127,7 +127,7 @@ def dynamics_of(result: Exportable, robot: Robot) -> Dynamics:
         return of_base(robot, identified_base(result))
     if isinstance(result, ParameterSets):
         return of_set(robot, result)
-    return robot_dynamics(result) if isinstance(result, Robot) else result
+    return result if isinstance(result, Dynamics) else robot_dynamics(as_robot(result))
 
 
 def base_dynamics(path: Path, robot: Robot) -> Dynamics:

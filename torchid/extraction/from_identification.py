@@ -16,11 +16,11 @@ from torchid.feasibility.conditions import conditions, physics_only
 from torchid.feasibility.derived_bounds import NAME, NONE, WIDE, bounds_notes, named_bounds
 from torchid.identification.result import Identification
 from torchid.identification.values import BaseValues, identified_base, plain_effects
-from torchid.robot.model import Robot
+from torchid.inputs import RobotLike, as_robot
 
 
 def problem_of(
-    robot: Robot,
+    robot: RobotLike,
     result: Identification | BaseValues,
     *,
     bounds: str | None = None,
@@ -56,6 +56,7 @@ def problem_of(
     >>> problem.size
     30
     """
+    robot = as_robot(robot)
     robot.require_fixed_base("the extraction of bodies")
     found = identified_base(result) if isinstance(result, Identification) else result
     effects = plain_effects(found.effects, "an extraction")

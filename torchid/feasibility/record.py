@@ -22,6 +22,7 @@ from torchid.feasibility.margins import (
 )
 from torchid.feasibility.plausibility import Bodies, bodies, plausibility
 from torchid.feasibility.sets import ParameterSets, nominal_set, read_sets
+from torchid.inputs import RobotLike, as_robot
 from torchid.json_data import plain
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result, Rows
 from torchid.robot.model import Robot
@@ -183,7 +184,7 @@ class Check(Result):
 
 
 def check(
-    robot: Robot,
+    robot: RobotLike,
     sets: ParameterSets | str | Path | None = None,
     *,
     geometry: str | None = None,
@@ -218,6 +219,7 @@ def check(
     >>> found.feasibility.feasible.tolist(), found.feasibility.reasons(0)
     ([False], ('inertia_3', 'inertia_4', 'inertia_7', 'com_7z'))
     """
+    robot = as_robot(robot)
     also: Sequence[Finding] = ()
     if sets is None:
         sets, also = nominal_set(robot), own_inertial_findings(own_inertials(robot))

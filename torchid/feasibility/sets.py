@@ -11,6 +11,7 @@ from msgspec import UNSET, UnsetType
 from torchid.effects.base import JointEffect
 from torchid.effects.registry import Valued, column_kind, effect_from_record, nominal_columns
 from torchid.errors import TorchidError
+from torchid.inputs import RobotLike, as_robot
 from torchid.results.files import contents, parsed
 from torchid.results.record import FINITE, Part, Record, Result, Rows, Values
 from torchid.robot.inertia import InertialParameters, parallel_axis
@@ -322,7 +323,7 @@ def sets_record(
     )
 
 
-def read_sets(path: str | Path, robot: Robot) -> ParameterSets:
+def read_sets(path: str | Path, robot: RobotLike) -> ParameterSets:
     """Read a file of sets (JSON, `sets: [...]`) for a robot.
 
     Each set has `mass` [n]; `com` or `first_moment` [n x 3]; `inertia_about_com` or
@@ -349,7 +350,7 @@ def read_sets(path: str | Path, robot: Robot) -> ParameterSets:
     ('3r',)
     """
     path = Path(path)
-    return sets_of(_file(path).sets, robot.n_links, f"'{path}'")
+    return sets_of(_file(path).sets, as_robot(robot).n_links, f"'{path}'")
 
 
 def sets_of(entries: Sequence["SetEntry"], n: int, source: str) -> ParameterSets:

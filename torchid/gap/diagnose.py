@@ -13,9 +13,12 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.early import Watch
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
+from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
+from torchid.position.data import WINDOW_S
 from torchid.position.diagnose import diagnose_positions
 from torchid.position.diagnosis import PositionDiagnosis
+from torchid.position.model import ServoArm, replay
 from torchid.position.nominal import nominal_servos
 from torchid.results.answer import Diagnosis
 from torchid.robot.model import Robot
@@ -24,10 +27,10 @@ Progress = Callable[[str, int, int], None]
 
 
 def diagnose(
-    robot: Robot,
-    log: Log,
+    robot: RobotLike,
+    log: LogLike,
     *,
-    held_out: Log | None = None,
+    held_out: LogLike | None = None,
     settings: GapSettings | None = None,
     servo: str | None = None,
     force: bool = False,
@@ -69,6 +72,9 @@ def diagnose(
     >>> [(c.effect, c.joints) for c in diagnose(robot, log, settings=settings).answer.causes]
     [('viscous_friction', (1,))]
     """
+    robot = as_robot(robot)
+    log = as_log(log, robot)
+    held_out = None if held_out is None else as_log(held_out, robot)
     torques = sensor_of(log, robot) != "position"
     if torques and servo is not None:
         raise TorchidError(
@@ -116,4 +122,13 @@ def _of_positions(
         )
     nominal = nominal_servos(robot, servo)
     found = diagnose_positions(robot, log, held_out=held_out, progress=progress, watch=watch)
-    return replace(found, nominal=nominal)
+    saved = ServoArm.of_file(robot.source)
+    if saved is None:
+        return replace(found, nominal=nominal)
+    far = float(replay(saved, log, windows=WINDOW_S).error[:, ~found.still].mean())
+    said = (
+        f"the servos saved in '{robot.source}' leave {far:.3g} mrad of this log in windows of "
+        f"{WINDOW_S:g} s, and the answer {found.answered.mean[1]:.3g}: all servos are fitted anew, "
+        "nothing of the saved ones is kept."
+    )
+    return replace(found, nominal=nominal, warnings=(said, *found.warnings))

@@ -42,6 +42,7 @@ from torchid.identification.validation import (
     pieces,
     predict,
 )
+from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress, stage
 from torchid.robot.model import Robot, joint_list
@@ -64,10 +65,10 @@ LOAD_FITS = 2
 
 
 def identify(
-    robot: Robot,
-    log: Log,
+    robot: RobotLike,
+    log: LogLike,
     *,
-    held_out: Log | None = None,
+    held_out: LogLike | None = None,
     settings: Settings | None = None,
     device: torch.device | str = "cpu",
     progress: Progress | None = None,
@@ -100,6 +101,9 @@ def identify(
     >>> bool((tau - log.tau).norm() < 1e-3 * log.tau.norm())
     True
     """
+    robot = as_robot(robot)
+    log = as_log(log, robot)
+    held_out = None if held_out is None else as_log(held_out, robot)
     settings = settings or Settings()
     if held_out is not None and settings.held_out_fraction != 0:
         raise LogError(

@@ -29,7 +29,7 @@ from torchid.identification.payload_fit import (
 from torchid.identification.result import Identification
 from torchid.identification.settings import Settings
 from torchid.identification.values import known_values
-from torchid.log.model import Log
+from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.results.record import Part, Real, Record, Result, Rows
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import Robot
@@ -321,9 +321,9 @@ _SAME = 1e-6
 
 
 def payload(
-    robot: Robot,
-    empty: Log | None,
-    loaded: Log,
+    robot: RobotLike,
+    empty: LogLike | None,
+    loaded: LogLike,
     *,
     model: Model = "general",
     settings: Settings | None = None,
@@ -362,6 +362,9 @@ def payload(
     >>> bool((found.tool.mass.value - 1.5).abs() < 0.1)
     True
     """
+    robot = as_robot(robot)
+    empty = None if empty is None else as_log(empty, robot)
+    loaded = as_log(loaded, robot)
     robot.require_fixed_base("a payload")
     settings = settings or Settings(rows="moving")
     # The arm with the payload is another one than the one that is known.

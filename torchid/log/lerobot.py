@@ -6,7 +6,7 @@ Episodes are trajectories. Time is frame_index / fps, because the recorded float
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from torchid.errors import LogError
 from torchid.log.formats import read_parquet_columns
 from torchid.log.joint_names import in_robot_order
 from torchid.log.table import Request, Shape, Table
+from torchid.log.units import unit_factor
 
 _COUNTED = ("episode_index", "frame_index")
 _MOST_ELEMENTS = 10_000  # of a feature: no robot has more joints and sensors
@@ -27,6 +28,12 @@ _FEATURES = {
     "i": ("observation.current", "observation.state"),
     "u": ("action",),
 }
+_BUS_SERVOS = re.compile(r"(bi_)?(so_?10[01]|so|koch|moss|lekiwi|xlerobot|omx)(_.*)?")
+"""LeRobot's names of arms whose drivers record degrees or the calibrated range."""
+_NORMALISED = 100.5
+"""No position is beyond this where -100 .. 100 is the calibrated range; degrees may be."""
+_RADIANS = 6.5
+"""No position is beyond this where it is in radians: joints of such arms turn once at most."""
 _ENDINGS = {
     "q": r"pos|position|qpos|q",
     "dq": r"vel|velocity|speed|qvel|dq",
@@ -68,14 +75,20 @@ def lerobot_table(path: Path, request: Request) -> Table:
     chosen, joints, warnings = _joint_signals(path, elements, request)
     columns |= {key: (-1, len(index)) for key, (_, index) in chosen.items()}
     places.update(chosen)
+    factor, unclear = 1.0, None
+    if chosen:
+        factor, said, unclear = _unit(path, info, files, chosen)
+        warnings += (said,) if said else ()
 
     def read(wanted: Sequence[str]) -> dict[str, np.ndarray]:
+        if unclear is not None and {"q", "u"} & set(wanted):
+            raise unclear
         needed = [places[name][0] for name in wanted if name in places]
         table = _sorted(path, files, dict.fromkeys(needed), float(info["fps"]))
         return {
             name: table[name] if name not in places else _part(table, *places[name])
             for name in wanted
-        }
+        } | {key: factor * _part(table, *places[key]) for key in ("q", "u") if key in wanted}
 
     kind = f"LeRobot {info.get('codebase_version', 'dataset')}"
     return Table(
@@ -149,13 +162,60 @@ def _joint_signals(
             if all(joint in named for joint in joints):
                 found[key] = (feature, [named[joint] for joint in joints])
                 break
-    if found:
-        what = f"'{path}': q is {found['q'][0]}, and is taken for radians; LeRobot drivers record "
-        warnings = (
-            *warnings,
-            f'{what}degrees or percent too: `columns="q={found["q"][0]}[:,0:{len(joints)}] deg"`',
-        )
     return found, joints, warnings
+
+
+def _unit(
+    path: Path,
+    info: Mapping[str, Any],
+    files: Sequence[Path],
+    chosen: Mapping[str, tuple[str, list[int]]],
+) -> tuple[float, str, LogError | None]:
+    """Radians in a unit of q and u, what to say of it, and the error where nothing tells.
+
+    A unit that the features name counts first. LeRobot itself writes none: its drivers recorded
+    degrees before elements ended in `.pos`, and since record degrees or, of the range in the arm's
+    calibration file, -100 .. 100: only degrees go beyond.
+    """
+    feature, index = chosen["q"]
+    given = info["features"][feature]
+    named = given.get("unit", given.get("units"))
+    factor = unit_factor("q", named) if isinstance(named, str) else None
+    if factor is not None:
+        return factor, f"'{path}': q is {feature}, in {named}, as meta/info.json says", None
+    kind, names = str(info.get("robot_type")), _names(given)
+    arm = [k for k in index if "gripper" not in names[k].lower()]
+    line = ",".join(
+        f"{key}={name}[:,{_span(at)}] deg" for key, (name, at) in chosen.items() if key in "qu"
+    )
+    if not _BUS_SERVOS.fullmatch(kind):
+        what = f"'{path}': q is {feature}, and is taken for radians; LeRobot drivers record "
+        return 1.0, f'{what}degrees or percent too: `columns="{line}"`', None
+    tables = [read_parquet_columns(file, [feature]) for file in files]
+    values = [_part(table, feature, arm) for table in tables if feature in table]
+    peak = max((float(np.nanmax(np.abs(x), initial=0.0)) for x in values), default=0.0)
+    what = f"'{path}': q is {feature} of a {kind}, up to {peak:.3g}"
+    if peak <= _RADIANS:
+        return 1.0, f"{what}: taken for radians", None
+    if not any(name.endswith(".pos") for name in names) or peak > _NORMALISED:
+        return math.pi / 180, f"{what}: taken for degrees", None
+    return (
+        1.0,
+        "",
+        LogError(
+            f"{what}: meta/info.json does not say whether in degrees or of the calibrated range.",
+            expected="the unit, as `use_degrees` of the arm's driver was",
+            hint=f'`columns="{line}"` for degrees; for -100 .. 100 factors `*[k1,..]` in the '
+            "place of `deg`: (range_max - range_min) 2 pi / (200 4096) of each joint's calibration",
+        ),
+    )
+
+
+def _span(index: Sequence[int]) -> str:
+    """Elements of a feature as a mapping names them: 0:6, or [2,0,1]."""
+    index = list(index)
+    run = index == list(range(index[0], index[-1] + 1))
+    return f"{index[0]}:{index[-1] + 1}" if run else f"[{','.join(map(str, index))}]"
 
 
 def _elements_of(key: str, names: Sequence[str], mixed: bool) -> dict[str, int]:

@@ -6,16 +6,24 @@ the other; time may start again in each of them, so no signal may be differentia
 interpolated across the border between two.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from html import escape
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
 
 from torchid.errors import LogError
+from torchid.notebooks import data_frame, html_table
 from torchid.tensors import as_tensor
 from torchid.typing import Bool, Float, Int, Tensor
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 JOINT_SIGNALS = ("q", "dq", "ddq", "tau", "current", "ql", "u")
 OPTIONAL_SIGNALS = JOINT_SIGNALS[1:]
@@ -145,11 +153,53 @@ class Log:
         return self.q.shape[1]
 
     def __repr__(self) -> str:
-        count, signals = len(self.names), ", ".join(self.signals)
+        joints = "1 joint" if self.n == 1 else f"{self.n} joints"
+        runs = "" if len(self.names) == 1 else f"{len(self.names)} trajectories of "
         return (
-            f"Log({count} trajector{'y' if count == 1 else 'ies'} of {self.n} joints, "
-            f"{self.samples} samples of {signals})"
+            f"Log({runs}{joints}, {self.samples} samples of {', '.join(self.signals)}, "
+            f"{sum(self.duration):.4g} s at {self._rate(0):.4g} Hz)"
         )
+
+    def _rate(self, run: int) -> float:
+        """Samples a second of a trajectory, by its median step."""
+        steps = self.t[self.slices()[run]].diff()
+        return 1.0 / float(steps.median()) if len(steps) and steps.median() > 0 else math.nan
+
+    def _repr_html_(self) -> str:
+        """In a notebook: a row a trajectory, and the range of each signal of each joint."""
+        from torchid.log.limits import finite_range
+
+        joints = range(1, self.n + 1)
+        runs = [
+            (name, rows.stop - rows.start, f"{seconds:.4g}", f"{self._rate(k):.4g}")
+            for k, (name, rows, seconds) in enumerate(
+                zip(self.names, self.slices(), self.duration, strict=True)
+            )
+        ]
+        ranges = [
+            (name, *(f"{low:.3g} .. {high:.3g}" for low, high in finite_range(x).tolist()))
+            for name, x in self.signals.items()
+        ]
+        return (
+            f"<p>{escape(repr(self))}</p>"
+            + html_table(("trajectory", "samples", "seconds", "rate [Hz]"), runs)
+            + html_table(("range", *(f"joint {j}" for j in joints)), ranges)
+        )
+
+    def to_frame(self) -> "DataFrame":
+        """A pandas DataFrame: t, q1.., and what else there is, as `write_log` names columns.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        from torchid.log.columns import columns_of
+
+        return data_frame()(columns_of(self))
+
+    def plot(self) -> "Figure":
+        """A matplotlib figure of position (with the command), velocity and torque of each joint."""
+        figure: Figure = import_module("torchid").draw(self)
+        return figure
 
     @property
     def samples(self) -> int:

@@ -1,4 +1,4 @@
-"""Logs from and to files and folders.
+"""Logs from files, folders and tables in memory, and to files.
 
 Read: .parquet, .csv, .npz, .mat, .h5; ROS bags; LeRobot datasets; motions of SAGE; whatever
 `register_reader` adds.
@@ -6,13 +6,14 @@ Columns that have the names of `torchid.log.columns` are found by themselves; ot
 (`torchid.log.mapping`). Written: .parquet, .csv and .npz.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Protocol, runtime_checkable
 
 import numpy as np
+import torch
 
 from torchid.errors import LogError, TorchidError
 from torchid.files import atomic_write
@@ -22,6 +23,7 @@ from torchid.log.csv_file import csv_table
 from torchid.log.formats import (
     npz_table,
     parquet_table,
+    repeated,
     write_csv,
     write_npz,
     write_parquet,
@@ -39,21 +41,40 @@ from torchid.log.table import AbsentColumnError, Request, Table
 Reader = Callable[[Path], Log]
 Opener = Callable[[Path, Request], Table]
 
+
+@runtime_checkable
+class Frame(Protocol):
+    """A table in memory with named columns: of pandas, polars or pyarrow."""
+
+    @property
+    def columns(self) -> Any:
+        """Its columns, or their names."""
+
+    def __getitem__(self, name: Any, /) -> Any:
+        """One column."""
+
+
+OneLog = Log | str | Path | Mapping[str, Any] | Frame
+LogLike = OneLog | Iterable[OneLog]
+"""A log, or what `read_log` makes one of."""
+
 __all__ = ["log_from_columns", "open_log", "read_log", "register_reader", "write_log"]
 
 
 def read_log(
-    paths: str | Path | Sequence[str | Path],
+    logs: LogLike,
     *,
     columns: str | Path | Mapping[str, Any] | ColumnMapping | None = None,
     topic: str | None = None,
     joints: Sequence[str] = (),
     spare: Sequence[str] = (),
 ) -> Log:
-    """Read one log, or several as the trajectories of one.
+    """One log, or several as the trajectories of one, of files or of tables in memory.
 
     Args:
-        paths: a file or folder, or several; the suffix chooses the reader.
+        logs: a file or folder, whose suffix chooses the reader; a table in memory: a DataFrame, or
+            arrays, tensors or lists by name, `t` with `q`, `tau`, .. (T, n) or `q1`, `tau1`, ..; a
+            Log, which stays as it is; or several of them.
         columns: which columns are what, where they have other names than ours: text, a yaml file,
             or a dict (see `torchid.log.mapping`).
         topic: of the joint states in a bag with several.
@@ -64,7 +85,7 @@ def read_log(
 
     Raises:
         LogError: a file is missing, is not what its suffix says, or lacks columns; has a joint
-            that the robot lacks; or the files do not go together.
+            that the robot lacks; the files do not go together; or something that is no log.
         MissingExtraError: the package that reads this format is not installed.
 
     >>> from pathlib import Path
@@ -77,17 +98,69 @@ def read_log(
     [0.0, 0.01, 0.02]
     >>> [round(q, 4) for q in log.q[:, 0].tolist()]
     [0.0, 1.5708, 3.1416]
+    >>> read_log({"t": [0.0, 0.01], "q": [[0.1, 0.2], [0.3, 0.4]]})
+    Log(2 joints, 2 samples of q, 0.01 s at 100 Hz)
     """
-    files = [paths] if isinstance(paths, str | Path) else list(paths)
-    if not files:
+    given = each_log(logs)
+    if not given:
         raise LogError("no log is given.", expected="at least one file", available=_suffixes())
     mapping = None if columns is None else read_mapping(columns)
     request = Request(mapping, topic, tuple(joints), spare_joints=tuple(spare))
-    return Log.concatenate([log for _, log in open_logs([Path(f) for f in files], request)])
+    sources = [
+        _source(one, f"table {k}" if len(given) > 1 else "table")
+        for k, one in enumerate(given, start=1)
+    ]
+    return Log.concatenate([log for _, log in open_logs(sources, request)])
 
 
-def open_logs(paths: Sequence[Path], request: Request) -> list[tuple[Table | None, Log]]:
-    """Several files or folders, each as `open_log` does.
+def each_log(logs: LogLike) -> list[OneLog]:
+    """One or several logs as a list."""
+    if isinstance(logs, Log | str | Path | Mapping | Frame) or not isinstance(logs, Iterable):
+        return [logs]
+    return list(logs)
+
+
+def _source(given: object, name: str) -> Path | Table | Log:
+    """What a log is read of: a file, a table in memory, or the log itself.
+
+    Raises:
+        LogError: something else, or a table of what is no numbers.
+    """
+    if isinstance(given, Log | Path):
+        return given
+    if isinstance(given, str):
+        return Path(given)
+    if not isinstance(given, Mapping | Frame) or isinstance(given, type):
+        raise LogError(
+            "this is no log.",
+            got=type(given).__name__,
+            expected="a Log, a file or folder, a DataFrame or a mapping of arrays with t, q1.. (or "
+            "q), or a list of these",
+        )
+    names = getattr(
+        given, "column_names", list(given if isinstance(given, Mapping) else given.columns)
+    )
+    arrays: dict[str, np.ndarray] = {}
+    for key in names:
+        column = given[key]
+        if isinstance(column, torch.Tensor):
+            column = column.detach().cpu()
+        if column is not None:
+            try:
+                arrays[str(key)] = np.asarray(column)
+            except (TypeError, ValueError, RuntimeError) as error:  # lists of several lengths
+                raise LogError(
+                    f"'{name}': column {key} is no table of numbers.", got=str(error)
+                ) from error
+    return Table.in_memory(
+        Path(name), "table in memory", arrays, repeated=repeated([*map(str, names)])
+    )
+
+
+def open_logs(
+    paths: Sequence[Path | Table | Log], request: Request
+) -> list[tuple[Table | None, Log]]:
+    """Several logs, each as `open_log` does.
 
     Raises:
         As `read_log`; where one of several does not have what the others' mapping names, with
@@ -101,12 +174,16 @@ def open_logs(paths: Sequence[Path], request: Request) -> list[tuple[Table | Non
         raise with_hint(error, one_for_all("columns")) from None
 
 
-def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
-    """One file or folder as a Log, and as the table it was; None from a registered reader.
+def open_log(path: Path | Table | Log, request: Request) -> tuple[Table | None, Log]:
+    """One log as a Log, and as the table it was; None from a registered reader, or of a Log.
 
     Raises:
         As `read_log`.
     """
+    if isinstance(path, Log):
+        return None, path
+    if isinstance(path, Table):
+        return path, log_from_table(path, request.columns, request.joints)
     found = _find(path)
     try:
         if isinstance(found, str):
@@ -155,13 +232,13 @@ def register_reader(suffix: str, function: Reader) -> None:
     _READERS[suffix.lower()] = function
 
 
-def write_log(log: Log, path: str | Path) -> None:
+def write_log(log: LogLike, path: str | Path) -> None:
     """Write a log as .parquet, .csv or .npz, with `traj` if it has more than one trajectory.
 
     The values are written in full precision. Names, source and warnings are not kept.
 
     Args:
-        log: one or several trajectories.
+        log: one or several trajectories, or what `read_log` makes them of.
         path: the file.
 
     Raises:
@@ -184,7 +261,7 @@ def write_log(log: Log, path: str | Path) -> None:
             available=sorted(_WRITERS),
         )
     with atomic_write(path, "wb") as file:
-        writer(columns_of(log), file)
+        writer(columns_of(read_log(log)), file)
 
 
 def written_suffixes() -> tuple[str, ...]:

@@ -20,7 +20,16 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """Of each kind of column, the first unit is ours (a prismatic joint's are m and N)."""
 
-_ALIASES = {"sec": "s", "µs": "us", "μs": "us", "µm": "um", "°": "deg", "turn": "rev"}
+_ALIASES = {
+    "sec": "s",
+    "µs": "us",
+    "μs": "us",
+    "µm": "um",
+    "°": "deg",
+    "turn": "rev",
+    "degrees": "deg",
+    "radians": "rad",
+}
 
 
 def unit_factor(kind: str, unit: str) -> float | None:

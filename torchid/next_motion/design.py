@@ -15,6 +15,7 @@ from torchid.gap.record import GapRecord
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
 from torchid.identification.values import Prior, nominal_base, plain_effects, prior_of
+from torchid.inputs import RobotLike, as_robot
 from torchid.next_motion.ambiguity import open_questions, refuse_another
 from torchid.next_motion.rivals import rivals
 from torchid.next_motion.separating_motion import Separation, design_separation
@@ -88,7 +89,7 @@ def prior_of_diagnosis(record: GapRecord, robot: Robot, source: str) -> Prior:
 
 def excite_for(
     result: str | Path | Diagnosis | Identification | Asking | PositionRecord,
-    robot: Robot | None = None,
+    robot: RobotLike | None = None,
     *,
     goal: Goal | None = None,
     duration: float = DURATION,
@@ -137,6 +138,7 @@ def excite_for(
     >>> made.shrinks(made.after) < 1  # standard deviations, to what they were
     True
     """
+    robot = None if robot is None else as_robot(robot)
     source = str(result) if isinstance(result, str | Path) else "the result"
     record = read_asking(result) if isinstance(result, str | Path) else result.record
     if isinstance(record, PositionRecord):

@@ -26,8 +26,8 @@ from torchid.gap.localise.where import where
 from torchid.gap.noise.spectrum import white_level
 from torchid.gap.record import NoiseFloor
 from torchid.gap.settings import GapSettings
+from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.filtering import central_difference, low_passed
-from torchid.log.model import Log
 from torchid.pair.align import Both, aligned
 from torchid.pair.effects import Progress, effects_of
 from torchid.pair.faults import (
@@ -102,9 +102,9 @@ class PairDiagnosis(Result):
 
 
 def compare_pair(
-    simulated: Log,
-    real: Log,
-    robot: Robot | None = None,
+    simulated: LogLike,
+    real: LogLike,
+    robot: RobotLike | None = None,
     *,
     settings: GapSettings | None = None,
     progress: Progress | None = None,
@@ -129,6 +129,9 @@ def compare_pair(
     >>> [(f.fault, f.joints) for f in found.faults]
     [('sign', (1,))]
     """
+    robot = None if robot is None else as_robot(robot)
+    simulated = as_log(simulated, robot)
+    real = as_log(real, robot)
     settings = replace(settings or GapSettings(), rollout=False)
     say = progress or (lambda stage, done, total: None)
     if robot is not None:

@@ -228,12 +228,13 @@ def rates(q: Float[Tensor, "T n"], tracks: Tracks) -> Float[Tensor, "T n"]:
     return torch.where(dq.abs() < STILL, 0.0, dq)
 
 
-def prepare(robot: Robot, log: Log) -> PositionData:
+def prepare(robot: Robot, log: Log, scale: Float[Tensor, " n"] | None = None) -> PositionData:
     """Motions as the fit takes them.
 
     Args:
         robot: links without inertial parameters are taken for rods (`with_rods`).
         log: t, q and u.
+        scale: (n,) radians per unit of the log, where servos know them; as `scale_of` if None.
 
     Raises:
         LogError: other joints than the robot's, as `tracks_of`, positions that are not finite or
@@ -253,7 +254,7 @@ def prepare(robot: Robot, log: Log) -> PositionData:
             expected="a number in every row",
             hint="cut out those rows, and number the parts in a column traj",
         )
-    scale = scale_of(log)
+    scale = scale_of(log) if scale is None else scale
     tracks = tracks_of(log, scale)
     for j, kind in enumerate(robot.joint_types):
         limits = robot.limits.position

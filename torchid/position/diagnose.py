@@ -85,18 +85,6 @@ def diagnose_positions(
 
     Raises:
         LogError: no commands, other joints than the robot's, uneven sampling, or too short a log.
-
-    >>> import numpy as np, torchid
-    >>> robot = torchid.load_robot("3r")
-    >>> real = torchid.ServoArm.of(robot, kp=260.0, damping=22.0, armature=0.8, coulomb=1.5)
-    >>> t, logs = 0.02 * np.arange(300), []
-    >>> for k in range(2):
-    ...     u = 0.3 * np.sin(np.outer(t, [1.1, 2.3, 3.1]) + k)
-    ...     logs.append(torchid.replay(real, torchid.Log(t, q=u, u=u)).simulated[0])
-    >>> found = diagnose_positions(robot, torchid.Log.concatenate(logs))
-    >>> answered, _ = found.answered.mean  # mrad
-    >>> answered < 0.1 * found.commanded.mean[0]
-    True
     """
     robot.require_fixed_base("a diagnosis of positions")
     begun, stages = time.perf_counter(), itertools.count()
@@ -563,7 +551,7 @@ def _findings(answered: _Answer, known: Equations, windows: Windows) -> tuple[Po
                 )
             )
             continue
-        for j in torch.nonzero(without.isfinite()).flatten().tolist():
+        for j in torch.nonzero(without.isfinite() & ~_still(data)).flatten().tolist():
             sizes = []
             for key in effect.parameters:
                 if key not in known.names or not bool(found.free[key][j]):

@@ -12,7 +12,9 @@ from msgspec import UNSET, UnsetType
 
 from torchid.errors import LogError, TorchidError
 from torchid.files import atomic_write
+from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
+from torchid.log.readers import each_log
 from torchid.position.data import STILL, WINDOW_S, tracks_of
 from torchid.results.record import Part, Record, Result, Rows
 from torchid.robot.model import Robot
@@ -57,7 +59,7 @@ class ServoArm:
 
     @classmethod
     def of(
-        cls, robot: Robot, **values: float | Sequence[float] | np.ndarray | Tensor
+        cls, robot: RobotLike, **values: float | Sequence[float] | np.ndarray | Tensor
     ) -> "ServoArm":
         """An arm with these servos.
 
@@ -69,6 +71,7 @@ class ServoArm:
         Raises:
             TorchidError: no such parameter, or not a number for every joint.
         """
+        robot = as_robot(robot)
         servos = Servos.neutral(robot.n)
         for name, value in values.items():
             if name not in NAMES:
@@ -199,11 +202,11 @@ class Replay(Result):
         )
 
 
-def replay(arm: ServoArm, logs: Log | Sequence[Log], *, windows: float | None = None) -> Replay:
+def replay(arm: ServoArm | str | Path, logs: LogLike, *, windows: float | None = None) -> Replay:
     """Where the arm would have gone with the commands of logs.
 
     Args:
-        arm: the model: `corrected` of a diagnosis of positions, or `ServoArm.read`.
+        arm: the model: `corrected` of a diagnosis of positions, or the file that it was written to.
         logs: t, u and q; every motion begins at its measured start.
         windows: begin again at the measured position every so many seconds; never if None.
 
@@ -222,32 +225,33 @@ def replay(arm: ServoArm, logs: Log | Sequence[Log], *, windows: float | None = 
     >>> far.simulated[0].q.shape, bool((far.error < 150).all())
     (torch.Size([100, 3]), True)
     """
-    logs = (logs,) if isinstance(logs, Log) else tuple(logs)
+    arm = ServoArm.read(arm) if isinstance(arm, str | Path) else arm
+    runs = tuple(as_log(log, arm.robot) for log in each_log(logs))
     robot, scale = arm.robot, arm.scale
     if windows is not None and not windows > 0:
         raise TorchidError("windows is a time.", got=windows, expected="> 0 s")
-    for log in logs:
+    for log in runs:
         if log.n != robot.n:
             raise LogError(
                 f"{log.label} has another number of joints than robot '{robot.name}'.",
                 got=f"{log.n} (q1..q{log.n})",
                 expected=f"{robot.n} (q1..q{robot.n})",
             )
-    tracks = [tracks_of(log, scale) for log in logs]
+    tracks = [tracks_of(log, scale) for log in runs]
     # Logs of one rate are simulated side by side.
     out: dict[int, Log] = {}
-    waiting = list(range(len(logs)))
+    waiting = list(range(len(runs)))
     while waiting:
         rate = tracks[waiting[0]].dt
         alike = [k for k in waiting if abs(tracks[k].dt - rate) <= SAME_RATE * rate]
         waiting = [k for k in waiting if k not in alike]
         together = _side_by_side([tracks[k] for k in alike])
-        found = _replayed(arm, [logs[k] for k in alike], together, windows)
+        found = _replayed(arm, [runs[k] for k in alike], together, windows)
         for k, q in zip(alike, found, strict=True):
-            plain = logs[k].replace(**dict.fromkeys([s for s in logs[k].signals if s != "q"]))
-            out[k] = plain.replace(q=q / scale, u=logs[k].u)
-    simulated = tuple(out[k] for k in range(len(logs)))
-    return Replay(robot.name, logs, simulated, windows, tuple(log.source for log in logs))
+            plain = runs[k].replace(**dict.fromkeys([s for s in runs[k].signals if s != "q"]))
+            out[k] = plain.replace(q=q / scale, u=runs[k].u)
+    simulated = tuple(out[k] for k in range(len(runs)))
+    return Replay(robot.name, runs, simulated, windows, tuple(log.source for log in runs))
 
 
 def _replayed(

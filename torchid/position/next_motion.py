@@ -145,18 +145,6 @@ def next_commands(
     Raises:
         RobotError: limits are missing, or no motion keeps them.
         TorchidError: a robot with another number of joints, or no result of such logs.
-
-    >>> import numpy as np, torchid
-    >>> robot = torchid.load_robot("3r")
-    >>> real = torchid.ServoArm.of(robot, kp=260.0, damping=22.0, armature=0.8, coulomb=1.5)
-    >>> t, logs = 0.02 * np.arange(300), []
-    >>> for k in range(2):
-    ...     u = 0.3 * np.sin(np.outer(t, [1.1, 2.3, 3.1]) + k)
-    ...     logs.append(torchid.replay(real, torchid.Log(t, q=u, u=u)).simulated[0])
-    >>> found = torchid.diagnose(robot, torchid.Log.concatenate(logs))
-    >>> made = next_commands(found, robot, seconds=4.0)
-    >>> made.log.u.shape, len(made.motions)
-    (torch.Size([800, 3]), 4)
     """
     found = result.record if isinstance(result, PositionDiagnosis) else result
     if not isinstance(found, PositionRecord):

@@ -134,6 +134,32 @@ def trajectory_figure(robot: Robot, motion: Log, title: str, noisy: Log | None =
     return finish(figure, title, *(() if noisy is None else grid[:1, 0]), columns=3)
 
 
+def signals_figure(log: Log) -> Figure:
+    """Position with its command, velocity and torque (or current) of each joint, as far as they
+    were measured; trajectories one after the other."""
+    effort = "tau" if log.tau is not None or log.current is None else "current"
+    columns = [
+        (name, field)
+        for name, field in (
+            ("position [rad or m]", "q"),
+            ("velocity [1/s]", "dq"),
+            (effort, effort),
+        )
+        if getattr(log, field) is not None
+    ]
+    starts = torch.tensor([0.0, *log.duration]).cumsum(0).tolist()
+    figure, grid = joint_rows(log.n, [name for name, _ in columns], (11, 1.0 + 1.25 * log.n))
+    for start, run in zip(starts, log.trajectories(), strict=False):
+        t = thin(run.t - run.t[0]) + start
+        for column, (_, field) in zip(grid.T, columns, strict=True):
+            for j, axes in enumerate(column):
+                axes.plot(t, thin(getattr(run, field)[:, j]), color=BLUE, label="measured")
+                if field == "q" and run.u is not None:
+                    axes.plot(t, thin(run.u[:, j]), color=ORANGE, linewidth=0.8, label="commanded")
+                axes.axvline(start, color="0.8", linewidth=0.6)
+    return finish(figure, log.source, *(grid[:1, 0] if log.u is not None else ()))
+
+
 def topics_table(topics: Sequence[Topic], read: str | None) -> Table:
     """The topics of a bag."""
     rows = [

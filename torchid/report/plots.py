@@ -17,6 +17,7 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import GapRecord
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
+from torchid.log.model import Log
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import Replay
 from torchid.position.record import PositionRecord
@@ -31,6 +32,7 @@ from torchid.report import (
     withheld,
 )
 from torchid.report import gap_figures as gap
+from torchid.report.log import signals_figure
 from torchid.report.over_time import motion_over_time
 from torchid.report.panels import Figure, Figures
 from torchid.report.skeleton import skeleton_of
@@ -42,11 +44,11 @@ from torchid.study.result import Study
 from torchid.withheld.score_record import ScoreRecord
 
 
-def draw(result: Result, kind: str | None = None, **which: Any) -> Figure:
+def draw(result: Result | Log, kind: str | None = None, **which: Any) -> Figure:
     """A figure of a result, as the commands and their pages draw it.
 
     Args:
-        result: in memory, or read back: that has no torque over time.
+        result: in memory, or read back: that has no torque over time; or a log.
         kind: which figure; the first of its kinds if None.
         which: what else it asks for: `joint` (from 0) of a gap's `gap`, `torque` and `motion`,
             `trajectory` (from 0) of an identification's `torque`, `log` (from 0) of a replay's
@@ -86,9 +88,11 @@ def draw(result: Result, kind: str | None = None, **which: Any) -> Figure:
     return figure
 
 
-def kinds(result: Result) -> Figures:
+def kinds(result: Result | Log) -> Figures:
     """What can be drawn of a result, by name."""
     match result:
+        case Log():
+            return {"signals": partial(signals_figure, result)}
         case TorqueDiagnosis() | GapRecord():
             return _gap(result)
         case PositionDiagnosis() | PositionRecord():

@@ -15,6 +15,7 @@ from pathlib import Path
 import msgspec
 from msgspec import UNSET, UnsetType
 
+from torchid.notebooks import html_table
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result
 from torchid.results.words import (
     effect_words,
@@ -391,16 +392,20 @@ class Answer(Part, frozen=True, kw_only=True):
         """Each suspect, and what would settle it."""
         return [f"{self.suspect_words(c)}: {c.remedy}" for c in self.suspects]
 
+    def __str__(self) -> str:
+        """The headline, and the table with a space between its columns."""
+        rows = [COLUMNS, *self.rows()]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+        return "\n".join((self.headline, "", self.title, *lines))
+
     def _repr_html_(self) -> str:
         """The headline and the table, for notebooks."""
-        head = "".join(f"<th>{escape(name)}</th>" for name in COLUMNS)
-        body = "".join(
-            f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in self.rows()
-        )
+        suspects = f"<p>Suspects: {escape('; '.join(self.suspect_lines))}</p>"
         return (
-            f"<p><b>{escape(self.headline)}</b></p><table><caption>{escape(self.title)}</caption>"
-            f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-            + (f"<p>Suspects: {escape('; '.join(self.suspect_lines))}</p>" if self.suspects else "")
+            f"<p><b>{escape(self.headline)}</b></p><p>{escape(self.title)}</p>"
+            + html_table(COLUMNS, self.rows())
+            + (suspects if self.suspects else "")
         )
 
 

@@ -30,8 +30,9 @@ import numpy as np
 from jaxtyping import AbstractArray, jaxtyped
 from msgspec import UNSET, UnsetType
 
-from torchid.errors import MissingExtraError, TorchidError
+from torchid.errors import TorchidError
 from torchid.json_data import plain, write_json
+from torchid.notebooks import data_frame, html_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -101,11 +102,7 @@ class Rows(tuple[_T, ...]):
         Raises:
             MissingExtraError: pandas is not installed.
         """
-        try:
-            from pandas import DataFrame
-        except ImportError as error:
-            raise MissingExtraError("pandas", "frames", "a DataFrame") from error
-        return DataFrame(self.plain())
+        return data_frame()(self.plain())
 
     def plain(self) -> list[dict[str, Any]]:
         """The entries as their JSON has them."""
@@ -113,13 +110,9 @@ class Rows(tuple[_T, ...]):
 
     def _repr_html_(self) -> str:
         rows = self.plain()
-        head = "".join(f"<th>{escape(key)}</th>" for key in (rows[0] if rows else ()))
-        body = "".join(
-            f"<tr>{''.join(f'<td>{_cell(value)}</td>' for value in row.values())}</tr>"
-            for row in rows[:_MOST_ROWS]
-        )
+        cells = ([_cell(value) for value in row.values()] for row in rows[:_MOST_ROWS])
         more = f"<p>and {len(rows) - _MOST_ROWS} more</p>" if len(rows) > _MOST_ROWS else ""
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
+        return html_table(rows[0] if rows else (), cells) + more
 
 
 class Result:
@@ -396,7 +389,7 @@ def _cell(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, Mapping):
-        return ", ".join(f"{escape(str(key))} = {_cell(entry)}" for key, entry in value.items())
+        return ", ".join(f"{key} = {_cell(entry)}" for key, entry in value.items())
     if isinstance(value, list):
         return ", ".join(map(_cell, value)) if len(value) <= 12 else f"{len(value)} values"
-    return "" if value is None else escape(str(value))
+    return "" if value is None else str(value)

@@ -8,7 +8,7 @@ from torchid.errors import RobotError, TorchidError
 from torchid.files import add_input
 from torchid.robot.config_files import ROBOT_FILES, config_folder, names_robot
 from torchid.robot.floating import on_moving_base
-from torchid.robot.model import Robot
+from torchid.robot.model import Robot, RobotLike
 from torchid.robot.sidecar import sidecar_path, with_sidecar
 from torchid.robot.tree import Base, Choice
 from torchid.robot.yaml_file import read_yaml
@@ -94,6 +94,23 @@ def load_robot(
         robot = read_mjcf(path, tip=tip, root=root, lock=lock, base=base)
     robot = with_sidecar(robot, path)
     return on_moving_base(robot) if base == "moving" else robot
+
+
+def as_robot(robot: RobotLike) -> Robot:
+    """A robot as it is, or of its name or file: what every public function takes for one.
+
+    Raises:
+        RobotError: as `load_robot`, or something else.
+    """
+    if isinstance(robot, Robot):
+        return robot
+    if isinstance(robot, str | Path):
+        return load_robot(robot)
+    raise RobotError(
+        "this is no robot.",
+        got=type(robot).__name__,
+        expected="a Robot, or a name or file that `torchid.load_robot` takes",
+    )
 
 
 def load_both(params: str, robot: str | None, choice: Choice) -> tuple[Robot, Robot]:

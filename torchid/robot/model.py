@@ -20,6 +20,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
+from html import escape
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -27,6 +29,7 @@ import torch
 from torch import Tensor
 
 from torchid.errors import RobotError, TorchidError
+from torchid.notebooks import html_table
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.knowledge import Knowledge
 from torchid.tensors import as_tensor, joint_signals
@@ -189,6 +192,7 @@ class Robot:
         basis: of its base parameters, unless another is asked for.
         warnings: what the reader noticed, one sentence each.
         source: file or built-in name it came from.
+        file: of a yaml: the URDF or MJCF that it was made from (`torchid.robot.origin`).
         tip, root: that its part was chosen by, of a URDF or MJCF.
         knowledge: how sure parameters and effects are; None where nobody says it: values like
             those of CAD, to some ten per cent.
@@ -228,6 +232,7 @@ class Robot:
     basis: Basis = "conditioned"
     warnings: tuple[str, ...] = ()
     source: str = ""
+    file: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     tip: str | None = None
     knowledge: Knowledge | None = None
     parents: tuple[int, ...] = ()
@@ -273,9 +278,25 @@ class Robot:
             )
 
     def __repr__(self) -> str:
-        known = "without parameters" if self.parameters is None else "with parameters"
+        mass = "without parameters"
+        if self.parameters is not None:
+            mass = f"{float(self.parameters.mass.sum()):.4g} kg"
         joints = "1 joint" if self.n == 1 else f"{self.n} joints"
-        return f"Robot('{self.name}', {joints}, {known}, {len(self.effects)} effects)"
+        source = f", from {Path(self.source).name}" if self.source else ""
+        return f"Robot('{self.name}', {joints}, {mass}, {len(self.effects)} effects{source})"
+
+    def _repr_html_(self) -> str:
+        """In a notebook: a row a link that moves, with its joint and its mass."""
+        masses = self.n_links * ["-"]
+        if self.parameters is not None:
+            masses = [f"{mass:.4g}" for mass in self.parameters.mass.tolist()]
+        joints = [(drive.joint, drive.joint_type.value) for drive in self.drives]
+        rows = [
+            (*joint, link, mass)
+            for joint, link, mass in zip(joints, self.link_names, masses, strict=True)
+        ]
+        head = ("joint", "type", "link", "mass [kg]")
+        return f"<p>{escape(repr(self))}</p>{html_table(head, rows)}"
 
     @property
     def n(self) -> int:
@@ -539,6 +560,10 @@ class Robot:
         return to_chain(self, dtype, tip)
 
 
+RobotLike = Robot | str | Path
+"""A robot, or what `load_robot` finds one by: a built-in name or a file."""
+
+
 def joint_transforms(robot: Robot, q: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch L 4 4"]:
     """T_i(q): pose of each link frame in that of the link that carries it (..., L, 4, 4)."""
     before = robot.before.to(q)
@@ -568,11 +593,11 @@ def link_poses(robot: Robot, q: Float[Tensor, "*batch n"]) -> Float[Tensor, "*ba
     return torch.stack(poses, -3)
 
 
-def tool_pose(robot: Robot, q: Numbers, tip: str | None = None) -> Float[Tensor, "*batch 4 4"]:
+def tool_pose(robot: RobotLike, q: Numbers, tip: str | None = None) -> Float[Tensor, "*batch 4 4"]:
     """Pose of the tool in the base frame.
 
     Args:
-        robot: kinematics and tool.
+        robot: kinematics and tool; its name or file will do.
         q: (..., n) [rad; m for prismatic joints]; arrays and lists too, in float64.
         tip: which of several tips.
 
@@ -588,6 +613,9 @@ def tool_pose(robot: Robot, q: Numbers, tip: str | None = None) -> Float[Tensor,
     >>> pose.shape, pose[3].tolist()
     (torch.Size([4, 4]), [0.0, 0.0, 0.0, 1.0])
     """
+    from torchid.robot.library import as_robot
+
+    robot = as_robot(robot)
     (q,) = joint_signals(robot.n, q=q)
     end = robot.end(tip)
     return link_poses(robot, q)[..., end.link, :, :] @ end.pose.to(q)

@@ -13,12 +13,14 @@ from torch import Tensor
 
 from torchid.files import atomic_write
 from torchid.robot.knowledge import to_mapping as knowledge_mapping
-from torchid.robot.model import LIMITS, Robot
+from torchid.robot.library import as_robot
+from torchid.robot.model import LIMITS, Robot, RobotLike
+from torchid.robot.origin import origin_of
 from torchid.robot.yaml_kinematics import CONVENTIONS, dh_step
 from torchid.typing import Float
 
 
-def write_robot(robot: Robot, path: str | Path) -> None:
+def write_robot(robot: RobotLike, path: str | Path) -> None:
     """Write a robot's yaml (format in docs/robots.md), in place of the file only when complete.
 
     Numbers are written so that they are read back exactly, and inertial parameters as they are
@@ -42,6 +44,7 @@ def write_robot(robot: Robot, path: str | Path) -> None:
     >>> bool((again.parameters.pi == robot.parameters.pi).all())
     True
     """
+    robot = as_robot(robot)
     text = robot_yaml(robot)
     with atomic_write(Path(path)) as file:
         file.write(text)
@@ -61,6 +64,8 @@ def to_mapping(robot: Robot) -> dict[str, Any]:
     """Content of the robot's yaml as plain Python values; the inverse of `from_mapping`."""
     out: dict[str, Any] = {"name": robot.name}
     out |= _dh(robot) or _placements(robot)
+    out |= _unless_empty("file", dict(origin_of(robot)))
+    out |= _unless_empty("file", dict(origin_of(robot)))
     out["gravity"] = robot.gravity.tolist()
     if not _is_identity(robot.tool):
         out["tool"] = robot.tool.tolist()

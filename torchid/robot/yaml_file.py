@@ -13,6 +13,7 @@ from torchid.robot.inertia import InertialParameters, parallel_axis
 from torchid.robot.knowledge import Knowledge
 from torchid.robot.knowledge import from_mapping as knowledge_of
 from torchid.robot.model import LIMITS, STANDARD_GRAVITY, Basis, Limits, Robot
+from torchid.robot.origin import read_origin
 from torchid.robot.yaml_kinematics import read_kinematics
 from torchid.robot.yaml_values import known, numbers, parsed_yaml
 
@@ -29,6 +30,7 @@ _REST = (
     "floating",
 )
 _KNOWLEDGE = "knowledge"
+_FILE = "file"
 _BESIDE = ("servo", "servos")
 """What a robot's yaml may hold and other readers take: `torchid.position`."""
 
@@ -51,7 +53,7 @@ def read_yaml(path: Path) -> Robot:
 
 def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
     """A Robot from the parsed content of a robot yaml; `source` names it in errors."""
-    known(data, ("name", *_KINEMATICS, *_REST, _KNOWLEDGE, *_BESIDE), source)
+    known(data, ("name", *_KINEMATICS, *_REST, _KNOWLEDGE, _FILE, *_BESIDE), source)
     if "name" not in data:
         raise RobotError(f"{source}: 'name' is missing.", available=list(data))
     kinematics = read_kinematics(data, source)
@@ -75,6 +77,7 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
         bounds=_bounds(data.get("bounds") or {}, source),
         basis=basis,
         source=source,
+        file=read_origin(data.get(_FILE) or {}, source) if data.get(_FILE) else {},
         knowledge=_knowledge(data.get(_KNOWLEDGE), links, source),
     )
 

@@ -35,6 +35,7 @@ from torchid.gap.torque import diagnose_torque
 from torchid.gap.validate.closing import closing
 from torchid.gap.validate.traces import traces
 from torchid.identification.identify import prepared
+from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.log.sampling import resample
@@ -260,10 +261,10 @@ class OwnCheck(Result):
 
 
 def withheld_own(
-    robot: Robot,
-    log: Log,
+    robot: RobotLike,
+    log: LogLike,
     *,
-    untouched: Log | None = None,
+    untouched: LogLike | None = None,
     settings: GapSettings | None = None,
     plant: Sequence[str] = PLANTED,
     joints: Sequence[int] | None = None,
@@ -302,6 +303,9 @@ def withheld_own(
     >>> [(w.effect, w.joints, w.named, w.as_much) for w in found.withheld]
     [('viscous_friction', (1,), True, True)]
     """
+    robot = as_robot(robot)
+    log = as_log(log, robot)
+    untouched = None if untouched is None else as_log(untouched, robot)
     robot.require_fixed_base("the check by planted effects")
     kinds = [plantable(name) for name in plant]
     places = list(range(robot.n) if joints is None else joints)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
@@ -10,6 +11,7 @@ from torchid.feasibility.bounds import bounds_groups, read_bounds, read_total_ma
 from torchid.feasibility.conditions import Conditions, conditions
 from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets, nominal_set
+from torchid.inputs import RobotLike, as_log, as_robot
 from torchid.log.model import Log
 from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters
@@ -60,11 +62,11 @@ class GivenSets(Result):
 
 
 def compare_wrenches(
-    robot: Robot,
+    robot: RobotLike,
     sets: ParameterSets,
     reference: str | ParameterSets | None = None,
     *,
-    motion: Log | Motion | None = None,
+    motion: Log | str | Path | Motion | None = None,
     geometry: str | None = None,
     total_mass: tuple[float, float] | None = None,
     resamples: int = RESAMPLES,
@@ -98,6 +100,7 @@ def compare_wrenches(
     >>> found.errors.force_rms.shape, float(found.errors.force_rms.max())
     (torch.Size([1, 3]), 0.0)
     """
+    robot = as_robot(robot)
     robot.require_fixed_base("a comparison of wrenches")
     if reference is None:
         reference = nominal_set(robot)
@@ -109,8 +112,8 @@ def compare_wrenches(
         reference = sets.part([sets.ids.index(reference)])
     if motion is None:
         motion = reference_motion(robot, seed)
-    elif isinstance(motion, Log):
-        motion = logged_motion(motion, robot)
+    elif not isinstance(motion, Motion):
+        motion = logged_motion(as_log(motion, robot), robot)
     # Boxes of the geometry, where the robot has bounds; physics alone where it has none.
     group = geometry or corrected_group(robot, "normal")
     box = read_bounds(robot, group).com if geometry or group in bounds_groups(robot) else None

@@ -31,9 +31,9 @@ from torchid.extraction.equal_torque.sample import (
 from torchid.extraction.equal_torque.space import equal_torque_space
 from torchid.feasibility.margins import LINK_CONDITIONS, Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets
+from torchid.inputs import RobotLike, as_robot
 from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters
-from torchid.robot.model import Robot
 from torchid.study.equal_torque.force_reach import ForceReach, force_reach, force_squares
 from torchid.study.equal_torque.record import (
     EqualTorqueRecord,
@@ -264,7 +264,7 @@ class EqualTorqueStudy(Drawn, Result):
 
 
 def equal_torque_study(
-    robot: Robot,
+    robot: RobotLike,
     *,
     per_kind: int = 200,
     chains: int = 40,
@@ -305,6 +305,7 @@ def equal_torque_study(
     >>> bool(study.torque_relative.max() < 1e-9), float(study.errors.force_rms.max()) > 1
     (True, True)
     """
+    robot = as_robot(robot)
     if FEASIBLE not in kinds:
         raise TorchidError("the kinds must include feasible sets.", got=list(kinds))
     setting = setting or equal_torque_setting(robot, margin=margin)
