@@ -19,11 +19,14 @@ from torchid.effects.registry import model_torque, nominal_effects
 from torchid.results.record import Part, Real
 from torchid.robot.model import Robot
 from torchid.simulation.open_loop import rollout
-from torchid.simulation.shooting import Windows, edge_of, starts_of, windows_of
+from torchid.simulation.shooting import Starts, Windows, edge_of, starts_of, windows_of
 from torchid.statistics.resampling import DRAWS, bootstrap_weights, tails
 from torchid.typing import Float, Int, Tensor
 
 HORIZONS = (0.1, 0.5, 2.0)
+
+RESTART_S, SHOWN_S = 0.25, 6.0
+"""Of the motion that is shown: after which time a simulation begins anew, and its length [s]."""
 
 DIVERGED = 1.0
 """Position error of a joint at which a rollout has lost the arm [rad or m]. Larger ones count as
@@ -94,12 +97,13 @@ class Rollout(Part, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, eq=False)
 class SimulatedMotion:
-    """Joint positions of the arm and of both models, from one measured start on.
+    """Joint positions of the arm and of both models, which begin anew every `RESTART_S`.
 
     Attributes:
         name: of the trajectory.
         t: (T,) from the trajectory's first sample on [s].
-        measured, before, after: (T, n) positions [rad; m]; NaN where a model has lost the arm.
+        measured, before, after: (T, n) positions [rad; m]; NaN where a model has lost the arm, and
+            between one simulation and the next.
     """
 
     name: str
@@ -129,8 +133,8 @@ def rollouts(
         fitted_here: whether the model after was fitted on these passages.
 
     Returns:
-        The errors, and of each passage the simulation in which the arm moves most, of those that
-        last longest.
+        The errors, and of each passage the stretch in which the arm moves most, simulated anew
+        every `RESTART_S`.
 
     Raises:
         RobotError: a model has no parameters, or an effect that does not exist.
@@ -146,7 +150,7 @@ def rollouts(
         offs = [(q - windows.q).abs() for q, _ in runs]
         errors = [torch.where(off < DIVERGED, off, DIVERGED) for off in offs]
         rows = [_at(h, windows, errors, before, seed) for h in horizons]
-        motions = _motions(passages, windows, [q for q, _ in runs], errors)
+        motions = _motions(before, after, passages)
         ignored = sorted({name for _, names in runs for name in names})
         step, said = windows.dt, _sentences(torque, rows, ignored, fitted_here)
     replayed = Rollout(
@@ -163,26 +167,39 @@ def rollouts(
 
 
 def _motions(
-    passages: Sequence[Segment],
-    windows: Windows,
-    positions: Sequence[Float[Tensor, "B T n"]],
-    errors: Sequence[Float[Tensor, "B T n"]],
+    before: Robot, after: Robot, passages: Sequence[Segment]
 ) -> tuple[SimulatedMotion, ...]:
-    """Of each passage the simulation in which the arm moves most."""
+    """Of each passage the stretch in which the arm moves most, simulated anew from the measured
+    state every `RESTART_S`: an error has no time to grow until nothing is seen but that it grew."""
+    first, passage = [], []
+    for k, p in enumerate(passages):
+        every, edge = round(RESTART_S * p.rate), edge_of(p)
+        count = min(round(SHOWN_S / RESTART_S), (p.length - 2 * edge - 1) // max(1, every))
+        if count < 1:
+            continue
+        far = p.motion.dq.square().sum(1).cumsum(0)
+        room = torch.arange(edge, p.length - edge - count * every)
+        begin = int(room[(far[room + count * every] - far[room]).argmax()])
+        first += [begin + every * w for w in range(count)]
+        passage += [k] * count
+    if not first:
+        return ()
+    at, of = torch.tensor(first), torch.tensor(passage)
+    length = torch.tensor([round(RESTART_S * passages[k].rate) for k in passage])
+    windows = windows_of(passages, Starts(of, at, length), RESTART_S)
+    runs = [_simulated(robot, windows)[0] for robot in (before, after)]
+    lost = [~((q - windows.q).abs() < DIVERGED) for q in runs]
+    shown = [q.masked_fill(gone, math.nan) for q, gone in zip(runs, lost, strict=True)]
     out = []
-    for k in windows.passage.unique().tolist():
-        own = (windows.passage == k).nonzero()[:, 0]
-        last = min(int(windows.steps[own].max()), windows.q.shape[1] - 1)
-        own = own[windows.steps[own] >= last]
-        far = windows.q[own, : last + 1].std(1).square().sum(1)
-        b, p, rows = int(own[far.argmax()]), passages[k], slice(0, last + 1)
-        before, after = (
-            torch.where(e[b, rows] < DIVERGED, q[b, rows], math.nan)
-            for q, e in zip(positions, errors, strict=True)
-        )
-        begun = float(windows.t0[b] - p.motion.require("t", "a rollout")[0])
-        t = begun + windows.dt * torch.arange(last + 1, dtype=before.dtype)
-        out.append(SimulatedMotion(p.name, t, windows.q[b, rows], before, after))
+    for k in of.unique().tolist():
+        own = of == k
+        begun = windows.t0[own] - float(passages[k].motion.require("t", "a rollout")[0])
+        t = begun[:, None] + windows.dt * torch.arange(windows.q.shape[1], dtype=begun.dtype)
+        # A gap between windows, so that no line joins the end of one to the next one's start.
+        rows = [torch.cat([x, x[:, -1:] * math.nan], 1)[own].flatten(0, 1) for x in shown]
+        measured = torch.cat([windows.q, windows.q[:, -1:]], 1)[own].flatten(0, 1)
+        t = torch.cat([t, t[:, -1:]], 1).flatten()
+        out.append(SimulatedMotion(passages[k].name, t, measured, *rows))
     return tuple(out)
 
 

@@ -18,7 +18,7 @@ from torchid.report.skeleton import PHONE, skeleton_of
 from torchid.report.table import Code, Page, Section, Table, filled
 from torchid.results.answer import Answer, Diagnosis
 from torchid.results.words import count, percent
-from torchid.simulation.two_models import Horizon
+from torchid.simulation.two_models import RESTART_S, Horizon
 
 STATUS = {
     "no_gap": "no gap",
@@ -163,9 +163,9 @@ def _torque_motion(d: TorqueDiagnosis) -> list[Picture]:
     return _over_time(
         "motion",
         motion_over_time(d),
-        "Joint positions: the arm, and both models simulated from its measured state with the "
-        "measured torque, without a controller; of each run the stretch in which it "
-        "moves most. A line that ends has lost the arm by more than 1 rad."
+        "Joint positions: the arm, and both models simulated with the measured torque, without a "
+        f"controller, anew from the measured state every {RESTART_S:g} s; of each run the stretch "
+        "in which it moves most. A line that ends early has lost the arm by more than 1 rad."
         + (" These runs were also used for fitting: the numbers are optimistic." if fitted else ""),
     )
 
