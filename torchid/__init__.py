@@ -7,7 +7,7 @@ still be made before torch loads. Their types are in __init__.pyi.
 import warnings
 from importlib import import_module
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 _PUBLIC = {
     "Robot": "torchid.robot.model",

@@ -233,4 +233,5 @@ def test_motion_that_is_shown_begins_anew_at_the_arms_state() -> None:
     assert torch.allclose(shown.after[~gaps], shown.measured[~gaps], atol=1e-3)
     off = (shown.before - shown.measured).abs()[:, 0].reshape(-1, rows)[:, :-1]
     assert torch.allclose(off[:, 0], torch.zeros(len(off), dtype=off.dtype), atol=1e-12)
-    assert bool((off[:, -1] > 10 * off[:, 3]).all())
+    # One that has lost the arm is not a number.
+    assert not bool((off[:, -1] < 10 * off[:, 3]).any())
