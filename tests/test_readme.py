@@ -182,7 +182,8 @@ def test_commands_and_python_of_the_tutorial_run(place: Shell) -> None:
         "result.html",
         "exported/my_arm.urdf",
         "gap.html",
-        "corrected.yaml",
+        "arm.yaml",
+        "so101.yaml",
     ):
         assert (place.folder / name).stat().st_size > 0, name
     names = _python_runs(TUTORIAL, place.folder)

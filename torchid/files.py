@@ -5,6 +5,7 @@ import secrets
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from difflib import get_close_matches
 from pathlib import Path
 from typing import IO, Any
 
@@ -80,12 +81,50 @@ def require_writable(path: Path, what: str) -> None:
         raise TorchidError(f"{what}: '{path}' is no name of a file.", got=error) from error
 
 
-def make_folder(folder: Path) -> None:
+def require_name(name: str) -> None:
+    """Raise TorchidError unless this names a file, without folder or suffix."""
+    if not name or Path(name).name != name or name.startswith("."):
+        raise TorchidError("the name is that of a file, without folder.", got=name)
+
+
+def similar_files(path: Path, suffixes: Iterable[str] = ()) -> list[str]:
+    """Files beside one that is not there and may be meant: of these suffixes, if there are any,
+    and with a name or stem like its own, the nearest first."""
+    folder, word = path.parent, path.name.lower()
+    try:
+        names = [p.name for p in folder.iterdir() if not suffixes or p.suffix.lower() in suffixes]
+    except OSError:
+        return []
+    known = {key: name for name in names for key in (Path(name).stem.lower(), name.lower())}
+    near = [known[key] for key in get_close_matches(word, list(known), n=4, cutoff=0.7)]
+    return [f"./{n}" if folder == Path() else str(folder / n) for n in dict.fromkeys(near)]
+
+
+def require_folder(folder: Path) -> None:
+    """That a folder of results is there and takes files, or can be made; it is not made yet.
+
+    Raises:
+        TorchidError: it cannot, or is a file.
+    """
+    there = next(path for path in (folder, *folder.parents, Path()) if os.path.lexists(path))
+    if not there.is_dir():
+        raise TorchidError(
+            f"the output folder '{folder}' cannot be made: '{there}' is a file.",
+            expected="a folder, or a new name",
+        )
+    probe(there)
+
+
+def make_folder(folder: Path) -> list[Path]:
     """A folder that results can be written to.
+
+    Returns:
+        The folders that were made for it, the deepest first.
 
     Raises:
         TorchidError: it cannot be made, or takes no file.
     """
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -93,6 +132,15 @@ def make_folder(folder: Path) -> None:
             f"the output folder '{folder}' cannot be made: {error.strerror or error}."
         ) from error
     probe(folder)
+    return missing
+
+
+def remove_empty(folders: Iterable[Path]) -> None:
+    """Remove what is empty of these folders and below them."""
+    for folder in folders:
+        for inside, _, _ in os.walk(folder, topdown=False):
+            with suppress(OSError):
+                os.rmdir(inside)
 
 
 def probe(folder: Path) -> None:

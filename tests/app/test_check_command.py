@@ -293,7 +293,7 @@ def spoil(key, value):
         (["3r", "--total-mass", "a,b"], "--total-mass"),
         (["kuka_lwr4", "--shapes"], "no shapes"),
         (["3r", "--tip", "link_2"], "`tip="),
-        (["nothing"], "neither a file nor a built-in robot"),
+        (["nothing"], "unknown robot"),
         (["none.yaml"], "does not exist"),
         (["{bare}"], "`robot=...` is needed"),
         (["{sets}", "--robot", "kuka_lwr4"], "of another robot"),

@@ -260,7 +260,7 @@ def test_excite_beyond_every_drive_writes_nothing(command, weak_arm, tmp_path):
     assert not list((tmp_path / "out").glob("*"))
 
 
-@pytest.mark.parametrize(("robot", "limited"), [("ur10e", True), ("3r", False)])
+@pytest.mark.parametrize(("robot", "limited"), [("panda", True), ("3r", False)])
 def test_excite_says_that_torque_limits_were_not_checked(command, tmp_path, robot, limited):
     data = tmp_path / "m.json"
     done = command("excite", robot, "--kind", "random", "--json", data)

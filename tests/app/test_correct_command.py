@@ -84,16 +84,16 @@ def test_a_diagnosis_is_carried_out_into_the_simulator(command, runs, tmp_path, 
     assert (refused.code, "refitted" in refused.err) == (1, True)
     refused = command("export", record, "--robot", "ur10e", *logs, "--to", "urdf", "--out", out)
     assert refused.code == 1
-    assert not list(out.iterdir())
+    assert not out.exists()
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("gap", "--for", "mjcf"), ("--for", "--out DIR")),
+        (("gap", "--for", "mjcf"), ("--to", "--out DIR")),
         (("correct", "--to", "mjcf", "--effects", "none"), ("--effects", "all")),
         (
-            ("correct", "--to", "mjcf", "--held-out", "x", "--held-out-fraction", "0.2"),
+            ("correct", "--to", "mjcf", "--held-out", "LOG", "--held-out-fraction", "0.2"),
             ("exclude",),
         ),
         (("correct", "--to", "mjcf", "--name", "../x", *FEW), ("name",)),
@@ -102,7 +102,10 @@ def test_a_diagnosis_is_carried_out_into_the_simulator(command, runs, tmp_path, 
 def test_bad_options(command, folder, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
     name, *rest = arguments
-    outcome = command(name, "3r", folder / "check.csv", *rest)
+    other = folder / "fit.parquet"
+    outcome = command(
+        name, "3r", folder / "check.csv", *(other if word == "LOG" else word for word in rest)
+    )
     assert outcome.code == 1
     for word in words:
         assert word in outcome.err, outcome.err
@@ -118,8 +121,8 @@ def test_an_engine_that_is_missing_is_said_before_the_search(command, folder, mo
 
 
 @pytest.mark.skipif(find_spec("pydrake") is not None, reason="Drake is installed")
-def test_without_the_engine_nothing_is_read(command, tmp_path):
-    done = command("correct", "3r", "no.csv", "--to", "drake", "--out", tmp_path)
+def test_without_the_engine_nothing_is_read(command, folder, tmp_path):
+    done = command("correct", "3r", folder / "check.csv", "--to", "drake", "--out", tmp_path)
     assert done.code == 1
     assert "needs the package 'pydrake'" in done.err
     assert "pip install 'torchid[drake]'" in done.err

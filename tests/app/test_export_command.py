@@ -57,7 +57,7 @@ def test_sets_into_the_users_file(tmp_path):
     assert "<!-- a comment -->" in (out / "mine.urdf").read_text()
     assert "the set 'arm'" in said.replace("\n", " ")
     with pytest.raises(TorchidError, match="no such set"):
-        run(sets, "--to", "urdf", "--out", out, "--set", "z")
+        run(sets, "--to", "urdf", "--out", out, "--set", "z", "--overwrite")
 
 
 def test_an_infeasible_robot_needs_force(tmp_path):
@@ -114,7 +114,7 @@ def test_links_of_no_material_are_named(tmp_path):
     warnings = json.loads((tmp_path / "o" / "export_urdf.json").read_text())["warnings"]
     (said,) = [w for w in warnings if "lead" in w]
     assert "link 1, 2, 3 is that of a body denser than lead" in said
-    run("3r", *options)
+    run("3r", *options, "--overwrite")
     warnings = json.loads((tmp_path / "o" / "export_urdf.json").read_text())["warnings"]
     assert not any("lead" in w for w in warnings)
 
@@ -142,7 +142,7 @@ def test_how_wide_to_randomise(tmp_path):
     with pytest.raises(TorchidError, match="nothing to write"):
         run(gap)
     with pytest.raises(TorchidError, match="is not a comparison"):
-        run(gap, "--randomise", "0.9", "--spread", gap, "--out", out)
+        run(gap, "--randomise", "0.9", "--spread", gap, "--out", out, "--overwrite")
 
 
 @pytest.mark.parametrize("to", ["isaaclab", "mjlab"])
@@ -164,4 +164,4 @@ def test_actuators(tmp_path, to):
     assert record.effects.beside[0].startswith("joint 1: coulomb_friction")
     compile((out / f"arm_actuator_{to}.py").read_text(), "actuator", "exec")
     with pytest.raises(TorchidError, match="no effect that an actuator adds"):
-        run("3r", "--to", to, "--out", out)
+        run("3r", "--to", to, "--out", out, "--overwrite")

@@ -197,7 +197,7 @@ def test_a_set_of_another_torque_is_said_to_be_one(command, tmp_path, identified
     # The export says so, too, from either file.
     for name in ("extraction.json", "sets.json"):
         done = command(
-            "export", tmp_path / name, "--to", "yaml", "--out", tmp_path / "x",
+            "export", tmp_path / name, "--to", "yaml", "--out", tmp_path / name.split(".")[0],
             "--geometry", "none", "--json", tmp_path / "e.json",
         )  # fmt: skip
         assert done.code == 0, done.err
@@ -313,7 +313,7 @@ def test_a_robot_of_known_kinematics_gets_bodies_and_a_file(command, folder, ide
     record = json.loads(identified.read_text()) | {"robot": bare["name"]}
     record.pop("model", None)
     (tmp_path / "result.json").write_text(json.dumps(record))
-    for bounds in ((), ("--bounds", "none")):
+    for bounds in ((), ("--bounds", "none", "--overwrite")):
         shown = command(
             "extract", tmp_path / "bare.yaml", tmp_path / "result.json", *bounds, "--out", tmp_path
         )

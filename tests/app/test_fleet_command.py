@@ -68,7 +68,7 @@ def test_parts_then_the_whole_by_a_manifest(command, folder, tmp_path) -> None:
     ("arguments", "said"),
     [
         ((), "logs of a fleet are needed"),
-        (("--manifest", "none.csv"), "is no manifest"),
+        (("--manifest", "none.csv"), "cannot be read"),
         (("LOGS", "--array", "3/2"), "--array is no part"),
         (("LOGS", "--array", "1/2"), "a place that all of them see"),
         (("LOGS", "--scheduler", "tcp://a:1"), "a place that all of them see"),

@@ -1,5 +1,6 @@
 """--help of every command ends with an example that is a command; shells can complete."""
 
+import re
 import shlex
 from collections.abc import Iterator
 from typing import Any
@@ -10,6 +11,8 @@ from typer.testing import CliRunner
 
 from tests.test_docs import test_command_parses as parses
 from torchid.app.commands import app
+from torchid.app.help import GROUPS
+from torchid.app.project import OPTIONS
 
 
 def _commands(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
@@ -40,6 +43,59 @@ def test_help_ends_with_an_example(name: str) -> None:
         arguments = shlex.split(example)[1:]
         assert " ".join(arguments).startswith(name), example
         parses(arguments)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_names_and_values_are_whole_at_80_columns(name: str, monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    text = CliRunner().invoke(app, [*name.split(), "--help"]).output
+    assert "\u2026" not in text
+    assert not re.search(r"<(bool|str|int|float|list|Path|FILE)| range>", text)
+    lines = [line.strip("\u2502 ") for line in text.splitlines()]
+    assert max(map(len, text.splitlines())) <= 80
+    for option in OPTIONS[name]:
+        assert any(line.startswith(f"{option.written} ") for line in lines), option.written
+        assert not any(line.startswith(f"{old} ") for old in option.aliases for line in lines)
+
+
+def test_the_first_options_of_a_diagnosis_are_few() -> None:
+    panels = [option.place[1] for option in OPTIONS["gap"] if option.has_name]
+    assert 5 <= panels.count("Options") <= 8
+    assert panels[0] == "Options"
+    assert len(set(panels)) >= 6
+
+
+def test_alone_it_names_the_commands_to_begin_with() -> None:
+    shown = CliRunner().invoke(app, [])
+    assert shown.exit_code == 0
+    for name in ("init", "log doctor", "identify", "gap", "correct"):
+        assert f"torchid {name} " in shown.output
+    assert "torchid --help" in shown.output
+
+
+def test_all_commands_stand_in_panels() -> None:
+    names = [name for group in GROUPS.values() for name in group]
+    assert sorted(names) == sorted(typer.main.get_command(app).commands)
+    text = CliRunner().invoke(app, ["--help"]).output
+    assert all(title in text for title in GROUPS)
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "now"),
+    [
+        ("gap", "3r run.csv --for urdf", "to"),
+        ("simulate", "3r run.csv --to log.csv", "save"),
+        ("init", "run.csv --to torchid.toml", "save"),
+        ("log show", "run.csv --out run.parquet", "save"),
+        ("excite", "3r --to run.csv", "save"),
+    ],
+)
+def test_old_names_still_work(name: str, given: str, now: str) -> None:
+    """`--to` says for which format or simulator a file is, `--for` what a motion is for."""
+    option = next(option for option in OPTIONS[name] if option.name == now)
+    assert option.aliases == (given.split()[-2],)
+    assert option.shown == f"--{now}"
+    parses([*name.split(), *given.split()])
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -9,7 +9,8 @@ import pytest
 import typer
 
 from torchid.app.commands import app
-from torchid.app.signature import PLACE, WRITTEN, Option
+from torchid.app.inputs import PLACE, WRITTEN
+from torchid.app.signature import Option
 from torchid.files import add_input, atomic_write, inputs_kept, require_no_input
 
 
@@ -53,7 +54,7 @@ def test_all_commands_with_inputs_are_seen() -> None:
     assert {("identify",), ("log", "show"), ("withheld", "score"), ("compare",)} <= seen
     assert len(seen) >= 16
     names = {pair.values[2].name for pair in PAIRS}
-    assert {"json_file", "report", "to", "apply", "save_model", "nearest", "ros2", "out"} <= names
+    assert {"json_file", "report", "save", "apply", "save_model", "nearest", "ros2"} <= names
 
 
 def _arguments(

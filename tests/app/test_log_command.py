@@ -92,7 +92,7 @@ def test_torques_far_beyond_the_robots_limits(command, folder, tmp_path):
 
 def test_one_mapping_for_logs_of_several_kinds(command, foreign, folder):
     path, columns = foreign
-    way_out = "torchid log show LOG --columns .. --out run.parquet"
+    way_out = "torchid log show LOG --columns .. --save run.parquet"
     for logs in ((path, folder / "check.csv"), (folder / "check.csv",)):
         result = command("log", "show", *logs, "--columns", columns)
         assert result.code == 1
@@ -220,14 +220,14 @@ def test_other_formats_give_the_same_answer(command, folder, foreign, tmp_path, 
 
 
 @pytest.mark.parametrize(
-    "arguments", [["identify"], ["gap"], ["payload", "--loaded", "x.csv"], ["withheld", "own"]]
+    "arguments", [["identify"], ["gap"], ["payload", "--loaded", "LOG"], ["withheld", "own"]]
 )
 def test_every_command_that_reads_logs_takes_the_mapping(command, foreign, arguments):
     """It is refused for the unit, before anything is computed."""
     path, _ = foreign
     name, *rest = arguments
     first = [name, *rest[:1]] if name == "withheld" else [name]
-    more = [] if name == "withheld" else rest
+    more = [] if name == "withheld" else [path if word == "LOG" else word for word in rest]
     result = command(*first, "3r_friction", path, *more, "--columns", "q=pos_{j0} furlong")
     assert result.code == 1
     assert "q cannot be in this unit" in result.err

@@ -143,7 +143,7 @@ def test_a_log_that_is_given_is_not_held_out(command, bench, folder) -> None:
     text = (bench / "torchid.toml").read_text()
     (bench / "torchid.toml").write_text(text.replace("logs =", 'held-out = ["run2.csv"]\nlogs ='))
     for words, expected in (((), 1), (("../run2.csv",), 0), (("--held-out-fraction", 0.3), 1)):
-        done = command("identify", *words, "--out", "o", "--quiet")
+        done = command("identify", *words, "--out", "o", "--overwrite", "--quiet")
         assert done.code == 0, done.err
         data = json.loads(Path("o/identification.json").read_text())
         assert len((data["held_out"] or {"trajectories": ()})["trajectories"]) == expected

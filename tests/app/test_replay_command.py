@@ -62,9 +62,9 @@ def test_replay_writes_what_the_model_foretells(command, folder, tmp_path, windo
         (("plain.yaml", "run0.csv", "--replay", "--to", "OUT"), "has no servos"),
         (("model.yaml", "run0.csv", "--replay"), "one file a log"),
         (("model.yaml", "run0.csv", "run0.csv", "--replay", "--to", "OUT"), "one name"),
-        (("model.yaml", "run0.csv", "--replay", "--to", "."), "--to would overwrite the input"),
+        (("model.yaml", "run0.csv", "--replay", "--to", "."), "--save would overwrite the input"),
         (("model.yaml", "run0.csv", "--replay", "--windows", "-1", "--to", "OUT"), "is a time"),
-        (("model.yaml", "run0.csv", "run1.csv", "--to", "OUT"), "are for --replay"),
+        (("model.yaml", "run0.csv", "run1.csv", "--to", "OUT"), "several logs need several names"),
     ],
 )
 def test_bad_replays(command, folder, tmp_path, monkeypatch, arguments, words):

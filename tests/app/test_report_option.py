@@ -14,7 +14,7 @@ from torchid.app.output import Output
 from torchid.report.page import document as rendering
 from torchid.report.study import page as study_report
 from torchid.report.table import Shown
-from torchid.robot.library import robot_file
+from torchid.robot.config_files import robot_file
 from torchid.study.settings import study_file
 
 
@@ -148,7 +148,7 @@ def test_help_names_it(command, name):
 )
 def test_refused_before_any_work(command, folder, tmp_path, monkeypatch, options, words):
     monkeypatch.chdir(tmp_path)
-    done = command("identify", "no_such_robot", folder / "check.csv", *options)
+    done = command("identify", "3r", folder / "check.csv", *options)
     assert done.code == 1
     for word in words:
         assert word in done.err, done.err
@@ -169,7 +169,7 @@ def test_without_jinja2_nothing_is_begun(command, folder, tmp_path, monkeypatch)
     monkeypatch.setitem(sys.modules, "jinja2", None)
     page = tmp_path / "page.html"
     page.write_text("old")
-    done = command("identify", "no_such_robot", folder / "check.csv", "--report", page)
+    done = command("identify", "3r", folder / "check.csv", "--report", page)
     assert done.code == 1
     assert "pip install 'torchid[report]'" in done.err
     assert page.read_text() == "old"

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from tests.arms import arm, states
 from torchid.effects.base import Motion
+from torchid.effects.names import NAMES
 from torchid.effects.registry import KINDS, nominal_effect_torque, nominal_effects, on_every_joint
 from torchid.errors import RobotError, TorchidError
 
@@ -18,6 +19,10 @@ def test_unknown_effect_lists_the_available_ones() -> None:
         on_every_joint(["viscous_friction", "stiction"], 3)
     assert error.value.available == list(KINDS)
     assert all(name in str(error.value) for name in KINDS)
+
+
+def test_names_are_known_without_the_classes() -> None:
+    assert tuple(KINDS) == NAMES
 
 
 @pytest.mark.parametrize("name", ["3r_friction", "kuka_lwr4_friction"])

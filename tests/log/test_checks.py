@@ -91,7 +91,7 @@ def in_degrees(log: Log, *names: str) -> Log:
 def test_everything_in_degrees() -> None:
     with pytest.raises(LogError, match="q1 looks like degrees") as info:
         check(in_degrees(uniform(), "q", "dq", "ddq"))
-    assert "pi/180" in str(info.value)
+    assert "deg/s" in str(info.value)
 
 
 def test_degrees_within_known_limits() -> None:

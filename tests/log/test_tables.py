@@ -357,7 +357,7 @@ def test_only_bags_have_topics(tmp_path: Path) -> None:
     path = save(tmp_path / "a.csv", {"t": T, "q1": T})
     with pytest.raises(LogError, match="has no topics") as info:
         read_log(path, topic="/joint_states")
-    assert "torchid log show LOG --topic .. --out run.parquet" in str(info.value.hint)
+    assert "torchid log show LOG --topic .. --save run.parquet" in str(info.value.hint)
 
 
 def test_a_mapped_column_that_is_there_twice(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from torchid.errors import TorchidError
+from torchid.position.model import ServoArm
 from torchid.position.nominal import PRESETS, nominal_servos, read_servos
 from torchid.robot.library import load_robot
 from torchid.robot.writer import robot_yaml
@@ -70,3 +71,13 @@ def test_in_a_robots_yaml(tmp_path: Path) -> None:
     file.write_text(plain)
     assert nominal_servos(load_robot(file), None) == ()
     assert nominal_servos(load_robot("3r"), None) == ()
+
+
+def test_servos_of_an_earlier_fit_are_not_forgotten(tmp_path: Path) -> None:
+    """A model that `torchid gap --save-model` wrote of commands and positions."""
+    file = tmp_path / "corrected.yaml"
+    ServoArm.of(load_robot("3r"), kp=[30.0, 20.0, 10.0], delay=0.02).write(file)
+    found = nominal_servos(load_robot(file), None)
+    assert [servo.values["kp"] for servo in found] == [30.0, 20.0, 10.0]
+    assert {servo.values["delay"] for servo in found} == {0.02}
+    assert nominal_servos(load_robot(file), "XL430")[0].name == "XL430-W250"

@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from torchid.app import options as opt
+from torchid.app.inputs import MODEL
 from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
 
@@ -12,7 +13,7 @@ from torchid.app.signature import Switch, command
 @command
 def check_command(
     *,
-    params: Annotated[str, typer.Argument(metavar="PARAMS")],
+    params: Annotated[str, typer.Argument(metavar="PARAMS"), MODEL],
     robot: opt.RobotOption = None,
     geometry: opt.Group = None,
     shapes: Switch = False,
@@ -21,7 +22,7 @@ def check_command(
     nearest: opt.Written = None,
     part: opt.Part,
     seed: opt.Seed = 0,
-    output: Computed,
+    output: Annotated[Computed, "feasibility.json"],
 ) -> None:
     """Check whether parameters can belong to a real arm: by how much, and why not.
 

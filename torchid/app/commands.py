@@ -15,11 +15,12 @@ from torchid.app.extract import atlas_command, extract_command
 from torchid.app.faults import flush, print_plainly, report
 from torchid.app.fleet import fleet_app
 from torchid.app.gap import gap_command
+from torchid.app.help import show_beginning
 from torchid.app.identify import identify_command, payload_command
 from torchid.app.init import init_command
 from torchid.app.log import log_app
 from torchid.app.output import in_options
-from torchid.app.project import add
+from torchid.app.project import Group, add
 from torchid.app.show import effects_command, explain_command, robot_command
 from torchid.app.signature import Debug
 from torchid.app.simulate import simulate_command
@@ -29,7 +30,8 @@ from torchid.app.wrenches import wrenches_command
 
 app = typer.Typer(
     name="torchid",
-    no_args_is_help=True,
+    cls=Group,
+    invoke_without_command=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
@@ -54,12 +56,15 @@ def _version(asked: bool) -> bool:
 
 @app.callback()
 def _root(
+    ctx: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
     debug: Debug = False,
 ) -> None:
     """What a robot arm's dynamics really are, and why the simulator disagrees with the arm."""
+    if ctx.invoked_subcommand is None:
+        show_beginning()
 
 
 def run() -> None:

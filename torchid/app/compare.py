@@ -21,7 +21,7 @@ def compare_command(
     logs: opt.Reading,
     part: opt.Part,
     seed: opt.Seed = 0,
-    output: Computed,
+    output: Annotated[Computed, "compare.json"],
 ) -> None:
     """Which parameters agree between results within their intervals, which drift, which are never
     determined; whether standard deviations hold from run to run; how far apart the torques are.

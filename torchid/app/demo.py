@@ -30,6 +30,7 @@ def demo_command(
 
     folder = output.out
     assert folder is not None  # it has a default
+    output.begin()
     files = write_files(folder, seed)
     output.say(introduction(files))
     roles = [("robot", files.robot), *(("log", path) for path in files.logs)]

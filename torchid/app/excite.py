@@ -9,6 +9,7 @@ import typer
 
 import torchid
 from torchid.app import options as opt
+from torchid.app.inputs import ROBOT
 from torchid.app.output import Computed, Output
 from torchid.app.signature import Fields, Parsed, command
 from torchid.errors import TorchidError
@@ -66,7 +67,7 @@ class _Controllers:
 @command
 def excite_command(
     *,
-    robot: Annotated[str | None, typer.Argument(metavar="[ROBOT]")] = None,
+    robot: Annotated[str | None, typer.Argument(metavar="[ROBOT]"), ROBOT] = None,
     motion: Annotated[
         MotionSettings,
         Fields(
@@ -85,15 +86,17 @@ def excite_command(
         Fields(
             "clearance",
             floor=Annotated[float | None, typer.Option(min=-100, max=100)],
-            workspace=Annotated[tuple[float, ...] | None, typer.Option(metavar=_BOX), Parsed(_box)],
+            workspace=Annotated[
+                tuple[float, ...] | None, typer.Option(metavar="BOX"), Parsed(_box)
+            ],
         ),
     ],
-    to: opt.Written = None,
+    save: opt.Saved = None,
     files: _Controllers,
     max_velocity: opt.Velocities = None,
     max_acceleration: opt.Accelerations = None,
     part: opt.Part,
-    output: Computed,
+    output: Annotated[Computed, "excitation.json"],
 ) -> None:
     """Design an exciting trajectory within the robot's limits, at rest at both ends.
 
@@ -109,22 +112,23 @@ def excite_command(
     Args:
         robot: Built-in name, or a torchid .yaml, .urdf or .xml (MJCF) file; with --for, the one
             that the result records if absent.
-        to: Trajectory file (.csv, .parquet, .npz).
+        save: Trajectory file (.csv, .parquet, .npz).
         max_velocity: Velocity limits, in place of the robot's.
         max_acceleration: Acceleration limits, in place of the robot's (a URDF has none).
     """
+    target = save or (output.out and output.out / "trajectory.csv")
+    if not (target or output.json_file or files.ros2 or files.urscript):
+        raise TorchidError(
+            "nowhere to write the trajectory.",
+            expected="--save FILE, --out DIR, --ros2 FILE, --urscript FILE or --json FILE",
+        )
+    if robot is None and motion.result is None:
+        raise TorchidError("which robot?", expected="torchid excite ROBOT, or --for RESULT")
     from torchid.next_motion.design import read_asking
     from torchid.next_motion.plan import plan
     from torchid.position.record import PositionRecord
     from torchid.report.motion import design_shown, shown
 
-    opt.require_log_file("--to", to)
-    target = to or (output.out and output.out / "trajectory.csv")
-    if not (target or output.json_file or files.ros2 or files.urscript):
-        raise TorchidError(
-            "nowhere to write the trajectory.",
-            expected="--to FILE, --out DIR, --ros2 FILE, --urscript FILE or --json FILE",
-        )
     found = None if robot is None else opt.load(robot, part)
     asking = None if motion.result is None else read_asking(motion.result)
     if isinstance(asking, PositionRecord):
@@ -133,18 +137,16 @@ def excite_command(
                 "which robot?", expected=f"torchid excite ROBOT --for {motion.result}"
             )
         if files.ros2 or files.urscript or motion.speed != 1:
-            raise TorchidError("commands of servos are written with --to, at full speed.")
+            raise TorchidError("commands of servos are written with --save, at full speed.")
         arm = opt.limited(found, max_velocity, max_acceleration)
         _commands(asking, arm, motion, room, target, output)
         return
     if asking is not None:
         found = found or asking.model
     if found is None:
-        if motion.result is not None:
-            raise TorchidError(
-                f"'{motion.result}' does not record its robot.", expected="torchid excite ROBOT"
-            )
-        raise TorchidError("which robot?", expected="torchid excite ROBOT, or --for RESULT")
+        raise TorchidError(
+            f"'{motion.result}' does not record its robot.", expected="torchid excite ROBOT"
+        )
     found.require_fixed_base("the design of motions")
     arm = opt.limited(found, max_velocity, max_acceleration)
     files.check(arm, 3 if motion.kind == "paper" else motion.count)

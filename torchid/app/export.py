@@ -9,20 +9,24 @@ import typer
 
 import torchid
 from torchid.app import options as opt
+from torchid.app.inputs import MODEL, require_free
 from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
+from torchid.files import require_name
 from torchid.gap.settings import GapSettings
+from torchid.robot.config_files import names_robot
 
 Simulated = Literal["mjcf", "urdf", "drake", "mujoco", "mjlab", "isaaclab", "gazebo"]
 """What a corrected file can be for; the last four read one of the first two."""
+Format = Literal["urdf", "mjcf", "drake", "yaml", "csv", "c", "isaaclab", "mjlab"]
 
 
 @command
 def export_command(
     *,
-    result: Annotated[str, typer.Argument(metavar="RESULT")],
-    to: Literal["urdf", "mjcf", "drake", "yaml", "csv", "c", "isaaclab", "mjlab"] | None = None,
+    result: Annotated[str, typer.Argument(metavar="RESULT"), MODEL],
+    to: Annotated[Format | None, typer.Option(metavar="FORMAT")] = None,
     robot: opt.RobotOption = None,
     chosen: Annotated[str | None, typer.Option("--set", metavar="ID")] = None,
     name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
@@ -36,7 +40,7 @@ def export_command(
     reading: opt.Reading,
     part: opt.Part,
     seed: opt.Seed = 0,
-    output: Computed,
+    output: Annotated[Computed, "export_{to}.json", "randomisation.json"],
 ) -> None:
     """Write identified dynamics into a copy of your URDF or MJCF, as yaml, as a table, or as C.
 
@@ -69,16 +73,23 @@ def export_command(
         draws: How many robots --randomise draws.
         geometry: Bounds of the centres of mass that count in the check, as for `torchid check`.
     """
+    if randomise is not None and to is not None:
+        raise TorchidError("--randomise writes ranges for all simulators.", got=f"--to {to}")
+    if randomise is None and to is None:
+        raise TorchidError(
+            "there is nothing to write.", expected="--to FORMAT or --randomise LEVEL"
+        )
+    if log is not None and not output.overwrite:
+        require_free({"out": output.out}, ["correction.json"])
     from torchid.export.projection import Target
     from torchid.export.results import any_diagnosis, carried
     from torchid.report.exported import correction_shown, export_shown, randomisation_shown
-    from torchid.robot.library import is_robot
 
-    if randomise is not None:
-        if to is not None:
-            raise TorchidError("--randomise writes ranges for all simulators.", got=f"--to {to}")
+    output.begin()
+    if to is None:
+        assert randomise is not None
         given = None if robot is None else torchid.load_robot(robot, **part.choice.options)
-        diagnosed = opt.load(result, part) if is_robot(result) else any_diagnosis(Path(result))
+        diagnosed = opt.load(result, part) if names_robot(result) else any_diagnosis(Path(result))
         ranges = torchid.randomise(
             diagnosed, randomise, robot=given, spread=spread or [], draws=draws, seed=seed
         )
@@ -87,10 +98,6 @@ def export_command(
         told = randomisation_shown(ranges, files)
         output.give(plain, "randomisation.json", lambda _: told, seed=seed)
         return
-    if to is None:
-        raise TorchidError(
-            "there is nothing to write.", expected="--to FORMAT or --randomise LEVEL"
-        )
     found = carried(result, robot, part.choice, chosen, geometry)
     keep = [Path(file) for file in (result, robot, *(log or ()), *(held_out or ())) if file]
     if log is None:
@@ -125,14 +132,15 @@ def export_command(
 def correct_command(
     *,
     trials: opt.Trials,
-    to: Simulated,
+    to: Annotated[Simulated, typer.Option(metavar="FORMAT")],
     name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
     with_effects: Switch = False,
+    force: Switch = False,
     settings: Annotated[
         GapSettings,
         opt.GAP.only("effects background parameters held_out_fraction gain_std seed"),
     ],
-    output: Computed,
+    output: Annotated[Computed, "correction.json"],
 ) -> None:
     """Correct a simulator's file by logs of the real arm.
 
@@ -150,26 +158,22 @@ def correct_command(
         with_effects: Also write NAME_effects, fitted together with the effects that the format has
             no field for; they lie in its sidecar, and torchid.simulators.mujoco adds them at run
             time. For isaaclab and mjlab, an actuator class that does so, too.
+        force: Correct by a log that looks wrong, too.
         effects: Effects to search over, comma-separated; `all` for the whole library.
-        background: Effects that are part of the simulator already, on every joint; fitted with the
-            base parameters where the robot has no parameters.
-        parameters: The robot's inertial parameters: right, to be refitted first, or one possible
-            cause among the effects.
-        gain_std: How well the scale of each joint's torque is known, one standard deviation as a
-            share of it.
     """
+    if name is not None:
+        require_name(name)
+    found, log, apart, _ = trials.open(output, settings.held_out_fraction)
     from torchid.export.correct import file_format, require_field
-    from torchid.export.export import require_name
     from torchid.report.exported import correction_shown
 
     kind = file_format(to)
     beside = with_effects and (to if to == "isaaclab" or to == "mjlab" else True)
-    if name is not None:
-        require_name(name)
-    found, log, apart, _ = trials.open(output, settings.held_out_fraction)
     require_field(kind, found, log)
-    with output.progress("preparing") as progress:
-        result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
+    with output.progress("preparing") as progress, trials.line_to_mend():
+        result = torchid.diagnose(
+            found, log, held_out=apart, settings=settings, force=force, progress=progress
+        )
     done = torchid.correct(
         found, result, log, kind, output.out or Path(), name, held_out=apart, settings=settings,
         with_effects=beside, keep=trials.inputs,

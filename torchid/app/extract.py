@@ -80,7 +80,7 @@ def extract_command(
     search_anyway: Switch = False,
     resume: Switch = False,
     engine: opt.Crew,
-    output: Computed,
+    output: Annotated[Computed, "extraction.json"],
     device_name: opt.Device = "cpu",
 ) -> None:
     """Extract physical parameter sets that give the identified base parameters, and classify them.
@@ -103,13 +103,13 @@ def extract_command(
         search_anyway: Also where no point of the bounds can be feasible.
         resume: Continue from the checkpoint in --out.
     """
+    if resume and output.out is None:
+        raise TorchidError("--resume needs --out, where the checkpoint is.", expected="--out DIR")
     from torchid.extraction.methods import found_by
     from torchid.feasibility.derived_bounds import NONE, WIDE
     from torchid.feasibility.sets import sets_record
     from torchid.report.extraction import loss_notes, shown
 
-    if resume and output.out is None:
-        raise TorchidError("--resume needs --out, where the checkpoint is.", expected="--out DIR")
     problem, values, notes = sought.problem(arm, loss)
     # Where nothing bounds the bodies but their links' size, a search would answer any of them.
     method = method or ("near" if problem.bounds.name in (WIDE, NONE) else "cma-es")
@@ -146,7 +146,7 @@ def atlas_command(
     arm: opt.Arm,
     sought: Sought,
     level: Annotated[float, typer.Option(min=0.01, max=0.9999)] = 0.95,
-    output: Computed,
+    output: Annotated[Computed, "atlas.json"],
 ) -> None:
     """The range of every physical parameter over all feasible sets with the same torque.
 

@@ -105,7 +105,7 @@ def identify_command(
     units: Units,
     settings: Reduction,
     engine: Engine,
-    save_model: opt.Written = None,
+    save_model: opt.Model = None,
     unit: Annotated[str | None, typer.Option(metavar="NAME")] = None,
     seed: opt.Seed = 0,
     output: Kept,
@@ -119,9 +119,6 @@ def identify_command(
     Example: `torchid fleet identify panda.yaml logs --workers 8 --out fleet`
 
     Args:
-        rows: Rows fitted: while the own joint moves, or all.
-        basis: Base parameters as the report groups them, or as logs tell them apart best (default:
-            the robot's own).
         save_model: Write the type as a robot (.yaml) that says how sure it is: `torchid gap` of it
             and a new unit's log tells what is odd about that.
         unit: Write this unit in the place of the type.
@@ -130,7 +127,6 @@ def identify_command(
     from torchid.fleet.known import known_model
     from torchid.report.fleet import shown
 
-    opt.require_suffix("--save-model", save_model, opt.YAML)
     if unit is not None and save_model is None:
         raise TorchidError("--unit is of a model to be written.", expected="--save-model FILE.yaml")
     model, logs, crew, store = engine.begin(units, settings, output)
@@ -167,8 +163,6 @@ def gap_command(
 
     Args:
         effects: Effects to search over, comma-separated; `all`.
-        background: As for `torchid gap`.
-        rollout: Simulate short motions before and after.
     """
     from torchid.fleet.gap import fleet_gap
     from torchid.report.fleet import gap_shown
@@ -211,9 +205,6 @@ def watch_command(
     Example: `torchid fleet watch panda.yaml logs --every 1000 --out fleet`
 
     Args:
-        rows: Rows fitted: while the own joint moves, or all.
-        basis: Base parameters as the report groups them, or as logs tell them apart best (default:
-            the robot's own).
         every: Sessions of a unit until a false alarm, at the least and on average.
     """
     from torchid.fleet.identify import fleet_identify

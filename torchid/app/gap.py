@@ -1,8 +1,5 @@
 """`torchid gap`: where simulator and arm disagree, which effects cause it, how far it shrinks."""
 
-import shlex
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,6 +10,7 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.export import Simulated
+from torchid.app.inputs import RECORDED, ROBOT, WRITTEN, Suffix
 from torchid.app.output import Diagnosed, Output
 from torchid.app.project import current
 from torchid.app.signature import command
@@ -27,8 +25,8 @@ if TYPE_CHECKING:
 class _Trials(opt.Trials):
     """Robot and logs, which a pair of logs goes without."""
 
-    robot: Annotated[str, typer.Argument(metavar="ROBOT")] = ""
-    logs: Annotated[list[Path] | None, opt.LOGS] = None  # type: ignore[assignment]
+    robot: Annotated[str, typer.Argument(metavar="ROBOT"), ROBOT] = ""
+    logs: Annotated[list[Path] | None, opt.LOGS, RECORDED] = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,18 +39,20 @@ class _Asked:
             PlotJuggler (extra `view`), .rrd for Rerun (extra `rerun`).
         servo: What the servos are said to be, shown beside what is found of logs of commands:
             STS3215, `XL330-M288 gain=400`, `kp=12 clip=unknown`; one, or one a joint with commas.
-        for_: Write a corrected file for this format or simulator to --out, as `torchid correct`
-            does.
+        to: Write a corrected file of this format, or for this simulator, to --out, as `torchid
+            correct` does.
         simulated: Log of the simulator, of the same commands as --real. May be given several times.
         real: Log of the arm, one for each of --simulated.
         force: Diagnose a log that looks wrong (order or sign of joints, units, lag, a run with a
             load of its own) all the same, and say so first.
     """
 
-    save_model: opt.Written = None
-    view: opt.Written = None
+    save_model: opt.Model = None
+    view: Annotated[
+        Path | None, typer.Option(metavar="FILE.mcap"), WRITTEN, Suffix((".mcap", ".rrd"))
+    ] = None
     servo: Annotated[str | None, typer.Option(metavar="NAME[ KEY=VALUE]..")] = None
-    for_: Annotated[Simulated | None, typer.Option("--for")] = None
+    to: Annotated[Simulated | None, typer.Option("--to", "--for", metavar="FORMAT")] = None
     simulated: opt.LogFiles = None
     real: opt.LogFiles = None
     force: Annotated[bool, typer.Option("--force")] = False
@@ -60,7 +60,11 @@ class _Asked:
 
 @command
 def gap_command(
-    *, trials: _Trials, settings: Annotated[GapSettings, opt.GAP], asked: _Asked, output: Diagnosed
+    *,
+    trials: _Trials,
+    settings: Annotated[GapSettings, opt.GAP],
+    asked: _Asked,
+    output: Annotated[Diagnosed, "gap.json", "pair.json"],
 ) -> None:
     """Find where a simulator's torque and the arm's disagree, which unmodelled effects cause it,
     and how far the gap shrinks with them.
@@ -80,44 +84,34 @@ def gap_command(
 
     Args:
         effects: Effects to search over, comma-separated; `all` for the whole library.
-        background: Effects that are part of the simulator already, on every joint, e.g.
-            viscous_friction,coulomb_friction,torque_offset; fitted with the base parameters where
-            the robot has no parameters.
-        parameters: The robot's inertial parameters: right, to be refitted first, or one possible
-            cause among the effects.
         cutoff: Cut-off of the fit's zero-phase filter.
-        worthwhile: Least share of a joint's held-out error that a cause must take away to be named.
-        worthwhile_torque: The same, as a share of the joint's torque.
-        gain_std: How well the scale of each joint's torque is known, one standard deviation as a
-            share of it: ± holds it. By default 0.05 for currents times --gain, else 0.01.
-        rollout: Simulate short motions with the model before and after.
     """
+    paired = asked.simulated or asked.real
+    for name, given in (("ROBOT", trials.robot), ("LOG...", trials.logs)):
+        if not (given or paired):
+            raise typer.BadParameter(f"Missing argument '{name}'.")
+    if asked.to is not None and output.out is None:
+        raise TorchidError("--to writes a file, and needs --out DIR.")
+    if paired:
+        _pair(output, trials, asked, settings)
+        return
+    found, log, apart, files = trials.open(output, settings.held_out_fraction)
     from torchid.export.correct import file_format, require_field
     from torchid.report.brief import model_words
     from torchid.report.diagnosis import shown
     from torchid.report.exported import correction_shown
     from torchid.report.view import require_viewer
 
-    opt.require_suffix("--save-model", asked.save_model, opt.YAML)
     if asked.view is not None:
         require_viewer(asked.view)
-    if asked.simulated or asked.real:
-        _pair(output, trials, asked, settings)
-        return
-    for name, given in (("ROBOT", trials.robot), ("LOG...", trials.logs)):
-        if not given:
-            raise typer.BadParameter(f"Missing argument '{name}'.")
-    if asked.for_ is not None and output.out is None:
-        raise TorchidError("--for writes a file, and needs --out DIR.")
-    kind = None if asked.for_ is None else file_format(asked.for_)
-    found, log, apart, files = trials.open(output, settings.held_out_fraction)
+    kind = None if asked.to is None else file_format(asked.to)
     if kind is not None:
         require_field(kind, found, log)
     # The log is handed over where it is not needed again: a long one takes half of the memory.
     handed = [log]
     if kind is None:
         del log
-    with output.progress("preparing") as progress, _line_to_mend(trials):
+    with output.progress("preparing") as progress, trials.line_to_mend():
         result = torchid.diagnose(
             found, handed.pop(), held_out=apart, settings=settings, servo=asked.servo,
             force=asked.force, progress=progress,
@@ -160,28 +154,6 @@ def settings_of(result: "Diagnosis", servo: str | None) -> dict[str, object]:
     }  # fmt: skip
 
 
-@contextmanager
-def _line_to_mend(trials: _Trials) -> Iterator[None]:
-    """An error that a log is wrong says what to paste: `--columns`, or how the doctor mends it."""
-    from torchid.doctor.first import WrongLogError
-    from torchid.doctor.flag import flag_for
-
-    try:
-        yield
-    except WrongLogError as stop:
-        found, logs = stop.examination, trials.logs or []
-        choices = [c for check in found.undecided for c in check.choices]
-        own = not (trials.columns or trials.topic)
-        flag = flag_for(found.repairs, found.robot.n, logs) if own else None
-        fix = f'--fix "{choices[0].name}" ' if choices else ""
-        names = shlex.join([trials.robot, *map(str, logs)])
-        line = f"torchid log doctor {names} {fix}--apply mended.parquet"
-        if flag is not None:
-            line = f'read it with --columns "{flag}", or: {line}'
-        mends = any(c.repairs for c in stop.wrong)
-        raise WrongLogError(found, stop.wrong, line if mends else None) from None
-
-
 def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings) -> None:
     """A simulator's logs against the arm's."""
     from torchid.log.readers import open_logs
@@ -198,7 +170,7 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
         "LOG": trials.logs and not own,
         "--held-out": trials.held_out and not current().held_out,
         "--save-model": asked.save_model,
-        "--for": asked.for_,
+        "--to": asked.to,
         "--view": asked.view,
         "--report": output.report,
     }

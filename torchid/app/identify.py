@@ -9,20 +9,25 @@ import typer
 
 import torchid
 from torchid.app import options as opt
+from torchid.app.inputs import RECORDED
 from torchid.app.output import Computed, Reported
 from torchid.app.signature import Fields, Parsed, Switch, command
+from torchid.effects.names import require_effects
+from torchid.effects.written import name_and_pairs, split_list
 from torchid.errors import TorchidError
-from torchid.identification.settings import Settings
+from torchid.identification.settings import DEFAULT_EFFECTS, Settings
 
 
 def _effects(text: str) -> tuple[str, ...]:
     """Effects as written; an unknown or unfit one is refused before any file is read."""
-    from torchid.effects.registry import fitted_kind
-    from torchid.effects.written import name_and_pairs, split_list
-
     written = split_list(text)
-    for one in written:
-        fitted_kind(name_and_pairs(one, "--effects")[0])
+    kinds = [name_and_pairs(one, "--effects")[0] for one in written]
+    require_effects(kinds)
+    if not set(kinds) <= set(DEFAULT_EFFECTS):
+        from torchid.effects.registry import fitted_kind
+
+        for kind in kinds:
+            fitted_kind(kind)
     return written
 
 
@@ -45,7 +50,7 @@ def identify_command(
             "rows basis covariance signs",
             effects=Annotated[
                 tuple[str, ...],
-                typer.Option(metavar="NAME[:joint=J,SHAPE=V],.."),
+                typer.Option(metavar="NAME[:KEY=VALUE],.."),
                 Parsed(_effects, "none"),
             ],
             cutoff=opt.FilterCutoff,
@@ -64,7 +69,7 @@ def identify_command(
         ),
     ],
     seed: opt.Seed = 0,
-    output: Reported,
+    output: Annotated[Reported, "identification.json"],
     device_name: opt.Device = "cpu",
 ) -> None:
     """Identify base parameters and friction from logs, with standard deviations and validation.
@@ -76,24 +81,12 @@ def identify_command(
         effects: Effects, comma-separated: on every joint, or at one place; shapes that are not
             given are searched. `none` for the rigid body.
         cutoff: Cut-off of the zero-phase filter.
-        reversal: Speed at which a joint's direction counts as reversed, as a fraction of its 99 %
-            speed.
-        rows: Rows fitted: while the own joint moves, or all. At rest friction can hold any torque.
-        basis: Base parameters as the report groups them, or as logs tell them apart best (default:
-            the robot's own, which is `conditioned` unless its yaml says otherwise).
-        covariance: Noise between joints, for wls and huber.
-        signs: Coefficients physics forbids to be negative: hold at zero or above, or only report
-            them.
         error_cutoff: Report errors under this filter, not the fit's.
-        force: Show a result that predicts its own log worse than no model does, too.
         compiled: Compile the regressor (needs a C++ compiler); for very long logs.
-        mirror: Two sides that are mirror images, by what differs in the names of their joints:
-            `left:right`, `FL:FR,RL:RR`. Mirrored links and equal friction, where the log does not
-            contradict them.
     """
+    found, log, apart, files = trials.open(output, settings.held_out_fraction)
     from torchid.report.identification import shown
 
-    found, log, apart, files = trials.open(output, settings.held_out_fraction)
     with output.progress("preparing") as progress:
         result = torchid.identify(
             found, log, held_out=apart, settings=settings, device=device_name, progress=progress
@@ -110,14 +103,14 @@ def identify_command(
 class _Empty(opt.ArmAndLogs):
     """Robot, and logs without payload, which a model that knows how sure it is goes without."""
 
-    logs: Annotated[list[Path] | None, opt.LOGS] = None  # type: ignore[assignment]
+    logs: Annotated[list[Path] | None, opt.LOGS, RECORDED] = None  # type: ignore[assignment]
 
 
 @command
 def payload_command(
     *,
     arm: _Empty,
-    loaded: Annotated[list[Path], typer.Option(metavar="LOG")],
+    loaded: Annotated[list[Path], typer.Option(metavar="LOG"), RECORDED],
     model: Literal["general", "symmetric", "point_mass"] = "general",
     settings: Annotated[
         Settings,
@@ -129,7 +122,7 @@ def payload_command(
         ),
     ],
     seed: opt.Seed = 0,
-    output: Computed,
+    output: Annotated[Computed, "payload.json"],
     device_name: opt.Device = "cpu",
 ) -> None:
     """Estimate mass, centre of mass and inertia of what the last link carries.
@@ -144,14 +137,12 @@ def payload_command(
         loaded: Logs with the payload. May be given several times.
         model: All ten parameters; symmetric about the tool's z axis; a point mass.
         cutoff: Cut-off of the zero-phase filter; `auto` chooses it on the logs without payload.
-        rows: Rows fitted. At rest friction can hold any torque, and so part of a payload's.
-        signs: Coefficients physics forbids to be negative: hold at zero, or leave.
     """
-    from torchid.report.identification import payload_shown
-
     found = arm.load()
     empty = arm.read(arm.logs, found) if arm.logs else None
     full = arm.read(loaded, found)
+    from torchid.report.identification import payload_shown
+
     with output.progress() as progress:
         carried = torchid.payload(
             found, empty, full, model=model, settings=settings, device=device_name,

@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from torchid.app import options as opt
+from torchid.app.inputs import RECORDED, WRITTEN
 from torchid.app.output import Output
 from torchid.app.project import read
-from torchid.app.signature import WRITTEN, Fields, Switch, command
+from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
 from torchid.files import write_text
 from torchid.project.file import NAME
@@ -18,13 +19,13 @@ from torchid.project.file import NAME
 
 def init(
     *,
-    logs: Annotated[list[Path] | None, typer.Argument(metavar="[LOG...]")] = None,
+    logs: Annotated[list[Path] | None, typer.Argument(metavar="[LOG...]"), RECORDED] = None,
     robot: opt.RobotOption = None,
     part: opt.Part,
     reading: opt.Reading,
     held_out: opt.LogFiles = None,
-    out: str = "results",
-    to: Annotated[Path, typer.Option(metavar="FILE"), WRITTEN] = Path(NAME),
+    out: Annotated[str, typer.Option(metavar="DIR")] = "results",
+    save: Annotated[Path, typer.Option("--save", "--to", metavar="FILE"), WRITTEN] = Path(NAME),
     ask: bool = True,
     force: Switch = False,
     output: Annotated[Output, Fields("quiet")],
@@ -41,15 +42,15 @@ def init(
         robot: Built-in name, or a torchid .yaml, .urdf or .xml (MJCF) file.
         held_out: Logs to hold out; those whose names say so (test, val, check) if absent.
         out: Folder for results.
-        to: The project file.
+        save: The project file.
         ask: Ask for what cannot be guessed, on a terminal.
         force: Replace the project file that is there.
     """
+    if save.exists() and not force:
+        raise TorchidError(f"'{save}' is there already.", hint="--force replaces it; or edit it")
     from torchid.project.guess import guess
     from torchid.results.words import count
 
-    if to.exists() and not force:
-        raise TorchidError(f"'{to}' is there already.", hint="--force replaces it; or edit it")
     people = all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout))
     asking = ask and people and not output.silent
     choose = _choose if asking else None
@@ -59,8 +60,8 @@ def init(
         question = f"{said}: drive gains [N m/A] of {n} joints, or Enter"
         given = typer.prompt(question, default="", show_default=False) or None
     gains = None if given is None else opt.numbers("--gain", given, n)
-    output.put(to, lambda path: write_text(path, found.text(path, out, gains)))
-    read(to)
+    output.put(save, lambda path: write_text(path, found.text(path, out, gains)))
+    read(save)
     output.say(
         f"robot: {found.name}, {count(n, 'joint')}",
         f"logs: {', '.join(map(str, found.logs)) or 'none'}",

@@ -1,12 +1,14 @@
 """`torchid log`: what a log is, and what is wrong with it, before anything is computed from it."""
 
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 import torchid
 from torchid.app import options as opt
+from torchid.app.inputs import WRITTEN
 from torchid.app.output import Computed, Printed, worded
 from torchid.app.project import group
 from torchid.app.signature import command
@@ -16,10 +18,10 @@ from torchid.app.signature import command
 def doctor_command(
     *,
     arm: opt.ArmAndLogs,
-    apply: opt.Written = None,
+    apply: Annotated[Path | None, typer.Option(metavar="FILE"), WRITTEN, opt.LOG_SUFFIX] = None,
     fix: Annotated[list[str] | None, typer.Option(metavar="NAME")] = None,
     seed: opt.Seed = 0,
-    output: Computed,
+    output: Annotated[Computed, "doctor.json"],
 ) -> None:
     """Examine a log before anything is fitted to it: units, signs, joint order, gains, gravity,
     lag, velocities, clock, dropouts, saturation, excitation, runs that contradict each other; with
@@ -37,7 +39,6 @@ def doctor_command(
     from torchid.doctor.flag import flag_for
     from torchid.report.doctor import doctor_shown
 
-    opt.require_log_file("--apply", apply)
     found = arm.load()
     log = arm.read(arm.logs, found)
     with output.progress("examining the log"):
@@ -64,17 +65,19 @@ def show_command(
     robot: opt.RobotOption = None,
     reading: opt.Reading,
     part: opt.Part,
-    out: opt.Written = None,
+    save: Annotated[
+        Path | None, typer.Option("--save", "--out", metavar="FILE"), WRITTEN, opt.LOG_SUFFIX
+    ] = None,
     output: Printed,
 ) -> None:
     """Print what a log is seen as: format, joints, sampling, ranges, units, and what is odd.
 
-    Example: `torchid log show run1.csv --columns "q=pos_{j} deg,tau=eff_{j},t=time ms" --out
+    Example: `torchid log show run1.csv --columns "q=pos_{j} deg,tau=eff_{j},t=time ms" --save
     run1.parquet`
 
     Args:
         robot: The robot it is of: joints by name, and what only a robot can tell is checked.
-        out: Write what was read as .parquet, .csv or .npz, in our columns and units; currents
+        save: Write what was read as .parquet, .csv or .npz, in our columns and units; currents
             also as torque, where the drive gains are known.
     """
     from torchid.design.repeats import repeated_motion
@@ -82,7 +85,6 @@ def show_command(
     from torchid.report.log import shown
     from torchid.robot.model import JointType
 
-    opt.require_log_file("--out", out)
     checked: dict[str, Any] = {}
     found = None if robot is None else opt.load(robot, part)
     if found is not None:
@@ -101,11 +103,11 @@ def show_command(
     if log.tau is None and log.current is not None and found is not None:
         log = log if found.drive_gain is None else log.with_torque(found.drive_gain)
     output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
-    output.put(out, partial(torchid.write_log, log))
+    output.put(save, partial(torchid.write_log, log))
     output.tell(shown(seen, repeats))
     if seen.problem is not None:
         output.say(worded("this log cannot be used as it is: ", "red") + worded(seen.problem))
-    if out is not None:
+    if save is not None:
         gained = "" if log is seen.log else ", with torque: current times the drive gains"
         output.say(f"{log.samples} samples{gained}")
 

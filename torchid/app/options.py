@@ -1,8 +1,9 @@
 """Options that several commands take, and what they do."""
 
 import math
-from collections.abc import Sequence
-from contextlib import nullcontext
+import shlex
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -10,10 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 import torchid
+from torchid.app.inputs import PLACE, RECORDED, ROBOT, WRITTEN, Suffix
 from torchid.app.output import Output
 from torchid.app.project import current
-from torchid.app.signature import PLACE, WRITTEN, Fields, Parsed
+from torchid.app.signature import Fields, Parsed
+from torchid.effects.names import require_effects
 from torchid.errors import TorchidError
+from torchid.identification.settings import DEFAULT_EFFECTS
+from torchid.robot.config_files import robot_file
 
 if TYPE_CHECKING:
     from torchid.log.table import Request
@@ -48,28 +53,6 @@ def numbers(option: str, text: str, n: int) -> list[float]:
     return values
 
 
-YAML = (".yaml", ".yml")
-
-
-def require_suffix(option: str, path: Path | None, suffixes: Sequence[str]) -> None:
-    """Raise, before any work is done, if a file to be written is not called what it will be.
-
-    Raises:
-        TorchidError: another suffix; what is read later goes by it.
-    """
-    if path is not None and path.suffix.lower() not in suffixes:
-        raise TorchidError(
-            f"{option} writes another kind of file.", got=str(path), expected=" or ".join(suffixes)
-        )
-
-
-def require_log_file(option: str, path: Path | None) -> None:
-    """The same of a log to be written."""
-    from torchid.log.readers import written_suffixes
-
-    require_suffix(option, path, written_suffixes())
-
-
 def total_mass(text: str) -> tuple[float, float]:
     """--total-mass: an interval [kg].
 
@@ -93,9 +76,13 @@ def names(text: str) -> tuple[str, ...]:
 
 def effect_names(text: str) -> tuple[str, ...]:
     """Names of effects separated by commas; `none` for none."""
-    from torchid.effects.registry import column_kind
+    require_effects(found := names(text))
+    if not set(found) <= set(DEFAULT_EFFECTS):
+        from torchid.effects.registry import column_kind
 
-    return tuple(column_kind(name).name for name in names(text))
+        for name in found:
+            column_kind(name)
+    return found
 
 
 def searched(text: str) -> tuple[str, ...] | None:
@@ -111,6 +98,7 @@ def searched(text: str) -> tuple[str, ...] | None:
         raise TorchidError(
             "--effects leaves nothing to search over.", got=text, hint="`all` for the whole library"
         )
+    require_effects(found)
     return found
 
 
@@ -131,6 +119,8 @@ def cutoff_hz(text: str) -> float | Literal["auto"] | None:
 
 def device(text: str) -> str:
     """The --device option."""
+    if text == "cpu":
+        return text
     from torchid.tensors import usable_device
 
     return usable_device(text)
@@ -160,28 +150,40 @@ Base = Annotated[
     Literal["fixed", "moving"],
     typer.Option(help="URDF, MJCF: a base that is held, or moves and is measured (base_x ..)."),
 ]
-RobotOption = Annotated[str | None, typer.Option(metavar="ROBOT")]
+RobotOption = Annotated[str | None, typer.Option(metavar="ROBOT"), ROBOT]
 LOGS = typer.Argument(
     metavar="LOG...",
     help="Logs (.parquet, .csv, .npz, .mat, .h5; ROS bags; LeRobot datasets): t, q1.., and "
     "dq1.., tau1.. or i1.., or --columns. Several are several trajectories.",
 )
-LogArguments = Annotated[list[Path], LOGS]
+LogArguments = Annotated[list[Path], LOGS, RECORDED]
 File = Annotated[Path | None, typer.Option(metavar="FILE")]
 Written = Annotated[Path | None, typer.Option(metavar="FILE"), WRITTEN]
+LOG_SUFFIX = Suffix((".csv", ".npz", ".parquet"))
+Saved = Annotated[
+    Path | None,
+    typer.Option("--save", "--to", metavar="FILE"),
+    WRITTEN,
+    LOG_SUFFIX,
+]
+Model = Annotated[
+    Path | None, typer.Option(metavar="FILE.yaml"), WRITTEN, Suffix((".yaml", ".yml"))
+]
 Folder = Annotated[Path, typer.Option(metavar="DIR"), PLACE]
-LogFiles = Annotated[list[Path] | None, typer.Option(metavar="LOG")]
+LogFiles = Annotated[list[Path] | None, typer.Option(metavar="LOG"), RECORDED]
 Group = Annotated[str | None, typer.Option(metavar="GROUP|none")]
-Bounds = Annotated[str | None, typer.Option(metavar="GROUP|from-robot|wide|none")]
+Bounds = Annotated[str | None, typer.Option(metavar="BOUNDS")]
 TotalMass = Annotated[tuple[float, float] | None, typer.Option(metavar="LO,HI"), Parsed(total_mass)]
 Hertz = Annotated[float | None, typer.Option(metavar="HZ")]
-Names = Annotated[tuple[str, ...], typer.Option(metavar="A,B,C"), Parsed(names, "none")]
-Searched = Annotated[tuple[str, ...] | None, typer.Option(), Parsed(searched, "all")]
+Names = Annotated[tuple[str, ...], typer.Option(metavar="NAMES"), Parsed(names, "none")]
+Searched = Annotated[tuple[str, ...] | None, typer.Option(metavar="NAMES"), Parsed(searched, "all")]
 Count = Annotated[int, typer.Option(min=1, max=100_000)]
-Excited = Annotated[tuple[str, ...], typer.Option(), Parsed(effect_names, "none")]
+Excited = Annotated[tuple[str, ...], typer.Option(metavar="NAMES"), Parsed(effect_names, "none")]
 FittedEffects = Annotated[
     tuple[str, ...],
-    typer.Option(help="Effects on every joint, comma-separated; `none` for the rigid body."),
+    typer.Option(
+        metavar="NAMES", help="Effects on every joint, comma-separated; `none` for the rigid body."
+    ),
     Parsed(effect_names, "none"),
 ]
 Cutoff = float | Literal["auto"] | None
@@ -190,17 +192,19 @@ HeldOutFraction = Annotated[
     float,
     typer.Option(help="Without --held-out: the last part of each trajectory kept for validation."),
 ]
-_LessThanOne = Annotated[float, typer.Option(min=0, max=0.99)]
+_Share = Annotated[float, typer.Option(metavar="SHARE", min=0, max=0.99)]
 GAP = Fields(
     "rollout",
     effects=Searched,
-    background=Names,
+    background=Excited,
     cutoff=Annotated[Cutoff, typer.Option(metavar="HZ|auto"), Parsed(auto_hz, "none")],
     parameters=Literal["trusted", "free", "auto"],
     held_out_fraction=HeldOutFraction,
-    worthwhile=_LessThanOne,
-    worthwhile_torque=_LessThanOne,
-    gain_std=Annotated[float | None, typer.Option(min=0, max=0.99, show_default=False)],
+    worthwhile=_Share,
+    worthwhile_torque=_Share,
+    gain_std=Annotated[
+        float | None, typer.Option(metavar="SHARE", min=0, max=0.99, show_default=False)
+    ],
     max_effects=Count,
     seed=Seed,
 )
@@ -293,12 +297,15 @@ class Reading:
 
     def read(self, paths: Sequence[Path], robot: "torchid.Robot") -> "torchid.Log":
         """Files as the trajectories of one log."""
+        from torchid.log.checks import check_joints
         from torchid.log.readers import open_logs
 
         if self.gain is not None:
             numbers("--gain", self.gain, robot.n)
         opened = open_logs(paths, self.request(robot))
-        return self.with_torque(torchid.Log.concatenate([log for _, log in opened]), robot.n)
+        log = torchid.Log.concatenate([log for _, log in opened])
+        check_joints(log, robot.name, robot.n, robot.floating)
+        return self.with_torque(log, robot.n)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -338,7 +345,7 @@ class Arm(Part):
         robot: Built-in name, or a torchid .yaml, .urdf or .xml (MJCF) file.
     """
 
-    robot: Annotated[str, typer.Argument(metavar="ROBOT")]
+    robot: Annotated[str, typer.Argument(metavar="ROBOT"), ROBOT]
 
     def load(self) -> "torchid.Robot":
         """The robot."""
@@ -350,6 +357,17 @@ class ArmAndLogs(Arm, Reading):
     """One robot and its logs."""
 
     logs: LogArguments
+
+    def __post_init__(self) -> None:
+        """Look at the logs' headers.
+
+        Raises:
+            LogError: one of them lacks columns.
+        """
+        from torchid.log.readers import require_header
+
+        for path in self.logs or ():
+            require_header(path, self.request(None))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -379,8 +397,6 @@ class Trials(ArmAndLogs):
         Raises:
             TorchidError: an input cannot be read, or logs and a fraction are held out.
         """
-        from torchid.robot.library import robot_file
-
         if self.held_out and fraction:
             raise TorchidError(
                 "--held-out and --held-out-fraction exclude each other.", expected="one of them"
@@ -395,6 +411,27 @@ class Trials(ArmAndLogs):
             log = self.read(self.logs, robot)
             held_out = self.read(apart, robot) if apart else None
         return robot, log, held_out, files
+
+    @contextmanager
+    def line_to_mend(self) -> Iterator[None]:
+        """An error that a log is wrong says what to paste: `--columns`, or the doctor's line."""
+        from torchid.doctor.first import WrongLogError
+        from torchid.doctor.flag import flag_for
+
+        try:
+            yield
+        except WrongLogError as stop:
+            found, logs = stop.examination, self.logs or []
+            choices = [c for check in found.undecided for c in check.choices]
+            own = not (self.columns or self.topic)
+            flag = flag_for(found.repairs, found.robot.n, logs) if own else None
+            fix = f'--fix "{choices[0].name}" ' if choices else ""
+            names = shlex.join([self.robot, *map(str, logs)])
+            line = f"torchid log doctor {names} {fix}--apply mended.parquet"
+            if flag is not None:
+                line = f'read it with --columns "{flag}", or: {line}'
+            mends = any(c.repairs for c in stop.wrong)
+            raise WrongLogError(found, stop.wrong, line if mends else None) from None
 
 
 def load(name: str, part: Part) -> "torchid.Robot":

@@ -18,10 +18,11 @@ from rich.markup import escape
 from rich.text import Text
 
 from torchid.app import begun
+from torchid.app.inputs import PLACE, WRITTEN, Suffix
 from torchid.app.project import OPTIONS
-from torchid.app.signature import PLACE, WRITTEN, Fields
+from torchid.app.signature import Fields, Switch
 from torchid.errors import TorchidError, visible
-from torchid.files import make_folder, write_text
+from torchid.files import make_folder, remove_empty, require_folder, write_text
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ class Output:
         report: Write one self-contained page: verdict, pictures, tables, how it was obtained
             (needs torchid's extra `report`).
         verbose: Print every table, too: what the answer rests on.
+        overwrite: Write over the results that --out or a file of a model holds already.
         quiet: Print errors only.
         threads: Threads of torch and BLAS (default 1: fastest on shared machines).
         started: of `time.monotonic`.
@@ -52,8 +54,14 @@ class Output:
 
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE"), WRITTEN] = None
     out: Annotated[Path | None, typer.Option(metavar="DIR"), PLACE] = None
-    report: Annotated[Path | None, typer.Option(metavar="FILE.html"), WRITTEN] = None
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html"),
+        WRITTEN,
+        Suffix((".html", ".htm"), "a browser prints it as PDF"),
+    ] = None
     verbose: Annotated[bool, typer.Option("--verbose", "-v")] = False
+    overwrite: Switch = False
     quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False
     threads: Annotated[int | None, typer.Option(min=1, max=1024)] = None
     started: float = field(default_factory=time.monotonic, init=False)
@@ -61,34 +69,47 @@ class Output:
     unsaid: list[OSError] = field(default_factory=list, init=False)
 
     def __enter__(self) -> "Output":
-        """Check that results can be written before any work is done, and set torch's threads.
+        """Check that results can be written before any work is done.
 
         Raises:
-            TorchidError: a folder that does not exist or cannot be written; a page that is no
-                .html.
-            MissingExtraError: a page is asked for, and what makes it is not installed.
+            TorchidError: a folder that cannot be made or written.
         """
         if self.out is not None:
-            make_folder(self.out)
-        if self.report is not None:
-            from torchid.report.page.document import require_page
-
-            require_page(self.report)
-        import torch
-
-        begun()
-        torch.set_num_threads(self.threads or 1)
+            require_folder(self.out)
         level = logging.ERROR if self.silent else logging.WARNING
         logging.basicConfig(level=level, format="%(message)s")
         return self
 
+    def begin(self) -> None:
+        """From now on there may be results: torch is loaded, the folder is made, and Ctrl-C ends in
+        good order what was begun. `progress` and `put` do it, too.
+
+        Raises:
+            MissingExtraError: a page is asked for, and what makes it is not installed.
+        """
+        _ = self._made
+
+    @cached_property
+    def _made(self) -> list[Path]:
+        """Folders that were made."""
+        import torch
+
+        if self.report is not None:
+            from torchid.report.page.document import require_page
+
+            require_page(self.report)
+        begun()
+        torch.set_num_threads(self.threads or 1)
+        return [] if self.out is None else make_folder(self.out)
+
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Say which files there are, unless the command failed.
+        """Say which files there are; of a command that failed, remove folders that are empty.
 
         Raises:
             TorchidError: what was said could not be printed.
         """
         if error is not None:
+            remove_empty(self.__dict__.get("_made", ()))
             return
         others = [str(f) for f in self.written if f.parent != self.out]
         inside = _few([f.name for f in self.written if f.parent == self.out])
@@ -124,6 +145,7 @@ class Output:
     def put(self, path: Path | None, write: Callable[[Path], object]) -> None:
         """Write a file, if it is asked for."""
         if path is not None:
+            self.begin()
             write(path)
             self.written.append(path)
 
@@ -253,6 +275,7 @@ class Output:
         Args:
             first: what is running until it is called.
         """
+        self.begin()
         console = Console(stderr=True)
         if self.silent:
             yield None
@@ -357,10 +380,10 @@ def _few(names: Sequence[str]) -> str:
 
 
 Printed = Annotated[Output, Fields("json_file", "quiet")]
-Kept = Annotated[Output, Fields("json_file", "out", "quiet")]
-Computed = Annotated[Output, Fields("json_file", "out", "quiet", "threads")]
-Diagnosed = Annotated[Output, Fields("json_file", "out", "report", "verbose", "quiet", "threads")]
-Reported = Annotated[Output, Fields("json_file", "out", "report", "quiet", "threads")]
+Kept = Annotated[Output, Fields("json_file", "out", "overwrite", "quiet")]
+Computed = Annotated[Output, Fields("json_file", "out", "overwrite", "quiet", "threads")]
+Reported = Annotated[Output, Fields("json_file out report overwrite quiet threads")]
+Diagnosed = Annotated[Output, Fields("json_file out report verbose overwrite quiet threads")]
 
 _ARGUMENT = re.compile(r"""`(\w+)=(\.\.\.|True|\d[\d.]*|"[^`]*"|'[^`]*')`""")
 
@@ -384,7 +407,7 @@ def in_options(text: str) -> str:
             return found[0]
         if value in ("...", "True"):
             return name
-        bare = re.fullmatch(r"""["']?([^\s;&|*?<>$"']+)["']?""", value)
+        bare = re.fullmatch(r"""["']?([^\s;&|*?<>(){}[\]$"']+)["']?""", value)
         return f"{name} {bare[1] if bare else value}"
 
     return _ARGUMENT.sub(option, text)

@@ -1,6 +1,7 @@
 """Commands whose options may stand in a project file (`torchid.project.file`)."""
 
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -11,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from typer.core import TyperCommand, TyperOption
+from typer.core import TyperCommand, TyperGroup, TyperOption
 
+from torchid.app.help import show_command, show_group
 from torchid.app.signature import Option
 from torchid.project.file import Project, Taken, find_project, read_project
 from torchid.robot.config_files import names_robot
@@ -36,10 +38,25 @@ def read(file: Path) -> Project:
 
 def group(name: str, about: str, commands: Sequence[Callable[..., None]]) -> typer.Typer:
     """A group of commands."""
-    made = typer.Typer(name=name, no_args_is_help=True, help=about)
+    made = typer.Typer(name=name, no_args_is_help=True, help=about, cls=Group)
     for one in commands:
         add(made, one, f"{name} ")
     return made
+
+
+class Group(TyperGroup):
+    """The program, or a group of commands."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print it."""
+        # Of what a command does the first paragraph, up to its first mark.
+        about = {name: _in_short(one.help or "") for name, one in self.commands.items()}
+        show_group(ctx.command_path, self.help or "", about)
+
+
+def _in_short(text: str) -> str:
+    """The beginning of a command's description."""
+    return re.split(r"[:;.]\s|\n\n", " ".join(text.split("\n")) + " ")[0].rstrip(". ") + "."
 
 
 def add(to: typer.Typer, one: Any, above: str = "") -> None:
@@ -56,7 +73,11 @@ def add(to: typer.Typer, one: Any, above: str = "") -> None:
 
 
 class ProjectCommand(TyperCommand):
-    """A command whose options may stand in a project file."""
+    """A command whose options may stand in a project file, and whose help has panels."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print it."""
+        show_command(ctx.command_path, self.help or "", OPTIONS[_path(ctx)])
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Put what the project file says in the place of what is not given."""
@@ -98,8 +119,7 @@ class ProjectCommand(TyperCommand):
         if self.name in _FITTED:
             defaults.setdefault("effects", project.effects)
         defaults.setdefault("background", project.background)
-        # What `log show --out` writes is a file, not the folder of results.
-        if project.out is not None and getattr(named.get("out"), "metavar", None) == "DIR":
+        if project.out is not None:
             defaults.setdefault("out", os.path.join(project.out, str(self.name)))
         if "logs" in named:
             defaults.setdefault("logs", list(project.logs) or None)
@@ -126,8 +146,9 @@ def _commands() -> dict[str, dict[str, Taken]]:
     """The options of each command that takes a project file, by their names without dashes."""
     return {
         command: {
-            option.shown.lstrip("-"): Taken(option.name, *option.takes)
+            name.lstrip("-"): Taken(option.name, *option.takes)
             for option in options
+            for name in (option.shown, *option.aliases)
             if option.name not in ("project_file", "debug")
         }
         for command, options in OPTIONS.items()

@@ -61,6 +61,7 @@ def effects_command(
     }
     replace(output, out=None).write_json(record, "effects.json")
     if output.out is not None:
+        output.begin()
         output.written.append(write_catalogue(output.out))
     if name is None:
         output.say(effects_table())

@@ -4,28 +4,34 @@ A parameter of a command is an option, or, where it is annotated with a dataclas
 each of that dataclass's fields: type and default stand there and nowhere else. What an option means
 is said in the docstring, under `Args:` of the command or `Attributes:` of the dataclass.
 
-Annotations say more: `Parsed` how text becomes a value, `WRITTEN` that a file is a result, `PLACE`
-that a folder is neither an input nor a result. All other paths are inputs.
+Annotations say more: `Parsed` how text becomes a value, and `torchid.app.inputs` what a file is.
+Names of files behind a dataclass, `Annotated[Output, Fields(..), "gap.json"]`, are those of results
+in the folder of --out, where a second run does not take their place unless it is told to.
 """
 
 import inspect
-import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack
 from copy import copy
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
 from torchid.app.faults import report
+from torchid.app.inputs import (
+    inputs_of,
+    require_apart,
+    require_free,
+    require_inputs,
+    require_results,
+)
 from torchid.errors import TorchidError
-from torchid.files import inputs_kept, require_writable
+from torchid.files import inputs_kept
 
 Switch = Annotated[bool, "an option --name without its --no-name"]
-WRITTEN, PLACE = "a file that is written", "a folder to work in"
 _Project = Annotated[
     str | None,
     typer.Option(
@@ -40,11 +46,34 @@ Debug = Annotated[
 ]
 LARGEST_WHOLE, LARGEST_REAL = 10**6, 1e9
 """Of counts, and of sizes in SI units, times and frequencies."""
-_LAST = (
-    "held_out", "columns", "topic", "gain", "jobs", "tip", "root", "lock", "json_file", "out",
-    "report", "seed", "quiet", "threads", "device_name", "project_file", "debug",
-)  # fmt: skip
-"""Options that many commands have stand at the end of the help, always in this order."""
+_REST = "*"
+_PANELS = (
+    ("Options", "to result loaded effects effect servo * held_out save out report save_model"),
+    ("Two logs", "simulated real"),
+    ("Search", "background parameters worthwhile worthwhile_torque gain_std max_effects rollout"),
+    ("Search", "runs stages generations population penalty schedule polish engine certificate"),
+    ("Fit", "cutoff held_out_fraction rows reversal method covariance signs essential"),
+    ("Fit", "error_cutoff compiled mirror"),
+    (
+        "Motion",
+        "kind criterion basis usage speed count harmonics restarts clearance floor workspace",
+    ),
+    ("Noise", "noise snr torque_noise encoder_bits colour velocity_noise"),
+    ("Under control, or replayed", "closed_loop control_frequency replay windows"),
+    ("Randomise", "randomise spread draws"),
+    ("Bodies", "geometry shapes total_mass margin"),
+    ("Reading logs", "columns topic gain kp kd"),
+    ("Reading the robot", "tip root lock base"),
+    ("Output", "view ros2 urscript json_file overwrite force quiet"),
+    ("Running", "seed workers jobs scheduler store threads device_name project_file debug"),
+)
+"""Where in the help options stand, in this order: the panel and their names; `*` for all others."""
+_PLACES = {
+    name: (place, title)
+    for place, (name, title) in enumerate((n, title) for title, ns in _PANELS for n in ns.split())
+}
+_WIDEST = 18
+"""Of choices that stand beside an option's name; more of them stand in its text."""
 
 
 @dataclass(frozen=True)
@@ -95,16 +124,75 @@ class Option:
         return self.parameter.name
 
     @property
+    def aliases(self) -> tuple[str, ...]:
+        """Names that it had once, and that still work."""
+        old = self.info.param_decls or () if self.has_name else ()
+        return tuple(name for name in old if name.startswith("--") and name != self.shown)
+
+    @property
+    def info(self) -> Any:
+        """As typer describes it."""
+        return get_args(self.parameter.annotation)[1]
+
+    @property
+    def kind(self) -> Any:
+        """The type of what typer gives."""
+        return get_args(self.parameter.annotation)[0]
+
+    @property
+    def place(self) -> tuple[int, str]:
+        """Where it stands in the help, and in which panel."""
+        return _PLACES.get(self.name, _PLACES[_REST])
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """All values that it may have, where there are few."""
+        kinds = [self.kind, *get_args(self.kind)]
+        return next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ())
+
+    @property
+    def written(self) -> str:
+        """As it is written: its name, and what stands for a value."""
+        choices = "|".join(self.choices)
+        short = choices if 0 < len(choices) <= _WIDEST else None
+        word = "N" if int in self.kinds else self.shown.rpartition("-")[2].upper()
+        value = self.info.metavar or short or word
+        if not self.has_name:
+            return str(value)
+        if self.kind is not bool:
+            return f"{self.shown} {value}"
+        both = not isinstance(self.info.default, str)
+        return f"{self.shown}/--no-{self.shown.lstrip('-')}" if both else self.shown
+
+    @property
+    def about(self) -> str:
+        """What it is, its choices where they do not stand beside its name, and its default."""
+        default = self.parameter.default
+        said = [str(self.info.help or "").replace("`", "")]
+        if self.choices and not self.written.endswith("|".join(self.choices)):
+            said.append(f"One of {', '.join(self.choices)}.")
+        if default is inspect.Parameter.empty:
+            said.append("[required]")
+        elif default not in (None, "") and default is not False and self.info.show_default:
+            value = "yes" if default is True else str(default).replace(",", ", ")
+            said.append(f"[default: {value}]")
+        return " ".join(said)
+
+    @property
     def has_name(self) -> bool:
         """Whether it is written with its name; an argument is not."""
-        return isinstance(get_args(self.parameter.annotation)[1], typer.models.OptionInfo)
+        return isinstance(self.info, typer.models.OptionInfo)
+
+    @property
+    def kinds(self) -> set[Any]:
+        """Its type and the parts of it."""
+        parts = get_args(self.kind)
+        return {self.kind, *parts, *(inner for part in parts for inner in get_args(part))}
 
     @property
     def takes(self) -> tuple[bool, bool]:
         """Whether it takes paths, and whether it takes several values."""
-        kind = get_args(self.parameter.annotation)[0]
-        kinds = {kind, *get_args(kind), *(k for part in get_args(kind) for k in get_args(part))}
-        return Path in kinds, any(k is list or get_origin(k) is list for k in kinds)
+        return Path in self.kinds, any(k is list or get_origin(k) is list for k in self.kinds)
 
     def value(self, given: Any) -> Any:
         """What the command gets for what typer gives.
@@ -114,7 +202,7 @@ class Option:
                 its own can mean; or a text that cannot be read.
         """
         most = LARGEST_WHOLE if isinstance(given, int) else LARGEST_REAL
-        most = getattr(get_args(self.parameter.annotation)[1], "max", None) or most
+        most = getattr(self.info, "max", None) or most
         if isinstance(given, int | float) and not abs(given) <= most:
             raise TorchidError(
                 f"{self.shown} is out of range.", got=given, expected=f"at most {most:g} in size"
@@ -133,15 +221,17 @@ def command(function: Callable[..., None], *, project: bool = True) -> Callable[
     hints = get_type_hints(function, include_extras=True)
     text, own = _parts(function, "Args")
     groups: dict[str, tuple[type, list[str]]] = {}
+    results: list[str] = []
     options: list[Option] = []
     for parameter in inspect.signature(function).parameters.values():
         hint = hints[parameter.name]
-        kind, chosen = get_args(hint)[:2] if get_origin(hint) is Annotated else (hint, None)
+        kind, chosen, *said = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
         if not is_dataclass(kind):
             options.append(_option(parameter.name, hint, parameter.default, own))
             continue
         assert isinstance(kind, type)
         made = list(_options(kind, chosen.changed if isinstance(chosen, Fields) else None, own))
+        results += said
         groups[parameter.name] = kind, [option.name for option in made]
         options += made
     if project and any(option.name == "tip" for option in options):
@@ -149,19 +239,17 @@ def command(function: Callable[..., None], *, project: bool = True) -> Callable[
     options.append(_option("debug", Debug, False, {}))
 
     def run(**given: Any) -> None:
-        _require_apart(options, given)
-        values = {option.name: option.value(given[option.name]) for option in options}
-        # These two are read before all others, and by nobody else.
-        values = {name: v for name, v in values.items() if name not in ("project_file", "debug")}
-        for name, (kind, names) in groups.items():
-            values[name] = kind(**{key: values.pop(key) for key in names})
-        with inputs_kept(_inputs(options, given)), ExitStack() as entered:
-            for option in options:
-                file = given[option.name] if WRITTEN in option.said else None
-                # The folder of --out is made where it is missing, also for what goes into it.
-                if file is not None and (file.parent != given.get("out") or file.parent.exists()):
-                    require_writable(file, option.shown)
-            for name in groups:
+        with inputs_kept(inputs_of(options, given)), ExitStack() as entered:
+            require_apart(options, given)
+            require_results(options, given)
+            require_inputs(options, given)
+            if given.get("overwrite") is False:
+                require_free(given, results)
+            values = {option.name: option.value(given[option.name]) for option in options}
+            # These two are read before all others, and by nobody else.
+            values = {n: v for n, v in values.items() if n not in ("project_file", "debug")}
+            for name, (kind, names) in groups.items():
+                values[name] = kind(**{key: values.pop(key) for key in names})
                 if isinstance(values[name], AbstractContextManager):
                     entered.enter_context(values[name])
             try:
@@ -169,43 +257,13 @@ def command(function: Callable[..., None], *, project: bool = True) -> Callable[
             except KeyboardInterrupt as stop:  # typer would say nothing
                 raise typer.Exit(report(stop, str)) from stop
 
-    options.sort(key=lambda o: 1 + _LAST.index(o.name) if o.name in _LAST else 0)
+    options.sort(key=lambda option: option.place[0] if option.has_name else -1)
     parameters = [option.parameter for option in options]
     run.__name__, run.__doc__ = function.__name__, text
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.options = options  # type: ignore[attr-defined]
     return run
-
-
-def _inputs(options: list[Option], given: Mapping[str, Any]) -> list[Path]:
-    """Files and folders that a command is told to read; what is given as text only where it is the
-    name of a file."""
-    found = []
-    for option in options:
-        if WRITTEN in option.said or PLACE in option.said:
-            continue
-        value = given[option.name]
-        for one in value if isinstance(value, list | tuple) else [value]:
-            if isinstance(one, Path) or (isinstance(one, str) and os.path.isfile(one)):
-                found.append(Path(one))
-    return found
-
-
-def _require_apart(options: list[Option], given: Mapping[str, Any]) -> None:
-    """Raise a TorchidError where two results are to be written to one file, or a result to what is
-    named as a folder."""
-    named = [option for option in options if given[option.name] is not None]
-    results = [option for option in named if WRITTEN in option.said]
-    taken: dict[str, str] = {}
-    for option in [*results, *(o for o in named if PLACE in o.said)]:
-        path = os.path.realpath(given[option.name])
-        # Two places may be one folder.
-        found = taken.setdefault if option in results else taken.get
-        if (other := found(path, option.shown)) != option.shown:
-            raise TorchidError(
-                f"{option.shown} and {other} name the same file.", got=given[option.name]
-            )
 
 
 def _options(kind: type, changed: dict[str, Any] | None, own: dict[str, str]) -> Iterator[Option]:

@@ -9,8 +9,9 @@ import typer
 
 import torchid
 from torchid.app import options as opt
+from torchid.app.inputs import PLACE, RECORDED
 from torchid.app.output import Computed, Output
-from torchid.app.signature import PLACE, Switch, command
+from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.files import require_no_input, require_writable
 
@@ -19,8 +20,8 @@ from torchid.files import require_no_input, require_writable
 def simulate_command(
     *,
     arm: opt.Arm,
-    trajectory: Annotated[list[Path], typer.Argument(metavar="TRAJECTORY|LOG...")],
-    to: Annotated[Path | None, typer.Option(metavar="FILE|DIR"), PLACE] = None,
+    trajectory: Annotated[list[Path], typer.Argument(metavar="TRAJECTORY|LOG..."), RECORDED],
+    save: Annotated[Path | None, typer.Option("--save", "--to", metavar="FILE|DIR"), PLACE] = None,
     noise: Literal["none", "paper", "honest"] = "honest",
     snr: Annotated[float, typer.Option(min=-100, max=400)] = 30.0,
     torque_noise: Annotated[float, typer.Option(min=0, max=100)] = 0.01,
@@ -35,7 +36,7 @@ def simulate_command(
     windows: Annotated[float | None, typer.Option(metavar="SECONDS")] = None,
     columns: Annotated[str | None, typer.Option(metavar="MAP|FILE.yaml")] = None,
     seed: opt.Seed = 0,
-    output: Computed,
+    output: Annotated[Computed, "simulation.json", "replay.json"],
     device_name: opt.Device = "cpu",
 ) -> None:
     """Write the log that the robot would give along a trajectory.
@@ -44,20 +45,20 @@ def simulate_command(
     controller that knows the nominal robot follows it, and forward simulation tells how far the
     arm gets: effects change the motion, as they do on a real arm.
 
-    Example: `torchid simulate kuka_lwr4_friction motion/trajectory.csv --to log.parquet`
+    Example: `torchid simulate kuka_lwr4_friction motion/trajectory.csv --save log.parquet`
 
     Example: `torchid simulate 3r motion/trajectory.csv --effect coulomb_friction:joint=2,Fc=0.6
-    --effect torque_gain:joint=1,gain=0.05 --to log.parquet`
+    --effect torque_gain:joint=1,gain=0.05 --save log.parquet`
 
     With `--replay`, a robot with servos (`torchid gap LOG.. --save-model`) is given the commands
     that logs recorded, from their measured start on.
 
-    Example: `torchid simulate corrected.yaml run1.parquet run2.parquet --replay --to simulated`
+    Example: `torchid simulate corrected.yaml run1.parquet run2.parquet --replay --save simulated`
 
     Args:
         trajectory: File with t, q1.., dq1.., ddq1.., or several, whose arms move side by side; with
             --replay, logs with u1.. and q1.. .
-        to: Log file (.parquet, .csv, .npz), of several `run{k}.parquet`; with --replay, a folder
+        save: Log file (.parquet, .csv, .npz), of several `run{k}.parquet`; with --replay, a folder
             for one file a log, with the log's name, t and simulated q1.. .
         noise: `paper`: on the trajectory, torque computed from it. `honest`: encoder steps, torque
             noise, no accelerations.
@@ -76,24 +77,26 @@ def simulate_command(
         columns: with --replay: which columns of the logs are what, as for other commands.
     """
     if replay:
-        _replay(output, arm, trajectory, to, windows, columns, seed)
+        _replay(output, arm, trajectory, save, windows, columns, seed)
         return
     if windows is not None or columns is not None:
         raise TorchidError("--windows and --columns are for --replay.")
+    several = len(trajectory) > 1
+    target = save or (output.out and output.out / ("log{k}.parquet" if several else "log.parquet"))
+    if target is None or (several and "{k}" not in target.name):
+        what = "several logs need several names." if target else "nowhere to write the log."
+        where = (
+            '--save "run{k}.parquet", for run1, run2, ..' if several else "--save FILE or --out DIR"
+        )
+        raise TorchidError(what, got=target, expected=where)
+    numbers = range(1, len(trajectory) + 1)
+    targets = [target.with_name(target.name.replace("{k}", str(k))) for k in numbers]
+    for file in targets if save is not None else ():
+        require_writable(file, "--save")
     from torchid.effects.written import effect_written
     from torchid.excitation.synthetic import noise_model, simulation_record
     from torchid.simulation.controller import Controller
 
-    several = len(trajectory) > 1
-    target = to or (output.out and output.out / ("log{k}.parquet" if several else "log.parquet"))
-    if target is None or (several and "{k}" not in target.name):
-        what = "several logs need several names." if target else "nowhere to write the log."
-        where = '--to "run{k}.parquet", for run1, run2, ..' if several else "--to FILE or --out DIR"
-        raise TorchidError(what, got=target, expected=where)
-    numbers = range(1, len(trajectory) + 1)
-    targets = [target.with_name(target.name.replace("{k}", str(k))) for k in numbers]
-    for file in targets if to is not None else ():
-        require_writable(file, "--to")
     model = noise_model(
         noise,
         snr=snr,
@@ -133,7 +136,7 @@ def _replay(
     output: Output,
     arm: opt.Arm,
     paths: list[Path],
-    to: Path | None,
+    save: Path | None,
     windows: float | None,
     columns: str | None,
     seed: int,
@@ -141,15 +144,15 @@ def _replay(
     """Simulated positions of logs, one file each."""
     from torchid.log.readers import is_written
 
-    folder = to or output.out
+    folder = save or output.out
     if folder is None or folder.is_file():
-        raise TorchidError("--replay writes one file a log.", got=folder, expected="--to DIR")
+        raise TorchidError("--replay writes one file a log.", got=folder, expected="--save DIR")
     names = [path.name if is_written(path.suffix) else f"{path.stem}.parquet" for path in paths]
     twice = [name for k, name in enumerate(names) if name in names[:k]]
     if twice:
         raise TorchidError("two logs have one name.", got=twice[0], expected="logs of other names")
     for name in names:
-        require_no_input(folder / name, "--to")
+        require_no_input(folder / name, "--save")
     model = torchid.ServoArm.read(arm.robot)
     logs = [
         torchid.read_log(path, columns=columns, joints=model.robot.joint_names) for path in paths

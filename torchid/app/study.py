@@ -13,6 +13,7 @@ from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, Schedule
 from torchid.json_data import write_json
+from torchid.robot.config_files import robot_file
 
 _CHECKPOINTS = "checkpoints"
 
@@ -43,7 +44,7 @@ def study_command(
     resume: Switch = False,
     figures: bool = True,
     engine: opt.Crew,
-    output: Reported,
+    output: Annotated[Reported, "study.json"],
     device_name: opt.Device = "cpu",
 ) -> None:
     """Reproduce a study of the report: identify, extract six scenarios, classify, compare wrenches.
@@ -57,21 +58,21 @@ def study_command(
         figures: Draw the figures into --out.
     """
     out = output.out
-    from torchid.parallel.workers import of
-    from torchid.report.study import page
-    from torchid.robot.library import robot_file
-    from torchid.study.settings import load_study, study_file, study_names
-    from torchid.study.study import remove_checkpoints, run_study
-
     if resume and out is None:
         raise TorchidError("--resume needs --out, where the checkpoints are.", expected="--out DIR")
-    crew = engine.crew
+    from torchid.study.settings import load_study, study_file, study_names
+
     names = study_names() if name == "all" else [name]
     changed = {key: value for key, value in vars(instead).items() if value is not None}
     every = []
     for given in names:
         settings = load_study(given).quick() if quick else load_study(given)
         every.append(replace(settings, search=replace(settings.search, **changed)))
+    from torchid.parallel.workers import of
+    from torchid.report.study import page
+    from torchid.study.study import remove_checkpoints, run_study
+
+    crew = engine.crew
     studies, records = [], []
     for given, settings in zip(names, every, strict=True):
         folder, file = None if out is None else out / settings.name, output.report

@@ -9,9 +9,10 @@ import typer
 
 import torchid
 from torchid.app import options as opt
+from torchid.app.inputs import PLACE, WRITTEN
 from torchid.app.output import Kept, Output, Printed
 from torchid.app.project import group
-from torchid.app.signature import PLACE, WRITTEN, Fields, Parsed, Switch, command
+from torchid.app.signature import Fields, Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.withheld.settings import PLANTED
@@ -139,7 +140,7 @@ def score_command(
     truth: bool = True,
     partial: Switch = False,
     workers: Workers,
-    output: Kept,
+    output: Annotated[Kept, "score.json"],
 ) -> None:
     """Open the keys and score the answers, beside simple methods and one that is told.
 
@@ -219,7 +220,7 @@ def own_command(
         list[int] | None, typer.Option(metavar="J1,J2,..|all"), Parsed(_joints, "all")
     ] = None,
     workers: Workers,
-    output: Kept,
+    output: Annotated[Kept, "own.json"],
 ) -> None:
     """Check the diagnosis on your own arm: withhold what it accepted, plant what is known.
 
@@ -230,7 +231,6 @@ def own_command(
     Example: `torchid withheld own panda.urdf run1.parquet run2.parquet --held-out run3.parquet`
 
     Args:
-        background, parameters: As for `torchid gap`.
         plant: Effects of one joint to plant in the log; `none` for none.
         joints: Joints where they are planted.
     """

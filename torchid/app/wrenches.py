@@ -7,6 +7,7 @@ import typer
 
 import torchid
 from torchid.app import options as opt
+from torchid.app.inputs import RECORDED
 from torchid.app.output import Computed
 from torchid.app.signature import command
 from torchid.errors import TorchidError
@@ -20,7 +21,7 @@ def wrenches_command(
     sets: Annotated[list[Path] | None, typer.Option(metavar="FILE")] = None,
     per_kind: Annotated[int, typer.Option(min=15, max=100_000)] = 200,
     reference: Annotated[str | None, typer.Option(metavar="ID")] = None,
-    trajectory: Annotated[Path | None, typer.Option(metavar="LOG")] = None,
+    trajectory: Annotated[Path | None, typer.Option(metavar="LOG"), RECORDED] = None,
     max_acceleration: opt.Accelerations = None,
     geometry: Annotated[str | None, typer.Option(metavar="GROUP")] = None,
     total_mass: opt.TotalMass = None,
@@ -28,7 +29,7 @@ def wrenches_command(
     variants: bool = True,
     resamples: opt.Count = 1000,
     seed: opt.Seed = 0,
-    output: Computed,
+    output: Annotated[Computed, "wrenches.json"],
 ) -> None:
     """Compare the internal forces of parameter sets: by reason, by degree, by joint.
 

@@ -131,7 +131,8 @@ def timed(
 
 def no_torque(log: Log) -> LogError:
     """The error of a log without torque, which may have currents."""
-    gains = "give gains: Log.with_torque, `gain=...`, or `drive_gain` in the robot's yaml"
+    each = ",".join(f"K{j + 1}" for j in range(log.n))
+    gains = f'give the drive gains [N m/A]: `gain="{each}"`, or `drive_gain` in the robot\'s yaml'
     return LogError(
         f"log '{log.source}' has no torque.",
         got=", ".join(column_names(log)),

@@ -28,6 +28,7 @@ import torch
 from torch import Tensor
 
 from torchid.effects.motion import Motion
+from torchid.effects.names import PLACES
 from torchid.effects.parameters import Coefficient, Shape
 from torchid.typing import Float
 
@@ -50,8 +51,6 @@ Family = Literal[
 
 _ROUNDING = 1e-9
 """Of the largest size of a coefficient [1]."""
-PLACES = ("joint", "source_joint")
-"""Fields of effects that are joints: from 0 in Python, from 1 in files."""
 
 Abscissa = Literal["speed", "position", "acceleration", "time"]
 

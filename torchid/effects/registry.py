@@ -7,7 +7,7 @@ from typing import Any
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.backlash import Backlash
-from torchid.effects.base import PLACES, Effect, JointEffect, Motion
+from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.bearing import AxialLoadFriction, BearingMomentFriction
 from torchid.effects.coupling import GearCoupling
 from torchid.effects.file_mistakes import InertiaReferencePoint, InertiaScale, MirroredLink
@@ -28,6 +28,7 @@ from torchid.effects.gravity import (
 )
 from torchid.effects.hysteresis import LoadHysteresis, PreslidingHysteresis
 from torchid.effects.inertia import LinkInertia, Payload, RotorInertia
+from torchid.effects.names import PLACES, require_effects
 from torchid.effects.periodic import Cogging, MotorRipple, PositionDependentFriction
 from torchid.effects.phase import FilterLag, JointElasticity, TimeDelay
 from torchid.effects.spring import JointSpring
@@ -103,8 +104,7 @@ Valued = tuple[Effect, list[float]]
 
 def effect_kind(name: str) -> type[Effect]:
     """The class of an effect by name, or a TorchidError that lists those that exist."""
-    if name not in KINDS:
-        raise TorchidError(f"unknown effect '{name}'.", available=list(KINDS))
+    require_effects([name], KINDS)
     return KINDS[name]
 
 

@@ -3,7 +3,7 @@
 from dataclasses import MISSING, fields
 from typing import TYPE_CHECKING, Any
 
-from torchid.effects.base import PLACES
+from torchid.effects.names import PLACES
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:

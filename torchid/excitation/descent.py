@@ -6,7 +6,7 @@ times as long, and a search that does not gain a tenth of the driving time is no
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -25,6 +25,7 @@ HARDLY = math.log(LONGER) / 2
 
 _SAMPLES = 100  # instants during the search: five a second, the regressor's fastest harmonics need
 _LEARNING_RATE = 0.1
+_FIRST, _SECOND, _LEAST = 0.9, 0.999, 1e-8  # of Adam: decay of its two moments, and its epsilon
 _CENTRE_SHARE = 0.9  # of the half range that q0 may use, so that no scale is lost to 0
 _SLOWEST, _FASTEST = 0.02, 0.98  # shares of the scale between which a search starts
 
@@ -67,8 +68,7 @@ def descend(
         used = (1 / largest_scale(start, limits)).clamp(_SLOWEST, _FASTEST)
         share = torch.logit(used).requires_grad_()
         searched.append(share)
-    optimiser = torch.optim.Adam(searched, lr=_LEARNING_RATE)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(1, iterations))
+    optimiser, rate = _Adam(searched), _LEARNING_RATE
     t = (torch.arange(_SAMPLES, dtype=torch.float64) + 0.5) * (start.duration / _SAMPLES)
 
     def candidate() -> FourierTrajectory:
@@ -88,15 +88,15 @@ def descend(
     lowest = torch.full((start.q0.shape[0],), math.inf, dtype=torch.float64)
     best = start
     for done in range(1, iterations + 1):
-        optimiser.zero_grad()
         now = candidate()
         costs = cost(now, t) if kept is None else cost(now, t) + kept.penalty(now)
         better = costs.detach() < lowest
         lowest = torch.where(better, costs.detach(), lowest)
         best = _merge(better, now, best)
-        costs.sum().backward()
-        optimiser.step()
-        schedule.step()
+        optimiser.step(torch.autograd.grad(costs.sum(), searched, allow_unused=True), rate)
+        # Along a cosine to zero.
+        before, now_at = (1 + math.cos(math.pi * k / iterations) for k in (done - 1, done))
+        rate *= now_at / before
         if progress is not None:
             progress(done, iterations)
         if done == 1:
@@ -104,6 +104,26 @@ def descend(
         if done == iterations // 2 and float(lowest.min()) > first - HARDLY:
             break
     return best if kept is None else kept.within(best)
+
+
+class _Adam:
+    """Steps of Kingma and Ba, Adam (2015): those of torch.optim, which takes a second to load."""
+
+    def __init__(self, searched: list[Tensor]):
+        self._searched, self._count = searched, 0
+        self._moments = [(torch.zeros_like(x), torch.zeros_like(x)) for x in searched]
+
+    def step(self, gradients: Sequence[Tensor | None], rate: float) -> None:
+        """One step down the gradients."""
+        self._count += 1
+        size = rate / (1 - _FIRST**self._count)
+        root = math.sqrt(1 - _SECOND**self._count)
+        for x, g, (first, second) in zip(self._searched, gradients, self._moments, strict=True):
+            if g is None:  # the costs do not depend on it
+                continue
+            first.lerp_(g, 1 - _FIRST)
+            second.mul_(_SECOND).addcmul_(g, g, value=1 - _SECOND)
+            x.data.addcdiv_(first, (second.sqrt() / root).add_(_LEAST), value=-size)
 
 
 def _merge(

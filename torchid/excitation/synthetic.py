@@ -24,7 +24,8 @@ from torchid.effects.registry import (
 )
 from torchid.errors import LogError, TorchidError
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
-from torchid.log.model import JOINT_SIGNALS, Log
+from torchid.log.columns import JOINT_SIGNALS
+from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
 from torchid.robot.model import Robot
 from torchid.simulation.closed_loop import closed_loop as under_control

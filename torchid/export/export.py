@@ -20,8 +20,10 @@ from torchid.feasibility.findings import by_percent
 from torchid.feasibility.plausibility import LEAD
 from torchid.feasibility.record import Check, check_sets
 from torchid.feasibility.sets import nominal_set
+from torchid.files import require_name
 from torchid.inputs import RobotLike, as_robot
 from torchid.results.record import Result
+from torchid.robot.config_files import URDF_FILES
 from torchid.robot.model import Robot
 from torchid.robot.origin import of_own_file
 from torchid.simulators.joint_dynamics import Target
@@ -91,7 +93,8 @@ class Export(Result):
 
 def edited_of(robot: Robot, to: str) -> Robot | None:
     """The robot whose file is copied and edited: the nominal one, if its file is of the format."""
-    return robot if Path(robot.source).suffix.lower() == SUFFIXES[to] else None
+    own = Path(robot.source).suffix.lower()
+    return robot if SUFFIXES[to] == (".urdf" if own in URDF_FILES else own) else None
 
 
 def export_dynamics(
@@ -220,12 +223,6 @@ def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
 def stem_of(robot: Robot) -> str:
     """The robot's name as that of a file."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in robot.name)
-
-
-def require_name(name: str) -> None:
-    """Raise TorchidError unless this names a file, without folder or suffix."""
-    if not name or Path(name).name != name or name.startswith("."):
-        raise TorchidError("the name is that of a file, without folder.", got=name)
 
 
 def require_feasible(dynamics: Dynamics, found: Check) -> None:

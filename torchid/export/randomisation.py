@@ -16,10 +16,10 @@ from torchid.effects.registry import Valued
 from torchid.effects.spring import JointSpring
 from torchid.errors import TorchidError
 from torchid.export.dynamics import records
-from torchid.export.export import require_name, stem_of
+from torchid.export.export import stem_of
 from torchid.export.record import RandomisationRecord, RangeRow, ResidualBand, Share
 from torchid.export.write_randomised import isaaclab, mjlab, ranges_csv, servo_csv
-from torchid.files import atomic_write
+from torchid.files import atomic_write, require_name
 from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot

@@ -32,7 +32,8 @@ from torchid.json_data import read_json
 from torchid.position.model import ServoArm
 from torchid.position.record import PositionRecord
 from torchid.results.files import read
-from torchid.robot.library import as_robot, is_robot, load_both, load_robot, named_robot
+from torchid.robot.config_files import names_robot
+from torchid.robot.library import as_robot, load_both, load_robot, named_robot
 from torchid.robot.model import Robot, RobotLike
 from torchid.robot.tree import Choice
 from torchid.typing import Float, Tensor
@@ -79,7 +80,7 @@ def carried(
     Raises:
         TorchidError: neither a robot nor a result that carries dynamics.
     """
-    if is_robot(result):
+    if names_robot(result):
         nominal, original = load_both(result, robot, choice)
         servos = ServoArm.of_file(result)
         found = robot_dynamics(nominal) if servos is None else servo_dynamics(servos)

@@ -15,7 +15,8 @@ from torchid.feasibility.sets import (
     read_sets,
 )
 from torchid.json_data import read_json
-from torchid.robot.library import is_robot, load_both, load_robot, named_robot
+from torchid.robot.config_files import names_robot
+from torchid.robot.library import load_both, load_robot, named_robot
 from torchid.robot.model import Robot
 from torchid.robot.shapes import own_inertials
 from torchid.robot.tree import Choice
@@ -51,7 +52,7 @@ def asked_about(params: str, robot: str | None, choice: Choice) -> Asked:
     Raises:
         TorchidError: neither a file nor a robot; or robots with different numbers of links.
     """
-    if not is_robot(params):
+    if not names_robot(params):
         if not Path(params).is_file():
             raise TorchidError(
                 f"'{params}' is neither a file nor a built-in robot.",

@@ -11,7 +11,8 @@ from msgspec import UNSET
 
 from torchid.design.columns import Columns, Model
 from torchid.design.segments import EDGE, Samples, Segment
-from torchid.effects.base import PLACES, Coefficient, Effect, Motion
+from torchid.effects.base import Coefficient, Effect, Motion
+from torchid.effects.names import PLACES
 from torchid.effects.registry import Valued
 from torchid.gap.record import (
     Budget,

@@ -62,9 +62,6 @@ class GapSettings:
     only: tuple[tuple[str, int | None], ...] | None = None
 
     def __post_init__(self) -> None:
-        # Here, so that the command line has the defaults without torch.
-        from torchid.effects.registry import column_kind, effect_kind
-
         if self.parameters not in get_args(Parameters):
             raise TorchidError(
                 "unknown choice for parameters.",
@@ -73,13 +70,17 @@ class GapSettings:
             )
         if self.effects is not None and not self.effects:
             raise TorchidError("there is no effect to search over.", hint="None: the whole library")
-        for name, _ in self.only or ():
-            effect_kind(name)
-        for names, known in ((self.effects or (), effect_kind), (self.background, column_kind)):
-            for name in names:
-                known(name)
-            if len(set(names)) < len(names):
-                raise TorchidError("an effect is named twice.", got=", ".join(names))
+        if self.effects or self.background or self.only:
+            # Here, so that the command line has the defaults without torch.
+            from torchid.effects.registry import column_kind, effect_kind
+
+            for name, _ in self.only or ():
+                effect_kind(name)
+            for names, known in ((self.effects or (), effect_kind), (self.background, column_kind)):
+                for name in names:
+                    known(name)
+                if len(set(names)) < len(names):
+                    raise TorchidError("an effect is named twice.", got=", ".join(names))
         if self.cutoff != "auto":
             _between("the cut-off", self.cutoff, 0.0, math.inf, "a frequency in Hz, or `auto`")
         _between("the report's band", self.report_band, 0.0, math.inf, "a frequency in Hz")

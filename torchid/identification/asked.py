@@ -15,7 +15,8 @@ from itertools import product
 import torch
 
 from torchid.design.motion import Measurement
-from torchid.effects.base import PLACES, Effect, JointEffect, ModelEffect, Motion
+from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
+from torchid.effects.names import PLACES
 from torchid.effects.registry import effect_from_record, fitted_kind
 from torchid.effects.written import name_and_pairs
 from torchid.errors import TorchidError

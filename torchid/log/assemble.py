@@ -6,11 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
+import torchid
 from torchid.errors import LogError
-from torchid.log.columns import PREFIXES, is_wanted, log_from_columns, some
+from torchid.log.columns import (
+    PREFIXES,
+    is_wanted,
+    joint_columns,
+    log_from_columns,
+    some,
+)
 from torchid.log.guess import commanded, proposal
 from torchid.log.mapping import ColumnMapping, Source, read_mapping
-from torchid.log.model import Log
 from torchid.log.sources import (
     Piece,
     labels_of,
@@ -26,7 +32,7 @@ _ARRAYS = {prefix: prefix for prefix in PREFIXES.values()} | {"current": "i"}
 
 def log_from_table(
     table: Table, mapping: ColumnMapping | None = None, joints: Sequence[str] = ()
-) -> Log:
+) -> "torchid.Log":
     """The Log of a table.
 
     Args:
@@ -43,7 +49,7 @@ def log_from_table(
     try:
         values = _wildcards(table, mapping)
         if values is not None:
-            log = Log.concatenate([_read_part(table, mapping, value) for value in values])
+            log = torchid.Log.concatenate([_read_part(table, mapping, value) for value in values])
         elif commands is None:
             log = _read(table, mapping)
         else:
@@ -58,6 +64,23 @@ def log_from_table(
     return log.replace(
         source=str(table.path), warnings=tuple(dict.fromkeys((*log.warnings, *notes)))
     )
+
+
+def require_columns(table: Table, mapping: ColumnMapping | None = None) -> None:
+    """That a table has t, q and what a mapping names, before anything of it is read.
+
+    Raises:
+        LogError: it has not, and no mapping can be proposed, for which the robot's joints count.
+    """
+    mapping = mapping or ColumnMapping({})
+    try:
+        values = _wildcards(table, mapping)
+        sources, _, own = _plan(table, mapping if values is None else mapping.at(values[0]))
+        if not sources and not table.arrays:
+            joint_columns(own, table.path)
+    except LogError as error:
+        if proposal(table) is None:
+            raise (_with_help(error, table, ()) if error.available is not None else error) from None
 
 
 def _commands(table: Table, mapping: ColumnMapping) -> str | None:
@@ -85,7 +108,7 @@ def fitting(table: Table, request: Request) -> Request:
     return request
 
 
-def _read(table: Table, mapping: ColumnMapping) -> Log:
+def _read(table: Table, mapping: ColumnMapping) -> "torchid.Log":
     sources, pieces, own = _plan(table, mapping)
     needed = _needed(pieces, own)
     twice = [name for name in needed if name in table.repeated]
@@ -214,7 +237,7 @@ def _wildcards(table: Table, mapping: ColumnMapping) -> list[str] | None:
     return sorted(values, key=natural)
 
 
-def _read_part(table: Table, mapping: ColumnMapping, value: str) -> Log:
+def _read_part(table: Table, mapping: ColumnMapping, value: str) -> "torchid.Log":
     log = _read(table, mapping.at(value))
     names = [name.replace(table.path.stem, f"{table.path.stem}[{value}]", 1) for name in log.names]
     return log.replace(names=tuple(names))
@@ -250,5 +273,5 @@ def one_for_all(argument: str) -> str:
     """The way out where an argument that all logs share does not fit one of them."""
     return (
         f"`{argument}=...` holds for every log: convert those of another kind first, "
-        f"torchid log show LOG --{argument} .. --out run.parquet"
+        f"torchid log show LOG --{argument} .. --save run.parquet"
     )

@@ -12,7 +12,8 @@ import torch
 
 from torchid.errors import LogError
 from torchid.log.base_motion import COORDINATES, POSITION, QUATERNION
-from torchid.log.columns import columns_of
+from torchid.log.columns import PREFIXES, columns_of
+from torchid.log.guess_units import STEPS
 from torchid.log.model import Log
 from torchid.statistics.robust import column_quantile
 from torchid.typing import Float, Tensor
@@ -62,23 +63,7 @@ def check_log(
     slides = tuple(prismatic) or (False,) * n
     if len(slides) != n or (position_limits is not None and position_limits.shape != (n, 2)):
         raise ValueError(f"prismatic and position_limits must have {n} entries")
-    if log.n != n:
-        hint = None
-        if moving_base and log.n == n - COORDINATES:
-            raise LogError(
-                f"{log.label} does not hold the motion of the base, which moves.",
-                got=f"{log.n} joints",
-                expected=f"{log.n} joints, and the base's pose: {', '.join(POSITION + QUATERNION)}",
-                hint="for a base that is held: `base='fixed'`",
-            )
-        if not moving_base and log.n == n + COORDINATES:
-            hint = "does it hold the motion of the base? Then `base='moving'`"
-        raise LogError(
-            f"{log.label} has another number of joints than robot '{robot_name}'.",
-            got=f"{log.n} (q1..q{log.n})",
-            expected=f"{n} (q1..q{n})",
-            hint=hint,
-        )
+    check_joints(log, robot_name, n, moving_base)
     _check_finite(log)
     check_increasing(log)
     first = COORDINATES if moving_base else 0
@@ -179,7 +164,7 @@ def _check_position_units(
         units = {1e3: "millimetres", 1e6: "micrometres"} if slide else {DEGREES: "degrees"}
         per = next((x for x in units if reached / x <= limit), None)
         unit, how = "metres" if slide else "radians", "slide" if slide else "turn"
-        ways = {1e3: "divide {} by 1000", 1e6: "divide {} by 1e6", DEGREES: "multiply {} by pi/180"}
+        ways = {1e3: "divide {} by 1000", 1e6: "divide {} by 1e6", DEGREES: _in_degrees(log)}
         others = " nor ".join(units.values())
         raise LogError(
             f"{log.label}: q{k + 1} looks like {units[per]}."
@@ -192,6 +177,41 @@ def _check_position_units(
             if per is not None
             else f"is q{k + 1} in steps of an encoder? `columns=...` takes a factor",
         )
+
+
+def check_joints(log: Log, robot_name: str, n: int, moving_base: bool = False) -> None:
+    """Refuse a log of another number of joints than a robot's n."""
+    if log.n == n:
+        return
+    hint = None
+    if moving_base and log.n == n - COORDINATES:
+        raise LogError(
+            f"{log.label} does not hold the motion of the base, which moves.",
+            got=f"{log.n} joints",
+            expected=f"{log.n} joints, and the base's pose: {', '.join(POSITION + QUATERNION)}",
+            hint="for a base that is held: `base='fixed'`",
+        )
+    if not moving_base and log.n == n + COORDINATES:
+        hint = "does it hold the motion of the base? Then `base='moving'`"
+    elif log.n > n:
+        own = ",".join(f"{PREFIXES[s]}={PREFIXES[s]}{{1..{n}}}" for s in log.signals)
+        hint = f'the first {n} joints alone: `columns="{own}"`, where its columns are q1..'
+    else:
+        hint = "joints that were not logged are held (`lock=...`), or left out (`tip=...`)"
+    raise LogError(
+        f"{log.label} has another number of joints than robot '{robot_name}'.",
+        got=f"{log.n} (q1..q{log.n})",
+        expected=f"{n} (q1..q{n})",
+        hint=hint,
+    )
+
+
+def _in_degrees(log: Log) -> str:
+    """How a log in degrees is read: its positions, and velocities that go with them."""
+    own = [f"{key}={key}{{{{j}}}} deg" for key in ("q", "ql", "u") if key in log.signals]
+    if any(near(a.ratio, 1.0) for a in velocity_agreement(log)):
+        own.append("dq=dq{{j}} deg/s")
+    return f'read it with `columns="{",".join(own)}"`, where its columns are q1..'
 
 
 def largest_angle(limits: Tensor | None) -> float:
@@ -254,7 +274,9 @@ def _refuse_time(log: Log, why: str, step: float) -> None:
         f"{log.label}: t {why}.",
         got=f"a median step of {step:g}, t from {float(log.t[0]):g} to {float(log.t[-1]):g}",
         expected="seconds",
-        hint="convert t to seconds, or dq to the unit of q per second",
+        hint=f'read it with `columns="t=t {unit}"`, where its column is t'
+        if (unit := next((u for most, u in STEPS.items() if step < most), ""))
+        else "convert t to seconds, or dq to the unit of q per second",
     )
 
 

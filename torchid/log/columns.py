@@ -12,22 +12,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
+import torchid
 from torchid.errors import LARGEST, LogError
 from torchid.log.base_motion import COORDINATES, NAMES, base_signals, has_base
-from torchid.log.model import JOINT_SIGNALS, Log
 
 Columns = Mapping[str, np.ndarray]
 
-PREFIXES = dict(zip(JOINT_SIGNALS, ("q", "dq", "ddq", "tau", "i", "ql", "u"), strict=True))
+PREFIXES = {
+    "q": "q", "dq": "dq", "ddq": "ddq", "tau": "tau", "current": "i", "ql": "ql", "u": "u",
+}  # fmt: skip
+JOINT_SIGNALS = tuple(PREFIXES)
 _JOINT_COLUMN = re.compile(r"(ql|q|dq|ddq|tau|i|u)(\d+)")
 EXPECTED = (
     "t, q1..qn and, where known, dq1..dqn, ddq1..ddqn, tau1..taun or i1..in, ql1..qln, u1..un, traj"
 )
 
 
-def log_from_columns(columns: Columns, path: str | Path) -> Log:
+def log_from_columns(columns: Columns, path: str | Path) -> "torchid.Log":
     """A Log from named columns, each an array (T,) of numbers.
 
     Args:
@@ -38,6 +40,8 @@ def log_from_columns(columns: Columns, path: str | Path) -> Log:
         LogError: t or q is missing, joints are not numbered 1..n, counts differ, a column is not
             numeric or has another length, or there are fewer than two samples.
     """
+    import torch
+
     path = Path(path)
     joints = joint_columns(columns, path)
     t = _numeric(columns["t"], "t", path)
@@ -59,7 +63,7 @@ def log_from_columns(columns: Columns, path: str | Path) -> Log:
     warnings: tuple[str, ...] = ()
     if has_base(columns, f"'{path}'"):
         signals, warnings = _with_base(signals, columns, trajectory, path)
-    return Log(
+    return torchid.Log(
         t=torch.from_numpy(t),
         **signals,
         trajectory=torch.from_numpy(trajectory),
@@ -74,6 +78,8 @@ def _with_base(
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Signals with the base's six coordinates before the joints', and what to say of it: nothing
     holds the base, and its velocities are those of the log or none."""
+    import torch
+
     samples = len(trajectory)
     own = {}
     for name in NAMES:
@@ -96,7 +102,7 @@ def _with_base(
     return out, (f"{', '.join(left)} left out: '{path}' does not have it of the base.",)
 
 
-def columns_of(log: Log) -> dict[str, np.ndarray]:
+def columns_of(log: "torchid.Log") -> dict[str, np.ndarray]:
     """Named columns (T,) of a log; `traj` only where there are several trajectories."""
     columns = {"t": log.t.detach().cpu().numpy()}
     if log.trajectory_count > 1:
@@ -107,7 +113,7 @@ def columns_of(log: Log) -> dict[str, np.ndarray]:
     return columns
 
 
-def column_names(log: Log) -> list[str]:
+def column_names(log: "torchid.Log") -> list[str]:
     """What a log holds, for a message: t, q1..q7, tau1..tau7."""
     return ["t", *(_range([f"{PREFIXES[s]}{k + 1}" for k in range(log.n)]) for s in log.signals)]
 

@@ -10,7 +10,7 @@ from torchid.log.mapping import ColumnMapping, Source
 from torchid.log.sources import Piece, resolve, signal_of, time_of
 from torchid.log.table import Table
 
-_STEPS = {0.15: "", 150.0: "ms", 150e3: "us", 150e6: "ns"}
+STEPS = {0.15: "", 150.0: "ms", 150e3: "us", 150e6: "ns"}
 """Largest usual step of stamps in each unit: between 10 kHz and 7 Hz, they do not overlap."""
 _TURNS = 4 * math.pi
 """Angles beyond two turns are more likely degrees."""
@@ -49,7 +49,7 @@ def _guessed(mapping: ColumnMapping, table: Table, keys: Collection[str]) -> dic
         if not len(steps):
             return {}
         step = float(np.median(steps))
-        found["t"] = next((unit for most, unit in _STEPS.items() if abs(step) < most), "")
+        found["t"] = next((unit for most, unit in STEPS.items() if abs(step) < most), "")
         step *= {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[found["t"]]
 
     def values(key: str, source: Source, parts: Sequence[Piece]) -> np.ndarray:

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from torchid.errors import LogError
+from torchid.log.columns import JOINT_SIGNALS
 from torchid.notebooks import data_frame, html_table
 from torchid.tensors import as_tensor
 from torchid.typing import Bool, Float, Int, Tensor
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-JOINT_SIGNALS = ("q", "dq", "ddq", "tau", "current", "ql", "u")
 OPTIONAL_SIGNALS = JOINT_SIGNALS[1:]
 
 

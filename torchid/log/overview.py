@@ -12,9 +12,9 @@ from torchid.json_data import plain
 from torchid.log.assemble import fitting, unused_columns
 from torchid.log.base_motion import COORDINATES
 from torchid.log.checks import check_log
-from torchid.log.columns import PREFIXES
+from torchid.log.columns import JOINT_SIGNALS, PREFIXES
 from torchid.log.limits import beyond_limits, finite_range
-from torchid.log.model import JOINT_SIGNALS, Log
+from torchid.log.model import Log
 from torchid.log.readers import open_logs
 from torchid.log.sampling import ROUNDING, SMALL_GAP
 from torchid.log.table import Request, Table

@@ -6,18 +6,25 @@ Columns that have the names of `torchid.log.columns` are found by themselves; ot
 (`torchid.log.mapping`). Written: .parquet, .csv and .npz.
 """
 
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any, Protocol, runtime_checkable
+from typing import IO, TYPE_CHECKING, Any, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
-import torch
 
+import torchid
 from torchid.errors import LogError, TorchidError
-from torchid.files import atomic_write
-from torchid.log.assemble import fitting, log_from_table, one_for_all, with_hint
+from torchid.files import atomic_write, similar_files
+from torchid.log.assemble import (
+    fitting,
+    log_from_table,
+    one_for_all,
+    require_columns,
+    with_hint,
+)
 from torchid.log.columns import Columns, columns_of, log_from_columns, some
 from torchid.log.csv_file import csv_table
 from torchid.log.formats import (
@@ -33,12 +40,11 @@ from torchid.log.hdf5 import hdf5_table
 from torchid.log.lerobot import is_lerobot, lerobot_table
 from torchid.log.mapping import ColumnMapping, read_mapping
 from torchid.log.matlab import matlab_table
-from torchid.log.model import Log
 from torchid.log.ros import bag_table, is_bag_folder
 from torchid.log.sage import is_sage, sage_table
 from torchid.log.table import AbsentColumnError, Request, Table
 
-Reader = Callable[[Path], Log]
+Reader = Callable[[Path], "torchid.Log"]
 Opener = Callable[[Path, Request], Table]
 
 
@@ -54,8 +60,13 @@ class Frame(Protocol):
         """One column."""
 
 
-OneLog = Log | str | Path | Mapping[str, Any] | Frame
-LogLike = OneLog | Iterable[OneLog]
+if TYPE_CHECKING:
+    from torchid.log.model import Log
+
+    OneLog = Log | str | Path | Mapping[str, Any] | Frame
+    LogLike = OneLog | Iterable[OneLog]
+else:  # a Log loads torch, which files and their headers are looked at without
+    OneLog = LogLike = Any
 """A log, or what `read_log` makes one of."""
 
 __all__ = ["log_from_columns", "open_log", "read_log", "register_reader", "write_log"]
@@ -68,7 +79,7 @@ def read_log(
     topic: str | None = None,
     joints: Sequence[str] = (),
     spare: Sequence[str] = (),
-) -> Log:
+) -> "torchid.Log":
     """One log, or several as the trajectories of one, of files or of tables in memory.
 
     Args:
@@ -110,23 +121,29 @@ def read_log(
         _source(one, f"table {k}" if len(given) > 1 else "table")
         for k, one in enumerate(given, start=1)
     ]
-    return Log.concatenate([log for _, log in open_logs(sources, request)])
+    return torchid.Log.concatenate([log for _, log in open_logs(sources, request)])
+
+
+def is_log_object(given: object) -> "TypeGuard[torchid.Log]":
+    """Whether it is a Log already; before their module is loaded nothing is one."""
+    loaded = sys.modules.get("torchid.log.model")
+    return loaded is not None and isinstance(given, loaded.Log)
 
 
 def each_log(logs: LogLike) -> list[OneLog]:
     """One or several logs as a list."""
-    if isinstance(logs, Log | str | Path | Mapping | Frame) or not isinstance(logs, Iterable):
+    if is_log_object(logs) or isinstance(logs, str | Path | Mapping | Frame):
         return [logs]
-    return list(logs)
+    return list(logs) if isinstance(logs, Iterable) else [logs]
 
 
-def _source(given: object, name: str) -> Path | Table | Log:
+def _source(given: object, name: str) -> "Path | Table | torchid.Log":
     """What a log is read of: a file, a table in memory, or the log itself.
 
     Raises:
         LogError: something else, or a table of what is no numbers.
     """
-    if isinstance(given, Log | Path):
+    if is_log_object(given) or isinstance(given, Path):
         return given
     if isinstance(given, str):
         return Path(given)
@@ -143,7 +160,7 @@ def _source(given: object, name: str) -> Path | Table | Log:
     arrays: dict[str, np.ndarray] = {}
     for key in names:
         column = given[key]
-        if isinstance(column, torch.Tensor):
+        if hasattr(column, "detach"):
             column = column.detach().cpu()
         if column is not None:
             try:
@@ -158,8 +175,8 @@ def _source(given: object, name: str) -> Path | Table | Log:
 
 
 def open_logs(
-    paths: Sequence[Path | Table | Log], request: Request
-) -> list[tuple[Table | None, Log]]:
+    paths: "Sequence[Path | Table | torchid.Log]", request: Request
+) -> "list[tuple[Table | None, torchid.Log]]":
     """Several logs, each as `open_log` does.
 
     Raises:
@@ -174,17 +191,19 @@ def open_logs(
         raise with_hint(error, one_for_all("columns")) from None
 
 
-def open_log(path: Path | Table | Log, request: Request) -> tuple[Table | None, Log]:
+def open_log(
+    path: "Path | Table | torchid.Log", request: Request
+) -> "tuple[Table | None, torchid.Log]":
     """One log as a Log, and as the table it was; None from a registered reader, or of a Log.
 
     Raises:
         As `read_log`.
     """
-    if isinstance(path, Log):
-        return None, path
     if isinstance(path, Table):
         return path, log_from_table(path, request.columns, request.joints)
-    found = _find(path)
+    if not isinstance(path, Path):
+        return None, path
+    found = require_log(path)
     try:
         if isinstance(found, str):
             if request.columns is not None and not request.spare:
@@ -203,6 +222,19 @@ def open_log(path: Path | Table | Log, request: Request) -> tuple[Table | None, 
         raise LogError(f"'{path}' cannot be read: {error.strerror or error}") from error
 
 
+def require_header(path: Path, request: Request) -> None:
+    """That the header of a text or Parquet file has the columns of a log, as far as it tells
+    without the robot and without torch.
+
+    Raises:
+        LogError: as `open_log`.
+    """
+    opener = require_log(path)
+    if opener is csv_table or opener is parquet_table:
+        table = _table(opener, path, request)
+        require_columns(table, fitting(table, request).columns)
+
+
 def proposed_columns(path: Path, request: Request) -> tuple[str, str] | None:
     """A mapping that may be meant, for a file that cannot be read without one, and what in it is
     guessed from more than names; None where none is needed, or none can be guessed.
@@ -210,7 +242,7 @@ def proposed_columns(path: Path, request: Request) -> tuple[str, str] | None:
     Raises:
         LogError: no log.
     """
-    found = _find(path)
+    found = require_log(path)
     if isinstance(found, str):
         return None
     try:
@@ -246,7 +278,7 @@ def write_log(log: LogLike, path: str | Path) -> None:
         TorchidError: the folder does not exist, or the file cannot be written.
 
     >>> from tempfile import TemporaryDirectory
-    >>> log = Log(t=[0.0, 0.01], q=[[0.1, 0.2], [0.3, 0.4]])
+    >>> log = torchid.Log(t=[0.0, 0.01], q=[[0.1, 0.2], [0.3, 0.4]])
     >>> with TemporaryDirectory() as folder:
     ...     write_log(log, Path(folder) / "run.parquet")
     ...     read_log(Path(folder) / "run.parquet").q.tolist()
@@ -274,8 +306,13 @@ def is_written(suffix: str) -> bool:
     return suffix.lower() in _WRITERS
 
 
-def _find(path: Path) -> Opener | str:
-    """What opens a file or folder; the suffix, where it is a registered reader."""
+def require_log(path: Path) -> Opener | str:
+    """What opens a file or folder; the suffix, where it is a registered reader.
+
+    Raises:
+        LogError: it is not there, or no log by its name; logs beside it with a similar name are
+            proposed.
+    """
     if path.is_dir():
         for fits, opener in _FOLDERS:
             if fits(path):
@@ -287,9 +324,11 @@ def _find(path: Path) -> Opener | str:
             available=_inside(path),
         )
     if not path.exists():
+        near = similar_files(path, {*_READERS, *_TABLES})
         raise LogError(
             f"log '{path}' does not exist.",
             available=_inside(path.parent) if path.parent.is_dir() else None,
+            hint=f"did you mean {near[0]}?" if near else None,
         )
     suffix = path.suffix.lower()
     if suffix not in _READERS and suffix not in _TABLES:
@@ -297,11 +336,12 @@ def _find(path: Path) -> Opener | str:
             f"'{path}' has a suffix that no reader is registered for.",
             got=path.suffix or "no suffix",
             available=_suffixes(),
+            hint=_CONVERT.get(suffix),
         )
     if not path.is_file():
         raise LogError(f"'{path}' is no file, but a device or a pipe.")
     if path.stat().st_size == 0:
-        raise LogError(f"'{path}' is empty.")
+        raise LogError(f"'{path}' is empty.", expected="t, q1.. and tau1.., row by row")
     return suffix if suffix in _READERS else _TABLES[suffix]
 
 
@@ -357,6 +397,11 @@ def is_log(path: Path) -> bool:
     return path.suffix.lower() in {*_READERS, *_TABLES} - {".txt", ".dat"}
 
 
+_CONVERT = dict.fromkeys(
+    (".ipynb", ".pkl", ".pickle", ".npy", ".pt", ".json", ".xlsx"),
+    "write it as columns t, q1.., tau1..; in Python: DataFrame(..).to_csv('run.csv', index=False)",
+)
+"""What to do with files that people have their logs in, and that no reader is for."""
 _READERS: dict[str, Reader] = {}
 _FOLDERS: tuple[tuple[Callable[[Path], bool], Opener], ...] = (
     (is_lerobot, lerobot_table),

@@ -102,7 +102,8 @@ class Room:
         clearance: Distance that the links keep from each other, the floor and the workspace's
             sides [m].
         floor: Height of a floor, in the base frame [m].
-        workspace: Box that no moving link leaves, in the base frame [m].
+        workspace: Box that no moving link leaves, in the base frame [m]:
+            XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX.
     """
 
     clearance: float = CLEARANCE

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from torchid.errors import TorchidError
+from torchid.position.model import ServoArm
 from torchid.robot.model import Robot
 from torchid.robot.yaml_values import parsed_yaml
 from torchid.simulation.servo import INDEX, NAMES, PARAMETERS
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 UNKNOWN = "unknown"
+FITTED = "earlier fit"
 KEY = "servo"
 """In a robot's yaml."""
 _TURN = 2 * math.pi
@@ -160,8 +162,9 @@ def _number(word: str, text: str) -> float:
 
 
 def nominal_servos(robot: Robot, text: str | None) -> tuple[NominalServo, ...]:
-    """The servos of an arm as a text says them, or else the key `servo` of the robot's yaml: a
-    text, or a list of one a joint. Empty where neither says any.
+    """The servos of an arm as a text says them, or else the key `servo` of the robot's yaml, a
+    text, or a list of one a joint; or else those of an earlier fit that the yaml holds. Empty where
+    none says any.
 
     Raises:
         TorchidError: as `read_servos`.
@@ -173,7 +176,16 @@ def nominal_servos(robot: Robot, text: str | None) -> tuple[NominalServo, ...]:
         return ()
     given = parsed_yaml(path).get(KEY)
     if given is None:
-        return ()
+        fitted = ServoArm.of_file(path)
+        if fitted is None:
+            return ()
+        values = [fitted.servos.joint[j].tolist() for j in range(robot.n)]
+        return tuple(
+            NominalServo(
+                FITTED, {p.name: v for p, v in zip(PARAMETERS, row, strict=True) if v != p.neutral}
+            )
+            for row in values
+        )
     listed = given if isinstance(given, list) else [given]
     return read_servos(",".join(map(str, listed)), robot.n)
 

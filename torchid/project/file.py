@@ -37,7 +37,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchid.errors import TorchidError
-from torchid.robot.config_files import names_built_in
+from torchid.robot.config_files import built_in_robots
 
 if TYPE_CHECKING:
     from torchid.robot.model import Robot
@@ -159,7 +159,7 @@ def read_project(file: Path, commands: Commands) -> Project:
         is_file = name != "columns" or "=" not in found.get(name, "=")
         if name in ("robot", "out") and not isinstance(data.get(name, ""), str):
             raise page.wrong(name, "", f"{name} names a file.", got=data[name])
-        if name in found and is_file and not (name == "robot" and names_built_in(found[name])):
+        if name in found and is_file and not (name == "robot" and found[name] in built_in_robots()):
             found[name] = page.beside(found[name])
     for name in LISTS:
         if name in data:

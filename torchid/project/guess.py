@@ -12,8 +12,8 @@ from torchid.log.mapping import read_mapping
 from torchid.log.model import Log
 from torchid.log.readers import is_log, open_log, proposed_columns
 from torchid.log.table import Request
-from torchid.robot.config_files import ROBOT_FILES
-from torchid.robot.library import built_in_robots, load_robot
+from torchid.robot.config_files import ROBOT_FILES, URDF_FILES, built_in_robots
+from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.robot.tree import Choice
 
@@ -181,7 +181,7 @@ def _robot(asked: str | None, choice: Choice, choose: Choose | None) -> tuple[st
     """
 
     def loaded(name: str) -> Robot | RobotError:
-        branches = name.endswith((".urdf", ".xml"))
+        branches = name.endswith((*URDF_FILES, ".xml"))
         try:
             return load_robot(name, **(choice if branches else Choice()).options)
         except RobotError as error:

@@ -6,7 +6,8 @@ import torch
 from rich.text import Text
 
 from torchid.design.repeats import Repeat
-from torchid.log.model import JOINT_SIGNALS, Log
+from torchid.log.columns import JOINT_SIGNALS
+from torchid.log.model import Log
 from torchid.log.overview import Overview
 from torchid.log.ros import Topic, topics_of
 from torchid.report.colours import BLUE, ORANGE, RED

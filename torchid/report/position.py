@@ -207,8 +207,8 @@ def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> T
         rows,
         names=("servo", "value"),
         words=("nominal", "found"),
-        note="nominal: makers' tables for a new servo at its supply's voltage; nothing found "
-        "depends on it",
+        note="nominal: makers' tables for a new servo at its supply's voltage, or the earlier fit "
+        "in the robot's file; nothing found depends on it",
     )
 
 

@@ -3,14 +3,17 @@
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
 from torchid.errors import TorchidError
-from torchid.results.record import Record, decode
+from torchid.robot.config_files import ROBOT_FILES
 
-_R = TypeVar("_R", bound=Record)
+if TYPE_CHECKING:
+    from torchid.results.record import Record
+
+_R = TypeVar("_R", bound="Record")
 
 RECORDS = {
     "torchid.identification/1": "torchid.identification.record:IdentificationRecord",
@@ -56,7 +59,7 @@ class _Head(msgspec.Struct):
         return " ".join(filter(None, (self.schema, self.mode, self.compared)))
 
 
-def load(path: str | Path) -> Record:
+def load(path: str | Path) -> "Record":
     """A result that a command or `save` has written.
 
     Args:
@@ -81,7 +84,7 @@ def load(path: str | Path) -> Record:
 
 def read(
     path: str | Path, kinds: Sequence[str], what: str = "a result", hint: str | None = None
-) -> Record:
+) -> "Record":
     """A result of one of several kinds.
 
     Args:
@@ -94,8 +97,7 @@ def read(
         TorchidError: no such file, none of these kinds, or a fault in it, with its place.
     """
     path = Path(path)
-    content = contents(path, what, hint)
-    kind = parsed(content, _Head, path, what, hint).kind
+    kind = require_result(path, what, hint)
     if kind not in kinds:
         schemas = dict.fromkeys(name.partition(" ")[0] for name in kinds)
         other = any(s.partition("/")[0] == kind.partition("/")[0] for s in schemas)
@@ -106,8 +108,23 @@ def read(
             hint=hint,
         )
     module, _, name = RECORDS[kind].partition(":")
-    record: type[Record] = getattr(import_module(module), name)
-    return parsed(content, record, path, what, hint)
+    record: "type[Record]" = getattr(import_module(module), name)
+    return parsed(contents(path, what, hint), record, path, what, hint)
+
+
+def require_result(path: Path, what: str = "a result", hint: str | None = None) -> str:
+    """Which kind of result a file holds, without loading torch.
+
+    Raises:
+        TorchidError: no such file, or no result.
+    """
+    if hint is None:
+        hint = "a result is what a command writes with --json FILE, or as JSON into --out DIR"
+        if path.suffix.lower() in ROBOT_FILES:
+            hint = f"a robot, with what was found of it, is shown by: torchid robot {path}"
+    head = parsed(contents(path, what, hint), _Head, path, what, hint)
+    assert isinstance(head, _Head)
+    return head.kind
 
 
 def read_as(path: str | Path, record: type[_R], what: str, hint: str | None = None) -> _R:
@@ -138,6 +155,10 @@ def parsed(content: bytes, kind: type[Any], path: Path, what: str, hint: str | N
         TorchidError: no JSON, or a fault in it, with its place.
     """
     try:
+        if kind is _Head:
+            return msgspec.json.decode(content, type=kind)
+        from torchid.results.record import decode
+
         return decode(content, kind, str(path))
     except msgspec.ValidationError as error:
         raise TorchidError(

@@ -2,7 +2,11 @@
 
 from pathlib import Path
 
-ROBOT_FILES = (".yaml", ".yml", ".urdf", ".xml")
+from torchid.errors import RobotError
+from torchid.files import similar_files
+
+URDF_FILES = (".urdf", ".xacro")
+ROBOT_FILES = (".yaml", ".yml", *URDF_FILES, ".xml")
 
 
 def config_folder(name: str) -> Path:
@@ -12,11 +16,46 @@ def config_folder(name: str) -> Path:
     return installed if installed.is_dir() else package.parent / "configs" / name
 
 
-def names_built_in(name: str) -> bool:
-    """Whether this is the name of a built-in robot."""
-    return name in (path.stem for path in config_folder("robots").glob("*.yaml"))
+def built_in_robots() -> list[str]:
+    """Names of the built-in robots."""
+    return sorted(path.stem for path in config_folder("robots").glob("*.yaml"))
 
 
 def names_robot(name: str | None) -> bool:
     """Whether this names a robot: a built-in one, or a file by its suffix."""
-    return name is not None and (Path(name).suffix.lower() in ROBOT_FILES or names_built_in(name))
+    return name is not None and (
+        Path(name).suffix.lower() in ROBOT_FILES or name in built_in_robots()
+    )
+
+
+def robot_file(name: str | Path) -> Path:
+    """The file that `load_robot` reads for a name or path."""
+    text = str(name)
+    return config_folder("robots") / f"{text}.yaml" if text in built_in_robots() else Path(text)
+
+
+def require_robot_file(name: str | Path) -> Path:
+    """The file of a robot.
+
+    Raises:
+        RobotError: it is neither a built-in robot nor a file of one that exists; files beside it
+            with a similar name are proposed.
+    """
+    text, path = str(name), robot_file(name)
+    known = path.suffix.lower() in ROBOT_FILES
+    if known and path.is_file():
+        return path
+    near = similar_files(path, ROBOT_FILES)
+    hint = f"did you mean {near[0]}?" if near else None
+    if known:
+        raise RobotError(
+            f"robot file '{text}' does not exist.", available=built_in_robots(), hint=hint
+        )
+    if path.suffix.lower() == ".json":
+        hint = f"a result becomes a robot by `torchid export {text} --to urdf` (or mjcf, yaml)"
+    raise RobotError(
+        f"unknown robot '{text}'.",
+        expected=f"a built-in name or a file ({', '.join(ROBOT_FILES)})",
+        available=built_in_robots(),
+        hint=hint,
+    )

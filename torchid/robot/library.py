@@ -6,32 +6,18 @@ from typing import Any
 
 from torchid.errors import RobotError, TorchidError
 from torchid.files import add_input
-from torchid.robot.config_files import ROBOT_FILES, config_folder, names_robot
+from torchid.robot.config_files import (
+    URDF_FILES,
+    built_in_robots,
+    config_folder,
+    names_robot,
+    require_robot_file,
+)
 from torchid.robot.floating import on_moving_base
 from torchid.robot.model import Robot, RobotLike
 from torchid.robot.sidecar import sidecar_path, with_sidecar
 from torchid.robot.tree import Base, Choice
 from torchid.robot.yaml_file import read_yaml
-
-
-def _folder() -> Path:
-    return config_folder("robots")
-
-
-def built_in_robots() -> list[str]:
-    """Names of the built-in robots."""
-    return sorted(path.stem for path in _folder().glob("*.yaml"))
-
-
-def is_robot(name: str) -> bool:
-    """Whether this names a robot: a built-in one, or a file by its suffix."""
-    return names_robot(name)
-
-
-def robot_file(name: str | Path) -> Path:
-    """The file that `load_robot` reads for a name or path."""
-    text = str(name)
-    return _folder() / f"{text}.yaml" if text in built_in_robots() else Path(text)
 
 
 def load_robot(
@@ -44,7 +30,8 @@ def load_robot(
 ) -> Robot:
     """A robot by built-in name, or from a torchid .yaml, .urdf or .xml (MJCF) file.
 
-    A URDF or MJCF is read whole, with all its branches, unless a part is chosen.
+    A URDF or MJCF is read whole, with all its branches, unless a part is chosen. A .urdf.xacro is
+    expanded by the package `xacro`, or the command of that name.
 
     Args:
         name: `3r`, `kuka_lwr4`, ... or a path.
@@ -60,19 +47,8 @@ def load_robot(
     >>> load_robot("3r").joint_names
     ('joint_1', 'joint_2', 'joint_3')
     """
-    text, path = str(name), robot_file(name)
+    text, path = str(name), require_robot_file(name)
     suffix = path.suffix.lower()
-    if suffix not in ROBOT_FILES:
-        raise RobotError(
-            f"unknown robot '{text}'.",
-            expected=f"a built-in name or a file ({', '.join(ROBOT_FILES)})",
-            available=built_in_robots(),
-            hint=f"a result becomes a robot by `torchid export {text} --to urdf` (or mjcf, yaml)"
-            if suffix == ".json"
-            else None,
-        )
-    if not path.is_file():
-        raise RobotError(f"robot file '{text}' does not exist.", available=built_in_robots())
     for read in (path, sidecar_path(path)):
         add_input(read)
     if suffix in (".yaml", ".yml"):
@@ -84,7 +60,7 @@ def load_robot(
                     got=given,
                 )
         return read_yaml(path)
-    if suffix == ".urdf":
+    if suffix in URDF_FILES:
         from torchid.robot.urdf import read_urdf
 
         robot = read_urdf(path, tip=tip, root=root, lock=lock, base=base)
@@ -123,7 +99,7 @@ def load_both(params: str, robot: str | None, choice: Choice) -> tuple[Robot, Ro
     """
     both = [params] if robot is None else [params, robot]
     # A part is chosen of the files that can branch; where none can, the reader refuses it.
-    trees = [name for name in both if Path(name).suffix.lower() in (".urdf", ".xml")]
+    trees = [name for name in both if Path(name).suffix.lower() in (*URDF_FILES, ".xml")]
     found = [
         load_robot(name, **(choice if name in trees or not trees else Choice()).options)
         for name in both
@@ -135,7 +111,7 @@ def named_record(robot: Robot) -> dict[str, Any]:
     """A robot's name, and what `load_robot` finds it again by: its built-in name or its file, and
     how its part was chosen."""
     path = Path(robot.source)
-    source = path.stem if path.parent == _folder() else robot.source
+    source = path.stem if path.parent == config_folder("robots") else robot.source
     chosen = {
         "tip": robot.tip,
         "root": robot.root,
@@ -169,7 +145,7 @@ def named_robot(result: Path, data: Mapping[str, Any], choice: Choice | None = N
         if not isinstance(place, str):
             continue
         for found in (place, str(result.parent / place)):
-            if found in built_in_robots() or (is_robot(found) and Path(found).is_file()):
+            if found in built_in_robots() or (names_robot(found) and Path(found).is_file()):
                 return load_robot(found, **(choice or recorded).options)
     raise TorchidError(
         f"`robot=...` is needed: the robot of '{result}' was not found.",

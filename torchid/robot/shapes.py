@@ -13,6 +13,7 @@ from pathlib import Path
 
 import torch
 
+from torchid.robot.config_files import URDF_FILES
 from torchid.robot.inertia import InertialParameters, six
 from torchid.robot.mjcf_shapes import mjcf_shapes
 from torchid.robot.model import JointType, Robot
@@ -52,7 +53,7 @@ def link_shapes(robot: Robot) -> LinkShapes | None:
     """
     path = Path(robot.source)
     suffix = path.suffix.lower()
-    if suffix == ".urdf":
+    if suffix in URDF_FILES:
         return urdf_shapes(path, robot)
     if suffix == ".xml":
         return mjcf_shapes(path, robot)

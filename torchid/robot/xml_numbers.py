@@ -1,6 +1,10 @@
 """XML files of robots: parsed from bytes, and their numbers read as float64 or refused by name."""
 
+import importlib.util
 import math
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +18,8 @@ from torchid.robot.placement import pose, quaternion, roll_pitch_yaw
 TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of a URDF's <inertia>, in torchid's order."""
 _XACRO = "ros.org/wiki/xacro"
-_EXPAND = "expand it first: `xacro robot.urdf.xacro > robot.urdf`"
+_PACKAGE = "import sys, xacro; print(xacro.process_file(sys.argv[1]).toprettyxml())"
+_EXPAND = "expand it: pip install xacro and call it .urdf.xacro, or `xacro a.urdf.xacro > a.urdf`"
 
 
 def parse_xml(path: Path) -> Any:
@@ -35,12 +40,31 @@ def content_of(path: Path) -> bytes:
     """An XML file's content, or a RobotError.
 
     In bytes, for an encoding declaration in a str is an error. Some exporters leave blank lines
-    before the declaration, which every URDF reader forgives.
+    before the declaration, which every URDF reader forgives. A .xacro is expanded.
     """
     try:
-        return path.read_bytes().lstrip()
+        content = path.read_bytes()
+        return _expanded(path) if path.suffix.lower() == ".xacro" else content.lstrip()
     except OSError as error:
         raise RobotError(f"'{path}' cannot be read: {error.strerror or error}.") from error
+
+
+def _expanded(path: Path) -> bytes:
+    """The URDF that a xacro file stands for, by the package or the command of that name."""
+    command = [shutil.which("xacro") or ""]
+    package = importlib.util.find_spec("xacro")
+    if package is not None and package.origin is not None:  # no folder of that name
+        command = [sys.executable, "-c", _PACKAGE]
+    if not command[0]:
+        raise RobotError(
+            f"'{path}' is a xacro file, and xacro is not installed.",
+            hint=f"pip install xacro; or, where it is: xacro {path} > {path.with_suffix('')}",
+        )
+    done = subprocess.run([*command, str(path)], capture_output=True, check=False)
+    if done.returncode != 0:
+        said = done.stderr.decode(errors="replace").strip().splitlines()
+        raise RobotError(f"xacro cannot expand '{path}'.", got=said[-1] if said else None)
+    return done.stdout.lstrip()
 
 
 def parsed(data: bytes, path: Path, **options: bool) -> Any:

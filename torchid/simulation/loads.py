@@ -11,8 +11,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchid.effects.base import PLACES, Effect, JointEffect, ModelEffect, Motion
+from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
 from torchid.effects.inertia import RotorInertia
+from torchid.effects.names import PLACES
 from torchid.effects.registry import Valued
 from torchid.robot.model import Robot
 
