@@ -38,6 +38,8 @@ def _parameters(function: Any) -> Iterator[tuple[str, dict[str, Any]]]:
     hints = get_type_hints(function, include_extras=True)
     for parameter in inspect.signature(function).parameters.values():
         kind, info = _annotation(hints[parameter.name])
+        if kind is typer.Context:
+            continue
         option = not isinstance(info, typer.models.ArgumentInfo)
         names = _names(parameter.name, kind, info) if option else [parameter.name]
         required = parameter.default is inspect.Parameter.empty

@@ -11,7 +11,8 @@ from tests.compare.test_diagnoses import diagnosis, named
 from tests.robustness import bad_logs, bad_results, bad_robots
 from tests.robustness.bad_logs import DEEP, ESCAPE, LONG, MARKUP
 from tests.robustness.bench import Outcome, outcome
-from torchid.app.signature import PLACE, WRITTEN, Option
+from torchid.app.inputs import PLACE, WRITTEN
+from torchid.app.signature import Option
 
 EVERY = 40
 """Of all bad results one in so many goes to a command that computes for long."""

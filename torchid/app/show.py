@@ -14,7 +14,7 @@ from torchid.errors import TorchidError
 
 
 @command
-def robot_command(*, arm: opt.Arm, output: Kept) -> None:
+def robot_command(*, arm: opt.Arm, output: Annotated[Kept, "robot.json"]) -> None:
     """Print joints, limits, parameters and warnings of a robot.
 
     Example: `torchid robot kuka_lwr4`

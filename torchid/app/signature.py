@@ -231,6 +231,8 @@ def command(function: Callable[..., None], *, project: bool = True) -> Callable[
             continue
         assert isinstance(kind, type)
         made = list(_options(kind, chosen.changed if isinstance(chosen, Fields) else None, own))
+        if not said and "save_model" not in hints:  # nothing would be written over
+            made = [option for option in made if option.name != "overwrite"]
         results += said
         groups[parameter.name] = kind, [option.name for option in made]
         options += made
