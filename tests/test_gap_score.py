@@ -1,28 +1,11 @@
 """Tables of the gap benchmark, against counts by hand; its scores are the product's."""
 
-import importlib.util
-import sys
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+from tests.benchmarks import loaded
 from tests.withheld.test_measures import FAMILIES
 
-BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
-
-
-def loaded() -> ModuleType:
-    path = BENCHMARKS / "gap_score.py"
-    spec = importlib.util.spec_from_file_location("gap_score", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-score = loaded()
+score = loaded("gap_score")
 
 
 def claim(

@@ -3,7 +3,6 @@ ways to it, and nothing written where it cannot be used."""
 
 import json
 from dataclasses import replace
-from importlib.util import find_spec
 
 import pytest
 
@@ -118,11 +117,3 @@ def test_an_engine_that_is_missing_is_said_before_the_search(command, folder, mo
     assert outcome.code == 1
     assert "torchid[mjcf]" in outcome.err
     assert "searching" not in outcome.err
-
-
-@pytest.mark.skipif(find_spec("pydrake") is not None, reason="Drake is installed")
-def test_without_the_engine_nothing_is_read(command, folder, tmp_path):
-    done = command("correct", "3r", folder / "check.csv", "--to", "drake", "--out", tmp_path)
-    assert done.code == 1
-    assert "needs the package 'pydrake'" in done.err
-    assert "pip install 'torchid[drake]'" in done.err

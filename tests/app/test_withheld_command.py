@@ -1,4 +1,4 @@
-"""`torchid withheld`: make, run, score, leave-out, as a user would call them."""
+"""`torchid withheld`: make, run, score, as a user would call them."""
 
 import json
 import runpy
@@ -10,8 +10,6 @@ from tests.withheld.fakes import answer, entry, plant
 from torchid.withheld import run as running
 
 __all__ = ["plant"]
-
-PLAIN = ("--no-oracle", "--no-baselines", "--no-truth")
 
 
 @pytest.fixture
@@ -52,16 +50,13 @@ def test_make_run_score(made, said, command, tmp_path):
     statuses = json.loads((tmp_path / "run.json").read_text())["statuses"]
     assert statuses == {"explained": 1, "detected_unexplained": 1, "no_gap": 1}
     result = tmp_path / "result"
-    outcome = command(
-        "withheld", "score", folder, "--no-oracle", "--no-truth", "--jobs", 1, "--out", result
-    )
+    outcome = command("withheld", "score", folder, "--out", result)
     assert outcome.code == 0, outcome.err
     assert "one effect: first name right" in outcome.out
     assert "100.0 %" in outcome.out
     score = json.loads((result / "score.json").read_text())
     assert score["schema"] == "torchid.withheld.score/1"
     assert score["scores"]["single"]["top1"]["hits"] == 1
-    assert set(score["baselines"]) == {"friction", "stlsq", "bic"}
     assert (result / "score.md").read_text().startswith("# Withheld cases: seed 7")
     assert (result / "confusion.png").stat().st_size > 5000
 
@@ -71,7 +66,7 @@ def test_a_changed_key_is_refused(made, said, command):
     command("withheld", "run", folder, "--jobs", 1, "--quiet")
     keys = folder.parent / "set.keys.json"
     keys.write_text(keys.read_text().replace('"joints"', '"Joints"', 1))
-    outcome = command("withheld", "score", folder, *PLAIN)
+    outcome = command("withheld", "score", folder)
     assert outcome.code == 1
     assert "not the key file that was sealed" in outcome.err
 
@@ -84,7 +79,7 @@ def test_a_score_needs_all_answers(made, said, command):
     command("withheld", "run", folder, "--jobs", 1, "--quiet")
     (folder / "case-0002" / "answer.json").unlink()
     assert command("withheld", "score", folder).code == 1
-    outcome = command("withheld", "score", folder, "--partial", *PLAIN)
+    outcome = command("withheld", "score", folder, "--partial")
     assert outcome.code == 0
     assert "1 cases have no answer" in outcome.out
 
@@ -108,7 +103,6 @@ def test_a_failing_case_is_said(made, said, command):
         (("run", "{set}/case-0001"), "cannot be read"),
         (("run", "nowhere"), "there is no folder 'nowhere'"),
         (("score", "{set}", "--keys", "nowhere.json"), "cannot be read"),
-        (("leave-out", "--out", "{set}2", "--seed", 1, "--effects", "air_drag"), "unknown effect"),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_message(made, command, arguments, words):
@@ -132,7 +126,7 @@ def test_other_processes_can_import_the_launcher():
 
 
 def test_help_has_an_example(command):
-    for name in ("make", "run", "score", "leave-out"):
+    for name in ("make", "run", "score"):
         shown = command("withheld", name, "--help")
         assert shown.code == 0
         assert "Example" in shown.out

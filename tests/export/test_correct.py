@@ -19,7 +19,7 @@ from torchid.export.correct import correct
 from torchid.export.correction import CLAIMED, Correction
 from torchid.export.export import export_dynamics
 from torchid.export.projection import Projector
-from torchid.export.replay import InDrake, InMujoco, InPinocchio
+from torchid.export.replay import InMujoco, InPinocchio
 from torchid.export.write_xml import xml_of
 from torchid.gap.data import prepare
 from torchid.gap.settings import GapSettings
@@ -285,7 +285,7 @@ def torque(robot: Robot, motion):  # type: ignore[no-untyped-def]
     return model_torque(robot, nominal_effects(robot), motion)
 
 
-@pytest.mark.parametrize("kind", [InMujoco, InPinocchio, InDrake])
+@pytest.mark.parametrize("kind", [InMujoco, InPinocchio])
 def test_an_engine_has_torchids_torque(kind, full, logs, tmp_path):
     """Away from reversals, where MuJoCo's dry friction is its own."""
     robot = true_arm()
@@ -293,13 +293,8 @@ def test_an_engine_has_torchids_torque(kind, full, logs, tmp_path):
         pytest.importorskip("pinocchio")
         rotors = [e for e in robot.effects if e["effect"] != "rotor_inertia"]
         robot = replace(robot, effects=tuple(rotors))
-    elif kind is InDrake:
-        pytest.importorskip("pydrake")
-        said = [e for e in robot.effects if e["effect"] in ("viscous_friction", "rotor_inertia")]
-        robot = replace(robot, effects=tuple(said))
-    to = {InMujoco: "mjcf", InPinocchio: "urdf", InDrake: "drake"}[kind]
     path = tmp_path / ("a.urdf" if kind is InPinocchio else "a.xml")
-    written, file, _, rest = xml_of(robot, path, None, to)  # type: ignore[arg-type]
+    written, file, _, rest = xml_of(robot, path, None, "urdf" if kind is InPinocchio else "mjcf")
     assert not rest
     path.write_bytes(file.to_bytes())
     data = prepare(robot, logs[0], None)
@@ -310,21 +305,15 @@ def test_an_engine_has_torchids_torque(kind, full, logs, tmp_path):
         assert float((found - expected)[sure].abs().max()) < 1e-9 * float(expected.abs().max())
 
 
-@pytest.mark.parametrize("kind", [InMujoco, InDrake])
-def test_an_engine_moves_as_torchid_does(kind, tmp_path, monkeypatch):
+def test_mujoco_moves_as_torchid_does(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     robot = true_arm()
-    if kind is InDrake:
-        pytest.importorskip("pydrake")
-        said = [e for e in robot.effects if e["effect"] in ("viscous_friction", "rotor_inertia")]
-        robot = replace(robot, effects=tuple(said))
     path = tmp_path / "a.xml"
-    written, file, _, _ = xml_of(robot, path, None, "drake" if kind is InDrake else "mjcf")
+    written, file, _, _ = xml_of(robot, path, None, "mjcf")
     path.write_bytes(file.to_bytes())
     data = prepare(robot, log_of(robot), None)
     windows = windows_of(data.segments, starts_of(data.segments, 0.1, 12, 0), 0.5)
-    engine = kind(path, written)
-    positions = engine.positions(windows)
+    positions = InMujoco(path, written).positions(windows)
     step = round(0.5 / windows.dt)
     use = windows.steps >= step
     error = (positions[use, step] - windows.q[use, step]).square().mean(0).sqrt()

@@ -1,6 +1,5 @@
 """MJCF: defaults of classes, compiler settings, included files and shapes change nothing."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -204,29 +203,3 @@ def test_random_bodies_survive_the_round_trip(seed, scale, tmp_path):
     assert all(c.difference < 1e-11 for c in done.comparisons)
     again = load_robot(done.files[0])
     assert torch.allclose(again.parameters.pi, robot.parameters.pi, rtol=1e-11, atol=1e-13 * scale)
-
-
-def test_drake_has_a_motor_for_every_armature(tmp_path):
-    """It reads motors, positions and velocities, and of an armature without one nothing."""
-    robot = with_other(arm("3r"))
-    done = exported(robot, "mjcf", tmp_path)
-    tree = etree.parse(done.files[0])
-    actuators = tree.find("actuator")
-    for node in list(actuators):
-        actuators.remove(node)
-    etree.SubElement(actuators, "general", joint=robot.joint_names[0])
-    etree.SubElement(actuators, "position", joint=robot.joint_names[1])
-    users = tmp_path / "users.xml"
-    tree.write(users)
-    rotors = tuple({"effect": "rotor_inertia", "joint": j, "Ia": 0.1 * j} for j in (1, 2, 3))
-    other = replace(load_robot(users), effects=(*rotors, *FRICTION))
-    done = exported(other, "drake", tmp_path / "out")
-    found = etree.parse(done.files[0]).find("actuator")
-    assert [(node.tag, node.get("joint")) for node in found] == [
-        ("general", robot.joint_names[0]),
-        ("position", robot.joint_names[1]),
-        ("motor", robot.joint_names[0]),
-        ("motor", robot.joint_names[2]),
-    ]
-    assert all("coulomb" not in words for words in done.in_file)
-    assert any("coulomb" in words for words in done.beside)

@@ -24,7 +24,7 @@ def with_settings(**changes: object) -> SearchSettings:
 
 def assert_same(a: Extraction, b: Extraction) -> None:
     """To the last bit."""
-    for name in ("phi", "gamma", "searched_phi", "searched_gamma", "history_phi", "history_gamma"):
+    for name in ("phi", "gamma", "history_phi", "history_gamma"):
         assert torch.equal(getattr(a, name), getattr(b, name)), name
     assert torch.equal(a.sets.vector, b.sets.vector)
 
@@ -85,7 +85,7 @@ def test_full_loss(name: str, limit: float) -> None:
     found = extract(p, SMALL)
     assert float(found.phi.max()) < limit
     assert float(found.gamma.max()) == 0.0
-    assert bool((found.searched_phi > found.phi).all())
+    assert bool((found.history_phi[:, -1] > found.phi).all())
     assert bool(feasibility(found.sets, p.conditions).feasible.all())
     assert found.sets.ids == ("run_1", "run_2", "run_3", "run_4")
     assert found.contradictions == ()
@@ -99,8 +99,6 @@ def assert_consistent(p: Problem, found: Extraction, settings: SearchSettings) -
     torch.testing.assert_close(gamma(p, q), found.gamma, rtol=1e-6, atol=1e-12)
     shape = (settings.runs, settings.stages)
     assert found.history_phi.shape == found.history_gamma.shape == shape
-    assert torch.equal(found.history_phi[:, -1], found.searched_phi)
-    assert torch.equal(found.history_gamma[:, -1], found.searched_gamma)
     low, high = p.box.unbind(-1)
     slack = 1e-9 * (high - low)
     assert bool(((q >= low - slack) & (q <= high + slack)).all())
@@ -112,9 +110,8 @@ def assert_consistent(p: Problem, found: Extraction, settings: SearchSettings) -
     "changes",
     [
         {},
-        {"polish": False},
         {"penalty": "partial"},
-        {"schedule": "geometric", "polish": False},
+        {"schedule": "geometric"},
         {"stages": 1, "runs": 1, "population": 6},
         {"engine": "cma", "runs": 2, "stages": 2},
     ],
@@ -166,9 +163,8 @@ def assert_descends(found: Extraction) -> None:
 @pytest.mark.parametrize("changes", [{}, {"penalty": "partial"}, {"schedule": "geometric"}])
 def test_search_alone_descends(engine: str, changes: dict[str, object]) -> None:
     size = {"stages": 6} if engine == "batched" else {"stages": 3, "runs": 2}
-    settings = with_settings(polish=False, engine=engine, **size, **changes)
+    settings = with_settings(engine=engine, **size, **changes)
     found = extract(problem_of("3r"), settings)
-    assert torch.equal(found.phi, found.searched_phi)
     assert_descends(found)
 
 
@@ -178,7 +174,7 @@ def test_seeds() -> None:
     found = extract(p, SMALL)
     assert_same(found, extract(p, SMALL))
     other = extract(p, with_settings(seed=2))
-    assert not torch.equal(other.searched_phi, found.searched_phi)
+    assert not torch.equal(other.history_phi, found.history_phi)
 
 
 def test_global_random_state_is_neither_read_nor_changed() -> None:

@@ -17,8 +17,8 @@ from tests.extraction.setups import (
     problem_of,
     random_vectors,
 )
+from torchid.extraction.convex.finish import attainable
 from torchid.extraction.penalty import extreme_eigenvalues, gamma
-from torchid.extraction.polish.region import region
 from torchid.extraction.problem import Problem, extraction_problem, two_step
 from torchid.feasibility.bounds import read_bounds
 from torchid.feasibility.conditions import conditions
@@ -108,15 +108,27 @@ def whole(name: str, group: str = "normal") -> Problem:
     )
 
 
+def solid(p: Problem) -> torch.Tensor:
+    """A set well inside: masses, centres and coefficients in the middle, inertias of balls."""
+    n, inside = p.n, p.box.mean(-1)
+    box = p.conditions.com_box.reshape(-1, 2)
+    low, high = torch.maximum(p.box[n : 4 * n, 0], box[:, 0]), p.box[n : 4 * n, 1]
+    inside[n : 4 * n] = (low + torch.minimum(high, box[:, 1])) / 2
+    entries, most = inside[4 * n : 10 * n].view(n, 6), p.box[4 * n : 10 * n, 1].view(n, 6)
+    entries[:, [1, 2, 4]] = 0.0
+    entries[:, [0, 3, 5]] = 0.5 * most[:, [0, 3, 5]].amin(-1, keepdim=True)
+    return inside
+
+
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_zero_exactly_where_no_margin_is_negative(name: str) -> None:
     """On random sets, moved towards the interior until some are feasible, and beyond."""
     p = whole(name)
-    inside = region(p, conditions=True)
-    assert inside.contradictions == ()
+    assert attainable(p)[1] == ()
+    inside = solid(p)
     share = torch.linspace(0, 1, 400, dtype=torch.float64).unsqueeze(-1) ** 0.3
     q = random_vectors(p, 400)
-    q = q + share * (inside.inside - q)
+    q = q + share * (inside - q)
     # Physics and geometry, not the coefficients, which gamma leaves to their bounds.
     found = feasibility(p.sets(q, [str(k) for k in range(400)]), p.conditions)
     fulfilled = ~(found.violated.flatten(1).any(-1) | found.violated_total)
@@ -255,9 +267,8 @@ def test_coefficients_with_a_sign_count_when_the_bounds_let_them_be_negative():
         worse = p.clone()
         worse[:, k] = -5.0
         assert float(gamma(asked, worse) - gamma(asked, p)) == pytest.approx(expected)
-    inside = region(asked, conditions=True)
-    assert inside.box[30:, 0].tolist() == [0.0] * 6 + [-50.0] * 3
+    assert attainable(asked)[1] == ()
     impossible = {**wide, "Fc": torch.tensor([[-2.0, -1.0]] * 3, dtype=torch.float64)}
     none = replace(bounds, coefficients=impossible)
-    against = region(extraction_problem(robot, target, none, conditions(robot)), conditions=True)
-    assert against.contradictions == ("Fc_1", "Fc_2", "Fc_3")
+    _, against = attainable(extraction_problem(robot, target, none, conditions(robot)))
+    assert against == ("Fc_1", "Fc_2", "Fc_3")

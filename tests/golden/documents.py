@@ -171,7 +171,7 @@ def _score(bench: Bench) -> dict[str, Any]:
         bench.run("withheld", "run", cases, "--jobs", 1)
     finally:
         running._answer = before
-    return bench.run("withheld", "score", cases, "--no-oracle", "--no-truth", "--jobs", 1)
+    return bench.run("withheld", "score", cases)
 
 
 def _own(bench: Bench) -> dict[str, Any]:

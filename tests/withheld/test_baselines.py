@@ -7,22 +7,18 @@ from dataclasses import replace
 import pytest
 import torch
 
+from tests.benchmarks import loaded
 from tests.withheld.fakes import Spec, arm, simulate_case
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
-from torchid.withheld.baselines import (
-    METHODS,
-    _thresholded,
-    answer_of,
-    baseline_case,
-    bic,
-    data_of,
-    friction,
-    stlsq,
-)
 from torchid.withheld.case_set import LOG, ROBOT, write_shown
 from torchid.withheld.rows import row_of
 from torchid.withheld.run import Job
+
+simple = loaded("withheld_baselines")
+METHODS, _thresholded, answer_of = simple.METHODS, simple._thresholded, simple.answer_of
+baseline_case, data_of = simple.baseline_case, simple.data_of
+bic, friction, stlsq = simple.bic, simple.friction, simple.stlsq
 
 
 def log_of(spec: Spec) -> Log:

@@ -2,13 +2,16 @@
 
 import pytest
 
+from tests.benchmarks import loaded
 from tests.withheld import fakes
 from tests.withheld.fakes import answer, entry
 from torchid.effects.registry import KINDS
 from torchid.errors import TorchidError
-from torchid.report.withheld import leave_out_headline, leave_out_markdown
 from torchid.withheld import run as running
-from torchid.withheld.leave_out import LeftOut, leave_out, summary
+
+left_out = loaded("withheld_left_out")
+LeftOut, leave_out, summary = left_out.LeftOut, left_out.leave_out, left_out.summary
+leave_out_headline, leave_out_markdown = left_out.leave_out_headline, left_out.leave_out_markdown
 
 STRIBECK = answer("explained", entry("stribeck_friction", "sign", 2))
 VISCOUS = answer("explained", entry("viscous_friction", "speed", 2))

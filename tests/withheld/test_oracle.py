@@ -4,13 +4,16 @@ from dataclasses import replace
 
 import pytest
 
+from tests.benchmarks import loaded
 from tests.withheld.fakes import draw_case, key_of
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.withheld.case_set import keys_beside, make, read_keys
-from torchid.withheld.references import oracle_answers, told
 from torchid.withheld.run import default_settings
 from torchid.withheld.score import closed_by
+
+references = loaded("withheld_score")
+oracle_answers, told = references.oracle_answers, references.told
 
 
 def planted(*effects):

@@ -4,11 +4,14 @@ import json
 
 import pytest
 
+from tests.benchmarks import loaded
 from tests.withheld.fakes import answer, draw_case, entry, key_of
 from torchid.errors import TorchidError
-from torchid.report.withheld import LINES, beaten_by, figures, headline, markdown, score_table
+from torchid.report.withheld import LINES, figures, headline, markdown, score_table
 from torchid.withheld.case_set import CaseSet
 from torchid.withheld.summary import require_answers, summary
+
+references = loaded("withheld_score")
 
 RIGHT = answer("explained", entry("coulomb_friction", "sign", 2))
 WRONG = answer("explained", entry("viscous_friction", "speed", 1))
@@ -52,17 +55,6 @@ def test_unanswered_cases_are_refused_unless_asked_for(cases, keys, answers):
         require_answers(cases, {}, partial=True)
 
 
-def test_baselines_are_scored_the_same_way(cases, keys, answers):
-    simple = {
-        case: {"methods": {"bic": RIGHT}} if case != "case-0003" else {"status": "error"}
-        for case in cases.ids
-    }
-    found = summary(cases, keys, answers, baselines=simple)["baselines"]["bic"]
-    assert found["false_alarms"]["all"]["hits"] == 1
-    assert found["single"]["top1"]["hits"] == 1
-    assert found["errors"] == ["case-0003"]
-
-
 def test_the_oracle_is_what_closing_is_compared_with(cases, keys, answers):
     answers["case-0002"] = RIGHT | {"how_far": {"closed": 0.6, "closed_ci95": None}}
     told = {"case-0002": {"how_far": {"closed": 0.8}}}
@@ -86,12 +78,10 @@ def test_every_line_has_a_value_and_targets_can_be_missed(cases, keys, answers):
         assert line.target or line.met(good) is None
 
 
-def test_the_report_holds_scores_baselines_and_what_went_wrong(cases, keys, answers):
-    simple = {case: {"methods": {"bic": RIGHT}} for case in cases.ids}
-    found = summary(cases, keys, answers, baselines=simple)
+def test_the_report_holds_scores_and_what_went_wrong(cases, keys, answers):
+    found = summary(cases, keys, answers)
     text = markdown(found, ["confusion.png"])
     assert "ab" * 32 in text
-    assert "| BIC |" in text
     assert "![confusion.png](confusion.png)" in text
     assert (
         "| case-0003 | outside | 2r | air_drag 2 (5.0) | explained | viscous_friction 1 |" in text
@@ -113,10 +103,24 @@ def test_a_better_baseline_is_said(cases, keys, answers):
     said = (answer("no_gap"), RIGHT, answer("detected_unexplained"))
     perfect = dict(zip(cases.ids, said, strict=True))
     simple = {case: {"methods": {"bic": perfect[case]}} for case in cases.ids}
-    assert beaten_by(summary(cases, keys, perfect, baselines=simple)) == []
-    better = beaten_by(summary(cases, keys, answers, baselines=simple))
+    theirs = references.baseline_scores(keys, answers, simple)
+    assert references.beaten_by(summary(cases, keys, perfect)["scores"], theirs) == []
+    ours = summary(cases, keys, answers)["scores"]
+    better = references.beaten_by(ours, theirs)
     assert better == ["outside: wrong family for sure: BIC 0.0 %, ours 100.0 %"]
-    assert better[0] in markdown(summary(cases, keys, answers, baselines=simple))
+    assert better[0] in references.comparison(ours, theirs)
+    assert "| BIC |" in references.comparison(ours, theirs)
+
+
+def test_baselines_are_scored_the_same_way(cases, keys, answers):
+    simple = {
+        case: {"methods": {"bic": RIGHT}} if case != "case-0003" else {"status": "error"}
+        for case in cases.ids
+    }
+    found = references.baseline_scores(keys, answers, simple)["bic"]
+    assert found["false_alarms"]["all"]["hits"] == 1
+    assert found["single"]["top1"]["hits"] == 1
+    assert found["errors"] == ["case-0003"]
 
 
 def test_figures_are_drawn_of_what_there_is(cases, keys, answers):

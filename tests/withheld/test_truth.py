@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 import torch
 
+from tests.benchmarks import loaded
 from tests.withheld.fakes import Spec, arm, simulate_case
 from torchid.log.columns import log_from_columns
 from torchid.withheld.case_set import keys_beside, make, read_keys
-from torchid.withheld.references import true_share, true_shares
+
+references = loaded("withheld_score")
+true_share, true_shares = references.true_share, references.true_shares
 
 TRUE = 2.0
 """Coulomb friction of joint 2 [N m]."""

@@ -17,9 +17,9 @@ from torchid.files import require_name
 from torchid.gap.settings import GapSettings
 from torchid.robot.config_files import names_robot
 
-Simulated = Literal["mjcf", "urdf", "drake", "mujoco", "mjlab", "isaaclab", "gazebo"]
+Simulated = Literal["mjcf", "urdf", "mujoco", "mjlab", "isaaclab", "gazebo"]
 """What a corrected file can be for; the last four read one of the first two."""
-Format = Literal["urdf", "mjcf", "drake", "yaml", "csv", "c", "isaaclab", "mjlab"]
+Format = Literal["urdf", "mjcf", "yaml", "csv", "c", "isaaclab", "mjlab"]
 
 
 @command
@@ -113,7 +113,7 @@ def export_command(
         )  # fmt: skip
         output.give(done, f"export_{to}.json", export_shown, seed=seed)
         return
-    if to != "mjcf" and to != "urdf" and to != "drake":
+    if to != "mjcf" and to != "urdf":
         raise TorchidError(
             "only files of simulators are refitted to a log.", got=to, available=get_args(Target)
         )

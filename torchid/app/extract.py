@@ -71,7 +71,7 @@ def extract_command(
     settings: Annotated[
         SearchSettings,
         Fields(
-            "runs stages generations population penalty schedule polish",
+            "runs stages generations population penalty schedule",
             engine=EngineName,
             seed=opt.Seed,
         ),
@@ -98,7 +98,6 @@ def extract_command(
         penalty: Full loss phi + xi gamma, or phi alone (sets may be infeasible).
         schedule: xi = 10 k, or ten times more a stage.
         engine: Ours, all runs at once; or pycma.
-        polish: Gradient polish after the search.
         certificate: Least loss possible, beside it.
         search_anyway: Also where no point of the bounds can be feasible.
         resume: Continue from the checkpoint in --out.

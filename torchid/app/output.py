@@ -185,8 +185,9 @@ class Output:
         data |= {} if seed is None else {"seed": seed}
         try:
             shown = show(result)
-            # What `torchid explain` prints again, without any computation.
-            data["explanation"] = shown.plain()
+            if shown.screen is not None:
+                # What `torchid explain` prints again, without any computation.
+                data["explanation"] = shown.plain()
         finally:
             self.write_json(data, name)  # is safe, whatever fails in what is shown of it
         if self.out is not None:

@@ -60,7 +60,7 @@ def _in_short(text: str) -> str:
 
 
 def add(to: typer.Typer, one: Any, above: str = "") -> None:
-    """A command by the name of its function: `leave_out_command` is `leave-out`.
+    """A command by the name of its function: `next_motion_command` is `next-motion`.
 
     Args:
         to: the program or a group.

@@ -10,9 +10,9 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.inputs import PLACE, WRITTEN
-from torchid.app.output import Kept, Output, Printed
+from torchid.app.output import Kept, Printed
 from torchid.app.project import group
-from torchid.app.signature import Fields, Parsed, Switch, command
+from torchid.app.signature import Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.withheld.settings import PLANTED
@@ -135,79 +135,28 @@ def score_command(
     *,
     folder: SetArgument,
     keys: Annotated[Path | None, _KEYS] = None,
-    baselines: bool = True,
-    oracle: bool = True,
-    truth: bool = True,
     partial: Switch = False,
-    workers: Workers,
     output: Annotated[Kept, "score.json"],
 ) -> None:
-    """Open the keys and score the answers, beside simple methods and one that is told.
+    """Open the keys and score the answers.
 
     Example: `torchid withheld score cases --keys cases.keys.json --out result`
 
     Args:
-        baselines: Three simple methods beside ours.
-        oracle: The diagnosis that is told what is there.
-        truth: Simulate cases again without noise: how far gaps are really closed.
         partial: Leave out cases that have no answer yet.
     """
     from torchid.report.withheld import markdown, shown
     from torchid.withheld.case_set import keys_beside, read_answers, read_cases, read_keys
-    from torchid.withheld.references import baseline_answers, oracle_answers, true_shares
     from torchid.withheld.summary import require_answers, summary
 
     found = read_cases(folder)
     opened = read_keys(found, keys_beside(folder) if keys is None else keys)
     answers = read_answers(found)
     require_answers(found, answers, partial=partial)
-    # Beside answers on commands and positions there is no other method of torques.
-    baselines, oracle, truth = (
-        wanted and found.kind == "torque" for wanted in (baselines, oracle, truth)
-    )
-    with output.progress() as progress:
-        count = workers.count
-        simple = baseline_answers(found, tuple(answers), count, progress) if baselines else None
-        told = oracle_answers(found, opened, tuple(answers), count, progress) if oracle else None
-        true = true_shares(found, opened, answers, count, progress) if truth else None
-    result = summary(found, opened, answers, baselines=simple, oracle=told, truly_closed=true)
+    result = summary(found, opened, answers)
     said = output.keep(result, "score.json", shown)
     output.write_text(markdown(result, [f"{name}.png" for name in said.figures]), "score.md")
     output.tell(said)
-
-
-@command
-def leave_out_command(
-    *,
-    seed: RequiredSeed,
-    effects: opt.Searched = None,
-    per_effect: opt.Count = 1,
-    again: Again = False,
-    workers: Workers,
-    output: Annotated[Output, Fields("json_file", "quiet", out=opt.Folder)],
-) -> None:
-    """Take every effect out of the library in turn, and diagnose cases that have it.
-
-    Example: `torchid withheld leave-out --out left-out --seed 4711 --per-effect 2`
-
-    Args:
-        out: Folder of cases, answers and the report.
-        effects: Effects to leave out in turn, comma-separated; `all`.
-        per_effect: Cases of each effect.
-    """
-    from torchid.report.withheld import leave_out_headline, leave_out_markdown
-    from torchid.withheld.leave_out import leave_out
-
-    out = output.out
-    assert out is not None  # it is required
-    with output.progress() as progress:
-        result = leave_out(
-            out, seed, effects=effects, per_effect=per_effect, jobs=workers.count, again=again,
-            progress=progress,
-        )  # fmt: skip
-    output.write_json(result, "leave_out.json")
-    output.write_text(leave_out_markdown(result), "leave_out.md")
-    output.say(leave_out_headline(result))
 
 
 @command
@@ -245,7 +194,7 @@ def own_command(
     output.give(result, "own.json", own_shown, seed=settings.seed)
 
 
-_ALL = make_command, run_command, score_command, leave_out_command, own_command
+_ALL = make_command, run_command, score_command, own_command
 withheld_app = group(
     "withheld", "Check the diagnosis on data whose cause was withheld from it.", _ALL
 )

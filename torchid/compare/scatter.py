@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import torch
 from scipy.special import chdtri, fdtrc
 
+from torchid.results.replication import between
 from torchid.statistics.jackknife import student_quantile
 from torchid.typing import Float, Tensor
 
@@ -67,20 +68,17 @@ def scatter(
     w = std**-2
     mean = float((w * values).sum() / w.sum())
     q = float((w * (values - mean).square()).sum())
-    spare = float(w.sum() - w.square().sum() / w.sum())
-    between2 = max(0.0, (q - (m - 1)) / spare)
-    v = 1 / (std**2 + between2)
+    spread = between(values, std**2)
+    v = 1 / (std**2 + spread**2)
     consensus = float((v * values).sum() / v.sum())
     excess = float((v * (values - consensus).square()).sum()) / (m - 1)
-    spread = (max(1.0, excess) / float(v.sum())) ** 0.5
-    plain = between2 == 0
-    dof = float(freedom.sum()) if plain else m - 1
+    dof = float(freedom.sum()) if spread == 0 else m - 1
     return Scatter(
         welch(values, std, freedom),
         (q / (m - 1)) ** 0.5,
-        between2**0.5,
-        consensus,
         spread,
+        consensus,
+        (max(1.0, excess) / float(v.sum())) ** 0.5,
         float(student_quantile(0.95, torch.tensor([float(dof)]))),
     )
 

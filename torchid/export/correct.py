@@ -23,21 +23,19 @@ from torchid.robot.model import Robot
 from torchid.robot.origin import of_own_file
 
 _FILES: dict[str, Target] = {
-    "mjcf": "mjcf", "urdf": "urdf", "drake": "drake", "mujoco": "mjcf", "mjlab": "mjcf",
+    "mjcf": "mjcf", "urdf": "urdf", "mujoco": "mjcf", "mjlab": "mjcf",
     "isaaclab": "mjcf", "gazebo": "urdf",
 }  # fmt: skip
 """Of formats, and of simulators that read one of them."""
 
 
 def file_format(asked: str) -> Target:
-    """mjcf, urdf or drake: what a format's or simulator's files are.
+    """mjcf or urdf: what a format's or simulator's files are.
 
     Raises:
         MissingExtraError: no engine that runs such files is installed.
     """
     to = _FILES[asked]
-    if to == "drake" and util.find_spec("pydrake") is None:
-        raise MissingExtraError("pydrake", "drake", "Checking a corrected MJCF in Drake on the log")
     if util.find_spec("mujoco") is None and (to != "urdf" or util.find_spec("pinocchio") is None):
         raise MissingExtraError("mujoco", "mjcf", f"Checking a corrected {to} on the log")
     return to

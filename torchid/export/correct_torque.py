@@ -21,7 +21,7 @@ from torchid.export.correction import Correction, Forward, Judged, of_joints
 from torchid.export.dynamics import Dynamics, require_same_arm
 from torchid.export.export import SUFFIXES, Export, edited_of, export_dynamics, stem_of
 from torchid.export.projection import PRICE, Projection, Projector, Target
-from torchid.export.replay import AtRunTime, InDrake, InMujoco, simulator
+from torchid.export.replay import AtRunTime, InMujoco, simulator
 from torchid.export.write_actuator import Package, adds_any
 from torchid.export.write_xml import xml_of
 from torchid.extraction.entropic import SPREAD
@@ -91,7 +91,7 @@ def correct_torque(
         engines = []
         for k, one in enumerate(fitted):
             path = whole.with_stem(f"fold_{k}")
-            engines.append(simulator(path, _in_file(one, path, original, to), to))
+            engines.append(simulator(path, _in_file(one, path, original, to)))
         split = folds if by_folds else None
         own = traces(on.samples, split, [Model.of(one) for one in fitted], engines, data.band)
         models = [AtRunTime.of(one) for one in running]
@@ -202,8 +202,7 @@ def _forward(
     windows = windows_of(on.segments, starts, max(horizons))
     positions = None
     with suppress(TorchidError):  # not installed, or it refuses a URDF that Pinocchio reads
-        runs = InDrake if to == "drake" else InMujoco
-        positions = runs(path, robot).positions(windows)
+        positions = InMujoco(path, robot).positions(windows)
     out = []
     for row in replayed.horizons:
         step = max(1, round(row.horizon_s / windows.dt))
@@ -246,8 +245,7 @@ def _warnings(
             "leave, and no others would cost much less"
         )
     if any(one.starts and one.engine is None for one in judged.forward):
-        engine = "Drake" if projection.to == "drake" else "MuJoCo"
-        said.append(f"{engine} is missing or refuses the file: it was not simulated forwards")
+        said.append("MuJoCo is missing or refuses the file: it was not simulated forwards")
     if nominal.parameters is not None:
         odd = projection.odd_links(nominal.parameters)
         if odd:

@@ -37,7 +37,7 @@ class Forward:
         starts: number of simulations.
         nominal, full: (n,) RMS error [rad; m] of the robot as given and of the diagnosed one, by
             torchid; None where no trajectory is as long.
-        engine: (n,) of the file; None where MuJoCo (Drake, for its files) is not installed, or
+        engine: (n,) of the file; None where MuJoCo is not installed, or
             refuses it.
     """
 

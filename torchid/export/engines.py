@@ -1,13 +1,11 @@
-"""Other programs that read an export: Pinocchio, MuJoCo and Drake, where they are installed.
+"""Other programs that read an export: Pinocchio and MuJoCo, where they are installed.
 
 Each is asked for what it knows: Pinocchio for the rigid body, MuJoCo for the rigid body with
-armature, damping and springs, Drake for that without springs. Dry friction is a constraint in
-MuJoCo, whose force depends on more than the state; so its coefficients are compared, and
-constraints are turned off.
+armature, damping and springs. Dry friction is a constraint in MuJoCo, whose force depends on more
+than the state; so its coefficients are compared, and constraints are turned off.
 """
 
-import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -160,107 +158,6 @@ def mujoco_places(mujoco: Any, model: Any, robot: Robot) -> tuple[list[int], lis
         # By its number where the file gives no name (joint_3).
         ids.append(k if k >= 0 else int(name.rstrip("_").rpartition("_")[2]))
     return [int(model.jnt_dofadr[k]) for k in ids], [int(model.jnt_qposadr[k]) for k in ids]
-
-
-class Drake:
-    """An MJCF in a MultibodyPlant of Drake. Shapes are left out: no contact is asked for.
-
-    Args:
-        path: the file.
-        robot: whose joints are meant.
-        step: of a discrete plant [s]; 0 for a continuous one.
-
-    Raises:
-        ImportError: it is not installed.
-        RuntimeError: it refuses the file, or has not all of the joints.
-    """
-
-    def __init__(self, path: Path, robot: Robot, step: float = 0.0):
-        from importlib.metadata import version
-
-        multibody = import_module("pydrake.multibody.plant")
-        logging.getLogger("drake").setLevel(logging.ERROR)  # of tags that it ignores
-        self.plant = multibody.MultibodyPlant(step)
-        import_module("pydrake.multibody.parsing").Parser(self.plant).AddModels(str(path))
-        self.plant.mutable_gravity_field().set_gravity_vector(robot.gravity.numpy())
-        self.plant.Finalize()
-        self.name = f"Drake {version('drake')}"
-        joints = [self.plant.GetJointByName(name) for name in robot.joint_names]
-        self.rows = [joint.velocity_start() for joint in joints]
-        self.places = [joint.position_start() for joint in joints]
-        self.forces = import_module("pydrake.multibody.tree").MultibodyForces(self.plant)
-        self.context = self.plant.CreateDefaultContext()
-
-    def torque(self, motion: Motion) -> Joints:
-        """Torque (M, n) of the inverse dynamics, damping and reflected inertia included."""
-        plant, context, out = self.plant, self.context, []
-        q, dq, ddq = (
-            np.zeros(size)
-            for size in (plant.num_positions(), plant.num_velocities(), plant.num_velocities())
-        )
-        for now in zip(*(x.numpy() for x in motion.state), strict=True):
-            q[self.places], dq[self.rows], ddq[self.rows] = now
-            plant.SetPositions(context, q)
-            plant.SetVelocities(context, dq)
-            plant.CalcForceElementsContribution(context, self.forces)
-            out.append(plant.CalcInverseDynamics(context, ddq, self.forces)[self.rows])
-        return torch.from_numpy(np.stack(out))
-
-    def run(self, q: Array, dq: Array, tau: Array, dt: float, steps: int) -> Iterator[Array]:
-        """Positions (n,) sample by sample, given the torques (T, n) at the samples, along straight
-        lines between them; ends where Drake gives up.
-
-        Args:
-            q, dq: (n,) at the first sample.
-            tau: [N m; N].
-            dt: between samples [s].
-            steps: of the plant between samples.
-        """
-        plant = self.plant
-        simulator = import_module("pydrake.systems.analysis").Simulator(plant)
-        context = simulator.get_mutable_context()
-        all_q, all_dq = plant.GetPositions(context), np.zeros(plant.num_velocities())
-        all_q[self.places], all_dq[self.rows] = q, dq
-        plant.SetPositions(context, all_q)
-        plant.SetVelocities(context, all_dq)
-        given = plant.get_applied_generalized_force_input_port()
-        force = np.zeros(plant.num_velocities())
-        yield q
-        for k in range(len(tau) - 1):
-            for i in range(steps):
-                share = (i + 0.5) / steps
-                force[self.rows] = (1 - share) * tau[k] + share * tau[k + 1]
-                given.FixValue(context, force)
-                try:
-                    simulator.AdvanceTo((k + (i + 1) / steps) * dt)
-                except RuntimeError:  # an arm that runs away
-                    return
-            yield plant.GetPositions(context)[self.places]
-
-
-def check_drake(
-    path: Path, robot: Robot, joints: Sequence[JointDynamics], motion: Motion
-) -> Comparison:
-    """Drake's inverse dynamics of an MJCF.
-
-    Args:
-        path: the file.
-        robot: as written.
-        joints: attributes as written.
-        motion: states.
-    """
-    what = f"{_RIGID}, armature, damping"
-    try:
-        drake = Drake(path, robot)
-    except ImportError:
-        return missing("Drake", what, "not installed")
-    except RuntimeError as error:
-        return missing("Drake", what, f"cannot load the file: {_line(error)}")
-    damping, armature = torch.tensor(
-        [[j.damping, j.armature] for j in joints], dtype=torch.float64
-    ).T
-    expected = inverse_dynamics(robot, *motion.state) + damping * motion.dq + armature * motion.ddq
-    return compared(drake.name, what, motion, expected, drake.torque(motion))
 
 
 def _bare(mujoco: Any, model: Any, robot: Robot) -> list[str]:

@@ -29,8 +29,8 @@ from torchid.robot.origin import of_own_file
 from torchid.simulators.joint_dynamics import Target
 from torchid.simulators.servo import AS_EFFORT
 
-Format = Literal["urdf", "mjcf", "drake", "yaml", "csv", "c", "isaaclab", "mjlab"]
-SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "drake": ".xml"}
+Format = Literal["urdf", "mjcf", "yaml", "csv", "c", "isaaclab", "mjlab"]
+SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml"}
 SUFFIXES |= {"yaml": ".yaml", "csv": ".csv", "c": ".c"}
 SUFFIXES |= {to: f"_actuator_{to}.py" for to in get_args(Package)}
 
@@ -115,14 +115,14 @@ def export_dynamics(
     Args:
         result: what to write: an identification, one set of parameters, a robot, or what the
             functions of `torchid.export.results` read from files.
-        to: format; drake is an MJCF with what Drake reads of one. All but csv, c and actuators need
+        to: format. All but csv, c and actuators need
             physical parameters: of base parameters those nearest to the robot's own that have
             exactly them, or, where no bodies do, the nearest bodies that nearly do. isaaclab and
             mjlab are actuator classes that add the effects at run time.
         folder: made if need be.
         name: of the file, without suffix; the robot's own by default.
         nominal: the robot that the result belongs to, with its own parameters.
-        original: for urdf, mjcf and drake: the robot whose file a copy is edited of, the nominal
+        original: for urdf and mjcf: the robot whose file a copy is edited of, the nominal
             one by default, or the file that its yaml was made from. If that is of another format,
             a new one is written.
         geometry: group of bounds, or `none`, of the check (see `check_sets`).

@@ -297,21 +297,6 @@ def new_mjcf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
     return XmlFile(root, DECLARATION)
 
 
-def add_motors(file: XmlFile, robot: Robot, joints: Sequence[JointDynamics]) -> None:
-    """A motor for every joint with armature that has no actuator which Drake reads: it takes the
-    inertia of a rotor with one only."""
-    driven = {
-        node.get("joint")
-        for actuators in children(file.root, "actuator")
-        for node in actuators
-        if local(node) in ("motor", "position", "velocity")
-    }
-    for name, own in zip(robot.joint_names, joints, strict=True):
-        if own.armature and name not in driven:
-            motors = child_or_new(file.root, "actuator")
-            new_child(motors, "motor").attrib.update({"name": f"rotor_{name}", "joint": name})
-
-
 def _placed(pose: Tensor) -> dict[str, str]:
     return {"pos": text(pose[:3, 3]), "quat": text(quaternion_of(pose[:3, :3]))}
 

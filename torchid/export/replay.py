@@ -20,27 +20,20 @@ from torchid.design.columns import Model
 from torchid.design.segments import Samples, Segment
 from torchid.effects.registry import nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.export.engines import Drake, mujoco_model, mujoco_places, pinocchio_torque
+from torchid.export.engines import mujoco_model, mujoco_places, pinocchio_torque
 from torchid.robot.model import Robot
 from torchid.simulation.loads import changes_measurement
 from torchid.simulation.open_loop import true_torque
 from torchid.simulation.shooting import Windows
-from torchid.simulators.joint_dynamics import Target
 from torchid.typing import Float
 
-DRAKE_STEP = 1e-3
-"""Largest step of a discrete plant, that of Drake's examples [s]."""
 
-
-def simulator(path: Path, robot: Robot, to: Target) -> "InMujoco | InPinocchio | InDrake":
-    """The engine of a file: MuJoCo of an MJCF, Drake of one for it, Pinocchio of a URDF (MuJoCo
-    where it is missing).
+def simulator(path: Path, robot: Robot) -> "InMujoco | InPinocchio":
+    """The engine of a file: MuJoCo of an MJCF, Pinocchio of a URDF (MuJoCo where it is missing).
 
     Raises:
         MissingExtraError: it is not installed.
     """
-    if to == "drake":
-        return InDrake(path, robot)
     if path.suffix.lower() == ".urdf":
         try:
             return InPinocchio(path, robot)
@@ -223,45 +216,3 @@ class InPinocchio:
         motion = segment.motion
         rigid = pinocchio_torque(self.pin, self.model, self.ids, motion)
         return rigid + self.damping * motion.dq + self.dry * motion.sign
-
-
-class InDrake:
-    """An MJCF in Drake.
-
-    Args:
-        path: MJCF.
-        robot: whose joints are meant.
-
-    Raises:
-        MissingExtraError: Drake is not installed.
-        TorchidError: it refuses the file.
-    """
-
-    def __init__(self, path: Path, robot: Robot):
-        try:
-            self.drake = Drake(path, robot)
-        except ImportError as error:
-            purpose = f"Checking a file of '{robot.name}' in Drake on the log"
-            raise MissingExtraError("pydrake", "drake", purpose) from error
-        except RuntimeError as error:
-            raise _refused("Drake", robot, error) from error
-        self.path, self.robot, self.name = path, robot, self.drake.name
-
-    def torque(self, segment: Segment, samples: Samples) -> Float[torch.Tensor, "T n"]:
-        """Inverse dynamics along a segment, with damping and reflected inertia."""
-        return self.drake.torque(segment.motion)
-
-    def positions(self, windows: Windows) -> Float[torch.Tensor, "B T n"]:
-        """Where the joints are at the samples [rad; m], from the measured states with the measured
-        torque, by Drake's discrete plant of 1 ms, or of less that fits the samples."""
-        steps = max(1, math.ceil(windows.dt / DRAKE_STEP - 1e-9))
-        plant = Drake(self.path, self.robot, windows.dt / steps)
-        out = np.full(windows.q.shape, np.nan)
-        for b in range(len(out)):
-            q, count = windows.q[b].numpy(), int(windows.steps[b].clamp(max=windows.q.shape[1] - 1))
-            states = plant.run(
-                q[0], windows.dq0[b].numpy(), windows.tau[b, : count + 1].numpy(), windows.dt, steps
-            )
-            for k, state in zip(range(count + 1), states, strict=False):
-                out[b, k] = state
-        return torch.from_numpy(out)

@@ -8,9 +8,11 @@ import csv
 import io
 import math
 from collections.abc import Iterator, Sequence
+from string import Template
 
 from torchid import __version__
 from torchid.export.record import RandomisationRecord, RangeRow
+from torchid.robot.config_files import config_folder
 from torchid.statistics.proportion import HALF_95
 
 MUJOCO = {
@@ -139,53 +141,9 @@ def mjlab(done: RandomisationRecord, stem: str, joints: Sequence[str]) -> str:
 
 def isaaclab(done: RandomisationRecord, stem: str, joints: Sequence[str]) -> str:
     """Events: one term for all joints, which takes whole draws, and one a mass."""
-    lines = [
-        *_said(done, "Isaac Lab", "the main branch after 2.3"),
-        "from pathlib import Path",
-        "",
-        "import isaaclab.envs.mdp as mdp",
-        "import numpy as np",
-        "import torch",
-        "from isaaclab.managers import EventTermCfg, SceneEntityCfg",
-        "from isaaclab.utils import configclass",
-        "",
-        f'DRAWS = Path(__file__).with_name("{stem}_draws.npz")',
-        "",
-        "",
-        "def draw_joints(env, env_ids, asset_cfg, file=DRAWS):",
-        '    """One whole draw an environment: armature, dry and viscous friction.',
-        "",
-        "    randomize_joint_parameters would give dry and viscous friction the same numbers.",
-        '    """',
-        "    asset, draws = env.scene[asset_cfg.name], np.load(file)",
-        "    if env_ids is None:",
-        "        env_ids = torch.arange(env.scene.num_envs, device=asset.device)",
-        "    columns, _ = asset.find_joints(list(draws['joint_names']), preserve_order=True)",
-        "    which = np.random.randint(len(draws['explanation']), size=len(env_ids))",
-        "    dry, viscous, armature = (",
-        "        torch.tensor(draws[key][which], dtype=torch.float32, device=asset.device)",
-        '        for key in ("friction", "damping", "armature")',
-        "    )",
-        '    where = {"joint_ids": columns, "env_ids": env_ids}',
-        "    asset.write_joint_friction_coefficient_to_sim(",
-        "        dry,",
-        "        joint_dynamic_friction_coeff=dry,",
-        "        joint_viscous_friction_coeff=viscous,",
-        "        **where,",
-        "    )",
-        "    asset.write_joint_armature_to_sim(armature, **where)",
-        "",
-        "",
-        "@configclass",
-        "class RandomisationCfg:",
-        '    """To be merged into an environment\'s events."""',
-        "",
-        "    joints = EventTermCfg(",
-        "        func=draw_joints,",
-        '        mode="startup",',
-        '        params={"asset_cfg": SceneEntityCfg("robot")},',
-        "    )",
-    ]
+    text = (config_folder("templates") / "randomiser_isaaclab.txt").read_text(encoding="utf-8")
+    said = "\n".join(_said(done, "Isaac Lab", "the main branch after 2.3"))
+    lines = [f"{said}\n{Template(text).substitute(stem=stem).rstrip()}"]
     for name, r in _terms(done, ("mass",)):
         lines += [
             f"    # {r.why}",

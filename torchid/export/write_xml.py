@@ -9,9 +9,9 @@ from torchid.effects.registry import Valued, nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.checks import Comparison, compared
 from torchid.export.dynamics import Dynamics, described, folded, records, robot_torque
-from torchid.export.engines import check_drake, check_mujoco, check_pinocchio
+from torchid.export.engines import check_mujoco, check_pinocchio
 from torchid.export.keeping import Draft, kept, staged
-from torchid.export.mjcf import add_motors, edited_mjcf, new_mjcf
+from torchid.export.mjcf import edited_mjcf, new_mjcf
 from torchid.export.servo_mjcf import check_servos, write_servos
 from torchid.export.urdf import edited_urdf, in_joint_frames, new_urdf
 from torchid.export.xml_tree import XmlFile, set_head
@@ -33,7 +33,7 @@ def write_xml(
     motion: Motion,
     to: Target,
 ) -> tuple[Draft, tuple[Comparison, ...]]:
-    """Write, reload with torchid, Pinocchio, MuJoCo and, for Drake, with that, compare, and keep.
+    """Write, reload with torchid, Pinocchio and MuJoCo, compare, and keep.
 
     Args:
         dynamics: the result, whose torque counts.
@@ -71,8 +71,7 @@ def write_xml(
         torque = robot_torque(_read_back(main, path, original), motion)
         reader, what = f"torchid {__version__}", "torque with all effects"
         own = compared(reader, what, motion, dynamics.torque(motion), torque)
-        checks = [check_pinocchio, check_mujoco, *([check_drake] if to == "drake" else [])]
-        engines = [check(main, robot, joints, motion) for check in checks]
+        engines = [check(main, robot, joints, motion) for check in (check_pinocchio, check_mujoco)]
         if servos is not None:
             engines.append(check_servos(main, robot, servos))
         return draft, kept([own, *engines])
@@ -105,8 +104,6 @@ def xml_of(
         file = edited_mjcf(Path(original.source), robot, joints, turned, path.parent)
     else:
         file = edited_urdf(Path(original.source), choice_of(original), robot, joints, path.parent)
-    if to == "drake":
-        add_motors(file, robot, joints)
     return robot, file, joints, rest
 
 

@@ -1,8 +1,9 @@
-"""Algorithm 1: many runs of a population search under a growing penalty, then a gradient polish.
+"""Algorithm 1: many runs of a population search under a growing penalty.
 
     p_0 = LB + (UB - LB) u,  xi_1 = 0
     for k = 1..K:  minimise phi(p) + xi_k gamma(p) within the bounds, starting from p_{k-1}
 
+Each run ends at the set of nearly the least loss that is nearest to its p_K (`convex.finish`).
 All runs advance together: every generation of all of them is one call of the loss. A large search
 has several such blocks of runs, which know nothing of each other, so that any worker may do them.
 The state between two stages is kept in a file that survives an interruption.
@@ -24,10 +25,9 @@ from torchid.errors import TorchidError
 from torchid.extraction.cma.batched import BatchedCmaEs
 from torchid.extraction.cma.pycma import PycmaEngine
 from torchid.extraction.cma.search import Engine, SearchState, default_population, start
+from torchid.extraction.convex.finish import attainable, finished
 from torchid.extraction.found import Extraction
 from torchid.extraction.penalty import gamma
-from torchid.extraction.polish.polish import polish
-from torchid.extraction.polish.region import Region, region
 from torchid.extraction.problem import Problem
 from torchid.extraction.settings import SearchSettings
 from torchid.files import atomic_write
@@ -150,7 +150,7 @@ def require_possible(problem: Problem) -> None:
     Raises:
         TorchidError: naming the conditions.
     """
-    against = region(problem, conditions=True).contradictions
+    _, against = attainable(problem)
     if against:
         raise TorchidError(
             f"no point of the bounds '{problem.bounds.name}' meets the conditions: the search has "
@@ -174,7 +174,7 @@ def extract(
     workers: Workers = 1,
     report: Report | None = None,
 ) -> Extraction:
-    """Search for parameter sets (Algorithm 1), then polish them.
+    """Search for parameter sets (Algorithm 1).
 
     Args:
         problem: loss, bounds, conditions.
@@ -210,7 +210,6 @@ def extract(
         uniform = torch.rand(shape, generator=generator, dtype=problem.box.dtype)
         now = Progress(0, start(uniform, _FIRST_SIGMA), uniform[:, :0], uniform[:, :0])
     blocks = _blocks(problem, settings, device)
-    conditioned = region(problem, conditions=True)
     with opened(workers if len(blocks) > 1 else 1, _advanced) as (pool, _):
         while now.stage < settings.stages:
             now = _next_stage(problem, settings, now, blocks, pool, device)
@@ -218,18 +217,13 @@ def extract(
                 save(checkpoint, now, problem, settings)
             if report is not None:
                 report(now.stage, settings.stages)
-        searched = p = problem.physical(now.state.best)
-        if settings.polish:
-            full = settings.penalty == "full"
-            within = conditioned if full else region(problem, conditions=False)
-            polished = torch.cat(
-                each(_polished, [(problem, within, searched[block]) for block in blocks], pool)
-            )
-    if settings.polish:
-        weight = 10.0 * settings.stages if full else 0.0
-        # A run that the polish could not bring to an end stays as the search left it.
-        before, after = (problem.phi(x) + weight * gamma(problem, x) for x in (searched, polished))
-        p = torch.where((after <= before).unsqueeze(-1), polished, searched)
+        searched, full = problem.physical(now.state.best), settings.penalty == "full"
+        jobs = [(problem, searched[block], full) for block in blocks]
+        ends = torch.cat(each(_finished, jobs, pool))
+    weight = 10.0 * settings.stages if full else 0.0
+    # A run without such a set stays as the search left it.
+    before, after = (problem.phi(x) + weight * gamma(problem, x) for x in (searched, ends))
+    p = torch.where((after <= before).unsqueeze(-1), ends, searched)
     phi, violated = problem.phi(p), gamma(problem, p)
     if checkpoint is not None and not keep:
         checkpoint.unlink(missing_ok=True)
@@ -239,11 +233,9 @@ def extract(
         sets=problem.sets(p, [f"run_{k + 1}" for k in range(settings.runs)]),
         phi=phi,
         gamma=violated,
-        searched_phi=now.phi[:, -1],
-        searched_gamma=now.gamma[:, -1],
         history_phi=now.phi,
         history_gamma=now.gamma,
-        contradictions=conditioned.contradictions,
+        contradictions=attainable(problem)[1],
         seconds=time.monotonic() - began,
     )
 
@@ -300,9 +292,10 @@ def _advanced(block: _Block) -> SearchState:
     return found.to("cpu")
 
 
-def _polished(job: tuple[Problem, Region, Float[Tensor, "R D"]]) -> Float[Tensor, "R D"]:
-    """Some of the runs, polished."""
-    return polish(*job)
+def _finished(job: tuple[Problem, Float[Tensor, "R D"], bool]) -> Float[Tensor, "R D"]:
+    """The ends of some of the runs."""
+    problem, searched, full = job
+    return finished(problem, searched, conditions=full)
 
 
 def _next_stage(

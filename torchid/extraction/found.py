@@ -9,8 +9,6 @@ from msgspec import UNSET
 from torchid.errors import TorchidError
 from torchid.extraction.convex.certificate import Certificate, certificate
 from torchid.extraction.penalty import gamma
-from torchid.extraction.polish.polish import polish
-from torchid.extraction.polish.region import region
 from torchid.extraction.problem import Problem, torque_error
 from torchid.extraction.record import (
     ExtractedSet,
@@ -38,8 +36,7 @@ class Extraction(Result):
         problem, settings: as given.
         sets: one set a run, ids run_1, run_2, ...
         phi, gamma: (R,) loss and penalty of the sets.
-        searched_phi, searched_gamma: (R,) before the polish.
-        history_phi, history_gamma: (R, K) of the best so far, after each stage.
+        history_phi, history_gamma: (R, K) of the best so far, after each stage of the search.
         contradictions: conditions that no point of the bounds meets.
         seconds: the search took, without time before an interruption.
     """
@@ -49,8 +46,6 @@ class Extraction(Result):
     sets: ParameterSets
     phi: Float[Tensor, " R"]
     gamma: Float[Tensor, " R"]
-    searched_phi: Float[Tensor, " R"]
-    searched_gamma: Float[Tensor, " R"]
     history_phi: Float[Tensor, "R K"]
     history_gamma: Float[Tensor, "R K"]
     contradictions: tuple[str, ...]
@@ -206,14 +201,7 @@ def best_set(
             hint="other `bounds=...`, `geometry=...` or `total_mass=...`; `search_anyway=True` "
             "leaves the conditions out",
         )
-    inside = region(problem, conditions=proof.with_conditions)
-    start = problem.search_vector(proof.sets)
-    # Bounds of barycentric inertias count in the program by a relaxation only: a descent within
-    # the true ones can still lower the loss of its set.
-    polished = problem.sets(polish(problem, inside, start), proof.sets.ids)
-    own, lower = judged(problem, proof.sets), judged(problem, polished)
-    better = bool(lower[-1].feasible[0]) and float(lower[1][0]) < float(own[1][0])
-    return Found(problem, "sdp", *(lower if better else own), None, proof.seconds, proof)
+    return Found(problem, "sdp", *judged(problem, proof.sets), None, proof.seconds, proof)
 
 
 def at_bounds(found: Found) -> list[str]:

@@ -51,7 +51,7 @@ def noticeable(proof: Certificate) -> dict[str, float]:
 
 
 class SearchRecord(Part, frozen=True, kw_only=True):
-    """Settings and course of a population search; (R,) before the polish."""
+    """Settings of a population search, and conditions that no point of the bounds meets."""
 
     runs: int
     stages: int
@@ -60,10 +60,7 @@ class SearchRecord(Part, frozen=True, kw_only=True):
     penalty: str
     schedule: str
     engine: str
-    polish: bool
     seed: int
-    searched_phi: Float[Tensor, " R"] = field(name="phi_before_polish")
-    searched_gamma: Float[Tensor, " R"] = field(name="gamma_before_polish")
     contradictions: tuple[str, ...]
 
 

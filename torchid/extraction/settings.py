@@ -27,7 +27,6 @@ class SearchSettings:
         schedule: xi_{k+1} = 10 k (`linear`, as Algorithm 1 prints it) or 10^k (`geometric`, as the
             text says: ten times more at every stage).
         engine: `batched` or `cma`.
-        polish: whether a gradient polish follows.
         seed: of starts and samples.
 
     Raises:
@@ -45,7 +44,6 @@ class SearchSettings:
     penalty: Penalty = "full"
     schedule: Schedule = "linear"
     engine: str = "batched"
-    polish: bool = True
     seed: int = 0
 
     def __post_init__(self) -> None:

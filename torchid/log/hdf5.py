@@ -1,15 +1,13 @@
 """Tables in HDF5 files: every dataset of one or two dimensions, by its path."""
 
-import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from torchid.errors import LogError, MissingExtraError
-from torchid.log.apart import read_apart
 from torchid.log.formats import require_held
-from torchid.log.reading_program import LISTED, READ, SIZED
 from torchid.log.table import Request, Shape, Table
 
 
@@ -36,24 +34,37 @@ def hdf5_table(
         MissingExtraError: h5py is not installed.
         LogError: no HDF5 file, or there is nothing to read in it.
     """
-    # Its libraries are loaded by the process that reads the file, and by that alone.
-    if importlib.util.find_spec("h5py") is None:
-        raise MissingExtraError("h5py", "hdf5", purpose or f"reading '{path}'")
-    said, _ = read_apart(path, kind, {"do": LISTED}, soon=True)
-    order = -1 if matlab else 1
-    columns: dict[str, Shape | None] = {
-        name: tuple(shape[::order]) for name, shape in said["columns"].items()
-    }
+    try:
+        import h5py
+    except ImportError as error:
+        raise MissingExtraError("h5py", "hdf5", purpose or f"reading '{path}'") from error
+    columns: dict[str, Shape | None] = {}
+
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and 1 <= len(item.shape) <= 2:
+            shape = tuple(item.shape[:: -1 if matlab else 1])
+            fields = item.dtype.names
+            names = [f"{name}/{field}" for field in fields] if fields else [name]
+            columns.update(dict.fromkeys(names, shape))
+
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)
     if not columns:
         raise LogError(f"'{path}' has no dataset of one or two dimensions.", expected="columns")
 
     def read(wanted: Sequence[str]) -> dict[str, np.ndarray]:
-        names = list(wanted)
-        said, _ = read_apart(path, kind, {"do": SIZED, "names": names}, soon=True)
-        for name, (claimed, held) in said["sizes"].items():
-            require_held(path, name, claimed, held)
-        _, arrays = read_apart(path, kind, {"do": READ, "names": names})
-        texts = {name: a.astype(object) for name, a in arrays.items() if a.dtype.kind == "U"}
-        return {name: a.T if matlab else a for name, a in (arrays | texts).items()}
+        out = {}
+        with h5py.File(path, "r") as file:
+            for name in wanted:
+                found, field = file.get(name), ""
+                if not isinstance(found, h5py.Dataset):
+                    dataset, _, field = name.rpartition("/")
+                    found = file[dataset]
+                require_held(path, name, int(found.nbytes), int(found.id.get_storage_size()))
+                array = np.asarray(found[field] if field else found[()])
+                if array.dtype.kind in "SO":
+                    array = array.astype(str).astype(object)
+                out[name] = array.T if matlab else array
+        return out
 
     return Table(path, kind, columns, read, arrays=True)

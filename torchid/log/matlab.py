@@ -1,15 +1,15 @@
 """Tables in MATLAB's .mat files: arrays, and the fields of structs, `struct.field`."""
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from torchid.errors import LogError
-from torchid.log.apart import read_apart
 from torchid.log.hdf5 import hdf5_table
-from torchid.log.reading_program import MATLAB
 from torchid.log.table import Request, Table
 
 
@@ -34,11 +34,38 @@ def matlab_table(path: Path, request: Request) -> Table:
             return {name: arrays[dotted[name]] for name in wanted}
 
         return replace(table, columns={n: table.columns[k] for n, k in dotted.items()}, read=read)
-    said, arrays = read_apart(path, "mat", {"do": MATLAB})
+    arrays, others = _arrays(path)
     if not arrays:
         raise LogError(
             f"'{path}' has no array of numbers.",
-            got=", ".join(said["others"]) or "nothing",
+            got=", ".join(others) or "nothing",
             expected="arrays, or structs of arrays; save timeseries and tables as arrays",
         )
     return Table.in_memory(path, "MATLAB", arrays)
+
+
+def _arrays(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Arrays of numbers by name, structs within structs with dots; names of what is none."""
+    from scipy.io import loadmat
+
+    arrays: dict[str, np.ndarray] = {}
+    others: list[str] = []
+
+    def visit(prefix: str, values: Mapping[str, Any]) -> None:
+        for name, value in values.items():
+            if isinstance(value, Mapping):
+                visit(f"{prefix}{name}.", value)
+            elif (
+                isinstance(value, np.ndarray)
+                and value.dtype.kind in "iufb"
+                and 1 <= value.ndim <= 2
+            ):
+                arrays[f"{prefix}{name}"] = value
+            else:
+                others.append(f"{prefix}{name}")
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        content = loadmat(path, simplify_cells=True)
+    visit("", {name: value for name, value in content.items() if not name.startswith("__")})
+    return arrays, others

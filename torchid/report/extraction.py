@@ -146,7 +146,7 @@ def figures(found: Found) -> Figures:
 
 
 def search_figure(search: Extraction, proof: Certificate | None) -> Figure:
-    """Loss and penalty of all runs against the stage, and the loss after the polish."""
+    """Loss and penalty of all runs against the stage, and the loss of the sets they end in."""
     figure, (upper, lower) = panel(9, 5.4, 2, 1, sharex=True)
     stages = range(1, search.settings.stages + 1)
     for axes, history, what in (
@@ -160,10 +160,8 @@ def search_figure(search: Extraction, proof: Certificate | None) -> Figure:
     upper.set_yscale("log")
     lower.set_yscale("symlog", linthresh=1e-8)
     lower.set_ylim(bottom=-1e-9)
-    if search.settings.polish:
-        end = [search.settings.stages + 0.6] * len(search.phi)
-        phi = search.phi.clamp(min=1e-34).numpy()
-        upper.scatter(end, phi, s=10, color=BLUE, label="after the polish")
+    end = [search.settings.stages + 0.6] * len(search.phi)
+    upper.scatter(end, search.phi.clamp(min=1e-34).numpy(), s=10, color=BLUE, label="in the end")
     if proof is not None and proof.feasible and proof.phi_min > 0:
         upper.axhline(proof.phi_min, color=RED, linewidth=1.0, label="least possible, phi_min")
     lower.set_xlabel("stage of Algorithm 1")

@@ -1,6 +1,5 @@
 """Scores of withheld cases: lines with targets, tables, Markdown, figures of what was named for
-what and from which size on; what is said when the right name is not in the library; and the check
-on one's own arm."""
+what and from which size on; and the check on one's own arm."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -61,13 +60,6 @@ class Line:
             return f"{low} to {high}"
         return f"≥ {low}" if low is not None else "" if high is None else f"≤ {high}"
 
-    def beats(self, scores: Mapping[str, Any], others: Mapping[str, Any]) -> bool:
-        """Whether a score is better than another method's; no if the better side is not known."""
-        own, other = self.value(scores), self.value(others)
-        if own is None or other is None or (self.low is None) == (self.high is None):
-            return False
-        return own < other if self.low is None else own > other
-
     def parts(self, scores: Mapping[str, Any]) -> tuple[str, str, str]:
         """Value, interval and count."""
         value = self.value(scores)
@@ -120,8 +112,6 @@ LINES = (
     Line("intervals hold coefficients", ("coverage", "coefficients", "share"), 0.9, 0.98),
 )
 
-BASELINES = {"friction": "friction", "stlsq": "STLSQ", "bic": "BIC"}
-
 
 def shown(summary: Summary) -> Shown:
     """All that there is to see of a score."""
@@ -131,25 +121,19 @@ def shown(summary: Summary) -> Shown:
 
 
 def score_table(summary: Summary) -> Table:
-    """Scores that there are cases for, beside targets and baselines."""
+    """Scores that there are cases for, beside targets."""
     rows = []
     for line in LINES:
         met = line.met(summary["scores"])
         if line.value(summary["scores"]) is not None:
             target = line.target + ("" if met is None else " met" if met else " missed")
-            others = (line.parts(scores)[0] for scores in summary["baselines"].values())
-            rows.append((line.label, *line.parts(summary["scores"]), target, *others))
+            rows.append((line.label, *line.parts(summary["scores"]), target))
     return Table(
         f"withheld cases of seed {summary['seed']}: {summary['cases']} answers",
-        ("score", "torchid", "95 %", "cases", "target", *_names(summary)),
+        ("score", "torchid", "95 %", "cases", "target"),
         rows,
         names=("score", "target"),
     )
-
-
-def _names(summary: Summary) -> list[str]:
-    """Of the simple methods."""
-    return [BASELINES.get(name, name) for name in summary["baselines"]]
 
 
 def headline(summary: Summary) -> str:
@@ -165,17 +149,6 @@ def headline(summary: Summary) -> str:
     return text + "."
 
 
-def beaten_by(summary: Summary) -> list[str]:
-    """Scores in which a simple method is better, in words."""
-    ours = summary["scores"]
-    return [
-        f"{line.label}: {name} {line.parts(scores)[0]}, ours {line.parts(ours)[0]}"
-        for line in LINES
-        for name, scores in zip(_names(summary), summary["baselines"].values(), strict=True)
-        if line.beats(scores, ours)
-    ]
-
-
 def markdown(summary: Summary, drawn: Sequence[str] = ()) -> str:
     """The whole report.
 
@@ -185,16 +158,11 @@ def markdown(summary: Summary, drawn: Sequence[str] = ()) -> str:
     """
     scores = summary["scores"]
     kinds = ", ".join(f"{kind} {count}" for kind, count in sorted(summary["kinds"].items()))
-    better = beaten_by(summary)
-    comparison = "No simple method is better on any score that has a target."
-    if better:
-        comparison = "A simple method is better on:\n\n" + "\n".join(f"- {x}" for x in better)
     parts = [
         f"# Withheld cases: seed {summary['seed']}",
         f"{headline(summary)} Kinds: {kinds}. SHA-256 of the keys: `{summary['keys_sha256']}`. "
         f"torchid {summary['scored_with']}. Intervals: 95 %.",
         score_table(summary).markdown().rstrip(),
-        comparison if summary["baselines"] else "",
         *(f"![{name}]({name})" for name in drawn),
         "## Status by kind",
         counts_table("kind", scores["status"]),
@@ -279,57 +247,6 @@ def listed(effects: Iterable[Mapping[str, Any]]) -> str:
         size = f" ({effect['size']:.1f})" if effect.get("size") is not None else ""
         out.append(f"{names} {joints}{size}".strip())
     return "; ".join(out) or "-"
-
-
-_WORDS = {
-    "right_family": "the right family is named",
-    "hedged": "it is among the alternatives",
-    "detected_unexplained": "detected, and reported as unexplained",
-    "confident_wrong": "another family, for sure",
-    "missed": "nothing is reported",
-    "not_testable": "reported as invisible in these data",
-}
-
-
-def leave_out_headline(result: Mapping[str, Any]) -> str:
-    """One sentence."""
-    wrong = result["verdicts"]["confident_wrong"]
-    text = f"{wrong['hits']} of {wrong['total']} answers name another family for sure"
-    if wrong["share"] is not None:
-        text += f": {_percent(wrong)}"
-    if result["errors"]:
-        text += f"; {len(result['errors'])} diagnoses failed"
-    return text + "."
-
-
-def leave_out_markdown(result: Mapping[str, Any]) -> str:
-    """The whole report."""
-    total = [
-        [_WORDS[name], f"{found['hits']} of {found['total']}", _percent(found)]
-        for name, found in result["verdicts"].items()
-    ]
-    cases = [
-        [c["effect"], c["case"], c["verdict"].replace("_", " "), c["status"], listed(c["named"])]
-        for c in result["cases"]
-        if c["verdict"] in ("confident_wrong", "missed", "error")
-    ]
-    parts = [
-        f"# Effects left out of the library: seed {result['seed']}",
-        f"{leave_out_headline(result)} torchid {result['version']}. Intervals: 95 %.",
-        markdown_table(["answer", "cases", "share"], total),
-        "## By effect",
-        counts_table("left out", result["by_effect"]),
-        "## Cases that went wrong",
-        markdown_table(["left out", "case", "answer", "status", "named"], cases),
-    ]
-    return "\n\n".join(parts) + "\n"
-
-
-def _percent(found: Mapping[str, Any]) -> str:
-    if found["share"] is None:
-        return "-"
-    low, high = found["ci95"]
-    return f"{100 * found['share']:.1f} % ({100 * low:.1f} to {100 * high:.1f} %)"
 
 
 def own_shown(found: OwnCheck) -> Shown:

@@ -8,15 +8,14 @@ from torchid.effects.base import Effect, JointEffect
 from torchid.effects.registry import KINDS, Valued, nominal_effects
 from torchid.robot.model import Robot
 
-Target = Literal["mjcf", "urdf", "drake"]
-"""Files of simulators: Drake reads part of an MJCF."""
+Target = Literal["mjcf", "urdf"]
+"""Files of simulators."""
 
 SAID: dict[Target, frozenset[str]] = {
     "mjcf": frozenset({"damping", "friction", "armature", "stiffness", "offset"}),
     "urdf": frozenset({"damping", "friction"}),
-    "drake": frozenset({"damping", "armature"}),
 }
-"""Fields of `JointDynamics` that a format has; of Drake what its 1.51 takes from an MJCF."""
+"""Fields of `JointDynamics` that a format has."""
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,6 @@ class RunsRecord(Part, frozen=True, kw_only=True):
 
     phi: Float[Tensor, " R"]
     gamma: Float[Tensor, " R"]
-    searched_phi: Float[Tensor, " R"] = field(name="phi_before_polish")
-    searched_gamma: Float[Tensor, " R"] = field(name="gamma_before_polish")
     feasible: int
     gamma_zero: int
     reasons: tuple[tuple[str, ...], ...]
@@ -79,7 +77,6 @@ class StudySearch(Part, frozen=True, kw_only=True):
     generations: int
     schedule: str
     engine: str
-    polish: bool
     seed: int
 
 

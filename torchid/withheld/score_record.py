@@ -201,7 +201,6 @@ class ScoreRecord(Record, frozen=True, kw_only=True, tag="torchid.withheld.score
     code: dict[str, int]
     kinds: dict[str, int]
     scores: Scores
-    baselines: dict[str, Scores]
     answers: tuple[ScoredAnswer, ...]
 
     def __repr__(self) -> str:

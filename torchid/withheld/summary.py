@@ -42,17 +42,15 @@ def summary(
     keys: Sequence[Mapping[str, Any]],
     answers: Answers,
     *,
-    baselines: Answers | None = None,
     oracle: Answers | None = None,
     truly_closed: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """Scores of a set's answers, those of the baselines on the same cases, and every case.
+    """Scores of a set's answers, and every case.
 
     Args:
         cases: the set; cases without an answer are left out, and counted.
         keys: opened, in order.
         answers: by case.
-        baselines: by case, as `baselines.baseline_case` writes them.
         oracle: by case, answers of the diagnosis that was told.
         truly_closed: as `score.scores`.
     """
@@ -60,19 +58,6 @@ def summary(
     ours = [scored(k, answers[k["id"]]) for k in keys if k["id"] in answers]
     closed = None if oracle is None else closed_by(oracle)
     own = [answers[c.case] for c in ours]
-    # Scores of every baseline; a case on which they failed is one in which they found nothing.
-    found = baselines or {}
-    wanted = {c.case for c in ours}
-    methods = dict.fromkeys(m for record in found.values() for m in record.get("methods", ()))
-    failed = {"status": ERROR, "which": []}
-    out = {}
-    for method in methods:
-        rows = [
-            scored(key, found[key["id"]].get("methods", {}).get(method, failed))
-            for key in keys
-            if key["id"] in found and key["id"] in wanted
-        ]
-        out[method] = scores(rows, closed)
     return plain(
         {
             "schema": SCHEMA,
@@ -86,7 +71,6 @@ def summary(
             "code": dict(Counter(str(a.get("code")) for a in own)),
             "kinds": dict(Counter(c.kind for c in ours)),
             "scores": scores(ours, closed, truly_closed),
-            "baselines": out,
             "answers": [_listed(c, by_id[c.case]) for c in ours],
         }
     )

@@ -290,11 +290,11 @@ def _convergence_caption(study: Study) -> str:
         first, last = (float(e.history_phi[:, k].median()) for k in (0, -1))
         sentences.append(
             f"{s.scenario.id}: median phi {number(first)} after the first stage and {number(last)} "
-            f"after the last, {kept(e.searched_gamma)} of {len(e.sets)} runs without penalty"
+            f"after the last, {kept(e.history_gamma[:, -1])} of {len(e.sets)} runs without penalty"
         )
     return (
         "Loss phi (above) and penalty gamma (below) of the best point so far after each of "
-        f"{search.stages} stages, before the polish; thin: all runs, thick: the run that is best "
+        f"{search.stages} stages; thin: all runs, thick: the run that is best "
         "in the end, red: phi_min of the scenario's bounds where it is not zero. Under the "
         "full loss xi grows from stage to stage, so phi may rise while gamma falls. "
         f"{'; '.join(sentences)}."
@@ -359,9 +359,9 @@ def _losses_caption(study: Study) -> str:
             f"{s.scenario.id}: best {number(s.phi)}, {ended} in {count(len(e.sets), 'run')}; {said}"
         )
     return (
-        "Loss of every run before (grey) and after the polish (green: feasible, red: infeasible), "
-        "the best set ringed, and phi_min as a bar: the proven least loss of any feasible set, so "
-        "nothing green can be below it. Losses below "
+        "Loss of every run after its last stage (grey) and in the end (green: feasible, red: "
+        "infeasible), the best set ringed, and phi_min as a bar: the proven least loss of any "
+        "feasible set, so nothing green can be below it. Losses below "
         f"{_LEAST_PHI:g} are drawn there. {'. '.join(sentences)}."
     )
 
@@ -371,14 +371,14 @@ def _losses(study: Study) -> Figure:
     axes.set(yscale="log", ylabel="loss phi")
     for c, s in enumerate(study.scenarios):
         e = s.extraction
-        before, after = (_floored(x, _LEAST_PHI) for x in (e.searched_phi, e.phi))
+        before, after = (_floored(x, _LEAST_PHI) for x in (e.history_phi[:, -1], e.phi))
         axes.scatter(c - 0.2 + spread(len(before), 1, 0.1), before, s=10, color=GREY, linewidth=0)
         place = c + 0.15 + spread(len(after), 2, 0.12)
         _marks(axes, s, place, after)
         least = facts.phi_min(study, s)
         if not math.isnan(least) and least < math.inf:
             axes.hlines(max(least, _LEAST_PHI), c - 0.42, c + 0.42, color=INK, linewidth=1.6)
-    axes.scatter([], [], s=10, color=GREY, label="before the polish")
+    axes.scatter([], [], s=10, color=GREY, label="after the last stage")
     _names(axes)
     axes.plot([], [], color=INK, linewidth=1.6, label="phi_min")
     title = f"{study.robot.name}: losses of all runs against what is possible"

@@ -82,28 +82,27 @@ def scenario_table(study: Study) -> Table:
 
 
 def search_table(study: Study) -> Table:
-    """How the runs of each scenario ended, before and after the polish."""
+    """How the runs of each scenario ended."""
     rows = []
     for s in study.scenarios:
         e = s.extraction
-        before = (e.searched_phi.min(), e.searched_phi.median())
-        losses = (*before, e.phi.min(), e.phi.median(), e.phi.max())
+        losses = (e.history_phi[:, -1].median(), e.phi.min(), e.phi.median(), e.phi.max())
         rows.append(
             (
                 s.scenario.id, str(len(e.sets)), *(number(float(x)) for x in losses),
-                f"{kept(e.searched_gamma)} / {kept(e.gamma)}",
-                str(int(s.feasibility.feasible.sum())), str(len(facts.endings(s).unique())),
-                f"{e.seconds:.1f}",
+                str(kept(e.gamma)), str(int(s.feasibility.feasible.sum())),
+                str(len(facts.endings(s).unique())), f"{e.seconds:.1f}",
             )
         )  # fmt: skip
     return Table(
-        "runs of each scenario: loss phi before and after the polish",
-        ("set", "runs", "best before", "median before", "best", "median", "worst", "gamma = 0",
+        "runs of each scenario: loss phi",
+        ("set", "runs", "median after the last stage", "best", "median", "worst", "gamma = 0",
          "feasible", "different", "time [s]"),
         rows,
         words=("set",),
-        note="gamma = 0: runs without any penalty, before / after the polish; different: runs that "
-        "ended in the same set count once.",
+        note="each run ends in the set of nearly the least loss that is nearest to where its last "
+        "stage left it; gamma = 0: runs without any penalty; different: runs that ended in the "
+        "same set count once.",
     )  # fmt: skip
 
 
@@ -390,7 +389,7 @@ def _origin(study: Study, files: Sequence[str]) -> str:
         f"reference motion {s.wrench_motion.seed}",
         f"search: {search.runs} runs, {search.stages} stages of {search.generations} generations "
         f"of {population} points in {problem.size} variables, engine {search.engine}, schedule "
-        f"{search.schedule}, {'with' if search.polish else 'without'} polish, seed {search.seed}",
+        f"{search.schedule}, seed {search.seed}",
         f"conditions: boxes of the centres of mass of the bounds `{s.geometry}`, total mass "
         f"{number(low)} to {number(high)} kg, physical consistency",
         "time: " + ", ".join(f"{part} {seconds:.1f} s" for part, seconds in study.seconds.items()),

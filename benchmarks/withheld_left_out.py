@@ -1,10 +1,14 @@
 """Every effect taken out of the library in turn: what is said when the right name is not there?
 
+    python benchmarks/withheld_left_out.py --out left --seed 4711 [--per-effect 2] [--effects a,b]
+
 The answer should be `detected_unexplained`, a member of the same family, or an open one; never
-another family's name for sure. Cases come from the simulator of `plant`, one planted effect each;
-their folder holds keys, for a diagnosis that is told what to leave out is not a sealed one.
+another family's name for sure. Cases come from the simulator of `torchid.withheld.plant`, one
+planted effect each; their folder holds keys, for a diagnosis that is told what to leave out is not
+a sealed one. What is there already is kept, so that an interrupted run goes on.
 """
 
+import argparse
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -15,7 +19,8 @@ from torchid import __version__
 from torchid.effects.registry import FAMILIES, KINDS, effect_kind
 from torchid.errors import TorchidError
 from torchid.json_data import plain, read_json, write_json
-from torchid.parallel.workers import Progress, each
+from torchid.parallel.workers import Progress, cores, each
+from torchid.report.withheld import counts_table, listed, markdown_table
 from torchid.withheld.case_set import ANSWER, LOG, ROBOT, write_case
 from torchid.withheld.measures import Verdict, rate, verdict
 from torchid.withheld.rows import named_record, row_of
@@ -151,3 +156,77 @@ def summary(
             "cases": cases,
         }
     )
+
+
+_WORDS = {
+    "right_family": "the right family is named",
+    "hedged": "it is among the alternatives",
+    "detected_unexplained": "detected, and reported as unexplained",
+    "confident_wrong": "another family, for sure",
+    "missed": "nothing is reported",
+    "not_testable": "reported as invisible in these data",
+}
+
+
+def leave_out_headline(result: Mapping[str, Any]) -> str:
+    """One sentence."""
+    wrong = result["verdicts"]["confident_wrong"]
+    text = f"{wrong['hits']} of {wrong['total']} answers name another family for sure"
+    if wrong["share"] is not None:
+        text += f": {_percent(wrong)}"
+    if result["errors"]:
+        text += f"; {len(result['errors'])} diagnoses failed"
+    return text + "."
+
+
+def leave_out_markdown(result: Mapping[str, Any]) -> str:
+    """The whole report."""
+    total = [
+        [_WORDS[name], f"{found['hits']} of {found['total']}", _percent(found)]
+        for name, found in result["verdicts"].items()
+    ]
+    cases = [
+        [c["effect"], c["case"], c["verdict"].replace("_", " "), c["status"], listed(c["named"])]
+        for c in result["cases"]
+        if c["verdict"] in ("confident_wrong", "missed", "error")
+    ]
+    parts = [
+        f"# Effects left out of the library: seed {result['seed']}",
+        f"{leave_out_headline(result)} torchid {result['version']}. Intervals: 95 %.",
+        markdown_table(["answer", "cases", "share"], total),
+        "## By effect",
+        counts_table("left out", result["by_effect"]),
+        "## Cases that went wrong",
+        markdown_table(["left out", "case", "answer", "status", "named"], cases),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _percent(found: Mapping[str, Any]) -> str:
+    if found["share"] is None:
+        return "-"
+    low, high = found["ci95"]
+    return f"{100 * found['share']:.1f} % ({100 * low:.1f} to {100 * high:.1f} %)"
+
+
+def main() -> None:
+    """Run, and write leave_out.json and leave_out.md."""
+    parser = argparse.ArgumentParser(description="Take every effect out of the library in turn.")
+    parser.add_argument("--out", type=Path, required=True, help="folder of cases and answers")
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--effects", help="comma-separated; all by default")
+    parser.add_argument("--per-effect", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=cores())
+    parser.add_argument("--again", action="store_true", help="replace answers of another torchid")
+    given = parser.parse_args()
+    result = leave_out(
+        given.out, given.seed, effects=given.effects and given.effects.split(","),
+        per_effect=given.per_effect, jobs=given.jobs, again=given.again,
+    )  # fmt: skip
+    write_json(result, given.out / "leave_out.json")
+    (given.out / "leave_out.md").write_text(leave_out_markdown(result), encoding="utf-8")
+    print(leave_out_headline(result))
+
+
+if __name__ == "__main__":
+    main()
