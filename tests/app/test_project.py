@@ -90,7 +90,7 @@ def test_the_command_line_goes_before_it(command, bench, folder) -> None:
 
 def test_another_robot_has_its_own_tip_limits_and_payload(command, bench) -> None:
     for words, expected in (((), [3.0] * 3), (("3r",), [15.0, 7.5, 10.0])):
-        done = command("robot", *words, "--json", "r.json", "--out", "o")
+        done = command("robot", *words, "--json", "r.json", "--out", "o", "--overwrite")
         assert done.code == 0, done.err
         joints = json.loads(Path("r.json").read_text())["joints"]
         assert [joint["acceleration"][1] for joint in joints] == expected

@@ -168,7 +168,8 @@ def test_by_command(tmp_path):
         assert torch.equal(drives.joint, arm.servos.joint)
     plain = run("export", model, "--to", "mjcf", "--name", "plain")
     assert "force of the servos" in plain
-    said = run("export", model, "--to", "urdf", "--robot", "3r", "--log", file)
+    said = run("export", model, "--to", "urdf", "--robot", "3r", "--log", file, "--overwrite")
     assert "servos are written into an MJCF only" in said
     for words in (("gap", "--for"), ("correct", "--to")):
-        assert "servos are written into an MJCF only" in run(words[0], "3r", file, words[1], "urdf")
+        said = run(words[0], "3r", file, words[1], "urdf", "--overwrite")
+        assert "servos are written into an MJCF only" in said

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from msgspec import UNSET, UnsetType
@@ -449,9 +450,11 @@ class DiagnosisRecord(Record, frozen=True, eq=False, kw_only=True):
 
     Attributes:
         answer: what it answers; None in files of older versions.
+        explanation: what the command printed beside it: tables and sentences.
     """
 
     answer: Answer | None = None
+    explanation: dict[str, Any] | UnsetType = UNSET
 
     def _repr_html_(self) -> str:
         return super()._repr_html_() if self.answer is None else self.answer._repr_html_()
