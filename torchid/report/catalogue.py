@@ -2,9 +2,9 @@
 the effects' own columns."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
-from itertools import cycle
+from itertools import cycle, groupby
 from pathlib import Path
 from typing import Any, get_args
 
@@ -45,45 +45,38 @@ _SCALES: dict[Scale, str] = {
     "torque": " times the joint's 99 % torque",
     "travel": " times the joint's travel",
 }
-SEED = 1
-SECONDS = 20.0
-RATE = 25.0
-CUTOFF = 8.0
+SEED, SECONDS, RATE, CUTOFF = 1, 20.0, 25.0, 8.0
 """The motion that effects are compared along: its seed, duration [s], samples [Hz], band [Hz]."""
 
+MOST_RIVALS = 4
+"""Of an effect on the page."""
 _HEAD = """# The effects
 
 What besides the rigid body can make an arm's torque differ from a simulator's: {count} effects in
-{families} families. This page is written by the program (`torchid effects --out docs`).
+{families} families. `torchid effects --out docs` writes this page.
 
     tau = Y(q, dq, ddq) pi + sum of the effects
 
-Every effect is linear in its *coefficients*; *shape* parameters are searched. Units are those of a
-revolute joint (a prismatic one has N for N m and m for rad). `torchid identify --effects a,b` fits
-those that need no trusted model, `NAME:joint=2,SHAPE=0.1` at one place and with a given shape (else
-on every joint, shapes searched), `torchid gap` searches over all of them, and
-`torchid simulate --effect NAME:joint=2,COEFFICIENT=0.5` adds them to a simulated arm. Members of
-one family look alike in a log: believe the family first, and the member where the diagnosis names
-no alternative. The pictures show the torque on the second joint of a KUKA LWR IV+ along one motion.
+Every effect is linear in its *coefficients*; *shape* parameters are searched. Unless its entry says
+otherwise, an effect acts at one joint (`joint`), shows in logs of torque, and is fitted by
+`identify` and `gap`. Units are those of a revolute joint.
 
-What an effect is *confused with* is computed on that arm along {seconds:g} s of exciting motion, on
-its first, second and last joint: the largest correlation of any torque of the one effect with any
-of the other at the same place, all shapes tried, from {alike:g}, or the nearest where none is as
-near; *exactly* means that at a place some torque of the one is one of the other. `torchid gap`
-computes it for your log, beside all else that is fitted.
+`torchid identify --effects a,b` fits effects on every joint, `NAME:joint=2,SHAPE=0.1` at one place
+with a given shape. `torchid gap` searches over all of them. `torchid simulate --effect
+NAME:joint=2,COEFFICIENT=0.5` adds them to a simulated arm. Members of one family look alike in a
+log: believe the family first. `torchid effects NAME` gives one entry in full, with its source. The
+pictures show the torque on joint 2 of a KUKA LWR IV+.
+
+*Confused with* is the largest correlation of any torque of two effects at one place, from
+{alike:g}, or the nearest where none is as near, along {seconds:g} s of exciting motion. *Exactly*:
+some torque of the one is one of the other. `torchid gap` computes it for your log.
 """
 
-_SERVOS = """What lies between a command and a position, in logs that hold no torque. Effects above
-whose entry names positions are looked for there, too.
-"""
+_SERVOS = "In logs of commands and positions, beside effects whose entry names positions.\n"
 
 
-def catalogue_page(images: str = "img") -> str:
-    """The page in Markdown.
-
-    Args:
-        images: folder of the families' pictures, relative to the page.
-    """
+def catalogue_page() -> str:
+    """The page in Markdown."""
     families = list(get_args(Family))
     head = _HEAD.format(count=len(KINDS), families=len(families), seconds=SECONDS, alike=ALIKE)
     contents, parts = [], []
@@ -92,8 +85,8 @@ def catalogue_page(images: str = "img") -> str:
         links = ", ".join(f"[{kind.name}](#{kind.name})" for kind in members)
         contents.append((f"[{family}](#{family})", links))
         parts += [f"## {family}\n\n{FAMILY_WORDS[family]}\n"]
-        parts += [f"![Effects of the family {family}]({images}/{picture_name(family)}.png)\n"]
-        parts += map(effect_text, members)
+        parts += [f"![Effects of the family {family}](img/{picture_name(family)}.png)\n"]
+        parts += [effect_text(kind, brief=True) for kind in members]
     links = ", ".join(f"[{name}](#{name})" for name in SERVO_KINDS)
     contents.append(("[command and servo](#command-and-servo)", links))
     parts += ["## command and servo\n", _SERVOS, *map(servo_text, SERVO_KINDS.values())]
@@ -105,20 +98,18 @@ def picture_name(family: Family) -> str:
     return f"effects-{family}"
 
 
-def effect_text(kind: type[Effect]) -> str:
-    """One effect in Markdown."""
+def effect_text(kind: type[Effect], brief: bool = False) -> str:
+    """One effect in Markdown; briefly without sources, and what holds for most effects."""
     alike = (
         f"[{r.name}](#{r.name}) {'exactly' if r.same else f'{r.correlation:.2f}'}"
-        for r in known_rivals(kind)
+        for r in known_rivals(kind)[: MOST_RIVALS if brief else None]
     )
     fitted = "`identify` and `gap`" if not_fitted(kind) is None else "`gap`"
-    coefficients = [
-        (
-            f"`{c.name}`", c.unit, "not negative" if c.non_negative else "any",
-            f"{c.largest:g}" if math.isfinite(c.largest) else "", c.meaning,
-        )
-        for c in kind.coefficients
-    ]  # fmt: skip
+    facts = (
+        ("place", _place(kind), "one joint (`joint`)"),
+        ("logs", " and ".join(logs_of(kind)), "torque"),
+        ("fitted by", fitted, "`identify` and `gap`"),
+    )
     lines = [
         f"### {kind.name}",
         "",
@@ -126,19 +117,17 @@ def effect_text(kind: type[Effect]) -> str:
         "",
         f"    {kind.equation}",
         "",
-        pipe_table(("coefficient", "unit", "sign", "at most", "meaning"), coefficients),
-        "",
+        *_coefficients(kind),
         *(
-            f"- shape `{s.name}` [{s.unit}]: {s.meaning}; searched from {s.low:g} to {s.high:g}"
-            f"{_SCALES[s.scale]}"
+            f"- shape `{s.name}` [{s.unit}], {s.low:g} to {s.high:g}{_SCALES[s.scale]}: {s.meaning}"
             for s in kind.shapes
         ),
-        f"- place: {_place(kind)}; logs: {' and '.join(logs_of(kind))}; fitted by: {fitted}",
+        *(f"- {name}: {x}" for name, x, usual in facts if x != usual or not brief),
         f"- signature: {kind.signature}",
         f"- confused with: {', '.join(alike)}",
-        f"- to tell them apart: {kind.experiment}",
+        f"- experiment: {kind.experiment}",
         f"- remedy: {kind.remedy}",
-        f"- source: {kind.source}",
+        *(() if brief else (f"- source: {kind.source}",)),
         "",
     ]
     return "\n".join(lines)
@@ -234,6 +223,17 @@ def write_catalogue(folder: Path) -> Path:
     page = folder / "effects.md"
     write_text(page, catalogue_page())
     return page
+
+
+def _coefficients(kind: type[Effect]) -> Iterator[str]:
+    """A line a coefficient; those of one tensor have one."""
+    for _, alike in groupby(kind.coefficients, lambda c: (c.meaning.split(",")[0], c.unit)):
+        first, *rest = alike
+        names = ", ".join(f"`{c.name}`" for c in (first, *rest))
+        meaning = ", ".join([first.meaning, *(c.meaning.rpartition(", ")[2] for c in rest)])
+        least, most = ("0 to " if first.non_negative else "up to ±"), first.largest
+        bounds = f", {least}{most:g}" if most < math.inf else ", ≥ 0" * first.non_negative
+        yield f"- {names} [{first.unit}]{bounds}: {meaning}"
 
 
 def _place(kind: type[Effect]) -> str:

@@ -54,11 +54,6 @@ def suspects_table(answer: Answer) -> Table:
     return Table(title, columns, rows, names=columns[:1], words=columns[3:])
 
 
-def first_tables(answer: Answer, band: float | None = None) -> list[Table]:
-    """The answer, and its suspects."""
-    return filled(answer_table(answer, band), suspects_table(answer))
-
-
 def shown(result: Diagnosis | DiagnosisRecord, model: str = "") -> Shown:
     """All that there is to see of a diagnosis, or of one that was read back.
 
