@@ -3,6 +3,7 @@
 import ast
 import re
 import statistics
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -79,6 +80,7 @@ def test_the_readme_is_short() -> None:
     assert max(map(len, lines)) <= 130
 
 
+@cache
 def _strings() -> list[tuple[str, str]]:
     """What the program prints: strings of its sources that are no docstrings, with their places."""
     out = []
@@ -91,6 +93,37 @@ def _strings() -> list[tuple[str, str]]:
             if isinstance(n, ast.Constant) and isinstance(n.value, str) and id(n) not in alone
         ]
     return out
+
+
+RIDDLES = (
+    "motions that want it",
+    "the causes close",
+    "what the causes closed",
+    "that this log cannot separate from it",
+    "present, below what was asked for",
+    "Mind this number",
+    "Change your log",
+    "of it can be separated from",
+    "does not say how sure it is: its",
+    "non-repeatable effect",
+    "which favours it",
+    "what was known before did not determine",
+    "the data ask for a sign",
+    "least known of",
+    "Leave the window out",
+    "(ours)",
+    "what it rests on",
+    "as its own velocities tell",
+    "with the effects found",
+    "mrad with what was found",
+)
+"""Phrases that stopped a reader, each with a plain form in its place."""
+
+
+@pytest.mark.parametrize("riddle", RIDDLES)
+def test_no_riddle_is_printed(riddle: str) -> None:
+    pages = {str(page): " ".join(prose(page).split()) for page in PAGES}
+    assert [place for place, text in (*_strings(), *pages.items()) if riddle in text] == []
 
 
 @pytest.mark.slow

@@ -1,0 +1,81 @@
+"""The answer in a terminal as a user has it: a pseudo-terminal of some width."""
+
+import fcntl
+import os
+import pty
+import re
+import struct
+import subprocess
+import sys
+import termios
+from pathlib import Path
+
+import pytest
+
+from tests.app.test_start_up import ROOT, _loaded
+
+RUN = "import sys; sys.argv = ['torchid', *sys.argv[1:]]; from torchid.app import main; main()"
+LINES = 25
+
+
+def on_a_terminal(columns: int, folder: Path, *arguments: str) -> list[str]:
+    """The lines that a command leaves on a terminal, what it shows while it runs apart."""
+    main, other = pty.openpty()
+    fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
+    environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
+    with subprocess.Popen(
+        [sys.executable, "-c", RUN, *arguments],
+        stdout=other, stderr=subprocess.DEVNULL, cwd=folder,
+        env=environment | {"PYTHONPATH": ROOT, "TERM": "xterm"},
+    ) as process:  # fmt: skip
+        os.close(other)
+        shown = b""
+        while True:
+            try:
+                part = os.read(main, 4096)
+            except OSError:  # the other end is closed
+                break
+            if not part:
+                break
+            shown += part
+    os.close(main)
+    assert process.returncode == 0, shown.decode()
+    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.decode()).splitlines()
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a KUKA whose joints have friction, and one of them more."""
+    import torchid
+
+    robot = torchid.load_robot("kuka_lwr4")
+    motion = torchid.excite(robot, duration=8.0, restarts=1, iterations=0).log(rate=100)
+    faults = [{"effect": "viscous_friction", "joint": j, "Fv": 2.0 / j} for j in range(1, 8)]
+    faults += [{"effect": "coulomb_friction", "joint": j, "Fc": 1.0 / j} for j in range(1, 8)]
+    faults += [{"effect": "torque_offset", "joint": 3, "F0": 1.0}]
+    file = tmp_path_factory.mktemp("screen") / "run.parquet"
+    torchid.write_log(torchid.simulate(robot, motion, effects=faults, seed=1), file)
+    return file
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("columns", [60, 80, 120])
+def test_the_answer_is_one_screen(log: Path, columns: int, tmp_path: Path) -> None:
+    """Headline to the files' names; no line is broken by the terminal; the names are whole."""
+    effects = "viscous_friction,coulomb_friction,torque_offset"
+    lines = on_a_terminal(
+        columns, tmp_path, "gap", "kuka_lwr4", str(log), "--effects", effects, "--out", "gap",
+        "--save-model", "c.yaml", "--no-rollout",
+    )  # fmt: skip
+    assert len(lines) <= LINES, "\n".join(lines)
+    assert max(map(len, lines)) <= columns, "\n".join(lines)
+    text = " ".join(" ".join(lines).split())
+    for part in (
+        "lower the gap:",
+        "all joints: viscous friction Fv =",
+        "% less",
+        "c.yaml",
+        "written:",
+    ):
+        assert part in text, text
+    assert _loaded("explain", str(tmp_path / "gap/gap.json")) == []  # nor torch
