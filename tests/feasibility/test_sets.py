@@ -60,7 +60,7 @@ def test_nominal_set_holds_the_robot(name: str) -> None:
 
 def test_robot_without_parameters_is_refused() -> None:
     with pytest.raises(RobotError, match="parameters"):
-        nominal_set(load_robot("ur10e"))
+        nominal_set(load_robot("panda"))
 
 
 def test_parts_and_joined_undo_each_other() -> None:

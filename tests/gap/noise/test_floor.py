@@ -114,8 +114,8 @@ def test_what_happens_once_does_not_raise_the_floor():
     middle = (found.low * found.high).sqrt()
     assert torch.allclose(middle / size(segments, z), torch.ones(3), atol=0.25)
     (note,) = found.notes
-    assert "non-repeatable effect on joint 2" in note
-    first, last = (float(x) for x in note.split("worst at ")[1].split(" s (")[0].split(" to "))
+    assert "joint 2 did not repeat well" in note
+    first, last = (float(x) for x in note.split("well at ")[1].split(" s in ")[0].split(" to "))
     assert first - 1 <= 11.0 <= last + 1
 
 
