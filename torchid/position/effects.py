@@ -17,6 +17,12 @@ _FAMILIES = {
 }
 """Families, in this answer, of the effects that add torque."""
 
+_OFFSET = (
+    "A constant torque pulls at the joint: gravity that the model lacks, or a wrong zero.",
+    "Set the joint's zero anew, and the load that the arm carries.",
+)
+"""Meaning and remedy of a torque offset where no torque is measured."""
+
 _ORDER = (
     "command_delay", "set_point_profile", "set_point_speed", "command_filter", "command_gain",
     "derivative_gain", "integral_action", "saturation", "dead_zone", "torque_offset",
@@ -30,8 +36,9 @@ def _effect(name: str) -> ServoEffect:
     if name not in _FAMILIES:
         return SERVO_KINDS[name]
     kind = KINDS[name]
+    meaning, remedy = _OFFSET if name == "torque_offset" else (kind.meaning, kind.remedy)
     return ServoEffect(
-        name, _FAMILIES[name], kind.servo, kind.meaning, kind.remedy, kind.equation, kind.experiment
+        name, _FAMILIES[name], kind.servo, meaning, remedy, kind.equation, kind.experiment
     )
 
 
