@@ -22,7 +22,7 @@ from torchid.robot.model import Robot
 
 NAMES = [name for name in torchid.__all__ if name != "__version__"]
 LONG = (
-    "Diagnosis", "correct", "diagnose", "diagnose_positions", "equal_torque_study", "examine",
+    "Diagnosis", "correct", "diagnose", "equal_torque_study", "examine",
     "excite_for", "randomise", "withheld_own",
 )  # fmt: skip
 """Names whose example takes more than half a second."""

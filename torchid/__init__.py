@@ -4,7 +4,6 @@ The public names load on first use, so that `import torchid` is quick and thread
 still be made before torch loads. Their types are in __init__.pyi.
 """
 
-import warnings
 from importlib import import_module
 
 __version__ = "0.3.0"
@@ -61,28 +60,12 @@ _PUBLIC = {
     "TorchidError": "torchid.errors",
 }
 
-_RENAMED = {
-    "diagnose_positions": ("torchid.position.diagnose", "diagnose"),
-    "correct_positions": ("torchid.export.correct_positions", "correct"),
-    "randomise_positions": ("torchid.export.randomise_positions", "randomise"),
-    "next_commands": ("torchid.position.next_motion", "excite_for"),
-}
-"""Names that go with the next release: where each stands, and what takes logs of any kind."""
-
 __all__ = [*_PUBLIC, "__version__"]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> object:
     if name in _PUBLIC:
         return getattr(import_module(_PUBLIC[name]), name)
-    if name in _RENAMED:
-        module, now = _RENAMED[name]
-        warnings.warn(
-            f"torchid.{name} will go: torchid.{now} takes logs of any kind.",
-            DeprecationWarning,
-            stacklevel=2,
-        )
-        return getattr(import_module(module), name)
     raise AttributeError(f"module 'torchid' has no attribute '{name}'")
 
 

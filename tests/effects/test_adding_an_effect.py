@@ -1,4 +1,4 @@
-"""An effect is one class and one line of the registry: everything else follows from them.
+"""An effect is one class and its name: everything else follows from them.
 
 The steps are those of CONTRIBUTING.md, followed here with an effect that exists nowhere else.
 """
@@ -149,7 +149,6 @@ def test_no_other_source_file_knows_them():
         and any(word in path.read_text() for word in (*NEW, "MotorRipple", "PositionDependent"))
     ]
     assert others == []
-    registered_in = (folder / "effects" / "registry.py").read_text()
     own = [path.name for path in (folder / "effects").glob("*.py") if NEW[1] in path.read_text()]
     assert sorted(own) == ["names.py", "periodic.py"]
-    assert registered_in.count("        MotorRipple,\n") == 1
+    assert "MotorRipple" not in (folder / "effects" / "registry.py").read_text()

@@ -10,7 +10,13 @@ from torch import Tensor
 from tests.arms import arm, states
 from torchid.effects.base import Motion
 from torchid.effects.names import NAMES
-from torchid.effects.registry import KINDS, nominal_effect_torque, nominal_effects, on_every_joint
+from torchid.effects.registry import (
+    _NAMED,
+    KINDS,
+    nominal_effect_torque,
+    nominal_effects,
+    on_every_joint,
+)
 from torchid.errors import RobotError, TorchidError
 
 
@@ -23,6 +29,7 @@ def test_unknown_effect_lists_the_available_ones() -> None:
 
 def test_names_are_known_without_the_classes() -> None:
     assert tuple(KINDS) == NAMES
+    assert set(_NAMED) == set(NAMES)
 
 
 @pytest.mark.parametrize("name", ["3r_friction", "kuka_lwr4_friction"])

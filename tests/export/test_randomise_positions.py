@@ -11,7 +11,6 @@ import torchid
 from tests.position.diagnosed import diagnosis
 from torchid.app.commands import app
 from torchid.errors import TorchidError
-from torchid.export.randomise_positions import randomise_positions
 from torchid.position.fit import absolute
 from torchid.simulation.servo import INDEX
 from torchid.simulators.servo import drawn_servos
@@ -30,7 +29,7 @@ def found():
 
 
 def test_draws_have_the_covariance_of_what_the_log_told(found):
-    wide = randomise_positions(found.record, 0.9, draws=1024, seed=2)
+    wide = torchid.randomise(found.record, 0.9, draws=1024, seed=2)
     moved = absolute(wide.draws) - absolute(found.servos)
     own = moved[:, 0, [INDEX[name] for name in NAMES]]
     assert float(found.servos.of("delay")[0]) > 6 * COVARIANCE[2, 2] ** 0.5  # none is cut at zero
@@ -53,7 +52,7 @@ def test_draws_have_the_covariance_of_what_the_log_told(found):
 
 def test_what_is_positive_stays_so(found):
     joints = ((NAMES[2:], torch.ones(1, 1).double()), *found.known[1:])
-    wide = randomise_positions(replace(found, known=joints).record, draws=64)
+    wide = torchid.randomise(replace(found, known=joints).record, draws=64)
     assert float(wide.draws.of("delay").min()) == 0
 
 
@@ -71,7 +70,7 @@ def test_by_command(found, tmp_path):
         "arm_ranges.csv", "arm_servo_draws.npz"
     ]  # fmt: skip
     drawn = drawn_servos(tmp_path / "arm_servo_draws.npz", found.servos)
-    again = randomise_positions(torchid.load(tmp_path / "gap.json"), 0.9, draws=64)
+    again = torchid.randomise(torchid.load(tmp_path / "gap.json"), 0.9, draws=64)
     assert torch.allclose(drawn.joint, again.draws.joint)
     rows = (tmp_path / "arm_ranges.csv").read_text().splitlines()
     assert rows[1].startswith('"actuator_gainprm[0] / scale, -actuator_biasprm[1]",kp,joint_1,')
@@ -93,9 +92,9 @@ def test_what_cannot_be_drawn(found, more, said):
     if "robot" in more:
         more = {"robot": torchid.load_robot(more["robot"])}
     with pytest.raises(TorchidError, match=said):
-        randomise_positions(found.record, **more)
+        torchid.randomise(found.record, **more)
 
 
 def test_an_older_diagnosis_has_no_covariance(found):
     with pytest.raises(TorchidError, match="as older versions wrote it"):
-        randomise_positions(replace(found, known=()).record)
+        torchid.randomise(replace(found, known=()).record)

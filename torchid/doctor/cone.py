@@ -47,12 +47,19 @@ class Normal:
     count: np.ndarray
     spread: np.ndarray
 
+    def part(self, blocks: np.ndarray) -> "Normal":
+        """Of some blocks."""
+        return Normal(
+            self.gram[blocks],
+            self.cross[blocks],
+            self.square[blocks],
+            self.count[blocks],
+            self.spread,
+        )
+
     def without(self, block: int) -> "Normal":
         """The other blocks."""
-        keep = np.arange(len(self.count)) != block
-        return Normal(
-            self.gram[keep], self.cross[keep], self.square[keep], self.count[keep], self.spread
-        )
+        return self.part(np.arange(len(self.count)) != block)
 
     def mean_square(self, x: np.ndarray) -> np.ndarray:
         """(B, n) mean squared error of parameters x (P,)."""

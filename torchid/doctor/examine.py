@@ -44,6 +44,7 @@ from torchid.doctor.velocity import check_velocity
 from torchid.errors import LogError
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.json_data import plain
+from torchid.log.checks import check_joints
 from torchid.log.model import Log
 from torchid.results.record import Result
 from torchid.robot.model import Robot, joint_list
@@ -135,12 +136,7 @@ def examine(
     robot = as_robot(robot)
     log = as_log(log, robot)
     robot.require_fixed_base("the log doctor")
-    if log.n != robot.n:
-        raise LogError(
-            f"log '{log.source}' has another number of joints than robot '{robot.name}'.",
-            got=f"{log.n} (q1..q{log.n})",
-            expected=f"{robot.n} (q1..q{robot.n})",
-        )
+    check_joints(log, robot.name, robot.n)
     longest = max(rows.stop - rows.start for rows in log.slices())
     if longest < LEAST_SAMPLES:
         raise LogError(

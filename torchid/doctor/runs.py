@@ -130,10 +130,7 @@ def _with_own(
 
 def _loss(normal: Normal, parts: np.ndarray, x: np.ndarray) -> float:
     """Sum of the joints' log errors in some parts."""
-    some = replace(
-        normal, gram=normal.gram[parts], cross=normal.cross[parts], square=normal.square[parts],
-        count=normal.count[parts],
-    )  # fmt: skip
+    some = normal.part(parts)
     count = some.count.sum(0)
     mean = (some.mean_square(x) * some.count).sum(0) / np.maximum(count, 1)
     return float(np.log(shares(mean, normal.spread))[count >= FEWEST].sum())

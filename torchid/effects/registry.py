@@ -1,4 +1,4 @@
-"""The library of effects: one line a kind."""
+"""The library of effects: the kinds of its modules, in the order of `names`."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -6,82 +6,40 @@ from dataclasses import fields, replace
 from typing import Any
 
 from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.effects.backlash import Backlash
+from torchid.effects import (
+    backlash,
+    bearing,
+    coupling,
+    file_mistakes,
+    friction,
+    friction_laws,
+    gravity,
+    hysteresis,
+    inertia,
+    periodic,
+    phase,
+    spring,
+    surroundings,
+    transient,
+)
 from torchid.effects.base import Effect, JointEffect, Motion
-from torchid.effects.bearing import AxialLoadFriction, BearingMomentFriction
-from torchid.effects.coupling import GearCoupling
-from torchid.effects.file_mistakes import InertiaReferencePoint, InertiaScale, MirroredLink
-from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
-from torchid.effects.friction_laws import (
-    AsymmetricFriction,
-    LoadDependentFriction,
-    PowerLawFriction,
-    StribeckFriction,
-    ThermalFrictionDrift,
-)
-from torchid.effects.gravity import (
-    BaseTilt,
-    EncoderOffset,
-    KinematicError,
-    TorqueCrosstalk,
-    TorqueGain,
-)
-from torchid.effects.hysteresis import LoadHysteresis, PreslidingHysteresis
-from torchid.effects.inertia import LinkInertia, Payload, RotorInertia
-from torchid.effects.names import PLACES, require_effects
-from torchid.effects.periodic import Cogging, MotorRipple, PositionDependentFriction
-from torchid.effects.phase import FilterLag, JointElasticity, TimeDelay
-from torchid.effects.spring import JointSpring
-from torchid.effects.surroundings import EndStop, PlaneContact
-from torchid.effects.transient import Contact, DriveSaturation, DroppedSamples, Saturation
+from torchid.effects.names import NAMES, PLACES, require_effects
 from torchid.errors import RobotError, TorchidError
 from torchid.robot.model import Robot
 from torchid.robot.yaml_values import number
 from torchid.typing import Joints
 
-KINDS: dict[str, type[Effect]] = {
+_MODULES = (
+    backlash, bearing, coupling, file_mistakes, friction, friction_laws, gravity, hysteresis,
+    inertia, periodic, phase, spring, surroundings, transient,
+)  # fmt: skip
+_NAMED: dict[str, type[Effect]] = {
     kind.name: kind
-    for kind in (
-        ViscousFriction,
-        PowerLawFriction,
-        CoulombFriction,
-        StribeckFriction,
-        LoadDependentFriction,
-        BearingMomentFriction,
-        AxialLoadFriction,
-        TorqueOffset,
-        AsymmetricFriction,
-        JointSpring,
-        RotorInertia,
-        PreslidingHysteresis,
-        LoadHysteresis,
-        Cogging,
-        MotorRipple,
-        PositionDependentFriction,
-        ThermalFrictionDrift,
-        GearCoupling,
-        BaseTilt,
-        TorqueGain,
-        TorqueCrosstalk,
-        EncoderOffset,
-        KinematicError,
-        Payload,
-        LinkInertia,
-        InertiaReferencePoint,
-        InertiaScale,
-        MirroredLink,
-        TimeDelay,
-        FilterLag,
-        JointElasticity,
-        Backlash,
-        Saturation,
-        DriveSaturation,
-        EndStop,
-        PlaneContact,
-        Contact,
-        DroppedSamples,
-    )
+    for module in _MODULES
+    for kind in vars(module).values()
+    if isinstance(kind, type) and issubclass(kind, Effect) and hasattr(kind, "name")
 }
+KINDS = {name: _NAMED[name] for name in NAMES}
 
 FAMILIES: dict[str, str] = {name: kind.family for name, kind in KINDS.items()}
 

@@ -1,7 +1,7 @@
 """A robot's inverse dynamics as a C99 file that needs nothing but <math.h>."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from torch import Tensor
@@ -10,8 +10,8 @@ from torchid import __version__
 from torchid.digits import number
 from torchid.effects.c_text import JOINTS, RIGID
 from torchid.effects.registry import Valued, in_rounds, nominal_effects
-from torchid.export.c_rigid import HELPERS, RECURSION
 from torchid.export.dynamics import Dynamics, described
+from torchid.robot.config_files import filled_template
 from torchid.robot.model import JointType, Robot
 
 _SIGN = """\
@@ -19,6 +19,7 @@ static double sign(double x)
 {
     return (double)((x > 0.0) - (x < 0.0));
 }
+
 """
 _REPRESENTATIVE = """\
 The result is a set of base parameters: the {b} combinations of the {p} parameters on which
@@ -109,16 +110,16 @@ def c_file(dynamics: Dynamics, file_name: str) -> CFile:
         local.append("double moved[{n}], here[{n}], there[{n}];")
     local += ["int i;"] if local else []
     torque = "".join(f"    {line}\n" for line in [*(x.format(n=robot.n) for x in local), *body])
-    parts = [
-        "\n".join(["/*", *words, " */"]),
-        f'#include <math.h>\n\n#include "{file_name}.h"\n\n#define N {robot.n_links}\n',
-        _constants(robot),
-        HELPERS,
-        RECURSION.format(name=name, n=robot.n),
-        *([_SIGN] if any("sign(" in line for line in code.first + code.later) else []),
-        f"{_signature(name, robot.n)}\n{{\n{torque}}}\n",
-    ]
-    return CFile("\n".join(parts), _header(name, dynamics), code.left_out)
+    given = {"name": name, "file": file_name, "n": robot.n, "about": "\n".join(words)}
+    source = filled_template(
+        "dynamics.c",
+        **given,
+        **_constants(robot),
+        sign=_SIGN if any("sign(" in line for line in code.first + code.later) else "",
+        signature=_signature(name, robot.n),
+        torque=torque,
+    )
+    return CFile(source, _header(name, robot), code.left_out)
 
 
 def _about(dynamics: Dynamics, file_name: str, left_out: Sequence[Valued]) -> str:
@@ -154,32 +155,30 @@ def _about(dynamics: Dynamics, file_name: str, left_out: Sequence[Valued]) -> st
     return "\n".join(lines)
 
 
-def _constants(robot: Robot) -> str:
+def _constants(robot: Robot) -> dict[str, object]:
+    """What the C file has as constants."""
     drives = robot.drives
-    prismatic = ", ".join(str(int(d.joint_type is JointType.PRISMATIC)) for d in drives)
-    parents = ", ".join(map(str, robot.parents))
-    follows = ", ".join(str(d.coordinate) for d in drives)
-    ratios, offsets = (
-        ", ".join(number(getattr(d, name)) for d in drives) for name in ("ratio", "offset")
-    )
-    pi = robot.require_parameters("an export").pi.double()
-    links = "\n".join(
-        f"    {{{', '.join(number(v) for v in row)}}}, /* {_plain(name)} */"
-        for row, name in zip(pi.tolist(), robot.link_names, strict=True)
-    )
-    gravity = ", ".join(number(v) for v in robot.gravity.tolist())
-    return (
-        f"static const int PRISMATIC[N] = {{{prismatic}}};\n"
-        f"static const int PARENT[N] = {{{parents}}};\n"
-        f"static const int FOLLOWS[N] = {{{follows}}};\n"
-        f"static const double RATIO[N] = {{{ratios}}};\n"
-        f"static const double OFFSET[N] = {{{offsets}}};\n"
-        f"static const double GRAVITY[3] = {{{gravity}}};\n"
-        f"static const double BEFORE[N][3][4] = {_poses(robot.before)};\n"
-        f"static const double AFTER[N][3][4] = {_poses(robot.after)};\n"
-        "/* m [kg], m c (3) [kg m], J (xx xy xz yy yz zz) about the frame's origin [kg m^2] */\n"
-        f"static const double LINK[N][10] = {{\n{links}\n}};\n"
-    )
+    pi = robot.require_parameters("an export").pi.double().tolist()
+    links = [
+        f"    {{{_list(map(number, row))}}}, /* {_plain(name)} */"
+        for row, name in zip(pi, robot.link_names, strict=True)
+    ]
+    return {
+        "links": robot.n_links,
+        "prismatic": _list(int(d.joint_type is JointType.PRISMATIC) for d in drives),
+        "parents": _list(robot.parents),
+        "follows": _list(d.coordinate for d in drives),
+        "ratios": _list(number(d.ratio) for d in drives),
+        "offsets": _list(number(d.offset) for d in drives),
+        "gravity": _list(map(number, robot.gravity.tolist())),
+        "before": _poses(robot.before),
+        "after": _poses(robot.after),
+        "parameters": "\n".join(links),
+    }
+
+
+def _list(values: Iterable[object]) -> str:
+    return ", ".join(map(str, values))
 
 
 def _plain(name: str) -> str:
@@ -188,7 +187,7 @@ def _plain(name: str) -> str:
 
 def _poses(poses: Tensor) -> str:
     rows = [
-        "    {" + ", ".join(f"{{{', '.join(number(v) for v in row)}}}" for row in pose[:3]) + "}"
+        f"    {{{_list(f'{{{_list(map(number, row))}}}' for row in pose[:3])}}}"
         for pose in poses.double().tolist()
     ]
     return "{\n" + ",\n".join(rows) + "\n}"
@@ -200,16 +199,13 @@ def _signature(name: str, n: int) -> str:
     return f"{start}{signals},\n{' ' * len(start)}double tau[{n}])"
 
 
-def _header(name: str, dynamics: Dynamics) -> str:
-    n = dynamics.robot.n
-    guard = f"{name.upper()}_H"
-    signature = _signature(name, n)
-    rigid = signature.replace(f"{name}_torque(", f"{name}_rigid(")
-    return (
-        f"/* Inverse dynamics of '{_plain(dynamics.robot.name)}': see the .c file. */\n"
-        f"#ifndef {guard}\n#define {guard}\n\n#define {name.upper()}_JOINTS {n}\n\n"
-        '#ifdef __cplusplus\nextern "C" {\n#endif\n\n'
-        f"/* torque of the rigid body */\n{rigid};\n"
-        f"/* torque of the rigid body with all effects */\n{signature};\n\n"
-        "#ifdef __cplusplus\n}\n#endif\n\n#endif\n"
+def _header(name: str, robot: Robot) -> str:
+    torque = _signature(name, robot.n)
+    return filled_template(
+        "dynamics.h",
+        robot=_plain(robot.name),
+        upper=name.upper(),
+        n=robot.n,
+        rigid=torque.replace(f"{name}_torque(", f"{name}_rigid("),
+        torque=torque,
     )

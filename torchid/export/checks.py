@@ -12,6 +12,7 @@ import torch
 
 from torchid.effects.base import Motion
 from torchid.export.c_code import CFile, identifier
+from torchid.robot.config_files import filled_template
 from torchid.typing import Joints
 
 EXACT = 1e-9
@@ -20,23 +21,6 @@ COMPILED = 1e-12
 """The same of compiled code, which repeats the library's own operations."""
 _SMALL = 1e-6
 """Share of the largest joint's torque below which a joint's own does not count as its scale."""
-_MAIN = """\
-#include <stdio.h>
-#include "{file}.h"
-
-int main(void)
-{{
-    double x[{states}], tau[{n}];
-    int k;
-    for (;;) {{
-        for (k = 0; k < {states}; k++)
-            if (scanf("%la", &x[k]) != 1) return 0;
-        {function}(x, x + {n}, x + {last}, tau);
-        for (k = 0; k < {n}; k++) printf("%a\\n", tau[k]);
-    }}
-}}
-"""
-"""A program that reads states and prints torques, as hexadecimal floats."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +97,8 @@ def check_c(code: CFile, file_name: str, motion: Motion, expected: Joints) -> Co
         (folder / f"{file_name}.c").write_text(code.source, encoding="utf-8")
         (folder / f"{file_name}.h").write_text(code.header, encoding="utf-8")
         n, function = motion.q.shape[-1], f"{identifier(file_name)}_torque"
-        main = _MAIN.format(file=file_name, function=function, n=n, states=3 * n, last=2 * n)
+        words = {"file": file_name, "function": function, "n": n, "states": 3 * n, "last": 2 * n}
+        main = filled_template("read_states.c", **words)
         (folder / "main_.c").write_text(main, encoding="utf-8")
         command = [cc, "-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-O2", "-o", "run_"]
         sources = ["main_.c", f"{file_name}.c", "-lm"]

@@ -1,6 +1,7 @@
 """How wide to randomise a simulator: what a randomisation holds, of torques or of servos."""
 
 import json
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.special import ndtri
 
 from torchid.effects.base import Effect
 from torchid.effects.friction import CoulombFriction, ViscousFriction
@@ -93,15 +95,7 @@ class Randomisation(Result):
     @cached_property
     def record(self) -> RandomisationRecord:
         """As the JSON has it."""
-        return RandomisationRecord(
-            robot=self.name,
-            level=self.level,
-            draws=len(self),
-            ranges=self.ranges,
-            residual=self.residual,
-            explanations=self.explanations,
-            warnings=self.warnings,
-        )
+        return RandomisationRecord.of(self, robot=self.name, draws=len(self))
 
     def write(self, folder: Path | str, name: str | None = None) -> list[Path]:
         """Write NAME_ranges.csv, NAME_draws.npz, NAME_mjlab.py and NAME_isaaclab.py; of servos
@@ -159,6 +153,19 @@ class Randomisation(Result):
             raise TorchidError("these are draws of servos.", hint="`draws.joint[k]`")
         robot = self.robot.with_parameters(InertialParameters(self.draws.pi[k]))
         return replace(robot, effects=records(self.draws.effects[k]))
+
+
+def sobol_points(count: int, width: int, seed: int) -> np.ndarray:
+    """Points (count, width) that fill the unit cube evenly."""
+    from scipy.stats import qmc
+
+    sobol = qmc.Sobol(width, rng=np.random.default_rng(seed))
+    return np.asarray(sobol.random_base2(math.ceil(math.log2(count)))[:count])
+
+
+def normal_points(points: np.ndarray) -> Tensor:
+    """The same of independent standard normal numbers."""
+    return torch.from_numpy(ndtri(points.clip(1e-12, 1 - 1e-12)))
 
 
 def drawn_values(

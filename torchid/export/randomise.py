@@ -18,9 +18,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
-import numpy as np
 import torch
-from scipy.special import ndtri
 
 from torchid.design.bodies import INSIDE, usual_bodies
 from torchid.dynamics.regressor import regressor
@@ -30,7 +28,14 @@ from torchid.errors import TorchidError
 from torchid.export.drawn_from import DrawnFrom, of_diagnosis, of_model
 from torchid.export.dynamics import records, states
 from torchid.export.projection import PRICE
-from torchid.export.randomisation import FIELDS, Draws, Randomisation, drawn_values
+from torchid.export.randomisation import (
+    FIELDS,
+    Draws,
+    Randomisation,
+    drawn_values,
+    normal_points,
+    sobol_points,
+)
 from torchid.export.randomise_positions import randomise_positions
 from torchid.export.record import RangeRow, Share
 from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, room_of
@@ -121,7 +126,7 @@ def randomise(
     if isinstance(found, PositionRecord):
         if spread:
             raise TorchidError("`spread=...` is of logs with torques, and these have commands.")
-        return randomise_positions(found, level, robot=robot, draws=draws, seed=seed)
+        return randomise_positions(found, level, robot, draws, seed)
     if isinstance(found, Robot):
         source = of_model(found, robot, level)
     else:
@@ -201,11 +206,8 @@ def _drawn(
     wide = max(p.root.shape[1] for p in parts)
     moving = any(bool(p.body.any()) for p in parts)
     count = draws * (CANDIDATES if moving else 1)
-    from scipy.stats import qmc
-
-    sobol = qmc.Sobol(1 + wide, rng=np.random.default_rng(seed))
-    points = sobol.random_base2(math.ceil(math.log2(count)))[:count]
-    z = torch.from_numpy(ndtri(points[:, 1:].clip(1e-12, 1 - 1e-12)))
+    points = sobol_points(count, 1 + wide, seed)
+    z = normal_points(points[:, 1:])
     chosen = torch.searchsorted(
         weights.cumsum(0) / weights.sum(), torch.from_numpy(points[:, 0].copy())
     )

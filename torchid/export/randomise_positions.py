@@ -9,13 +9,11 @@ import math
 from dataclasses import replace
 
 import msgspec
-import numpy as np
 import torch
 from msgspec import UNSET
-from scipy.special import ndtri
 
 from torchid.errors import TorchidError
-from torchid.export.randomisation import Randomisation
+from torchid.export.randomisation import Randomisation, normal_points, sobol_points
 from torchid.export.record import RangeRow
 from torchid.position.fit import absolute, from_absolute
 from torchid.position.record import PositionRecord
@@ -25,11 +23,10 @@ from torchid.simulation.servo import INDEX, PARAMETERS, Servos
 
 def randomise_positions(
     found: PositionRecord,
-    level: float = 0.95,
-    *,
-    robot: Robot | None = None,
-    draws: int = 256,
-    seed: int = 0,
+    level: float,
+    robot: Robot | None,
+    draws: int,
+    seed: int,
 ) -> Randomisation:
     """Draws of the servos of a diagnosis of commands and positions, and the range of each number.
 
@@ -41,13 +38,9 @@ def randomise_positions(
         seed: of the draws.
 
     Raises:
-        TorchidError: a diagnosis of an older version, which has no covariance; a level outside 0
-            to 1; a robot with another number of joints.
+        TorchidError: a diagnosis of an older version, which has no covariance; a robot with another
+            number of joints.
     """
-    if not 0 < level < 1:
-        raise TorchidError("the level is out of range.", got=level, expected="0..1, e.g. 0.95")
-    if draws < 2:
-        raise TorchidError("too few draws for a range.", got=draws, expected="2 or more")
     if found.known is UNSET:
         raise TorchidError(
             "the diagnosis holds no covariance of what it found, as older versions wrote it.",
@@ -65,11 +58,7 @@ def randomise_positions(
     centre, warnings = absolute(servos), []
     moved = centre.repeat(draws, 1, 1)
     width = sum(len(one.names) for one in found.known)
-    from scipy.stats import qmc
-
-    sobol = qmc.Sobol(max(1, width), rng=np.random.default_rng(seed))
-    points = sobol.random_base2(math.ceil(math.log2(draws)))[:draws]
-    z = torch.from_numpy(ndtri(points.clip(1e-12, 1 - 1e-12)))
+    z = normal_points(sobol_points(draws, max(1, width), seed))
     for one in found.known:
         sizes, axes = torch.linalg.eigh(one.covariance.double())
         root = axes * sizes.clamp(min=0).sqrt()

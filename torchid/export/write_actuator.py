@@ -8,7 +8,6 @@ branch after v1.2 (`mjlab.actuator.IdealPdActuator`, whose commands hold `pos` a
 from dataclasses import replace
 from pathlib import Path
 from pprint import pformat
-from string import Template
 from typing import Literal
 
 import torch
@@ -23,7 +22,7 @@ from torchid.export.keeping import Draft, kept, staged
 from torchid.export.servo_mjcf import STEP
 from torchid.export.write_plain import READER, Written
 from torchid.position.model import ServoArm
-from torchid.robot.config_files import config_folder
+from torchid.robot.config_files import filled_template
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.robot.writer import robot_yaml
@@ -36,10 +35,9 @@ Package = Literal["isaaclab", "mjlab"]
 
 def _filled(template: str, robot: Robot, package: Package, **words: object) -> bytes:
     """A template of configs/templates with its words."""
-    text = (config_folder("templates") / f"{template}_{package}.txt").read_text(encoding="utf-8")
     name = "Isaac Lab" if package == "isaaclab" else "mjlab"
     given = {"robot": robot.name, "version": __version__, "package": name, **words}
-    return Template(text).substitute(given).encode()
+    return filled_template(f"{template}_{package}.txt", **given).encode()
 
 
 def adds_any(robot: Robot) -> bool:

@@ -7,12 +7,11 @@ after 2.3 (`isaaclab.envs.mdp.randomize_joint_parameters` and `Articulation.writ
 import csv
 import io
 import math
-from collections.abc import Iterator, Sequence
-from string import Template
+from collections.abc import Iterable, Sequence
 
 from torchid import __version__
 from torchid.export.record import RandomisationRecord, RangeRow
-from torchid.robot.config_files import config_folder
+from torchid.robot.config_files import filled_template
 from torchid.statistics.proportion import HALF_95
 
 MUJOCO = {
@@ -47,117 +46,63 @@ _MJLAB = {
 
 def servo_csv(done: RandomisationRecord) -> str:
     """One row a range of a servo's number."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(("field", "parameter", "joint", "low", "high", "centre", "unit", "why"))
-    for r in done.ranges:
-        field = SERVOS.get(r.field, "at run time")
-        writer.writerow((field, r.field, r.name, r.low, r.high, r.centre, r.unit, r.why))
-    return out.getvalue()
+    rows = ((SERVOS.get(r.field, "at run time"), r.field, *_row(r)) for r in done.ranges)
+    return _csv("field parameter joint low high centre unit why", rows)
 
 
 def ranges_csv(done: RandomisationRecord, joints: Sequence[str]) -> str:
     """One row a range, then the torque that stays unexplained."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(("field", "name", "low", "high", "centre", "unit", "why"))
-    for r in done.ranges:
-        row = (MUJOCO.get(r.field, r.field), r.name, r.low, r.high, r.centre, r.unit, r.why)
-        writer.writerow(row)
+    rows = [(MUJOCO.get(r.field, r.field), *_row(r)) for r in done.ranges]
     for band in done.residual:
-        joint = joints[band.joint]
-        ends = (-HALF_95 * band.unexplained, HALF_95 * band.unexplained)
-        writer.writerow(("qfrc_applied", joint, *ends, 0.0, "", band.why))
+        half = HALF_95 * band.unexplained
+        rows.append(("qfrc_applied", joints[band.joint], -half, half, 0.0, "", band.why))
+    return _csv("field name low high centre unit why", rows)
+
+
+def _row(r: RangeRow) -> tuple[str, float, float, float, str, str]:
+    return r.name, r.low, r.high, r.centre, r.unit, r.why
+
+
+def _csv(columns: str, rows: Iterable[Sequence[object]]) -> str:
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows([columns.split(), *rows])
     return out.getvalue()
 
 
-def _said(done: RandomisationRecord, package: str, version: str) -> list[str]:
+def _head(done: RandomisationRecord, package: str, stem: str) -> str:
     """The first lines of a file."""
-    share = f"{100 * done.level:g} %"
-    return [
-        f'"""Ranges of \'{done.robot}\' that hold {share} of what its log leaves open.',
-        "",
-        f"Written by torchid {__version__} for {package}, of which {version} was read. Ranges of",
-        "single fields take no notice of how fields vary together: the draws beside this file do.",
-        '"""',
-        "",
-    ]
+    share = f"{100 * done.level:g}"
+    words = {"robot": done.robot, "share": share, "version": __version__, "stem": stem}
+    return filled_template(f"randomiser_{package}.txt", **words).rstrip()
 
 
-def _terms(done: RandomisationRecord, wanted: tuple[str, ...]) -> Iterator[tuple[str, RangeRow]]:
-    """Ranges of fields with a Python name each."""
-    for r in done.ranges:
-        if r.field in wanted:
-            joined = "".join(c if c.isalnum() else "_" for c in f"{r.field}_{r.name}")
-            yield joined, r
-
-
-def _pair(r: RangeRow) -> str:
-    return f"({r.low!r}, {r.high!r})"
+def _event(template: str, r: RangeRow, **own: object) -> str:
+    """One term, of a range of a joint's or a link's."""
+    term = "".join(c if c.isalnum() else "_" for c in f"{r.field}_{r.name}")
+    words = {"name": repr(r.name), "low": r.low, "high": r.high, "unit": r.unit, "why": r.why}
+    return filled_template(template, term=term, **words, **own).rstrip()
 
 
 def mjlab(done: RandomisationRecord, stem: str, joints: Sequence[str]) -> str:
     """EVENTS: one term a range, to be merged into an environment's `events`."""
-    lines = [
-        *_said(done, "mjlab", "v1.6"),
-        "from mjlab.envs.mdp import dr",
-        "from mjlab.managers.event_manager import EventTermCfg",
-        "from mjlab.managers.scene_entity_config import SceneEntityCfg",
-        "",
-        'ENTITY = "robot"  # name of the arm in the scene',
-        f'DRAWS = "{stem}_draws.npz"  # correlated draws, all of them bodies',
-        "",
-        "EVENTS = {",
+    events = [
+        _event("joint_event_mjlab.txt", r, function=_MJLAB[r.field])
+        for r in done.ranges
+        if r.field in _MJLAB
     ]
-    for name, r in _terms(done, tuple(_MJLAB)):
-        lines += [
-            f"    # {r.why}",
-            f"    {name!r}: EventTermCfg(",
-            '        mode="startup",',
-            f"        func=dr.{_MJLAB[r.field]},",
-            "        params={",
-            f'            "asset_cfg": SceneEntityCfg(ENTITY, joint_names=({r.name!r},)),',
-            f'            "ranges": {_pair(r)},  # {r.unit}',
-            '            "operation": "abs",',
-            "        },",
-            "    ),",
-        ]
-    for name, r in _terms(done, ("mass",)):
+    for r in (r for r in done.ranges if r.field == "mass"):
         # Mass and inertia together grow by exp(2 alpha), the centre of mass staying.
-        ends = [0.5 * math.log(x / r.centre) for x in (r.low, r.high)]
-        lines += [
-            f"    # {r.why} Of the centre, {r.centre!r} kg.",
-            f"    {name!r}: EventTermCfg(",
-            '        mode="startup",',
-            "        func=dr.pseudo_inertia,",
-            "        params={",
-            f'            "asset_cfg": SceneEntityCfg(ENTITY, body_names=({r.name!r},)),',
-            f'            "alpha_range": ({ends[0]!r}, {ends[1]!r}),',
-            "        },",
-            "    ),",
-        ]
-    return "\n".join([*lines, "}", *_beside(done, joints), ""])
+        least, most = (0.5 * math.log(x / r.centre) for x in (r.low, r.high))
+        own = {"least": least, "most": most, "centre": r.centre}
+        events.append(_event("mass_event_mjlab.txt", r, **own))
+    return "\n".join([_head(done, "mjlab", stem), *events, "}", *_beside(done, joints), ""])
 
 
 def isaaclab(done: RandomisationRecord, stem: str, joints: Sequence[str]) -> str:
     """Events: one term for all joints, which takes whole draws, and one a mass."""
-    text = (config_folder("templates") / "randomiser_isaaclab.txt").read_text(encoding="utf-8")
-    said = "\n".join(_said(done, "Isaac Lab", "the main branch after 2.3"))
-    lines = [f"{said}\n{Template(text).substitute(stem=stem).rstrip()}"]
-    for name, r in _terms(done, ("mass",)):
-        lines += [
-            f"    # {r.why}",
-            f"    {name} = EventTermCfg(",
-            "        func=mdp.randomize_rigid_body_mass,",
-            '        mode="startup",',
-            "        params={",
-            f'            "asset_cfg": SceneEntityCfg("robot", body_names={r.name!r}),',
-            f'            "mass_distribution_params": {_pair(r)},  # kg',
-            '            "operation": "abs",',
-            "        },",
-            "    )",
-        ]
-    return "\n".join([*lines, *_beside(done, joints), ""])
+    masses = [_event("mass_event_isaaclab.txt", r) for r in done.ranges if r.field == "mass"]
+    head = _head(done, "isaaclab", stem)
+    return "\n".join([head, *masses, *_beside(done, joints), ""])
 
 
 def _beside(done: RandomisationRecord, joints: Sequence[str]) -> list[str]:

@@ -8,7 +8,7 @@ from msgspec import UNSET, UnsetType, field
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.problem import Problem
 from torchid.feasibility.sets import SetEntry, SetsFile
-from torchid.results.record import Ends, Part, Real, Record, Rows
+from torchid.results.record import Ends, Part, Real, RobotRecord, Rows
 from torchid.robot.library import named_record
 from torchid.typing import Float, Tensor
 
@@ -76,14 +76,30 @@ class ExtractedSet(SetEntry, frozen=True, kw_only=True):
     torque_error_percent: Float[Tensor, " n"]
 
 
-class ExtractionRecord(SetsFile, frozen=True, kw_only=True, tag="torchid.extraction/1"):
-    """An extraction as its JSON has it.
+class ProblemRecord(RobotRecord, frozen=True, kw_only=True):
+    """What was asked for.
 
     Attributes:
-        robot, robot_source, robot_tip, robot_root, robot_lock: its name, and what it is loaded by.
         loss, bounds: what was asked for, and within what.
         base_names, base_values: the base parameters asked for.
         search_variables: their number. total_mass: interval [kg], or None.
+    """
+
+    robot_source: str
+    loss: str
+    bounds: str
+    base_names: tuple[str, ...]
+    base_values: Float[Tensor, " B"]
+    search_variables: int
+    total_mass: Ends | None
+
+
+class ExtractionRecord(
+    ProblemRecord, SetsFile, frozen=True, kw_only=True, tag="torchid.extraction/1"
+):
+    """An extraction as its JSON has it.
+
+    Attributes:
         method: how it was searched. search: its course, of a population search.
         certificate: the least loss of any feasible set.
         best: id of the set of least loss.
@@ -94,17 +110,6 @@ class ExtractionRecord(SetsFile, frozen=True, kw_only=True, tag="torchid.extract
         knowledge: how sure the base parameters are, as a robot's yaml has it.
     """
 
-    robot: str
-    robot_source: str
-    robot_tip: str | UnsetType = UNSET
-    robot_root: str | UnsetType = UNSET
-    robot_lock: dict[str, float] | UnsetType = UNSET
-    loss: str
-    bounds: str
-    base_names: tuple[str, ...]
-    base_values: Float[Tensor, " B"]
-    search_variables: int
-    total_mass: Ends | None
     method: str
     search: SearchRecord | None
     certificate: CertificateRecord | None
@@ -133,23 +138,12 @@ class AtlasRange(Part, frozen=True, kw_only=True):
     status: tuple[str, str]
 
 
-class AtlasRecord(Record, frozen=True, kw_only=True, tag="torchid.atlas/1"):
-    """An atlas as its JSON has it; see ExtractionRecord for what was asked.
+class AtlasRecord(ProblemRecord, frozen=True, kw_only=True, tag="torchid.atlas/1"):
+    """An atlas as its JSON has it; see ProblemRecord for what was asked.
 
     `kind` and `radius`: what equal torque means.
     """
 
-    robot: str
-    robot_source: str
-    robot_tip: str | UnsetType = UNSET
-    robot_root: str | UnsetType = UNSET
-    robot_lock: dict[str, float] | UnsetType = UNSET
-    loss: str
-    bounds: str
-    base_names: tuple[str, ...]
-    base_values: Float[Tensor, " B"]
-    search_variables: int
-    total_mass: Ends | None
     kind: str
     radius: Real
     parameters: tuple[AtlasRange, ...]

@@ -13,7 +13,7 @@ from torchid.effects.registry import Valued, column_kind, effect_from_record, no
 from torchid.errors import TorchidError
 from torchid.inputs import RobotLike, as_robot
 from torchid.results.files import contents, parsed
-from torchid.results.record import FINITE, Part, Record, Result, Rows, Values
+from torchid.results.record import FINITE, Part, Result, RobotRecord, Rows, Values
 from torchid.robot.inertia import InertialParameters, parallel_axis
 from torchid.robot.knowledge import Knowledge, from_mapping, to_mapping
 from torchid.robot.library import named_record
@@ -191,7 +191,7 @@ class SetEntry(Part, frozen=True, kw_only=True):
         return pi
 
 
-class SetsFile(_Candidates, Record, frozen=True, kw_only=True):
+class SetsFile(_Candidates, RobotRecord, frozen=True, kw_only=True):
     """A file that holds sets, by the names that `ParameterSets` has; asked one by one, each reads
     them anew.
 
@@ -243,19 +243,13 @@ class SetsRecord(SetsFile, frozen=True, kw_only=True, tag="torchid.parameter_set
     """A file of sets.
 
     Attributes:
-        robot, robot_source, robot_tip, robot_root, robot_lock: its name, and what it is loaded
-            by.
         sets: at least one.
         other_effects: that hold beside every set, which has no columns for them.
         knowledge: of the base parameters that the sets were extracted from, as a robot's yaml has
             it.
     """
 
-    robot: str | None = None
-    robot_source: str | None = None
-    robot_tip: str | UnsetType = UNSET
-    robot_root: str | UnsetType = UNSET
-    robot_lock: dict[str, float] | UnsetType = UNSET
+    robot: str | None = None  # type: ignore[assignment]
     sets: tuple[SetEntry, ...]
     other_effects: tuple[Values, ...] | UnsetType = UNSET
     knowledge: dict[str, list[str]] | UnsetType = UNSET

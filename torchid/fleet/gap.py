@@ -22,7 +22,7 @@ from torchid.json_data import plain
 from torchid.log.readers import open_log
 from torchid.parallel.store import Store
 from torchid.parallel.workers import Failure, Progress, Workers, attempted
-from torchid.results.record import Joint, Part, Real, Record, Result, Rows
+from torchid.results.record import Joint, Part, Real, Result, RobotRecord, Rows
 from torchid.robot.library import named_record
 from torchid.statistics.proportion import clopper_pearson
 
@@ -128,11 +128,10 @@ class FleetEffect(Part, frozen=True, kw_only=True):
         return _label(self.effect, [j + 1 for j in self.joints])
 
 
-class FleetGapRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet_gap/1"):
+class FleetGapRecord(RobotRecord, frozen=True, kw_only=True, tag="torchid.fleet_gap/1"):
     """A fleet's gaps as the JSON has them.
 
     Attributes:
-        robot, robot_source, robot_tip, robot_root, robot_lock: the type.
         version: of torchid.
         units: that have a diagnosis.
         effects: the most common first.
@@ -141,11 +140,6 @@ class FleetGapRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet_gap/1
         seed: from a command.
     """
 
-    robot: str
-    robot_source: str | None = None
-    robot_tip: str | UnsetType = UNSET
-    robot_root: str | UnsetType = UNSET
-    robot_lock: dict[str, float] | UnsetType = UNSET
     version: str
     units: tuple[str, ...]
     effects: tuple[FleetEffect, ...]

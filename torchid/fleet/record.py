@@ -4,7 +4,7 @@ from typing import Literal
 
 from msgspec import UNSET, UnsetType, field
 
-from torchid.results.record import Ends, Part, Real, Record, Rows
+from torchid.results.record import Ends, Part, Real, RobotRecord, Rows
 from torchid.typing import Float, Tensor
 
 Judged = Literal["good", "doubtful", "refused", "failed"]
@@ -145,11 +145,10 @@ class FleetSettingsRecord(Part, frozen=True, kw_only=True):
     level: float
 
 
-class FleetRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet/1"):
+class FleetRecord(RobotRecord, frozen=True, kw_only=True, tag="torchid.fleet/1"):
     """A fleet of one robot type.
 
     Attributes:
-        robot, robot_source, robot_tip, robot_root, robot_lock: the type, and what it is loaded by.
         version: of torchid.
         base_names: (B,) of the base parameters.
         parameters: over the fleet.
@@ -162,11 +161,6 @@ class FleetRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet/1"):
         seed: from a command.
     """
 
-    robot: str
-    robot_source: str | None = None
-    robot_tip: str | UnsetType = UNSET
-    robot_root: str | UnsetType = UNSET
-    robot_lock: dict[str, float] | UnsetType = UNSET
     version: str
     base_names: tuple[str, ...]
     parameters: tuple[PooledParameter, ...]

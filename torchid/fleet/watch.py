@@ -10,7 +10,7 @@ from msgspec import UNSET, UnsetType, field
 from torchid import __version__
 from torchid.errors import TorchidError
 from torchid.fleet.identify import USED, Fleet
-from torchid.results.record import Part, Real, Record, Result, Rows
+from torchid.results.record import Part, Real, Result, RobotRecord, Rows
 from torchid.robot.library import named_record
 from torchid.statistics.drift import drift
 from torchid.statistics.robust import MAD_TO_SIGMA
@@ -68,14 +68,9 @@ class WatchedUnit(Part, frozen=True, kw_only=True):
     evidence: tuple[Real, ...]
 
 
-class WatchRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet_watch/1"):
+class WatchRecord(RobotRecord, frozen=True, kw_only=True, tag="torchid.fleet_watch/1"):
     """What drifts in a fleet, as the JSON has it."""
 
-    robot: str
-    robot_source: str | None = None
-    robot_tip: str | UnsetType = UNSET
-    robot_root: str | UnsetType = UNSET
-    robot_lock: dict[str, float] | UnsetType = UNSET
     version: str
     false_alarm_every: float = field(name="sessions_per_false_alarm")
     alarms: tuple[Alarm, ...]

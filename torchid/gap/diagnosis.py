@@ -309,15 +309,14 @@ class TorqueDiagnosis(Diagnosis):
         """As the JSON has it."""
         far, floor = self.how_far, self.floor
         rms = zip(far.rms_before.tolist(), far.rms_after.tolist(), strict=True)
-        return GapRecord(
+        return GapRecord.of(
+            self,
             robot=self.robot.name,
-            status=self.status,
             where=Where(self.joints, self.regimes),
             which=(
                 *(f.record(self.robot) for f in self.findings),
                 *(_link(p) for p in self.parametric if p.links),
             ),
-            parametric=self.parametric,
             how_far=FarRecord.of(
                 far,
                 rms_before=far.rms_before.norm(),
@@ -328,24 +327,12 @@ class TorqueDiagnosis(Diagnosis):
                     for j, (before, after) in enumerate(rms)
                 ],
             ),
-            budget=self.budget,
-            not_testable=self.not_testable,
-            next_experiment=self.next_experiment,
             noise_floor=floor,
             trajectories=tuple(t.name for t in self.traces),
             band_hz=self.band,
             cutoff_hz=self.cutoff,
             settings=GapSettingsRecord.of(self.settings, self),
-            warnings=self.warnings,
             model=self.robot,
-            corrected=self.corrected,
-            joint_fits=self.joint_fits,
-            residual=self.residual,
-            small=self.small,
-            suspects=self.suspects,
-            knowledge=self.knowledge,
-            nearest_fields=self.nearest_fields,
-            answer=self.answer,
         )
 
     @cached_property

@@ -11,7 +11,7 @@ from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters, all_units, coefficient_names
 from torchid.identification.model import Blocks, IdentifiedModel
 from torchid.identification.settings import Rows
-from torchid.results.record import FINITE, Ends, Model, Part, Real, Record, Values
+from torchid.results.record import FINITE, Ends, Model, Part, Real, RobotRecord, Values
 from torchid.results.record import Rows as Table
 from torchid.robot.inertia import PARAMETERS_PER_LINK, parameter_names
 from torchid.robot.knowledge import Knowledge, from_mapping
@@ -136,13 +136,12 @@ class SettingsRecord(Part, frozen=True, kw_only=True):
 
 
 class IdentificationRecord(
-    IdentifiedModel, Record, frozen=True, kw_only=True, tag="torchid.identification/1"
+    IdentifiedModel, RobotRecord, frozen=True, kw_only=True, tag="torchid.identification/1"
 ):
     """An identification as its JSON has it; B base parameters.
 
     Attributes:
-        robot, robot_source, robot_tip, robot_root, robot_lock, robot_base: its name, and what it is
-            loaded by.
+        robot_base: fixed or moving.
         n_base: how many parameters are rigid.
         basis: report or conditioned.
         parameters, effects, combined: rigid ones, coefficients of effects, and sums led by one.
@@ -161,11 +160,6 @@ class IdentificationRecord(
         seed: from a command.
     """
 
-    robot: str
-    robot_source: str | None = None
-    robot_tip: str | UnsetType = UNSET
-    robot_root: str | UnsetType = UNSET
-    robot_lock: dict[str, float] | UnsetType = UNSET
     robot_base: str | UnsetType = UNSET
     n_base: int
     basis: Basis = "report"

@@ -6,7 +6,14 @@ from dataclasses import dataclass, field
 import torch
 
 from torchid.errors import LogError
-from torchid.log.checks import DEGREES, SLOW_STEP_S, check_increasing, largest_angle, own_units
+from torchid.log.checks import (
+    DEGREES,
+    SLOW_STEP_S,
+    check_increasing,
+    check_joints,
+    largest_angle,
+    own_units,
+)
 from torchid.log.model import Log
 from torchid.position.rods import with_rods
 from torchid.robot.model import JointType, Robot
@@ -240,12 +247,7 @@ def prepare(robot: Robot, log: Log, scale: Float[Tensor, " n"] | None = None) ->
         LogError: other joints than the robot's, as `tracks_of`, positions that are not finite or
             in degrees, no joint that moves, or less than `SHORTEST_S`.
     """
-    if log.n != robot.n:
-        raise LogError(
-            f"{log.label} has another number of joints than robot '{robot.name}'.",
-            got=f"{log.n} (q1..q{log.n})",
-            expected=f"{robot.n} (q1..q{robot.n})",
-        )
+    check_joints(log, robot.name, robot.n)
     if not bool(log.q.isfinite().all()):
         rows, joints = (~log.q.isfinite()).nonzero().T
         raise LogError(

@@ -19,7 +19,7 @@ from torchid.position.data import WINDOW_S, PositionData, missing_commands, prep
 from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
 from torchid.position.early import EarlyAnswer
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, neutral
-from torchid.position.fit import NOISE, TOGETHER, errors, fit
+from torchid.position.fit import NOISE, TOGETHER, errors, errors_of_one, fit
 from torchid.position.judge import (
     Equations,
     each_window,
@@ -345,9 +345,7 @@ def some_of(windows: Windows, most: int, size: Tensor | None = None) -> Windows:
 def _telling(data: PositionData, model: Found, windows: Windows) -> Tensor:
     """(W,) how much windows tell: the plain servo's error there, and no less than half of the
     typical one, so that none is left to chance alone."""
-    servos = model.servos
-    one = replace(servos, joint=servos.joint[None], plane=servos.plane[None])
-    error = errors(data, one, windows)[..., 0]
+    error = errors_of_one(data, model.servos, windows)
     own = (error.square().sum(0) / (error != 0).sum(0).clamp(min=1)).mean(1).sqrt()
     return own + own.median() / 2
 
@@ -392,8 +390,7 @@ Worth = dict[str, tuple[Tensor, Tensor]]
 
 def losses_of(data: PositionData, servos: Servos, windows: Windows) -> Tensor:
     """(m, n) losses of motions [rad^2]."""
-    one = replace(servos, joint=servos.joint[None], plane=servos.plane[None])
-    return motion_losses(errors(data, one, windows)[..., 0], windows)
+    return motion_losses(errors_of_one(data, servos, windows), windows)
 
 
 def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, Rivals, Found]:

@@ -141,6 +141,12 @@ def errors(data: PositionData, servos: Servos, windows: Windows) -> Float[Tensor
     return (q - measured[..., None]).nan_to_num_(nan=0.0)
 
 
+def errors_of_one(data: PositionData, servos: Servos, windows: Windows) -> Float[Tensor, "L W n"]:
+    """Errors of one set of servos alone."""
+    one = replace(servos, joint=servos.joint[None], plane=servos.plane[None])
+    return errors(data, one, windows)[..., 0]
+
+
 def _needed(data: PositionData, servos: Servos, windows: Windows) -> Bool[Tensor, " T"]:
     """Rows whose set-points windows need: their own, and as many before as delays reach back; all
     where a servo sums errors up."""

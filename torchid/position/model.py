@@ -10,9 +10,10 @@ import torch
 import yaml
 from msgspec import UNSET, UnsetType
 
-from torchid.errors import LogError, TorchidError
+from torchid.errors import TorchidError
 from torchid.files import atomic_write
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
+from torchid.log.checks import check_joints
 from torchid.log.model import Log
 from torchid.log.readers import each_log
 from torchid.position.data import STILL, WINDOW_S, tracks_of
@@ -231,12 +232,7 @@ def replay(arm: ServoArm | str | Path, logs: LogLike, *, windows: float | None =
     if windows is not None and not windows > 0:
         raise TorchidError("windows is a time.", got=windows, expected="> 0 s")
     for log in runs:
-        if log.n != robot.n:
-            raise LogError(
-                f"{log.label} has another number of joints than robot '{robot.name}'.",
-                got=f"{log.n} (q1..q{log.n})",
-                expected=f"{robot.n} (q1..q{robot.n})",
-            )
+        check_joints(log, robot.name, robot.n)
     tracks = [tracks_of(log, scale) for log in runs]
     # Logs of one rate are simulated side by side.
     out: dict[int, Log] = {}

@@ -115,10 +115,7 @@ class NextCommands(Result):
     @cached_property
     def record(self) -> NextCommandsRecord:
         """As the JSON has it."""
-        return NextCommandsRecord(
-            robot=self.robot, motions=self.motions, open=self.open, seconds=self.seconds,
-            rate_hz=self.rate, warnings=self.warnings,
-        )  # fmt: skip
+        return NextCommandsRecord.of(self, rate_hz=self.rate)
 
 
 def next_commands(

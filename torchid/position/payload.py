@@ -17,7 +17,7 @@ from torchid.position.fit import (
     LONGEST,
     NOISE,
     TOGETHER,
-    errors,
+    errors_of_one,
     fit,
     loss,
     mean_square,
@@ -145,8 +145,8 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
         for k in range(4):
             there = x.clone()
             there[k] += 0.02 * size[k]
-            along = _one(load.stronger(servos, x, there))
-            error = errors(load.carrying(there), along, windows)[..., 0]
+            along = load.stronger(servos, x, there)
+            error = errors_of_one(load.carrying(there), along, windows)
             slopes.append((error - s.residual) / (0.02 * size[k]))
         # Normal equations of every joint's servo (a), of the load (b), and between them.
         root = w.sqrt()[..., None]
@@ -257,9 +257,5 @@ def _ball(mass: float, com: Float[Tensor, "3"]) -> Float[Tensor, "10"]:
     return InertialParameters.from_com(com.new_tensor([mass]), com[None], none).pi[0]
 
 
-def _one(servos: Servos) -> Servos:
-    return replace(servos, joint=servos.joint[None], plane=servos.plane[None])
-
-
 def _total(data: PositionData, servos: Servos, windows: Windows) -> float:
-    return float(loss(errors(data, _one(servos), windows), windows).sum())
+    return float(loss(errors_of_one(data, servos, windows)[..., None], windows).sum())

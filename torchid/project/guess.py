@@ -12,7 +12,7 @@ from torchid.log.mapping import read_mapping
 from torchid.log.model import Log
 from torchid.log.readers import is_log, open_log, proposed_columns
 from torchid.log.table import Request
-from torchid.robot.config_files import ROBOT_FILES, URDF_FILES, built_in_robots
+from torchid.robot.config_files import ROBOT_FILES, URDF_FILES, built_in_robots, filled_template
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.robot.tree import Choice
@@ -22,40 +22,6 @@ Choose = Callable[[str, Sequence[str]], str]
 
 APART = re.compile(r"(?:^|[^a-z])(?:held|hold.?out|test|val|check|eval)", re.IGNORECASE)
 """Names of logs that are meant to be held out."""
-
-_TEXT = """\
-# What is the same in every torchid command about this robot. The command line goes before it, and
-# --project none leaves it aside. Paths are relative to this file.
-
-robot = {robot}
-{part}
-# Logs: which columns are what (--columns) where they have other names than t, q1.., dq1.., tau1..
-{columns}
-{gain}
-{logs}
-{apart}
-
-# Folder of results: each command has its own in it.
-out = {out}
-
-# Effects that `identify` fits beside the rigid body, and what the simulator of `gap` has already:
-# effects = ["viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia"]
-# background = ["viscous_friction", "coulomb_friction"]
-
-# In place of the robot's own, one number or one a joint [rad or m; per s; per s^2; N m or N]:
-[limits]
-{limits}
-
-# What the last link carries while the logs are recorded, in its frame [kg, m, kg m^2]:
-# [payload]
-# mass = 1.2
-# com = [0.0, 0.0, 0.05]
-# inertia = [0.001, 0.0, 0.0, 0.001, 0.0, 0.001]    # xx, xy, xz, yy, yz, zz about com
-
-# Any option of one command, in a table of its name:
-# [gap]
-# cutoff = 6
-"""
 
 
 @dataclass(frozen=True)
@@ -102,7 +68,8 @@ class Guess:
         limits = self.robot.limits
         unknown = [k for k in ("velocity", "acceleration") if getattr(limits, k) is None]
         apart = "# held-out = [..]    # whole runs that take part in no choice"
-        return _TEXT.format(
+        return filled_template(
+            "project.toml",
             robot=path(self.name) if os.path.isfile(self.name) else _quoted(self.name),
             part="\n".join(self._part()) or "# tip = ..",
             columns=f"columns = {_quoted(self.columns)}" if self.columns else "# columns = ..",

@@ -228,6 +228,16 @@ class Record(Part, Result, frozen=True, eq=False, kw_only=True, tag_field="schem
         return f"{type(self).__name__}({robot!r}, {len(self.table)} rows)"
 
 
+class RobotRecord(Record, frozen=True, kw_only=True):
+    """A result that names its robot, and what it is loaded by (`robot.library.named_record`)."""
+
+    robot: str
+    robot_source: str | None = None
+    robot_tip: str | UnsetType = UNSET
+    robot_root: str | UnsetType = UNSET
+    robot_lock: dict[str, float] | UnsetType = UNSET
+
+
 @dataclass(frozen=True)
 class _View:
     """Attributes of several objects, and own ones before them."""

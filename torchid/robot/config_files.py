@@ -1,6 +1,7 @@
 """Where the data files that come with torchid are, and what names a robot; without torch."""
 
 from pathlib import Path
+from string import Template
 
 from torchid.errors import RobotError
 from torchid.files import similar_files
@@ -14,6 +15,12 @@ def config_folder(name: str) -> Path:
     package = Path(__file__).resolve().parents[1]
     installed = package / "configs" / name
     return installed if installed.is_dir() else package.parent / "configs" / name
+
+
+def filled_template(file: str, /, **words: object) -> str:
+    """The text of configs/templates/<file> with its words."""
+    text = (config_folder("templates") / file).read_text(encoding="utf-8")
+    return Template(text).substitute(words)
 
 
 def built_in_robots() -> list[str]:

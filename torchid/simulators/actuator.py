@@ -24,6 +24,23 @@ from torchid.simulation.loads import BatchEffects, adds_torque
 from torchid.typing import Float, Int, Tensor
 
 
+def joints_named(robot: Robot, names: Sequence[str] | None) -> list[int]:
+    """Joints (from 0) of a simulator's names, which may have the entity's before a slash; all of
+    them if None.
+
+    Raises:
+        TorchidError: a name that is no joint of the robot.
+    """
+    own = [n.rpartition("/")[2] for n in (robot.joint_names if names is None else names)]
+    if unknown := [n for n in own if n not in robot.joint_names]:
+        raise TorchidError(
+            "the robot has no such joint.",
+            got=", ".join(unknown),
+            available=list(robot.joint_names),
+        )
+    return [robot.joint_names.index(n) for n in own]
+
+
 class EffectTorque:
     """What the effects of a robot resist its drives with, batched over environments.
 
@@ -56,14 +73,7 @@ class EffectTorque:
         resting: float = RESTING,
         fields: bool = False,
     ):
-        own = [n.rpartition("/")[2] for n in (robot.joint_names if names is None else names)]
-        if unknown := [n for n in own if n not in robot.joint_names]:
-            raise TorchidError(
-                "the robot has no such joint.",
-                got=", ".join(unknown),
-                available=list(robot.joint_names),
-            )
-        self.joints = [robot.joint_names.index(n) for n in own]
+        self.joints = joints_named(robot, names)
         pairs = nominal_effects(robot)
         held = [(e, v) for e, v in pairs if fields or e.attributes(v) is None]
         used = [(e, v) for e, v in held if self._adds(e)]

@@ -38,6 +38,7 @@ from torchid.errors import TorchidError
 from torchid.robot.model import Robot
 from torchid.simulation.servo import NAMES, PARAMETERS, Servos
 from torchid.simulation.servo_loop import FASTEST, profile_step
+from torchid.simulators.actuator import joints_named
 from torchid.typing import Bool, Float, Int, Tensor
 
 AT_RUN_TIME = ("kd", "acceleration", "speed")
@@ -186,20 +187,13 @@ class ServoTorque:
         fields: bool = False,
         resting: float = RESTING,
     ):
-        own = [n.rpartition("/")[2] for n in (robot.joint_names if names is None else names)]
-        if unknown := [n for n in own if n not in robot.joint_names]:
-            raise TorchidError(
-                "the robot has no such joint.",
-                got=", ".join(unknown),
-                available=list(robot.joint_names),
-            )
         if not (0 < dt < math.inf and steps >= 1):
             raise TorchidError(
                 "there are steps from one command to the next.",
                 got=f"dt={dt}, steps={steps}",
                 expected="dt > 0 s, steps >= 1",
             )
-        self.joints = [robot.joint_names.index(n) for n in own]
+        self.joints = joints_named(robot, names)
         every, joint = servos, servos.joint[..., self.joints, :]
         if joint.ndim > 2:
             joint = joint[torch.arange(environments) % len(joint)]
@@ -217,7 +211,7 @@ class ServoTorque:
         behind = (p["delay"] - self._points.late).clamp(min=0) / dt
         self._whole = behind.floor().long()
         self._part = behind - self._whole
-        zero = torch.zeros(environments, len(own), device=device, dtype=dtype)
+        zero = torch.zeros(environments, len(self.joints), device=device, dtype=dtype)
         self._keep = torch.exp(-dt / p["lag"].clamp(min=1e-12))
         self._x, self._way, self._filtered, self._sum = zero, zero, zero, zero
         # What set-points and their rates were, for servos that hear of them late.

@@ -383,9 +383,10 @@ def study_record(study: EqualTorqueStudy) -> EqualTorqueRecord:
     """A study of sets with equal torque; numbers that are not known are null."""
     setting, found = study.setting, study.statistics
     total = setting.conditions.total_mass.tolist()
-    return EqualTorqueRecord(
+    return EqualTorqueRecord.of(
+        study,
+        found,
         robot=setting.robot.name,
-        seed=study.seed,
         geometry=setting.geometry,
         outer=setting.outer.name,
         total_mass=(total[0], total[1]),
@@ -398,19 +399,10 @@ def study_record(study: EqualTorqueStudy) -> EqualTorqueRecord:
         ),
         instants=study.motion.q.shape[0],
         torque_relative_max=float(study.torque_relative.max()),
-        static_share=study.static_share,
         kinds=tuple(_kind(study, kind) for kind in study.kinds),
-        comparison=study.comparison,
         comparison_to_nominal=study.to_nominal,
-        thirds=found.thirds,
-        correlations=found.correlations,
-        matched=found.matched,
-        across=found.across,
         other_truths=study.truths,
         firm_truths=study.firm_truths,
-        reach=study.reach,
-        variants=study.variants,
-        warnings=study.warnings,
         sets=set_errors(
             study.family.sets.ids,
             study.degree,

@@ -6,13 +6,15 @@ collaborative arms; `7r` has alternating axes and the size of a human arm.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import pi
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from lxml import etree
 from lxml.builder import E
 
 from torchid.withheld.plant.bodies import Array, Box, Cylinder, Inertial, combined
+from torchid.yaml_data import parsed_yaml
 
 Triple = tuple[float, float, float]
 Solid = Box | Cylinder
@@ -96,125 +98,32 @@ CORNER = 0.6
 """Share of its free speed up to which a motor has all of its torque: there the battery's voltage
 ends, not the current."""
 
-_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-_LEVEL = (0.0, 0.0, 0.0)
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_SOLIDS: dict[str, type[Solid]] = {"box": Box, "cylinder": Cylinder}
 
 
-def _joint(xyz: Triple, rpy: Triple, axis: Triple, limits: Triple, *solids: Solid) -> Joint:
-    """A joint that turns as far one way as the other: limits of position, velocity and effort."""
-    reach, velocity, effort = limits
-    return Joint(xyz, rpy, axis, -reach, reach, velocity, effort, solids)
+def _joint(
+    xyz: Triple, axis: str, reach: float, velocity: float, effort: float,
+    solids: Sequence[dict[str, Any]], rpy: Triple = (0.0, 0.0, 0.0),
+) -> Joint:  # fmt: skip
+    """A joint of arms.yaml."""
+    made = (_SOLIDS[kind](*own) for solid in solids for kind, own in solid.items())
+    return Joint(xyz, rpy, _AXES[axis], -reach, reach, velocity, effort, tuple(made))
 
 
-def _tube(radius: float, length: float, density: float) -> Cylinder:
-    """A tube from the joint along z."""
-    return Cylinder(density, radius, length, (0.0, 0.0, length / 2))
+def _fixed(value: Any) -> Any:
+    """Lists of numbers as tuples."""
+    if isinstance(value, dict):
+        return {key: _fixed(entry) for key, entry in value.items()}
+    return tuple(map(_fixed, value)) if isinstance(value, list) else value
 
 
-def _hub(radius: float, length: float, axis: str, density: float, at: Triple) -> Cylinder:
-    return Cylinder(density, radius, length, at, axis)
-
-
-_3R = Arm(
-    "3r",
-    (
-        _joint(
-            (0.0, 0.0, 0.12), _LEVEL, _Z, (2.6, 3.0, 40.0),
-            _tube(0.07, 0.16, 2400.0), _hub(0.06, 0.14, "y", 2700.0, (0.01, 0.03, 0.16)),
-        ),
-        _joint(
-            (0.0, 0.0, 0.18), _LEVEL, _Y, (1.9, 2.6, 110.0),
-            Box(1100.0, (0.09, 0.08, 0.36), (0.0, 0.01, 0.18)),
-            _hub(0.05, 0.11, "y", 2600.0, (0.005, 0.0, 0.36)),
-        ),
-        _joint(
-            (0.0, 0.02, 0.36), _LEVEL, _Y, (2.4, 3.2, 50.0),
-            Box(1000.0, (0.06, 0.06, 0.30), (0.01, 0.0, 0.14)),
-            Box(2200.0, (0.07, 0.10, 0.05), (0.0, -0.01, 0.30)),
-        ),
-    ),
-    (0.0, 0.0, 0.34),
-)  # fmt: skip
-
-_6R = Arm(
-    "6r",
-    (
-        _joint(
-            (0.0, 0.0, 0.09), _LEVEL, _Z, (3.1, 3.0, 150.0),
-            _hub(0.06, 0.12, "z", 2100.0, (0.0, -0.01, 0.0)),
-            Box(1500.0, (0.1, 0.1, 0.09), (0.0, 0.03, 0.01)),
-        ),
-        _joint(
-            (0.0, 0.135, 0.0), (0.0, pi / 2, 0.0), _Y, (1.7, 2.6, 150.0),
-            Cylinder(1250.0, 0.055, 0.42, (0.0, 0.0, 0.21)),
-            _hub(0.06, 0.13, "y", 2300.0, (0.0, 0.01, 0.0)),
-            _hub(0.05, 0.11, "y", 2300.0, (0.0, -0.02, 0.42)),
-        ),
-        _joint(
-            (0.0, -0.12, 0.425), _LEVEL, _Y, (2.5, 3.0, 110.0),
-            Cylinder(1000.0, 0.04, 0.38, (0.005, 0.0, 0.19)),
-            _hub(0.04, 0.09, "y", 2200.0, (0.0, 0.01, 0.38)),
-        ),
-        _joint(
-            (0.0, 0.0, 0.392), (0.0, pi / 2, 0.0), _Y, (2.8, 3.3, 40.0),
-            _hub(0.038, 0.11, "y", 2100.0, (0.0, 0.06, 0.01)),
-            Box(1500.0, (0.06, 0.06, 0.06), (0.01, 0.09, 0.0)),
-        ),
-        _joint(
-            (0.0, 0.093, 0.0), _LEVEL, _Z, (2.8, 3.6, 35.0),
-            _hub(0.037, 0.10, "z", 2100.0, (0.005, 0.0, 0.05)),
-            Box(1500.0, (0.05, 0.07, 0.06), (0.0, 0.015, 0.09)),
-        ),
-        _joint(
-            (0.0, 0.0, 0.095), _LEVEL, _Y, (2.8, 3.6, 25.0),
-            _hub(0.034, 0.05, "y", 2500.0, (0.0, 0.06, 0.0)),
-            Box(1900.0, (0.05, 0.10, 0.09), (0.02, 0.12, 0.015)),
-        ),
-    ),
-    (0.0, 0.16, 0.0),
-)  # fmt: skip
-
-_7R = Arm(
-    "7r",
-    (
-        _joint(
-            (0.0, 0.0, 0.11), _LEVEL, _Z, (2.8, 2.2, 160.0),
-            _tube(0.06, 0.17, 1500.0), Box(1300.0, (0.1, 0.09, 0.09), (0.0, -0.03, 0.17)),
-        ),
-        _joint(
-            (0.0, 0.0, 0.2), (-pi / 2, 0.0, 0.0), _Z, (1.9, 2.2, 180.0),
-            _hub(0.06, 0.12, "z", 1500.0, (0.0, -0.01, 0.01)),
-            _hub(0.06, 0.14, "y", 1500.0, (0.0, -0.11, 0.02)),
-        ),
-        _joint(
-            (0.0, -0.2, 0.0), (pi / 2, 0.0, 0.0), _Z, (2.8, 2.3, 120.0),
-            _tube(0.055, 0.16, 1550.0), Box(1300.0, (0.09, 0.08, 0.08), (0.0, 0.03, 0.17)),
-        ),
-        _joint(
-            (0.0, 0.0, 0.2), (pi / 2, 0.0, 0.0), _Z, (2.0, 2.3, 120.0),
-            _hub(0.055, 0.11, "z", 1550.0, (0.0, 0.01, 0.01)),
-            _hub(0.055, 0.13, "y", 1550.0, (0.0, 0.10, 0.02)),
-        ),
-        _joint(
-            (0.0, 0.2, 0.0), (-pi / 2, 0.0, 0.0), _Z, (2.8, 2.5, 60.0),
-            _tube(0.045, 0.15, 1600.0), Box(1400.0, (0.08, 0.07, 0.07), (0.0, -0.02, 0.16)),
-        ),
-        _joint(
-            (0.0, 0.0, 0.19), (-pi / 2, 0.0, 0.0), _Z, (2.0, 2.6, 60.0),
-            _hub(0.045, 0.10, "z", 1700.0, (0.0, 0.01, 0.0)),
-            Box(1500.0, (0.07, 0.06, 0.08), (0.005, -0.02, 0.02)),
-        ),
-        _joint(
-            (0.0, -0.08, 0.0), (pi / 2, 0.0, 0.0), _Z, (2.8, 3.0, 40.0),
-            _hub(0.04, 0.04, "z", 2300.0, (0.0, 0.0, 0.03)),
-            Box(1900.0, (0.06, 0.10, 0.08), (0.025, 0.01, 0.09)),
-        ),
-    ),
-    (0.0, 0.0, 0.14),
-)  # fmt: skip
-
-ARMS: dict[str, Arm] = {arm.name: arm for arm in (_3R, _6R, _7R)}
+_ALL = _fixed(parsed_yaml(Path(__file__).with_name("arms.yaml").read_text(encoding="utf-8")))
+ARMS = {
+    name: Arm(name, tuple(_joint(**joint) for joint in own["joints"]), own["tool"])
+    for name, own in _ALL.items()
+}
 
 
 def urdf(arm: Arm, damping: Array, friction: Array) -> str:
