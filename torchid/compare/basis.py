@@ -72,7 +72,7 @@ def common_basis(results: Sequence[Identified]) -> Common:
                 "the results are of arms with different numbers of joints.",
                 got=f"{first.label}: {first.n}, {other.label}: {other.n}",
             )
-    refuse_other_kinematics([(r.label, r.robot) for r in results])
+    refuse_other_kinematics([(r.label, r.record.model) for r in results])
     union = list(dict.fromkeys(name for r in results for name in r.base.parameter_names))
     wide = _groupings(results, union)
     # Combinations to compare: the rigid body's of the poorest result, and all effects' own.
@@ -103,7 +103,7 @@ def common_basis(results: Sequence[Identified]) -> Common:
             )
     seen: dict[str, str] = {}
     for result in results:
-        for name in result.trajectories:
+        for name in result.record.fit.trajectories:
             if name in seen and seen[name] != result.label:
                 notes.append(
                     f"{seen[name]} and {result.label} were both fitted on a trajectory called "
@@ -111,8 +111,8 @@ def common_basis(results: Sequence[Identified]) -> Common:
                     "says little"
                 )
             seen.setdefault(name, result.label)
-    cutoffs = ["none" if r.cutoff is None else f"{r.cutoff:g} Hz" for r in results]
-    if len({r.cutoff for r in results}) > 1:
+    cutoffs = ["none" if r.record.cutoff is None else f"{r.record.cutoff:g} Hz" for r in results]
+    if len({r.record.cutoff for r in results}) > 1:
         text = ", ".join(cutoffs)
         notes.append(f"cut-offs differ ({text}): part of a difference may come from the filter")
     found = determined[:, rigid]

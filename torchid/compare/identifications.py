@@ -130,10 +130,12 @@ def compare_identifications(
         TorchidError: results of different kinematics, or a log but no robot.
     """
     common = common_basis(results)
-    robot = robot or next((r.robot for r in results if r.robot is not None), None)
+    robot = robot or next((r.record.model for r in results if r.record.model is not None), None)
     if robot is None and on is not None:
         raise TorchidError("torque along a log needs the robot.", expected="`robot=...`")
-    freedom = torch.tensor([float(max(1, r.blocks - 1)) for r in results], dtype=torch.float64)
+    freedom = torch.tensor(
+        [float(max(1, r.record.statistics.blocks - 1)) for r in results], dtype=torch.float64
+    )
     parameters = _parameters(common, freedom)
     pairs = [
         (p.scatter.birge, int(torch.isfinite(p.std).sum()))
@@ -150,12 +152,12 @@ def compare_identifications(
         )
         values = common.values[:, every]
         together = whole(values, covariance, correlation, freedom, seed=seed)
-    fitted = [name for r in results for name in set(r.trajectories)]
-    names = list(dict.fromkeys(r.robot.name for r in results if r.robot is not None))
+    fitted = [name for r in results for name in set(r.record.fit.trajectories)]
+    names = list(dict.fromkeys(r.record.robot for r in results if r.record.model is not None))
     return Comparison(
         labels=tuple(r.label for r in results),
         robot=" and ".join(names) if names else "the arm",
-        quantiles=tuple(r.quantile for r in results),
+        quantiles=tuple(r.record.statistics.quantile95 for r in results),
         parameters=parameters,
         whole=together,
         birge=birge,

@@ -12,12 +12,12 @@ from torchid.effects.registry import COLUMN_KINDS, on_every_joint
 from torchid.errors import TorchidError
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.least_squares import contaminated_columns
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
 from torchid.results.files import read
 from torchid.results.record import Record
 from torchid.robot.inertia import PARAMETERS_PER_LINK
-from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
 
 _R = TypeVar("_R", bound=Record)
@@ -27,10 +27,6 @@ KINDS = {
     "torchid.gap/1": "gap diagnoses",
     "torchid.parameter_sets/1": "parameter sets",
 }
-
-CONTAMINATED = 0.03
-"""Share of an undetermined column that lies along an estimated one, above which the estimate is of
-their sum."""
 
 
 @dataclass(frozen=True)
@@ -54,21 +50,17 @@ class Identified:
 
     Attributes:
         label: what to call it.
+        record: as it was read.
         base, effects, values: its base parameters (B,).
         covariance: (B, B), block-robust; 0 where nothing was estimated.
         estimated: (B,) free in the fit, and not part of a sum with undetermined ones.
         held: (B,) held at zero: a sign that physics forbids, or not essential.
         correlation: (B, B) of the estimates under white residuals, from the fit's factor; the
             identity for what was not estimated.
-        blocks: of the jackknife.
-        quantile: half-width of the 95 % interval in standard deviations.
-        cutoff: [Hz], or None. reversal: (n,) [rad/s or m/s].
-        trajectories: names of those fitted.
-        earlier: sessions that its model knew before.
-        robot: as recorded, or None.
     """
 
     label: str
+    record: IdentificationRecord
     base: BaseParameters
     effects: tuple[JointEffect, ...]
     values: Float[Tensor, " B"]
@@ -76,13 +68,11 @@ class Identified:
     estimated: Bool[Tensor, " B"]
     held: Bool[Tensor, " B"]
     correlation: Float[Tensor, "B B"]
-    blocks: int
-    quantile: float
-    cutoff: float | None
-    reversal: Float[Tensor, " n"]
-    trajectories: tuple[str, ...]
-    robot: Robot | None
-    earlier: tuple[str, ...] = ()
+
+    @property
+    def earlier(self) -> tuple[str, ...]:
+        """Sessions that its model knew before."""
+        return tuple((self.record.sure or {}).get("sources", ())[:-1])
 
     @property
     def n(self) -> int:
@@ -168,13 +158,6 @@ def read_identification(result: Compared[IdentificationRecord]) -> Identified:
             got=str(error),
             hint="write it again: torchid identify ROBOT LOG... --json FILE",
         ) from error
-    # Which estimates are of a sum with an undetermined parameter, as far as this log shows.
-    contaminated, size = torch.zeros_like(unknown), torch.linalg.vector_norm(factor, dim=0)
-    lost, known = unknown & (size > 0), ~unknown
-    if bool(lost.any()) and bool(known.any()):
-        parts = factor[:, known] / size[known], factor[:, lost] / size[lost]
-        share = torch.linalg.lstsq(*parts).solution
-        contaminated[known] = (share.abs() > CONTAMINATED).any(1)
     # The correlation of the estimates under white residuals.
     correlation = torch.eye(b, dtype=factor.dtype)
     index = (~(unknown | held)).nonzero().flatten()
@@ -184,20 +167,14 @@ def read_identification(result: Compared[IdentificationRecord]) -> Identified:
     correlation[index.unsqueeze(-1), index] = root @ root.T
     return Identified(
         label=result.label,
+        record=found,
         base=base,
         effects=effects,
         values=found.values,
         covariance=found.covariance,
-        estimated=~(unknown | held | contaminated),
+        estimated=~(unknown | held | contaminated_columns(factor, unknown)),
         held=held,
         correlation=correlation,
-        blocks=found.statistics.blocks,
-        quantile=found.statistics.quantile95,
-        cutoff=found.cutoff,
-        reversal=found.reversal,
-        trajectories=found.fit.trajectories,
-        robot=found.model,
-        earlier=tuple((found.sure or {}).get("sources", ())[:-1]),
     )
 
 

@@ -112,8 +112,8 @@ def identified_spread(
     Raises:
         LogError: a log that does not fit the robot.
     """
-    cutoff = min((r.cutoff for r in results if r.cutoff is not None), default=None)
-    reversal = torch.stack([r.reversal for r in results]).mean(0)
+    cutoff = min((r.record.cutoff for r in results if r.record.cutoff is not None), default=None)
+    reversal = torch.stack([r.record.reversal for r in results]).mean(0)
     motion = common_motion(robot, on, seed, cutoff, reversal)
     models = [partial(model_torque, robot, r.base, r.effects, r.values) for r in results]
     # The variance of torque that each covariance claims, averaged over the motion.

@@ -5,6 +5,7 @@ from typing import Any
 from torchid.errors import RobotError
 from torchid.excitation.fourier import SampledMotion
 from torchid.json_data import plain
+from torchid.robot.config_files import filled_template
 from torchid.robot.model import JointType, Robot
 
 AT_START = 0.02
@@ -56,23 +57,17 @@ def urscript(robot: Robot, motion: SampledMotion) -> str:
     rows = [f"[{','.join(f'{x:.6f}' for x in q)}]" for q in motion.q.tolist()]
     degrees = ", ".join(f"{x:.1f}" for x in motion.q[0].rad2deg().tolist())
     step = float(motion.t[1] - motion.t[0])
-    lines = [
-        f"start = {rows[0]}",
-        "actual = get_actual_joint_positions()",
-        "j = 0",
-        "while j < 6:",
-        f"  if actual[j] - start[j] > {AT_START} or start[j] - actual[j] > {AT_START}:",
-        f'    popup("Bring the arm to {degrees} deg first.", "torchid", False, True, True)',
-        "    halt",
-        "  end",
-        "  j = j + 1",
-        "end",
-        *(f"servoj({row}, 0, 0, {step:.6g}, {_LOOKAHEAD}, {_GAIN})" for row in rows),
-        "stopj(1.0)",
-    ]
-    head = f"# {robot.name}: {float(motion.t[-1]):g} s, a set point every {1000 * step:g} ms"
-    body = "\n".join("  " + line for line in lines)
-    return f"{head}\ndef torchid_motion():\n{body}\nend\n"
+    points = (f"  servoj({row}, 0, 0, {step:.6g}, {_LOOKAHEAD}, {_GAIN})" for row in rows)
+    return filled_template(
+        "motion.urscript",
+        robot=robot.name,
+        duration=f"{float(motion.t[-1]):g}",
+        milliseconds=f"{1000 * step:g}",
+        start=rows[0],
+        apart=AT_START,
+        degrees=degrees,
+        points="\n".join(points),
+    )
 
 
 def require_six_joints(robot: Robot) -> None:

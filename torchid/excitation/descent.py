@@ -7,13 +7,14 @@ times as long, and a search that does not gain a tenth of the driving time is no
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import torch
-from torch import Tensor
 
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import MotionLimits, largest_scale
 from torchid.excitation.restriction import Restriction
+from torchid.typing import Float, Tensor
 
 Progress = Callable[[int, int], None]
 
@@ -73,15 +74,7 @@ def descend(
 
     def candidate() -> FourierTrajectory:
         a, b = shape.chunk(2, -1)
-        raw = FourierTrajectory(
-            a,
-            b,
-            middle + reach * torch.tanh(place),
-            start.w_f,
-            start.duration,
-            start.ramp,
-            start.warnings,
-        )
+        raw = replace(start, a=a, b=b, q0=middle + reach * torch.tanh(place))
         scale = largest_scale(raw, limits)
         return raw.scaled(scale if kept is None else scale * torch.sigmoid(share))
 
@@ -131,12 +124,21 @@ def _merge(
 ) -> FourierTrajectory:
     """`first` where chosen (restarts,), else `second`."""
     wide = chosen[:, None, None]
-    return FourierTrajectory(
-        torch.where(wide, first.a, second.a).detach(),
-        torch.where(wide, first.b, second.b).detach(),
-        torch.where(chosen[:, None], first.q0, second.q0).detach(),
-        first.w_f,
-        first.duration,
-        first.ramp,
-        first.warnings,
+    return replace(
+        first,
+        a=torch.where(wide, first.a, second.a).detach(),
+        b=torch.where(wide, first.b, second.b).detach(),
+        q0=torch.where(chosen[:, None], first.q0, second.q0).detach(),
     )
+
+
+def best_of(
+    parts: Sequence[FourierTrajectory],
+    cost: Callable[[FourierTrajectory, Tensor], Tensor],
+    t: Float[Tensor, " T"],
+) -> tuple[FourierTrajectory, Float[Tensor, " K"]]:
+    """The trajectory of least cost among those of several batches, and the costs of all."""
+    with torch.no_grad():
+        costs = torch.cat([cost(x, t) for x in parts]).nan_to_num(nan=math.inf)
+    candidates = [x.select(k) for x in parts for k in range(len(x.q0))]
+    return candidates[int(costs.argmin())], costs

@@ -8,7 +8,6 @@ motion: a candidate is first scaled, joint by joint, until it touches them, and 
 what is differentiated. What couples joints is in `restriction`.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -20,7 +19,7 @@ from torchid.effects.base import JointEffect, Motion
 from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError, TorchidError
 from torchid.excitation.clearance import Clearance
-from torchid.excitation.descent import HARDLY, Progress, descend
+from torchid.excitation.descent import HARDLY, Progress, best_of, descend
 from torchid.excitation.fourier import BASE_PULSATION, FourierTrajectory
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.restriction import restricted
@@ -325,11 +324,7 @@ def optimise_trajectory(
     before = [condition(given.select(k)) for k in range(restarts)]
     t = torch.arange(0, duration, 1 / _RATE, dtype=torch.float64)
     # Starts compete too: a search that found nothing better returns the best of them.
-    candidates = [x.select(k) for x in (given, found) for k in range(restarts)]
-    with torch.no_grad():
-        costs = torch.cat([cost(given, t), cost(found, t)])
-    costs = torch.nan_to_num(costs, nan=math.inf)
-    best = candidates[int(costs.argmin())]
+    best, costs = best_of((given, found), cost, t)
     return Excitation(
         best,
         tuple(before),

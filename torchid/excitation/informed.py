@@ -21,7 +21,7 @@ import torch
 
 from torchid.errors import TorchidError
 from torchid.excitation.clearance import Clearance
-from torchid.excitation.descent import HARDLY, Progress, descend
+from torchid.excitation.descent import HARDLY, Progress, best_of, descend
 from torchid.excitation.design import base_regressor, optimise_trajectory
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import motion_limits
@@ -138,10 +138,7 @@ def design_for(
 
     found = descend(start, limits, cost, iterations, progress, kept)
     t = _times(prior, duration)
-    with torch.no_grad():
-        costs = torch.cat([cost(x, t) for x in (given, found)])
-    candidates = [x.select(k) for x in (given, found) for k in range(restarts)]
-    best = candidates[int(torch.nan_to_num(costs, nan=math.inf).argmin())]
+    best, _ = best_of((given, found), cost, t)
     return InformedDesign(
         best,
         plain.trajectory,

@@ -20,6 +20,7 @@ from torchid.fleet.model import FleetModel
 from torchid.identification.least_squares import (
     block_factors,
     combined_factor,
+    contaminated_columns,
     solve,
     stacked_factor,
     undetermined_columns,
@@ -45,10 +46,6 @@ ROUNDS = 4
 
 LEAST_NOISE = 1e-6
 """Noise of a joint as a share of the noisiest one's below which it gains no more weight."""
-
-CONTAMINATED = 0.03
-"""Share of an undetermined column that lies along an estimated one above which the estimate is of
-their sum (as in torchid.compare)."""
 
 _T = TypeVar("_T")
 
@@ -330,13 +327,7 @@ def estimate(factors: Factors, model: FleetModel) -> Estimate:
         gradients += (z.transpose(1, 2) @ left.unsqueeze(-1)).squeeze(-1)
     spread = jackknife(hessians, gradients, variance=1.0, combinations=inverse)
     # Estimates of sums with undetermined parameters are none of the parameter.
-    estimated = ~found.held
-    r = found.factor[:, :-1]
-    size = torch.linalg.vector_norm(r, dim=0)
-    lost = found.held & (size > 0)
-    if bool(lost.any()):
-        share = torch.linalg.lstsq(r[:, free] / size[free], r[:, lost] / size[lost]).solution
-        estimated[free] = (share.abs() <= CONTAMINATED).all(1)
+    estimated = ~(found.held | contaminated_columns(found.factor[:, :-1], found.held))
     covariance = torch.zeros(layout.size, layout.size, dtype=torch.float64)
     covariance[free.unsqueeze(-1), free] = spread.covariance
     covariance = covariance * estimated * estimated.unsqueeze(-1)

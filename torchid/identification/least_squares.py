@@ -402,3 +402,27 @@ def undetermined_columns(r: Float[Tensor, "C C"], held: Bool[Tensor, " B"]) -> B
     kept = torch.zeros_like(held)
     kept[~held], _ = independent_columns(r[:, :-1][:, ~held], _UNDETERMINED)
     return ~kept & ~held
+
+
+CONTAMINATED = 0.03
+"""Share of an undetermined column that lies along an estimated one, above which the estimate is of
+their sum."""
+
+
+def contaminated_columns(
+    columns: Float[Tensor, "C B"], undetermined: Bool[Tensor, " B"]
+) -> Bool[Tensor, " B"]:
+    """Estimates that are of a sum with an undetermined parameter, as far as these data show.
+
+    Args:
+        columns: of the triangular factor.
+        undetermined: those that were not estimated.
+    """
+    size = torch.linalg.vector_norm(columns, dim=0)
+    lost, known = undetermined & (size > 0), ~undetermined
+    out = torch.zeros_like(undetermined)
+    if bool(lost.any()) and bool(known.any()):
+        parts = columns[:, known] / size[known], columns[:, lost] / size[lost]
+        share = torch.linalg.lstsq(*parts).solution
+        out[known] = ~(share.abs() <= CONTAMINATED).all(1)
+    return out

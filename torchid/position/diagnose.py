@@ -605,7 +605,7 @@ def _accuracies(
         for name, some in (("whole", windows_of(data.tracks, None)), ("windows", windows)):
             apart = each_window(servos, folds[some.motion])
             error = errors(body, apart, some)[..., 0]
-            errors_of[name].append(_on_rows(data, error, some) / data.scale)
+            errors_of[name].append(some.on_rows(error, torch.zeros_like(data.q)) / data.scale)
     pairs = zip(*errors_of.values(), strict=True)
     still = _still(data)
     ways = [
@@ -613,16 +613,6 @@ def _accuracies(
         for pair in ((commanded, commanded), *pairs)
     ]
     return ways, (errors_of["whole"][0], errors_of["whole"][1])
-
-
-def _on_rows(data: PositionData, error: Tensor, windows: Windows) -> Tensor:
-    """Errors of windows (L, W, n) in the rows of the log (T, n)."""
-    out = torch.zeros_like(data.q)
-    for w, (a, length) in enumerate(
-        zip(windows.start.tolist(), windows.length.tolist(), strict=True)
-    ):
-        out[a : a + length] = error[:length, w]
-    return out
 
 
 def _rms(error: Tensor) -> Tensor:

@@ -52,11 +52,7 @@ def replayed(
     out = rollout(
         batch, body, tracks, windows, q, dq, measured=measured, longest_step=longest_step
     )[..., 0]
-    motion = tracks.u.clone()
-    for w, (a, length) in enumerate(
-        zip(windows.start.tolist(), windows.length.tolist(), strict=True)
-    ):
-        motion[a : a + length] = out[:length, w]
+    motion = windows.on_rows(out, tracks.u.clone())
     if not bool((motion.abs() < FARTHEST).all()):
         raise TorchidError(
             "the arm runs away from these commands.",

@@ -158,7 +158,7 @@ def _measured(robot: Robot, log: Log, sensors: Sensors, generator: torch.Generat
     rate = sampling_rate(Log(t, q))[0] if len(t) > 1 else 1.0
     size = noise.torque_relative * rms(tau)
     if sensors.torque_std is not None:
-        size = _one_a_joint(sensors.torque_std, robot, "torque noise")
+        size = _one_a_joint(sensors.torque_std, robot, "size of torque noise")
     white = standard(tau, noise.colour_hz, rate, generator)
     measured = Log(t, counted(q, noise, robot), tau=tau + size * white, names=log.names)
     if not noise.include_velocity:
@@ -202,20 +202,14 @@ def _one_a_joint(given: float | tuple[float, ...], robot: Robot, what: str) -> T
     values = given if isinstance(given, tuple) else (given,) * robot.n
     if len(values) != robot.n:
         raise TorchidError(
-            f"one size of {what}, or one a joint, is needed.", got=len(values), expected=robot.n
+            f"one {what}, or one a joint, is needed.", got=len(values), expected=robot.n
         )
     return torch.tensor(values, dtype=torch.float64)
 
 
 def counted(q: Tensor, noise: HonestNoise, robot: Robot) -> Tensor:
     """Positions rounded to the encoder's steps."""
-    given = noise.encoder_step
-    steps = given if isinstance(given, tuple) else (given,) * robot.n
-    if len(steps) != robot.n:
-        raise TorchidError(
-            "one encoder step, or one a joint, is needed.", got=len(steps), expected=robot.n
-        )
-    step = q.new_tensor(steps)
+    step = _one_a_joint(noise.encoder_step, robot, "encoder step").to(q)
     safe = torch.where(step > 0, step, torch.ones_like(step))
     return torch.where(step > 0, torch.round(q / safe) * safe, q)
 

@@ -212,6 +212,15 @@ class Windows:
         """Some of them."""
         return Windows(self.start[rows], self.length[rows], self.motion[rows], self.weight[rows])
 
+    def on_rows(
+        self, values: Float[Tensor, "L W n"], out: Float[Tensor, "T n"]
+    ) -> Float[Tensor, "T n"]:
+        """`out`, with the windows' values in their rows."""
+        ends = zip(self.start.tolist(), self.length.tolist(), strict=True)
+        for w, (a, length) in enumerate(ends):
+            out[a : a + length] = values[:length, w]
+        return out
+
 
 def windows_of(tracks: Tracks, seconds: float | None) -> Windows:
     """Whole motions, or consecutive windows; a last one shorter than half joins the one before."""

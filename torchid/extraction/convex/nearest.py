@@ -21,7 +21,6 @@ from torchid.effects.base import Motion
 from torchid.errors import TorchidError
 from torchid.extraction.convex.rows import link_columns
 from torchid.extraction.convex.sets import Nearest, convex_sets, sets_of
-from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.conditions import Conditions, physics_only
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import ParameterSets
@@ -40,7 +39,6 @@ FREE = 1e-6
 FAR = 100.0
 """Change of the parameters at most, in their links' sizes: without it the least cost in torque may
 be approached by masses that grow without end."""
-_STEPS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +47,7 @@ class NearestSets:
 
     Attributes:
         sets: (K) with the given ids; nan where there is none.
-        feasible: (K,) whether `torchid.feasibility.margins` finds no violation, nor the bounds.
+        feasible: (K,) whether `torchid.feasibility.margins` finds no violation.
         margin: (K,) smallest eigenvalue of the links' pseudo-inertias.
         torque_change: (K, n) root mean square over the states of each joint's change [N m; N].
         torque_change_relative: (K, n) the same over that of the joint's torque.
@@ -72,7 +70,6 @@ def nearest_feasible(
     sets: ParameterSets,
     conditions: Conditions | None = None,
     *,
-    bounds: Bounds | None = None,
     motion: Motion | None = None,
     margin: float = MARGIN,
     slack: float = SLACK,
@@ -84,7 +81,6 @@ def nearest_feasible(
         robot: whose torque counts.
         sets: K sets; feasible ones come back unchanged.
         conditions: beside physics (positive masses, inertias of bodies, signs of coefficients).
-        bounds: to stay in as well.
         motion: states (M, n) over which the torque counts; `random_states` of the seed if None.
         margin: smallest eigenvalue that pseudo-inertias get [kg m^2, kg]; those of links that are
             consistent with less need not gain.
@@ -106,7 +102,7 @@ def nearest_feasible(
     y = stacked_regressor(robot, sets.effects, states)
     # R (P, P) with ||R x|| the root mean square of the torque Y x.
     factor = (torch.linalg.qr(y, mode="r").R / y.shape[0] ** 0.5).numpy()
-    question = _Question(robot, sets, asked, bounds, margin, slack, factor)
+    question = _Question(robot, sets, asked, margin, slack, factor)
     found = [question.nearest(k) for k in range(len(sets))]
     x = torch.as_tensor(np.stack([f[0] for f in found]))
     after = sets_of(x.numpy(), robot.n_links, sets.effects, sets.ids)
@@ -115,7 +111,7 @@ def nearest_feasible(
     own = (y @ given.T).reshape(joints).square().mean(0).sqrt().T
     return NearestSets(
         sets=after,
-        feasible=feasibility(after, asked).feasible & _within(after, bounds),
+        feasible=feasibility(after, asked).feasible,
         margin=_least_eigenvalue(after).amin(-1),
         torque_change=change,
         torque_change_relative=change / own,
@@ -132,16 +128,6 @@ def _least_eigenvalue(sets: ParameterSets) -> Float[Tensor, "K n"]:
     return torch.where(finite.unsqueeze(-1), values, torch.nan)
 
 
-def _within(sets: ParameterSets, bounds: Bounds | None) -> Bool[Tensor, " K"]:
-    """(K,) whether all search variables are within the bounds, to rounding."""
-    if bounds is None:
-        return torch.ones(len(sets), dtype=torch.bool)
-    p = sets.search_vector
-    low, high = bounds.box(sets.effects).cpu().unbind(-1)
-    slack = INSIDE * (high - low)
-    return ((p >= low - slack) & (p <= high + slack)).all(-1)
-
-
 @dataclass(frozen=True, eq=False)
 class _Question:
     """What is the same for all sets."""
@@ -149,7 +135,6 @@ class _Question:
     robot: Robot
     sets: ParameterSets
     conditions: Conditions
-    bounds: Bounds | None
     margin: float
     slack: float
     factor: np.ndarray
@@ -158,31 +143,17 @@ class _Question:
         """x (P,), the least cost, and a status, for set k."""
         one = self.sets.part([k])
         x0 = one.vector[0].detach().cpu().double().numpy()
-        if bool((feasibility(one, self.conditions).feasible & _within(one, self.bounds))[0]):
+        if bool(feasibility(one, self.conditions).feasible[0]):
             return x0, 0.0, "unchanged"
         own = _least_eigenvalue(one)[0]
         margins = torch.where(own > 0, own.clamp(max=self.margin), self.margin).tolist()
-        first = self._cheapest(x0, margins, None)
-        best, least = first, first.bound
-        for _ in range(_STEPS):
-            reached = sets_of(best.x[None], self.robot.n_links, one.effects, one.ids)
-            if not best.solution.usable or bool(_within(reached, self.bounds)[0]):
-                break
-            # The bounds of the barycentric inertias, relaxed so far, from within.
-            best = self._cheapest(x0, margins, reached.parameters.com[0].numpy())
-        # Without a set inside the bounds, the one that meets all the rest is still of use.
-        best = best if best.solution.usable else first
-        return best.x, least, best.solution.status
+        best = self._cheapest(x0, margins)
+        return best.x, best.bound, best.solution.status
 
-    def _cheapest(self, x0: np.ndarray, margins: list[float], inside: np.ndarray | None) -> Nearest:
+    def _cheapest(self, x0: np.ndarray, margins: list[float]) -> Nearest:
         """Least torque, then least change; the bound is that of the torque."""
         body = convex_sets(
-            self.robot,
-            self.sets.effects,
-            self.conditions,
-            self.bounds,
-            margin=margins,
-            inside=inside,
+            self.robot, self.sets.effects, self.conditions, None, margin=margins
         ).tightened(INSIDE)
         # The size of each parameter, from its link's mass and inertia.
         n, sizes = self.robot.n_links, np.ones_like(x0)
