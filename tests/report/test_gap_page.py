@@ -142,7 +142,7 @@ def test_captions_say_where(undrawn):
     captions = {f.get("id"): f.xpath("./figcaption")[0].text_content()
                 for f in page_of(diagnosis()).iter("figure")}  # fmt: skip
     assert (
-        "Joint 2 holds 98 % of the error, above all at velocity reversals and at low"
+        "Joint 2 holds 98 % of the error, above all in the columns velocity reversal and low"
         in (captions["where"])
     )
     assert captions["robot"].startswith("Figure 1. The robot in a pose of this log.")

@@ -64,6 +64,8 @@ def test_verdict(result, tree):
     poor = int((half[result.free] > 100).sum())
     assert (f"{poor} are not distinguishable from zero" in said) == (poor > 0)
     assert said.count(". ") == 0
+    unsure = verdict(replace(result, covariance=1e6 * result.covariance))
+    assert f"{int(result.free.sum())} are not distinguishable from zero" in unsure
 
 
 def test_verdict_without_held_out_motion(result):

@@ -50,7 +50,7 @@ def test_without_a_finding():
     made = origin(arguments=[], started=0.0, seeds={}, settings={}, files=())
     text = parsed(render(page(plain, made))).text_content()
     assert "No known effect explains a plain servo's error" in text
-    assert len(tables(plain.record)) == 2
+    assert sum(map(bool, tables(plain.record))) == 2
     assert "nominal" not in plain.plain()
 
 
@@ -78,7 +78,7 @@ def test_nominal_beside_found(found):
         ("2", "STS3215", "kp", "17.8 N m/rad", "260 [250, 270] N m/rad"),
         (
             "2", "STS3215", "acceleration", "unknown",
-            "39 [35.1, 42.9] rad/s^2 = 254 steps of the register",
+            "39 [35.1, 42.9] rad/s² = 254 steps of the register",
         ),
         ("2", "STS3215", "resolution", "1.53 mrad", "1.53 mrad"),
     ]  # fmt: skip

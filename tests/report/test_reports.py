@@ -13,9 +13,7 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.feasibility.sets import nominal_set
 from torchid.identification.identify import Settings, identify
 from torchid.report.identification import (
-    headline,
     parameter_figure,
-    poor_names,
     tables,
     torque_figure,
 )
@@ -57,27 +55,6 @@ def test_absorbed_and_held_coefficients_are_marked(result):
     text = text_of(result)
     assert "in a sum" in text  # Ia1, Ia2
     assert ("0 (held)" in text) == bool(result.bounded or result.undetermined)
-
-
-def test_headline_speaks_of_held_out_data(result):
-    line = headline(result)
-    assert "15 base parameters of 3r_friction" in line
-    assert "held-out" in line
-    assert f"{float(result.held_out.relative_percent[0]):.1f}" in line
-    # Which rows lead is which were fitted.
-    assert line.index("while moving") < line.index("all rows")
-    settings = replace(result.settings, rows="all")
-    assert "(while moving" in headline(replace(result, settings=settings))
-
-
-def test_headline_counts_what_may_be_zero(result):
-    poor = poor_names(result)
-    half = result.uncertainty.quantile() * result.std
-    assert len(poor) == int((half > result.values.abs())[result.free].sum())
-    line = headline(replace(result, covariance=1e6 * result.covariance))
-    assert (
-        f"{int(result.free.sum())} of {len(result.base)} are not distinguishable from zero" in line
-    )
 
 
 def test_everything_prints_as_one_line(result):

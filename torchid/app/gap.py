@@ -13,7 +13,7 @@ from torchid.app.export import Simulated
 from torchid.app.inputs import RECORDED, ROBOT, WRITTEN, Suffix
 from torchid.app.output import Diagnosed, Output
 from torchid.app.project import current
-from torchid.app.signature import command
+from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 
@@ -55,7 +55,7 @@ class _Asked:
     to: Annotated[Simulated | None, typer.Option("--to", "--for", metavar="FORMAT")] = None
     simulated: opt.LogFiles = None
     real: opt.LogFiles = None
-    force: Annotated[bool, typer.Option("--force")] = False
+    force: Switch = False
 
 
 @command

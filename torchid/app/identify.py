@@ -47,7 +47,7 @@ def identify_command(
     settings: Annotated[
         Settings,
         Fields(
-            "rows basis covariance signs",
+            "rows basis method covariance signs held_out_fraction",
             effects=Annotated[
                 tuple[str, ...],
                 typer.Option(metavar="NAME[:KEY=VALUE],.."),
@@ -57,8 +57,6 @@ def identify_command(
             reversal=Annotated[
                 opt.Cutoff, typer.Option(metavar="FRACTION|auto"), Parsed(_reversal, "0")
             ],
-            held_out_fraction=opt.HeldOutFraction,
-            method=opt.Method,
             essential=Switch,
             force=Switch,
             error_cutoff=opt.Hertz,
@@ -114,12 +112,7 @@ def payload_command(
     model: Literal["general", "symmetric", "point_mass"] = "general",
     settings: Annotated[
         Settings,
-        Fields(
-            "signs rows",
-            effects=opt.FittedEffects,
-            cutoff=opt.FilterCutoff,
-            method=opt.Method,
-        ),
+        Fields("signs rows method", effects=opt.FittedEffects, cutoff=opt.FilterCutoff),
     ],
     seed: opt.Seed = 0,
     output: Annotated[Computed, "payload.json"],

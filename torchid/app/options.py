@@ -126,29 +126,13 @@ def device(text: str) -> str:
     return usable_device(text)
 
 
-_SEED = typer.Option("--seed", min=0, max=LARGEST_SEED, help="Seed of everything random.")
-Seed = Annotated[int, _SEED]
+Seed = Annotated[
+    int, typer.Option("--seed", min=0, max=LARGEST_SEED, help="Seed of everything random.")
+]
 Device = Annotated[
     str,
     typer.Option("--device", help="Where tensors live: cpu, cuda, cuda:1, ..."),
     Parsed(device, "cpu"),
-]
-Tip = Annotated[
-    str | None, typer.Option(metavar="LINK", help="URDF, MJCF: last link of a chain, alone.")
-]
-Root = Annotated[
-    str | None, typer.Option(metavar="LINK", help="URDF, MJCF: the base of what is read.")
-]
-Lock = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="JOINT=VALUE",
-        help="URDF, MJCF: a joint that is held, and where [rad or m]. May be given several times.",
-    ),
-]
-Base = Annotated[
-    Literal["fixed", "moving"],
-    typer.Option(help="URDF, MJCF: a base that is held, or moves and is measured (base_x ..)."),
 ]
 RobotOption = Annotated[str | None, typer.Option(metavar="ROBOT"), ROBOT]
 LOGS = typer.Argument(
@@ -188,18 +172,13 @@ FittedEffects = Annotated[
 ]
 Cutoff = float | Literal["auto"] | None
 FilterCutoff = Annotated[Cutoff, typer.Option(metavar="HZ|auto|none"), Parsed(cutoff_hz, "none")]
-HeldOutFraction = Annotated[
-    float,
-    typer.Option(help="Without --held-out: the last part of each trajectory kept for validation."),
-]
 _Share = Annotated[float, typer.Option(metavar="SHARE", min=0, max=0.99)]
 GAP = Fields(
-    "rollout",
+    "rollout held_out_fraction",
     effects=Searched,
     background=Excited,
     cutoff=Annotated[Cutoff, typer.Option(metavar="HZ|auto"), Parsed(auto_hz, "none")],
     parameters=Literal["trusted", "free", "auto"],
-    held_out_fraction=HeldOutFraction,
     worthwhile=_Share,
     worthwhile_torque=_Share,
     gain_std=Annotated[
@@ -209,9 +188,6 @@ GAP = Fields(
     seed=Seed,
 )
 """Options of a diagnosis."""
-Method = Annotated[
-    Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
-]
 Velocities = Annotated[str | None, typer.Option(metavar="V|V1,V2,..")]
 Accelerations = Annotated[str | None, typer.Option(metavar="A|A1,A2,..")]
 
@@ -310,12 +286,19 @@ class Reading:
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """The part of a robot's file that is meant."""
+    """The part of a robot's file that is meant.
 
-    tip: Tip = None
-    root: Root = None
-    lock: Lock = None
-    base: Base = "fixed"
+    Attributes:
+        tip: URDF, MJCF: last link of a chain, alone.
+        root: URDF, MJCF: the base of what is read.
+        lock: URDF, MJCF: a joint that is held, and where [rad or m]. May be given several times.
+        base: URDF, MJCF: a base that is held, or moves and is measured (base_x ..).
+    """
+
+    tip: Annotated[str | None, typer.Option(metavar="LINK")] = None
+    root: Annotated[str | None, typer.Option(metavar="LINK")] = None
+    lock: Annotated[list[str] | None, typer.Option(metavar="JOINT=VALUE")] = None
+    base: Literal["fixed", "moving"] = "fixed"
 
     @property
     def choice(self) -> "Choice":

@@ -268,7 +268,7 @@ class Output:
             self.say(worded("! ", "yellow") + worded(warning))
 
     @contextmanager
-    def progress(self, first: str = "") -> "Iterator[Watcher | None]":
+    def progress(self, first: str = "") -> "Iterator[_Lines | _Bars | None]":
         """What takes (stage, done, total) and an answer so far, and shows both on standard error:
         one bar, and two lines above it; where that is no terminal, one line a stage, when it is
         over, with the seconds that it took. None, and nothing is said, with --quiet.
@@ -281,8 +281,7 @@ class Output:
         if self.silent:
             yield None
             return
-        watcher = _Lines(first) if not console.is_terminal else _Bars(first, console)
-        with watcher:
+        with _Bars(first, console) if console.is_terminal else _Lines(first) as watcher:
             yield watcher
 
 
@@ -290,32 +289,18 @@ SAID_EVERY_S = 10.0
 """Least time between two lines of what is known so far [s]."""
 
 
-class Watcher:
-    """Shows what is running and what is known so far."""
-
-    def __enter__(self) -> "Watcher":
-        return self
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        pass
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        """How far a stage is; a total of 0 where it is not known."""
-        raise NotImplementedError
-
-    def so_far(self, answer: "Answer") -> None:
-        """What is known before the end."""
-        raise NotImplementedError
-
-
-class _Lines(Watcher):
+class _Lines:
     """One line a stage, for files and other programs."""
 
     def __init__(self, first: str) -> None:
         self.running, self.began, self.written = first, time.monotonic(), {""}
         self.said, self.at = "", -math.inf
 
+    def __enter__(self) -> "_Lines":
+        return self
+
     def __call__(self, stage: str, done: int, total: int) -> None:
+        """How far a stage is; a total of 0 where it is not known."""
         following = "" if done == total > 0 else stage
         if following == self.running:
             return
@@ -330,12 +315,13 @@ class _Lines(Watcher):
             self("", 0, 0)
 
     def so_far(self, answer: "Answer") -> None:
+        """What is known before the end."""
         if answer.headline != self.said and time.monotonic() > self.at + SAID_EVERY_S:
             self.said, self.at = answer.headline, time.monotonic()
             typer.echo(visible(self.said), err=True)
 
 
-class _Bars(Watcher):
+class _Bars:
     """A bar for what is running, below what is known so far; both go at the end."""
 
     def __init__(self, first: str, console: Console) -> None:
@@ -353,7 +339,7 @@ class _Bars(Watcher):
 
         return Group(self.known, self.bars) if self.known else self.bars
 
-    def __enter__(self) -> "Watcher":
+    def __enter__(self) -> "_Bars":
         self.live.start(refresh=True)
         return self
 
@@ -361,6 +347,7 @@ class _Bars(Watcher):
         self.live.stop()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
+        """How far a stage is; a total of 0 where it is not known."""
         if stage != self.running:  # a new bar: how long the last stage took predicts nothing
             self.bars.remove_task(self.task)
             self.task = self.bars.add_task(escape(visible(stage)), total=None)
@@ -368,6 +355,7 @@ class _Bars(Watcher):
         self.bars.update(self.task, completed=done, total=total or None)
 
     def so_far(self, answer: "Answer") -> None:
+        """What is known before the end."""
         self.known = Text(visible(answer.headline))
 
 

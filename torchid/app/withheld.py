@@ -9,7 +9,7 @@ import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.inputs import PLACE, WRITTEN
+from torchid.app.inputs import PLACE
 from torchid.app.output import Kept, Printed
 from torchid.app.project import group
 from torchid.app.signature import Parsed, Switch, command
@@ -22,14 +22,6 @@ SetArgument = Annotated[
     typer.Argument(metavar="DIR", help="A set of cases, from `torchid withheld make`."),
     PLACE,
 ]
-RequiredSeed = Annotated[
-    int, typer.Option(min=0, max=opt.LARGEST_SEED, help="Seed that all cases are drawn from.")
-]
-Again = Annotated[
-    bool,
-    typer.Option("--again", help="Replace answers of another torchid, or with other settings."),
-]
-_KEYS = typer.Option(metavar="FILE", help="What was planted (default: DIR.keys.json).")
 
 
 @dataclass(frozen=True)
@@ -65,11 +57,11 @@ def make_command(
     *,
     out: opt.Folder,
     cases: Annotated[int, typer.Option(min=1, max=9999)],
-    seed: RequiredSeed,
+    seed: opt.Seed,
     kind: Literal["torque", "position"] = "torque",
     mix: Literal["mixed", "release"] = "mixed",
     robots: Literal["arms", "tree", "quadruped", "two_arms", "torso"] = "arms",
-    keys: Annotated[Path | None, _KEYS, WRITTEN] = None,
+    keys: opt.Written = None,
     workers: Workers,
     output: Printed,
 ) -> None:
@@ -80,6 +72,7 @@ def make_command(
     Args:
         out: Folder of the set.
         cases: Number of cases.
+        keys: What was planted (default: DIR.keys.json).
         kind: What the logs have: torques, or commands and positions alone.
         mix: Kinds of cases: of every sort, or those that a release is judged by.
         robots: Arms; robots that branch, their base held in the air; or one of these.
@@ -105,7 +98,7 @@ def run_command(
     *,
     folder: SetArgument,
     rollout: bool = False,
-    again: Again = False,
+    again: Switch = False,
     workers: Workers,
     output: Printed,
 ) -> None:
@@ -115,6 +108,7 @@ def run_command(
 
     Args:
         rollout: Simulate short motions with the model before and after; no score needs it.
+        again: Replace answers of another torchid, or with other settings.
     """
     from torchid.withheld.case_set import read_cases
     from torchid.withheld.run import ERROR, default_settings, jobs_of, run
@@ -134,7 +128,7 @@ def run_command(
 def score_command(
     *,
     folder: SetArgument,
-    keys: Annotated[Path | None, _KEYS] = None,
+    keys: opt.File = None,
     partial: Switch = False,
     output: Annotated[Kept, "score.json"],
 ) -> None:
@@ -143,6 +137,7 @@ def score_command(
     Example: `torchid withheld score cases --keys cases.keys.json --out result`
 
     Args:
+        keys: What was planted (default: DIR.keys.json).
         partial: Leave out cases that have no answer yet.
     """
     from torchid.report.withheld import markdown, shown

@@ -21,6 +21,7 @@ from torchid.export.record import (
 )
 from torchid.position.model import ServoArm
 from torchid.results.record import Result
+from torchid.results.words import number_list
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
@@ -131,7 +132,7 @@ class Correction(Result):
 
 def of_joints(joints: Sequence[int]) -> str:
     """Which joints something is of; nothing where it is of none in particular."""
-    return f" of joint {', '.join(str(j + 1) for j in joints)}" if joints else ""
+    return f" of joint {number_list(joints)}" if joints else ""
 
 
 def correction_record(done: Correction) -> CorrectionRecord:

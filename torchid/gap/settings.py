@@ -32,7 +32,7 @@ class GapSettings:
             deviations hold it.
         folds: parts of the data, each left out in turn when the answer is judged.
         max_effects: number of effects accepted at most.
-        held_out_fraction: share of each trajectory's end used for no choice, if no log is given.
+        held_out_fraction: share of each trajectory's end kept for validation, where no log is.
         rollout: whether to simulate forwards before and after.
         seed: of everything random.
         only: (effect, joint from 0, or None for any place) that alone are candidates: a diagnosis

@@ -30,12 +30,12 @@ class Settings:
             any torque.
         basis: base parameters as the report groups them, or as a log tells them apart best; the
             robot's own choice if None. The torque is the same.
-        method: `ols`, `wls` or `huber`.
+        method: least squares: plain (`ols`), weighted (`wls`) or robust (`huber`).
         covariance: of the noise between joints, `diagonal` or `full`.
         signs: `bounded` holds coefficients that physics forbids to be negative at zero or above;
             `free` leaves them and reports the wrong ones.
         essential: drop parameters that cannot be told from zero.
-        held_out_fraction: share of each trajectory's end kept for validation if no log is given.
+        held_out_fraction: share of each trajectory's end kept for validation, where no log is.
         error_cutoff: [Hz] filter under which errors are reported; the fit's if None.
         force: show a result that predicts its own log worse than no model does, too.
         compiled: evaluate the final regressor by compiled code; pays on very long logs.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from torchid.errors import TorchidError
 from torchid.position.model import ServoArm
+from torchid.results.words import unit_behind
 from torchid.robot.model import Robot
 from torchid.robot.yaml_values import parsed_yaml
 from torchid.simulation.servo import INDEX, NAMES, PARAMETERS
@@ -192,5 +193,4 @@ def nominal_servos(robot: Robot, text: str | None) -> tuple[NominalServo, ...]:
 
 def unit_of(name: str) -> str:
     """The unit of a servo's value, for people."""
-    unit = PARAMETERS[INDEX[name]].unit
-    return "" if unit == "1" else unit
+    return unit_behind(PARAMETERS[INDEX[name]].unit)

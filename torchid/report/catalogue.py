@@ -168,50 +168,40 @@ def effects_table() -> Table:
         numbers = ", ".join(names) if len(names) < 6 else f"{', '.join(names[:2])}, .. {names[-1]}"
         rows.append((kind.name, kind.family, numbers, " ".join(logs_of(kind)), kind.meaning))
     columns = ("effect", "family", "numbers", "logs", "what it is")
-    return Table(f"{len(rows)} effects", columns, rows, words=columns)
+    return Table(f"{len(rows)} effects", columns, rows, "ppppp")
 
 
 def effect_record(kind: type[Effect] | ServoEffect) -> dict[str, Any]:
     """One effect as plain data."""
+    numbers: dict[str, Any]
     if isinstance(kind, ServoEffect):
-        return {
-            **picked(kind, "effect=name family meaning equation"),
-            "coefficients": [{"name": name} for name in kind.parameters],
-            "shapes": [],
-            "signature": "",
-            "confused_with": [kind.twin] if kind.twin else [],
-            **picked(kind, "experiment remedy"),
-            "source": "",
-            "logs": list(logs_of(kind)),
+        numbers = {"coefficients": [{"name": name} for name in kind.parameters], "shapes": []}
+        rivals, signature, source = [kind.twin] if kind.twin else [], "", ""
+    else:
+        numbers = {
+            "coefficients": [
+                picked(c, "name unit non_negative meaning") for c in kind.coefficients
+            ],
+            "shapes": [picked(s, "name unit meaning") for s in kind.shapes],
         }
+        rivals = [r.name for r in known_rivals(kind)]
+        signature, source = kind.signature, kind.source
     return {
-        **picked(kind, "effect=name family meaning equation"),
-        "coefficients": [picked(c, "name unit non_negative meaning") for c in kind.coefficients],
-        "shapes": [picked(s, "name unit meaning") for s in kind.shapes],
-        "signature": kind.signature,
-        "confused_with": [r.name for r in known_rivals(kind)],
-        **picked(kind, "experiment remedy source"),
-        "logs": list(logs_of(kind)),
-    }
+        **picked(kind, "effect=name family meaning equation"), **numbers,
+        "signature": signature, "confused_with": rivals, **picked(kind, "experiment remedy"),
+        "source": source, "logs": list(logs_of(kind)),
+    }  # fmt: skip
 
 
 def servo_text(effect: ServoEffect) -> str:
     """One cause under a servo in Markdown."""
-    lines = [
-        f"### {effect.name}",
-        "",
-        effect.meaning,
-        "",
-        f"    {effect.equation}",
-        "",
-        f"- numbers: {', '.join(f'`{name}`' for name in effect.parameters)}",
-        "- logs: of commands and positions; fitted by: `gap`",
-        *([f"- confused with: {effect.twin}, always"] if effect.twin else []),
-        f"- experiment: {effect.experiment}",
-        f"- remedy: {effect.remedy}",
-        "",
-    ]
-    return "\n".join(lines)
+    rival = f"- confused with: {effect.twin}, always\n" if effect.twin else ""
+    return (
+        f"### {effect.name}\n\n{effect.meaning}\n\n    {effect.equation}\n\n"
+        f"- numbers: {', '.join(f'`{name}`' for name in effect.parameters)}\n"
+        "- logs: of commands and positions; fitted by: `gap`\n"
+        f"{rival}- experiment: {effect.experiment}\n- remedy: {effect.remedy}\n"
+    )
 
 
 def write_catalogue(folder: Path) -> Path:

@@ -1,7 +1,7 @@
 """Cautions for a reader: few, and of those that say the same of several logs or joints one."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from torchid.report.table import Section
 from torchid.results.answer import KINDS
@@ -40,14 +40,19 @@ def caution_section(warnings: Iterable[str]) -> Section:
     return Section(f"Cautions ({len(merged)})", [merged] if merged else [])
 
 
-def _merged(same: list[tuple[str, str]]) -> str:
-    """One sentence of those alike: numbers that differ from the least to the greatest."""
+def ranged(alike: Sequence[str], number: re.Pattern[str]) -> str:
+    """One text of some that differ in their numbers alone: each from the least to the greatest."""
     spans = []
-    for values in zip(*(_NUMBER.findall(rest) for _, rest in same), strict=True):
+    for values in zip(*map(number.findall, alike), strict=True):
         low, high = min(values, key=float), max(values, key=float)
         spans.append(low if low == high else f"{low} to {high}")
     each = iter(spans)
-    text = _NUMBER.sub(lambda _: next(each), same[0][1])
+    return number.sub(lambda _: next(each), alike[0])
+
+
+def _merged(same: list[tuple[str, str]]) -> str:
+    """One sentence of those alike."""
+    text = ranged([rest for _, rest in same], _NUMBER)
     names = list(dict.fromkeys(name for name, _ in same if name))
     if not names:
         return text

@@ -14,7 +14,7 @@ from torchid.compare.sets import SetComparison
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
 from torchid.report.panels import Figure, Figures, finish, panel, rows_of
 from torchid.report.table import Cell, Shown, Table, cells, joint_numbers
-from torchid.results.words import count, short
+from torchid.results.words import count, short, unit_behind
 
 ORDER: tuple[Verdict, ...] = ("drift", "differ", "agree", "never_determined", "not_compared")
 WORDS = {
@@ -143,7 +143,7 @@ def torque_sentence(t: TorqueSpread, labels: Sequence[str]) -> str:
     return out + "."
 
 
-def tables(result: Comparison) -> list[Table]:
+def tables(result: Comparison) -> list[Table | None]:
     """Parameters, then torque."""
     wide = len(result.labels) <= MOST_COLUMNS
     rows: list[list[Cell]] = []
@@ -168,23 +168,19 @@ def tables(result: Comparison) -> list[Table]:
             rows.append([name, *texts, *consensus])
         rows.append([])
     labels = result.labels if wide else ("lowest", "highest")
-    parameters = Table(
-        "parameters (value ± std; scatter in claimed std; p after Holm)",
-        ("parameter", *labels, "consensus", "scatter", "p"),
-        rows,
-        names=("parameter",),
-    )
-    return [parameters, *torque_tables(result.torque, result.labels)]
+    title = "parameters (value ± std; scatter in claimed std; p after Holm)"
+    columns = ("parameter", *labels, "consensus", "scatter", "p")
+    return [Table(title, columns, rows, "l"), torque_table(result.torque, result.labels)]
 
 
 def _pairs(p: Compared) -> list[tuple[float, float]]:
     return list(zip(p.values.tolist(), p.std.tolist(), strict=True))
 
 
-def torque_tables(t: TorqueSpread | None, labels: Sequence[str]) -> list[Table]:
+def torque_table(t: TorqueSpread | None, labels: Sequence[str]) -> Table | None:
     """Torque, where it was compared: joints as columns."""
     if t is None:
-        return []
+        return None
     rows = [("torque", t.size), ("std between models", t.spread)]
     if t.claimed is not None:
         rows.append(("std their covariances claim", t.claimed))
@@ -198,7 +194,7 @@ def torque_tables(t: TorqueSpread | None, labels: Sequence[str]) -> list[Table]:
         rows += [(f"measured - {label}", e) for label, e in zip(labels, t.errors, strict=True)]
     title = f"torque on {t.source}, RMS per joint [N m; N]"
     texts = [(name, *cells(values)) for name, values in rows]
-    return [Table(title, ("", *joint_numbers(len(t.size))), texts, words=("",))]
+    return Table(title, ("", *joint_numbers(len(t.size))), texts, "p")
 
 
 def set_verdict(result: SetComparison) -> str:
@@ -222,7 +218,7 @@ def set_verdict(result: SetComparison) -> str:
     )  # fmt: skip
 
 
-def set_tables(result: SetComparison) -> list[Table]:
+def set_tables(result: SetComparison) -> list[Table | None]:
     """Ranges of physical and of base parameters, and torque."""
     out = []
     for what, ranges in (("physical", result.physical), ("base", result.base)):
@@ -235,8 +231,8 @@ def set_tables(result: SetComparison) -> list[Table]:
             rows.append([])
         title = f"{what} parameters, lowest .. highest"
         columns = ("parameter", *result.labels, "unit", "verdict")
-        out.append(Table(title, columns, rows, names=("unit", "verdict"), words=("parameter",)))
-    return [*out, *torque_tables(result.torque, result.labels)]
+        out.append(Table(title, columns, rows, f"p{'r' * len(result.labels)}ll"))
+    return [*out, torque_table(result.torque, result.labels)]
 
 
 def gap_verdict(result: GapComparison) -> str:
@@ -279,7 +275,7 @@ def _name(s: Shared) -> str:
     return f"{names} on {word} {', '.join(str(j) for j in s.place)}"
 
 
-def gap_tables(result: GapComparison) -> list[Table]:
+def gap_tables(result: GapComparison) -> list[Table | None]:
     """Diagnoses, effects with coefficients, torque."""
     labels = []
     for label, status, closed in zip(result.labels, result.statuses, result.closed, strict=True):
@@ -290,25 +286,20 @@ def gap_tables(result: GapComparison) -> list[Table]:
         rows.append([_name(s), "", *(_state(s, k) for k in range(len(s.states))), "", ""])
         for c in s.coefficients:
             texts = [
-                "" if value is None else f"{value:.4g} ± {std:.2g}{_unit(c.unit)}"
+                "" if value is None else f"{value:.4g} ± {std:.2g} {unit_behind(c.unit)}".rstrip()
                 for value, std in zip(c.values, c.std, strict=True)
             ]
             rows.append(["", c.name, *texts, f"{c.scatter.birge:.2f}", f"{c.p_holm:.2g}"])
         # Coefficients that no other diagnosis gives with a standard deviation, then shapes.
         alike = [c.name for c in s.coefficients]
         named = [n for n in s.named if n is not None]
-        for name in dict.fromkeys(k for n in named for k in n.values if k not in alike):
+        others = [k for n in named for k in n.values if k not in alike]
+        for name in dict.fromkeys([*others, *(k for n in named for k in n.shapes)]):
             rows.append(["", name, *(_size(n, name) for n in s.named), "", ""])
-        for shape in dict.fromkeys(k for n in named for k in n.shapes):
-            texts = [
-                "" if n is None or shape not in n.shapes else f"{n.shapes[shape]:.4g}"
-                for n in s.named
-            ]
-            rows.append(["", shape, *texts, "", ""])
         rows.append([])
     columns = ("effect", "", *labels, "scatter", "p (Holm)")
-    effects = Table("effects (coefficient ± std)", columns, rows, words=("effect", ""))
-    return [effects, *torque_tables(result.torque, result.labels)]
+    effects = Table("effects (coefficient ± std)", columns, rows, "pp")
+    return [effects, torque_table(result.torque, result.labels)]
 
 
 def _state(s: Shared, k: int) -> str:
@@ -322,14 +313,11 @@ def _state(s: Shared, k: int) -> str:
 
 
 def _size(n: Named | None, name: str) -> str:
-    if n is None or name not in n.values:
+    value = None if n is None else {**n.shapes, **n.values}.get(name)
+    if n is None or value is None:
         return ""
     std = f" ± {n.std[name]:.2g}" if name in n.std else ""
-    return f"{n.values[name]:.4g}{std}{_unit(n.units.get(name, '1'))}"
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else f" {unit}"
+    return f"{value:.4g}{std} {unit_behind(n.units.get(name, '1'))}".rstrip()
 
 
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, TEAL, GREY, INK)

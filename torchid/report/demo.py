@@ -3,10 +3,10 @@
 from torchid.doctor.examine import conclusion
 from torchid.gap.diagnosis import Finding
 from torchid.report import diagnosis
-from torchid.report.identification import headline
+from torchid.report.identification import verdict
 from torchid.report.table import Shown, Table
 from torchid.results.words import effect_words, measure, sure
-from torchid.withheld.demo import Comparison, Demo, Files
+from torchid.withheld.demo import Demo, Files
 
 
 def introduction(files: Files) -> str:
@@ -27,7 +27,7 @@ def shown(demo: Demo) -> Shown:
         parts=[
             f"$ torchid log doctor {files.robot} {logs}\n{conclusion(demo.examination)}\n",
             f"$ torchid identify {files.robot} {logs} --held-out {files.new}\n"
-            f"{headline(demo.identification)}\n",
+            f"{verdict(demo.identification)}\n",
             f"$ torchid gap {files.robot} {logs} --held-out {files.new}\n{answer.headline}\n",
             diagnosis.answer_table(answer, demo.diagnosis.band),
             opened_table(demo),
@@ -41,7 +41,7 @@ def opened_table(demo: Demo) -> Table:
         (
             _place(one.planted["effect"], one.planted.get("joint")),
             "withheld" if one.withheld else "known",
-            _planted(one),
+            f"{one.coefficient[0]} {one.coefficient[1]:.3g}",
             *_found(one.finding),
         )
         for one in demo.opened
@@ -51,16 +51,11 @@ def opened_table(demo: Demo) -> Table:
         rows.append((_place(f.effect.name, joint), "not planted", "", *_found(f)))
     columns = ("cause", "was", "planted", "diagnosis", "sure")
     title = f"{demo.files.key} opened (SHA-256 {demo.files.sealed[:16]}..)"
-    return Table(title, columns, rows, names=columns[1:], words=columns[:1])
+    return Table(title, columns, rows, "pllll")
 
 
 def _place(effect: str, joint: int | None) -> str:
     return effect_words(effect) + ("" if joint is None else f" on joint {joint}")
-
-
-def _planted(one: Comparison) -> str:
-    name, value = one.coefficient
-    return f"{name} {value:.3g}"
 
 
 def _found(finding: Finding | None) -> tuple[str, str]:

@@ -11,7 +11,7 @@ from torchid.position.record import PositionRecord
 from torchid.report import gap, gap_figures, position
 from torchid.report.brief import Screen
 from torchid.report.page.diagnosis import page
-from torchid.report.table import Shown, Table, filled
+from torchid.report.table import Shown, Table
 from torchid.results.answer import (
     COLUMNS,
     MOST_SIZES,
@@ -33,13 +33,8 @@ def answer_table(answer: Answer, band: float | None = None) -> Table:
         answer: of a diagnosis.
         band: below which errors are counted [Hz].
     """
-    return Table(
-        answer.title + (f", below {band:g} Hz" if band else ""),
-        COLUMNS,
-        answer.rows(),
-        names=("joint", "sure"),
-        words=("cause (value ± std)", "what to do"),
-    )
+    title = answer.title + (f", below {band:g} Hz" if band else "")
+    return Table(title, COLUMNS, answer.rows(), "lrrrplp")
 
 
 def suspects_table(answer: Answer) -> Table:
@@ -51,7 +46,7 @@ def suspects_table(answer: Answer) -> Table:
     ]  # fmt: skip
     columns = ("suspect", "value ± std", "sure", "what would settle it")
     title = "suspects: the likeliest causes that are not sure enough"
-    return Table(title, columns, rows, names=columns[:1], words=columns[3:])
+    return Table(title, columns, rows, "lrrp")
 
 
 def shown(result: Diagnosis | DiagnosisRecord, model: str = "") -> Shown:
@@ -83,7 +78,7 @@ def shown(result: Diagnosis | DiagnosisRecord, model: str = "") -> Shown:
     return Shown(
         screen=Screen(answer=record.answer, band=band, warnings=record.warnings, model=model),
         verdict=record.answer.headline,
-        parts=[*filled(suspects_table(record.answer)), *lower, *notes],
+        parts=[suspects_table(record.answer), *lower, *notes],
         warnings=record.warnings,
         last=model,
         figures=figures,

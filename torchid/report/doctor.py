@@ -9,13 +9,13 @@ from rich.text import Text
 from torchid.doctor.examine import Examination, conclusion
 from torchid.report.colours import BLUE, ORANGE
 from torchid.report.panels import Figure, finish, joint_rows
-from torchid.report.table import Shown, Table, filled, joint_unit
+from torchid.report.table import Shown, Table, joint_unit
 
 _STYLE = {"wrong": "bold red", "doubtful": "yellow", "cannot tell": "bright_black"}
 
 
-def doctor_tables(examination: Examination) -> list[Table]:
-    """What is not fine, wrong first; nothing where all is fine."""
+def doctor_table(examination: Examination) -> Table:
+    """What is not fine, wrong first."""
     found = [c for c in examination.by_verdict() if c.verdict != "fine"]
     rows = []
     for (verdict, evidence, fix), group in groupby(found, lambda c: (c.verdict, c.evidence, c.fix)):
@@ -23,7 +23,7 @@ def doctor_tables(examination: Examination) -> list[Table]:
         rows.append((Text(verdict, _STYLE[verdict]), names, evidence, fix or ""))
     columns = ("verdict", "check", "evidence", "fix")
     title = f"log of {examination.robot.name}"
-    return filled(Table(title, columns, rows, names=columns[:2], words=columns[2:]))
+    return Table(title, columns, rows, "llpp")
 
 
 def fine(examination: Examination) -> str:
@@ -34,14 +34,9 @@ def fine(examination: Examination) -> str:
 
 def doctor_shown(examination: Examination) -> Shown:
     """All that there is to see of an examination."""
+    told = [fine(examination), f"\n{conclusion(examination)}", choices(examination)]
     drawn = {"doctor": partial(torque_figure, examination)}
-    said: list[Table | str] = [
-        *doctor_tables(examination),
-        fine(examination),
-        f"\n{conclusion(examination)}",
-    ]
-    said += [choices(examination)] if examination.undecided else []
-    return Shown(parts=said, figures=drawn)
+    return Shown(parts=[doctor_table(examination), *told], figures=drawn)
 
 
 def choices(examination: Examination) -> str:

@@ -9,11 +9,12 @@ import torch
 
 from torchid.report.colours import BLUE, BROWN, GREEN, GREY, INK, ORANGE, PURPLE, RED
 from torchid.report.panels import Figure, Figures, finish, joint_lines, panel, tiles
-from torchid.report.table import Shown, Table, cells, filled
+from torchid.report.table import Shown, Table, cells
 from torchid.robot.inertia import InertialParameters
 from torchid.study.equal_torque.statistics import Across
 from torchid.study.equal_torque.study import EqualTorqueStudy
 from torchid.wrenches.classes import KINDS as CLASS_NAMES
+from torchid.wrenches.classes import MIXED
 from torchid.wrenches.compare import EffectSize
 from torchid.wrenches.regressor import wrench_norms
 from torchid.wrenches.resampling import Estimate
@@ -31,7 +32,7 @@ def tables(study: EqualTorqueStudy) -> list[Table]:
         kind_table, joint_table, effect_table, degree_table, third_table, reach_table, truth_table,
         firm_table, variant_table,
     )  # fmt: skip
-    return filled(*(make(study) for make in makers))
+    return [make(study) for make in makers]
 
 
 def kind_table(study: EqualTorqueStudy) -> Table:
@@ -53,14 +54,13 @@ def kind_table(study: EqualTorqueStudy) -> Table:
     largest = (study.errors.reference_force_rms.max(), study.errors.reference_moment_rms.max())
     rows.append(("the wrench itself", "", "", "", *cells(map(float, largest))))
     nominal = study.setting.origin == "nominal"
-    return Table(
+    title = (
         f"{study.setting.robot.name}: errors of the internal wrenches against the "
         f"{'nominal parameters' if nominal else 'nearest feasible set'}, RMS over the motion, "
-        "largest joint",
-        ("kind", "sets", "chains", "degree", "force [N]: median (quartiles)", "moment [N m]"),
-        rows,
-        names=("kind",),
+        "largest joint"
     )
+    force = "force [N]: median (quartiles)"
+    return Table(title, ("kind", "sets", "chains", "degree", force, "moment [N m]"), rows, "l")
 
 
 def joint_table(study: EqualTorqueStudy) -> Table:
@@ -70,7 +70,7 @@ def joint_table(study: EqualTorqueStudy) -> Table:
     rows["the force itself"] = errors.reference_force_rms
     columns = ("kind", *_joints(study))
     texts = [(name, *cells(row)) for name, row in rows.items()]
-    return Table("median force error per joint [N]", columns, texts, names=("kind",))
+    return Table("median force error per joint [N]", columns, texts, "l")
 
 
 def effect_table(study: EqualTorqueStudy) -> Table:
@@ -83,7 +83,7 @@ def effect_table(study: EqualTorqueStudy) -> Table:
         rows.append((e.first, e.second, interval(e.ratio), interval(e.delta), same))
     columns = ("class", "against", "times the error", "Cliff's delta", "at equal carried mass")
     title = "differences of the classes (95 % intervals from whole chains)"
-    return Table(title, columns, rows, names=(columns[0], *columns[2:]), words=columns[1:2])
+    return Table(title, columns, rows, "lplll")
 
 
 def degree_table(study: EqualTorqueStudy) -> Table:
@@ -94,7 +94,7 @@ def degree_table(study: EqualTorqueStudy) -> Table:
     ]
     columns = ("sets", "degree", "coordinates out of box", "carried mass's error")
     title = "Spearman's rho of the force error with ... (95 % intervals)"
-    return Table(title, columns, rows, names=columns)
+    return Table(title, columns, rows, "llll")
 
 
 def third_table(study: EqualTorqueStudy) -> Table:
@@ -113,7 +113,7 @@ def third_table(study: EqualTorqueStudy) -> Table:
             rows.append((who, "vs just feasible", sets, medians, interval(a.ratio)))
     columns = ("sets", "third", "degree", "median [N]", "times the error")
     title = "by thirds of the degree, against the feasible sets nearest the boundary"
-    return Table(title, columns, rows, names=columns)
+    return Table(title, columns, rows, "lllll")
 
 
 def reach_table(study: EqualTorqueStudy) -> Table:
@@ -127,8 +127,7 @@ def reach_table(study: EqualTorqueStudy) -> Table:
         )
         rows.append(("nothing (feasible)" if r.kind == "feasible" else kind_words(r.kind), *texts))
     title = "greatest force error of any set with this torque [N] (reached - bound)"
-    what = "what may be violated"
-    return Table(title, (what, *_joints(study)), rows, names=(what,))
+    return Table(title, ("what may be violated", *_joints(study)), rows, "l")
 
 
 def truth_table(study: EqualTorqueStudy) -> Table:
@@ -140,7 +139,7 @@ def truth_table(study: EqualTorqueStudy) -> Table:
         rows.append((kind_words(t.kind), ratio, f"{better:.0f} % ({low:.0f} - {high:.0f})"))
     columns = ("kind", "times the feasible sets' error", "nearer to it than a feasible set")
     title = "each feasible set as the true arm (median and 95 % range over them)"
-    return Table(title, columns, rows, names=columns)
+    return Table(title, columns, rows, "lll")
 
 
 def firm_table(study: EqualTorqueStudy) -> Table:
@@ -151,30 +150,24 @@ def firm_table(study: EqualTorqueStudy) -> Table:
     ]
     columns = ("the true set's degree", "rho: median and 95 % range")
     title = "rho of degree and error among feasible sets, by how firm the true one is"
-    return Table(title, columns, rows, names=columns)
+    return Table(title, columns, rows, "ll")
 
 
-def variant_table(study: EqualTorqueStudy) -> Table | None:
-    """Medians and greatest errors under other assumptions."""
-    if not study.variants:
-        return None
+def variant_table(study: EqualTorqueStudy) -> Table:
+    """Medians and greatest errors under other assumptions, if there are any."""
     shown = [k for k in study.kinds if k != "total_mass"]
     rho = study.comparison.correlation.rho
     medians = {k: float(study.worst[study.rows(k)].median()) for k in study.kinds}
     lines = [("as above", medians, study.reach, (rho.value, rho.low, rho.high))]
     lines += [(v.name, v.medians, v.reach, v.rho) for v in study.variants]
     rows = []
-    for name, own, reach, (value, low, high) in lines:
+    for name, own, reach, (value, low, high) in lines if study.variants else ():
         greatest = {r.kind: f" ({float(r.reached.max()):.3g})" for r in reach}
         texts = ((f"{own[k]:.3g}" if k in own else "-") + greatest.get(k, "") for k in shown)
         rows.append((name, *texts, f"{value:.2f} [{low:.2f}, {high:.2f}]"))
-    return Table(
-        "other outer bounds: median of the largest force error [N] (greatest of any)",
-        ("assumption", *(kind_words(kind) for kind in shown), "rho with degree"),
-        rows,
-        names=("rho with degree",),
-        words=("assumption",),
-    )
+    title = "other outer bounds: median of the largest force error [N] (greatest of any)"
+    columns = ("assumption", *map(kind_words, shown), "rho with degree")
+    return Table(title, columns, rows, f"p{'r' * len(shown)}l")
 
 
 def kind_words(kind: str) -> str:
@@ -440,3 +433,9 @@ _ERROR = "force error, largest joint [N], RMS over the motion"
 
 def _colour(kind: str) -> str:
     return COLOURS.get(kind, GREY)
+
+
+def class_colour(name: str) -> str:
+    """Of a class of reasons: that of its kind."""
+    kinds = {label: kind for kind, label in CLASS_NAMES.items()}
+    return _colour("inertia+com" if name == MIXED else kinds.get(name, name))

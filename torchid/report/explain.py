@@ -54,7 +54,7 @@ def shown(path: Path) -> tuple[dict[str, Any], Shown]:
         screen = Screen(
             answer=stored.answer, band=stored.band_hz, warnings=own.warnings, model=own.last
         )  # fmt: skip
-    parts = [part if isinstance(part, str) else Table(**part) for part in own.parts]
+    parts = [part if isinstance(part, str) else Table.read(part) for part in own.parts]
     said = Shown(
         screen=screen, verdict=own.verdict, parts=parts, warnings=own.warnings, last=own.last
     )
@@ -77,9 +77,9 @@ def of_record(record: Record) -> Shown:
     cells = [[_cell(row.get(name)) for name in columns] for row in rows[:MOST_ROWS]]
     more = f"{len(rows) - MOST_ROWS} more rows are in the file." if len(rows) > MOST_ROWS else ""
     words = [name.replace("_", " ") for name in columns]
-    table = Table(record.schema, words, cells, words=words, note=more)
+    table = Table(record.schema, words, cells, "p" * len(words), more)
     warnings = getattr(record, "warnings", ())
-    return Shown(verdict=repr(record), parts=[table] if cells else [], warnings=warnings)
+    return Shown(verdict=repr(record), parts=[table], warnings=warnings)
 
 
 def _cell(value: object) -> str:

@@ -17,8 +17,8 @@ from torchid.export.projection import Kept
 from torchid.export.randomisation import Randomisation
 from torchid.export.record import RangeRow
 from torchid.feasibility.margins import inertia_eigenvalues
-from torchid.report.table import Shown, Table, cells, filled, joint_numbers, joint_unit, torque_unit
-from torchid.results.words import count, effect_words, joints_words, listed
+from torchid.report.table import Shown, Table, cells, joint_numbers, joint_unit, torque_unit
+from torchid.results.words import count, effect_words, joints_words, listed, number_list
 from torchid.robot.model import JointType, Robot
 from torchid.simulation.servo import Servos
 from torchid.simulators.joint_dynamics import JointDynamics, Target, split
@@ -46,12 +46,9 @@ def comparison_table(done: Export) -> Table:
             said = "agrees"
         said += f": {one.note}" if one.note else ""
         rows.append((one.reader, one.compared, *cells, said))
-    return Table(
-        "reloaded and compared with the result's own model",
-        ("reader", "compared", "states", "largest difference", "limit", ""),
-        rows,
-        words=("reader", "compared", ""),
-    )
+    title = "reloaded and compared with the result's own model"
+    columns = ("reader", "compared", "states", "largest difference", "limit", "")
+    return Table(title, columns, rows, "pprrrp")
 
 
 def effect_lines(done: Export) -> list[str]:
@@ -91,42 +88,35 @@ def correction_shown(done: Correction) -> Shown:
     )
 
 
-def servo_tables(done: Correction) -> list[Table]:
-    """Errors of servos in a simulator's file, and what it does not say of them."""
-    judged, joints = done.judged, joint_numbers(done.nominal.n)
+def error_table(done: Correction, title: str, given: str, beside: str) -> Table:
+    """Errors joint by joint of a robot as it was `given`, of all effects, of the file alone, and
+    with what stands `beside` it."""
+    judged = done.judged
     rows = [
-        ("the position is the command", judged.nominal),
+        (given, judged.nominal),
         ("all effects", judged.full),
         ("the file alone, predicted", judged.claim),
         (f"the file alone, {judged.by}", judged.engine),
-        ("with set-points at run time", judged.run_time),
+        (f"with {beside} at run time", judged.run_time),
     ]
     errors = [(name, *cells([*v.tolist(), float(v.nanmean())], ".1f")) for name, v in rows]
-    beside = [
-        (name, ", ".join(str(j + 1) for j in on) or "the arm") for name, on in done.no_field.items()
-    ]
+    return Table(title, ("", *joint_numbers(done.nominal.n), "mean"), errors, "p")
+
+
+def servo_tables(done: Correction) -> list[Table]:
+    """Errors of servos in a simulator's file, and what it does not say of them."""
     again = f"position error, begun anew every {WINDOW_S:g} s [mrad]"
-    return filled(
-        Table(again, ("", *joints, "mean"), errors, words=("",)),
-        Table(
-            "of the servos, without a field in the file", ("parameter", "joints"), beside,
-            words=("parameter", "joints"),
-        ),
-    )  # fmt: skip
+    beside = [(name, number_list(on, "the arm")) for name, on in done.no_field.items()]
+    title = "of the servos, without a field in the file"
+    return [
+        error_table(done, again, "the position is the command", "set-points"),
+        Table(title, ("parameter", "joints"), beside, "pp"),
+    ]
 
 
 def correction_tables(done: Correction) -> list[Table]:
     """Errors, motion, effects without a field, and bodies."""
-    judged, nominal, n = done.judged, done.nominal, done.nominal.n
-    joints = joint_numbers(n)
-    rows = [
-        (_given(nominal), judged.nominal),
-        ("all effects", judged.full),
-        ("the file alone, predicted", judged.claim),
-        (f"the file alone, {judged.by}", judged.engine),
-        ("with effects at run time", judged.run_time),
-    ]
-    errors = [(name, *cells([*v.tolist(), float(v.nanmean())], ".1f")) for name, v in rows]
+    judged, nominal = done.judged, done.nominal
     # Positions in degrees and millimetres.
     turns = (kind is JointType.REVOLUTE for kind in nominal.joint_types)
     units = torch.tensor([math.degrees(1) if turn else 1e3 for turn in turns], dtype=torch.float64)
@@ -146,16 +136,15 @@ def correction_tables(done: Correction) -> list[Table]:
     beside = (
         f"effects without a field, which stay beside the file (lost: RMS, {torque_unit(nominal)})"
     )
-    return filled(
-        Table(band, ("", *joints, "mean"), errors, words=("",)),
-        Table(after, ("after", "model", *joints), motion, words=("model",)),
-        Table(beside, ("effect", "joints", "kept"), kept, words=("effect", "kept")),
+    return [
+        error_table(done, band, _given(nominal), "effects"),
+        Table(after, ("after", "model", *joint_numbers(nominal.n)), motion, "rp"),
+        Table(beside, ("effect", "joints", "kept"), kept, "prp"),
         _bodies(projection.robot, nominal),
-    )
+    ]
 
 
 def _kept(one: Kept, to: str) -> tuple[str, str, str]:
-    joints = ", ".join(str(j + 1) for j in one.joints) or "the arm"
     words = f"{100 * one.share:.0f} % by "
     if one.joint is None or one.value is None:
         words += "the links' bodies"
@@ -163,7 +152,7 @@ def _kept(one: Kept, to: str) -> tuple[str, str, str]:
         field = "friction" if to == "urdf" and one.field == "frictionloss" else one.field
         words += f"{field} {one.value:.3g} of joint {one.joint + 1}"
     words += f"; {one.lost:.2g} of {one.made:.2g} lost"
-    return one.effect.name.replace("_", " "), joints, words
+    return one.effect.name.replace("_", " "), number_list(one.joints, "the arm"), words
 
 
 def _bodies(robot: Robot, nominal: Robot) -> Table:
@@ -177,16 +166,13 @@ def _bodies(robot: Robot, nominal: Robot) -> Table:
             moved = float((new.com[i] - old.com[i]).norm())
             ratios = inertia_eigenvalues(new)[i] / inertia_eigenvalues(old)[i].clamp(min=1e-12)
             low, high = float(ratios.min()), float(ratios.max())
-            cells = [
-                f"{float(new.mass[i] / old.mass[i]):.2f}",
-                f"{1e3 * moved:.0f}",
-                f"{low:.2f} - {high:.2f}",
-            ]
+            heavier = f"{float(new.mass[i] / old.mass[i]):.2f}"
+            cells = [heavier, f"{1e3 * moved:.0f}", f"{low:.2f} - {high:.2f}"]
         rows.append((str(i + 1), name, f"{float(new.mass[i]):.3g}", *cells))
     columns = (
         "", "link", "mass [kg]", "over nominal", "centre moved [mm]", "inertias over nominal"
     )  # fmt: skip
-    return Table("bodies in the file", columns, rows, words=("link",))
+    return Table("bodies in the file", columns, rows, "rp")
 
 
 def randomisation_shown(done: Randomisation, files: Sequence[str]) -> Shown:
@@ -204,9 +190,7 @@ def randomisation_shown(done: Randomisation, files: Sequence[str]) -> Shown:
         f"differ, and {100 * done.level:g} % of the draws lie within each range.",
         parts=[
             ranges_table(done.ranges),
-            *filled(
-                Table("torque that stays unexplained", columns, residual, words=("joint", "why"))
-            ),
+            Table("torque that stays unexplained", columns, residual, "prrp"),
         ],
         warnings=done.warnings,
         last=f"written: {', '.join(files)}",
@@ -215,12 +199,8 @@ def randomisation_shown(done: Randomisation, files: Sequence[str]) -> Shown:
 
 def ranges_table(ranges: Sequence[RangeRow]) -> Table:
     """Ranges with their reasons."""
-    return Table(
-        "ranges",
-        ("field", "of", "low", "high", "unit", "why"),
-        [(r.field, r.name, f"{r.low:.4g}", f"{r.high:.4g}", r.unit, r.why) for r in ranges],
-        words=("field", "of", "unit", "why"),
-    )
+    rows = [(r.field, r.name, f"{r.low:.4g}", f"{r.high:.4g}", r.unit, r.why) for r in ranges]
+    return Table("ranges", ("field", "of", "low", "high", "unit", "why"), rows, "pprrpp")
 
 
 def simulator_block(robot: Robot, nearest: Sequence[NearestFields] = ()) -> str:

@@ -16,7 +16,7 @@ from torchid.extraction.record import AtlasRecord, noticeable
 from torchid.identification.values import BaseValues
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.panels import Figure, Figures, finish, panel, rows_of
-from torchid.report.table import Cell, Shown, Table, filled
+from torchid.report.table import Cell, Shown, Table
 from torchid.results.words import count, listed
 from torchid.robot.inertia import InertialParameters
 
@@ -127,16 +127,12 @@ def tables(found: Found, proof: Certificate | None) -> list[Table]:
     least = {} if proof is None else noticeable(proof)
     without = [(name, f"{value:.5g}") for name, value in least.items()][:_SHOWN]
     forced = "" if proof is None else f"what forces phi_min = {proof.phi_min:.5g}"
-    columns = ("without the condition", "phi_min would be")
-    return filled(
-        Table(
-            f"{which} within the bounds '{found.problem.bounds.name}' (torque: largest joint)",
-            ("set", "phi", "torque [%]", "gamma", "feasible", "degree", "reasons"),
-            rows,
-            words=("set", "reasons"),
-        ),
-        Table(forced, columns, without, words=columns[:1]),
-    )
+    title = f"{which} within the bounds '{found.problem.bounds.name}' (torque: largest joint)"
+    columns = ("set", "phi", "torque [%]", "gamma", "feasible", "degree", "reasons")
+    return [
+        Table(title, columns, rows, "prrrrrp"),
+        Table(forced, ("without the condition", "phi_min would be"), without, "p"),
+    ]
 
 
 def figures(found: Found) -> Figures:
@@ -221,12 +217,8 @@ def atlas_table(atlas: Atlas) -> Table:
         ends = (f"{float(end[k]):.4g}" for end in (atlas.low, atlas.high))
         bounds = f"{float(atlas.bounds_low[k]):.3g} .. {float(atlas.bounds_high[k]):.3g}"
         rows.append((name, *ends, atlas.units[k], bounds, Text(f"{100 * share:.2g}", colour)))
-    return Table(
-        "ranges over feasible sets of equal torque",
-        ("parameter", "low", "high", "unit", "within the bounds alone", "share %"),
-        rows,
-        names=("parameter", "unit"),
-    )
+    columns = ("parameter", "low", "high", "unit", "within the bounds alone", "share %")
+    return Table("ranges over feasible sets of equal torque", columns, rows, "lrrl")
 
 
 def atlas_figure(atlas: AtlasRecord) -> Figure:

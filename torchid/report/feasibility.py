@@ -161,7 +161,7 @@ def _link_table(check: Check, k: int) -> Table:
         least = min(degrees)
         rows.append((str(i + 1), name, *texts, _coloured(f"{least:.2g}", least, any(bad))))
     title = f"links of {check.sets.ids[k]} (red: violated, yellow: degree below {NEAR:g})"
-    return Table(title, columns, rows, names=("", "link"))
+    return Table(title, columns, rows, "ll")
 
 
 def _coefficient_table(check: Check, k: int) -> Table:
@@ -177,7 +177,7 @@ def _coefficient_table(check: Check, k: int) -> Table:
         value = f"{float(check.sets.coefficients[k, e]):.4g}"
         row[joint + 1] = _coloured(value, degree, bool(found.violated_coefficients[k, e]))
     columns = ("", *joint_numbers(n))
-    return Table("coefficients of the effects, by joint", columns, list(rows.values()), names=("",))
+    return Table("coefficients of the effects, by joint", columns, list(rows.values()), "l")
 
 
 def _set_table(check: Check) -> Table:
@@ -192,13 +192,8 @@ def _set_table(check: Check) -> Table:
         degree = _coloured(f"{degrees[k]:.2g}", degrees[k], not feasible[k])
         findings, why = str(len(check.findings[k]) or "-"), ", ".join(found.reasons(k)) or "-"
         rows.append((name, said, degree, f"{masses[k]:.4g}", findings, why))
-    return Table(
-        f"{count} sets of {check.robot.name}{shown}",
-        ("set", "feasible", "degree", "total mass [kg]", "findings", "violated"),
-        rows,
-        names=("set",),
-        words=("violated",),
-    )
+    columns = ("set", "feasible", "degree", "total mass [kg]", "findings", "violated")
+    return Table(f"{count} sets of {check.robot.name}{shown}", columns, rows, "lrrrrp")
 
 
 def findings_lines(check: Check) -> tuple[str, ...]:
@@ -224,4 +219,4 @@ def nearest_table(nearest: NearestSets) -> Table:
         rows.append((name, status if feasible else Text(status, "red"), *cells(row)))
     joints = joint_numbers(nearest.torque_change.shape[1])
     title = "nearest feasible sets: change of the joints' torques, % of their own rms"
-    return Table(title, ["set", "status", *joints], rows, names=("set", "status"))
+    return Table(title, ["set", "status", *joints], rows, "ll")

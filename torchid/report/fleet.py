@@ -1,6 +1,5 @@
 """A fleet for people: the verdict, tables and sentences."""
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
@@ -13,7 +12,7 @@ from torchid.report.cautions import caution_section
 from torchid.report.colours import BLUE, GREY, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Picture, panel
-from torchid.report.table import Cell, Section, Shown, Table, filled
+from torchid.report.table import Cell, Section, Shown, Table, cell, cells
 from torchid.results.words import count, listed, short
 
 MOST = 20
@@ -21,14 +20,6 @@ MOST = 20
 
 LONGEST = 22
 """Characters of a parameter's name."""
-
-
-def _number(value: float, digits: str = ".4g") -> str:
-    return f"{value:{digits}}" if math.isfinite(value) else "-"
-
-
-def _between(ends: tuple[float, float]) -> str:
-    return f"{_number(ends[0], '.2g')} .. {_number(ends[1], '.2g')}"
 
 
 def shown(found: FleetRecord) -> Shown:
@@ -49,8 +40,7 @@ def gap_shown(found: FleetGapRecord) -> Shown:
 
 def watch_shown(found: WatchRecord) -> Shown:
     """All that there is to see of what drifts."""
-    alarms = filled(alarm_table(found))
-    return Shown(verdict=watch_verdict(found), parts=alarms, warnings=found.notes)
+    return Shown(verdict=watch_verdict(found), parts=[alarm_table(found)], warnings=found.notes)
 
 
 def verdict(found: FleetRecord) -> str:
@@ -79,16 +69,16 @@ def log_table(logs: Sequence[LogRow]) -> Table:
     title = "logs: " + ", ".join(f"{k} {v}" for v, k in sorted(verdicts.items()))
     note = f"and {len(rows) - MOST} more, in the JSON" if len(rows) > MOST else ""
     columns = ("unit", "session", "verdict", "why")
-    return Table(title, columns, rows[:MOST], ("unit", "verdict"), ("session", "why"), note)
+    return Table(title, columns, rows[:MOST], "lplp", note)
 
 
 def parameter_table(found: FleetRecord) -> Table:
     """Means and spreads of the base parameters."""
     rows: list[list[Cell]] = [
         [
-            short(p.name, LONGEST), f"{_number(p.mean)} ± {_number(p.std, '.2g')} {p.unit}",
-            _number(p.between, ".2g"), _between(p.between_ci95), _number(p.daily, ".2g"),
-            _number(p.noise, ".2g"), "-" if p.sessions_needed is None else str(p.sessions_needed),
+            short(p.name, LONGEST), f"{cell(p.mean, '.4g')} ± {cell(p.std, '.2g')} {p.unit}",
+            cell(p.between, ".2g"), " .. ".join(cells(p.between_ci95, ".2g")), cell(p.daily, ".2g"),
+            cell(p.noise, ".2g"), cell(p.sessions_needed, "d"),
         ]
         for p in found.parameters
     ]  # fmt: skip
@@ -97,19 +87,15 @@ def parameter_table(found: FleetRecord) -> Table:
         "Standard deviations between units, between days of one unit, and of a session's "
         "estimate; sessions needed until a unit's own value is known to half the spread of units."
     )
-    return Table(
-        f"{found.robot}: the type and its spread", columns, rows,
-        words=("base parameter", "mean"),
-        note=note,
-    )  # fmt: skip
+    return Table(f"{found.robot}: the type and its spread", columns, rows, "pp", note)
 
 
 def odd_table(found: FleetRecord) -> Table:
     """What is odd about which unit."""
     rows: list[list[Cell]] = [
         [
-            o.unit, short(o.parameter, LONGEST), f"{_number(o.value)} ± {_number(o.std, '.2g')}",
-            _number(o.others), _number(o.spread, ".2g"), f"{o.deviation:+.1f}", f"{o.p:.1e}",
+            o.unit, short(o.parameter, LONGEST), f"{cell(o.value, '.4g')} ± {cell(o.std, '.2g')}",
+            cell(o.others, ".4g"), cell(o.spread, ".2g"), f"{o.deviation:+.1f}", f"{o.p:.1e}",
         ]
         for o in found.oddities
     ]  # fmt: skip
@@ -118,12 +104,12 @@ def odd_table(found: FleetRecord) -> Table:
     if len(rows) > MOST:
         note += f" And {len(rows) - MOST} more rows, in the JSON."
     columns = ("unit", "base parameter", "its value", "others", "spread", "deviation", "p")
-    return Table("odd units", columns, rows[:MOST], ("unit", "base parameter"), note=note)
+    return Table("odd units", columns, rows[:MOST], "ll", note)
 
 
 def tables(found: FleetRecord) -> list[Table]:
     """All of them that have something to say."""
-    return filled(parameter_table(found), odd_table(found), log_table(found.logs))
+    return [parameter_table(found), odd_table(found), log_table(found.logs)]
 
 
 SCOPES = {"type": "the type's", "some": "some units'", "unit": "a unit's own"}
@@ -150,7 +136,7 @@ def effect_table(found: FleetGapRecord) -> Table:
         for e in found.effects
     ]  # fmt: skip
     columns = ("effect", "is", "units", "95 % [%]", "which", "or")
-    return Table("effects over the fleet", columns, rows, ("effect", "is"), ("which", "or"))
+    return Table("effects over the fleet", columns, rows, "llrrpp")
 
 
 def diagnosed_table(found: FleetGapRecord, most: int | None = None) -> Table:
@@ -158,7 +144,7 @@ def diagnosed_table(found: FleetGapRecord, most: int | None = None) -> Table:
     rows: list[list[Cell]] = [
         [
             log.unit, log.session, log.status.replace("_", " "),
-            _number(max(log.gap), ".2g") if log.gap else "-",
+            cell(max(log.gap, default=None), ".2g"),
             str(max(range(len(log.gap)), key=log.gap.__getitem__) + 1) if log.gap else "-",
             "-" if log.closed is None else f"{100 * log.closed:.0f}",
             "; ".join(log.effects) or log.evidence,
@@ -167,8 +153,8 @@ def diagnosed_table(found: FleetGapRecord, most: int | None = None) -> Table:
     ]  # fmt: skip
     note = f"and {len(rows) - most} more" if most is not None and len(rows) > most else ""
     columns = ("unit", "session", "status", "gap / noise", "joint", "closed [%]", "named")
-    words, names = ("named",), ("unit", "session", "status")
-    return Table("logs: the largest gap over the noise", columns, rows[:most], names, words, note)
+    title = "logs: the largest gap over the noise"
+    return Table(title, columns, rows[:most], "lllrrrp", note)
 
 
 def gap_map(found: FleetGapRecord) -> Figure:
@@ -207,11 +193,11 @@ def fleet_gap_page(found: FleetGapRecord, origin: Origin) -> Page:
                 "Which unit has which effect",
                 [
                     Picture("map", caption, alt, partial(gap_map, found)),
-                    effect_table(found).on_page(),
+                    effect_table(found),
                 ],
                 folded=False,
             ),
-            Section("Every log", [diagnosed_table(found).on_page()]),
+            Section("Every log", [diagnosed_table(found)]),
             caution_section(found.notes),
         ],
         sortable=True,
@@ -232,9 +218,9 @@ def alarm_table(found: WatchRecord) -> Table:
     """What changed, the clearest first."""
     rows: list[list[Cell]] = [
         [
-            a.unit, short(a.parameter, LONGEST), a.since, a.said_at, _number(a.before),
-            _number(a.after), f"{a.percent:+.0f}",
-            "-" if a.by_temperature is None else f"{a.by_temperature:+.0f}",
+            a.unit, short(a.parameter, LONGEST), a.since, a.said_at, cell(a.before, ".4g"),
+            cell(a.after, ".4g"), f"{a.percent:+.0f}",
+            cell(a.by_temperature, "+.0f"),
         ]
         for a in found.alarms
     ]  # fmt: skip
@@ -243,5 +229,4 @@ def alarm_table(found: WatchRecord) -> Table:
     note = (
         f"False alarms: one in {found.false_alarm_every:g} sessions of a unit at most, on average."
     )
-    names = ("unit", "base parameter", "since", "sure at")
-    return Table("what changed", columns, rows[:MOST], names, note=note)
+    return Table("what changed", columns, rows[:MOST], "llll", note)

@@ -8,11 +8,11 @@ from typing import Any
 
 from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import TorqueDiagnosis
-from torchid.gap.record import Experiment, GapRecord, Known, NotTestable
+from torchid.gap.record import GapRecord, Known, NotTestable
 from torchid.report import gap_figures
+from torchid.report.cautions import ranged
 from torchid.report.gap_words import (
     CLEAR,
-    REGIMES,
     change_words,
     clear_regimes,
     coefficients,
@@ -21,7 +21,7 @@ from torchid.report.gap_words import (
     shapes,
 )
 from torchid.report.panels import Picture
-from torchid.report.table import Table, cells, filled, joint_numbers, joint_unit, torque_unit
+from torchid.report.table import Table, cells, joint_numbers, joint_unit, torque_unit
 from torchid.results.record import as_plain
 from torchid.results.replication import times
 from torchid.results.words import (
@@ -30,12 +30,14 @@ from torchid.results.words import (
     joints_words,
     listed,
     measure,
+    number_list,
     percent,
+    regime_words,
     sure,
+    unit_behind,
     unit_words,
 )
 from torchid.robot.model import Robot
-from torchid.simulation.two_models import Rollout
 
 _MOST_REGIMES = 3
 _MOST_NUMBERS = 12
@@ -45,20 +47,11 @@ _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 def tables(record: GapRecord) -> list[Table]:
     """What stands below the answer: where, which, how far, what could not be tested, what to record
     next."""
-    experiment, rollout = record.next_experiment, record.how_far.rollout
-    return filled(
-        where_table(record) if stands_out(record) else None,
-        which_table(record),
-        small_table(record),
-        known_table(record),
-        open_table(record),
-        meaning_table(record),
-        how_far_table(record),
-        budget_table(record),
-        rollout_table(rollout) if rollout else None,
-        not_testable_table(record),
-        experiment_table(experiment) if experiment else None,
-    )
+    makers = (
+        where_table, which_table, small_table, known_table, open_table, meaning_table,
+        how_far_table, budget_table, rollout_table, not_testable_table, experiment_table,
+    )  # fmt: skip
+    return [make(record) for make in makers]
 
 
 def model_of(record: GapRecord) -> Robot:
@@ -73,9 +66,9 @@ def stands_out(record: GapRecord) -> bool:
 
 
 def where_table(record: GapRecord) -> Table:
-    """Joints: size and share of the gap, and the regimes that hold more than their share."""
+    """Joints: size and share of the gap, and regimes that hold more than their share, if any."""
     rows = []
-    for gap in record.where.joints:
+    for gap in record.where.joints if stands_out(record) else ():
         said = []
         for r in clear_regimes(record, gap.joint)[:_MOST_REGIMES]:
             text = excess_words(r)
@@ -94,12 +87,8 @@ def where_table(record: GapRecord) -> Table:
             )
         )  # fmt: skip
     regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"
-    return Table(
-        f"where: torque the model lacks, below {record.band_hz:g} Hz",
-        ("joint", "gap, RMS", "noise, RMS", "share", regimes),
-        rows,
-        words=("joint", regimes),
-    )
+    title = f"where: torque the model lacks, below {record.band_hz:g} Hz"
+    return Table(title, ("joint", "gap, RMS", "noise, RMS", "share", regimes), rows, "prrrp")
 
 
 def which_table(record: GapRecord) -> Table:
@@ -118,8 +107,8 @@ def which_table(record: GapRecord) -> Table:
         if f.shape:
             values.append(f"({', '.join(shapes(f))})")
         links = f.effect == "link_inertia"
-        what = f"inertia of link {_numbers(f.joints)}" if links else effect_words(f.effect)
-        joints = _numbers(f.joints) or "all"
+        what = f"inertia of link {number_list(f.joints)}" if links else effect_words(f.effect)
+        joints = number_list(f.joints, "all")
         closes = "-" if f.share is None else percent(f.share)
         rows.append(
             (
@@ -136,15 +125,11 @@ def which_table(record: GapRecord) -> Table:
         if not p.links
     ]  # fmt: skip
     columns = ("effect", "joints", "value", "could also be", "removes", "sure", "found in")
-    return Table(
-        "which: effects the model lacks (value ± std)",
-        columns,
-        rows,
-        names=columns[:3],
-        words=columns[3:4],
-        note="or: could also be; removes: share of the error that this cause removes, given the "
-        "causes above it; found in: motions with the same size, of those that can show it",
+    note = (
+        "or: could also be; removes: share of the error that this cause removes, given the causes "
+        "above it; found in: motions with the same size, of those that can show it"
     )
+    return Table("which: effects the model lacks (value ± std)", columns, rows, "lllp", note)
 
 
 def small_table(record: GapRecord) -> Table:
@@ -152,23 +137,23 @@ def small_table(record: GapRecord) -> Table:
     rows = []
     for e in record.small:
         values = [
-            f"{name} = {measure(v, e.std.get(name), '' if unit == '1' else unit)}"
+            f"{name} = {measure(v, e.std.get(name), unit_behind(unit))}"
             for name, unit in e.unit.items()
             if isinstance(v := e.parameters[name], float | int)
         ]
         last = (f"{e.closes_rms:.2g}", sure(e.how_sure), times(e.replication))
-        place = _numbers(e.joints) or "all"
+        place = number_list(e.joints, "all")
         rows.append((effect_words(e.effect), place, "\n".join(values), *last))
     columns = ("effect", "joints", "value", "removes, RMS", "sure", "found in")
     title = "small effects (real, but below `worthwhile=...`)"
-    return Table(title, columns, rows, names=columns[:3])
+    return Table(title, columns, rows, "lll")
 
 
 def known_table(record: GapRecord) -> Table:
     """Coefficients of the model's effects before this log and after it."""
     known, rows = record.knowledge or Known(sources=()), []
     for c in known.coefficients:
-        unit = "" if c.unit == "1" else unit_words(c.unit)
+        unit = unit_behind(c.unit)
         before, after = ((c.before, c.before_std), (c.after, c.after_std))
         name, place = c.name.rsplit(" ", 1)
         moved = "changed" if c.changed else "suspected" if c.name in known.moved else "as known"
@@ -177,7 +162,7 @@ def known_table(record: GapRecord) -> Table:
         )
     sources = ", ".join(known.sources)
     columns = ("coefficient", "known before", "with this log", "")
-    return Table(f"known: what this log adds to {sources}", columns, rows, names=columns[:1])
+    return Table(f"known: what this log adds to {sources}", columns, rows, "l")
 
 
 def open_table(record: GapRecord) -> Table:
@@ -190,7 +175,7 @@ def open_table(record: GapRecord) -> Table:
     ]
     columns = ("joint", "open before this log, RMS", "to be sure")
     title = "torque that the previous model could not predict"
-    return Table(title, columns, rows, names=columns[:1], words=columns[2:])
+    return Table(title, columns, rows, "lrp")
 
 
 def meaning_table(record: GapRecord) -> Table:
@@ -205,9 +190,7 @@ def meaning_table(record: GapRecord) -> Table:
         words = "inertial parameters" if name == "link_inertia" else effect_words(name)
         rows.append((words, "\n".join([first.meaning, *notes]), remedy))
     columns = ("effect", "what it means", "what to do")
-    return Table(
-        "what it means, and what to do", columns, rows, names=columns[:1], words=columns[1:]
-    )
+    return Table("what it means, and what to do", columns, rows, "lpp")
 
 
 def how_far_table(record: GapRecord) -> Table:
@@ -224,7 +207,7 @@ def how_far_table(record: GapRecord) -> Table:
         for name, level in levels
     ]
     title = f"how far: RMS of what the model lacks [{torque_unit(robot)}]"
-    return Table(title, ("model", *joint_numbers(robot.n), "all"), rows, words=("model",))
+    return Table(title, ("model", *joint_numbers(robot.n), "all"), rows, "p")
 
 
 def budget_table(record: GapRecord) -> Table:
@@ -245,10 +228,10 @@ def closed_words(record: GapRecord) -> str:
     return f"{percent(far.closed)} {interval(far.closed_ci95)}"
 
 
-def rollout_table(rollout: Rollout) -> Table:
+def rollout_table(record: GapRecord) -> Table:
     """Position errors of short simulations, corrected model relative to the given one."""
-    rows = []
-    for row in rollout.horizons:
+    rows, rollout = [], record.how_far.rollout
+    for row in rollout.horizons if rollout else ():
         if row.ratio is None:
             continue
         within = row.ratio_ci95
@@ -291,30 +274,18 @@ def not_testable_table(record: GapRecord) -> Table:
             else:
                 sizes.append(f"{place}: {x.smallest_detectable:.3g} {unit_words(x.unit)}".rstrip())
         sizes += [f"{', '.join(never)}: at no size"] if never else []
-        rows.append((effect_words(effect), "; ".join(sizes), _reason(members)))
+        why = ranged([x.reason for x in members], _NUMBER)
+        rows.append((effect_words(effect), "; ".join(sizes), why))
     columns = ("effect", "joint: smallest size that this log would show", "why")
-    return Table(
-        "not testable with these data", columns, rows, names=columns[:1], words=columns[1:]
-    )
+    return Table("not testable with these data", columns, rows, "lpp")
 
 
-def _reason(members: list[NotTestable]) -> str:
-    """The reason, which differs in its numbers only; of several, from the least to the greatest."""
-    found = [_NUMBER.findall(x.reason) for x in members]
-    spans = []
-    for same in zip(*found, strict=True):
-        low, high = min(same, key=float), max(same, key=float)
-        spans.append(low if low == high else f"{low} to {high}")
-    each = iter(spans)
-    return _NUMBER.sub(lambda _: next(each), members[0].reason)
-
-
-def experiment_table(experiment: Experiment) -> Table:
+def experiment_table(record: GapRecord) -> Table:
     """What to record next."""
-    entries = as_plain(experiment).items()
-    texts = {key.replace("_", " "): _value(value) for key, value in entries}
+    entries = as_plain(record.next_experiment) if record.next_experiment else {}
+    texts = {key.replace("_", " "): _value(value) for key, value in entries.items()}
     rows = [(key, text) for key, text in texts.items() if text]
-    return Table("next experiment", ("", " "), rows, names=("",), words=(" ",))
+    return Table("next experiment", ("", " "), rows, "lp")
 
 
 def _value(value: Any) -> str:
@@ -329,10 +300,6 @@ def _value(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return "" if value is None else effect_words(value) if value in KINDS else str(value)
-
-
-def _numbers(joints: tuple[int, ...]) -> str:
-    return ", ".join(str(j + 1) for j in joints)
 
 
 def _others(names: tuple[str, ...]) -> str:
@@ -358,42 +325,37 @@ def joint_pictures(d: TorqueDiagnosis) -> list[Picture]:
     return out
 
 
-def where_pictures(record: GapRecord) -> list[Picture]:
+def where_picture(record: GapRecord) -> Picture | None:
     """The map of joints and kinds of motion, where it shows something."""
     if not stands_out(record):
-        return []
+        return None
     worst = gap_figures.worst_joints(record, 1)[0]
     clear = clear_regimes(record, worst)
-    when = f"above all {listed([REGIMES[r.regime] for r in clear])}"
+    when = f"above all in the columns {listed(regime_words(r.regime) for r in clear)}"
     shares = {gap.joint: percent(gap.share) for gap in record.where.joints}
     each = ", ".join(f"joint {j + 1} {share}" for j, share in shares.items())
-    return [
-        Picture(
-            "where",
-            "Rows are joints, columns kinds of motion: a blue cell holds more of the joint's error "
-            "than its share of the time. The bars are the joints' shares of all of it. Joint "
-            f"{worst + 1} holds {shares[worst]} of the error, "
-            f"{when if clear else 'at no time more than at others'}.",
-            f"Map of joints and kinds of motion. Shares of the error: {each}.",
-            partial(gap_figures.map_figure, record),
-        )
-    ]
+    return Picture(
+        "where",
+        "Rows are joints, columns kinds of motion: a blue cell holds more of the joint's error "
+        "than its share of the time. The bars are the joints' shares of all of it. Joint "
+        f"{worst + 1} holds {shares[worst]} of the error, "
+        f"{when if clear else 'at no time more than at others'}.",
+        f"Map of joints and kinds of motion. Shares of the error: {each}.",
+        partial(gap_figures.map_figure, record),
+    )
 
 
-def known_pictures(record: GapRecord) -> list[Picture]:
+def known_picture(record: GapRecord) -> Picture | None:
     """What a log makes of what was known, where something was."""
     if record.knowledge is None or not record.knowledge.coefficients:
-        return []
-    return [
-        Picture(
-            "known",
-            "What this log makes of what was known. Intervals hold 95 %; those before the log hold "
-            "the change from one session to the next. A diamond marks a coefficient that has "
-            "changed.",
-            "Known coefficients before this log and with it.",
-            partial(gap_figures.known_figure, record),
-        )
-    ]
+        return None
+    return Picture(
+        "known",
+        "What this log makes of what was known. Intervals hold 95 %; those before the log hold the "
+        "change from one session to the next. A diamond marks a coefficient that has changed.",
+        "Known coefficients before this log and with it.",
+        partial(gap_figures.known_figure, record),
+    )
 
 
 _AGAINST = (

@@ -19,11 +19,10 @@ from torchid.report.panels import (
     Figures,
     finish,
     map_with_bars,
-    new_figure,
     panel,
-    styled,
+    rows_of,
 )
-from torchid.report.repeats import error_figure, repeats_figures
+from torchid.report.repeats import error_figure, repeats_picture
 from torchid.report.table import joint_unit
 from torchid.results.words import percent, regime_words
 from torchid.statistics.jackknife import student_quantile
@@ -48,7 +47,8 @@ def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
             f"gap_joint_{j + 1}": partial(joint_figure, result, j) for j in worst_joints(record)
         }
         out["torque"] = torque_over_time(result).draw
-    out |= repeats_figures(record)
+    if (picture := repeats_picture(record)) is not None:
+        out[picture.name] = picture.draw
     if record.knowledge is not None and record.knowledge.coefficients:
         out["known"] = partial(known_figure, record)
     return out
@@ -98,9 +98,7 @@ def known_figure(record: GapRecord) -> Figure:
     known = record.knowledge
     assert known is not None
     shown = [c for c in known.coefficients if c.before and c.before_std is not None]
-    figure = new_figure(9.6, 1.0 + 0.24 * max(len(shown), 4))
-    axes = figure.subplots()
-    styled(axes)
+    figure, axes = panel(9.6, 1.4 + 0.24 * max(len(shown), 4))
     for k, c in enumerate(shown):
         for value, std, colour, up in (
             (c.before, c.before_std, BEFORE, 0.14),
@@ -110,18 +108,14 @@ def known_figure(record: GapRecord) -> Figure:
             axes.errorbar(
                 value / c.before, k - up, xerr=half, fmt="D" if c.changed else "o", color=colour,
                 markersize=4, linewidth=1.2,
-                label={BEFORE: "known before", AFTER: "with this log"}[colour] if not k else None,
+                label="known before" if colour == BEFORE else "with this log",
             )  # fmt: skip
-    axes.set_yticks(
-        range(len(shown)),
-        [c.name.replace("_", " ") + (" (changed)" if c.changed else "") for c in shown],
-        fontsize=SMALL,
-    )
-    axes.set(ylim=(len(shown) - 0.4, -0.6), xlabel="of the value before")
+    names = [c.name.replace("_", " ") + (" (changed)" if c.changed else "") for c in shown]
+    rows_of(axes, names, SMALL)
+    axes.set_xlabel("of the value before")
     low, high = axes.get_xlim()
     axes.set_xlim(max(low, -1.0), min(high, 3.0))  # what is hardly known leaves the picture
-    axes.legend(fontsize=SMALL, frameon=False)
-    return finish(figure, f"{record.robot}: what this log makes of what was known")
+    return finish(figure, f"{record.robot}: what this log makes of what was known", axes)
 
 
 BINS = 24

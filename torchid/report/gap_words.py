@@ -1,20 +1,8 @@
 """Words of a diagnosis of torques."""
 
 from torchid.gap.record import FoundEffect, GapRecord, KnownCoefficient, RegimeGap
-from torchid.results.words import interval, measure, percent, regime_words, unit_words
+from torchid.results.words import interval, measure, percent, regime_words, unit_behind
 from torchid.robot.model import Robot
-
-REGIMES = {
-    "velocity_reversal": "at velocity reversals",
-    "low_speed": "at low speed",
-    "high_speed": "at high speed",
-    "high_acceleration": "at high acceleration",
-    "gravity_load": "under gravity load",
-    "position_periodic": "periodic in position",
-    "high_frequency": "at high frequency",
-    "slow_drift": "drifting slowly",
-    "transient": "in transients",
-}
 
 CLEAR = 0.05
 """p below which a regime is said to hold more than its share."""
@@ -40,7 +28,7 @@ def clear_regimes(record: GapRecord, joint: int) -> list[RegimeGap]:
 def coefficients(found: FoundEffect) -> list[str]:
     """Every coefficient as `Fc = 0.61 ± 0.02 N m`."""
     return [
-        f"{name} = {measure(value, std, _shown(found.unit[name]))}"
+        f"{name} = {measure(value, std, unit_behind(found.unit[name]))}"
         for name, std in found.std.items()
         if isinstance(value := found.parameters[name], int | float)
     ]
@@ -49,7 +37,7 @@ def coefficients(found: FoundEffect) -> list[str]:
 def shapes(found: FoundEffect) -> list[str]:
     """Every shape parameter as `vs = 0.1 rad/s`."""
     return [
-        f"{name} = {value:.4g} {_shown(found.unit[name])}".rstrip()
+        f"{name} = {value:.4g} {unit_behind(found.unit[name])}".rstrip()
         for name in found.shape
         if isinstance(value := found.parameters[name], int | float)
     ]
@@ -58,7 +46,7 @@ def shapes(found: FoundEffect) -> list[str]:
 def change_words(one: KnownCoefficient) -> str:
     """`9.1 ± 0.3 N m s/rad, was 4.0 ± 0.3`."""
     before = measure(one.before, one.before_std, "")
-    return f"{measure(one.after, one.after_std, _shown(one.unit))}, was {before}"
+    return f"{measure(one.after, one.after_std, unit_behind(one.unit))}, was {before}"
 
 
 def corrects(found: FoundEffect, robot: Robot) -> bool:
@@ -68,8 +56,3 @@ def corrects(found: FoundEffect, robot: Robot) -> bool:
         r.get("effect") == found.effect and (not joints or r.get("joint") in joints)
         for r in robot.effects
     )
-
-
-def _shown(unit: str) -> str:
-    """A unit as people write it: none for plain numbers."""
-    return "" if unit == "1" else unit_words(unit)

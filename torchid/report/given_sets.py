@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from torchid.report.colours import GREY, INK
-from torchid.report.equal_torque import COLOURS, interval
+from torchid.report.equal_torque import class_colour, interval
 from torchid.report.panels import Figure, Figures, finish, panel
 from torchid.report.table import Shown, Table, cells
 from torchid.study.equal_torque.given_sets import GivenSets
-from torchid.wrenches.classes import KINDS, class_of
+from torchid.wrenches.classes import class_of
 
 _MOST_ROWS = 40
 _MOST_NAMED = 15
@@ -84,7 +84,7 @@ def set_table(found: GivenSets) -> Table:
     rows.append(("itself", "", "", moment, *cells(own.reference_force_rms), ""))
     joints = (f"j{joint + 1}" for joint in range(found.robot.n))
     columns = ("set", "degree", "torque [%]", "moment [N m]", *joints, "reasons")
-    return Table(title, columns, rows, names=columns[:1], words=columns[-1:])
+    return Table(title, columns, rows, "l".ljust(len(columns) - 1, "r") + "p")
 
 
 def class_table(found: GivenSets) -> Table:
@@ -98,12 +98,10 @@ def class_table(found: GivenSets) -> Table:
             quartiles = f"{summary.lower_quartile:.3g} - {summary.upper_quartile:.3g}"
             middle = (f"{summary.median:.3g}", quartiles)
         rows.append((summary.name, str(summary.sets), *middle))
-    return Table(
-        f"largest force error by class and by reason [N]; Spearman's rho with the degree {value}",
-        ("sets that violate", "sets", "median", "quartiles"),
-        rows,
-        names=("sets that violate",),
+    title = (
+        f"largest force error by class and by reason [N]; Spearman's rho with the degree {value}"
     )
+    return Table(title, ("sets that violate", "sets", "median", "quartiles"), rows, "l")
 
 
 def figures(found: GivenSets) -> Figures:
@@ -122,7 +120,9 @@ def error_figure(found: GivenSets) -> Figure:
     apart = np.linspace(-0.28, 0.28, len(errors)) if len(errors) > 1 else np.zeros(1)
     for name, rows in _by_class(found).items():
         place, shown = joints + apart[rows, None], np.maximum(errors[rows], floor)
-        axes.scatter(place, shown, s=22, color=_colour(name), alpha=0.8, linewidths=0, label=name)
+        axes.scatter(
+            place, shown, s=22, color=class_colour(name), alpha=0.8, linewidths=0, label=name
+        )
     own = np.maximum(found.errors.reference_force_rms.numpy(), floor)
     itself = "the force itself"
     axes.hlines(own, joints - 0.35, joints + 0.35, color=GREY, label=itself, zorder=0)
@@ -138,7 +138,7 @@ def degree_figure(found: GivenSets) -> Figure:
     worst = found.errors.force_rms.amax(-1).clamp(min=1e-12).numpy()
     style = {"s": 22, "alpha": 0.8, "linewidths": 0}
     for name, rows in _by_class(found).items():
-        axes.scatter(degree[rows], worst[rows], color=_colour(name), label=name, **style)
+        axes.scatter(degree[rows], worst[rows], color=class_colour(name), label=name, **style)
     if len(worst) <= _MOST_NAMED:
         for place in zip(found.sets.ids, zip(degree, worst, strict=True), strict=True):
             axes.annotate(*place, (4, 3), textcoords="offset points", fontsize=7, color=INK)
@@ -167,9 +167,3 @@ def _finish(figure: Figure, axes: Any, title: str) -> Figure:
 def _reference(found: GivenSets) -> str:
     name = found.reference.ids[0]
     return f"the nominal parameters of {name}" if name == found.robot.name else name
-
-
-def _colour(name: str) -> str:
-    kinds = {label: kind for kind, label in KINDS.items()}
-    kind = "inertia+com" if name == "mixed" else kinds.get(name, name)
-    return COLOURS.get(kind, GREY)

@@ -19,8 +19,8 @@ from torchid.report.cautions import caution_section
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Figures, Picture, finish, joint_rows, note, panel, rows_of
-from torchid.report.table import Section, Shown, Table, cells, filled, joint_numbers, joint_unit
-from torchid.results.words import listed, short, unit_words
+from torchid.report.table import Section, Shown, Table, cells, joint_numbers, joint_unit
+from torchid.results.words import listed, number_list, short, unit_words
 
 _ZERO = 100.0
 """Half-width of the 95 % interval in % of the value: beyond it, zero is possible."""
@@ -31,7 +31,7 @@ def shown(result: Identification) -> Shown:
     return Shown(
         parts=tables(result),
         warnings=result.warnings,
-        last=headline(result),
+        last=verdict(result),
         figures=figures(result),
         page=partial(identification_page, result),
     )
@@ -46,27 +46,6 @@ def shown_errors(result: Identification) -> tuple[Errors, bool]:
     """The errors that count, and whether they are on held-out data."""
     held = result.held_out
     return (result.fit, False) if held is None else (held, True)
-
-
-def headline(result: Identification) -> str:
-    """One sentence: what was identified, and how well it predicts."""
-    shown, held = shown_errors(result)
-    every_row, moving = (
-        ", ".join(cells(percent, ".1f"))
-        for percent in (shown.relative_percent, shown.relative_percent_moving)
-    )
-    errors = f"{every_row} (while moving: {moving})"
-    if result.settings.rows == "moving":
-        errors = f"while moving: {moving} (all rows: {every_row})"
-    cutoff = "no filter" if result.cutoff is None else f"cut-off {result.cutoff:g} Hz"
-    bad, every = len(poor_names(result)), len(result.base)
-    poor = f" {bad} of {every} are not distinguishable from zero (95 %)." if bad else ""
-    return (
-        f"{result.base.n_rigid} base parameters of {result.robot.name} and "
-        f"{every - result.base.n_rigid} coefficients of effects ({cutoff}, condition "
-        f"number {result.scaled_condition_number:.0f} with scaled columns). Torque error on "
-        f"{'held-out data' if held else 'the fitted data'}, % per joint, {errors}.{poor}"
-    )
 
 
 def poor_names(result: Identification) -> list[str]:
@@ -85,13 +64,9 @@ def parameter_table(result: Identification) -> Table:
             relative = percent_words(float(result.relative_std_percent[k]))
             spread = (f"{float(result.std[k]):.2g}", relative)
         rows.append((base.names[k], f"{float(result.values[k]):.5g}", base.units[k], *spread))
-    return Table(
-        f"{base.n_rigid} base parameters of {result.robot.name}",
-        ("base parameter", "value", "unit", "std", "std %"),
-        rows,
-        names=("unit",),
-        words=("base parameter",),
-    )
+    condition = f"condition number {result.scaled_condition_number:.0f} with scaled columns"
+    title = f"{base.n_rigid} base parameters of {result.robot.name} ({condition})"
+    return Table(title, ("base parameter", "value", "unit", "std", "std %"), rows, "prl")
 
 
 def percent_words(relative: float) -> str:
@@ -135,7 +110,7 @@ def effect_tables(result: Identification) -> list[Table]:
     for effect, texts in found:
         if type(effect) in everywhere:
             continue
-        place = ", ".join(str(j + 1) for j in effect.joints)
+        place = number_list(effect.joints)
         for c, text in zip(effect.coefficients, texts, strict=True):
             unit = c.unit_for(slides[effect.joints[0]])
             lines.append((effect.name, place, c.name, text, unit))
@@ -143,10 +118,10 @@ def effect_tables(result: Identification) -> list[Table]:
             lines.append((effect.name, place, s.name, f"{number:.4g}", s.unit))
     heads = ("effect", "joint", "", "value ± std", "unit")
     title = "effects at their joints (shapes without a std are given, or were searched)"
-    return filled(
-        Table("effects on the joints (value ± std)", ("joint", *columns), rows, words=("joint",)),
-        Table(title, heads, lines, names=("effect", "joint", "", "unit")),
-    )
+    return [
+        Table("effects on the joints (value ± std)", ("joint", *columns), rows, "p"),
+        Table(title, heads, lines, "lllrl"),
+    ]
 
 
 def error_table(result: Identification) -> Table:
@@ -166,13 +141,9 @@ def error_table(result: Identification) -> Table:
         rows += [[f"{data}, RMSE [{unit}]", *cells(errors.rmse), ""], []]
     band = result.settings.error_cutoff or result.cutoff
     note = "unfiltered" if band is None else f"filtered at {band:g} Hz"
-    return Table(
-        f"torque error, 100 ||tau - model|| / ||tau||, per joint ({note}; "
-        f"moving: |dq| > {MOVING:g})",
-        ("data, rows", *joint_numbers(result.robot.n), "mean"),
-        rows,
-        words=("data, rows",),
-    )
+    how = f"{note}; moving: |dq| > {MOVING:g}"
+    title = f"torque error, 100 ||tau - model|| / ||tau||, per joint ({how})"
+    return Table(title, ("data, rows", *joint_numbers(result.robot.n), "mean"), rows, "p")
 
 
 _MOST_POINTS = 4000
@@ -258,7 +229,7 @@ _MOST_NAMED = 3
 def identification_page(result: Identification, origin: Origin) -> Page:
     """The page of an identification."""
     n, every = result.base.n_rigid, len(result.base)
-    tables = [t.on_page() for t in (error_table(result), *effect_tables(result))]
+    tables = [error_table(result), *effect_tables(result)]
     tables.append(coefficient_table(result, range(n), "Base parameters"))
     if every > n:
         tables.append(coefficient_table(result, range(n, every), "Coefficients of the effects"))
@@ -340,13 +311,9 @@ def coefficient_table(result: Identification, which: Sequence[int], title: str) 
             spread = (f"{std:.3g}", f"[{low}, {high}]", relative)
         unit = unit_words(result.base.units[k])
         rows.append((result.base.names[k], f"{float(result.values[k]):.6g}", unit, *spread))
-    return Table(
-        title,
-        ("name", "value", "unit", "std", "95 % interval", "std, % of value"),
-        rows,
-        names=("name", "unit"),
-        note="Standard deviations from a block jackknife: neighbouring residuals are alike.",
-    )
+    columns = ("name", "value", "unit", "std", "95 % interval", "std, % of value")
+    note = "Standard deviations from a block jackknife: neighbouring residuals are alike."
+    return Table(title, columns, rows, "lrl", note)
 
 
 def _to_digits(value: float, std: float) -> str:
@@ -422,17 +389,13 @@ def payload_tables(payload: Payload) -> list[Table]:
     changes = [
         (c.name, c.unit, f"{c.change:.3g}", f"{c.std:.2g}") for c in payload.friction_changes
     ]
-    columns = ("coefficient", "unit", "change", "std")
+    rows = [(*name, *own, *other) for name, own, other in named]
+    columns = ("quantity", "unit", "tool frame", "95 %", "last link's frame", "95 %")
     title = "effects that changed with the load, not part of the payload"
-    return filled(
-        Table(
-            f"payload of {payload.robot} (value ± std, 95 % interval)",
-            ("quantity", "unit", "tool frame", "95 %", "last link's frame", "95 %"),
-            [(*name, *own, *other) for name, own, other in named],
-            names=("quantity", "unit"),
-        ),
-        Table(title, columns, changes, words=columns[:2]),
-    )
+    return [
+        Table(f"payload of {payload.robot} (value ± std, 95 % interval)", columns, rows, "ll"),
+        Table(title, ("coefficient", "unit", "change", "std"), changes, "pp"),
+    ]
 
 
 def payload_headline(payload: Payload) -> str:

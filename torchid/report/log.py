@@ -12,7 +12,7 @@ from torchid.log.overview import Overview
 from torchid.log.ros import Topic, topics_of
 from torchid.report.colours import BLUE, ORANGE, RED
 from torchid.report.panels import Figure, finish, joint_rows, thin
-from torchid.report.table import Cell, Shown, Table
+from torchid.report.table import Cell, Shown, Table, cell
 from torchid.results.words import count
 from torchid.robot.model import JointType, Robot
 
@@ -36,7 +36,7 @@ def shown(seen: Overview, repeats: Sequence[Repeat]) -> Shown:
         seen: of the log.
         repeats: of its motion.
     """
-    unused = ", ".join(seen.unused[:_SHOWN])
+    unused = f"not used: {', '.join(seen.unused[:_SHOWN])}" if seen.unused else ""
     return Shown(
         verdict=headline(seen),
         parts=[
@@ -46,8 +46,8 @@ def shown(seen: Overview, repeats: Sequence[Repeat]) -> Shown:
                 if table is not None and table.topic is not None
             ),
             *log_tables(seen),
-            *([repeats_table(repeats)] if repeats else []),
-            *([f"not used: {unused}"] if unused else []),
+            repeats_table(repeats),
+            unused,
         ],
         warnings=seen.warnings,
     )
@@ -82,9 +82,13 @@ def log_tables(seen: Overview) -> list[Table]:
     units = [f"{name} [{seen.units[name]}]" for name in seen.ranges]
     trajectories: list[tuple[Cell, ...]] = []
     for t in seen.timing[:_SHOWN]:
-        rate = "-" if t.rate is None else f"{t.rate:.5g}"
         back = Text(f" ({t.backwards} steps back)" if t.backwards else "", "red")
-        times = (f"{t.start:.6g}", f"{t.duration:.5g}", rate, f"{1e3 * t.jitter:.3g}")
+        times = (
+            f"{t.start:.6g}",
+            f"{t.duration:.5g}",
+            cell(t.rate, ".5g"),
+            f"{1e3 * t.jitter:.3g}",
+        )
         gaps = Text.assemble(str(t.gaps), back)
         trajectories.append((t.name, str(t.samples), *times, gaps, f"{1e3 * t.longest:.4g}"))
     if len(seen.timing) > _SHOWN:
@@ -93,11 +97,10 @@ def log_tables(seen: Overview) -> list[Table]:
         "", "samples", "from [s]", "for [s]", "rate [Hz]", "jitter [ms]", "gaps",
         "longest step [ms]",
     )  # fmt: skip
-    columns = ("", "from", "taken as")
     return [
-        Table("signals", columns, signals, words=columns),
-        Table("smallest to largest", ("joint", *units), ranges, words=("joint",)),
-        Table("trajectories", headings, trajectories, words=("",)),
+        Table("signals", ("", "from", "taken as"), signals, "ppp"),
+        Table("smallest to largest", ("joint", *units), ranges, "p"),
+        Table("trajectories", headings, trajectories, "p"),
     ]
 
 
@@ -171,7 +174,7 @@ def topics_table(topics: Sequence[Topic], read: str | None) -> Table:
         for topic in topics
     ]  # fmt: skip
     columns = ("", "topic", "type", "messages", "with", "joints")
-    return Table("topics", columns, rows, words=columns)
+    return Table("topics", columns, rows, "pppppp")
 
 
 def repeats_table(repeats: Sequence[Repeat]) -> Table:
@@ -182,4 +185,4 @@ def repeats_table(repeats: Sequence[Repeat]) -> Table:
         rows.append((r.first, first, r.second, second, seconds))
     columns = ("trajectory", "from [s]", "again in", "from [s]", "for [s]")
     title = "repeated motion: what differs between the two is noise"
-    return Table(title, columns, rows, words=columns)
+    return Table(title, columns, rows, "ppppp")

@@ -12,7 +12,7 @@ from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.separation import DECISIVE, Rival, beyond, named
 from torchid.report.log import trajectory_figure
 from torchid.report.table import Shown, Table, joint_unit
-from torchid.results.words import percent, short
+from torchid.results.words import number_list, percent, short
 from torchid.robot.model import Robot
 
 
@@ -80,8 +80,7 @@ def frictionless(use: TorqueUse) -> tuple[str, ...]:
     if not use.frictionless:
         return ()
     every = len(use.frictionless) == len(use.largest)
-    joints = ", ".join(str(j + 1) for j in use.frictionless)
-    of = "" if every else f" of joint {joints}"
+    of = "" if every else f" of joint {number_list(use.frictionless)}"
     return (
         f"the forecast torque has no friction in it{of}: the drives need more. Friction is known "
         "from the robot's `effects`, a URDF's <dynamics>, or --for an identification.",
@@ -127,13 +126,8 @@ def informed_table(d: InformedDesign) -> Table:
             value, now = "-", "unknown"
         name = f"{short(d.prior.base.names[k], 40)} [{d.prior.base.units[k]}]"
         rows.append((name, value, now, f"{float(d.with_plain[k]):.2g}", f"{float(d.after[k]):.2g}"))
-    return Table(
-        "predicted standard deviations",
-        ("parameter", "value", "now", "after a plain motion", "after this motion"),
-        rows,
-        words=("parameter",),
-        note=_more(len(order)),
-    )
+    columns = ("parameter", "value", "now", "after a plain motion", "after this motion")
+    return Table("predicted standard deviations", columns, rows, "p", _more(len(order)))
 
 
 def _more(count: int) -> str:
@@ -193,18 +187,12 @@ def separation_table(s: Separation, kind: str) -> Table:
         told = (f"{t.difference:.3g} {'*' if t.reached >= 1 else ' '}" for t in both)
         rows.append((_place(r), second, *told))
     headings = ("effect", "size") if testing else ("if it is", "and not")
-    return Table(
-        "expected difference of the squared residuals, in noise units; * decides",
-        (*headings, "plain motion", "this motion"),
-        rows,
-        words=headings,
-        note=_more(len(found)),
-    )
+    title = "expected difference of the squared residuals, in noise units; * decides"
+    return Table(title, (*headings, "plain motion", "this motion"), rows, "pp", _more(len(found)))
 
 
 def _place(r: Rival) -> str:
     effect = r.truth.effect
     if len(r.truth.effects) > 1:
         return f"{effect.name}, every joint"
-    joints = ", ".join(str(j + 1) for j in effect.joints)
-    return f"{effect.name}, joint {joints}" if joints else effect.name
+    return effect.name + (f", joint {number_list(effect.joints)}" if effect.joints else "")

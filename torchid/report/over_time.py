@@ -204,7 +204,8 @@ def torque_over_time(d: TorqueDiagnosis) -> OverTime:
         runs.append(Run(trace.name, t, measured, before, after, aside=valid & ~trace.counting))
     return OverTime(
         "torque", runs, joint_labels(d.robot.joint_names),
-        [joint_unit(d.robot, j) for j in range(d.robot.n)], _torque_order(d),
+        [joint_unit(d.robot, j) for j in range(d.robot.n)],
+        [gap.joint for gap in sorted(d.record.where.joints, key=lambda gap: -gap.share)],
         ("model as given", "corrected model"), noise=d.floor.high, where=" on data not fitted",
     )  # fmt: skip
 
@@ -218,12 +219,16 @@ def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime | None:
             Run(f"{m.name}, from {float(m.t[0]):.1f} s", m.t, m.measured, m.before, m.after)
             for m in d.how_far.motions
         ]
+        if not runs:
+            return None
         same = None if len(set(units)) > 1 else ("mm" if units[0] == "m" else "mrad", 1e3)
-        models = ("model as given", "corrected model")
+        # The joint that moves most first.
+        far = torch.stack([run.measured.std(0) for run in runs]).amax(0)
         return OverTime(
-            "position", runs, joint_labels(d.robot.joint_names), units, _moving_order(runs), models,
+            "position", runs, joint_labels(d.robot.joint_names), units,
+            far.argsort(descending=True).tolist(), ("model as given", "corrected model"),
             same, where=", simulated with the measured torque",
-        ) if runs else None  # fmt: skip
+        )  # fmt: skip
     data, (plain, answered), runs = d.data, d.errors, []
     log = data.log
     for k, (a, b) in enumerate(
@@ -245,15 +250,3 @@ def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime | None:
         ("plain servo", "corrected servo"), ("mrad" if "m" not in units else "1e-3", 1e3),
         where=", in a motion left out",
     )  # fmt: skip
-
-
-def _moving_order(runs: Sequence[Run]) -> list[int]:
-    """Joints, the one that moves most first."""
-    far = torch.stack([run.measured.std(0) for run in runs]).amax(0) if runs else torch.zeros(1)
-    order: list[int] = far.argsort(descending=True).tolist()
-    return order
-
-
-def _torque_order(d: TorqueDiagnosis) -> list[int]:
-    """Joints, the one with the largest share of the gap first."""
-    return [gap.joint for gap in sorted(d.record.where.joints, key=lambda gap: -gap.share)]

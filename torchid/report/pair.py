@@ -1,13 +1,20 @@
 """A simulator's log against the arm's, for people."""
 
-import math
 from collections.abc import Mapping
 
 from torchid.pair.pair import PairDiagnosis
 from torchid.pair.record import Fault, OneSided, ServoDifference, WherePair
 from torchid.report.gap_words import CLEAR, excess_words
-from torchid.report.table import Shown, Table, filled
-from torchid.results.words import effect_words, joints_words, listed, measure, percent
+from torchid.report.table import Shown, Table, cell
+from torchid.results.words import (
+    effect_words,
+    joints_words,
+    listed,
+    measure,
+    percent,
+    unit_behind,
+    within,
+)
 
 _MOST_REGIMES = 3
 _WORDS = {
@@ -75,15 +82,16 @@ def _difference(one: ServoDifference) -> str:
     """`a lower gain (8.1 instead of 17 N m/rad)`, by the real side."""
     noun, less, more = _WORDS[one.parameter]
     noun += " per gain" if one.per_kp else ""
-    unit = "" if one.unit == "1" else f" {one.unit}"
+    unit = unit_behind(one.unit)
+    real, simulated = (f"{x:.3g} {unit}".rstrip() for x in (one.real, one.simulated))
     if one.simulated_ci95 is None:
-        return f"{_article(noun)} ({one.real:.3g}{unit}) that the simulated one lacks"
+        return f"{_article(noun)} ({real}) that the simulated one lacks"
     if one.real_ci95 is None:
-        return f"no {noun} ({one.simulated:.3g}{unit} in the simulator)"
+        return f"no {noun} ({simulated} in the simulator)"
     word = more if one.real > one.simulated else less
     phrase = f"{word} {noun}"
     phrase = phrase if word in ("less", "more") else _article(phrase)
-    return f"{phrase} ({one.real:.3g} instead of {one.simulated:.3g}{unit})"
+    return f"{phrase} ({one.real:.3g} instead of {simulated})"
 
 
 def _article(noun: str) -> str:
@@ -102,7 +110,7 @@ def shown(found: PairDiagnosis) -> Shown:
     return Shown(verdict=verdict(found), parts=tables(found), warnings=found.record.warnings)
 
 
-def tables(found: PairDiagnosis) -> list[Table]:
+def tables(found: PairDiagnosis) -> list[Table | None]:
     """Where torque and motion differ, faults, effects."""
     record = found.record
     faults = [(f.fault.replace("_", " "), _place(f), f.meaning, f.remedy) for f in record.faults]
@@ -116,38 +124,24 @@ def tables(found: PairDiagnosis) -> list[Table]:
     ]  # fmt: skip
     servos = [
         (
-            str(s.joint + 1), _name(s), _with_interval(s.simulated, s.simulated_ci95, s.unit),
-            _with_interval(s.real, s.real_ci95, s.unit), "yes" if s.differs else "no",
+            str(s.joint + 1), f"{s.parameter} / kp" if s.per_kp else s.parameter,
+            # A side without an interval does not have it.
+            *("-" if ends is None else within(value, ends, s.unit) for value, ends in
+              ((s.simulated, s.simulated_ci95), (s.real, s.real_ci95))),
+            "yes" if s.differs else "no",
         )
         for s in record.servos or ()
     ]  # fmt: skip
     columns = ("fault", "where", "what was seen", "what to do")
+    numbers = ("joint", "parameter", "simulator", "arm", "differs")
     headings = ("effect", "where", "simulator", "arm", "share", "not separable from")
-    words = [heading for heading in headings if heading != "share"]
-    return filled(
+    return [
         None if record.torque is None else _where(record.torque, "torque", "N m"),
         _where(record.position, "motion", "mrad"),
-        Table("set-up, in the order in which to mend it", columns, faults, words=columns),
-        Table("effects: simulator -> arm", headings, effects, words=words),
-        Table(
-            "servos, from commands and positions [95 %]",
-            ("joint", "parameter", "simulator", "arm", "differs"),
-            servos,
-            words=("parameter",),
-        ),
-    )
-
-
-def _name(one: ServoDifference) -> str:
-    return f"{one.parameter} / kp" if one.per_kp else one.parameter
-
-
-def _with_interval(value: float, interval: tuple[float, float] | None, unit: str) -> str:
-    """`8.1 [7.8, 8.4] N m/rad`; `-` of a side that does not have it."""
-    if interval is None:
-        return "-"
-    low, high = interval
-    return f"{value:.3g} [{low:.3g}, {high:.3g}] {'' if unit == '1' else unit}".rstrip()
+        Table("set-up, in the order in which to mend it", columns, faults, "pppp"),
+        Table("effects: simulator -> arm", headings, effects, "pppprp"),
+        Table("servos, from commands and positions [95 %]", numbers, servos, "rp"),
+    ]
 
 
 def _place(fault: Fault) -> str:
@@ -158,7 +152,7 @@ def _place(fault: Fault) -> str:
 
 def _sizes(values: Mapping[str, float], std: Mapping[str, float], unit: Mapping[str, str]) -> str:
     return "\n".join(
-        f"{name} = {measure(x, std.get(name), '' if unit.get(name) == '1' else unit.get(name, ''))}"
+        f"{name} = {measure(x, std.get(name), unit_behind(unit.get(name, '')))}"
         for name, x in values.items()
     )
 
@@ -170,7 +164,7 @@ def _where(where: WherePair, what: str, unit: str) -> Table:
     for one in where.joints:
         own = [r for r in where.regimes if r.joint == one.joint and r.p < CLEAR and r.excess > 0]
         own.sort(key=lambda r: -r.excess)
-        noise = "-" if math.isnan(one.noise) else f"{scale * one.noise:.2g}"
+        noise = cell(scale * one.noise, ".2g")
         rows.append(
             (
                 str(one.joint + 1), f"{scale * one.rms:.3g}", noise, f"{one.relative_percent:.3g}",
@@ -178,9 +172,5 @@ def _where(where: WherePair, what: str, unit: str) -> Table:
             )
         )  # fmt: skip
     regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"
-    return Table(
-        f"where: {what} of the arm less the simulator's [{unit}]",
-        ("joint", "RMS", "noise", "of the arm's [%]", regimes),
-        rows,
-        words=(regimes,),
-    )
+    title = f"where: {what} of the arm less the simulator's [{unit}]"
+    return Table(title, ("joint", "RMS", "noise", "of the arm's [%]", regimes), rows, "rrrrp")

@@ -26,10 +26,10 @@ from torchid.report.panels import (
     map_with_bars,
     thin,
 )
-from torchid.report.repeats import error_figure, repeats_figures
-from torchid.report.table import Shown, Table, filled
+from torchid.report.repeats import error_figure, repeats_picture
+from torchid.report.table import Shown, Table, cell
 from torchid.results.replication import times
-from torchid.results.words import effect_words, regime_words
+from torchid.results.words import effect_words, regime_words, within
 
 WORST = 3
 """Joints that get a figure of their own."""
@@ -89,10 +89,10 @@ def _worse(record: PositionRecord) -> list[str]:
 
 def tables(record: PositionRecord) -> list[Table]:
     """What stands below the answer: where, which and how far."""
-    return filled(
+    return [
         where_table(record), regime_table(record), which_table(record), meaning_table(record),
         nominal_table(record, () if record.nominal is UNSET else record.nominal),
-    )  # fmt: skip
+    ]  # fmt: skip
 
 
 def where_table(record: PositionRecord) -> Table:
@@ -107,23 +107,12 @@ def where_table(record: PositionRecord) -> Table:
         gain = f"{j.kp:.1f}" + (" (ratio)" if j.ratio_only else "")
         cells = ["-"] * 6 if j.never_moves else [*(f"{x:.1f}" for x in levels), gain]
         joints.append((str(j.joint + 1), j.name, *cells))
-    return Table(
-        "Position error of motions left out [mrad]",
-        (
-            "joint",
-            "name",
-            "command",
-            "plain servo",
-            "corrected",
-            "plain, 2 s",
-            "corrected, 2 s",
-            "kp",
-        ),
-        joints,
-        names=("name",),
-        note="kp [N m/rad]; (ratio): without a load on the joint its torques are known up to one "
-        "factor",
+    servos = ("plain servo", "corrected", "plain, 2 s", "corrected, 2 s")
+    columns = ("joint", "name", "command", *servos, "kp")
+    note = (
+        "kp [N m/rad]; (ratio): without a load on the joint its torques are known up to one factor"
     )
+    return Table("Position error of motions left out [mrad]", columns, joints, "rl", note)
 
 
 def regime_table(record: PositionRecord) -> Table:
@@ -133,12 +122,7 @@ def regime_table(record: PositionRecord) -> Table:
         for name, own in regimes_of(record).items()
     ]
     columns = ("kind of motion", *(j.name for j in record.where.joints))
-    return Table(
-        "By kind of motion, plain servo -> corrected [mrad]",
-        columns,
-        rows,
-        names=("kind of motion",),
-    )
+    return Table("By kind of motion, plain servo -> corrected [mrad]", columns, rows, "l")
 
 
 def which_table(record: PositionRecord) -> Table:
@@ -154,25 +138,21 @@ def which_table(record: PositionRecord) -> Table:
         )
         for f in record.which
     ]
-    return Table(
-        "What lies between command and position",
-        ("effect", "joint", "size (95 %)", "without -> with [mrad]", "could also be", "found in"),
-        findings,
-        names=("effect", "joint"),
-        words=("size (95 %)", "could also be"),
-        note="error in windows of 2 s when all else is fitted without the effect, and with it; "
-        "repeats: found in that many of the motions that can show it",
+    columns = (
+        "effect", "joint", "size (95 %)", "without -> with [mrad]", "could also be", "found in"
+    )  # fmt: skip
+    note = (
+        "error in windows of 2 s when all else is fitted without the effect, and with it; "
+        "repeats: found in that many of the motions that can show it"
     )
+    return Table("What lies between command and position", columns, findings, "llprp", note)
 
 
 def meaning_table(record: PositionRecord) -> Table:
     """What each effect means and what to do."""
     meant = [(effect_words(f.effect), f.meaning, f.remedy) for f in record.which]
     columns = ("effect", "what it means", "what to do")
-    return Table(
-        "What it means, and what to do", columns, list(dict.fromkeys(meant)), names=("effect",),
-        words=columns[1:],
-    )  # fmt: skip
+    return Table("What it means, and what to do", columns, list(dict.fromkeys(meant)), "lpp")
 
 
 def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> Table:
@@ -201,15 +181,12 @@ def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> T
         if math.isfinite(servo.counts) and float(record.log_scale[j]) == 1:
             step = f"{2e3 * math.pi / servo.counts:.3g} mrad"
             rows.append((*place, "resolution", step, f"{joint.resolution_mrad:.3g} mrad"))
-    return Table(
-        "Servos: nominal values, and what was found (95 %)",
-        ("joint", "servo", "value", "nominal", "found"),
-        rows,
-        names=("servo", "value"),
-        words=("nominal", "found"),
-        note="nominal: makers' tables for a new servo at its supply's voltage, or the earlier fit "
-        "in the robot's file; nothing found depends on it",
+    note = (
+        "nominal: makers' tables for a new servo at its supply's voltage, or the earlier fit in "
+        "the robot's file; nothing found depends on it"
     )
+    title = "Servos: nominal values, and what was found (95 %)"
+    return Table(title, ("joint", "servo", "value", "nominal", "found"), rows, "rllpp", note)
 
 
 def motion_table(record: PositionRecord) -> Table:
@@ -221,7 +198,7 @@ def motion_table(record: PositionRecord) -> Table:
         levels = [*errors.tolist(), float(errors[moves].mean())]
         rows.append((one.motion, *(f"{x:.1f}" for x in levels)))
     columns = ("motion", *(j.name for j in record.where.joints), "mean")
-    return Table("Error of each motion, left out [mrad]", columns, rows, names=("motion",))
+    return Table("Error of each motion, left out [mrad]", columns, rows, "l")
 
 
 def where_picture(record: PositionRecord) -> Picture:
@@ -259,13 +236,8 @@ def _sizes(f: EffectRecord) -> list[str]:
 
 
 def _size(value: float, ends: tuple[float, float], unit: str) -> str:
-    """`39 [35.1, 42.9] rad/s^2`."""
-    unit = "" if unit == "1" else f" {unit}".rstrip()
-    low, high = ends
-    if math.isnan(low):
-        return f"{value:.3g}{unit}"
-    unsure = ", not determined" if low <= 0 <= high else ""
-    return f"{value:.3g} [{low:.3g}, {high:.3g}]{unit}{unsure}"
+    """`39 [35.1, 42.9] rad/s²`."""
+    return within(value, ends, unit) + (", not determined" if ends[0] <= 0 <= ends[1] else "")
 
 
 def figures(result: PositionDiagnosis | PositionRecord) -> Figures:
@@ -278,7 +250,8 @@ def figures(result: PositionDiagnosis | PositionRecord) -> Figures:
     }
     if record.answer is not None:
         out["how_far"] = partial(error_figure, record.answer, record.robot)
-    out |= repeats_figures(record)
+    if (picture := repeats_picture(record)) is not None:
+        out[picture.name] = picture.draw
     if isinstance(result, PositionDiagnosis):
         motion = motion_over_time(result)
         assert motion is not None
@@ -362,7 +335,7 @@ def commands_shown(made: NextCommands, unknown: Sequence[str] = ()) -> Shown:
     rows = [
         (
             str(o.joint + 1), o.parameter, o.why,
-            "-" if math.isnan(o.now) else f"{o.now:.2g}", f"{o.then:.2g}",
+            cell(o.now, ".2g"), f"{o.then:.2g}",
         )
         for o in made.open
     ]  # fmt: skip
@@ -375,5 +348,5 @@ def commands_shown(made: NextCommands, unknown: Sequence[str] = ()) -> Shown:
         "friction and inertia as shares"
     )
     columns = ("joint", "parameter", "open because of", "now +-", "then +-")
-    table = Table("What they would show", columns, rows, names=("parameter",), note=note)
-    return Shown(verdict=text, parts=[table] if rows else [], warnings=(*made.warnings, *unknown))
+    table = Table("What they would show", columns, rows, "rl", note)
+    return Shown(verdict=text, parts=[table], warnings=(*made.warnings, *unknown))

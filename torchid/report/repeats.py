@@ -1,6 +1,6 @@
 """Figures of every diagnosis: errors of the joints, and whether each cause repeats."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -11,34 +11,26 @@ from torchid.report.colours import AFTER, BEFORE, GREY, INK
 from torchid.report.panels import SMALL, Figure, Picture, finish, panel, rows_of
 from torchid.results.answer import Answer
 from torchid.results.replication import Replication, times
-from torchid.results.words import effect_words
+from torchid.results.words import effect_words, number_list
 from torchid.statistics.proportion import HALF_95
 
 _ROW = 0.34  # height of a cause [inch]
 _ENDS = (-1.0, 3.0)  # factors that are drawn; what is beyond stands at the edge
 
 
-def repeats_pictures(record: GapRecord | PositionRecord) -> list[Picture]:
-    """One, where causes can be asked whether they repeat."""
-    return [
-        Picture(
-            "repeats",
-            "By which factor each motion, or part of one, wants a cause: 1 is as it was fitted to "
-            "all, 0 not at all; lines are 95 % intervals, and the grey bar is where the next "
-            "motion's factor would lie. At the right: found in how many of the motions that can "
-            "show it. A true cause repeats; what one motion alone wants is misfit.",
-            "Factor of each cause, motion by motion.",
-            figure,
-        )
-        for figure in repeats_figures(record).values()
-    ]
-
-
-def repeats_figures(record: GapRecord | PositionRecord) -> dict[str, Callable[[], Figure]]:
-    """The same figure by its name."""
+def repeats_picture(record: GapRecord | PositionRecord) -> Picture | None:
+    """Whether causes repeat, where they can be asked."""
     if not any(found.replication for found in record.which):
-        return {}
-    return {"repeats": partial(repeats_figure, record)}
+        return None
+    return Picture(
+        "repeats",
+        "By which factor each motion, or part of one, wants a cause: 1 is as it was fitted to "
+        "all, 0 not at all; lines are 95 % intervals, and the grey bar is where the next "
+        "motion's factor would lie. At the right: found in how many of the motions that can "
+        "show it. A true cause repeats; what one motion alone wants is misfit.",
+        "Factor of each cause, motion by motion.",
+        partial(repeats_figure, record),
+    )
 
 
 def _replicated(record: GapRecord | PositionRecord) -> Iterator[tuple[str, Replication]]:
@@ -46,9 +38,7 @@ def _replicated(record: GapRecord | PositionRecord) -> Iterator[tuple[str, Repli
     for found in record.which:
         if found.replication is not None:
             joints = found.joints if isinstance(found, EffectRecord) else found.located
-            where = ", ".join(str(j + 1) for j in joints)
-            name = effect_words(found.effect) + (f" {where}" if where else "")
-            yield name, found.replication
+            yield f"{effect_words(found.effect)} {number_list(joints)}".rstrip(), found.replication
 
 
 def repeats_figure(record: GapRecord | PositionRecord) -> Figure:

@@ -88,7 +88,7 @@ def _tree_table(robot: Robot) -> Table:
     walk(-1, 0)
     columns = ("", "joint", "", "link, behind the one that carries it", "tip")
     title = f"{count(robot.n_links, 'link')}, {count(len(robot.ends), 'tip')}"
-    return Table(title, columns, rows, words=("joint", columns[3], "tip"))
+    return Table(title, columns, rows, "rprpp")
 
 
 def robot_warnings(robot: Robot) -> tuple[str, ...]:
@@ -124,7 +124,7 @@ def robot_tables(robot: Robot) -> list[Table]:
         for name, both in _LIMITS.items()
     }
     columns = ("", "joint", "type", *(f"{name} [{unit}]" for name, unit in units.items()))
-    joints = Table(f"{robot.name}: {count(robot.n, 'joint')}", columns, rows, words=columns)
+    joints = Table(f"{robot.name}: {count(robot.n, 'joint')}", columns, rows, "p" * 7)
     p = robot.parameters
     first = [joints] if robot.is_serial else [joints, _tree_table(robot)]
     if p is None:
@@ -138,7 +138,7 @@ def robot_tables(robot: Robot) -> list[Table]:
         )
         links.append((str(i + 1), name, f"{float(p.mass[i]):.5g}", *vectors, verdict))
     columns = ("", "link", "mass [kg]", "CoM [m]", "inertia about CoM [kg m^2]", "consistent")
-    return [*first, Table("links (axes of the link frame)", columns, links, words=columns)]
+    return [*first, Table("links (axes of the link frame)", columns, links, "p" * 6)]
 
 
 def _limit(limits: Tensor | None, i: int) -> list[float | None] | None:

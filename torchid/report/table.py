@@ -2,9 +2,9 @@
 and all that is shown of a result; and numbers and names as tables, pictures and pages show them."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.table import Table as RichTable
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from torchid.report.brief import Screen
-    from torchid.report.page.answer import AnswerBars
     from torchid.report.panels import Picture
+    from torchid.results.answer import Answer
     from torchid.robot.model import Robot
     from torchid.typing import Tensor
 
@@ -32,10 +32,10 @@ class Table:
 
     Attributes:
         title: what it shows, with units.
-        columns: headings; those of numbers are right-aligned.
+        columns: headings.
         rows: cells, one a column; an empty row is a line between others.
-        names: headings of the columns of words that stay on one line.
-        words: headings of the columns of words that may be broken.
+        align: a letter a column: `l` words that stay on one line, `p` words that may be broken, `r`
+            numbers, as all columns are beyond the last letter.
         note: sentences below it.
         least_width: characters in the terminal.
     """
@@ -43,15 +43,18 @@ class Table:
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
-    names: Collection[str] = ()
-    words: Collection[str] = ()
+    align: str = ""
     note: str = ""
     least_width: int | None = None
 
     @property
-    def left(self) -> tuple[str, ...]:
-        """Headings of all columns of words, which are left-aligned."""
-        return (*self.names, *self.words)
+    def letters(self) -> str:
+        """Of all columns."""
+        return self.align.ljust(len(self.columns), "r")
+
+    def __bool__(self) -> bool:
+        """Whether there is a row: what is empty is shown nowhere."""
+        return any(self.rows)
 
     def __rich__(self) -> RichTable:
         """For the terminal."""
@@ -60,13 +63,12 @@ class Table:
         table.caption = Text(visible(self.note), "table.caption") if self.note else None
         table.caption_justify = "left"
         table.min_width = self.least_width
-        for name in self.columns:
-            breaks = name in self.words
+        for name, letter in zip(self.columns, self.letters, strict=True):
             table.add_column(
                 Text(visible(name)),
-                justify="left" if name in self.left else "right",
-                no_wrap=not breaks,
-                overflow="fold" if breaks else "ellipsis",
+                justify="right" if letter == "r" else "left",
+                no_wrap=letter != "p",
+                overflow="fold" if letter == "p" else "ellipsis",
             )
         for row in self.rows:
             if row:
@@ -87,14 +89,12 @@ class Table:
             title=title[:1].upper() + title[1:],
             columns=[name.strip() for name in plain(self.columns)],
             rows=[plain(row) for row in self.rows if row],
-            names=plain(self.names),
-            words=[name.strip() for name in plain(self.words)],
             note=note,
         )
 
     def markdown(self) -> str:
         """Title, table and note."""
-        marks = [":--" if name in self.left else "--:" for name in self.columns]
+        marks = ["--:" if letter == "r" else ":--" for letter in self.letters]
         head, *body = ([_plain(str(cell)) for cell in row] for row in (self.columns, *self.rows))
         lines = [f"**{_plain(self.title)}**", "", pipe_table(head, body, marks)]
         if self.note:
@@ -102,16 +102,20 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def plain(self) -> dict[str, object]:
-        """As JSON has it: words without colours."""
-        words = {"title": self.title, "note": self.note}
-        lists = {"columns": self.columns, "names": self.names, "words": self.words}
+        """As JSON has it: words without colours, and the headings of the columns of words."""
+        kinds = list(zip(self.columns, self.letters, strict=True))
+        names, words = ([name for name, own in kinds if own == letter] for letter in "lp")
         rows = [[str(cell) for cell in row] for row in self.rows]
-        return {**words, **{key: list(value) for key, value in lists.items()}, "rows": rows}
+        own = {"title": self.title, "note": self.note, "columns": list(self.columns)}
+        return {**own, "names": names, "words": words, "rows": rows}
 
-
-def filled(*tables: Table | None) -> list[Table]:
-    """Those of several tables that have rows."""
-    return [table for table in tables if table is not None and table.rows]
+    @classmethod
+    def read(cls, stored: Mapping[str, Any]) -> "Table":
+        """What `plain` gave."""
+        columns = stored["columns"]
+        kinds = dict.fromkeys(stored["names"], "l") | dict.fromkeys(stored["words"], "p")
+        align = "".join(kinds.get(name, "r") for name in columns)
+        return cls(stored["title"], columns, stored["rows"], align, stored["note"])
 
 
 @dataclass(frozen=True)
@@ -167,12 +171,13 @@ class Section:
 
     Attributes:
         title: of the section.
-        parts: tables, figures, texts to copy, and lists of sentences, in their order.
+        parts: tables, figures, texts to copy, and lists of sentences, in their order; empty ones
+            are left out.
         folded: whether its reader opens it.
     """
 
     title: str
-    parts: "Sequence[Table | Picture | Code | Sequence[str]]"
+    parts: "Sequence[Table | Picture | Code | Sequence[str] | None]"
     folded: bool = True
 
     @property
@@ -192,6 +197,7 @@ class Page:
         origin: how to repeat it.
         sections: below them, in their order.
         answer: of a diagnosis: joints, bars and causes.
+        band: below which its errors are counted [Hz].
         picture: beside the answer.
         advice: (title, sentences) what to do.
         sortable: whether its tables can be sorted by a click.
@@ -202,7 +208,8 @@ class Page:
     facts: Sequence[tuple[str, str]]
     origin: Origin
     sections: Sequence[Section]
-    answer: "AnswerBars | None" = None
+    answer: "Answer | None" = None
+    band: float | None = None
     picture: "Picture | None" = None
     advice: Sequence[tuple[str, Sequence[str]]] = ()
     sortable: bool = False
@@ -223,7 +230,8 @@ class Shown:
     Attributes:
         screen: the answer on one screen; where there is one, all else is printed on demand.
         verdict: the answer, which stands out.
-        parts: tables and sentences in the order in which they are printed.
+        parts: tables and sentences in the order in which they are printed; empty ones are left
+            out.
         warnings: one sentence each.
         last: said at the end.
         figures: what draws each figure, by the names of their files.
@@ -232,11 +240,15 @@ class Shown:
 
     screen: "Screen | None" = None
     verdict: str = ""
-    parts: Sequence[Table | str]
+    parts: Sequence[Table | str | None]
     warnings: Iterable[str] = ()
     last: str = ""
     figures: "Mapping[str, Callable[[], Figure | None]]" = field(default_factory=dict)
     page: Callable[[Origin], Page] | None = None
+
+    def __post_init__(self) -> None:
+        """Leave out what is empty."""
+        object.__setattr__(self, "parts", [part for part in self.parts if part])
 
     def plain(self) -> dict[str, object]:
         """Its words as JSON has them: `verdict`, `parts` (tables and sentences), `warnings`,
@@ -270,8 +282,12 @@ def _plain(text: str) -> str:
 
 def cells(values: "Iterable[float] | Tensor", digits: str = ".3g") -> list[str]:
     """Numbers of one row; a dash for what is not finite."""
-    numbers = values.tolist() if hasattr(values, "tolist") else values
-    return [f"{v:{digits}}" if math.isfinite(v) else "-" for v in numbers]
+    return [cell(v, digits) for v in (values.tolist() if hasattr(values, "tolist") else values)]
+
+
+def cell(value: float | None, digits: str = ".3g") -> str:
+    """A number; a dash where there is none, or it is not finite."""
+    return "-" if value is None or not math.isfinite(value) else f"{value:{digits}}"
 
 
 def joint_numbers(n: int) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from torchid.report.colours import BLUE, GREY, INK, ORANGE
 from torchid.report.panels import SMALL, Figure, Figures, finish, new_figure, panel, ruled, tiles
-from torchid.report.table import Shown, Table, filled, pipe_table
+from torchid.report.table import Shown, Table, pipe_table
 from torchid.withheld.own import LEVELS, OwnCheck, Planted
 
 Summary = Mapping[str, Any]
@@ -128,12 +128,8 @@ def score_table(summary: Summary) -> Table:
         if line.value(summary["scores"]) is not None:
             target = line.target + ("" if met is None else " met" if met else " missed")
             rows.append((line.label, *line.parts(summary["scores"]), target))
-    return Table(
-        f"withheld cases of seed {summary['seed']}: {summary['cases']} answers",
-        ("score", "torchid", "95 %", "cases", "target"),
-        rows,
-        names=("score", "target"),
-    )
+    title = f"withheld cases of seed {summary['seed']}: {summary['cases']} answers"
+    return Table(title, ("score", "torchid", "95 %", "cases", "target"), rows, "lrrrl")
 
 
 def headline(summary: Summary) -> str:
@@ -291,10 +287,10 @@ def own_tables(found: OwnCheck) -> list[Table]:
         for effect in dict.fromkeys(p.effect for p in found.planted)
     ]
     columns = ("effect", *(f"joint {j + 1}" for j in joints))
-    return filled(
-        Table("Accepted effects, withheld", heads, withheld, words=heads),
-        Table("Smallest size found, over noise", columns, planted, words=("effect",)),
-    )
+    return [
+        Table("Accepted effects, withheld", heads, withheld, "pppppp"),
+        Table("Smallest size found, over noise", columns, planted, "p"),
+    ]
 
 
 def smallest(rows: Sequence[Planted], effect: str, joint: int) -> str:

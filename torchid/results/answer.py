@@ -25,8 +25,9 @@ from torchid.results.words import (
     listed,
     measure,
     percent,
+    span,
     sure,
-    unit_words,
+    unit_behind,
 )
 
 MOST = 0.5
@@ -235,7 +236,7 @@ class Answer(Part, frozen=True, kw_only=True):
     def _headline(self, longest: int) -> str:
         change = f"{self.before:.3g} -> {self.after:.3g} {self.unit}"
         size = f"{self.before:.3g} {self.unit}"
-        noise = " to ".join(dict.fromkeys(f"{x:.3g}" for x in self.noise))
+        noise = span(self.noise)
         if self.status == "searching":
             return self._so_far(longest)
         if not self.causes:
@@ -362,7 +363,7 @@ class Answer(Part, frozen=True, kw_only=True):
             if row.never_moves:
                 out.append((row.label, "-", "-", "-", "never moves", "-", ""))
                 continue
-            noise = " - ".join(dict.fromkeys(f"{x:.2g}" for x in row.error.noise))
+            noise = span(row.error.noise, ".2g", " - ")
             numbers = (f"{row.error.before:.3g}", f"{row.error.after:.3g}", noise)
             first, *others = [cause_cells((c,)) for c in row.causes] or [("-", "", "")]
             out.append((row.label, *numbers, *first))
@@ -474,9 +475,8 @@ def _kind(warning: str) -> int:
 
 def size_words(size: Size) -> str:
     """`0.61 ± 0.02 N m`, `9.1 ± 0.3 N m s/rad, was 4.0`."""
-    unit = "" if size.unit == "1" else unit_words(size.unit)
     was = "" if size.was is None else f", was {size.was:.3g}"
-    return measure(size.value, size.std, unit) + was
+    return measure(size.value, size.std, unit_behind(size.unit)) + was
 
 
 def named_size(size: Size) -> str:
@@ -501,9 +501,8 @@ def cause_cells(same: Sequence[Cause]) -> tuple[str, str, str]:
         return (text + first.rivals, *end)
     size = first.sizes[0]
     values = ", ".join(f"{c.sizes[0].rounded:g}" for c in same)
-    unit = "" if size.unit == "1" else f" {unit_words(size.unit)}"
-    rivals = next((c.rivals for c in same if c.rivals), "")
-    return (f"{first.name} {size.name} = {values}{unit}{rivals}", *end)
+    sizes = f"{first.name} {size.name} = {values} {unit_behind(size.unit)}".rstrip()
+    return (sizes + next((c.rivals for c in same if c.rivals), ""), *end)
 
 
 def _cut(text: str, longest: int) -> str:

@@ -28,6 +28,11 @@ def joints_words(joints: Iterable[int]) -> str:
     return f"joint{'s' if len(numbers) > 1 else ''} {listed(numbers)}"
 
 
+def number_list(joints: Iterable[int], nothing: str = "") -> str:
+    """`2, 3`, of joints from 0."""
+    return ", ".join(str(j + 1) for j in joints) or nothing
+
+
 def measure(value: float, std: float | None, unit: str) -> str:
     """`0.61 ± 0.02 N m`: as many decimals as the standard deviation has one or two digits for."""
     if std is None or not math.isfinite(std) or std <= 0 or not math.isfinite(value):
@@ -44,6 +49,23 @@ def measure(value: float, std: float | None, unit: str) -> str:
 def unit_words(unit: str) -> str:
     """`kg m^2` as `kg m²`."""
     return unit.replace("^2", "²").replace("^3", "³")
+
+
+def unit_behind(unit: str) -> str:
+    """A unit behind a number, none of a plain number (`1`)."""
+    return "" if unit == "1" else unit_words(unit)
+
+
+def span(ends: Iterable[float], digits: str = ".3g", to: str = " to ") -> str:
+    """`0.1 to 0.2`; one number where both read the same."""
+    return to.join(dict.fromkeys(f"{end:{digits}}" for end in ends))
+
+
+def within(value: float, ends: tuple[float, float], unit: str) -> str:
+    """`39 [35.1, 42.9] rad/s²`; the value alone where there is no interval."""
+    low, high = ends
+    size = f"{value:.3g}" if math.isnan(low) else f"{value:.3g} [{low:.3g}, {high:.3g}]"
+    return f"{size} {unit_behind(unit)}".rstrip()
 
 
 def percent(value: float) -> str:

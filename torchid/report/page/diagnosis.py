@@ -7,17 +7,18 @@ from functools import partial
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.report import gap, position
+from torchid.report.brief import model_words
 from torchid.report.cautions import caution_section
 from torchid.report.exported import simulator_block
 from torchid.report.over_time import NARROW, OverTime, motion_over_time, torque_over_time
-from torchid.report.page.answer import answer_bars, first_steps
+from torchid.report.page.answer import first_steps
 from torchid.report.page.document import Origin
 from torchid.report.panels import Picture
-from torchid.report.repeats import repeats_pictures
+from torchid.report.repeats import repeats_picture
 from torchid.report.skeleton import PHONE, skeleton_of
-from torchid.report.table import Code, Page, Section, Table, filled
+from torchid.report.table import Code, Page, Section, Table
 from torchid.results.answer import Answer, Diagnosis
-from torchid.results.words import count, percent
+from torchid.results.words import count, percent, span
 from torchid.simulation.two_models import RESTART_S, Horizon
 
 STATUS = {
@@ -30,6 +31,7 @@ STATUS = {
     "not_testable": "cannot tell",
 }
 """What a status says, in the fewest words."""
+Parts = Sequence[Picture | Table | None]
 USUAL_S = 0.5
 """Of simulated motion, whose error stands beside the headline [s]."""
 
@@ -49,7 +51,8 @@ def page(result: Diagnosis, origin: Origin) -> Page:
         verdict=answer.headline,
         facts=facts(result),
         origin=origin,
-        answer=answer_bars(answer, band),
+        answer=answer,
+        band=band,
         picture=_arm_picture(result),
         advice=(
             ("What to do first", first_steps(answer)),
@@ -64,13 +67,12 @@ def facts(result: TorqueDiagnosis | PositionDiagnosis) -> list[tuple[str, str]]:
     """The few numbers beside the headline, the same of every kind of log."""
     answer = result.answer
     unit = answer.unit
-    noise = " to ".join(dict.fromkeys(f"{x:.3g}" for x in answer.noise))
     out = [
         ("Verdict", STATUS[answer.status]),
         ("Error before", f"{answer.before:.3g} {unit}"),
         ("Error after", f"{answer.after:.3g} {unit}"),
         ("Removed", percent(answer.less)),
-        ("Noise", f"{noise} {unit}"),
+        ("Noise", f"{span(answer.noise)} {unit}"),
     ]
     if isinstance(result, PositionDiagnosis):
         return [*out, ("Command alone", f"{result.commanded.mean[0]:.3g} {unit}")]
@@ -93,36 +95,20 @@ def _usual_horizon(d: TorqueDiagnosis) -> Horizon | None:
 
 
 def which_model(result: TorqueDiagnosis | PositionDiagnosis) -> str:
-    """One sentence: the model as given, or the corrected one, and how to write it."""
+    """The model as given, or the corrected one, and whether its simulated motion is better."""
     answer = result.answer
-    if not answer.causes or not answer.after < answer.before:
-        enough = answer.status in ("no_gap", "negligible")
+    said = model_words(answer, None, "the model as given", ())
+    row = _usual_horizon(result) if isinstance(result, TorqueDiagnosis) else None
+    if not answer.causes or row is None or row.ratio is None:
+        return said
+    if row.ratio >= 1 or (row.ratio_ci95 is not None and row.ratio_ci95[1] >= 1):
         return (
-            "The model as given: these logs show no error that matters."
-            if enough
-            else "The model as given: no cause is sure enough to change it."
-        )
-    change = f"on new data it errs by {answer.after:.3g} in the place of {answer.before:.3g}"
-    change += f" {answer.unit}"
-    written = "`torchid gap .. --save-model corrected.yaml` writes it"
-    if isinstance(result, PositionDiagnosis):
-        return f"The corrected model, with its servos: {change}. {written}."
-    row = _usual_horizon(result)
-    if row is not None and row.ratio is not None:
-        worse = row.ratio >= 1 or (row.ratio_ci95 is not None and row.ratio_ci95[1] >= 1)
-        if worse:
-            return (
-                f"The corrected model for torques: {change}. Its simulated motion is no better "
-                f"({row.ratio:.2g} of the error after {row.horizon_s:g} s): compare both before "
-                f"you simulate. {written}."
-            )
-        change += (
-            f", and simulated for {row.horizon_s:g} s its positions err {row.ratio:.2g} times as "
-            "much"
+            f"{said} Its simulated motion is no better ({row.ratio:.2g} of the error after "
+            f"{row.horizon_s:g} s): compare both before you simulate."
         )
     return (
-        f"The corrected model: {change}. {written}; `torchid correct ROBOT LOG.. --to mjcf` (or "
-        "urdf) corrects your simulator's own file."
+        f"{said} Simulated for {row.horizon_s:g} s its positions err {row.ratio:.2g} times as "
+        "much. `torchid correct ROBOT LOG.. --to mjcf` (or urdf) corrects your simulator's file."
     )
 
 
@@ -145,22 +131,23 @@ def _arm_picture(result: TorqueDiagnosis | PositionDiagnosis) -> Picture | None:
     )
 
 
-def _over_time(name: str, shown: OverTime | None, caption: str) -> list[Picture]:
+def _over_time(name: str, shown: OverTime | None, caption: str) -> Picture | None:
     """A figure over time, for desk and phone, which zooms."""
     if shown is None or not shown.runs:
-        return []
+        return None
     first = f"{shown.quantity} of joint {shown.joints[shown.order[0]]}"
-    return [
-        Picture(
-            name, caption, f"Over time: {first}, of the arm and of both models.", shown.draw,
-            narrow=partial(shown.draw, None, NARROW), numbers=shown.numbers,
-        )
-    ]  # fmt: skip
+    alt, narrow = (
+        f"Over time: {first}, of the arm and of both models.",
+        partial(shown.draw, None, NARROW),
+    )
+    return Picture(name, caption, alt, shown.draw, narrow=narrow, numbers=shown.numbers)
 
 
-def _torque_motion(d: TorqueDiagnosis) -> list[Picture]:
-    fitted = d.how_far.rollout is not None and d.how_far.rollout.fitted_on_these_data
-    return _over_time(
+def _of_torques(d: TorqueDiagnosis) -> list[Section]:
+    """What the answer of torques rests on."""
+    record, rollout = d.record, d.how_far.rollout
+    fitted = rollout is not None and rollout.fitted_on_these_data
+    motion = _over_time(
         "motion",
         motion_over_time(d),
         "Joint positions: the arm, and both models simulated with the measured torque, without a "
@@ -168,12 +155,6 @@ def _torque_motion(d: TorqueDiagnosis) -> list[Picture]:
         "in which it moves most. A line that ends early has lost the arm by more than 1 rad."
         + (" These runs were also used for fitting: the numbers are optimistic." if fitted else ""),
     )
-
-
-def _of_torques(d: TorqueDiagnosis) -> list[Section]:
-    """What the answer of torques rests on."""
-    record = d.record
-    rollout = record.how_far.rollout
     torque = _over_time(
         "torque",
         torque_over_time(d) if d.traces else None,
@@ -183,25 +164,20 @@ def _of_torques(d: TorqueDiagnosis) -> list[Section]:
     )
     return _sections(
         answer=d.answer,
-        motion=_torque_motion(d),
+        motion=motion,
         torque=torque,
-        where=[*gap.where_pictures(record), gap.where_table(record)]
-        if gap.stands_out(record)
-        else [],
+        where=[gap.where_picture(record), gap.where_table(record)],
         against=gap.joint_pictures(d),
         causes=[gap.which_table(record), gap.small_table(record), gap.meaning_table(record)],
-        repeats=repeats_pictures(record),
+        repeats=repeats_picture(record),
         numbers=[
             gap.how_far_table(record), gap.budget_table(record),
-            gap.rollout_table(rollout) if rollout else None, *gap.known_pictures(record),
-            gap.known_table(record), gap.open_table(record),
+            gap.rollout_table(record), gap.known_picture(record), gap.known_table(record),
+            gap.open_table(record),
         ],
         block=simulator_block(d.corrected, d.nearest_fields) if record.which else "",
         notes=[*record.warnings, *record.noise_floor.notes, *gap.remarks(record)],
-        unseen=[
-            gap.not_testable_table(record),
-            gap.experiment_table(d.next_experiment) if d.next_experiment else None,
-        ],
+        unseen=[gap.not_testable_table(record), gap.experiment_table(record)],
     )  # fmt: skip
 
 
@@ -222,7 +198,7 @@ def _of_positions(d: PositionDiagnosis) -> list[Section]:
             position.regime_table(record),
         ],
         causes=[position.which_table(record), position.meaning_table(record)],
-        repeats=repeats_pictures(record),
+        repeats=repeats_picture(record),
         numbers=[
             position.motion_table(record), position.nominal_table(record, record.nominal or ())
         ],
@@ -233,38 +209,30 @@ def _of_positions(d: PositionDiagnosis) -> list[Section]:
 def _sections(
     *,
     answer: Answer,
-    motion: Sequence[Picture],
-    where: Sequence[Picture | Table | None],
-    causes: Sequence[Table | None],
-    repeats: Sequence[Picture],
-    numbers: Sequence[Picture | Table | None],
+    motion: Picture | None,
+    where: Parts,
+    causes: Parts,
+    repeats: Picture | None,
+    numbers: Parts,
     notes: Sequence[str],
-    torque: Sequence[Picture] = (),
-    against: Sequence[Picture] = (),
+    torque: Picture | None = None,
+    against: Parts = (),
     block: str = "",
-    unseen: Sequence[Table | None] = (),
+    unseen: Parts = (),
 ) -> list[Section]:
     """The sections of every diagnosis, in their order."""
-
-    def whole(parts: Sequence[Picture | Table | None]) -> list[Picture | Table]:
-        out: list[Picture | Table] = []
-        for part in parts:
-            kept = filled(part) if isinstance(part, Table) else [part]
-            out += [p.on_page() if isinstance(p, Table) else p for p in kept if p is not None]
-        return out
-
     code = (
         "The corrected joints, to copy into the simulator's file; torchid export writes the file."
     )
     return [
-        Section("Motion: the arm and the simulation, before and after", motion, folded=False),
-        Section("Torque, before and after", torque, folded=bool(motion)),
-        Section("Where the error lies", whole(where)),
+        Section("Motion: the arm and the simulation, before and after", [motion], folded=False),
+        Section("Torque, before and after", [torque], folded=motion is not None),
+        Section("Where the error lies", where),
         Section("What the error depends on", against),
-        Section(f"The causes in numbers ({count(len(answer.causes), 'cause')})", whole(causes)),
-        Section("Is each cause the same in every motion?", repeats),
-        Section("Errors in numbers", whole(numbers)),
+        Section(f"The causes in numbers ({count(len(answer.causes), 'cause')})", causes),
+        Section("Is each cause the same in every motion?", [repeats]),
+        Section("Errors in numbers", numbers),
         Section("For your simulator", [Code(block, code)] if block else []),
         caution_section(notes),
-        Section("What this log could not show", whole(unseen)),
+        Section("What this log could not show", unseen),
     ]

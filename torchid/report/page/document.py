@@ -24,6 +24,7 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
+from operator import contains
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,8 +35,10 @@ import torchid
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.files import write_text
 from torchid.report.colours import AFTER, BEFORE, BLUE, GREEN, GREY, GRID, INK, ORANGE, RED
+from torchid.report.page.answer import cause_line
 from torchid.report.panels import Picture, literal, printable
 from torchid.report.table import Code, InputFile, Origin, Page, Table
+from torchid.results.words import span
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -159,7 +162,8 @@ def environment() -> "Environment":
         lstrip_blocks=True,
     )
     made.filters["thousands"] = lambda k: f"{k:,}".replace(",", "\u202f")
-    made.filters["kind"] = _kind
+    made.filters |= {"kind": _kind, "cause_line": cause_line, "span": span}
+    made.tests["holds"] = contains
     made.filters["marked"] = lambda text: _marked(escape(printable(text)))
     return made
 

@@ -77,9 +77,7 @@ def index_shown(folder: Path) -> Shown:
     found = entries(folder)
     rows = [(str(e.file.relative_to(folder)), e.robot, e.date, e.headline) for e in found]
     columns = ("result", "robot", "date, UTC", "answer")
-    table = Table(
-        f"results below {folder}", columns, rows, names=columns[1:3], words=(columns[0], columns[3])
-    )
+    table = Table(f"results below {folder}", columns, rows, "pllp")
     return Shown(verdict=f"{count(len(found), 'result')} below {folder}.", parts=[table])
 
 

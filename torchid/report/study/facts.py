@@ -33,11 +33,6 @@ def number(value: float, digits: int = 3) -> str:
     return "none" if math.isinf(value) else f"{value:.{digits}g}"
 
 
-def joint_names(study: Study) -> tuple[str, ...]:
-    """Headings of one column a joint."""
-    return tuple(f"joint {j + 1}" for j in range(study.robot.n))
-
-
 def coefficient_error(study: Study) -> float:
     """The largest error of an identified coefficient."""
     return float((study.identification.values - study.truth).abs().max())
@@ -187,24 +182,6 @@ def payload_quantities(study: Study) -> list[Quantity]:
     ]
 
 
-def headline(study: Study) -> str:
-    """Two sentences: how many sets are feasible, and what being infeasible costs inside."""
-    good = ids(by_feasibility(study, True))
-    medians = [
-        f"{c.name} {number(c.median)}" for c in study.comparison.classes if c.median is not None
-    ]
-    inside = (
-        f" Median error of the internal force over all runs [N]: {', '.join(medians)}."
-        if medians
-        else ""
-    )
-    return (
-        f"{study.settings.title}: {len(study.truth)} coefficients identified with errors up to "
-        f"{number(coefficient_error(study), 2)}; {len(good)} of {len(study.scenarios)} best sets "
-        f"feasible{f' ({listed(good)})' if good else ''}.{inside}"
-    )
-
-
 def verdict(study: Study) -> list[str]:
     """One sentence or two for each part of the study."""
     identified, _, true = validation_torques(study)
@@ -255,6 +232,11 @@ def verdict(study: Study) -> list[str]:
 
 def _possible(study: Study) -> list[str]:
     """What the certificates say: the least loss of a feasible set, and what forces it."""
+    if not study.certificates:
+        return [
+            "Unknown: there is no certificate, so how small the loss of a feasible set can be is "
+            "not known."
+        ]
     free = [b for b, c in study.certificates.items() if c.exact and c.with_conditions]
     out = []
     if free:

@@ -61,28 +61,20 @@ def motion_drawings(study: Study) -> list[Picture]:
         )
         noise_only = partial(_noise_figure, study, plan, log)
         out.append(drawing("identification", "excitation_noise", caption, noise_only))
-    plan = new_motion(study.robot, validation)
-    caption = (
-        f"The sinusoidal motion that validates the coefficients, {_sampling(plan)}; it takes no "
-        "part in the fit. "
-    )
-    title = f"{name}: motion of the validation"
-    out.append(
-        _motion(
-            study, "identification", "validation_motion", plan, title, caption,
-            study.validation, validation.noise_db,
-        )
+    others = (
+        ("identification", "validation_motion",
+         "The sinusoidal motion that validates the coefficients and takes no part in the fit",
+         new_motion(study.robot, validation), study.validation, validation.noise_db),
+        ("validation", "sets_motion",
+         "The motion on which the torques of the best sets are compared",
+         study.sets_motion.motion, None, None),
+        ("wrenches", "reference_motion",
+         "The reference motion on which the internal wrenches are compared",
+         study.wrench_motion.motion, None, None),
     )  # fmt: skip
-    comparisons: tuple[tuple[str, str, Log, str], ...] = (
-        ("validation", "sets_motion", study.sets_motion.motion,
-         "The motion on which the torques of the best sets are compared"),
-        ("wrenches", "reference_motion", study.wrench_motion.motion,
-         "The reference motion on which the internal wrenches are compared"),
-    )  # fmt: skip
-    for section, file, motion, what in comparisons:
-        title = f"{name}: {file.replace('_', ' ')}"
-        caption = f"{what}, {_sampling(motion)}. "
-        out.append(_motion(study, section, file, motion, title, caption))
+    for section, file, what, plan, own, noise_db in others:
+        title, caption = f"{name}: {file.replace('_', ' ')}", f"{what}, {_sampling(plan)}. "
+        out.append(_motion(study, section, file, plan, title, caption, own, noise_db))
     return out
 
 

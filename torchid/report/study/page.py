@@ -13,13 +13,13 @@ from torchid.extraction.cma.search import default_population
 from torchid.feasibility.sets import joined, sets_record
 from torchid.files import make_folder, write_text
 from torchid.report.cautions import caution_section
-from torchid.report.page.document import Origin, Page, versions
+from torchid.report.page.document import Origin, Page, setting_words, versions
 from torchid.report.panels import Picture, save_small
 from torchid.report.study import facts
 from torchid.report.study.facts import by_feasibility, ids, kept, number, verdict
 from torchid.report.study.figures import motion_drawings, search_drawings, torque_drawings
 from torchid.report.study.wrench_figures import payload_drawings, wrench_drawings
-from torchid.report.table import Section, Shown, Table, filled, torque_unit
+from torchid.report.table import Section, Shown, Table, cell, joint_numbers, torque_unit
 from torchid.results.words import count, listed
 from torchid.study.result import Study
 from torchid.wrenches.compare import ClassSummary
@@ -31,7 +31,7 @@ def shown(study: Study) -> Shown:
     return Shown(
         parts=all_tables(study),
         warnings=study.warnings,
-        last=f"{facts.headline(study)}\n",
+        last=f"{study.settings.title}. {page_verdict(study)}\n",
         page=partial(study_page, study),
     )
 
@@ -45,15 +45,12 @@ def identification_table(study: Study) -> Table:
     """Tables A.1 to A.4: coefficient, estimated, real, error."""
     found = study.identification
     values = zip(found.base.names, found.base.units, found.values, study.truth, strict=True)
-    return Table(
-        f"identified coefficients of {study.robot.name} (tables A.1 to A.4)",
-        ("coefficient", "unit", "estimated", "real", "error"),
-        [
-            (name, unit, f"{float(value):.6g}", f"{float(true):.6g}", number(float(value - true)))
-            for name, unit, value, true in values
-        ],
-        words=("coefficient", "unit"),
-    )
+    rows = [
+        (name, unit, f"{float(value):.6g}", f"{float(true):.6g}", number(float(value - true)))
+        for name, unit, value, true in values
+    ]
+    title = f"identified coefficients of {study.robot.name} (tables A.1 to A.4)"
+    return Table(title, ("coefficient", "unit", "estimated", "real", "error"), rows, "pp")
 
 
 def scenario_table(study: Study) -> Table:
@@ -73,8 +70,7 @@ def scenario_table(study: Study) -> Table:
         "best set of each scenario (tables 5.2 to 5.5)",
         ("set", "bounds", "loss", "phi", "phi_min", "gamma", "feasible", "why not", "degree",
          "torque"),
-        rows,
-        words=("set", "bounds", "loss", "feasible", "why not"),
+        rows, "lllrrrlp",
         note="phi: loss; phi_min: proven least loss of any feasible set within the bounds; gamma: "
         "penalty; degree: negative outside, 0 on the boundary; torque: root mean square error on a "
         f"new motion over that of the torque, largest joint.{note if alone else ''}",
@@ -98,8 +94,7 @@ def search_table(study: Study) -> Table:
         "runs of each scenario: loss phi",
         ("set", "runs", "median after the last stage", "best", "median", "worst", "gamma = 0",
          "feasible", "different", "time [s]"),
-        rows,
-        words=("set",),
+        rows, "l",
         note="each run ends in the set of nearly the least loss that is nearest to where its last "
         "stage left it; gamma = 0: runs without any penalty; different: runs that ended in the "
         "same set count once.",
@@ -120,17 +115,16 @@ def certificate_table(study: Study) -> Table:
         stands = (", ".join(x) or "-" for x in (c.forcing, active, no_room, c.relaxed_active))
         losses = (number(c.phi_min, 4), number(c.phi_strict, 4))
         rows.append((bounds, *losses, conditions, *stands, f"{c.seconds:.1f}"))
-    words = ("bounds", "conditions", "forced by", "phi_min without", "no room for", "relaxed")
     return Table(
         "what no search can beat: least loss of any feasible set",
-        (words[0], "phi_min", "reached", *words[1:], "time [s]"),
-        rows,
-        words=words,
+        ("bounds", "phi_min", "reached", "conditions", "forced by", "phi_min without",
+         "no room for", "relaxed", "time [s]"),
+        rows, "lrrlpppp",
         note="reached: loss of a strictly feasible set that was found; forced by: conditions "
         "without which phi_min is nearly zero; phi_min without: one condition released, where that "
         "saves 5 % or more; no room for: conditions that the bounds meet on a face of theirs at "
         "most; relaxed: bounds that count in phi_min by a relaxation only.",
-    )
+    )  # fmt: skip
 
 
 def reason_table(study: Study) -> Table:
@@ -146,14 +140,12 @@ def reason_table(study: Study) -> Table:
         feasible = f"{int(s.feasibility.feasible.sum())} of {runs}"
         rows.append((s.scenario.id, ", ".join(s.reasons) or "-", feasible, often or "-"))
     columns = ("set", "best set: why not", "runs feasible", "reasons over all runs")
-    return Table(
-        "reasons of the best set, and in how many runs each reason occurs",
-        columns,
-        rows,
-        words=(*columns[:2], columns[3]),
-        note="The best set is the run of least loss: where many runs have losses that differ by "
-        "rounding only, which of them is best, and hence its reasons, is chance of the search.",
+    note = (
+        "The best set is the run of least loss: where many runs have losses that differ by "
+        "rounding only, which of them is best, and hence its reasons, is chance of the search."
     )
+    title = "reasons of the best set, and in how many runs each reason occurs"
+    return Table(title, columns, rows, "lprp", note)
 
 
 def torque_table(study: Study) -> Table:
@@ -164,12 +156,8 @@ def torque_table(study: Study) -> Table:
         largest = number(float((row / real).max()))
         rows.append((name, *(number(v) for v in row.tolist()), largest))
     unit = torque_unit(study.robot, "N m; N")
-    return Table(
-        f"torque of the best sets on a new motion: root mean square error per joint [{unit}]",
-        ("set", *facts.joint_names(study), "largest share"),
-        rows,
-        words=("set",),
-    )
+    title = f"torque of the best sets on a new motion: root mean square error per joint [{unit}]"
+    return Table(title, ("set", *joint_numbers(study.robot.n), "largest share"), rows, "l")
 
 
 def set_wrench_table(study: Study) -> Table:
@@ -179,40 +167,38 @@ def set_wrench_table(study: Study) -> Table:
     for s, row in zip(study.scenarios, facts.best_rows(study), strict=True):
         said = "yes" if s.feasible else "no"
         sets.append((s.scenario.id, said, e.force_rms[row], e.moment_rms[row]))
+    rows = [
+        (name, said, *map(number, force.tolist()), number(float(moment.max())))
+        for name, said, force, moment in sets
+    ]
     return Table(
         "internal wrenches of the best sets: root mean square of the force error per joint [N], "
         "largest moment error [N m]",
-        ("set", "feasible", *facts.joint_names(study), "moment"),
-        [
-            (name, said, *(number(v) for v in force.tolist()), number(float(moment.max())))
-            for name, said, force, moment in sets
-        ],
-        words=("set", "feasible"),
+        ("set", "feasible", *joint_numbers(study.robot.n), "moment"),
+        rows, "ll",
         note="The error is the norm of the difference of the vectors, which is never smaller than "
         "the difference of the norms that the figures show.",
-    )
+    )  # fmt: skip
 
 
 def class_table(study: Study) -> Table:
-    """Force errors of all runs by reason class, against feasible ones."""
-    effects = {e.first: e for e in study.comparison.effects}
-    rows = []
-    for c in study.comparison.classes:
-        name, sets, *quartiles = _summary(c)
-        effect, distinct = effects.get(name), str(facts.distinct_errors(study, name))
+    """Force errors of all runs by class, against feasible ones, then by each reason."""
+    found = study.comparison
+    effects = {e.first: e for e in found.effects}
+    rows: list[tuple[str, ...]] = []
+    for c in found.classes:
+        effect, distinct = effects.get(c.name), str(facts.distinct_errors(study, c.name))
         against = ("-", "-")
         if effect is not None:
             against = (_interval(effect.ratio), _interval(effect.delta))
-        rows.append((name, sets, distinct, *quartiles, *against))
-    found = study.comparison
+        rows.append((c.name, str(c.sets), distinct, *_quartiles(c), *against))
+    rows += [()] + [(c.name, str(c.sets), "-", *_quartiles(c), "-", "-") for c in found.per_reason]
+    infeasible = found.correlation_infeasible
     rho = [
         f"{_interval(correlation.rho)} over {what}"
         for what, correlation in (
             (count(found.correlation.sets, "set"), found.correlation),
-            (
-                f"the {found.correlation_infeasible.sets} infeasible ones",
-                found.correlation_infeasible,
-            ),
+            (f"the {infeasible.sets} infeasible ones", infeasible),
         )
         if not math.isnan(correlation.rho.value)
     ]
@@ -220,25 +206,15 @@ def class_table(study: Study) -> Table:
     if rho:
         said = f"Rank correlation of degree and error: {listed(rho)}."
     return Table(
-        "force error of all runs by the kind of their reasons: largest joint [N]",
+        "force error of all runs by the kind of their reasons, and of those that have a reason, "
+        "alone or among others: largest joint [N]",
         ("class", "sets", "different", "median", "lower quartile", "upper quartile",
          f"ratio to {found.classes[0].name}", "Cliff's delta"),
-        rows,
-        words=("class",),
+        rows, "l",
         note=f"{said} A ratio of 1 and a delta of 0 are no difference; in brackets 95 % "
         "bootstrap intervals that take every run for its own unit: they are too narrow where many "
         "runs have the same error (`different` counts errors that differ by 0.1 % or more).",
     )  # fmt: skip
-
-
-def reason_error_table(study: Study) -> Table:
-    """Force errors of all runs that have a reason, alone or among others."""
-    return Table(
-        "force error of all runs that have a reason, alone or among others: largest joint [N]",
-        ("reason", "sets", "median", "lower quartile", "upper quartile"),
-        [_summary(c) for c in study.comparison.per_reason],
-        words=("reason",),
-    )
 
 
 def payload_table(study: Study) -> Table:
@@ -250,26 +226,18 @@ def payload_table(study: Study) -> Table:
         if math.isfinite(q.low):
             ends = (f"{number(q.low, 4)} .. {number(q.high, 4)}", "yes" if q.held else "no")
         rows.append((q.name, q.unit, number(q.true, 4), value, *ends))
-    return Table(
-        "payload in the tool frame, inertia about its centre of mass",
-        ("quantity", "unit", "true", "estimated", "95 % interval", "true inside"),
-        rows,
-        words=("quantity", "unit", "true inside"),
-    )
+    columns = ("quantity", "unit", "true", "estimated", "95 % interval", "true inside")
+    title = "payload in the tool frame, inertia about its centre of mass"
+    return Table(title, columns, rows, "pprrrp")
 
 
 def all_tables(study: Study) -> list[Table]:
     """Every table, in the page's order."""
-    return filled(
-        identification_table(study), certificate_table(study), scenario_table(study),
-        search_table(study), reason_table(study), torque_table(study), set_wrench_table(study),
-        class_table(study), payload_table(study),
-    )  # fmt: skip
+    return [table for _, _, makers in _SECTIONS for make in makers if (table := make(study))]
 
 
-def _summary(c: ClassSummary) -> tuple[str, ...]:
-    values = (c.median, c.lower_quartile, c.upper_quartile)
-    return (c.name, str(c.sets), *("-" if v is None else number(v) for v in values))
+def _quartiles(c: ClassSummary) -> list[str]:
+    return [cell(value) for value in (c.median, c.lower_quartile, c.upper_quartile)]
 
 
 def _interval(e: Estimate) -> str:
@@ -318,14 +286,12 @@ def write_study(study: Study, folder: Path) -> list[Path]:
     return [folder / "study.md", *(folder / name for name in sets), *written]
 
 
-_PACKAGES = ("torchid", "Python", "torch", "numpy", "scipy", "clarabel", "matplotlib")
 _SECTIONS: tuple[tuple[str, str, tuple[Callable[[Study], Table], ...]], ...] = (
     ("Identification", "identification", (identification_table,)),
     ("Extraction", "extraction", (certificate_table, search_table)),
     ("Classification", "classification", (scenario_table, reason_table)),
     ("Validation of the sets", "validation", (torque_table,)),
-    ("Internal wrenches", "wrenches",
-     (set_wrench_table, class_table, reason_error_table)),
+    ("Internal wrenches", "wrenches", (set_wrench_table, class_table)),
     ("Payload", "payload", (payload_table,)),
 )  # fmt: skip
 
@@ -344,9 +310,7 @@ def page(study: Study, drawings: Sequence[Picture], files: Sequence[str]) -> str
     ]
     for heading, section, makers in _SECTIONS:
         parts.append(f"## {heading}\n")
-        if section == "extraction":
-            parts += _certificates(study)
-        parts += [table.markdown() for table in filled(*(make(study) for make in makers))]
+        parts += [table.markdown() for make in makers if (table := make(study))]
         parts += [
             f"![{d.name.replace('_', ' ')}]({d.file})\n\n*{d.caption}*\n"
             for d in drawings
@@ -356,49 +320,15 @@ def page(study: Study, drawings: Sequence[Picture], files: Sequence[str]) -> str
     return "\n".join(parts)
 
 
-def _certificates(study: Study) -> list[str]:
-    """What the tables of the extraction do not say of the least loss."""
-    said = []
-    for bounds, c in study.certificates.items():
-        if math.isnan(c.phi_min):
-            said.append(f"Within the bounds `{bounds}` the solver failed: phi_min is not known.")
-        elif not c.feasible:
-            said.append(f"Within the bounds `{bounds}` there is no physical set at all.")
-        elif not c.with_conditions:
-            said.append(f"For the bounds `{bounds}`, phi_min counts the bounds and physics alone.")
-    if not study.certificates:
-        said.append(
-            "There is no certificate, so how small the loss of a feasible set can be is not known."
-        )
-    return [" ".join(said) + "\n"] if said else []
-
-
 def _origin(study: Study, files: Sequence[str]) -> str:
-    """Seeds, sizes, times, versions."""
-    s = study.settings
-    search, problem = s.search, study.scenarios[0].extraction.problem
-    population = search.population or default_population(problem.size)
-    low, high = s.total_mass
-    effects, base = listed(s.effects, nothing="none"), study.identification.base
-    lines = [
-        f"robot {s.robot}, effects {effects}: {base.n_rigid} base parameters, "
-        f"{len(base) - base.n_rigid} coefficients of effects",
-        f"{count(s.excitation.count, 'exciting trajectory', 'exciting trajectories')} "
-        f"({s.excitation.source}), {study.log.samples} instants; seeds: excitation "
-        f"{s.excitation.seed}, validation {s.validation.seed}, sets' motion {s.sets_motion.seed}, "
-        f"reference motion {s.wrench_motion.seed}",
-        f"search: {search.runs} runs, {search.stages} stages of {search.generations} generations "
-        f"of {population} points in {problem.size} variables, engine {search.engine}, schedule "
-        f"{search.schedule}, seed {search.seed}",
-        f"conditions: boxes of the centres of mass of the bounds `{s.geometry}`, total mass "
-        f"{number(low)} to {number(high)} kg, physical consistency",
-        "time: " + ", ".join(f"{part} {seconds:.1f} s" for part, seconds in study.seconds.items()),
-        "versions: "
-        + ", ".join(f"{name} {found}" for name, found in versions() if name in _PACKAGES),
-    ]
+    """Seeds, settings, times, versions."""
+    said = {
+        name: value for part in seeds_and_settings(study).values() for name, value in part.items()
+    }
+    said["versions"] = dict(versions())
     if files:
-        lines.append("beside this page: " + ", ".join(f"`{name}`" for name in files))
-    return "\n".join(f"- {line}" for line in lines) + "\n"
+        said["beside this page"] = [f"`{name}`" for name in files]
+    return "".join(f"- {name}: {setting_words(value)}\n" for name, value in said.items())
 
 
 _ORDER = (
@@ -430,7 +360,7 @@ def study_page(study: Study, origin: Origin) -> Page:
                 folded=False,
             ),
             Section("Pictures", pictures),
-            Section("Numbers", [*all_tables(study), reason_error_table(study)]),
+            Section("Numbers", all_tables(study)),
             caution_section(study.warnings),
         ],
     )  # fmt: skip
@@ -452,6 +382,11 @@ def seeds_and_settings(study: Study) -> dict[str, dict[str, Any]]:
     }
     for name, part in parts.items():
         told[name] = {key: value for key, value in asdict(part).items() if key != "seed"}
+    size = study.scenarios[0].extraction.problem.size
+    told["search"] |= {
+        "variables": size,
+        "population": s.search.population or default_population(size),
+    }
     return {"seeds": seeds, "settings": told | {"seconds": dict(study.seconds)}}
 
 

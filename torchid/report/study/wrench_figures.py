@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, INK, KEEPS, ORANGE, REAL, RED
+from torchid.report.equal_torque import class_colour
 from torchid.report.panels import (
     Figure,
     Picture,
@@ -27,10 +28,8 @@ from torchid.report.study.facts import at_joint, ids, number, rms
 from torchid.results.words import count, listed
 from torchid.study.result import SetsOnMotion, Study
 from torchid.typing import Float, Tensor
-from torchid.wrenches.classes import FEASIBLE, MIXED, ordered_classes
+from torchid.wrenches.classes import FEASIBLE, ordered_classes
 
-_CLASS_COLOURS = {FEASIBLE: GREEN, "inertia only": BLUE, "CoM only": ORANGE, MIXED: RED}
-"""Of the classes of reasons; the others are grey."""
 _STYLES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)))
 """Lines that tell apart sets of one colour."""
 _Line = tuple[str, str, str, Any]
@@ -147,14 +146,7 @@ def _norms(
 
 
 def _errors(study: Study) -> Picture:
-    comparison = study.comparison
-    rho = comparison.correlation_infeasible.rho
-    sentences = [
-        f"{c.name}: {c.sets} sets"
-        + ("" if c.median is None else f", median {number(c.median)} N, quartiles "
-           f"{number(c.lower_quartile or 0.0)} and {number(c.upper_quartile or 0.0)} N")
-        for c in comparison.classes
-    ]  # fmt: skip
+    rho = study.comparison.correlation_infeasible.rho
     if np.isnan(rho.value):
         said = "Too few infeasible sets differ for a rank correlation of degree and error."
     else:
@@ -172,8 +164,8 @@ def _errors(study: Study) -> Picture:
         "Force error of every run (root mean square of the vector difference from the real arm, "
         "largest joint) against its degree, by the kind of its reasons: feasible sets by how "
         "firmly they are inside, infeasible ones by how far they are outside (both logarithmic), "
-        "and the classes side by side with medians and quartiles. "
-        f"{'; '.join(sentences)}. {said} Crosses mark the best sets."
+        f"and the classes side by side with medians and quartiles. {said} Crosses mark the best "
+        "sets."
     )
     return drawing("wrenches", "force_error_by_degree", caption, lambda: _error_figure(study))
 
@@ -190,7 +182,7 @@ def _error_figure(study: Study) -> Figure:
     for c, name in enumerate(names):
         own = torch.tensor([x == name for x in classes])
         axes = inside if name == FEASIBLE else outside
-        colour = _CLASS_COLOURS.get(name, GREY)
+        colour = class_colour(name)
         depth = degree[own].abs().clamp(min=1e-12)
         axes.scatter(depth, error[own], s=16, color=colour, alpha=0.7, linewidth=0)
         axes.scatter(depth[best[own]], error[own & best], s=60, color=INK, marker="x", linewidth=1)
