@@ -162,8 +162,8 @@ def _python_runs(page: Path, folder: Path) -> dict[str, Any]:
 def test_commands_and_python_of_the_readme_run(tmp_path: Path) -> None:
     """In an empty folder: the README needs no robot or log of anybody's."""
     with shell(tmp_path) as place:
-        assert _commands_run(README, place) == 7
-    for name in ("gap/gap.json", "corrected.yaml", "exported/3r.urdf", "next/trajectory.csv"):
+        assert _commands_run(README, place) == 4
+    for name in ("gap/gap.json", "corrected.yaml", "exported/ur10e.urdf", "next/trajectory.csv"):
         assert (tmp_path / name).stat().st_size > 0, name
     assert blocks(README, "python")
     before = set(tmp_path.rglob("*"))

@@ -38,14 +38,14 @@ def test_an_arm_of_servos(so101: Shell) -> None:
     assert len(lines) == 3
     for line in lines:
         so101.run(line)
-    for name in ("corrected.yaml", "simulated/run4.parquet"):
+    for name in ("so101.yaml", "simulated/run4.parquet"):
         assert (so101.folder / name).stat().st_size > 0, name
     assert list((so101.folder / "simulator").glob("*.xml"))
 
 
 def test_a_motion_that_tells_no_unit_is_exported(so101: Shell) -> None:
     """The first run alone says nothing of the jaw's unit, which the saved servos know."""
-    so101.run("torchid export corrected.yaml --log run1.parquet --to mjcf --out alone")
+    so101.run("torchid export so101.yaml --log run1.parquet --to mjcf --out alone")
     assert list((so101.folder / "alone").glob("*.xml"))
 
 

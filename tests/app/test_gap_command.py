@@ -148,7 +148,7 @@ def test_a_folder_takes_the_same_json_and_pictures(command, runs, tmp_path):
 @pytest.mark.parametrize("held_out", quick_first([True, False], 1))
 def test_logs_of_two_rates_are_resampled_to_the_lower(command, runs, held_out):
     given = ("--held-out", runs / "slow.csv") if held_out else (runs / "slow.csv",)
-    done = command("gap", "3r", runs / "a.csv", *given, *FEW)
+    done = command("gap", "3r", runs / "a.csv", *given, *FEW, "--verbose")
     assert done.code == 0, done.err
     assert "resampled to 100 Hz" in " ".join(done.out.split())
 

@@ -52,5 +52,5 @@ def test_forced_the_fault_is_said_first():
     assert found.answer.headline.startswith("Wrong log: torque sign of joint 2. ")
     assert len(found.answer.headline) <= 160
     assert len(found.doubt) < LONGEST + 15
-    assert found.warnings[0].startswith("Change your log: torque has the wrong sign in joint 2")
+    assert found.warnings[0].startswith("Caution: torque has the wrong sign in joint 2")
     assert found.record.answer.doubt == found.doubt

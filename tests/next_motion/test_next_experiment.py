@@ -53,7 +53,7 @@ def test_what_a_log_could_not_show_is_found_after_the_designed_motion():
     )
     hidden = {(x.effect, *x.joints): x.reason for x in found.not_testable}
     assert hidden["viscous_friction", 2] == "the motion does not excite it"
-    assert "% of it can be separated" in hidden["torque_offset", 1]
+    assert "indistinguishable from" in hidden["torque_offset", 1]
 
     left = open_questions(found.record, robot, "gap.json")
     assert left.kind == "not_testable"

@@ -119,7 +119,7 @@ def require_result(path: Path, what: str = "a result", hint: str | None = None) 
         TorchidError: no such file, or no result.
     """
     if hint is None:
-        hint = "a result is what a command writes with --json FILE, or as JSON into --out DIR"
+        hint = "a result is the JSON that a command writes, or that `save` of a result does"
         if path.suffix.lower() in ROBOT_FILES:
             hint = f"a robot, with what was found of it, is shown by: torchid robot {path}"
     head = parsed(contents(path, what, hint), _Head, path, what, hint)
