@@ -95,6 +95,9 @@ def identify_command(
     output.give(
         result, "identification.json", shown, seed=seed, old=old, files=files, settings=told
     )
+    file = output.json_file or (output.out and output.out / "identification.json")
+    if file is not None and str(file) != "-":
+        output.say(f"For a simulator: torchid export {file} --to urdf --out DIR")
 
 
 @dataclass(frozen=True, kw_only=True)

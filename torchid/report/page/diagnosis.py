@@ -55,7 +55,7 @@ def page(result: Diagnosis, origin: Origin) -> Page:
         band=band,
         picture=_arm_picture(result),
         advice=(
-            ("What to do first", first_steps(answer)),
+            ("What to do first", [step[:1].upper() + step[1:] for step in first_steps(answer)]),
             ("Which model to use", [which_model(result)]),
             ("Suspects, not sure enough", _suspects(answer)),
         ),
