@@ -2,7 +2,7 @@
 
 from torchid.doctor.examine import conclusion
 from torchid.gap.diagnosis import Finding
-from torchid.report import diagnosis
+from torchid.report.brief import Screen
 from torchid.report.identification import verdict
 from torchid.report.table import Shown, Table
 from torchid.results.words import effect_words, measure, sure
@@ -28,8 +28,8 @@ def shown(demo: Demo) -> Shown:
             f"$ torchid log doctor {files.robot} {logs}\n{conclusion(demo.examination)}\n",
             f"$ torchid identify {files.robot} {logs} --held-out {files.new}\n"
             f"{verdict(demo.identification)}\n",
-            f"$ torchid gap {files.robot} {logs} --held-out {files.new}\n{answer.headline}\n",
-            diagnosis.answer_table(answer, demo.diagnosis.band),
+            f"$ torchid gap {files.robot} {logs} --held-out {files.new}",
+            Screen(answer=answer, band=demo.diagnosis.band, warnings=demo.diagnosis.warnings),
             opened_table(demo),
         ],
     )

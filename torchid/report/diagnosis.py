@@ -13,7 +13,6 @@ from torchid.report.brief import Screen
 from torchid.report.page.diagnosis import page
 from torchid.report.table import Shown, Table
 from torchid.results.answer import (
-    COLUMNS,
     MOST_SIZES,
     Answer,
     Diagnosis,
@@ -24,17 +23,6 @@ from torchid.results.words import sure
 
 if TYPE_CHECKING:
     from torchid.report.panels import Figures
-
-
-def answer_table(answer: Answer, band: float | None = None) -> Table:
-    """The answer: a row a joint, the largest remaining error first, with its causes.
-
-    Args:
-        answer: of a diagnosis.
-        band: below which errors are counted [Hz].
-    """
-    title = answer.title + (f", below {band:g} Hz" if band else "")
-    return Table(title, COLUMNS, answer.rows(), "lrrrplp")
 
 
 def suspects_table(answer: Answer) -> Table:

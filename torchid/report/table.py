@@ -240,7 +240,7 @@ class Shown:
 
     screen: "Screen | None" = None
     verdict: str = ""
-    parts: Sequence[Table | str | None]
+    parts: "Sequence[Table | Screen | str | None]"
     warnings: Iterable[str] = ()
     last: str = ""
     figures: "Mapping[str, Callable[[], Figure | None]]" = field(default_factory=dict)
