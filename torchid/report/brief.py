@@ -14,7 +14,7 @@ from rich.text import Text
 from torchid.errors import visible
 from torchid.report.cautions import cautions
 from torchid.report.page.answer import first_steps
-from torchid.results.answer import Answer, Cause, JointRow, cause_cells, ordered
+from torchid.results.answer import UNCHANGED, Answer, Cause, JointRow, cause_cells, ordered
 from torchid.results.words import count, sure
 
 MOST_LINES = 23
@@ -134,7 +134,9 @@ class Screen:
         """What would lower the error of a joint without a cause of its own."""
         if may := _may(row, detail):
             return may
-        if any(row.error.joint in c.joints for same in self.answer.shared() for c in same):
+        shared = (c for same in self.answer.shared() for c in same)
+        own = any(row.error.joint in c.joints or not c.joints for c in shared)
+        if own and row.error.after < UNCHANGED * row.error.before:
             return "as listed below"
         if row.error.after <= row.error.noise[0]:
             return "within the noise"
