@@ -1,13 +1,13 @@
 """Progress on standard error: a bar on a terminal, a line a stage elsewhere."""
 
 import os
-import pty
 import re
 import subprocess
 import sys
 
 import pytest
 
+from tests.terminal import on_a_terminal
 from torchid.app.output import Output
 from torchid.parallel.workers import stage
 
@@ -23,33 +23,21 @@ print("the answer")
 """
 
 
-def on_a_terminal(*arguments: str) -> tuple[str, str]:
-    """What a program writes to standard output, a pipe, and to standard error, a terminal."""
-    main, other = pty.openpty()
-    with subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, *arguments],
-        stdout=subprocess.PIPE, stderr=other, env=os.environ | {"TERM": "xterm"},
-    ) as process:  # fmt: skip
-        os.close(other)
-        shown = b""
-        while True:
-            try:
-                part = os.read(main, 4096)
-            except OSError:  # the other end is closed
-                break
-            if not part:
-                break
-            shown += part
-        assert process.stdout is not None
-        out = process.stdout.read()
-    os.close(main)
-    assert process.returncode == 0
-    return out.decode(), shown.decode()
+def program(*arguments: str) -> tuple[str, str]:
+    """What the program writes to standard error, a terminal, and to standard output, a pipe."""
+
+    def start(terminal: int) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, *arguments],
+            stdout=subprocess.PIPE, stderr=terminal, env=os.environ | {"TERM": "xterm"},
+        )  # fmt: skip
+
+    return on_a_terminal(start)
 
 
 @pytest.mark.slow
 def test_a_terminal_is_told_what_runs_and_how_much_is_left() -> None:
-    out, shown = on_a_terminal()
+    shown, out = program()
     assert out == "the answer\n"
     assert "searching [a]" in shown  # brackets are no markup
     assert "3/4" in shown
@@ -58,7 +46,7 @@ def test_a_terminal_is_told_what_runs_and_how_much_is_left() -> None:
 
 @pytest.mark.slow
 def test_quiet_is_quiet_on_a_terminal_too() -> None:
-    assert on_a_terminal("-q") == ("the answer\n", "")
+    assert program("-q") == ("", "the answer\n")
 
 
 @pytest.mark.slow

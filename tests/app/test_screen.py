@@ -1,46 +1,33 @@
 """The answer in a terminal as a user has it: a pseudo-terminal of some width."""
 
-import fcntl
 import os
-import pty
 import re
-import struct
 import subprocess
 import sys
-import termios
 from pathlib import Path
 
 import pytest
 
 from tests.app.test_start_up import ROOT, _loaded
+from tests.terminal import on_a_terminal
 
 RUN = "import sys; sys.argv = ['torchid', *sys.argv[1:]]; from torchid.app import main; main()"
 LINES = 25
 
 
-def on_a_terminal(columns: int, folder: Path, *arguments: str) -> list[str]:
+def lines_of(columns: int, folder: Path, *arguments: str) -> list[str]:
     """The lines that a command leaves on a terminal, what it shows while it runs apart."""
-    main, other = pty.openpty()
-    fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
     environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
-    with subprocess.Popen(
-        [sys.executable, "-c", RUN, *arguments],
-        stdout=other, stderr=subprocess.DEVNULL, cwd=folder,
-        env=environment | {"PYTHONPATH": ROOT, "TERM": "xterm"},
-    ) as process:  # fmt: skip
-        os.close(other)
-        shown = b""
-        while True:
-            try:
-                part = os.read(main, 4096)
-            except OSError:  # the other end is closed
-                break
-            if not part:
-                break
-            shown += part
-    os.close(main)
-    assert process.returncode == 0, shown.decode()
-    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.decode()).splitlines()
+
+    def start(terminal: int) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-c", RUN, *arguments],
+            stdout=terminal, stderr=subprocess.DEVNULL, cwd=folder,
+            env=environment | {"PYTHONPATH": ROOT, "TERM": "xterm"},
+        )  # fmt: skip
+
+    shown, _ = on_a_terminal(start, columns)
+    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown).splitlines()
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +50,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_answer_is_one_screen(log: Path, columns: int, tmp_path: Path) -> None:
     """Headline to the files' names; no line is broken by the terminal; the names are whole."""
     effects = "viscous_friction,coulomb_friction,torque_offset"
-    lines = on_a_terminal(
+    lines = lines_of(
         columns, tmp_path, "gap", "kuka_lwr4", str(log), "--effects", effects, "--out", "gap",
         "--save-model", "c.yaml", "--no-rollout",
     )  # fmt: skip

@@ -34,7 +34,7 @@ def test_page(study):
     few = [s if s.title != "Pictures" else replace(s, parts=s.parts[:1]) for s in page.sections]
     tree = parsed(render(replace(page, sections=few)))
     assert text_of(tree, "verdict") == page_verdict(study)
-    rows = rows_of(tree, "best set of each scenario (tables 5.2 to 5.5)")
+    rows = rows_of(tree, "Best set of each scenario (tables 5.2 to 5.5)")
     for row, s in zip(rows, study.plain()["sets"], strict=True):
         assert (row[0], row[6]) == (s["id"], "yes" if s["feasible"] else "no")
         assert float(row[3]) == pytest.approx(s["phi"], rel=1e-3)

@@ -81,18 +81,7 @@ def simulate_command(
         return
     if windows is not None or columns is not None:
         raise TorchidError("--windows and --columns are for --replay.")
-    several = len(trajectory) > 1
-    target = save or (output.out and output.out / ("log{k}.parquet" if several else "log.parquet"))
-    if target is None or (several and "{k}" not in target.name):
-        what = "several logs need several names." if target else "nowhere to write the log."
-        where = (
-            '--save "run{k}.parquet", for run1, run2, ..' if several else "--save FILE or --out DIR"
-        )
-        raise TorchidError(what, got=target, expected=where)
-    numbers = range(1, len(trajectory) + 1)
-    targets = [target.with_name(target.name.replace("{k}", str(k))) for k in numbers]
-    for file in targets if save is not None else ():
-        require_writable(file, "--save")
+    targets = _targets(save, output.out, len(trajectory))
     from torchid.effects.written import effect_written
     from torchid.excitation.synthetic import noise_model, simulation_record
     from torchid.simulation.controller import Controller
@@ -130,6 +119,27 @@ def simulate_command(
     output.write_json(simulation_record(found, log, effects, **asked), "simulation.json")
     output.warn(log.warnings)
     output.say(f"{log.samples} samples of {log.trajectory_count} trajectories")
+
+
+def _targets(save: Path | None, folder: Path | None, count: int) -> list[Path]:
+    """Files of as many logs: `save` of one, with `{k}` for their numbers of several; else in the
+    folder.
+
+    Raises:
+        TorchidError: nowhere to write, one name for several, or a file that cannot be written.
+    """
+    several = count > 1
+    target = save or (folder and folder / ("log{k}.parquet" if several else "log.parquet"))
+    if target is None or (several and "{k}" not in target.name):
+        what = "several logs need several names." if target else "nowhere to write the log."
+        where = (
+            '--save "run{k}.parquet", for run1, run2, ..' if several else "--save FILE or --out DIR"
+        )
+        raise TorchidError(what, got=target, expected=where)
+    targets = [target.with_name(target.name.replace("{k}", str(k))) for k in range(1, count + 1)]
+    for file in targets if save is not None else ():
+        require_writable(file, "--save")
+    return targets
 
 
 def _replay(

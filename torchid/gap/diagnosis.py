@@ -41,7 +41,7 @@ from torchid.results.answer import Answer, Cause, Diagnosis, JointError, Size
 from torchid.results.record import Rows
 from torchid.results.replication import Replication
 from torchid.results.words import count, effect_words, joints_words, listed
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import JointType, Robot, torque_unit
 from torchid.robot.writer import write_robot
 from torchid.simulation.two_models import Rollout, SimulatedMotion
 from torchid.simulators.nearest_fields import NearestFields, nearest_fields
@@ -352,7 +352,6 @@ class TorqueDiagnosis(Diagnosis):
     def answer(self) -> Answer:
         """What each joint's error is, which causes close it, and what to do."""
         far, floor, robot = self.how_far, self.floor, self.robot
-        units = {"N" if kind is JointType.PRISMATIC else "N m" for kind in robot.joint_types}
         causes = [f.cause(robot) for f in self.findings]
         causes += [
             Cause(
@@ -369,7 +368,7 @@ class TorqueDiagnosis(Diagnosis):
         return Answer(
             status=self.status,
             error="the gap",
-            unit=", ".join(sorted(units, reverse=True)),
+            unit=torque_unit(robot),
             before=float(far.rms_before.norm()),
             after=float(far.rms_after.norm()),
             noise=(float(floor.low.norm()), float(floor.high.norm())),

@@ -13,7 +13,7 @@ from torchid.gap.search.evidence import Fitted, Question
 from torchid.gap.search.explain import best_explanation
 from torchid.gap.search.terms import Term, candidates_of
 from torchid.results.answer import Answer, Cause, JointError, Size
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import Robot, torque_unit
 
 Watch = Callable[[Answer], None]
 """Takes what is known so far."""
@@ -45,7 +45,7 @@ def so_far(question: Question, fit: Fitted, robot: Robot) -> Answer:
     return Answer(
         status="searching",
         error="the gap",
-        unit="N" if set(robot.joint_types) == {JointType.PRISMATIC} else "N m",
+        unit=torque_unit(robot),
         before=float(before.norm()),
         after=float(after.norm()),
         noise=(math.nan, math.nan),

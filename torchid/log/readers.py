@@ -6,12 +6,11 @@ Columns that have the names of `torchid.log.columns` are found by themselves; ot
 (`torchid.log.mapping`). Written: .parquet, .csv and .npz.
 """
 
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Protocol, TypeGuard, runtime_checkable
+from typing import IO, TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -124,15 +123,9 @@ def read_log(
     return torchid.Log.concatenate([log for _, log in open_logs(sources, request)])
 
 
-def is_log_object(given: object) -> "TypeGuard[torchid.Log]":
-    """Whether it is a Log already; before their module is loaded nothing is one."""
-    loaded = sys.modules.get("torchid.log.model")
-    return loaded is not None and isinstance(given, loaded.Log)
-
-
 def each_log(logs: LogLike) -> list[OneLog]:
     """One or several logs as a list."""
-    if is_log_object(logs) or isinstance(logs, str | Path | Mapping | Frame):
+    if isinstance(logs, torchid.Log | str | Path | Mapping | Frame):
         return [logs]
     return list(logs) if isinstance(logs, Iterable) else [logs]
 
@@ -143,7 +136,7 @@ def _source(given: object, name: str) -> "Path | Table | torchid.Log":
     Raises:
         LogError: something else, or a table of what is no numbers.
     """
-    if is_log_object(given) or isinstance(given, Path):
+    if isinstance(given, torchid.Log | Path):
         return given
     if isinstance(given, str):
         return Path(given)

@@ -23,17 +23,20 @@ class EarlyAnswer:
         self.seconds = float((windows.length * windows.weight).sum())
         self.before = self.after = self._errors(plain)
         self.best = [""] * len(self.names)
-        self("", self.before)
+        self._show()
 
     def _errors(self, losses: Tensor) -> Tensor:
         return 1e3 * (losses / self.seconds).sqrt() / self.scale
 
     def __call__(self, effect: str, losses: Tensor) -> None:
         """An effect beside the plain servos, and the losses that it leaves."""
-        errors = self._errors(losses) if effect else self.before
+        errors = self._errors(losses)
         for j in torch.nonzero(errors < (1 - WORTHWHILE) * self.after).flatten().tolist():
             self.best[j] = effect
         self.after = torch.minimum(self.after, errors)
+        self._show()
+
+    def _show(self) -> None:
         levels = zip(self.names, self.before.tolist(), self.after.tolist(), strict=True)
         nothing = (math.nan, math.nan)
         self.watch(

@@ -38,7 +38,7 @@ class Detail:
         causes: of a joint that are listed.
         joints: that have a row.
         remedies: that are said.
-        values: whether causes of a joint come with values, and those with standard deviations.
+        values: whether causes of a joint come with values.
         std: whether values come with standard deviations.
     """
 

@@ -9,7 +9,8 @@ from rich.text import Text
 from torchid.doctor.examine import Examination, conclusion
 from torchid.report.colours import BLUE, ORANGE
 from torchid.report.panels import Figure, finish, joint_rows
-from torchid.report.table import Shown, Table, joint_unit
+from torchid.report.table import Shown, Table
+from torchid.robot.model import joint_unit
 
 _STYLE = {"wrong": "bold red", "doubtful": "yellow", "cannot tell": "bright_black"}
 

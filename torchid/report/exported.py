@@ -17,9 +17,9 @@ from torchid.export.projection import Kept
 from torchid.export.randomisation import Randomisation
 from torchid.export.record import RangeRow
 from torchid.feasibility.margins import inertia_eigenvalues
-from torchid.report.table import Shown, Table, cells, joint_numbers, joint_unit, torque_unit
+from torchid.report.table import Shown, Table, cells, joint_numbers
 from torchid.results.words import count, effect_words, joints_words, listed, number_list
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import JointType, Robot, joint_unit, torque_unit
 from torchid.simulation.servo import Servos
 from torchid.simulators.joint_dynamics import JointDynamics, Target, split
 from torchid.simulators.nearest_fields import NearestFields

@@ -21,7 +21,7 @@ from torchid.report.gap_words import (
     shapes,
 )
 from torchid.report.panels import Picture
-from torchid.report.table import Table, cells, joint_numbers, joint_unit, torque_unit
+from torchid.report.table import Table, cells, joint_numbers
 from torchid.results.record import as_plain
 from torchid.results.replication import times
 from torchid.results.words import (
@@ -37,7 +37,7 @@ from torchid.results.words import (
     unit_behind,
     unit_words,
 )
-from torchid.robot.model import Robot
+from torchid.robot.model import Robot, joint_unit, torque_unit
 
 _MOST_REGIMES = 3
 _MOST_NUMBERS = 12

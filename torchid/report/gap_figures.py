@@ -23,8 +23,8 @@ from torchid.report.panels import (
     rows_of,
 )
 from torchid.report.repeats import error_figure, repeats_picture
-from torchid.report.table import joint_unit
 from torchid.results.words import percent, regime_words
+from torchid.robot.model import joint_unit
 from torchid.statistics.jackknife import student_quantile
 from torchid.statistics.proportion import HALF_95
 

@@ -19,8 +19,9 @@ from torchid.report.cautions import caution_section
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Figures, Picture, finish, joint_rows, note, panel, rows_of
-from torchid.report.table import Section, Shown, Table, cells, joint_numbers, joint_unit
+from torchid.report.table import Section, Shown, Table, cells, joint_numbers
 from torchid.results.words import listed, number_list, short, unit_words
+from torchid.robot.model import joint_unit
 
 _ZERO = 100.0
 """Half-width of the 95 % interval in % of the value: beyond it, zero is possible."""

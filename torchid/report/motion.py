@@ -11,9 +11,9 @@ from torchid.next_motion.planned import Planned, not_checked
 from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.separation import DECISIVE, Rival, beyond, named
 from torchid.report.log import trajectory_figure
-from torchid.report.table import Shown, Table, joint_unit
+from torchid.report.table import Shown, Table
 from torchid.results.words import number_list, percent, short
-from torchid.robot.model import Robot
+from torchid.robot.model import Robot, joint_unit
 
 
 def design_shown(planned: Planned) -> Shown:

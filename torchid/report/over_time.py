@@ -12,8 +12,8 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
 from torchid.report.panels import Figure, finish, panel, worst_stretch
-from torchid.report.table import joint_unit
 from torchid.results.words import joint_labels
+from torchid.robot.model import joint_unit
 from torchid.typing import Bool, Float, Tensor
 
 NARROW = 4.2

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from torchid.report.brief import Screen
     from torchid.report.panels import Picture
     from torchid.results.answer import Answer
-    from torchid.robot.model import Robot
     from torchid.typing import Tensor
 
 Cell = str | Text
@@ -95,7 +94,8 @@ class Table:
     def markdown(self) -> str:
         """Title, table and note."""
         marks = ["--:" if letter == "r" else ":--" for letter in self.letters]
-        head, *body = ([_plain(str(cell)) for cell in row] for row in (self.columns, *self.rows))
+        rows = (self.columns, *filter(None, self.rows))
+        head, *body = ([_plain(str(cell)) for cell in row] for row in rows)
         lines = [f"**{_plain(self.title)}**", "", pipe_table(head, body, marks)]
         if self.note:
             lines += ["", _plain(self.note)]
@@ -293,14 +293,3 @@ def cell(value: float | None, digits: str = ".3g") -> str:
 def joint_numbers(n: int) -> list[str]:
     """Headings of one column a joint."""
     return [str(j + 1) for j in range(n)]
-
-
-def joint_unit(robot: "Robot", joint: int) -> str:
-    """Unit of the torque of a joint (from 0)."""
-    return "N" if robot.joint_types[joint].name == "PRISMATIC" else "N m"
-
-
-def torque_unit(robot: "Robot", both: str = "N m, N") -> str:
-    """Unit of the torques of all joints together; `both` where the joints differ."""
-    units = {joint_unit(robot, j) for j in range(robot.n)}
-    return units.pop() if len(units) == 1 else both

@@ -28,8 +28,8 @@ from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.localise.regimes import regime_instants
 from torchid.log.filtering import low_passed
 from torchid.position.diagnosis import PositionDiagnosis
-from torchid.report.table import joint_unit
 from torchid.results.answer import Diagnosis
+from torchid.robot.model import joint_unit
 from torchid.typing import Bool, Float, Tensor
 
 SUFFIXES = (".mcap", ".rrd")

@@ -372,10 +372,10 @@ class Answer(Part, frozen=True, kw_only=True):
 
     def where(self, same: Sequence[Cause]) -> str:
         """`all joints`, `joints 1, 2 and 4`, `link 5`, `the arm`: where causes of one name act."""
-        joints = [j for c in same for j in c.joints]
+        joints = sorted({j for c in same for j in c.joints})
         if same[0].effect == "link_inertia" and joints:
             return f"link {listed(str(j + 1) for j in joints)}"
-        if len(set(joints)) == len(self.joints) > 1:
+        if len(joints) == len(self.joints) > 1:
             return "all joints"
         return joints_words(joints)
 

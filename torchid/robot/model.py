@@ -52,6 +52,17 @@ def joint_list(joints: Sequence[int]) -> str:
     return f"joint{'s' if len(joints) > 1 else ''} {names}"
 
 
+def joint_unit(robot: "Robot", joint: int) -> str:
+    """Unit of the torque of a joint (from 0)."""
+    return "N" if robot.joint_types[joint] is JointType.PRISMATIC else "N m"
+
+
+def torque_unit(robot: "Robot", both: str = "N m, N") -> str:
+    """Unit of the torques of all joints together; `both` where the joints differ."""
+    units = {joint_unit(robot, j) for j in range(robot.n)}
+    return units.pop() if len(units) == 1 else both
+
+
 def free_name(name: str, taken: set[str]) -> str:
     """A name that is not taken yet, and is from now on: with underscores appended if need be."""
     while name in taken:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from torchid.results.answer import Answer, Cause, size_words
-from torchid.results.words import effect_words, joints_words, listed, percent, sure
+from torchid.results.words import effect_words, listed, percent, sure
 
 CLEAR = 0.99
 """Probability of a cause above which nothing is said of it."""
@@ -42,13 +42,9 @@ def first_steps(answer: Answer) -> list[str]:
         return sum(shares) if add else max(shares, default=0.0)
 
     for remedy, causes in sorted(same.items(), key=lambda pair: -worth(pair[1])):
-        joints = sorted({j for c in causes for j in c.joints})
-        if causes[0].effect == "link_inertia":
-            what = listed(dict.fromkeys(c.name for c in causes))
-        else:
-            every = len(joints) == len(answer.joints) > 1
-            place = "all joints" if every else joints_words(joints)
-            what = f"{listed(dict.fromkeys(c.name for c in causes))}, {place}"
+        what = listed(dict.fromkeys(c.name for c in causes))
+        if causes[0].effect != "link_inertia":  # whose name has its place
+            what += f", {answer.where(causes)}"
         removes = f" ({percent(worth(causes))} of the error)" if add else ""
         steps.append(f"{what}{removes}: {remedy[:1].lower()}{remedy[1:]}")
     return steps[:MOST_ADVICE]

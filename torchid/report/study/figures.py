@@ -26,8 +26,8 @@ from torchid.report.panels import (
 )
 from torchid.report.study import facts
 from torchid.report.study.facts import at_joint, ids, kept, number, rms
-from torchid.report.table import torque_unit
 from torchid.results.words import count, listed
+from torchid.robot.model import torque_unit
 from torchid.study.motions import new_motion
 from torchid.study.result import ScenarioResult, Study
 from torchid.typing import Tensor

@@ -19,8 +19,9 @@ from torchid.report.study import facts
 from torchid.report.study.facts import by_feasibility, ids, kept, number, verdict
 from torchid.report.study.figures import motion_drawings, search_drawings, torque_drawings
 from torchid.report.study.wrench_figures import payload_drawings, wrench_drawings
-from torchid.report.table import Section, Shown, Table, cell, joint_numbers, torque_unit
+from torchid.report.table import Section, Shown, Table, cell, joint_numbers
 from torchid.results.words import count, listed
+from torchid.robot.model import torque_unit
 from torchid.study.result import Study
 from torchid.wrenches.compare import ClassSummary
 from torchid.wrenches.resampling import Estimate
