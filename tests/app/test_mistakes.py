@@ -167,6 +167,47 @@ def test_a_xacro_file_is_expanded_where_that_can_be_done(command, tmp_path, monk
     assert (done.code, "no such macro" in done.err) == (1, True)
 
 
+def test_xacro_has_one_answer_by_any_name(command, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    files(tmp_path)
+    names = ("b.urdf", "b.xacro", "b.urdf.xacro", "b.urdf.xml")
+    for name in names:
+        (tmp_path / name).write_text(XACRO)
+        done = command("robot", name)
+        assert done.code == 1
+        assert f"'{name}' is a xacro file, and xacro is not installed" in done.err
+        assert "<xacro:if> on line 1" in done.err
+        plain = "b_expanded.urdf" if name == "b.urdf" else "b.urdf"
+        assert f"xacro {name} > {plain}" in done.err.replace("\n", " ")
+    program = tmp_path / "xacro"
+    program.write_text("#!/bin/sh\n/bin/cat my_arm.urdf\n")
+    program.chmod(0o755)
+    for name in names:
+        assert command("robot", name, "--json", f"{name}.json").code == 0
+        assert '"j3"' in (tmp_path / f"{name}.json").read_text()
+    # What needs no expanding is read without xacro.
+    program.unlink()
+    (tmp_path / "c.xacro").write_text((tmp_path / "my_arm.urdf").read_text())
+    assert command("robot", "c.xacro").code == 0
+
+
+def test_limits_of_zero_name_what_replaces_them(command, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    files(tmp_path)
+    text = (tmp_path / "my_arm.urdf").read_text()
+    text = re.sub(r'(velocity|effort)="[^"]*"', r'\1="0"', text)
+    (tmp_path / "zero.urdf").write_text(text)
+    assert command("robot", "zero.urdf").code == 0
+    line = ("excite", "zero.urdf", "--restarts", 1, "--duration", 5, "--kind", "random")
+    done = command(*line, "--to", "a.csv")
+    for word in ("any joint", "--max-velocity 2.0", "--max-acceleration 5.0", 'velocity="2.0"'):
+        assert word in done.err
+    done = command(*line, "--max-velocity", 2, "--max-acceleration", 5, "--to", "a.csv")
+    assert done.code == 0, done.err
+
+
 @pytest.mark.parametrize("change", [degrees, milliseconds, gripper, named])
 def test_the_line_works_when_it_is_pasted(command, broken, monkeypatch, tmp_path, change) -> None:
     monkeypatch.chdir(tmp_path)

@@ -52,6 +52,18 @@ def test_a_gain_is_no_unit(log: Log, factor: float) -> None:
     prepare(robot(), log.replace(u=factor * log.u))
 
 
+@pytest.mark.parametrize("gain", [1 / 3, 0.5, 2.5, -1.0])
+def test_commands_of_another_size_show_at_once(log: Log, gain: float) -> None:
+    """Of an actuator with a gear, say; a servo that trails its commands is none."""
+    assert log.u is not None
+    assert prepare(robot(), log).command_gain.tolist() == [1.0, 1.0, 1.0]
+    u = log.u.clone()
+    u[:, 1] /= gain
+    found = prepare(robot(), log.replace(u=u)).command_gain
+    assert found[[0, 2]].tolist() == [1.0, 1.0]
+    assert float(found[1]) == pytest.approx(gain, rel=0.15)
+
+
 def test_missing_commands_are_held(log: Log) -> None:
     assert log.u is not None
     u = log.u.clone()

@@ -9,8 +9,9 @@ import torch
 from torchid.errors import MissingExtraError, RobotError
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.library import load_robot
-from torchid.robot.mjcf import read_mjcf
+from torchid.robot.mjcf import mjcf_servos, read_mjcf
 from torchid.robot.model import JointType, Robot, link_poses, tool_pose
+from torchid.robot.shapes import link_shapes
 
 mujoco = pytest.importorskip("mujoco")
 EXACT = 1e-12
@@ -337,3 +338,95 @@ def test_absent_meshes_matter_only_where_masses_come_from_them(tmp_path, explici
     assert robot.parameters is not None
     assert robot.parameters.mass.tolist() == [2.0]
     assert any("mesh files are absent" in warning for warning in robot.warnings)
+
+
+WORLD_MESH = """<mujoco><compiler angle="radian"{compiler}/><asset><mesh name="far" file="far.stl"/>
+<texture name="wood" type="2d" file="wood.png"/><material name="wood" texture="wood"/></asset>
+<worldbody>{world}<body name="base">{base}<body name="link"><joint name="hinge" axis="0 1 0"/>
+{inertial}{link}</body></body></worldbody></mujoco>"""
+MESH = '<geom type="mesh" mesh="far"{}/>'
+INERTIAL = '<inertial pos="0 0 0.1" mass="2" diaginertia="0.02 0.03 0.04"/>'
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"world": MESH.format("")},
+        {"base": MESH.format("")},
+        {"link": MESH.format("")},
+        {"link": '<geom size="0.1" material="wood"/>'},
+        {"inertial": "", "link": MESH.format(' mass="0"') + '<geom size="0.1" mass="2"/>'},
+        {
+            "inertial": "",
+            "link": MESH.format(' group="4"') + '<geom size="0.1" mass="2"/>',
+            "compiler": ' inertiagrouprange="0 2"',
+        },
+    ],
+)
+def test_absent_files_stop_no_reader_where_masses_are_given(tmp_path, parts):
+    text = WORLD_MESH.format(
+        **dict.fromkeys(("world", "base", "link", "compiler"), "") | {"inertial": INERTIAL} | parts
+    )
+    robot = read_mjcf(write(tmp_path, text))
+    assert robot.parameters.mass.tolist() == [2.0]
+    meshes = "mesh" in "".join(parts.values())
+    assert any("mesh files are absent" in warning for warning in robot.warnings) == meshes
+    shapes = link_shapes(robot)
+    # Half of a link's shapes say nothing of where its centre of mass is.
+    assert shapes.known == ("mesh" not in parts.get("link", "mesh"),)
+    assert (shapes.base is None) == bool({"world", "base"} & parts.keys())
+
+
+@pytest.mark.parametrize("always", ["", ' inertiafromgeom="true"'])
+def test_absent_meshes_that_give_a_mass_are_missed(tmp_path, always):
+    parts = {"inertial": INERTIAL if always else "", "link": MESH.format(""), "compiler": always}
+    text = WORLD_MESH.format(**{"world": "", "base": ""} | parts)
+    with pytest.raises(RobotError, match="cannot compile"):
+        read_mjcf(write(tmp_path, text))
+
+
+ACTUATORS = {
+    "position": '<position joint="hinge" kp="40" kv="2" forcerange="-5 5"/>',
+    "gear": '<position joint="hinge" kp="40" kv="2" gear="3"/>',
+    "backwards": '<position joint="hinge" kp="40" dampratio="0.7" gear="-2"/>',
+    "general": '<general joint="hinge" gainprm="30" biastype="affine" biasprm="0.5 -40 -2"/>',
+    "tendon": '<position tendon="cord" kp="40" kv="2" gear="2"/>',
+    "class": '<position class="strong" joint="hinge"/>',
+    "filter": '<position joint="hinge" kp="40" kv="2" timeconst="0.03"/>',
+}
+
+
+def geared(actuator):
+    return f"""<mujoco><compiler angle="radian"/>
+<default><default class="strong"><position kp="90" kv="3" gear="2"/></default></default>
+<worldbody><body name="first"><joint name="free" axis="0 0 1"/>{INERTIAL}<body name="link">
+<joint name="hinge" axis="0 1 0" damping="0.3" range="-2 2"/>{INERTIAL}</body></body></worldbody>
+<tendon><fixed name="cord"><joint joint="hinge" coef="0.5"/></fixed></tendon>
+<actuator>{actuator}</actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("name", list(ACTUATORS))
+def test_servos_of_actuators_have_their_forces(tmp_path, name):
+    path = write(tmp_path, geared(ACTUATORS[name]))
+    none, servo = mjcf_servos(path, ("free", "hinge"))
+    assert none == {}
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data, draw = mujoco.MjData(model), np.random.default_rng(0)
+    for u, q, dq in draw.uniform(-0.3, 0.3, (20, 3)):
+        data.ctrl[0], data.qpos[1], data.qvel[1] = u, q, dq
+        if model.na:
+            data.act[0] = u
+        mujoco.mj_forward(model, data)
+        pull = servo["kp"] * (servo["scale"] * u - q) + servo["offset"]
+        own = pull - (servo["damping"] - 0.3) * dq
+        limit = servo.get("clip", np.inf)
+        assert data.qfrc_actuator[1] == pytest.approx(np.clip(own, -limit, limit), abs=1e-9)
+    assert servo.get("lag", 0.0) == (0.03 if name == "filter" else 0.0)
+
+
+@pytest.mark.parametrize(
+    "actuator",
+    ['<motor joint="hinge" gear="2"/>', '<velocity joint="hinge" kv="2"/>', ACTUATORS["gear"] * 2],
+)
+def test_other_actuators_are_no_servos(tmp_path, actuator):
+    assert mjcf_servos(write(tmp_path, geared(actuator)), ("free", "hinge")) == [{}, {}]

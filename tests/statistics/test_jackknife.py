@@ -237,3 +237,24 @@ def test_nothing_known_is_no_known():
     assert torch.equal(one.covariance, two.covariance)
     assert not two.given.any()
     assert torch.equal(one.freedom, two.freedom)
+
+
+def test_shares_of_blocks_give_covariance_and_freedom_again():
+    found = statistics(*problem()[:2])
+    assert found.shares is not None
+    torch.testing.assert_close(found.shares.steps.T @ found.shares.steps, found.covariance)
+    torch.testing.assert_close(found.shares.freedom(found.shares.back), found.freedom)
+    assert found.shares.alone(0.9).shape == (C, 0)
+
+
+def test_a_direction_that_one_block_holds_is_alone():
+    columns, y, _ = problem()
+    columns[:, 2] *= BLOCK == 3
+    found = statistics(columns, y)
+    assert found.shares is not None
+    alone = found.shares.alone(0.9)
+    assert alone.shape == (C, 1)
+    torch.testing.assert_close(alone.norm(), torch.tensor(1.0).to(alone))
+    # Nothing but the third column changes along it.
+    along = (found.shares.back @ alone).squeeze(1)
+    assert float(along[[0, 1, 3, 4]].abs().max()) < 0.2 * float(along[2].abs())

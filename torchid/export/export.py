@@ -23,7 +23,7 @@ from torchid.feasibility.sets import nominal_set
 from torchid.files import require_name
 from torchid.inputs import RobotLike, as_robot
 from torchid.results.record import Result
-from torchid.robot.config_files import URDF_FILES
+from torchid.robot.config_files import is_urdf
 from torchid.robot.model import Robot
 from torchid.robot.origin import of_own_file
 from torchid.simulators.joint_dynamics import Target
@@ -94,7 +94,7 @@ class Export(Result):
 def edited_of(robot: Robot, to: str) -> Robot | None:
     """The robot whose file is copied and edited: the nominal one, if its file is of the format."""
     own = Path(robot.source).suffix.lower()
-    return robot if SUFFIXES[to] == (".urdf" if own in URDF_FILES else own) else None
+    return robot if SUFFIXES[to] == (".urdf" if is_urdf(robot.source) else own) else None
 
 
 def export_dynamics(

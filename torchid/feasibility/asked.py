@@ -6,7 +6,7 @@ from pathlib import Path
 
 from torchid.effects.registry import Valued, nominal_effects, nominal_others
 from torchid.errors import TorchidError
-from torchid.feasibility.findings import Finding, own_inertial_findings
+from torchid.feasibility.findings import Finding
 from torchid.feasibility.sets import (
     ParameterSets,
     nominal_set,
@@ -14,11 +14,11 @@ from torchid.feasibility.sets import (
     read_other_effects,
     read_sets,
 )
+from torchid.feasibility.units import nominal_findings
 from torchid.json_data import read_json
 from torchid.robot.config_files import names_robot
 from torchid.robot.library import load_both, load_robot, named_robot
 from torchid.robot.model import Robot
-from torchid.robot.shapes import own_inertials
 from torchid.robot.tree import Choice
 
 
@@ -74,7 +74,7 @@ def asked_about(params: str, robot: str | None, choice: Choice) -> Asked:
             got=own.n_links,
             expected=found.n_links,
         )
-    also = own_inertial_findings(own_inertials(own))
+    also = nominal_findings(own)
     # The parameters' link frames need not be those of the robot that counts.
     apart = [str(i + 1) for i, d in enumerate(own.frames_apart(found).tolist()) if d > 1e-6]
     differ = (

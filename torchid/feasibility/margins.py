@@ -4,7 +4,8 @@ Every condition has a signed margin, in its own unit, positive inside, and a *de
 over a scale of its own, so that conditions, links and arms can be compared. A set is feasible when
 masses and inertias have positive margins and no other margin is negative; its degree is the
 smallest of its conditions', so a firmly feasible set has a large one, a set on the boundary 0, and
-an infeasible one a negative one.
+an infeasible one a negative one. A link of zeros among others is a frame, not a body, and has no
+conditions.
 
 | condition   | margin                                | equation | scale of the degree            |
 |-------------|---------------------------------------|----------|--------------------------------|
@@ -160,6 +161,9 @@ def link_margins(
     second_scale = second.abs().mean(-1)
     com_scale = _half(box[..., 0], box[..., 1]).expand_as(com)
     of_body = torch.stack([mass_scale, second_scale, second_scale], -1)
+    # A frame between two joints is no body, of which nothing is asked.
+    frame = (parameters.pi == 0).all(-1, keepdim=True) & (mass_scale > 0).unsqueeze(-1)
+    margins = torch.where(frame, torch.inf, margins)
     return margins, torch.cat([of_body, com_scale, radius.expand_as(mass).unsqueeze(-1)], -1)
 
 

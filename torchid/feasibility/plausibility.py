@@ -14,6 +14,7 @@ A feasible set belongs to *some* body. What follows asks whether that body could
 | gravity_load  | torque that holds the arm, over the limit     | more than 1                      |
 | copied        | principal inertias, the same for all links    | to 1e-6                          |
 | own_*         | an <inertial> of the URDF before merging      | not a body's                     |
+| units         | masses and lengths of the robot's file        | off by a power of ten            |
 
 The inertia ellipsoid is the uniform one with the link's mass and inertia: its squared semi-axes are
 5/m times the eigenvalues of S = tr(I)/2 E - I. Densities: steel has 7850, copper 8960 and lead

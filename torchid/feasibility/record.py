@@ -13,7 +13,7 @@ from msgspec import UNSET, UnsetType
 from torchid.feasibility.bounds import Bounds, bounds_groups, read_bounds, read_total_mass
 from torchid.feasibility.conditions import GEOMETRY_GROUP, Conditions, conditions, physics_only
 from torchid.feasibility.derived_bounds import named_bounds
-from torchid.feasibility.findings import Finding, own_inertial_findings
+from torchid.feasibility.findings import Finding
 from torchid.feasibility.margins import (
     LINK_CONDITIONS,
     Feasibility,
@@ -22,11 +22,12 @@ from torchid.feasibility.margins import (
 )
 from torchid.feasibility.plausibility import Bodies, bodies, plausibility
 from torchid.feasibility.sets import ParameterSets, nominal_set, read_sets
+from torchid.feasibility.units import nominal_findings, shape_findings
 from torchid.inputs import RobotLike, as_robot
 from torchid.json_data import plain
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result, Rows
 from torchid.robot.model import Robot
-from torchid.robot.shapes import LinkShapes, link_shapes, own_inertials
+from torchid.robot.shapes import LinkShapes, link_shapes
 from torchid.typing import Float, Tensor
 
 NO_GEOMETRY = "none"
@@ -222,7 +223,7 @@ def check(
     robot = as_robot(robot)
     also: Sequence[Finding] = ()
     if sets is None:
-        sets, also = nominal_set(robot), own_inertial_findings(own_inertials(robot))
+        sets, also = nominal_set(robot), nominal_findings(robot)
     elif not isinstance(sets, ParameterSets):
         sets = read_sets(Path(sets), robot)
     return check_sets(
@@ -281,7 +282,7 @@ def check_sets(
         feasibility=verdicts,
         eigenvalues=inertia_eigenvalues(sets.parameters),
         bodies=bodies(sets.parameters),
-        findings=tuple((*one, *also) for one in found),
+        findings=tuple((*also, *shape_findings(robot, shapes), *one) for one in found),
         warnings=(*said, *(() if shapes is None else shapes.warnings)),
     )
 
@@ -338,13 +339,13 @@ def _named(links: Tensor, total: Tensor, coefficients: Tensor, names: Sequence[s
 
 def _link(check: Check, k: int, i: int) -> LinkVerdict:
     found = check.feasibility
-    mass, _, triangle, *com, shape = found.margins[k, i].tolist()
+    _, _, triangle, *com, shape = found.margins[k, i].tolist()
     degrees = zip(LINK_CONDITIONS, found.degrees[k, i].tolist(), strict=True)
     eigenvalues = check.eigenvalues[k, i]
     return LinkVerdict(
         link=i,
         name=check.robot.link_names[i],
-        mass=mass,
+        mass=float(check.sets.parameters.mass[k, i]),
         com=check.sets.parameters.com[k, i],
         inertia_eigenvalues=eigenvalues,
         violation=found.inertia_violation(k, i),

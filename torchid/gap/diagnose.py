@@ -19,11 +19,13 @@ from torchid.position.data import WINDOW_S
 from torchid.position.diagnose import diagnose_positions
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import ServoArm, replay
-from torchid.position.nominal import nominal_servos
+from torchid.position.nominal import ACTUATOR, nominal_servos
 from torchid.results.answer import Diagnosis
 from torchid.robot.model import Robot
 
 Progress = Callable[[str, int, int], None]
+SAME_GAIN = 1e-6
+"""Difference of a command gain from 1 that is rounding [1]."""
 
 
 def diagnose(
@@ -122,6 +124,17 @@ def _of_positions(
         )
     nominal = nominal_servos(robot, servo)
     found = diagnose_positions(robot, log, held_out=held_out, progress=progress, watch=watch)
+    geared = [
+        f"{j} ({servo.values['scale']:.4g})"
+        for j, servo in enumerate(nominal, start=1)
+        if servo.name == ACTUATOR and abs(servo.values.get("scale", 1.0) - 1) > SAME_GAIN
+    ]
+    if geared:
+        said = (
+            f"'{robot.source}' has a command gain itself, the gear of its actuator, on joint "
+            f"{', '.join(geared)}: where it is found here, it is no gap."
+        )
+        found = replace(found, warnings=(said, *found.warnings))
     saved = ServoArm.of_file(robot.source)
     if saved is None:
         return replace(found, nominal=nominal)

@@ -14,30 +14,39 @@ import torch
 from msgspec import UNSET, UnsetType, field
 from scipy.special import chdtri, fdtri
 
+from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.errors import TorchidError
-from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.base_parameters import BaseParameters, random_states
 from torchid.identification.identify import Progress, identify
+from torchid.identification.knowledge import known_before
 from torchid.identification.payload_fit import (
+    Evidence,
     Fitted,
     Model,
+    changes_beside,
+    evidence_of,
     fit_payload,
+    joint_regression,
+    known_rows,
     last_link_columns,
     nearest_consistent,
-    root_of,
-    weighting,
 )
 from torchid.identification.result import Identification
 from torchid.identification.settings import Settings
-from torchid.identification.values import known_values
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
+from torchid.log.model import Log
 from torchid.results.record import Part, Real, Record, Result, Rows
 from torchid.robot.inertia import InertialParameters, move
-from torchid.robot.model import Robot
+from torchid.robot.model import Robot, joint_list
+from torchid.robot.shapes import reach
 from torchid.statistics.jackknife import student_quantile
 from torchid.typing import Bool, Float, Tensor
 
 LEVEL = 0.95
 PARAMETER_NAMES = ("m", "mcx", "mcy", "mcz", "Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz")
+
+_GRAVITY = 9.81
+"""Acceleration [m/s^2] with which a torque is compared with a mass."""
 
 _ROUGH = 0.2
 """Relative standard deviation of the mass above which first-order intervals are called rough."""
@@ -195,9 +204,10 @@ class Payload(_Carried, Result):
         model: `general` (10 parameters), `symmetric` about the tool's z axis (4), or `point_mass`.
         parameters: (10,) m, m c, J about the last link frame's origin, in its axes.
         covariance: (10, 10) theirs.
-        determined: (10,) which of them the arm and the logs determine; others are of least norm.
+        determined: (10,) which of them the arm and the logs determine, to less than what the torque
+            of the log could hold at arm's length; others are of least norm.
         link, tool: the body in the last link's frame and in the tool's.
-        degrees_of_freedom: of the covariance; quantile: of Student's 95 % interval with them.
+        degrees_of_freedom: of the mass's variance; quantile: of Student's 95 % interval with them.
         seen: whether the mass can be told from zero.
         consistent: whether some rigid body has these parameters.
         consistent_within: whether some rigid body lies in the estimate's 95 % region.
@@ -207,7 +217,7 @@ class Payload(_Carried, Result):
             link's frame; None for the models with fewer parameters where they are inconsistent.
         effect_changes: of friction and other effects; none of it is the payload's.
         unexplained: changes of rigid base parameters that no payload on the last link makes.
-        excluded: base parameters without information in one of the runs.
+        excluded: base parameters that one of the runs did not estimate.
         warnings: sentences for the user.
         cutoff: of both identifications' filter [Hz]; None without one.
     """
@@ -262,7 +272,16 @@ def findings(payload: Payload) -> list[str]:
     half = payload.quantile * std
     said = []
     if math.isnan(mass):
-        said.append("this arm's torque does not determine the payload's mass")
+        own = payload.link.parameters
+        known = [
+            f"{name} = {value:.3g} ± {high - value:.2g}"
+            for name, value, high in zip(
+                PARAMETER_NAMES, own.value.tolist(), own.high.tolist(), strict=True
+            )
+            if not math.isnan(value)
+        ]
+        rest = f", but in the last link's frame {', '.join(known)} (95 %)" if known else ""
+        said.append(f"the payload's mass is not known{rest}")
     elif not payload.seen and mass <= -half and mass < 0:
         said.append(
             f"the loaded run carries less than the unloaded one ({mass:.3g} ± {half:.2g} kg): "
@@ -272,16 +291,11 @@ def findings(payload: Payload) -> list[str]:
         said.append(f"no payload can be seen: its mass is {mass:.3g} ± {half:.2g} kg")
     elif std > _ROUGH * mass:
         said.append(
-            "the mass is known to no better than a fifth: intervals of the centre of mass and of "
-            "the inertia, of first order, are rough"
+            "the mass is known to no better than a fifth: intervals of the inertia, of first "
+            "order, are rough"
         )
     if payload.undetermined:
         said.append("not determined by this arm and these logs: " + ", ".join(payload.undetermined))
-    if payload.excluded:
-        said.append(
-            "left out, as one of the runs does not know them (what they hide may bias the "
-            "payload): " + ", ".join(payload.excluded)
-        )
     if payload.consistent or not payload.seen:
         pass
     elif payload.consistent_within:
@@ -312,6 +326,71 @@ def findings(payload: Payload) -> list[str]:
         )
     return said
 
+
+def _motion_for(payload: Payload, robot: Robot, log: Log, run: Identification) -> list[str]:
+    """Which motion would tell what is not known of a payload, in one sentence or none.
+
+    Args:
+        payload, robot: what is known of it, on what arm.
+        log, run: with it.
+    """
+    asked = PARAMETER_NAMES if payload.model == "general" else PARAMETER_NAMES[:4]
+    unknown = torch.tensor([n in payload.undetermined and n in asked for n in PARAMETER_NAMES])
+    standing = (run.fit.standstill_fraction > _MOSTLY_STANDS).tolist()
+    joints = [j for j in range(robot.n) if not standing[j]]
+    never = unknown & ~_felt(robot, log.q, list(range(robot.n)))
+    added, missing = list[int](), unknown & ~never & ~_felt(robot, log.q, joints)
+    while bool(missing.any()) and len(joints) < robot.n:
+        others = [j for j in range(robot.n) if j not in joints]
+        after = {j: missing & ~_felt(robot, log.q, [*joints, j]) for j in others}
+        # The last of equals: it carries the least of the arm beside the payload.
+        best = min(after, key=lambda j: (int(after[j].sum()), -j))
+        joints, added, missing = [*joints, best], [*added, best], after[best]
+
+    def listed(mask: Tensor) -> str:
+        return ", ".join(n for n, hit in zip(PARAMETER_NAMES, mask.tolist(), strict=True) if hit)
+
+    said, how = [], "the joints farther and faster, in other postures"
+    if added:
+        how = f"{joint_list(sorted(added))} as well, far and to and fro"
+    if bool((unknown & ~never).any()):
+        said.append(
+            f"{listed(unknown & ~never)}: move {how}, in both logs (`torchid excite` designs such "
+            "a motion)"
+        )
+    if bool(never.any()):
+        said.append(f"{listed(never)}: no motion of this arm tells them")
+    return ["; ".join(said)] if said else []
+
+
+def _felt(robot: Robot, q: Float[Tensor, "T n"], joints: list[int]) -> Bool[Tensor, "10"]:
+    """Which of a payload's parameters the torques of some joints tell, beside friction and offsets
+    of their own, if they move about where a log has them and the others stand."""
+    moved = random_states(robot, samples=_STATES)
+    mask = torch.zeros(robot.n).double()
+    mask[joints] = 1.0
+    state = q.mean(0) + mask * moved.q / 3, mask * moved.dq, mask * moved.ddq
+    unit = torch.zeros(10, robot.n_links, 10, dtype=torch.float64)
+    unit[:, -1] = torch.eye(10)
+    rows = torch.stack([inverse_dynamics(robot, *state, InertialParameters(u)) for u in unit], -1)
+    dq = moved.dq.unsqueeze(-1)
+    own = torch.cat([dq, dq.sign(), torch.ones_like(dq)], -1)
+    left = [
+        rows[:, j] - own[:, j] @ torch.linalg.lstsq(own[:, j], rows[:, j]).solution for j in joints
+    ]
+    table = torch.cat([*left, rows.new_zeros(10, 10)])
+    size = table.norm(dim=0)
+    table = table / size.clamp(min=1e-9)
+    _, sizes, axes = torch.linalg.svd(table, full_matrices=False)
+    unfelt = axes[sizes < _FAINT]
+    return (unfelt.abs().amax(0) < _FAINT) if len(unfelt) else torch.ones(10, dtype=torch.bool)
+
+
+_MOSTLY_STANDS = 0.8
+"""Share of a log at rest from which on a joint counts as one that stands."""
+
+_STATES, _FAINT = 60, 1e-3
+"""Random states that show what joints feel, and the share of a torque that counts as none."""
 
 _ROUNDING = 1e-9
 """Relative size below which a change, or a negative eigenvalue, is rounding."""
@@ -349,9 +428,9 @@ def payload(
 
     Raises:
         LogError: logs that do not fit the robot or cannot be used.
-        IdentificationError: a motion that does not tell parameters apart.
-        TorchidError: an unknown model, nothing left to estimate from, or no log without payload of
-            a robot whose model does not say how sure it is.
+        IdentificationError: nothing that moves.
+        TorchidError: an unknown model, or no log without payload of a robot whose model does not
+            say how sure it is.
 
     >>> import torch, torchid
     >>> robot = torchid.load_robot("3r")
@@ -366,177 +445,140 @@ def payload(
     empty = None if empty is None else as_log(empty, robot)
     loaded = as_log(loaded, robot)
     robot.require_fixed_base("a payload")
-    settings = settings or Settings(rows="moving")
+    # What weak motion leaves open is said of the payload; no model of the whole arm is asked for.
+    settings = replace(settings or Settings(rows="moving"), force=True)
     # The arm with the payload is another one than the one that is known.
     unknown = replace(robot, knowledge=None)
-    if empty is None:
-        if robot.knowledge is None:
-            raise TorchidError(
-                "the arm without payload is not known.",
-                got=f"no log without payload, and '{robot.name}', whose model does not say how "
-                "sure it is",
-                expected="logs without payload, or a model that `torchid gap --save-model` or "
-                "`torchid export` wrote from such logs",
-            )
-        carrying = identify(unknown, loaded, settings=settings, device=device, progress=progress)
-        found = payload_beside_model(robot, carrying, model=model)
-        said = dict.fromkeys([*carrying.warnings, *found.warnings])
-        return replace(found, cutoff=carrying.cutoff, warnings=tuple(said))
-    without = identify(robot, empty, settings=settings, device=device, progress=progress)
-    same = replace(settings, cutoff=without.cutoff)
-    carrying = identify(unknown, loaded, settings=same, device=device, progress=progress)
+    without: Robot | Identification = robot
+    noticed: list[str] = []
+    if empty is not None:
+        without = identify(robot, empty, settings=settings, device=device, progress=progress)
+        settings = replace(settings, cutoff=without.cutoff)
+        noticed = [f"without payload: {w}" for w in without.warnings]
+    elif robot.knowledge is None:
+        raise TorchidError(
+            "the arm without payload is not known.",
+            got=f"no log without payload, and '{robot.name}', whose model does not say how "
+            "sure it is",
+            expected="logs without payload, or a model that `torchid gap --save-model` or "
+            "`torchid export` wrote from such logs",
+        )
+    carrying = identify(unknown, loaded, settings=settings, device=device, progress=progress)
     found = estimate_payload(without, carrying, model=model)
-    noticed = dict.fromkeys(
-        [
-            *(f"without payload: {w}" for w in without.warnings),
-            *(f"with payload: {w}" for w in carrying.warnings),
-            *found.warnings,
-        ]
-    )
-    return replace(found, cutoff=without.cutoff, warnings=tuple(noticed))
+    noticed += [f"with payload: {w}" for w in carrying.warnings]
+    noticed += [*found.warnings, *_motion_for(found, robot, loaded, carrying)]
+    return replace(found, cutoff=carrying.cutoff, warnings=tuple(dict.fromkeys(noticed)))
 
 
 def estimate_payload(
-    unloaded: Identification, loaded: Identification, *, model: Model = "general"
+    unloaded: Robot | Identification, loaded: Identification, *, model: Model = "general"
 ) -> Payload:
-    """The payload that turns one identification into the other.
+    """The payload that turns one identification, or a known model, into the other.
 
     The runs are taken for independent. The same trajectories in both are best: what the filter and
     differentiation do to the base parameters is then nearly the same in both.
 
     Args:
-        unloaded, loaded: of the same robot with the same effects.
+        unloaded: of the same robot with the same effects; or the robot, whose model says how sure
+            it is on another day.
+        loaded: with the payload.
         model: see `Payload`.
 
     Raises:
-        TorchidError: other base parameters in the two; or nothing left to estimate from.
+        TorchidError: other base parameters in the two, or a model that does not say how sure it is.
     """
-    one, two = unloaded.base, loaded.base
-    if one.names != two.names or one.parameter_names != two.parameter_names:
-        only = [n for n in (*one.names, *two.names) if (n in one.names) != (n in two.names)]
-        raise TorchidError(
-            "the two identifications do not have the same base parameters.",
-            got=f"{unloaded.robot.name} with {len(one)} and {loaded.robot.name} with {len(two)}; "
-            f"different: {', '.join((only or ['their order'])[:4])}",
-            expected="the same robot with the same effects",
-        )
-    if not torch.allclose(one.grouping, two.grouping, atol=1e-6) or not torch.allclose(
-        unloaded.robot.tool, loaded.robot.tool, atol=1e-9
-    ):
-        raise TorchidError(
-            "the two identifications are of robots with different lengths.",
-            expected="the same robot with the same effects",
-        )
-    degrees = min(r.uncertainty.blocks for r in (unloaded, loaded)) - 1
-    estimated = unloaded.free & loaded.free
-    return payload_from_change(
-        unloaded.robot,
-        unloaded.base,
-        loaded.values - unloaded.values,
-        unloaded.covariance + loaded.covariance,
-        float(max(1, degrees)),
-        model=model,
-        estimated=estimated,
-        nominal=_nominal(unloaded, estimated) + _nominal(loaded, estimated),
-    )
-
-
-def payload_beside_model(
-    robot: Robot, loaded: Identification, *, model: Model = "general"
-) -> Payload:
-    """The payload that turns a known model into an identification.
-
-    Args:
-        robot: whose model says how sure it is, on another day.
-        loaded: of the same robot with the payload.
-        model: see `Payload`.
-
-    Raises:
-        TorchidError: nothing to estimate from, or a model that does not say how sure it is.
-    """
-    known = known_values(robot, loaded.base, loaded.effects)
-    if known is None or known.covariance is None:
+    two, known, empty = loaded.base, loaded.free, list[Evidence]()
+    robot = unloaded if isinstance(unloaded, Robot) else unloaded.robot
+    if isinstance(unloaded, Identification):
+        one = unloaded.base
+        if one.names != two.names or one.parameter_names != two.parameter_names:
+            only = [n for n in (*one.names, *two.names) if (n in one.names) != (n in two.names)]
+            raise TorchidError(
+                "the two identifications do not have the same base parameters.",
+                got=f"{robot.name} with {len(one)} and {loaded.robot.name} with {len(two)}; "
+                f"different: {', '.join((only or ['their order'])[:4])}",
+                expected="the same robot with the same effects",
+            )
+        if not torch.allclose(one.grouping, two.grouping, atol=1e-6) or not torch.allclose(
+            robot.tool, loaded.robot.tool, atol=1e-9
+        ):
+            raise TorchidError(
+                "the two identifications are of robots with different lengths.",
+                expected="the same robot with the same effects",
+            )
+        known = known & unloaded.free
+        empty += evidence_of(unloaded)
+    before = known_before(robot, two, loaded.effects)
+    if before is None and not empty:
         raise TorchidError(f"the model of '{robot.name}' does not say how sure it is.")
-    estimated = known.known & loaded.free
-    return payload_from_change(
-        robot,
-        loaded.base,
-        loaded.values - known.values,
-        known.covariance + loaded.covariance,
-        float(max(1, loaded.uncertainty.blocks - 1)),
-        model=model,
-        estimated=estimated,
-        nominal=known.covariance + _nominal(loaded, estimated),
+    if before is not None:
+        root, expected = before
+        empty.append(known_rows(root, root @ expected))
+    torque = max(float(p.measured.abs().max()) for p in loaded.fit_predictions)
+    return payload_from_evidence(
+        robot, two, tuple(empty), evidence_of(loaded), model, known, torque
     )
 
 
-def _nominal(result: Identification, estimated: Tensor) -> Float[Tensor, "B B"]:
-    """Covariance (B, B) that the fit's own rows promise if their errors are independent: 0 for what
-    is not estimated. Far too small on real logs, but its correlations are the log's."""
-    rows = result.factor[:-1, :-1][:, estimated]
-    scale = torch.linalg.vector_norm(rows, dim=0)
-    inverse = torch.linalg.pinv(rows / scale) / scale.unsqueeze(-1)
-    out = torch.zeros_like(result.covariance)
-    index = estimated.nonzero().flatten()
-    out[index.unsqueeze(-1), index] = inverse @ inverse.T
-    return out
-
-
-def payload_from_change(
+def payload_from_evidence(
     robot: Robot,
     base: BaseParameters,
-    change: Float[Tensor, " B"],
-    covariance: Float[Tensor, "B B"],
-    degrees_of_freedom: float = math.inf,
-    *,
-    model: Model = "general",
+    empty: tuple[Evidence, ...],
+    loaded: tuple[Evidence, ...],
+    model: Model,
     estimated: Bool[Tensor, " B"] | None = None,
-    nominal: Float[Tensor, "B B"] | None = None,
+    torque: float = math.inf,
 ) -> Payload:
-    """The payload behind a change of base parameters.
+    """The payload that logs without and with it tell of.
 
     Args:
         robot, base: the arm and its base parameters' structure.
-        change, covariance: of all base parameters, loaded minus unloaded.
-        degrees_of_freedom: of the covariance.
+        empty: without it, of one source or several; none if `loaded` is of the change.
+        loaded: with it.
         model: see `Payload`.
-        estimated: (B,) which are known in both runs; all if None.
-        nominal: (B, B) covariance by which the changes are weighted, to any scale; that of random
-            states of the arm if None. It never enters the standard deviations. (`covariance` itself
-            is no weighting: from some dozen blocks it is known too roughly to be inverted.)
+        estimated: (B,) base parameters that both runs estimated; all if None.
+        torque: largest in the log [N m; N], which no payload that is held exceeds.
 
     Raises:
-        TorchidError: an unknown model; no rigid base parameter known in both runs.
+        TorchidError: an unknown model.
     """
     if model not in get_args(Model):
         raise TorchidError("unknown model of a payload.", got=model, available=get_args(Model))
     known = torch.ones(len(base), dtype=torch.bool) if estimated is None else estimated
+    # Nobody needs a log for an interval of masses that the arm could not even hold.
+    length = reach(robot)
+    powers = torch.tensor([0, *[1] * 3, *[2] * 6])
+    largest = torque / (_GRAVITY * length) * length ** powers.double()
+    columns = last_link_columns(robot, base)
+    joint = joint_regression(base, columns, empty, loaded)
+    fitted = fit_payload(model, robot, joint)
+    change, std, freedom, told = changes_beside(fitted, columns)
     rigid = torch.arange(len(base)) < base.n_rigid
-    used, others = known & rigid, known & ~rigid
-    columns = last_link_columns(robot, base)[used]
-    if not bool((columns.abs() > _ROUNDING).any()):
-        raise TorchidError(
-            "no base parameter that a payload changes is known in both runs.",
-            expected="logs that excite the wrist",
-        )
-    own, std = covariance[used][:, used], covariance.diagonal().clamp(min=0).sqrt()
-    root = weighting(robot, base, used, std[used]) if nominal is None else root_of(nominal, used)
-    fitted = fit_payload(model, robot, change[used], own, columns, root)
-    quantile = _quantile(LEVEL, degrees_of_freedom)
-    # All rows of the residual are tested at once (Bonferroni).
-    strict = _quantile(1 - (1 - LEVEL) / int(used.sum()), degrees_of_freedom)
-    rounding = _ROUNDING * float(change.abs().max())
-    left = _changes(base, used, fitted.residual, fitted.residual_std, strict, rounding)
+    # All rigid parameters are tested at once (Bonferroni).
+    strict = 1 - (1 - LEVEL) / max(1, int((told & rigid).sum()))
+    rounding = _ROUNDING * float(change[told].abs().sum() + columns.abs().max())
+    quantile = torch.where(
+        rigid, student_quantile(strict, freedom), student_quantile(LEVEL, freedom)
+    )
+    beyond = change.abs() > quantile * std + rounding
+    changes = [
+        (k, Change(base.names[k], base.units[k], float(change[k]), float(std[k]), bool(beyond[k])))
+        for k in told.nonzero().flatten().tolist()
+    ]
+    alone = _payload(robot, model, fitted, largest)
+    explained = alone.determined[0]
     payload = replace(
-        _payload(robot, model, fitted, degrees_of_freedom),
-        effect_changes=_changes(base, others, change[others], std[others], quantile, rounding),
-        unexplained=tuple(c for c in left if c.significant),
+        alone,
+        effect_changes=tuple(c for k, c in changes if k >= base.n_rigid),
+        # A mass that is not known leaves open what it would explain.
+        unexplained=tuple(
+            c for k, c in changes if k < base.n_rigid and c.significant and bool(explained)
+        ),
         excluded=tuple(n for n, k in zip(base.names, known.tolist(), strict=True) if not k),
     )
     # Effects hidden in base parameters that a payload changes: they could change with it, but for
     # rotor inertias, which are of the drive.
-    touched = torch.zeros(len(base), dtype=torch.bool)
-    touched[used] = (columns.abs() > _ROUNDING).any(-1)
+    touched = (columns.abs() > _ROUNDING).any(-1)
     absorbed = [
         base.parameter_names[k]
         for k in base.dependent
@@ -563,37 +605,34 @@ def _quantile(level: float, degrees: float) -> float:
     return float(student_quantile(level, torch.tensor([degrees])))
 
 
-def _changes(
-    base: BaseParameters, which: Tensor, change: Tensor, std: Tensor, quantile: float, floor: float
-) -> tuple[Change, ...]:
-    beyond = change.abs() > quantile * std + floor
-    positions = which.nonzero().flatten().tolist()
-    rows = zip(positions, change.tolist(), std.tolist(), beyond.tolist(), strict=True)
-    return tuple(Change(base.names[b], base.units[b], c, s, sig) for b, c, s, sig in rows)
+def _payload(robot: Robot, model: Model, fitted: Fitted, largest: Float[Tensor, "10"]) -> Payload:
+    """Everything about the payload that follows from the fit alone.
 
-
-def _payload(robot: Robot, model: Model, fitted: Fitted, degrees: float) -> Payload:
-    """Everything about the payload that follows from the fit alone."""
-    theta, covariance, determined = fitted.of(torch.clone)
-    quantile = _quantile(LEVEL, degrees)
-    seen = bool(determined[0]) and float(theta[0]) > quantile * float(covariance[0, 0].sqrt())
-    seen = seen and float(theta[0]) > _ROUNDING
-    everything = bool(determined.all())
+    Args:
+        robot, model, fitted: the payload.
+        largest: half of an interval from which on a parameter is not known.
+    """
+    theta, covariance, freedom, felt = fitted.of(torch.clone)
+    degrees, quantile = float(freedom[0]), float(student_quantile(LEVEL, freedom)[0])
+    half = student_quantile(LEVEL, freedom) * covariance.diagonal().clamp(min=0).sqrt()
+    determined = felt & (half <= largest)
+    seen = bool(determined[0]) and float(theta[0]) > max(float(half[0]), _ROUNDING)
+    everything = bool(felt.all())
     body = InertialParameters(theta.unsqueeze(0))
     margin = float(body.consistency_margin()[0])
     size = float(body.pseudo_inertia[0].diagonal().abs().max())
     consistent = everything and margin >= -_ROUNDING * size
     within, nearest = consistent, theta if consistent else None
-    if not consistent and model == "general":
+    if not consistent and model == "general" and bool(torch.equal(determined, felt) and felt.any()):
         nearest, distance, directions = nearest_consistent(theta, covariance, fitted.null)
         consistent = not everything and distance < _SAME
         # Squared size of the 95 % region in so many directions (Hotelling's T^2).
-        left, region = degrees - directions + 1, math.inf
-        if directions > 0 and math.isinf(degrees):
+        least = float(freedom[felt].min()) if bool(felt.any()) else math.inf
+        left, region = least - directions + 1, math.inf
+        if directions > 0 and left > 1e6:
             region = float(chdtri(directions, 1 - LEVEL))
         elif directions > 0 and left > 0:
-            quantile_f = float(fdtri(directions, left, LEVEL))
-            region = directions * degrees / left * quantile_f
+            region = directions * least / left * float(fdtri(directions, left, LEVEL))
         within = consistent or distance <= region
     return Payload(
         robot=robot.name,
@@ -601,8 +640,8 @@ def _payload(robot: Robot, model: Model, fitted: Fitted, degrees: float) -> Payl
         parameters=theta,
         covariance=covariance,
         determined=determined,
-        link=_body(fitted, torch.eye(4, dtype=theta.dtype), quantile, seen),
-        tool=_body(fitted, torch.linalg.inv(robot.tool), quantile, seen),
+        link=_body(fitted, torch.eye(4, dtype=theta.dtype), largest, seen),
+        tool=_body(fitted, torch.linalg.inv(robot.tool), largest, seen),
         degrees_of_freedom=degrees,
         quantile=quantile,
         seen=seen,
@@ -617,8 +656,8 @@ def _payload(robot: Robot, model: Model, fitted: Fitted, degrees: float) -> Payl
     )
 
 
-def _body(fitted: Fitted, pose: Float[Tensor, "4 4"], quantile: float, seen: bool) -> Body:
-    """The payload in the frame in which the last link's frame has the given pose."""
+def _body(fitted: Fitted, pose: Tensor, largest: Float[Tensor, "10"], seen: bool) -> Body:
+    """The payload in the frame in which the last link's frame has the given pose (4, 4)."""
 
     def parameters(x: Tensor) -> Tensor:
         return move(x, pose.to(x))
@@ -629,19 +668,38 @@ def _body(fitted: Fitted, pose: Float[Tensor, "4 4"], quantile: float, seen: boo
     def inertia(x: Tensor) -> Tensor:
         return InertialParameters(parameters(x).unsqueeze(0)).inertia_about_com[0]
 
-    def estimate(function: Callable[[Tensor], Tensor], told: bool = True) -> Estimate:
-        value, covariance, determined = fitted.of(function)
+    def estimate(function: Callable[[Tensor], Tensor], limit: Tensor, told: bool) -> Estimate:
+        value, covariance, freedom, determined = fitted.of(function)
         std = covariance.diagonal().clamp(min=0).sqrt()
         # What a model holds at zero is zero to rounding after a change of frame.
         value, std = (torch.where(x.abs() < 1e-15, torch.zeros_like(x), x) for x in (value, std))
+        quantile = student_quantile(LEVEL, freedom)
+        ends = torch.stack([value - quantile * std, value + quantile * std], -1)
+        if function is com:
+            ends = _quotients(*fitted.of(parameters)[:2], quantile)
         nan = torch.full_like(value, math.nan)
-        known = determined & told
+        known = determined & told & ((ends[:, 1] - ends[:, 0]) / 2 <= limit)
         value, std = torch.where(known, value, nan), torch.where(known, std, nan)
-        half = quantile * std
-        return Estimate(value, std, torch.stack([value - half, value + half], -1))
+        return Estimate(value, std, torch.where(known.unsqueeze(1), ends, nan.unsqueeze(1)))
 
+    reachable = torch.where(largest[0].isinf(), math.inf, largest[1:4] / largest[0])
     # A mass that may be zero is no divisor: where it is, nobody can tell.
     return Body(
-        estimate(lambda x: x[:1]), estimate(com, seen), estimate(inertia, seen),
-        estimate(parameters),
-    )  # fmt: skip
+        estimate(lambda x: parameters(x)[:1], largest[:1], True),
+        estimate(com, reachable, seen),
+        estimate(inertia, largest[4:], seen),
+        estimate(parameters, largest, True),
+    )
+
+
+def _quotients(
+    value: Float[Tensor, "10"], covariance: Float[Tensor, "10 10"], quantile: Float[Tensor, "3"]
+) -> Float[Tensor, "3 2"]:
+    """Intervals (3, 2) of m c / m, with a mass that is surely not zero: those of c at which m c -
+    c m may be zero (Fieller 1954)."""
+    m, top, wide = value[0], value[1:4], quantile.square()
+    a = m.square() - wide * covariance[0, 0]
+    b = m * top - wide * covariance[0, 1:4]
+    d = top.square() - wide * covariance.diagonal()[1:4]
+    root = (b.square() - a * d).clamp(min=0).sqrt()
+    return torch.stack([(b - root) / a, (b + root) / a], -1)

@@ -1,20 +1,22 @@
-"""The ten parameters of a payload from a change of base parameters: models, estimator, consistency.
+"""A payload's ten parameters from the logs without and with it: models, estimator, consistency.
 
-A payload moves with the last link, so it adds its ten parameters to that link's, and the rigid base
-parameters change by G_n theta, G_n being the last link's columns of the grouping matrix (Gaz and
-De Luca, IROS 2017).
+A payload moves with the last link, so it adds its ten parameters theta to that link's, and the
+rigid base parameters beta become beta + G theta, G being the last link's columns of the grouping
+matrix (Gaz and De Luca, IROS 2017). Both logs are one regression: rows of the first of beta and its
+effects' coefficients, rows of the second of beta + G theta and coefficients of its own. What a weak
+motion leaves open of beta so stays open in theta, where a difference of two sets of base parameters
+would take for known what one of the fits had set to zero.
 
-The estimate is generalised least squares, weighted by the covariance that both fits' own rows
-promise, or, where none is given, by that of random states of the arm. Its covariance is P C P',
-with the block-robust covariance C of the change and the estimator P. Weighting by C's own inverse
-would be far too sure of itself: a jackknife of some thirty blocks holds next to nothing of the
-inverse of a 43 x 43 matrix (on the 7R with one trajectory, 71 % of the nominal 95 % intervals held
-the truth).
+The estimate is least squares on both fits' whitened rows, its covariance P C P' with the block-
+robust covariance C of the rows' values and the estimator P. Weighting by C's own inverse would be
+far too sure of itself: a jackknife of some thirty blocks holds next to nothing of the inverse of a
+43 x 43 matrix (on the 7R with one trajectory, 71 % of the nominal 95 % intervals held the truth).
+Directions that one block nearly alone determines are left out: nothing tells how sure they are.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -22,8 +24,9 @@ import torch
 from scipy.optimize import least_squares
 from torch.autograd.functional import jacobian
 
-from torchid.dynamics.regressor import regressor
-from torchid.identification.base_parameters import RANK_TOLERANCE, BaseParameters, random_states
+from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.result import Identification
+from torchid.identification.rows import layout
 from torchid.robot.inertia import (
     PARAMETERS_PER_LINK,
     InertialParameters,
@@ -39,8 +42,19 @@ Model = Literal["general", "symmetric", "point_mass"]
 _VANISHES = 1e-9
 """Relative size below which a change along a direction, or a variance, counts as none."""
 
-_LEAST = 1e-12
-"""Smallest variance of a direction, relative to the largest, that a weighting believes."""
+MOST_OF_IT = 0.9
+"""Share of a direction's information that makes one block's word for it doubtful."""
+
+_LOST = 1e-3
+_NUISANCE = 1e-12, 1e-6
+"""Noise a combination of base parameters and effects may hide without being taken out of the rows,
+and the relative sizes between which that decides."""
+
+_UNSEEN = 1e-7
+"""Relative size below which the rows do not feel a direction of the payload."""
+
+_RESOLVED = 1e-6
+"""Share of others, in units of the columns, below which rows tell a parameter by itself."""
 
 _SHARPEST = 1e8
 _SHARPER = 10.0
@@ -49,29 +63,158 @@ _NEWTON_STEPS = 200
 
 
 @dataclass(frozen=True)
+class Evidence:
+    """What a log, or a model that knows how sure it is, says of base parameters: rows with errors.
+
+    Attributes:
+        rows: (T, B) of unit weight.
+        values: (T,) of the rows times the base parameters.
+        covariance: (T, T) of the values, from the spread of blocks.
+        freedom: degrees of freedom (Q,) of the variances of linear maps (Q, T) of the values.
+        held: (B,) coefficients that the fit held at zero.
+    """
+
+    rows: Float[Tensor, "T B"]
+    values: Float[Tensor, " T"]
+    covariance: Float[Tensor, "T T"]
+    freedom: Callable[[Tensor], Tensor]
+    held: Bool[Tensor, " B"]
+
+
+def known_rows(
+    rows: Float[Tensor, "T B"], values: Float[Tensor, " T"], degrees: float = math.inf
+) -> Evidence:
+    """Evidence whose errors are independent and of unit size."""
+
+    def freedom(maps: Tensor) -> Tensor:
+        return maps.new_full((len(maps),), degrees)
+
+    held = torch.zeros(rows.shape[1], dtype=torch.bool)
+    return Evidence(rows, values, torch.eye(len(rows)).to(rows), freedom, held)
+
+
+def evidence_of(result: Identification) -> tuple[Evidence, ...]:
+    """What an identification's own log says, whatever was known before: what many blocks say, and
+    apart from it what one block says nearly alone, as if its errors were as large as its torque.
+
+    All columns take part, those too that the fit held at zero or could not tell from others: what
+    the rows say is of all of them together.
+    """
+    columns = layout(result.robot, result.base, result.effects)
+    order = torch.empty(len(columns.order), dtype=torch.long)
+    order[list(columns.order)] = torch.arange(len(order))
+    found, r = result.uncertainty, result.factor
+    covariance = found.covariance[order][:, order]
+    undetermined = torch.tensor([n in result.undetermined for n in result.base.names])
+    free = covariance.diagonal() > 0
+    held = ~(free | undetermined)
+    own, triangle = torch.linalg.qr(r[:, :-1][:, free])
+    if found.shares is None:
+        known = known_rows(own.T @ r[:, :-1], own.T @ r[:, -1], float(max(1, found.blocks - 1)))
+        spread = triangle @ covariance[free][:, free] @ triangle.T
+        return (replace(known, covariance=spread, held=held),)
+    # The blocks have the free columns in the layout's order.
+    place = order[free].argsort().argsort()
+    shares, into = found.shares, triangle @ found.shares.back[place]
+    lone = into @ shares.alone(MOST_OF_IT)
+    turned = torch.linalg.qr(torch.cat([lone, torch.eye(len(into)).to(into)], 1)).Q
+    doubtful, sure = turned.split([lone.shape[1], len(into) - lone.shape[1]], 1)
+    steps = shares.steps[:, place] @ triangle.T @ sure
+    rows = r.T @ own
+    many = Evidence(
+        (rows @ sure)[:-1].T, (rows @ sure)[-1], steps.T @ steps,
+        lambda maps: shares.freedom(maps @ sure.T @ into), held,
+    )  # fmt: skip
+    few = (rows @ doubtful).T
+    size = few[:, -1].square().mean().sqrt().nan_to_num().clamp(min=1e-300)
+    return many, replace(known_rows(few[:, :-1] / size, few[:, -1] / size), held=held)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Both logs as one regression for the payload alone, and what linear maps of them are worth.
+
+    Attributes:
+        empty, loaded: evidence without and with the payload; none of the first where the arm is
+            exactly known, the others then being of the change.
+        design: (T, 10) rows of all for the payload, what else they depend on taken out.
+        rest: (T, T) the projection that takes it out.
+        scale: (10,) size of the payload's columns before.
+    """
+
+    empty: tuple[Evidence, ...]
+    loaded: tuple[Evidence, ...]
+    design: Float[Tensor, "T 10"]
+    rest: Float[Tensor, "T T"]
+    scale: Float[Tensor, "10"]
+
+    @property
+    def values(self) -> Float[Tensor, " T"]:
+        """Of all rows."""
+        return torch.cat([part.values for part in (*self.empty, *self.loaded)])
+
+    def spread(self, maps: Float[Tensor, "Q T"]) -> tuple[Tensor, Tensor]:
+        """Covariance (Q, Q) of linear maps of the values, and its degrees of freedom (Q,)."""
+        parts = (*self.empty, *self.loaded)
+        covariance, uncertain = maps.new_zeros(len(maps), len(maps)), maps.new_zeros(len(maps))
+        for part, own in zip(parts, maps.split([len(p.rows) for p in parts], 1), strict=True):
+            added = own @ part.covariance @ own.T
+            covariance = covariance + added
+            uncertain = uncertain + added.diagonal().square() / part.freedom(own)
+        freedom = covariance.diagonal().square() / uncertain.clamp(min=1e-300)
+        return covariance, freedom.clamp(min=1.0)
+
+
+def joint_regression(
+    base: BaseParameters,
+    columns: Float[Tensor, "B 10"],
+    empty: tuple[Evidence, ...],
+    loaded: tuple[Evidence, ...],
+) -> Joint:
+    """Rows of both logs, with base parameters and effects taken out."""
+    parts, rigid = (*empty, *loaded), base.n_rigid
+    after = torch.cat([part.rows for part in loaded])
+    before = torch.cat([after[:0], *(part.rows for part in empty)])
+    payload = torch.cat([0 * before @ columns, after @ columns])
+    # Each log has coefficients of its own.
+    table = torch.block_diag(before[:, rigid:], after[:, rigid:])
+    if empty:
+        table = torch.cat([torch.cat([before, after])[:, :rigid], table], 1)
+    size = table.norm(dim=0)
+    taken, sizes, _ = torch.linalg.svd(table[:, size > 0] / size[size > 0], full_matrices=False)
+    # A combination whose torque would be lost in the noise, if it were as large as all there is,
+    # takes no row along.
+    values = torch.cat([part.values for part in parts])
+    noise = torch.cat([part.covariance.diagonal() for part in parts]).mean().sqrt()
+    lost = float((_LOST * noise / values.norm().clamp(min=1e-300)).clamp(*_NUISANCE))
+    taken = taken[:, sizes > lost * sizes[:1]]
+    rest = torch.eye(len(payload)).to(payload) - taken @ taken.T
+    return Joint(empty, loaded, rest @ payload, rest, payload.norm(dim=0))
+
+
+@dataclass(frozen=True)
 class Fitted:
-    """A payload in the last link's frame, and how it came from the change of base parameters.
+    """A payload in the last link's frame, and how it came from the logs.
 
     Attributes:
         free: (F,) the model's own parameters.
-        covariance: (F, F) theirs.
+        estimator: (F, T) how they depend on the rows' values, to first order.
+        joint: the regression.
         to_parameters: from (F,) to the ten parameters in the last link's frame.
-        null: (F, D) directions of `free` that the change says nothing about.
-        residual, residual_std: (R,) what the payload leaves of the change, a row a parameter used.
+        null: (F, D) directions of `free` that the rows say nothing about.
     """
 
     free: Float[Tensor, " F"]
-    covariance: Float[Tensor, "F F"]
+    estimator: Float[Tensor, "F T"]
+    joint: Joint
     to_parameters: Callable[[Tensor], Tensor]
     null: Float[Tensor, "F D"]
-    residual: Float[Tensor, " R"]
-    residual_std: Float[Tensor, " R"]
 
     def of(
         self, function: Callable[[Tensor], Tensor]
-    ) -> tuple[Float[Tensor, " Q"], Float[Tensor, "Q Q"], Bool[Tensor, " Q"]]:
-        """Value, covariance (delta method) and determinedness of a function of the ten parameters
-        in the last link's frame."""
+    ) -> tuple[Tensor, Tensor, Tensor, Bool[Tensor, " Q"]]:
+        """Value (Q,), covariance (Q, Q; delta method), its degrees of freedom (Q,) and
+        determinedness of a function of the ten parameters in the last link's frame."""
 
         def composed(free: Tensor) -> Tensor:
             return function(self.to_parameters(free))
@@ -80,7 +223,7 @@ class Fitted:
         moved = (slope @ self.null).abs()
         size = slope.abs() @ self.null.abs()
         determined = (moved <= _VANISHES * size.clamp(min=1e-300)).all(-1)
-        return composed(self.free), slope @ self.covariance @ slope.T, determined
+        return composed(self.free), *self.joint.spread(slope @ self.estimator), determined
 
 
 def last_link_columns(robot: Robot, base: BaseParameters) -> Float[Tensor, "B 10"]:
@@ -89,89 +232,57 @@ def last_link_columns(robot: Robot, base: BaseParameters) -> Float[Tensor, "B 10
     return base.grouping[:, order[-PARAMETERS_PER_LINK:]]
 
 
-def weighting(
-    robot: Robot, base: BaseParameters, used: Bool[Tensor, " B"], std: Float[Tensor, " R"]
-) -> Float[Tensor, "R R"]:
-    """A root V of the weighting W = V'V of the rigid base parameters that are used.
-
-    Args:
-        robot, base: whose structure gives the correlations.
-        used: which of the base parameters; rigid ones only.
-        std: standard deviations of their changes.
-    """
-    # Random states up to half the limits, as an excitation has; +-2 and +-5 where there are none.
-    # Gravity and inertia then enter the correlations in the proportion they have in a log.
-    q, dq, ddq = random_states(robot).state
-    limits = robot.limits
-    if limits.velocity is not None and bool(torch.isfinite(limits.velocity).all()):
-        dq = dq / 4 * limits.velocity.abs().amax(-1)
-    if limits.acceleration is not None and bool(torch.isfinite(limits.acceleration).all()):
-        ddq = ddq / 10 * limits.acceleration.abs().amax(-1)
-    pi = torch.tensor(base.independent)[used]
-    rows = regressor(robot, q, dq, ddq)[..., pi]
-    root = torch.linalg.qr(rows.flatten(0, 1), mode="r").R
-    structural = torch.linalg.inv(root).square().sum(-1).sqrt()
-    ratio = std / structural
-    typical = float(ratio.median())
-    if typical == 0:
-        return root
-    return root / ratio.clamp(min=1e-6 * typical)
-
-
-def root_of(nominal: Float[Tensor, "B B"], used: Bool[Tensor, " B"]) -> Float[Tensor, "R R"]:
-    """A root V of the weighting W = V'V, the inverse of a covariance of the changes."""
-    own = nominal[used][:, used]
-    scale = own.diagonal().clamp(min=1e-300).sqrt()
-    values, axes = torch.linalg.eigh(own / scale / scale.unsqueeze(-1))
-    # Directions that the rows promise to know perfectly are rounding.
-    inverse = values.clamp(min=_LEAST * float(values[-1])).rsqrt()
-    return inverse.unsqueeze(-1) * axes.T / scale
-
-
-def fit_payload(
-    model: Model,
-    robot: Robot,
-    change: Float[Tensor, " R"],
-    covariance: Float[Tensor, "R R"],
-    columns: Float[Tensor, "R 10"],
-    root: Float[Tensor, "R R"],
-) -> Fitted:
+def fit_payload(model: Model, robot: Robot, joint: Joint) -> Fitted:
     """Least squares for the model's parameters, with the directions left undetermined set aside."""
     # From the model's parameters to the ten, and where to linearise.
     to_parameters: Callable[[Tensor], Tensor] = torch.clone
-    free = change.new_zeros(4 if model == "symmetric" else PARAMETERS_PER_LINK)
+    free = joint.design.new_zeros(4 if model == "symmetric" else PARAMETERS_PER_LINK)
     if model == "symmetric":
         to_parameters = partial(_symmetric, robot)
     elif model == "point_mass":
         to_parameters = _point_mass
-        general = _estimator(columns, root)[0] @ change
-        free = _point_mass_solution(general, change, columns, root)
-    slope = jacobian(to_parameters, free)
-    estimator, null = _estimator(columns @ slope, root)
+        free = _point_mass_solution(_estimator(joint, torch.eye(10).to(free))[0], joint)
+    estimator, null = _estimator(joint, jacobian(to_parameters, free))
     if model != "point_mass":
-        free = estimator @ change
-    left = torch.eye(len(change), dtype=change.dtype) - columns @ slope @ estimator
-    return Fitted(
-        free,
-        estimator @ covariance @ estimator.T,
-        to_parameters,
-        null,
-        change - columns @ to_parameters(free),
-        (left @ covariance @ left.T).diagonal().clamp(min=0).sqrt(),
-    )
+        free = estimator @ joint.values
+    return Fitted(free, estimator, joint, to_parameters, null)
 
 
-def _estimator(design: Tensor, root: Tensor) -> tuple[Tensor, Tensor]:
-    """The linear estimator (F, R), least squares in the weighting and of least norm where the
-    design leaves a choice; and the directions (F, D) it leaves undetermined."""
-    norm = design.norm(dim=0)
-    scale = 1 / torch.where(norm > 0, norm, torch.ones_like(norm))
-    _, sizes, directions = torch.linalg.svd(design * scale, full_matrices=True)
-    rank = int((sizes > RANK_TOLERANCE * sizes.max()).sum())
-    seen, unseen = directions[:rank].T, directions[rank:].T
-    basis = scale.unsqueeze(-1) * seen
-    null = scale.unsqueeze(-1) * unseen
-    return basis @ torch.linalg.pinv(root @ design @ basis, rtol=1e-14) @ root, null
+def changes_beside(
+    fitted: Fitted, columns: Float[Tensor, "B 10"]
+) -> tuple[Tensor, Tensor, Tensor, Bool[Tensor, " B"]]:
+    """How base parameters and coefficients differ between the logs beside what the payload makes
+    of them: differences (B,), standard deviations, degrees of freedom, and which both logs tell."""
+    joint, maps, told = fitted.joint, [], []
+    for parts in (joint.empty, joint.loaded):
+        held = torch.stack([part.held for part in parts or joint.loaded]).any(0)
+        rows = torch.cat([columns.T[:0], *(part.rows for part in parts)]) * ~held
+        size = rows.norm(dim=0)
+        scale = torch.where(size > 0, 1 / size, 0.0)
+        inverse = scale.unsqueeze(1) * torch.linalg.pinv(rows * scale, rtol=1e-8)
+        resolved = (inverse @ rows) * scale / scale.unsqueeze(1).clamp(min=1e-300)
+        apart = (resolved - torch.eye(len(scale))).abs().amax(1)
+        maps.append(inverse)
+        told.append((apart < _RESOLVED) & (size > 0) & ~held)
+    slope = jacobian(fitted.to_parameters, fitted.free)
+    both = torch.cat([-maps[0], maps[1]], 1)
+    change = both @ joint.values - columns @ fitted.to_parameters(fitted.free)
+    covariance, freedom = joint.spread(both - columns @ slope @ fitted.estimator)
+    return change, covariance.diagonal().clamp(min=0).sqrt(), freedom, told[0] & told[1]
+
+
+def _estimator(joint: Joint, slope: Float[Tensor, "10 F"]) -> tuple[Tensor, Tensor]:
+    """The linear estimator (F, T), least squares and of least norm where the rows leave a choice;
+    and the directions (F, D) they leave undetermined. A direction counts by its share of what the
+    payload's columns were before all else was taken out."""
+    norm = (joint.scale.unsqueeze(1) * slope).norm(dim=0)
+    scale = torch.where(norm > 0, 1 / norm, 1.0)
+    design = joint.design @ slope * scale
+    left, sizes, directions = torch.linalg.svd(design, full_matrices=True)
+    rank = int((sizes > _UNSEEN).sum())
+    basis = scale.unsqueeze(-1) * directions[:rank].T
+    estimator = (basis / sizes[:rank]) @ left[:, :rank].T @ joint.rest
+    return estimator, scale.unsqueeze(-1) * directions[rank:].T
 
 
 def _symmetric(robot: Robot, free: Tensor) -> Tensor:
@@ -188,16 +299,20 @@ def _point_mass(free: Tensor) -> Tensor:
     return InertialParameters.from_com(mass, place, free.new_zeros(1, 6)).pi[0]
 
 
-def _point_mass_solution(general: Tensor, change: Tensor, columns: Tensor, root: Tensor) -> Tensor:
+def _point_mass_solution(estimator: Float[Tensor, "10 T"], joint: Joint) -> Tensor:
     """Nonlinear least squares from the general payload's mass and centre of mass."""
+    general = estimator @ joint.values
     mass = float(general[0])
     place = general[1:4] / mass if mass > 0 else torch.zeros_like(general[1:4])
+    # A square factor has the same sums of squares, and no fewer rows than parameters.
+    table = torch.cat([joint.design, (joint.rest @ joint.values).unsqueeze(1)], 1)
+    r = torch.linalg.qr(torch.cat([table, table.new_zeros(11, 11)]), mode="r").R
 
     def residual(x: object) -> object:
-        return (root @ (columns @ _point_mass(torch.as_tensor(x)) - change)).numpy()
+        return (r[:, :-1] @ _point_mass(torch.as_tensor(x)) - r[:, -1]).numpy()
 
     def slope(x: object) -> object:
-        return (root @ columns @ jacobian(_point_mass, torch.as_tensor(x))).numpy()
+        return (r[:, :-1] @ jacobian(_point_mass, torch.as_tensor(x))).numpy()
 
     start = torch.cat([general[:1], place.clamp(-1, 1)]).numpy()
     found = least_squares(residual, start, slope, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)

@@ -12,6 +12,7 @@ from torchid.identification.rows import RowBlock, RowSource
 from torchid.statistics import jackknife as blocks_jackknife
 from torchid.statistics.autocorrelation import CORRELATION_TIMES, correlation_instants
 from torchid.statistics.blocks import block_length, block_numbers, block_products
+from torchid.statistics.jackknife import Shares
 from torchid.typing import Bool, Float, Tensor
 
 
@@ -27,6 +28,7 @@ class Uncertainty(Blocks):
         block_seconds: their length.
         correlation_seconds: integrated autocorrelation time of the residuals, largest over joints.
         warnings: sentences for the user.
+        shares: what each block says of the free ones; None of a tree, whose blocks hold too much.
     """
 
     covariance: Float[Tensor, "B B"]
@@ -35,6 +37,7 @@ class Uncertainty(Blocks):
     block_seconds: float
     correlation_seconds: float
     warnings: tuple[str, ...]
+    shares: Shares | None = None
 
     @property
     def std(self) -> Float[Tensor, " B"]:
@@ -109,5 +112,6 @@ def jackknife(source: RowSource, fit: Fit) -> Uncertainty:
     by_one[free] = found.by_one_block
     interval = max(source.interval)
     return Uncertainty(
-        covariance, by_one, found.blocks, length * interval, correlation * interval, tuple(warnings)
-    )
+        covariance, by_one, found.blocks, length * interval, correlation * interval,
+        tuple(warnings), found.shares if source.layout.robot.is_serial else None,
+    )  # fmt: skip

@@ -1,6 +1,6 @@
 """Logs from files, folders and tables in memory, and to files.
 
-Read: .parquet, .csv, .npz, .mat, .h5; ROS bags; LeRobot datasets; motions of SAGE; whatever
+Read: .parquet, .csv, .npz, .jsonl, .mat, .h5; ROS bags; LeRobot datasets; motions of SAGE; whatever
 `register_reader` adds.
 Columns that have the names of `torchid.log.columns` are found by themselves; others by a mapping
 (`torchid.log.mapping`). Written: .parquet, .csv and .npz.
@@ -36,6 +36,7 @@ from torchid.log.formats import (
 )
 from torchid.log.guess import proposal
 from torchid.log.hdf5 import hdf5_table
+from torchid.log.json_lines import json_lines_table
 from torchid.log.lerobot import is_lerobot, lerobot_table
 from torchid.log.mapping import ColumnMapping, read_mapping
 from torchid.log.matlab import matlab_table
@@ -405,6 +406,7 @@ _TABLES: dict[str, Opener] = {
     ".parquet": parquet_table,
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), csv_table),
     ".npz": npz_table,
+    **dict.fromkeys((".jsonl", ".ndjson"), json_lines_table),
     ".mat": matlab_table,
     **dict.fromkeys((".h5", ".hdf5", ".hdf"), hdf5_table),
     **dict.fromkeys((".bag", ".mcap", ".db3"), bag_table),

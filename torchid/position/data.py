@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import torch
 
@@ -47,6 +48,10 @@ UNITS = {
 """What one radian is in units that commands are sent in."""
 SLIGHT = 0.01
 """Share of the distance between command and position below which nothing is looked for [1]."""
+GEARED = 1.7
+"""Factor between commands and positions from which a search begins with it [1]."""
+PROPORTIONAL = 0.95
+"""Share of the commands' variance that a servo without limits explains, where it is one [1]."""
 NEAR = 1.5
 """Factor within which a ratio is that of two units; none of them are nearer to each other."""
 
@@ -98,6 +103,29 @@ class PositionData:
         of what parts positions from commands as a servo's own cycle and a bus's make."""
         apart = (self.tracks.u - self.q).square().mean(0)
         return (self.resolution**2 + SLIGHT**2 * apart).sqrt()
+
+    @cached_property
+    def command_gain(self) -> Float[Tensor, " n"]:
+        """(n,) how far a joint goes for its command, where commands are plainly of another size
+        than positions: of actuators with a gear, say; 1 of other joints.
+
+        A servo's command is its position, rate and acceleration, each times a number, and what is
+        left of gravity and friction.
+        """
+        parts = [slice(a, b + 1) for a, b in zip(self.tracks.first, self.tracks.last, strict=True)]
+        slow = [torch.gradient(self.dq[rows], dim=0)[0] / self.tracks.dt for rows in parts]
+        columns = (self.q, self.dq, torch.cat(slow), self.dq.sign(), torch.ones_like(self.q))
+        out = []
+        for j, x in enumerate(torch.stack(columns, -1).unbind(1)):
+            u = self.tracks.u[:, j]
+            values = torch.linalg.lstsq(x, u, driver="gelsd").solution
+            left, spread = (u - x @ values).square().mean(), u.var()
+            gain = 1 / float(values[0]) if values[0] else 1.0
+            least = min(float(self.q[:, j].std()), float(spread) ** 0.5)
+            plain = bool(left < (1 - PROPORTIONAL) * spread) and least > MOVES
+            far = not 1 / GEARED < gain < GEARED
+            out.append(gain if plain and far else 1.0)
+        return torch.tensor(out, dtype=torch.float64)
 
     @property
     def outwards(self) -> Float[Tensor, "3"]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from torchid.errors import TorchidError
 from torchid.position.model import ServoArm
 from torchid.results.words import unit_behind
+from torchid.robot.mjcf import mjcf_servos
 from torchid.robot.model import Robot
 from torchid.robot.yaml_values import parsed_yaml
 from torchid.simulation.servo import INDEX, NAMES, PARAMETERS
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 UNKNOWN = "unknown"
 FITTED = "earlier fit"
+ACTUATOR = "actuator"
+"""Of an MJCF."""
 KEY = "servo"
 """In a robot's yaml."""
 _TURN = 2 * math.pi
@@ -164,8 +167,8 @@ def _number(word: str, text: str) -> float:
 
 def nominal_servos(robot: Robot, text: str | None) -> tuple[NominalServo, ...]:
     """The servos of an arm as a text says them, or else the key `servo` of the robot's yaml, a
-    text, or a list of one a joint; or else those of an earlier fit that the yaml holds. Empty where
-    none says any.
+    text, or a list of one a joint; or else those of an earlier fit that the yaml holds; or those
+    of an MJCF's actuators. Empty where none says any.
 
     Raises:
         TorchidError: as `read_servos`.
@@ -173,6 +176,9 @@ def nominal_servos(robot: Robot, text: str | None) -> tuple[NominalServo, ...]:
     if text is not None:
         return read_servos(text, robot.n)
     path = Path(robot.source)
+    if path.suffix.lower() == ".xml" and path.is_file():
+        values = mjcf_servos(path, robot.joint_names)
+        return tuple(NominalServo(ACTUATOR, v) for v in values) if any(values) else ()
     if path.suffix.lower() not in (".yaml", ".yml") or not path.is_file():
         return ()
     given = parsed_yaml(path).get(KEY)
@@ -180,12 +186,12 @@ def nominal_servos(robot: Robot, text: str | None) -> tuple[NominalServo, ...]:
         fitted = ServoArm.of_file(path)
         if fitted is None:
             return ()
-        values = [fitted.servos.joint[j].tolist() for j in range(robot.n)]
+        rows = [fitted.servos.joint[j].tolist() for j in range(robot.n)]
         return tuple(
             NominalServo(
                 FITTED, {p.name: v for p, v in zip(PARAMETERS, row, strict=True) if v != p.neutral}
             )
-            for row in values
+            for row in rows
         )
     listed = given if isinstance(given, list) else [given]
     return read_servos(",".join(map(str, listed)), robot.n)

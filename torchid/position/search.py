@@ -90,8 +90,8 @@ def full(data: PositionData, windows: Windows, say: Callable[[str], None] | None
     every = torch.ones(n, dtype=torch.bool)
     free = dict.fromkeys((*CORE, *SMOOTH), every)
     say("gains, friction and delay")
-    servos = fit(data, _start(data, (*CORE, *SMOOTH)), free, windows, iterations=5)
-    now = Found(servos, free, False)
+    begun = _geared(data, Found(_start(data, (*CORE, *SMOOTH)), free, False))
+    now = replace(begun, servos=fit(data, begun.servos, begun.free, windows, iterations=5))
     say("profile")
     now = _scanned(data, _with_profile(data, now, windows), windows)
     for what, names in (
@@ -118,6 +118,18 @@ def _start(data: PositionData, names: tuple[str, ...]) -> Servos:
         if name in names:
             servos.joint[:, INDEX[name]] *= data.strength
     return servos
+
+
+def _geared(data: PositionData, now: Found) -> Found:
+    """With the command gains that commands and positions show at once, and no other number of these
+    joints: the others would make up for it."""
+    gain = data.command_gain
+    far = gain != 1
+    if not bool(far.any()):
+        return now
+    joint = now.servos.joint.clone()
+    joint[:, INDEX["scale"]] = torch.where(far, gain, joint[:, INDEX["scale"]])
+    return replace(now, servos=replace(now.servos, joint=joint), free={**now.free, "scale": far})
 
 
 def refit(data: PositionData, found: Found, windows: Windows, *, iterations: int) -> Found:
@@ -485,6 +497,11 @@ def _beside(data: PositionData, simple: Found, windows: Windows, effect: ServoEf
     if effect.name == "command_filter":
         return _with_filter(data, simple, windows)
     now = simple
+    if effect.name == "command_gain" and bool((far := data.command_gain != 1).any()):
+        joint = torch.where(far[:, None], _start(data, CORE).joint, now.servos.joint)
+        now = _geared(data, replace(now, servos=replace(now.servos, joint=joint)))
+        servos = fit(data, now.servos, now.free, windows, profiles=True, iterations=12)
+        now = replace(now, servos=servos)
     if effect.parameters[0] in _SIZES:
         for name in effect.parameters:
             # Of two stops each where it helps: both at once would hold the joint.

@@ -145,7 +145,7 @@ def _link_table(check: Check, k: int) -> Table:
         eigenvalues = check.eigenvalues[k, i].tolist()
         excess = excess_percent(eigenvalues)
         texts: list[Cell] = [
-            _coloured(f"{margins[0]:.4g}", degrees[0], bad[0]),
+            _coloured(f"{float(check.sets.parameters.mass[k, i]):.4g}", degrees[0], bad[0]),
             _coloured(" ".join(f"{v:.3g}" for v in eigenvalues), degrees[1], bad[1]),
             _coloured("-" if excess is None else f"{100 + excess:.3g}", degrees[2], bad[2]),
             " ".join(f"{1e3 * c:.1f}" for c in check.sets.parameters.com[k, i].tolist()),
@@ -159,7 +159,8 @@ def _link_table(check: Check, k: int) -> Table:
         if check.round_shapes:
             texts.append(_coloured(f"{1e3 * margins[6]:.1f}", degrees[6], bad[6]))
         least = min(degrees)
-        rows.append((str(i + 1), name, *texts, _coloured(f"{least:.2g}", least, any(bad))))
+        degree = f"{least:.2g}" if math.isfinite(least) else "no body"
+        rows.append((str(i + 1), name, *texts, _coloured(degree, least, any(bad))))
     title = f"links of {check.sets.ids[k]} (red: violated, yellow: degree below {NEAR:g})"
     return Table(title, columns, rows, "ll")
 

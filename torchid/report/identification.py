@@ -407,6 +407,8 @@ def payload_headline(payload: Payload) -> str:
             f"The logs with the payload carry {-float(mass.value):.4g} kg less than those without: "
             "are they exchanged?"
         )
+    if bool(mass.value.isnan()):
+        return f"The mass that {payload.robot} carries is not known from these logs."
     if not payload.seen:
         return f"No payload can be seen on the last link of {payload.robot}."
     verdict = "not physically consistent"

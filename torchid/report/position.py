@@ -182,8 +182,8 @@ def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> T
             step = f"{2e3 * math.pi / servo.counts:.3g} mrad"
             rows.append((*place, "resolution", step, f"{joint.resolution_mrad:.3g} mrad"))
     note = (
-        "nominal: makers' tables for a new servo at its supply's voltage, or the earlier fit in "
-        "the robot's file; nothing found depends on it"
+        "nominal: makers' tables for a new servo at its supply's voltage, or the earlier fit or "
+        "the actuators in the robot's file; nothing found depends on it"
     )
     title = "Servos: nominal values, and what was found (95 %)"
     return Table(title, ("joint", "servo", "value", "nominal", "found"), rows, "rllpp", note)

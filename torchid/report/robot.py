@@ -4,8 +4,9 @@ from typing import Any
 
 from rich.text import Text
 
+from torchid.feasibility.units import unit_findings
 from torchid.json_data import picked, plain
-from torchid.report.table import Shown, Table
+from torchid.report.table import Cell, Shown, Table
 from torchid.results.words import count
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
@@ -92,7 +93,7 @@ def _tree_table(robot: Robot) -> Table:
 
 
 def robot_warnings(robot: Robot) -> tuple[str, ...]:
-    """The reader's warnings, and links whose inertia no body can have."""
+    """The reader's warnings, links whose inertia no body can have, and units that look wrong."""
     said = list(robot.warnings)
     if robot.parameters is None:
         return tuple(said) or ("no inertial parameters: they can be identified, not simulated",)
@@ -103,7 +104,7 @@ def robot_warnings(robot: Robot) -> tuple[str, ...]:
                 f"link '{name}' is not physically consistent: its pseudo-inertia has the "
                 f"eigenvalue {margin:.2e}"
             )
-    return tuple(said)
+    return (*said, *(finding.sentence for finding in unit_findings(robot)))
 
 
 def shown(robot: Robot) -> Shown:
@@ -132,7 +133,8 @@ def robot_tables(robot: Robot) -> list[Table]:
     links, margins = [], p.consistency_margin().tolist()
     for i, name in enumerate(robot.link_names):
         fine = margins[i] >= 0
-        verdict = "yes" if fine else Text.assemble(("no", "red"), f" ({margins[i]:.1e})")
+        verdict: Cell = "no body" if not p.pi[i].any() else "yes"
+        verdict = verdict if fine else Text.assemble(("no", "red"), f" ({margins[i]:.1e})")
         vectors = (
             " ".join(f"{v:.4g}" for v in x[i].tolist()) for x in (p.com, p.inertia_about_com)
         )

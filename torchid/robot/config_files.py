@@ -10,6 +10,12 @@ URDF_FILES = (".urdf", ".xacro")
 ROBOT_FILES = (".yaml", ".yml", *URDF_FILES, ".xml")
 
 
+def is_urdf(path: str | Path) -> bool:
+    """Whether it is a URDF or a xacro of one, by its name; .urdf.xml is one of them."""
+    name = Path(path).name.lower()
+    return name.endswith((*URDF_FILES, ".urdf.xml"))
+
+
 def config_folder(name: str) -> Path:
     """configs/<name>: inside the installed package, or beside it in a checkout."""
     package = Path(__file__).resolve().parents[1]

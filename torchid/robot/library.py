@@ -10,6 +10,7 @@ from torchid.robot.config_files import (
     URDF_FILES,
     built_in_robots,
     config_folder,
+    is_urdf,
     names_robot,
     require_robot_file,
 )
@@ -30,8 +31,8 @@ def load_robot(
 ) -> Robot:
     """A robot by built-in name, or from a torchid .yaml, .urdf or .xml (MJCF) file.
 
-    A URDF or MJCF is read whole, with all its branches, unless a part is chosen. A .urdf.xacro is
-    expanded by the package `xacro`, or the command of that name.
+    A URDF or MJCF is read whole, with all its branches, unless a part is chosen. A xacro
+    file of any name is expanded by the package `xacro`, or the command of that name.
 
     Args:
         name: `3r`, `kuka_lwr4`, ... or a path.
@@ -60,7 +61,7 @@ def load_robot(
                     got=given,
                 )
         return read_yaml(path)
-    if suffix in URDF_FILES:
+    if is_urdf(path):
         from torchid.robot.urdf import read_urdf
 
         robot = read_urdf(path, tip=tip, root=root, lock=lock, base=base)

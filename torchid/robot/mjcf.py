@@ -5,6 +5,7 @@ dry friction and armature on joints of one freedom is told in `warnings`.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,8 @@ def read_mjcf(
             expected=f">= {_OLDEST[0]}.{_OLDEST[1]}",
             hint="pip install 'torchid[mjcf]'",
         )
-    model, lost = compiled(mujoco, path, meshes=False)
+    found = compiled(mujoco, path)
+    model = found.model
     for name in _READ:
         if not (abs(getattr(model, name)) < LARGEST).all():
             raise RobotError(f"{path}: not all finite: {name}, as MuJoCo compiles it.")
@@ -88,14 +90,33 @@ def read_mjcf(
         name=_model_name(model) or path.stem,
         gravity=_NO_GRAVITY if off else model.opt.gravity.tolist(),
         path=path,
-        warnings=[*lost, *read.warnings(bool(off))],
+        warnings=[*found.warnings, *read.warnings(bool(off))],
     )
 
 
-def compiled(mujoco: Any, path: Path, meshes: bool = True) -> tuple[Any, list[str]]:
-    """MuJoCo's model of an MJCF and what it had to leave out, or a RobotError.
+@dataclass(frozen=True)
+class Compiled:
+    """What MuJoCo makes of an MJCF.
 
-    Without need of `meshes`, those that are not there are left out where no mass comes from them.
+    Attributes:
+        model: the compiled model.
+        warnings: MuJoCo's own, and what had to be left out.
+        shapeless: ids of the bodies of which a mesh is absent, and whether it collides.
+    """
+
+    model: Any
+    warnings: tuple[str, ...]
+    shapeless: Mapping[int, bool] = field(default_factory=dict)
+
+
+def compiled(mujoco: Any, path: Path) -> Compiled:
+    """MuJoCo's model of an MJCF.
+
+    Meshes, height fields, skins and textures whose files are absent are left out, with a warning.
+
+    Raises:
+        RobotError: no MJCF, MuJoCo cannot compile it, or a moving body's mass or inertia would
+            come from an absent mesh.
     """
     root = parse_xml(path)
     if root.tag != "mujoco":
@@ -104,14 +125,14 @@ def compiled(mujoco: Any, path: Path, meshes: bool = True) -> tuple[Any, list[st
     said: list[str] = []
     mujoco.set_mju_user_warning(said.append)  # else it writes a file into the working directory
     try:
-        return mujoco.MjModel.from_xml_path(str(path)), said
+        return Compiled(mujoco.MjModel.from_xml_path(str(path)), tuple(said))
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         text = " ".join(str(error).split())
         # MuJoCo's wording for a mesh, texture or include that is not there.
         missing = any(words in text.lower() for words in ("opening file", "not found", "no file"))
-        model = _without_meshes(mujoco, path) if missing and not meshes else None
-        if model is not None:
-            return model, ["its mesh files are absent: the robot has masses, and no such shapes"]
+        found = _without_absent(mujoco, path) if missing else None
+        if found is not None:
+            return found
         raise RobotError(
             f"{path}: MuJoCo cannot compile it: {text}",
             hint="the files it names (meshes, includes) must lie where it says: masses and "
@@ -121,19 +142,57 @@ def compiled(mujoco: Any, path: Path, meshes: bool = True) -> tuple[Any, list[st
         ) from error
 
 
-def _without_meshes(mujoco: Any, path: Path) -> Any | None:
-    """The model without shapes of meshes; None where a body's inertia would come from them, or
-    something else is missing."""
+def _without_absent(mujoco: Any, path: Path) -> Compiled | None:
+    """The model without what absent files would give it; None where something else is wrong with
+    it, or a moving body's inertia would come from one."""
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        shaped = [geom for geom in spec.geoms if geom.meshname]
-        if any(not geom.parent.explicitinertial for geom in shaped):
-            return None
-        for part in [*shaped, *spec.meshes]:
-            spec.delete(part)
-        return spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError):
         return None
+
+    def absent(parts: Iterable[Any], folder: str) -> list[Any]:
+        places = ("", folder)
+        return [
+            part
+            for part in parts
+            if part.file and not any((path.parent / p / part.file).is_file() for p in places)
+        ]
+
+    meshes = [*absent(spec.meshes, spec.meshdir), *absent(spec.hfields, spec.meshdir)]
+    textures = absent(spec.textures, spec.texturedir)
+    gone = {part.name or Path(part.file).stem for part in meshes}
+    shaped = [g for g in spec.geoms if {g.meshname, g.hfieldname} & gone]
+    if any(map(_gives_mass, shaped)):
+        return None
+    bodies = [(geom.parent, bool(geom.contype or geom.conaffinity)) for geom in shaped]
+    for material in spec.materials:
+        kept = [t for t in material.textures if t not in {texture.name for texture in textures}]
+        material.textures = kept + [""] * (len(material.textures) - len(kept))
+    for part in [*shaped, *meshes, *textures, *absent(spec.skins, spec.meshdir)]:
+        spec.delete(part)
+    try:
+        model = spec.compile()
+    except (ValueError, RuntimeError, mujoco.FatalError):
+        return None
+    shapeless: dict[int, bool] = {}
+    for body, collides in bodies:
+        shapeless[body.id] = shapeless.get(body.id, False) or collides
+    said = ("its mesh files are absent: the robot has masses, and no such shapes",)
+    return Compiled(model, said * bool(shaped), shapeless)
+
+
+def _gives_mass(geom: Any) -> bool:
+    """Whether the mass of a body that moves comes from a geom."""
+    body, compiler = geom.parent, geom.compiler
+    low, high = compiler.inertiagrouprange
+    from_geoms = compiler.inertiafromgeom == 1 or (
+        compiler.inertiafromgeom != 0 and not body.explicitinertial
+    )
+    moves = False
+    while body is not None and not moves:
+        moves, body = bool(body.joints), body.parent
+    weighs = geom.mass != 0 and (geom.mass == geom.mass or geom.density != 0)
+    return moves and from_geoms and weighs and low <= geom.group <= high
 
 
 def _model_name(model: Any) -> str | None:
@@ -337,6 +396,62 @@ def _torque_limit(mujoco: Any, model: Any, joint: int) -> Interval | None:
     if len(on_joint) != 1 or not model.actuator_forcelimited[on_joint[0]]:
         return None
     return _interval(model.actuator_forcerange[on_joint[0]] * model.actuator_gear[on_joint[0], 0])
+
+
+def mjcf_servos(path: Path, joints: Iterable[str]) -> list[dict[str, float]]:
+    """Servos that an MJCF's actuators are, one a joint, by `torchid.simulation.servo`'s names;
+    empty where a joint has no such actuator, or several.
+
+    An actuator on a joint, or on a fixed tendon of one joint, has a length of g q with g its gear
+    (times the tendon's coefficient), and pulls at the joint with g times its force, which is
+    gain u + b0 + b1 g q + b2 g dq: a servo of kp = -b1 g^2 that goes where gain u / (-b1 g) is.
+
+    Args:
+        path: the file.
+        joints: their names, in order.
+
+    Raises:
+        RobotError: MuJoCo cannot compile the file.
+    """
+    import mujoco  # the robot was read with it
+
+    model = compiled(mujoco, path).model
+    kinds, found = mujoco.mjtTrn, dict[int, list[dict[str, float]]]()
+    for a in range(model.nu):
+        joint, gear = int(model.actuator_trnid[a, 0]), float(model.actuator_gear[a, 0])
+        if int(model.actuator_trntype[a]) == int(kinds.mjTRN_TENDON):
+            first, count = int(model.tendon_adr[joint]), int(model.tendon_num[joint])
+            if count != 1 or int(model.wrap_type[first]) != int(mujoco.mjtWrap.mjWRAP_JOINT):
+                continue
+            joint, gear = int(model.wrap_objid[first]), gear * float(model.wrap_prm[first])
+        elif int(model.actuator_trntype[a]) != int(kinds.mjTRN_JOINT):
+            continue
+        found.setdefault(joint, []).append(_servo(mujoco, model, a, joint, gear))
+    ids = [mujoco.mj_name2id(model, int(mujoco.mjtObj.mjOBJ_JOINT), name) for name in joints]
+    return [found[k][0] if len(found.get(k, ())) == 1 else {} for k in ids]
+
+
+def _servo(mujoco: Any, model: Any, actuator: int, joint: int, gear: float) -> dict[str, float]:
+    """Values of one actuator's servo; empty where it follows no position."""
+    gain, (b0, b1, b2) = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator][:3]
+    kinds = int(model.actuator_gaintype[actuator]), int(model.actuator_biastype[actuator])
+    affine = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_AFFINE)
+    if kinds != affine or not b1 < 0 or not gear:
+        return {}
+    dof = int(model.jnt_dofadr[joint])
+    values = {
+        "kp": -b1 * gear**2,
+        "damping": -b2 * gear**2 + model.dof_damping[dof],
+        "armature": model.dof_armature[dof],
+        "coulomb": model.dof_frictionloss[dof],
+        "scale": -gain / (b1 * gear),
+        "offset": b0 * gear,
+    }
+    if model.actuator_forcelimited[actuator]:
+        values["clip"] = abs(model.actuator_forcerange[actuator]).max() * abs(gear)
+    if int(model.actuator_dyntype[actuator]) != int(mujoco.mjtDyn.mjDYN_NONE):
+        values["lag"] = model.actuator_dynprm[actuator, 0]
+    return {name: float(value) for name, value in values.items()}
 
 
 def _any(table: Any, row: int) -> bool:

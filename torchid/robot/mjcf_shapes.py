@@ -4,6 +4,7 @@ Geoms that can collide count; for a body without any, all of them do. Primitive 
 meshes are their corners, anything else is the box that MuJoCo has of it.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,9 @@ from torchid.typing import Tensor
 def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
     """Shapes of the links of a robot read from an MJCF; a body without geoms has none.
 
-    Planes and height fields have no end: a link with one has no known box, nor has one of whose
-    bodies one has mass and no geom. The first links of a
-    body with several joints are massless and have none either.
+    Planes and height fields have no end: a link with one has no known box, nor has one with a mesh
+    that is absent, or one of whose bodies one has mass and no geom. The first links of a body with
+    several joints are massless and have none either.
 
     Args:
         path: the MJCF.
@@ -42,8 +43,9 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
     # The robot was read with it: `torchid.robot.mjcf` says how to get it where it is missing.
     import mujoco
 
-    model, _ = compiled(mujoco, path)
-    own = [_body_shapes(mujoco, model, body) for body in range(model.nbody)]
+    found = compiled(mujoco, path)
+    model = found.model
+    own = [_body_shapes(mujoco, model, body, found.shapeless) for body in range(model.nbody)]
     parts: dict[str, tuple[list[Solid], str] | None] = {}
     read: dict[str, list[Solid]] = {}
     problems = []
@@ -63,10 +65,12 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
         if not whole and name in robot.link_names:
             problems.append(f"'{name}'")
     warning = (
-        f"shapes of {', '.join(problems)} are unknown: a geom has no end (plane, height field), or "
-        "a body has mass and no geom."
+        f"shapes of {', '.join(problems)} are unknown: a geom has no end (plane, height field), a "
+        "mesh is absent, or a body has mass and no geom."
     )
     base, planes = _world(mujoco, model)
+    if any(collides and not _moved_by(model, b) for b, collides in found.shapeless.items()):
+        base = None
     return assembled(
         [parts.get(name) for name in robot.link_names],
         (warning,) * bool(problems),
@@ -121,16 +125,19 @@ def _placed(model: Any, body: int) -> Tensor:
     return out
 
 
-def _body_shapes(mujoco: Any, model: Any, body: int) -> tuple[list[Solid], str] | None:
+def _body_shapes(
+    mujoco: Any, model: Any, body: int, shapeless: Mapping[int, bool]
+) -> tuple[list[Solid], str] | None:
     """Solids of a body's geoms in the frame of the body that moves it; None where one has no
-    end."""
+    end, or is an absent mesh."""
     first = int(model.body_geomadr[body])
     geoms = range(first, first + int(model.body_geomnum[body]))
     colliding = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
     kinds = mujoco.mjtGeom
     endless = {int(kinds.mjGEOM_PLANE), int(kinds.mjGEOM_HFIELD)}
     chosen = colliding or list(geoms)
-    if any(int(model.geom_type[g]) in endless for g in chosen):
+    absent = body in shapeless and (shapeless[body] or not colliding)
+    if absent or any(int(model.geom_type[g]) in endless for g in chosen):
         return None
     placed = _placed(model, body)
     return [_solid(mujoco, model, g, placed) for g in chosen], (

@@ -78,6 +78,14 @@ class JointType(StrEnum):
     PRISMATIC = "P"
 
 
+_LIMITS_TO_GIVE = {
+    "position": ("", 'lower=".." upper=".."'),
+    "velocity": ("2.0", 'velocity="2.0"'),
+    "acceleration": ("5.0", ""),
+}
+"""Examples: a value of the option, and the attributes of a URDF, which has no acceleration."""
+
+
 @dataclass(frozen=True)
 class Limits:
     """Joint limits, each (n, 2) lower and upper, or None where nothing is known.
@@ -100,18 +108,24 @@ class Limits:
 
     def require(self, *names: str, robot: str, purpose: str) -> None:
         """Raise RobotError unless all the named limits are known and finite."""
-        missing = [
-            name
-            for name in names
-            if getattr(self, name) is None or not torch.isfinite(getattr(self, name)).all()
-        ]
-        if missing:
+        lacking, hints = {}, []
+        for name in names:
+            given = getattr(self, name)
+            known = [] if given is None else torch.isfinite(given).all(-1).tolist()
+            if known and all(known):
+                continue
+            joints = [str(j) for j, finite in enumerate(known, start=1) if not finite]
+            whose = f"joint {', '.join(joints)}" if joints else "any joint"
+            lacking[name] = f"no {name} limit of {whose}"
+            value, line = _LIMITS_TO_GIVE[name]
+            option = f"robot.with_limits({name}={value}), on the command line --max-{name} {value}"
+            hints += [option] * bool(value) + [f"<limit {line}/> in the URDF"] * bool(line)
+        if lacking:
             raise RobotError(
-                f"robot '{robot}' has no finite {' and '.join(missing)} limits, "
+                f"robot '{robot}' has no finite {' and '.join(lacking)} limits, "
                 f"which {purpose} needs.",
-                expected="limits: {position: [...], velocity: [...], acceleration: [...]}",
-                hint="add `limits` to the robot's yaml or <limit> to its URDF; acceleration: "
-                "Robot.with_limits, --max-acceleration on the command line",
+                got=f"{'; '.join(lacking.values())} (0 is taken for none)",
+                hint="; or ".join(hints),
             )
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import torch
 
-from torchid.robot.config_files import URDF_FILES
+from torchid.robot.config_files import is_urdf
 from torchid.robot.inertia import InertialParameters, six
 from torchid.robot.mjcf_shapes import mjcf_shapes
 from torchid.robot.model import JointType, Robot
@@ -52,10 +52,9 @@ def link_shapes(robot: Robot) -> LinkShapes | None:
         RobotError: the file is no longer what the robot was read from.
     """
     path = Path(robot.source)
-    suffix = path.suffix.lower()
-    if suffix in URDF_FILES:
+    if is_urdf(path):
         return urdf_shapes(path, robot)
-    if suffix == ".xml":
+    if path.suffix.lower() == ".xml":
         return mjcf_shapes(path, robot)
     return None
 

@@ -23,7 +23,6 @@ from torchid.robot.xml_numbers import (
     optional_number,
     origin,
     parse_xml,
-    refuse_xacro,
     unit_axis,
 )
 
@@ -80,7 +79,6 @@ def read_urdf(
         raise RobotError(
             f"{source}: not a URDF.", got=f"<{document.tag}>", expected="<robot>", hint=hint
         )
-    refuse_xacro(document, source)
     warnings: list[str] = []
     return assemble(
         urdf_tree(document, source, warnings),

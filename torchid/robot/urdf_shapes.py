@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from torchid.errors import RobotError
-from torchid.robot.config_files import URDF_FILES
+from torchid.robot.config_files import is_urdf
 from torchid.robot.mesh_files import find_mesh, mesh_vertices
 from torchid.robot.model import Robot
 from torchid.robot.solids import LinkShapes, Solid, assembled, box, capsule, cylinder, points
@@ -123,7 +123,7 @@ def own_inertials(robot: Robot) -> tuple[OwnInertial, ...]:
         RobotError: the file is no longer what the robot was read from.
     """
     path = Path(robot.source)
-    if path.suffix.lower() not in URDF_FILES:
+    if not is_urdf(path):
         return ()
     root = parse_xml(path)
     tree, _ = held(urdf_tree(root, str(path), []), robot.locked)

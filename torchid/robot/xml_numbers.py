@@ -19,7 +19,7 @@ TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of a URDF's <inertia>, in torchid's order."""
 _XACRO = "ros.org/wiki/xacro"
 _PACKAGE = "import sys, xacro; print(xacro.process_file(sys.argv[1]).toprettyxml())"
-_EXPAND = "expand it: pip install xacro and call it .urdf.xacro, or `xacro a.urdf.xacro > a.urdf`"
+_EXPAND = "expand it: `xacro a.urdf.xacro > a.urdf`"
 
 
 def parse_xml(path: Path) -> Any:
@@ -40,25 +40,43 @@ def content_of(path: Path) -> bytes:
     """An XML file's content, or a RobotError.
 
     In bytes, for an encoding declaration in a str is an error. Some exporters leave blank lines
-    before the declaration, which every URDF reader forgives. A .xacro is expanded.
+    before the declaration, which every URDF reader forgives. Xacro of any name is expanded.
     """
     try:
-        content = path.read_bytes()
-        return _expanded(path) if path.suffix.lower() == ".xacro" else content.lstrip()
+        content = path.read_bytes().lstrip()
     except OSError as error:
         raise RobotError(f"'{path}' cannot be read: {error.strerror or error}.") from error
+    macro = _macro(content, path.suffix.lower() == ".xacro")
+    return content if macro is None else _expanded(path, macro)
 
 
-def _expanded(path: Path) -> bytes:
+def _macro(content: bytes, named: bool) -> str | None:
+    """Xacro's first element, or a macro in a file that is named so; None where there is none, as
+    in what xacro has expanded."""
+    root = None
+    if b"xacro:" in content:
+        root = etree.fromstring(content, etree.XMLParser(recover=True, resolve_entities=False))
+    for element in () if root is None else root.iter(tag=etree.Element):
+        # A prefix that is not declared is left in the tag.
+        space, _, name = element.tag.rpartition("}")
+        if _XACRO in space or name.startswith("xacro:"):
+            return f"<xacro:{name.removeprefix('xacro:')}> on line {element.sourceline}"
+    return "macros" if named and (b"${" in content or b"$(" in content) else None
+
+
+def _expanded(path: Path, macro: str) -> bytes:
     """The URDF that a xacro file stands for, by the package or the command of that name."""
     command = [shutil.which("xacro") or ""]
     package = importlib.util.find_spec("xacro")
     if package is not None and package.origin is not None:  # no folder of that name
         command = [sys.executable, "-c", _PACKAGE]
     if not command[0]:
+        plain = path.with_name(f"{path.name.split('.')[0]}.urdf")
+        plain = plain if plain != path else path.with_name(f"{path.stem}_expanded.urdf")
         raise RobotError(
             f"'{path}' is a xacro file, and xacro is not installed.",
-            hint=f"pip install xacro; or, where it is: xacro {path} > {path.with_suffix('')}",
+            got=macro,
+            hint=f"to expand it: pip install xacro; or, where it is: xacro {path} > {plain}",
         )
     done = subprocess.run([*command, str(path)], capture_output=True, check=False)
     if done.returncode != 0:
@@ -74,19 +92,7 @@ def parsed(data: bytes, path: Path, **options: bool) -> Any:
     try:
         return etree.fromstring(data, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        hint = _EXPAND if "xacro" in str(error) else None
-        raise RobotError(f"'{path}' is not valid XML: {error.args[0]}.", hint=hint) from error
-
-
-def refuse_xacro(root: Any, source: str) -> None:
-    """Raise RobotError where an element is xacro's. A bare xmlns:xacro is left by expansion."""
-    for element in root.iter(tag=etree.Element):
-        if _XACRO in (etree.QName(element).namespace or ""):
-            raise RobotError(
-                f"{source}: is a xacro file, not a URDF.",
-                got=f"<xacro:{etree.QName(element).localname}> on line {element.sourceline}",
-                hint=_EXPAND,
-            )
+        raise RobotError(f"'{path}' is not valid XML: {error.args[0]}.") from error
 
 
 def attribute(element: Any, name: str, where: str) -> str:

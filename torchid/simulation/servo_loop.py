@@ -27,6 +27,8 @@ from torch import Tensor
 
 from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
 from torchid.dynamics.newton_euler import keep_freed_memory
+from torchid.effects.registry import nominal_effects
+from torchid.effects.spring import JointSpring, stumpff
 from torchid.robot.model import JointType, Robot, link_poses
 from torchid.simulation.servo import INDEX, PLANE, Servos
 from torchid.typing import Bool, Float, Int
@@ -63,7 +65,7 @@ class Body:
     Attributes:
         q: (T, n) the motion [rad].
         bias: (T, n) torque at zero acceleration [N m].
-        stiffness: (T, n, n) derivative of gravity's torque [N m/rad].
+        stiffness: (T, n, n) derivative of gravity's and the springs' torque [N m/rad].
         inertia: (T, n) diagonal of the mass matrix [kg m^2].
         coupling: (T, n, n) the rest of it.
         dominance: (T, n) sums of the absolute values of the rows of that.
@@ -128,7 +130,8 @@ def body_at(
     mass = mass_matrix(robot, q)
     own = mass.diagonal(dim1=1, dim2=2)
     off = mass - torch.diag_embed(own)
-    body = q, bias_torque(robot, q, dq), torch.zeros_like(mass), own, off, off.abs().sum(2)
+    bias = bias_torque(robot, q, dq) + _springs(robot, q)
+    body = q, bias, torch.zeros_like(mass), own, off, off.abs().sum(2)
     if link is None:
         return Body(*body)
     # Upwards is against gravity; a robot without gravity has no floor, but z.
@@ -157,10 +160,23 @@ def body_at(
     return Body(*body, up @ points, slope)
 
 
+def _springs(robot: Robot, q: Float[Tensor, "T n"]) -> Float[Tensor, "T n"]:
+    """Torque of the springs that the robot's description lists [N m]."""
+    out = torch.zeros_like(q)
+    for effect, values in nominal_effects(robot):
+        if isinstance(effect, JointSpring):
+            c, s = stumpff(effect.curvature * q[:, effect.joint] ** 2)
+            out[:, effect.joint] += values[0] * q[:, effect.joint] * s + values[1] * c
+    return out
+
+
 def _with_stiffness(robot: Robot, body: Body) -> Body:
-    gravity = gravity_torque(robot, body.q)
+    def still(q: Float[Tensor, "T n"]) -> Float[Tensor, "T n"]:
+        return gravity_torque(robot, q) + _springs(robot, q)
+
+    at_rest = still(body.q)
     columns = [
-        (gravity_torque(robot, body.q + _SLIGHT * unit) - gravity) / _SLIGHT
+        (still(body.q + _SLIGHT * unit) - at_rest) / _SLIGHT
         for unit in torch.eye(robot.n, dtype=body.q.dtype)
     ]
     return dataclasses.replace(body, stiffness=torch.stack(columns, -1))

@@ -63,6 +63,7 @@ class Jackknife:
         by_one_block: (P,) parameters that one block alone determines: blocks cannot tell of their
             spread, and their variance is that for white residuals, a lower bound.
         blocks: number of blocks that hold anything.
+        shares: what each block says of the covariance; None where there are no normal equations.
     """
 
     covariance: Float[Tensor, "P P"]
@@ -70,6 +71,7 @@ class Jackknife:
     freedom: Float[Tensor, " P"]
     by_one_block: Bool[Tensor, " P"]
     blocks: int
+    shares: "Shares | None" = None
 
     @property
     def std(self) -> Float[Tensor, " P"]:
@@ -90,6 +92,36 @@ class Jackknife:
         """Confidence intervals (P, 2) about the values (P,) of the fit."""
         half = self.quantile(level).to(values) * self.std.to(values)
         return torch.stack([values - half, values + half], -1)
+
+
+@dataclass(frozen=True)
+class Shares:
+    """What each of K blocks says, for what is made of the parameters later.
+
+    Attributes:
+        steps: (K, P) what each adds to the covariance, whose root they are but for parameters that
+            one block alone determines.
+        held: (K, D, D) what each holds of the information, in D coordinates of unit information.
+        back: (P, D) from these coordinates to the parameters.
+    """
+
+    steps: Float[Tensor, "K P"]
+    held: Float[Tensor, "K D D"]
+    back: Float[Tensor, "P D"]
+
+    def alone(self, share: float) -> Float[Tensor, "D A"]:
+        """Orthonormal directions of which one block holds more than a share above one half."""
+        values, axes = torch.linalg.eigh(self.held)
+        found = axes.transpose(1, 2)[values > share].T
+        left, sizes, _ = torch.linalg.svd(found, full_matrices=False)
+        return left[:, sizes > 1e-6]
+
+    def freedom(self, along: Float[Tensor, "Q D"]) -> Float[Tensor, " Q"]:
+        """Degrees of freedom of the variances of linear combinations of the coordinates."""
+        values, axes = torch.linalg.eigh(self.held)
+        stretch = (1 - values).clamp(min=ALONE) ** -LEVERAGE
+        adjusted = along @ ((axes * stretch.unsqueeze(1)) @ axes.transpose(1, 2))
+        return _degrees_of_freedom(adjusted, self.held).clamp(1, max(1, len(self.held) - 1))
 
 
 def student_quantile(level: float, freedom: Float[Tensor, " P"]) -> Float[Tensor, " P"]:
@@ -144,7 +176,7 @@ def jackknife(
     blocks = int((held.diagonal(dim1=1, dim2=2).sum(-1) > 0).sum())
     freedom = _degrees_of_freedom(adjusted, held).clamp(1, max(1, blocks - 1))
     given = back @ (root.T @ before @ root) @ back.T
-    return Jackknife(covariance, given, freedom, lone, blocks)
+    return Jackknife(covariance, given, freedom, lone, blocks, Shares(steps, held, back))
 
 
 def _degrees_of_freedom(
