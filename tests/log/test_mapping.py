@@ -46,6 +46,32 @@ def test_what_a_source_may_be(text: str, columns: tuple, factors: tuple) -> None
     assert source.factors == pytest.approx(factors, rel=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("text", "raw", "values"),
+    [
+        ("q=p{j} rev/4096 -2048", [2048, 3072], [0, math.pi / 2]),
+        ("q=p{j} rev /4096 - 2048", [2048, 3072], [0, math.pi / 2]),
+        ("q=-p{j} deg +90", [0, -180], [-math.pi / 2, math.pi / 2]),
+        ("q=p{j} *2 +[1,-1]", [3, 3], [8, 4]),
+        ("q=p{j} -0.5", [3, 3], [2.5, 2.5]),
+    ],
+)
+def test_offsets_are_added_to_the_numbers_of_the_column(
+    tmp_path: Path, text: str, raw: list, values: list
+) -> None:
+    own = {f"p{k + 1}": np.full(5, float(x)) for k, x in enumerate(raw)}
+    log = read_log(save(tmp_path / "a.csv", {"t": T, **own}), columns=text)
+    assert log.q[0].tolist() == pytest.approx(values, abs=1e-12)
+
+
+def test_offsets_in_yaml_and_as_many_as_joints(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.csv", {"t": T, "p1": T, "p2": T})
+    given_ = {"q": {"columns": "p{j}", "unit": "deg", "offset": [90, -90]}}
+    assert read_log(path, columns=given_).q[0].tolist() == pytest.approx([90 * DEG, -90 * DEG])
+    with pytest.raises(LogError, match="another number of offsets"):
+        read_log(path, columns="q=p{j} +[1,2,3]")
+
+
 def test_several_entries_aliases_and_none() -> None:
     mapping = read_mapping("time=stamp ns, current=cur_{j} mA ,dq=none,t" + "raj=run")
     assert set(mapping.sources) == {"t", "i", "dq", "traj"}

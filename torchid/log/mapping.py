@@ -4,8 +4,9 @@ As text, entries are separated by commas:
 
     q=pos_{j} deg, dq=vel_{j} deg/s, tau=-eff_{j} mNm, t=stamp ns
 
-An entry is KEY=SOURCE, with a minus before the source for the other sign, a unit after it, and a
-factor `*0.001` (or ` /1000`) at the end; `*[1,-1,1]` is one factor a joint. A source is
+An entry is KEY=SOURCE, with a minus before the source for the other sign, a unit after it, then a
+factor `*0.001` (or ` /1000`), and at the end, after a space, what is added to the raw numbers:
+`q=present_position_{j} rev/4096 -2048`; `*[1,-1,1]` and `+[0,-90,0]` are one a joint. A source is
 
     pos_{j}                one column a joint, counted from 1; {j0} from 0, {2..7} these numbers,
                            {3,1,2} these in this order
@@ -33,7 +34,8 @@ from torchid.yaml_data import parsed_yaml
 KEYS = tuple(UNITS)
 _ALIASES = {"current": "i", "time": "t"}
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_FACTOR = re.compile(rf"(?:\s*\*|\s+/)\s*({_NUMBER}|\[[^\]]*\])\s*$")
+_FACTOR = re.compile(rf"(?:\s*\*|\s+/|(?<=\s(?:rev|deg|rpm|rad))/)\s*({_NUMBER}|\[[^\]]*\])\s*$")
+_OFFSET = re.compile(rf"\s([-+])\s*({_NUMBER}|\[[^\]]*\])\s*$")
 _EXAMPLE = "q=pos_{j} deg,tau=eff_{j},t=time ms"
 
 
@@ -44,12 +46,14 @@ class Source:
     Attributes:
         columns: a column, an array, or a pattern; several: one a joint.
         factors: to our units and sign: one, or one a joint.
+        offsets: added to the numbers of the column before: one, or one a joint.
         unit: as it was written; empty if it was not.
         rate: of samples without time stamps [Hz]; t only.
     """
 
     columns: tuple[str, ...]
     factors: tuple[float, ...] = (1.0,)
+    offsets: tuple[float, ...] = (0.0,)
     unit: str = ""
     rate: float | None = None
 
@@ -80,7 +84,7 @@ def read_mapping(given: "str | Path | Mapping[str, Any] | ColumnMapping") -> Col
     """A mapping from text, a yaml file, or a dict like its content.
 
     In yaml a value is the text of an entry, a list of columns, or
-    {columns: .., unit: .., factor: ..}.
+    {columns: .., unit: .., factor: .., offset: ..}.
 
     Raises:
         LogError: an unknown key or unit, or something that cannot be read.
@@ -140,20 +144,24 @@ def _from_dict(content: Mapping[str, Any], name: str) -> ColumnMapping:
             sources[key] = _source(key, str(value))
         elif isinstance(value, list):
             sources[key] = _built(key, tuple(str(c) for c in value), "", (1.0,))
-        elif isinstance(value, Mapping) and value.keys() <= {"columns", "unit", "factor"}:
-            columns, factor = value.get("columns", ""), value.get("factor", 1.0)
-            names = columns if isinstance(columns, list) else [columns]
-            factors = factor if isinstance(factor, list) else [factor]
-            numbers = tuple(_number(f, key) for f in factors)
+        elif isinstance(value, Mapping) and value.keys() <= {"columns", "unit", "factor", "offset"}:
+            names = _listed(value.get("columns", ""))
+            factors = tuple(_number(f, key) for f in _listed(value.get("factor", 1.0)))
+            offsets = tuple(_number(x, key, "offset") for x in _listed(value.get("offset", 0.0)))
             unit = str(value.get("unit") or "")
-            sources[key] = _built(key, tuple(str(c) for c in names), unit, numbers)
+            sources[key] = _built(key, tuple(map(str, names)), unit, factors, offsets)
         else:
             raise LogError(
                 f"{name}: {key} cannot be understood.",
                 got=value,
-                expected="`pos_{j} deg`, a list of columns, or {columns: .., unit: .., factor: ..}",
+                expected="`pos_{j} deg`, a list of columns, or {columns: .., unit: .., factor: .., "
+                "offset: ..}",
             )
     return ColumnMapping(sources, str(dict(content)))
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
 
 
 def _key(text: str, name: str) -> str:
@@ -168,9 +176,13 @@ def _source(key: str, text: str) -> Source | None:
     rest = text.strip()
     if rest == "none":
         return None
+    offsets: tuple[float, ...] = (0.0,)
+    if found := _OFFSET.search(rest):
+        sign = -1.0 if found[1] == "-" else 1.0
+        offsets = tuple(sign * _number(x, key, "offset") for x in found[2].strip("[] ").split(","))
+        rest = rest[: found.start()]
     factors: tuple[float, ...] = (1.0,)
-    found = _FACTOR.search(rest)
-    if found:
+    if found := _FACTOR.search(rest):
         text = found[1]
         factors = tuple(_number(part, key) for part in text.strip("[] ").split(","))
         if found[0].lstrip().startswith("/"):
@@ -185,17 +197,23 @@ def _source(key: str, text: str) -> Source | None:
         columns = tuple(_unquoted(c.strip()) for c in _split(name[1:-1], ","))
     else:
         columns = (_unquoted(name),)
-    return _built(key, columns, unit, factors)
+    return _built(key, columns, unit, factors, offsets)
 
 
-def _built(key: str, columns: tuple[str, ...], unit: str, factors: tuple[float, ...]) -> Source:
+def _built(
+    key: str,
+    columns: tuple[str, ...],
+    unit: str,
+    factors: tuple[float, ...],
+    offsets: tuple[float, ...] = (0.0,),
+) -> Source:
     if not columns or not all(columns):
         raise LogError(f"the column mapping of {key} names no column.", expected=_EXAMPLE)
     if key == "t" and unit == "Hz":
         rate = float(columns[0]) if re.fullmatch(_NUMBER, columns[0]) else 0.0
         if not 0.0 < rate < float("inf"):
             raise LogError("the sampling rate is not a positive number.", got=columns[0])
-        return Source(columns, factors, unit, rate)
+        return Source(columns, factors, unit=unit, rate=rate)
     scale = unit_factor(key, unit) if unit else 1.0
     if scale is None:
         raise LogError(
@@ -204,7 +222,7 @@ def _built(key: str, columns: tuple[str, ...], unit: str, factors: tuple[float, 
             available=[*UNITS[key], "Hz (t=500 Hz)"] if key == "t" else list(UNITS[key]),
             hint="quote names that have spaces: q='Joint {j} pos' deg; a factor: *0.001",
         )
-    return Source(columns, tuple(scale * f for f in factors), unit)
+    return Source(columns, tuple(scale * f for f in factors), offsets, unit)
 
 
 def _unquoted(text: str) -> str:
@@ -230,11 +248,12 @@ def _split(text: str, separator: str, most: int | None = None) -> list[str]:
     return parts
 
 
-def _number(text: object, key: str) -> float:
+def _number(text: object, key: str, word: str = "factor") -> float:
     try:
         value = float(str(text))
     except ValueError:
         value = float("nan")
-    if not abs(value) < float("inf") or value == 0.0:
-        raise LogError(f"the factor of {key} is not a number.", got=text, expected="such as *0.001")
+    if not abs(value) < float("inf") or (value == 0.0 and word == "factor"):
+        example = "such as *0.001" if word == "factor" else "such as -2048"
+        raise LogError(f"the {word} of {key} is not a number.", got=text, expected=example)
     return value

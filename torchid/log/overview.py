@@ -203,8 +203,10 @@ def _sources(log: Log, table: Table | None, request: Request) -> dict[str, str]:
                 scale = unit_factor(key, source.unit) or 1.0
                 factors = [f"{factor / scale:.6g}" for factor in source.factors]
                 unit = f", in {source.unit}" if source.unit else ""
+                added = ", ".join(f"{offset:+.6g}" for offset in source.offsets)
                 found[name] = (
                     ", ".join(source.columns)
+                    + ("" if source.offsets == (0.0,) else f" {added}")
                     + unit
                     + ("" if set(factors) == {"1"} else f", x {', '.join(factors)}")
                 )

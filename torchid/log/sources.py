@@ -158,7 +158,7 @@ def time_of(
     stamps = numbers_of(raw, label)
     if stamps.dtype.kind in "iu" and len(stamps) and int(np.abs(stamps).max()) > _EXACT:
         stamps = stamps - stamps[0]
-    return stamps.astype(np.float64) * source.factors[0]
+    return (stamps.astype(np.float64) + source.offsets[0]) * source.factors[0]
 
 
 def labels_of(
@@ -189,12 +189,15 @@ def signal_of(
             expected=samples,
         )
     whole = np.concatenate(parts, 1).astype(np.float64)
-    if len(source.factors) not in (1, whole.shape[1]):
-        raise LogError(
-            f"the mapping of {key} has another number of factors than columns.",
-            got=len(source.factors),
-            expected=f"1 or {whole.shape[1]}",
-        )
+    for values, word in ((source.factors, "factors"), (source.offsets, "offsets")):
+        if len(values) not in (1, whole.shape[1]):
+            raise LogError(
+                f"the mapping of {key} has another number of {word} than columns.",
+                got=len(values),
+                expected=f"1 or {whole.shape[1]}",
+            )
+    if source.offsets != (0.0,):
+        whole = whole + np.array(source.offsets)
     return whole if source.factors == (1.0,) else whole * np.array(source.factors)
 
 
