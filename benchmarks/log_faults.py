@@ -353,11 +353,13 @@ def wrapped(robot, log, rng):
         return None
     q = log.q.clone()
     middle = float(q[:, j].median())
-    # The wrap lies in the middle of the motion.
+    # The wrap lies in the middle of the motion, and the joint's range about it.
     q[:, j] = torch.remainder(q[:, j] - middle, 2 * math.pi) - math.pi
-    shift = q[:, j].median()
-    q[:, j] -= shift - shift
-    return Planted(robot, log.replace(q=q), ("position jumps",), (j,))
+    if robot.limits.position is not None:
+        limits = robot.limits.position.clone()
+        limits[j] -= middle + math.pi
+        robot = robot.with_limits(position=limits)
+    return Planted(robot, log.replace(q=q), ("position jumps", "zero of positions"), (j,))
 
 
 def clipped(robot, log, rng):

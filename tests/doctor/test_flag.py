@@ -13,6 +13,7 @@ from torchid.doctor.repair import (
     Reorder,
     Scale,
     ScaleTime,
+    Shift,
     repaired,
 )
 from torchid.log.readers import read_log, write_log
@@ -30,6 +31,9 @@ CASES = {
     "q=[q2,q1,q3],dq=[dq2,dq1,dq3]": [Reorder(MOTION, (1, 0, 2))],
     "tau=[tau3,tau1,tau2]": [Reorder(TORQUE, (1, 0, 2)), Reorder(TORQUE, (2, 1, 0))],
     "dq=none,t=t ms": [DropSignal("dq"), ScaleTime(1e-3)],
+    "q=q{j} deg -90": [Scale(("q",), (DEGREE,) * 3), Shift(("q",), (-torch.pi / 2,) * 3)],
+    "q=q{j} +[0,-2,0]": [Shift(("q",), (0.0, -2.0, 0.0))],
+    "q=[q2,q1,q3] +[1,0,0]": [Shift(("q",), (0.0, 1.0, 0.0)), Reorder(("q",), (1, 0, 2))],
     "tau=tau{j} *0.37": [Scale(TORQUE, (0.37,) * 3)],
 }
 

@@ -337,9 +337,20 @@ class Arm(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class ArmAndLogs(Arm, Reading):
-    """One robot and its logs."""
+    """One robot and its logs.
+
+    Attributes:
+        torque: What the logs' torque is: measured with gravity, or without gravity, which a
+            controller has taken out.
+    """
 
     logs: LogArguments
+    torque: Literal["measured", "without-gravity"] = "measured"
+
+    def load(self) -> "torchid.Robot":
+        """The robot, under no gravity where its torques hold none."""
+        robot = super().load()
+        return robot.without_gravity() if self.torque == "without-gravity" else robot
 
     def __post_init__(self) -> None:
         """Look at the logs' headers.

@@ -62,7 +62,7 @@ _PANELS = (
     ("Under control, or replayed", "closed_loop control_frequency replay windows"),
     ("Randomise", "randomise spread draws"),
     ("Bodies", "geometry shapes total_mass margin"),
-    ("Reading logs", "columns topic gain kp kd"),
+    ("Reading logs", "columns topic torque gain kp kd"),
     ("Reading the robot", "tip root lock base"),
     ("Output", "view ros2 urscript json_file overwrite force quiet"),
     ("Running", "seed workers jobs scheduler store threads device_name project_file debug"),

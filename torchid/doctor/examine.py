@@ -21,11 +21,13 @@ from torchid.doctor.content import check_excitation, check_side
 from torchid.doctor.estimates import check_gravity, check_lag
 from torchid.doctor.faults import fault_checks, unseen
 from torchid.doctor.hypothesis import Hypothesis, Judge
+from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
 from torchid.doctor.limits import check_limits
 from torchid.doctor.motion import (
     check_jumps,
     check_position_unit,
     check_standstill,
+    check_zeros,
 )
 from torchid.doctor.record import CheckRecord, DoctorRecord, Examined
 from torchid.doctor.repair import Repair, repaired
@@ -203,10 +205,12 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
     add(check_stamps(now))
     add(check_dropouts(now))
     add(check_position_unit(robot, now))
+    add(check_zeros(robot, now, fixes))
+    counts = any(c.name == "position unit" and "COUNTS" in (c.fix or "") for c in checks)
     if now.u is not None:
         # Before the velocities, which would be taken for what is wrong.
         add(check_channel_units(now))
-    add(check_velocity(now, fixes))
+    add(check_velocity(now, fixes, counts=counts))
     add(check_standstill(now))
     add(check_torque(now))
     if now.u is not None:
@@ -227,13 +231,20 @@ def _with_model(
         return Examination(robot, log, (*checks, *none))
     judge = Judge(robot, rows)
     found = search(judge, Hypothesis.literal(robot), fixes)
+    kind = check_kind(judge, found.final.hypothesis)
+    if kind is not None and not holds_no_gravity(kind):
+        # Nothing else can be said of what is left once the model has been taken out.
+        none = tuple(Check(n, "cannot tell", "the torque is external") for n in MODEL_CHECKS)
+        return Examination(robot, log, (*checks, kind, *none), found, judge)
+    if kind is not None:
+        found = search(judge, weightless(Hypothesis.literal(robot)), fixes)
     end = found.final.hypothesis
     if found.explained:
         now = repaired(now, [r for f in found.found for r in f.move.repairs])
     turned = any(f.move.kind == "gravity" for f in found.found)
     more = [
         # First: if it leaves a choice, the others wait.
-        *([check_gravity(judge, found, fixes)] if turned or not first else []),
+        *([kind] if kind else [check_gravity(judge, found, fixes)] if turned or not first else []),
         *fault_checks(judge, found, fixes),
         check_lag(judge, found),
         check_size(judge, now, end, fixes),

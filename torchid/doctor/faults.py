@@ -11,6 +11,7 @@ from torchid.doctor.moves import LEAST_GAIN, Move
 from torchid.doctor.profile import profile
 from torchid.doctor.repair import TORQUE, Scale, within
 from torchid.doctor.search import CLEAR, Found, Search
+from torchid.doctor.signs import invisible_groups, least_groups
 from torchid.doctor.size import nominal_loss
 from torchid.robot.model import joint_list
 
@@ -68,6 +69,11 @@ def unseen(judge: Judge, result: Search) -> list[Check]:
     out = []
     for kind, words in _UNSEEN.items():
         groups = [m.joints for cost, m in result.costs if m.kind == kind and cost < CLEAR]
+        if kind == "joint sign":
+            # Of groups, those that the robot's geometry allows; what they make up is not said.
+            mirrored = invisible_groups(judge.robot, result.final.hypothesis.gravity)
+            least = [tuple(sorted(g)) for g in least_groups(mirrored)]
+            groups = [*(g for g in groups if len(g) == 1), *(g for g in least if len(g) > 1)]
         told = list(dict.fromkeys(joint_list(g) for g in sorted(groups, key=len)))
         if not told:
             continue

@@ -6,15 +6,16 @@ from dataclasses import dataclass
 from torchid.doctor.check import Check
 from torchid.doctor.examine import LEAST_SAMPLES, Examination, examine
 from torchid.doctor.faults import CHECK_OF
+from torchid.doctor.kind import holds_no_gravity
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.results.words import short
 from torchid.robot.model import Robot, joint_list
 
 DECISIVE = (
-    "time unit", "dropouts", "position unit", "position unit, by torque",
+    "time unit", "dropouts", "zero of positions", "position unit", "position unit, by torque",
     "velocity", "joint order", "torque sign", "position sign", "lag",
-    "torque unit", "runs",
+    "torque unit", "torque kind", "runs",
 )  # fmt: skip
 """Checks of faults for which no effect stands."""
 EXPLAINED = 0.2
@@ -75,7 +76,7 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False) -> Doubts:
         found = examine(robot, log, first=True)
     except LogError:  # which the diagnosis says, if it matters there
         return Doubts()
-    odd = [c for c in found.by_verdict() if c.name in DECISIVE]
+    odd = [c for c in found.by_verdict() if c.name in DECISIVE or holds_no_gravity(c)]
     # A dq that only lags, or is coarse, is left out by the diagnosis itself.
     odd = [
         c for c in odd if c.verdict == "wrong" or (c.verdict == "doubtful" and c.name != "velocity")

@@ -4,13 +4,13 @@ import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
+from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime, Shift
 from torchid.log.columns import PREFIXES
 from torchid.log.readers import open_log
 from torchid.log.table import Request
 from torchid.log.units import UNITS
 
-SAYABLE = (Scale, Reorder, ScaleTime, DropSignal)
+SAYABLE = (Scale, Shift, Reorder, ScaleTime, DropSignal)
 """Repairs that the option can say; the others change rows."""
 _EXACT = 1e-12
 
@@ -46,22 +46,37 @@ def columns_flag(repairs: Sequence[Repair], n: int, columns: Collection[str]) ->
 
 
 def _entry(key: str, repairs: Sequence[Repair], signal: str, n: int) -> str:
-    order, factors = list(range(n)), [1.0] * n
+    # Joint k is factor (column + offset).
+    order, factors, offsets = list(range(n)), [1.0] * n, [0.0] * n
     for repair in repairs:
         if isinstance(repair, DropSignal) and repair.signal == signal:
             return f"{key}=none"
         if isinstance(repair, Scale) and signal in repair.signals:
             factors = [a * b for a, b in zip(factors, repair.factors, strict=True)]
+        if isinstance(repair, Shift) and signal in repair.signals:
+            moves = zip(repair.offsets, factors, strict=True)
+            offsets = [a + x / f for a, (x, f) in zip(offsets, moves, strict=True)]
         if isinstance(repair, Reorder) and signal in repair.signals:
             order = [order[j] for j in repair.order]
             factors = [factors[j] for j in repair.order]
+            offsets = [offsets[j] for j in repair.order]
     if order == list(range(n)):
         source = f"{key}{{j}}"
-        if all(f == 1.0 for f in factors):
+        if all(f == 1.0 for f in factors) and not any(offsets):
             return ""
     else:
         source = "[" + ",".join(f"{key}{j + 1}" for j in order) + "]"
-    return f"{key}={source}{_factor(key, factors)}"
+    return f"{key}={source}{_factor(key, factors)}{_offset(offsets)}"
+
+
+def _offset(offsets: Sequence[float]) -> str:
+    if not any(offsets):
+        return ""
+    # What is a whole number of counts, or of degrees, to rounding is one.
+    plain = [f"{round(x, 9) + 0.0:.17g}" for x in offsets]
+    if len(set(plain)) > 1:
+        return " +[" + ",".join(plain) + "]"
+    return f" {'' if plain[0].startswith('-') else '+'}{plain[0]}"
 
 
 def _factor(key: str, factors: Sequence[float]) -> str:

@@ -1,11 +1,12 @@
 """Positions: units, whole turns, standstill."""
 
 import math
+from collections.abc import Collection, Mapping
 
 import torch
 
-from torchid.doctor.check import Check
-from torchid.doctor.repair import Repair, Scale, Unwrap
+from torchid.doctor.check import Check, Choice, among
+from torchid.doctor.repair import PLACES, Repair, Scale, Shift, Unwrap
 from torchid.log.checks import (
     DEGREES,
     FOLLOWS,
@@ -20,17 +21,40 @@ from torchid.log.checks import (
 from torchid.log.model import Log
 from torchid.robot.model import JointType, Robot, joint_list
 from torchid.statistics.robust import column_quantile
+from torchid.typing import Tensor
 
 COUNTS = 100.0
 """Positions beyond this [rad] that are whole numbers are encoder counts."""
 IDLE = 0.5
 """Share of the log in which nothing may move."""
+_TURN = 2.0 * math.pi
+_RPM = 2.0 * math.pi / 60.0
+_REGISTERS = (
+    (4096.0, 0.229 * _RPM, "0.229 rpm (Dynamixel X, P)"),
+    (4096.0, 0.114 * _RPM, "0.114 rpm (Dynamixel MX)"),
+    (1228.8, 0.111 * _RPM, "0.111 rpm (Dynamixel AX, RX: 1024 counts are 300 degrees)"),
+    (4096.0, 0.732 * _RPM, "0.732 rpm (Feetech HLS)"),
+    (4096.0, 2.0 * math.pi / 4096.0, "counts a second (Feetech STS)"),
+)
+"""Counts a turn, rad/s a count of velocity, and whose registers they are (makers' manuals)."""
+_ALIKE = 0.03
+"""Deviation of a measured ratio of velocity and position from what registers make."""
+_BEYOND = 0.2
+"""Angle beyond a limit from which on a position is not the joint's [rad]."""
+_MIDDLES = {
+    math.pi: "zero at half a turn",
+    math.radians(150.0): "zero at 150 degrees",
+}
+"""Middles of the range that a counter has, a turn or 300 degrees."""
+_FREE = 4.0 * math.pi
+"""Angle of a joint without limits that is taken for radians, as `largest_angle` has it."""
 
 
 def check_position_unit(robot: Robot, log: Log) -> Check:
-    """Degrees or encoder counts in place of radians."""
+    """Degrees or encoder counts in place of radians, and velocities in units of their servos."""
     ratio = {a.joint: a.ratio for a in velocity_agreement(log) if a.correlation > FOLLOWS}
-    factors = [1.0] * robot.n
+    servo = _servo(log, ratio)
+    factors, rates = [1.0] * robot.n, [1.0] * robot.n
     evidence: list[str] = []
     unknown: list[int] = []
     for k, kind in enumerate(robot.joint_types):
@@ -44,31 +68,39 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
                 evidence.append(f"q{k + 1} {low:.4g} to {high:.4g}: millimetres")
             continue
         far = max(-low, high) > largest_angle(None if limits is None else limits[k])
+        # A turn or two off the limits they are radians all the same.
+        own = None if limits is None or not bool(torch.isfinite(limits[k]).all()) else limits[k]
+        far = far and (own is None or _turned_back(own, low, high)[1] > _BEYOND)
         degrees = k in ratio and near(ratio[k], 1.0 / DEGREES)
         if not (far or degrees):
             continue
         if bool((q == q.round()).all()) and max(-low, high) > COUNTS:
             # Radians per count from dq in rad/s; a power of two per turn where that is near.
             measured = ratio.get(k)
-            if measured is None or measured > 0.05:
+            said = "encoder counts"
+            if servo is not None:
+                factors[k], rates[k], name = servo
+                said = f"{said}, and dq in units of {name}"
+            elif measured is None or measured > 0.05:
                 unknown.append(k)
             else:
                 turn = 2.0 * math.pi / measured
                 power = 2.0 ** round(math.log2(turn))
                 factors[k] = 2.0 * math.pi / (power if near(turn, power) else round(turn))
-            evidence.append(f"q{k + 1} {low:g} to {high:g}, whole numbers: encoder counts")
+            evidence.append(f"q{k + 1} {low:g} to {high:g}, whole numbers: {said}")
         else:
             factors[k] = 1.0 / DEGREES
             why = f", dq{k + 1} is 1/{1 / ratio[k]:.1f} of its derivative" if degrees else ""
             evidence.append(f"q{k + 1} {low:.4g} to {high:.4g}: degrees{why}")
-    # Where most joints are in degrees, the others are too: they only stayed near zero.
+    # Where most joints are in one unit, the others are too: they only stayed near zero, or still.
     rotary = [k for k, kind in enumerate(robot.joint_types) if kind is not JointType.PRISMATIC]
-    in_degrees = sum(factors[k] == 1.0 / DEGREES for k in rotary)
-    if len(rotary) <= 2 * in_degrees < 2 * len(rotary):
-        clear = [a.joint for a in velocity_agreement(log) if near(a.ratio, 1.0)]
-        for k in rotary:
-            if factors[k] == 1.0 and k not in clear:
-                factors[k] = 1.0 / DEGREES
+    clear = [a.joint for a in velocity_agreement(log) if near(a.ratio, 1.0)]
+    for unit, rate in {(factors[k], rates[k]) for k in rotary} - {(1.0, 1.0)}:
+        alike = sum((factors[k], rates[k]) == (unit, rate) for k in rotary)
+        if len(rotary) <= 2 * alike < 2 * len(rotary):
+            for k in rotary:
+                if (factors[k], rates[k]) == (1.0, 1.0) and k not in clear:
+                    factors[k], rates[k] = unit, rate
     if not evidence:
         size = float(log.q.abs().max())
         return Check("position unit", "fine", f"rad (or m): |q| up to {size:.3g}", estimate=1.0)
@@ -77,11 +109,14 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
     also = tuple(near(ratio.get(k, 0.0), 1.0) for k in range(log.n))
     repairs: list[Repair] = []
     if any(f != 1.0 for f in factors):
-        repairs.append(Scale(("q",), tuple(factors)))
-        moved = tuple(f if both else 1.0 for f, both in zip(factors, also, strict=True))
+        repairs.append(Scale(tuple(s for s in PLACES if s in log.signals), tuple(factors)))
+        moved = tuple(
+            r if r != 1.0 else f if both else 1.0
+            for f, r, both in zip(factors, rates, also, strict=True)
+        )
         if log.dq is not None and any(f != 1.0 for f in moved):
             repairs.append(Scale(("dq",), moved))
-    ask = f"say how many counts make a turn in {joint_list(unknown)}: q = 2 pi / counts"
+    ask = f"say how many counts make a turn in {joint_list(unknown)}: q=q{{j}} rev/COUNTS -ZERO"
     return Check(
         "position unit",
         "wrong",
@@ -93,12 +128,98 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
     ).mended_by(*repairs)
 
 
+def _beyond(limits: Tensor, low: float, high: float) -> float:
+    """How far positions from low to high leave their limits (2,) [rad]."""
+    return max(float(limits[0]) - low, high - float(limits[1]), 0.0)
+
+
+def _turned_back(limits: Tensor, low: float, high: float) -> tuple[float, float]:
+    """The whole turns, two at most, that bring positions nearest to their limits (2,), and how far
+    they leave them then [rad]."""
+    turns = [_TURN * t for t in (0, -1, 1, -2, 2)]
+    best = min(turns, key=lambda x: _beyond(limits, low + x, high + x))
+    return best, _beyond(limits, low + best, high + best)
+
+
+def _servo(log: Log, ratio: Mapping[int, float]) -> tuple[float, float, str] | None:
+    """Radians a count of q and rad/s a count of dq, and the servo's name, where every velocity is
+    the one multiple of its position's derivative that a servo's registers make."""
+    if not ratio or log.dq is None or not bool((log.dq == log.dq.round()).all()):
+        return None
+    for counts, speed, name in _REGISTERS:
+        expected = 2.0 * math.pi / counts / speed
+        if all(abs(r / expected - 1.0) < _ALIKE for r in ratio.values()):
+            return 2.0 * math.pi / counts, speed, name
+    return None
+
+
+def check_zeros(robot: Robot, log: Log, fixes: Collection[str] = ()) -> Check:
+    """Positions beyond the limits that whole turns bring back, or half a turn (or 150 degrees) in
+    all joints: the zero of counters that begin at the middle of their range."""
+    limits = robot.limits.position
+    turning = [k for k, kind in enumerate(robot.joint_types) if kind is JointType.REVOLUTE]
+    ranges = {
+        k: limits[k] for k in turning if limits is not None and torch.isfinite(limits[k]).all()
+        and float(limits[k, 1] - limits[k, 0]) < 2.0 * _TURN
+    }  # fmt: skip
+    low, high = log.q.amin(0).tolist(), log.q.amax(0).tolist()
+    out = [k for k, own in ranges.items() if _beyond(own, low[k], high[k]) > _BEYOND]
+    # Without limits an angle may wind up, but not begin turns away.
+    away = {
+        k: -_TURN * round((low[k] + high[k]) / 2 / _TURN)
+        for k in turning
+        if k not in ranges and max(-low[k], high[k]) > _FREE
+    }
+    if not out and not any(away.values()):
+        return Check("zero of positions", "fine", "no position is turns off its limits")
+
+    def moved_by(common: float) -> tuple[float, ...] | None:
+        """An offset of all joints, and whole turns; None where it leaves one beyond its limits."""
+        offsets = [0.0] * log.n
+        for k in turning:
+            offsets[k] = common + away.get(k, 0.0)
+            if k in ranges:
+                turns, beyond = _turned_back(ranges[k], low[k] + common, high[k] + common)
+                if beyond > _BEYOND:
+                    return None
+                # Without an offset, what is within its limits stays.
+                offsets[k] += turns if common or k in out else 0.0
+        return tuple(offsets)
+
+    options = {"whole turns": moved_by(0.0)}
+    if options["whole turns"] is None:
+        for middle, name in _MIDDLES.items():
+            options[name] = moved_by(-middle)
+    places = tuple(s for s in PLACES if s in log.signals)
+    choices = [Choice.of(n, Shift(places, x)) for n, x in options.items() if x is not None]
+    evidence = "; ".join(
+        f"q{k + 1} {low[k]:.3g} to {high[k]:.3g}"
+        + (f", limits {float(ranges[k][0]):.3g} to {float(ranges[k][1]):.3g}" if k in out else "")
+        for k in [*out, *away][:3]
+    )
+    if choices:
+        joints = tuple(k for k, x in enumerate(options[choices[0].name] or ()) if x)
+        check = Check("zero of positions", "wrong", f"beyond the limits: {evidence}", joints)
+        return among(check, choices, fixes)
+    names = joint_list(out)
+    mirrored = all(_beyond(ranges[k], -high[k], -low[k]) < _BEYOND for k in out)
+    return Check(
+        "zero of positions",
+        "doubtful",
+        f"beyond the limits: {evidence}",
+        joints=tuple(out),
+        fix=f"negated they are within: is the sign of {names} the robot's?"
+        if mirrored
+        else f"are the zeros of {names} the robot's? An offset: q=q{{j}} +ZERO",
+    )
+
+
 def check_jumps(robot: Robot, log: Log) -> Check:
     """Angles wrapped at a whole turn, or other steps that no motion makes."""
     # Angles within one turn that step by a whole one, however often.
-    turn = 2.0 * math.pi
     step = torch.cat([part.q.diff(dim=0).abs() for part in log.trajectories()])
     extent = log.q.amax(0) - log.q.amin(0)
+    turn = _turn(extent, step)
     found = [
         *[
             f"q{k + 1} steps by a whole turn {int((step[:, k] > 0.9 * turn).sum())} times"
@@ -113,10 +234,10 @@ def check_jumps(robot: Robot, log: Log) -> Check:
         return Check("position jumps", "fine", "no jumps")
     joints = []
     for k in range(log.n):
-        mended = Unwrap((k,)).apply(log)
+        mended = Unwrap((k,), turn).apply(log)
         if not torch.equal(mended.q, log.q) and robot.joint_types[k] is JointType.REVOLUTE:
             joints.append(k)
-    repairs = (Unwrap(tuple(joints)),) if joints else ()
+    repairs = (Unwrap(tuple(joints), turn),) if joints else ()
     mended = repairs[0].apply(log) if repairs else log
     return Check(
         "position jumps",
@@ -125,6 +246,17 @@ def check_jumps(robot: Robot, log: Log) -> Check:
         joints=tuple(joints),
         fix="number the runs in a column traj" if position_jumps(mended) else None,
     ).mended_by(*repairs)
+
+
+def _turn(extent: Tensor, step: Tensor) -> float:
+    """What a whole turn is in the unit of the positions: nearly the largest extent of a joint, and
+    nearly its largest step, where angles are wrapped."""
+    wrapped = (step.amax(0) > 0.9 * extent) & (extent > 0)
+    for turn in (_TURN, 360.0, 3600.0, 36000.0, *(2.0**k for k in range(9, 25))):
+        near_turn = (extent <= 1.01 * turn) & (step.amax(0) > 0.9 * turn)
+        if bool((wrapped & near_turn).any()):
+            return turn
+    return _TURN
 
 
 def check_standstill(log: Log) -> Check:

@@ -57,8 +57,17 @@ class Move:
 def moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
     """All moves from a hypothesis, with repairs of the signals that the log has."""
     for move in _moves(judge, now):
-        repairs = (within(r, judge.samples.signals) for r in move.repairs)
-        yield replace(move, repairs=tuple(repairs))
+        yield _of_its_signals(judge, move)
+
+
+def joint_sign(judge: Judge, now: Hypothesis, joints: Sequence[int]) -> Move:
+    """The axes of some joints turned around: positions and torques negated."""
+    return _of_its_signals(judge, _scaled("joint sign", joints, now, q=-1.0, tau=-1.0))
+
+
+def _of_its_signals(judge: Judge, move: Move) -> Move:
+    repairs = (within(r, judge.samples.signals) for r in move.repairs)
+    return replace(move, repairs=tuple(repairs))
 
 
 def _moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:

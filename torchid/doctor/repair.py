@@ -13,6 +13,7 @@ from torchid.log.model import Log
 from torchid.typing import Float, Tensor
 
 MOTION = ("q", "dq", "ddq", "ql", "u")
+PLACES = ("q", "ql", "u")
 TORQUE = ("tau", "current")
 
 
@@ -36,7 +37,7 @@ def repaired(log: Log, repairs: Iterable[Repair]) -> Log:
 
 def within(repair: Repair, signals: Collection[str]) -> Repair:
     """The repair of those signals only that a log has."""
-    if not isinstance(repair, Scale | Reorder):
+    if not isinstance(repair, Scale | Shift | Reorder):
         return repair
     return replace(repair, signals=tuple(s for s in repair.signals if s in signals))
 
@@ -126,6 +127,31 @@ class Scale(Repair):
 
 
 @dataclass(frozen=True)
+class Shift(Repair):
+    """Offsets added to joint columns, one a joint.
+
+    Attributes:
+        signals: among those of a Log; absent ones are passed over.
+        offsets: (n,) in the unit that the columns have then [rad or m], 0 where nothing changes.
+    """
+
+    signals: tuple[str, ...]
+    offsets: tuple[float, ...]
+
+    def apply(self, log: Log) -> Log:
+        """With the columns moved."""
+        offsets = torch.tensor(self.offsets, dtype=torch.float64)
+        return _changed(log, self.signals, lambda x: x + offsets)
+
+    def __str__(self) -> str:
+        names = [PREFIXES[s] for s in self.signals]
+        if len(set(self.offsets)) == 1 < len(self.offsets):
+            return ", ".join(f"{x} = {x} {self.offsets[0]:+.6g} in all joints" for x in names)
+        changed = [(k + 1, o) for k, o in enumerate(self.offsets) if o]
+        return ", ".join(f"{x}{k} = {x}{k} {o:+.6g}" for x in names for k, o in changed)
+
+
+@dataclass(frozen=True)
 class Reorder(Repair):
     """Joint columns in another order.
 
@@ -189,7 +215,7 @@ class Unwrap(Repair):
 
     Attributes:
         joints: from 0.
-        turn: what a jump is a multiple of [rad].
+        turn: what a jump is a multiple of, in the unit of the positions.
     """
 
     joints: tuple[int, ...]

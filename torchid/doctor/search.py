@@ -1,12 +1,13 @@
 """Which faults make the torque explainable: greedy, one clear win at a time."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from torchid.doctor.hypothesis import Hypothesis, Judge, Score
-from torchid.doctor.moves import Move, moves
+from torchid.doctor.moves import Move, joint_sign, moves
+from torchid.doctor.signs import Group, alternatives, invisible_groups
 
 CLEAR = 0.4
 """A fault is found when mending it lowers the sum of the joints' log errors by this, held out: as
@@ -94,9 +95,51 @@ def search(judge: Judge, start: Hypothesis, fixes: Collection[str] = ()) -> Sear
         costs = tuple(sorted(looked, key=lambda x: x[0]))
         best = _best(judge, held, costs, fixes)
         if best is None or len(found) == MOST_FAULTS:
-            return Search(tuple(found), judge.score(now), held, costs)
+            merged = _turned_together(judge, start, found, fixes)
+            end = merged[-1].move.after if merged else now
+            return Search(tuple(merged), judge.score(end), held, costs)
         found.append(best[0])
         now, held = best[0].move.after, best[1]
+
+
+def _turned_together(
+    judge: Judge, start: Hypothesis, found: Sequence[Found], fixes: Collection[str]
+) -> Sequence[Found]:
+    """The faults with all turned axes as one, of the fewest axes or as chosen; its rivals are the
+    groups that mirrored bodies explain as well."""
+    turned = [f for f in found if f.move.kind == "joint sign"]
+    if not turned or any("order" in f.move.kind for f in found):
+        return found
+    joints: Group = frozenset()
+    for f in turned:
+        joints = joints ^ frozenset(f.move.joints)
+    groups = invisible_groups(judge.robot, found[-1].move.after.gravity)
+    first, *others = (joint_sign(judge, start, sorted(g)) for g in alternatives(joints, groups))
+    chosen = next((m for m in others if m.name in fixes), first)
+    rivals = tuple(m for m in (first, *others) if m is not chosen)
+    gain, last = sum(f.gain for f in turned), turned[-1]
+    out = [Found(chosen, turned[0].before, last.after, gain, last.blocks, rivals)]
+    # The others follow from there.
+    before = start
+    for f in found:
+        if f not in turned:
+            out.append(replace(f, move=_made_from(out[-1].move.after, before, f.move)))
+        before = f.move.after
+    return out
+
+
+def _made_from(base: Hypothesis, before: Hypothesis, move: Move) -> Move:
+    """A move that changes factors, gravity or lag, from another hypothesis than it was made."""
+
+    def changed(own: Sequence[float], was: Sequence[float], now: Sequence[float]) -> tuple:
+        return tuple(x * b / a for x, a, b in zip(own, was, now, strict=True))
+
+    after = replace(
+        move.after,
+        q_factor=changed(base.q_factor, before.q_factor, move.after.q_factor),
+        tau_factor=changed(base.tau_factor, before.tau_factor, move.after.tau_factor),
+    )
+    return replace(move, after=after)
 
 
 def _best(

@@ -15,11 +15,12 @@ from torchid.doctor.repair import Scale
 from torchid.doctor.search import CLEAR
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.log.model import Log
-from torchid.robot.model import JointType, joint_list
+from torchid.robot.model import JointType, Robot, joint_list
 from torchid.statistics.jackknife import fit_statistics
 
 WRONG, ODD = 5.0, 2.2
-"""Factors beyond which a torque is in another unit, or odd; CAD models err by up to 1.7."""
+"""Factors beyond which a torque is in another unit, or odd; CAD models err by up to"""
+CAD = 1.7
 BEYOND_LIMIT, BELOW_LIMIT = 5.0, 5e-3
 DENSITY = (0.03, 250.0)
 """Mass that the largest torque holds at arm's length, over the cube of the reach [kg/m^3]: 1 to 60
@@ -61,7 +62,7 @@ class Slopes:
 def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
     """Slope of measured on nominal torque of each joint that moves."""
     q, dq, ddq, sign = judge.motion(hypothesis).unbind(-1)
-    nominal = inverse_dynamics(judge.robot, q, dq, ddq)
+    nominal = inverse_dynamics(_under(judge, hypothesis), q, dq, ddq)
     tau, moving = judge.torque(hypothesis), judge.moving(hypothesis)
     block = judge.samples.block.numpy()
     rows = []
@@ -82,11 +83,18 @@ def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
     return Slopes(tuple(r[0] for r in rows), *table.T)
 
 
+def _under(judge: Judge, hypothesis: Hypothesis) -> Robot:
+    """The robot under the hypothesis's gravity."""
+    gravity = torch.tensor(hypothesis.gravity, dtype=torch.float64)
+    return replace(judge.robot, gravity=gravity)
+
+
 def nominal_loss(judge: Judge, hypothesis: Hypothesis) -> float:
     """Sum of the joints' log errors of the nominal torque at a size of each joint's own, with
     friction and rotor, none of them negative, and an offset."""
     q, dq, ddq, sign = judge.motion(hypothesis).unbind(-1)
-    nominal, one = inverse_dynamics(judge.robot, q, dq, ddq), torch.ones_like(q)
+    nominal = inverse_dynamics(_under(judge, hypothesis), q, dq, ddq)
+    one = torch.ones_like(q)
     columns = torch.stack([nominal, dq, sign, ddq, one, -one], -1).numpy()
     tau, moving, loss = judge.torque(hypothesis), judge.moving(hypothesis), 0.0
     for j in judge.live(hypothesis):
@@ -150,7 +158,7 @@ def _against_nominal(judge: Judge, hypothesis: Hypothesis) -> Check | None:
         return base
     verdict: Verdict = "wrong" if off > math.log(WRONG) else "doubtful"
     for factor, name in _UNITS:
-        if abs(math.log(overall / factor)) < math.log(ODD):
+        if abs(math.log(overall / factor)) < math.log(CAD):
             repair = Scale(("tau",), (1.0 / factor,) * judge.robot.n)
             named = replace(base, verdict=verdict, evidence=f"{text}: {name}")
             return named.mended_by(repair)

@@ -23,8 +23,14 @@ _CLOSE = 0.9
 _BAND_HZ = 10.0
 
 
-def check_velocity(log: Log, fixes: Collection[str] = ()) -> Check:
-    """Is dq the derivative of q: of this joint, with this sign, size and timing?"""
+def check_velocity(log: Log, fixes: Collection[str] = (), *, counts: bool = False) -> Check:
+    """Is dq the derivative of q: of this joint, with this sign, size and timing?
+
+    Args:
+        log: with positions in rad or m, or in unknown counts.
+        fixes: names of the choices to take.
+        counts: whether they are counts: then no ratio says anything of the clock, nor of dq.
+    """
     if log.dq is None:
         return Check("velocity", "fine", "no dq in the log: the derivative of q is used")
     repairs: list[Repair] = []
@@ -32,6 +38,9 @@ def check_velocity(log: Log, fixes: Collection[str] = ()) -> Check:
     joints: list[int] = []
     log = _reorder(log, repairs, said, joints)
     factors = _velocity_factors(log, said, joints)
+    if counts:
+        text = "positions are in counts of an unknown part of a turn"
+        return Check("velocity", "cannot tell", text)
     if isinstance(factors, float):
         return among(*_wrong_rate(factors, log.n), fixes)
     if any(f != 1.0 for f in factors):

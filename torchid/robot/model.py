@@ -501,6 +501,10 @@ class Robot:
         they are."""
         return replace(self, parameters=parameters, knowledge=None)
 
+    def without_gravity(self) -> "Robot":
+        """The same robot for logs whose torques hold no gravity: a controller has taken it out."""
+        return replace(self, gravity=torch.zeros_like(self.gravity))
+
     def with_limits(self, **limits: float | Numbers) -> "Robot":
         """The same robot with other limits of motion or torque.
 
