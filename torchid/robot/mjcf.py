@@ -192,7 +192,7 @@ def _gives_mass(geom: Any) -> bool:
     while body is not None and not moves:
         moves, body = bool(body.joints), body.parent
     weighs = geom.mass != 0 and (geom.mass == geom.mass or geom.density != 0)
-    return moves and from_geoms and weighs and low <= geom.group <= high
+    return bool(moves and from_geoms and weighs and low <= geom.group <= high)
 
 
 def _model_name(model: Any) -> str | None:
