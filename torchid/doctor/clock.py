@@ -14,7 +14,9 @@ from torchid.doctor.repair import (
     SplitRuns,
     repaired,
 )
+from torchid.errors import LogError
 from torchid.log.checks import FOLLOWS, SLOW_STEP_S, TIME_UNITS, near, velocity_agreement
+from torchid.log.columns import PREFIXES
 from torchid.log.model import Log
 from torchid.log.sampling import LONG_GAP_S, LONG_GAP_STEPS, SMALL_GAP, time_steps
 from torchid.statistics.robust import column_quantile
@@ -36,10 +38,23 @@ UNEVEN = 0.1
 
 
 def check_values(log: Log) -> Check:
-    """Empty, NaN or infinite values."""
+    """Empty, NaN or infinite values.
+
+    Raises:
+        LogError: a column has nothing else.
+    """
     bad = ~torch.isfinite(log.t)
     counts = {}
     for name, signal in log.signals.items():
+        empty = [k for k in range(log.n) if not torch.isfinite(signal[:, k]).any()]
+        if empty:
+            columns = ", ".join(f"{PREFIXES[name]}{k + 1}" for k in empty)
+            raise LogError(
+                f"log '{log.source}': no row has a number in {columns}.",
+                got="empty, NaN or infinite throughout, as drivers write what they do not measure",
+                expected=f"measured values, or no {PREFIXES[name]} columns",
+                hint=f'leave them out: `columns="{PREFIXES[name]}=none"`' if name != "q" else None,
+            )
         wrong = ~torch.isfinite(signal)
         bad |= wrong.any(1)
         if wrong.any():

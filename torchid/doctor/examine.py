@@ -1,7 +1,7 @@
 """The whole examination: every check in turn, each on the log as the ones before have mended it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,7 +30,7 @@ from torchid.doctor.motion import (
     check_zeros,
 )
 from torchid.doctor.record import CheckRecord, DoctorRecord, Examined
-from torchid.doctor.repair import Repair, repaired
+from torchid.doctor.repair import Repair, Scale, repaired
 from torchid.doctor.runs import check_runs
 from torchid.doctor.samples import samples
 from torchid.doctor.search import CLEAR, Search, rms, search
@@ -204,9 +204,10 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
     add(check_jumps(robot, now))
     add(check_stamps(now))
     add(check_dropouts(now))
-    add(check_position_unit(robot, now))
-    add(check_zeros(robot, now, fixes))
+    add(check_position_unit(robot, now, fixes))
     counts = any(c.name == "position unit" and "COUNTS" in (c.fix or "") for c in checks)
+    if not counts:
+        add(check_zeros(robot, now, fixes))
     if now.u is not None:
         # Before the velocities, which would be taken for what is wrong.
         add(check_channel_units(now))
@@ -226,6 +227,8 @@ def _with_model(
     robot: Robot, log: Log, now: Log, checks: list[Check], fixes: Sequence[str], first: bool
 ) -> Examination:
     rows = samples(now)
+    if any(c.name == "velocity" and c.verdict == "cannot tell" for c in checks):
+        rows = "positions are in counts of an unknown part of a turn"
     if isinstance(rows, str):
         none = tuple(Check(name, "cannot tell", rows) for name in MODEL_CHECKS)
         return Examination(robot, log, (*checks, *none))
@@ -241,11 +244,16 @@ def _with_model(
     end = found.final.hypothesis
     if found.explained:
         now = repaired(now, [r for f in found.found for r in f.move.repairs])
+        # Positions beyond the limits may be another joint's, or of another sign.
+        checks = [
+            check_zeros(robot, now) if c.name == "zero of positions" and not c.repairs else c
+            for c in checks
+        ]
     turned = any(f.move.kind == "gravity" for f in found.found)
     more = [
         # First: if it leaves a choice, the others wait.
         *([kind] if kind else [check_gravity(judge, found, fixes)] if turned or not first else []),
-        *fault_checks(judge, found, fixes),
+        *(_of_raw_positions(c, checks) for c in fault_checks(judge, found, fixes)),
         check_lag(judge, found),
         check_size(judge, now, end, fixes),
         *(check_runs(judge, end) if found.explained else ()),
@@ -260,6 +268,23 @@ def _with_model(
             *unseen(judge, found),
         ]
     return Examination(robot, log, (*checks, *more), found, judge)
+
+
+def _of_raw_positions(check: Check, before: Sequence[Check]) -> Check:
+    """A scale of the positions that torque tells, of those in the log, where their unit was taken
+    for another one before."""
+    scales = [
+        r.factors[check.joints[0]]
+        for c in before
+        if c.name == "position unit" and check.name == "position unit, by torque"
+        for r in c.repairs
+        if isinstance(r, Scale) and "q" in r.signals
+    ]
+    if not scales or not isinstance(check.estimate, float):
+        return check
+    raw = check.estimate / scales[0]
+    text = f"the log's are {raw:.4g} times the joints' angles: motors before their gears?"
+    return replace(check, evidence=f"{check.evidence}; {text}", estimate=raw)
 
 
 def record(examination: Examination, columns: str | None = None) -> DoctorRecord:

@@ -24,6 +24,7 @@ CHECK_OF = {
     "joint order": "joint order",
     "gain": "gain of a joint",
     "position unit": "position unit, by torque",
+    "zero": "zero of positions",
 }
 _FINE = {
     "joint order": "no exchange of columns explains the torque better",
@@ -135,6 +136,10 @@ def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -
             f"torque is {factor:.3g} ({interval[0]:.3g} to {interval[1]:.3g}) times what the other "
             f"joints' torques predict; {text}"
         )
+    if move.kind == "position unit":
+        whole = next(r for r in move.repairs if isinstance(r, Scale))
+        estimate = 1.0 / whole.factors[move.joints[0]]
+        text = f"{estimate:.4g} times the angles that explain the torque; {text}"
     unsure = not result.explained
     if interval is not None:
         # A gain that may as well be right.
@@ -206,7 +211,8 @@ def _name(move: Move) -> str:
         "position order": "position columns exchanged among",
         "joint order": "joints numbered otherwise:",
         "gain": "torque of another size in",
-        "position unit": "positions in degrees in",
+        "position unit": "positions in another unit, or on the motors' side, in",
+        "zero": "another zero in",
         "lag": "torque late or early",
         "gravity": "another direction of gravity",
     }[move.kind]

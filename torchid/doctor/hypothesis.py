@@ -24,6 +24,8 @@ class Hypothesis:
         q_factor, tau_factor: (n,) what they are multiplied by.
         gravity: (3,) in the base frame [m/s^2].
         late: by how much the torque is late [s].
+        zero: (n,) what is added to the scaled positions of the robot's joints [rad or m]; empty
+            for nothing.
     """
 
     q_order: tuple[int, ...]
@@ -32,6 +34,7 @@ class Hypothesis:
     tau_factor: tuple[float, ...]
     gravity: tuple[float, ...]
     late: float = 0.0
+    zero: tuple[float, ...] = ()
 
     @classmethod
     def literal(cls, robot: Robot) -> "Hypothesis":
@@ -45,13 +48,21 @@ class Hypothesis:
         """With the factors of some joints multiplied."""
 
         def times(values: tuple[float, ...], factor: float | None) -> tuple[float, ...]:
-            if factor is None:
+            if factor is None or not values:
                 return values
             return tuple(v * factor if k in joints else v for k, v in enumerate(values))
 
         return replace(
-            self, q_factor=times(self.q_factor, q), tau_factor=times(self.tau_factor, tau)
+            self,
+            q_factor=times(self.q_factor, q),
+            tau_factor=times(self.tau_factor, tau),
+            zero=times(self.zero, q),
         )
+
+    def shifted(self, joint: int, angle: float) -> "Hypothesis":
+        """With another zero of a joint's positions."""
+        zero = self.zero or (0.0,) * len(self.q_order)
+        return replace(self, zero=tuple(z + angle * (k == joint) for k, z in enumerate(zero)))
 
     def reordered(
         self, order: Sequence[int], *, q: bool = False, tau: bool = False
@@ -63,7 +74,10 @@ class Hypothesis:
 
         out = self
         if q:
-            out = replace(out, q_order=moved(self.q_order), q_factor=moved(self.q_factor))
+            zero = moved(self.zero) if self.zero else ()
+            out = replace(
+                out, q_order=moved(self.q_order), q_factor=moved(self.q_factor), zero=zero
+            )
         if tau:
             out = replace(out, tau_order=moved(self.tau_order), tau_factor=moved(self.tau_factor))
         return out
@@ -145,7 +159,7 @@ class Judge:
 
     def columns(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
         """(T, n, P) regressor with each joint's own columns, and its (B, n, P, P) products."""
-        key = (hypothesis.q_order, hypothesis.q_factor, hypothesis.gravity)
+        key = (hypothesis.q_order, hypothesis.q_factor, hypothesis.gravity, hypothesis.zero)
         if key not in self._columns:
             if len(self._columns) > 6:
                 del self._columns[next(iter(self._columns))]
@@ -167,7 +181,10 @@ class Judge:
         """(T, n, 4) q, dq, ddq and direction of the robot's joints."""
         factor = torch.tensor(hypothesis.q_factor, dtype=torch.float64)
         factors = torch.stack([factor, factor, factor, factor.sign()], -1)
-        return self.samples.motion[:, list(hypothesis.q_order)] * factors
+        motion = self.samples.motion[:, list(hypothesis.q_order)] * factors
+        if hypothesis.zero:
+            motion[..., 0] += torch.tensor(hypothesis.zero, dtype=torch.float64)
+        return motion
 
 
 def _products(a: np.ndarray, members: Sequence[np.ndarray]) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Positions: units, whole turns, standstill."""
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 import torch
 
@@ -35,8 +35,11 @@ _REGISTERS = (
     (1228.8, 0.111 * _RPM, "0.111 rpm (Dynamixel AX, RX: 1024 counts are 300 degrees)"),
     (4096.0, 0.732 * _RPM, "0.732 rpm (Feetech HLS)"),
     (4096.0, 2.0 * math.pi / 4096.0, "counts a second (Feetech STS)"),
+    (36000.0, math.pi / 180.0, "degrees a second (RMD: a count is 0.01 degrees)"),
 )
 """Counts a turn, rad/s a count of velocity, and whose registers they are (makers' manuals)."""
+_COUNTS = (3600.0, 36000.0, 360000.0)
+"""Counts a turn besides powers of two: parts of degrees."""
 _ALIKE = 0.03
 """Deviation of a measured ratio of velocity and position from what registers make."""
 _BEYOND = 0.2
@@ -46,11 +49,13 @@ _MIDDLES = {
     math.radians(150.0): "zero at 150 degrees",
 }
 """Middles of the range that a counter has, a turn or 300 degrees."""
+_FULL = 100.5
+"""Positions in percent of a range are below."""
 _FREE = 4.0 * math.pi
 """Angle of a joint without limits that is taken for radians, as `largest_angle` has it."""
 
 
-def check_position_unit(robot: Robot, log: Log) -> Check:
+def check_position_unit(robot: Robot, log: Log, fixes: Collection[str] = ()) -> Check:
     """Degrees or encoder counts in place of radians, and velocities in units of their servos."""
     ratio = {a.joint: a.ratio for a in velocity_agreement(log) if a.correlation > FOLLOWS}
     servo = _servo(log, ratio)
@@ -85,8 +90,8 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
                 unknown.append(k)
             else:
                 turn = 2.0 * math.pi / measured
-                power = 2.0 ** round(math.log2(turn))
-                factors[k] = 2.0 * math.pi / (power if near(turn, power) else round(turn))
+                usual = (2.0 ** round(math.log2(turn)), *_COUNTS)
+                factors[k] = 2.0 * math.pi / next((x for x in usual if near(turn, x)), round(turn))
             evidence.append(f"q{k + 1} {low:g} to {high:g}, whole numbers: {said}")
         else:
             factors[k] = 1.0 / DEGREES
@@ -116,6 +121,11 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
         )
         if log.dq is not None and any(f != 1.0 for f in moved):
             repairs.append(Scale(("dq",), moved))
+    if (percent := _percent(robot, log, factors, ratio)) is not None:
+        text = "positions leave the limits in degrees, and are all within 100: percent of a range"
+        check = Check("position unit", "wrong", text, joints)
+        choices = [percent, Choice.of("degrees", *repairs)]
+        return among(check, choices, fixes)
     ask = f"say how many counts make a turn in {joint_list(unknown)}: q=q{{j}} rev/COUNTS -ZERO"
     return Check(
         "position unit",
@@ -126,6 +136,35 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
         unit="per rad" if all(k in rotary for k in joints) else "per rad, per m",
         fix=ask if unknown else None,
     ).mended_by(*repairs)
+
+
+def _percent(
+    robot: Robot, log: Log, factors: Sequence[float], ratio: Mapping[int, float]
+) -> Choice | None:
+    """Positions as percent of each joint's range, from -100 to 100, where degrees leave the limits
+    and measured velocities do not contradict; None where they are not such."""
+    limits, degree = robot.limits.position, math.radians(1.0)
+    if (
+        limits is None
+        or not bool(torch.isfinite(limits).all())
+        or set(factors) != {1.0 / DEGREES}
+        or float(log.q.abs().max()) > _FULL
+        or any(not near(r, 1.0) for r in ratio.values())
+    ):
+        return None
+    low, high = (log.q.amin(0) * degree).tolist(), (log.q.amax(0) * degree).tolist()
+    if all(
+        _turned_back(own, a, b)[1] < _BEYOND for own, a, b in zip(limits, low, high, strict=True)
+    ):
+        return None
+    half, middle = (limits[:, 1] - limits[:, 0]) / 200.0, limits.mean(1)
+    signals = tuple(s for s in (*PLACES, "dq") if s in log.signals)
+    places = tuple(s for s in signals if s != "dq")
+    return Choice.of(
+        "percent of range",
+        Scale(signals, tuple(half.tolist())),
+        Shift(places, tuple(middle.tolist())),
+    )
 
 
 def _beyond(limits: Tensor, low: float, high: float) -> float:

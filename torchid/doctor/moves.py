@@ -10,7 +10,17 @@ from scipy.optimize import linear_sum_assignment
 
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.profile import minimum
-from torchid.doctor.repair import MOTION, TORQUE, Reorder, Repair, Scale, ShiftTorque, within
+from torchid.doctor.repair import (
+    MOTION,
+    PLACES,
+    TORQUE,
+    Reorder,
+    Repair,
+    Scale,
+    Shift,
+    ShiftTorque,
+    within,
+)
 from torchid.robot.model import JointType
 
 LAGS = (-0.2, -0.1, -0.05, -0.025, 0.025, 0.05, 0.1, 0.2)
@@ -18,6 +28,15 @@ LAGS = (-0.2, -0.1, -0.05, -0.025, 0.025, 0.05, 0.1, 0.2)
 GAINS = tuple(math.log(10.0) * x for x in (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0))
 """Logarithms of the factors tried first."""
 DEGREE = math.pi / 180.0
+BADLY = 0.2
+"""Share of a torque's spread that bodies leave, from which on the positions themselves are doubted:
+their scale in all joints, and the zero of each."""
+ZEROS = (math.pi / 2, -math.pi / 2, math.pi)
+"""Zeros that conventions differ by [rad]."""
+SCALES = tuple(0.25 * k for k in range(-14, 15))
+"""Logarithms of the factors tried first for the positions of all joints."""
+_TURNS = (2.0 * math.pi, DEGREE, 1.0 / DEGREE)
+_NEAR_UNIT = 0.05
 LEAST_GAIN = 1.5
 """A joint's torque that is off by less is within what a gear or a drive gain may be."""
 
@@ -28,7 +47,7 @@ class Move:
 
     Attributes:
         kind: torque sign, position sign, joint sign, torque order, position order, joint order,
-            gravity, position unit, gain, lag.
+            gravity, position unit, zero, gain, lag.
         joints: from 0, those whose columns change.
         after: the hypothesis.
         repairs: the same as changes of the log; none for gravity, which is the robot's.
@@ -45,13 +64,16 @@ class Move:
         if self.kind == "gravity":
             axis = int(np.argmax(np.abs(self.after.gravity)))
             return f"gravity {'-' if self.after.gravity[axis] < 0 else '+'}{'xyz'[axis]}"
+        if self.kind == "zero":
+            angle = next(x for r in self.repairs if isinstance(r, Shift) for x in r.offsets if x)
+            return f"zero {self.joints[0] + 1} {math.degrees(angle):+.0f} deg"
         order = next((r.order for r in self.repairs if isinstance(r, Reorder)), self.joints)
         return " ".join(filter(None, (self.kind, ",".join(str(k + 1) for k in order))))
 
     @property
     def signals(self) -> int:
         """How many of the log's signals change sign, scale or order."""
-        return sum(len(r.signals) for r in self.repairs if isinstance(r, Scale | Reorder))
+        return sum(len(r.signals) for r in self.repairs if isinstance(r, Scale | Shift | Reorder))
 
 
 def moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
@@ -82,6 +104,29 @@ def _moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
     turning = [k for k, kind in enumerate(judge.robot.joint_types) if kind is JointType.REVOLUTE]
     if turning:
         yield _scaled("position unit", turning, now, q=DEGREE)
+    base = judge.score(now)
+    if base.errors[live].max(initial=0.0) > BADLY:
+        yield from _units(judge, now, turning, base.fit.weights)
+        for k, angle in itertools.product(sorted({*live} & {*turning}), ZEROS):
+            offsets = tuple(angle * (j == k) for j in range(judge.robot.n))
+            yield Move("zero", (k,), now.shifted(k, angle), (Shift(PLACES, offsets),))
+
+
+def _units(
+    judge: Judge, now: Hypothesis, turning: Sequence[int], weights: np.ndarray
+) -> Iterator[Move]:
+    """Positions of all joints at the scale at which the torque is explained best: turns, or those
+    of motors before their gears."""
+    if not turning:
+        return
+
+    def loss(log_factor: float) -> float:
+        return judge.score(now.scaled(turning, q=math.exp(log_factor)), weights).loss
+
+    best = minimum(loss, SCALES, step=0.05)
+    if abs(best) > math.log(LEAST_GAIN):
+        named = (x for x in _TURNS if abs(math.log(x) - best) < _NEAR_UNIT)
+        yield _scaled("position unit", turning, now, q=next(named, math.exp(best)))
 
 
 def _scaled(

@@ -110,6 +110,8 @@ def check_size(
 ) -> Check:
     """The unit of the torque as a whole."""
     robot = judge.robot
+    if log.tau is not None and not bool(log.tau.any()):
+        return Check("torque unit", "cannot tell", "the torque is zero throughout")
     if log.tau is None:
         # Currents without gains; nominal parameters suggest some.
         text = "the log has currents [A] and no drive gains"
@@ -162,8 +164,15 @@ def _against_nominal(judge: Judge, hypothesis: Hypothesis) -> Check | None:
             repair = Scale(("tau",), (1.0 / factor,) * judge.robot.n)
             named = replace(base, verdict=verdict, evidence=f"{text}: {name}")
             return named.mended_by(repair)
-    text += ": a gain, a gear ratio, or another robot's parameters"
-    return replace(base, verdict=verdict, evidence=text, fix=_CHECK_GAINS)
+    single = len(set(hypothesis.tau_factor)) > 2
+    text += (
+        ": of each joint another size: motors' torque before their gears, or currents"
+        if single
+        else ": a gain, a gear ratio, or another robot's parameters"
+    )
+    own = ",".join(f"{f / overall:.4g}" for f in hypothesis.tau_factor)
+    fix = f'{_CHECK_GAINS}; together they are about `columns="tau=tau{{j}} *[{own}]"`'
+    return replace(base, verdict=verdict, evidence=text, fix=fix)
 
 
 def _against_limits(judge: Judge, log: Log, fixes: Collection[str]) -> Check | None:
