@@ -15,6 +15,8 @@ from torchid.statistics.jackknife import fit_statistics
 SMALL = 0.3
 """Share of a nominal part below which a torque holds none of it; masses of CAD models err by 40 %.
 A spring that carries an arm takes more than this of one joint's gravity, but not of every one's."""
+MASSES = 0.3
+"""Errors of nominal masses, as a share of the torque that they make."""
 PRESENT = 0.4
 """Share from which on a torque holds a part."""
 _WORTH = 0.2
@@ -87,14 +89,16 @@ def shares_of(judge: Judge, hypothesis: Hypothesis) -> Shares | None:
         x[:, :4] = parts[use, j]
         x[:, 4 + 4 * at : 8 + 4 * at] = own[use, j]
         y = tau[use, j]
-        # Each joint counts as its torque's own misfit lets it.
+        # Each joint counts as its torque's own misfit and the nominal masses' errors let it: a
+        # torque of another size in one joint has a misfit of another size.
         columns = np.r_[0:4, 4 + 4 * at : 8 + 4 * at]
         left = y - x[:, columns] @ np.linalg.lstsq(x[:, columns], y, rcond=1e-9)[0]
-        scale = max(left.std(), 0.02 * y.std(), 1e-300)
+        nominal = parts[use, j].sum(-1).std()
+        scale = max(np.hypot(left.std(), MASSES * nominal), 0.02 * y.std(), 1e-300)
         rows.append(x / scale)
         targets.append(y / scale)
         owners.append(block[use])
-        if parts[use, j, :3].std(0).max() > _WORTH * max(parts[use, j].sum(-1).std(), 1e-300):
+        if parts[use, j, :3].std(0).max() > _WORTH * max(nominal, 1e-300):
             weighed.append(j)
     if not weighed:
         return None
