@@ -29,6 +29,7 @@ from torchid.doctor.motion import (
     check_standstill,
     check_zeros,
 )
+from torchid.doctor.number_format import check_number_format
 from torchid.doctor.record import CheckRecord, DoctorRecord, Examined
 from torchid.doctor.repair import Repair, Scale, repaired
 from torchid.doctor.runs import check_runs
@@ -196,6 +197,7 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
         now = repaired(now, check.repairs)
 
     add(check_values(now))
+    add(check_number_format(now))
     add(check_clock(now))
     if not checks[-1].repairs and checks[-1].verdict == "wrong":
         return checks, now
@@ -205,7 +207,7 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
     add(check_stamps(now))
     add(check_dropouts(now))
     add(check_position_unit(robot, now, fixes))
-    counts = any(c.name == "position unit" and "COUNTS" in (c.fix or "") for c in checks)
+    counts = _counts(checks)
     if not counts:
         add(check_zeros(robot, now, fixes))
     if now.u is not None:
@@ -223,11 +225,16 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
     return checks, now
 
 
+def _counts(checks: Sequence[Check]) -> bool:
+    """Whether positions are counts of an unknown part of a turn."""
+    return any(c.name == "position unit" and "COUNTS" in (c.fix or "") for c in checks)
+
+
 def _with_model(
     robot: Robot, log: Log, now: Log, checks: list[Check], fixes: Sequence[str], first: bool
 ) -> Examination:
     rows = samples(now)
-    if any(c.name == "velocity" and c.verdict == "cannot tell" for c in checks):
+    if _counts(checks):
         rows = "positions are in counts of an unknown part of a turn"
     if isinstance(rows, str):
         none = tuple(Check(name, "cannot tell", rows) for name in MODEL_CHECKS)

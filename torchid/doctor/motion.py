@@ -219,6 +219,10 @@ def check_zeros(robot: Robot, log: Log, fixes: Collection[str] = ()) -> Check:
             offsets[k] = common + away.get(k, 0.0)
             if k in ranges:
                 turns, beyond = _turned_back(ranges[k], low[k] + common, high[k] + common)
+                if common and beyond > _BEYOND:
+                    # A counter may run the other way: its sign is another question.
+                    turns, beyond = _turned_back(ranges[k], -high[k] - common, -low[k] - common)
+                    turns = -turns
                 if beyond > _BEYOND:
                     return None
                 # Without an offset, what is within its limits stays.
