@@ -14,7 +14,7 @@ registers of load and speed)."""
 _WHOLE = 1e-3
 """Deviation from whole numbers of the smallest difference."""
 _SMOOTHER = 0.5
-"""Share of a column's way that is left once its numbers have their signs."""
+"""Share of a column's largest step that is left once its numbers have their signs."""
 
 
 def check_number_format(log: Log) -> Check:
@@ -49,13 +49,13 @@ def _read_unsigned(x: np.ndarray, position: bool) -> tuple[float, bool] | None:
     unit = float(np.diff(levels).min())
     if np.abs(levels / unit - np.round(levels / unit)).max() > _WHOLE:
         return None
-    way = np.abs(np.diff(x)).sum()
+    step = np.abs(np.diff(x)).max()
     # The complement of a position is a whole turn.
     for magnitude in (True,) if position else (False, True):
         for zero in (unit * z for z in _SIGNS[magnitude]):
             negative = x >= zero
             if x.max() < 2.0 * zero and 0 < negative.sum() < len(x):
                 mended = np.where(negative, zero - x if magnitude else x - 2.0 * zero, x)
-                if np.abs(np.diff(mended)).sum() < _SMOOTHER * way:
+                if np.abs(np.diff(mended)).max() < _SMOOTHER * step:
                     return zero, magnitude
     return None
