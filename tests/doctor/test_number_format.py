@@ -18,12 +18,13 @@ def moving(amplitude, offset=0.0):
 
 @settings(deadline=None)
 @given(
-    number=st.sampled_from([(16, 1.0), (16, 0.01), (16, 0.125), (32, 1.0)]),
+    number=st.sampled_from([(16, 1.0), (16, 0.01), (32, 1.0)]),
     amplitude=st.integers(200, 30_000),
 )
 def test_complements_get_their_signs(number, amplitude):
     bits, unit = number
-    own = moving(amplitude)
+    # Slow enough that neighbours are a unit apart somewhere.
+    own = moving(min(amplitude, 400) if unit < 1.0 else amplitude)
     log = Log(TIME, q=moving(1.0), tau=unit * torch.remainder(own, 2.0**bits))
     check = check_number_format(log)
     assert check.verdict == "wrong"

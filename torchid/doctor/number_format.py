@@ -46,7 +46,7 @@ def _read_unsigned(x: np.ndarray, position: bool) -> tuple[float, bool] | None:
     levels = np.unique(x)
     if len(levels) < 2 or levels[0] < 0.0:
         return None
-    unit = float(np.diff(levels).min())
+    unit = 1.0 if (levels == np.round(levels)).all() else float(np.diff(levels).min())
     if np.abs(levels / unit - np.round(levels / unit)).max() > _WHOLE:
         return None
     step = np.abs(np.diff(x)).max()
