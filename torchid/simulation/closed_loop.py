@@ -17,6 +17,7 @@ from torchid.robot.model import Robot
 from torchid.simulation.controller import Controller
 from torchid.simulation.integrate import LONGEST_STEP, Drive, Plant, State
 from torchid.simulation.loads import BatchEffects
+from torchid.simulation.one_arm import stepped
 from torchid.typing import Float
 
 MOST_SAMPLES = 1e7
@@ -133,7 +134,6 @@ def _run(
 ) -> tuple[Float[Tensor, "4 T B n"], State]:
     """q, dq, ddq, tau of every k-th step's middle, where the reference's samples are."""
     arms, total, n = feed.shape
-    out = feed.new_empty(4, -(-total // every), arms, n)
     # The state from which the middle of the first step, the first sample, is as it shall begin.
     now = torch.zeros_like(begin.q[:, 0])
     ddq = begin.ddq
@@ -143,8 +143,15 @@ def _run(
         if trial < 2:
             torque_of = _drive(state, feed[:, 0], gains, limit, h)
             ddq = plant.step(state, h, now, torque_of)[1].ddq
+
+    def drive_of(state: State, feed: Tensor) -> Drive:
+        return _drive(state, feed, gains, limit, h)
+
+    if arms == 1 and (found := stepped(plant, state, h, drive_of, feed[0], every)):
+        return found[0].unsqueeze(2), found[1]
+    out = feed.new_empty(4, -(-total // every), arms, n)
     for k in range(total):
-        drive = _drive(state, feed[:, k], gains, limit, h)
+        drive = drive_of(state, feed[:, k])
         state, instant = plant.step(state, h, feed.new_full((arms,), k * h), drive)
         if k % every == 0:
             torch.stack(list(instant), out=out[:, k // every])

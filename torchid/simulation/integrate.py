@@ -32,8 +32,8 @@ LONGEST_STEP = 2e-3
 RUNAWAY_SPEED = 1e3
 """Speed at which an arm has diverged [rad/s or m/s]."""
 
-_PASSES = 2
-_MOST_CHANGES = 12  # of the set of joints that stick; three suffice but for pathological couplings
+PASSES = 2
+MOST_CHANGES = 12  # of the set of joints that stick; three suffice but for pathological couplings
 
 
 class State(NamedTuple):
@@ -113,7 +113,7 @@ class Plant:
         mass = posture.mass_matrix() + self.effects.inertia
         instant = Instant(q, state.dq + h / 2 * state.ddq, state.ddq, state.dq)
         change = torch.zeros_like(q)
-        for _ in range(_PASSES):
+        for _ in range(PASSES):
             instant, change = self._pass(state, h, t, drive, posture, mass, instant)
         dq = state.dq + change
         motion = Motion(q, (state.dq + dq) / 2, instant.ddq, t=t, torque=instant.torque)
@@ -138,6 +138,23 @@ class Plant:
     ) -> tuple[Instant, Tensor]:
         """The step with bias and loads linearised about a guess of its middle, and its change of
         speed (B, n), which takes joints that stick to 0 exactly."""
+        step = self.linearised(state, h, t, drive, posture, mass, guess)
+        change = _with_dry_friction(step.matrix, step.impulse, step.dry, state.dq)
+        dq = state.dq + step.weight * change
+        torque = step.torque - step.loss * (dq - guess.dq)
+        return Instant(guess.q, dq, change / h, torque), change
+
+    def linearised(
+        self,
+        state: State,
+        h: float,
+        t: Tensor,
+        drive: Drive,
+        posture: Posture,
+        mass: Tensor,
+        guess: Instant,
+    ) -> "Linearised":
+        """The equations of motion about a guess of a step's middle."""
         bias = posture.torque(guess.dq)
         motion = Motion(guess.q, guess.dq, torch.zeros_like(guess.dq), t=t)
         if self.effects.needs_torque:
@@ -148,12 +165,28 @@ class Plant:
         own = mass.diagonal(dim1=-2, dim2=-1).abs()
         # A falling friction curve is followed, but must not outweigh the inertia.
         slope = torch.maximum(loads.slope + loss, -own / (4 * h))
-        w = (1 - own / (h * slope).clamp(min=1e-300)).clamp(min=0.5)
-        matrix = mass + torch.diag_embed(h * w * slope)
+        weight = (1 - own / (h * slope).clamp(min=1e-300)).clamp(min=0.5)
+        matrix = mass + torch.diag_embed(h * weight * slope)
         rest = torque - bias - loads.smooth - slope * (state.dq - guess.dq)
-        change = _with_dry_friction(matrix, h * rest, h * loads.dry, state.dq)
-        dq = state.dq + w * change
-        return Instant(guess.q, dq, change / h, torque - loss * (dq - guess.dq)), change
+        return Linearised(matrix, h * rest, h * loads.dry, weight, torque, loss)
+
+
+class Linearised(NamedTuple):
+    """matrix (dq' - dq) + f = impulse, f in dry sign(dq').
+
+    Attributes:
+        matrix: (B, n, n) symmetric.
+        impulse, dry: (B, n).
+        weight: (B, n) where in the step the speed counts.
+        torque, loss: (B, n) of the drives, and per unit of speed.
+    """
+
+    matrix: Tensor
+    impulse: Tensor
+    dry: Tensor
+    weight: Tensor
+    torque: Tensor
+    loss: Tensor
 
 
 def _with_dry_friction(matrix: Tensor, impulse: Tensor, dry: Tensor, dq: Tensor) -> Tensor:
@@ -168,7 +201,7 @@ def _with_dry_friction(matrix: Tensor, impulse: Tensor, dry: Tensor, dq: Tensor)
     way = torch.sign(dq)
     identity = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
     change = torch.zeros_like(dq)
-    for _ in range(_MOST_CHANGES):
+    for _ in range(MOST_CHANGES):
         stuck = has_dry & (way == 0)
         rows = torch.where(stuck.unsqueeze(-1), identity, matrix)
         free = _solved(rows, torch.where(stuck, -dq, impulse - dry * way))
