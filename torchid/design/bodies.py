@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from scipy import sparse
 
-from torchid.design.gram import Equations, Solved, inverse_root
+from torchid.design.gram import Equations, Solved, inverse_root, root_of
 from torchid.errors import TorchidError
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, pseudo_inertia_basis
 from torchid.typing import Float, Int, Tensor
@@ -150,18 +150,17 @@ class Prior:
         """
         # Beside the bodies' own coefficients all others follow.
         assert self.bodies is not None
-        own = self.bodies.at.unique()
-        rest = torch.ones(len(right), dtype=torch.bool)
-        rest[own] = False
-        inner, across = inverse_root(matrix[rest][:, rest]), matrix[rest][:, own]
+        a, b = matrix.numpy(), right.numpy()
+        own = np.unique(self.bodies.at.numpy())
+        rest = np.delete(np.arange(len(b)), own)
+        inner, across = root_of(a[rest[:, None], rest]), a[rest[:, None], own]
         held = inner.T @ across
-        alone = matrix[own][:, own] - held.T @ held
-        pull = right[own] - held.T @ (inner.T @ right[rest])
-        bodies = replace(self.bodies, at=torch.searchsorted(own, self.bodies.at))
-        x = torch.zeros_like(right)
-        x[own] = _within(bodies, alone, pull)
-        x[rest] = inner @ (inner.T @ (right[rest] - across @ x[own]))
-        return x
+        alone = a[own[:, None], own] - held.T @ held
+        pull = b[own] - held.T @ (inner.T @ b[rest])
+        x = np.zeros_like(b)
+        x[own] = _within(self.bodies, np.searchsorted(own, self.bodies.at.numpy()), alone, pull)
+        x[rest] = inner @ (inner.T @ (b[rest] - across @ x[own]))
+        return torch.from_numpy(x)
 
     def solve_of(self, equations: Equations, weight: Float[Tensor, " n"]) -> Solved:
         """The minimum of joints' normal equations with these weights (n,)."""
@@ -225,19 +224,18 @@ class Priors:
         return Solved(x, root)
 
 
-def _within(
-    bodies: Bodies, matrix: Float[Tensor, "K K"], right: Float[Tensor, " K"]
-) -> Float[Tensor, " K"]:
-    """The minimum over coefficients that all belong to bodies, among those that leave them so."""
+def _within(bodies: Bodies, at: np.ndarray, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The minimum over coefficients (K,) that all belong to bodies, at these places (B, 10), among
+    those that leave them so."""
     # Columns of length one, and every body in units of the small one that it holds.
-    size = matrix.diagonal().clamp(min=1e-12 * float(matrix.diagonal().max())).sqrt().numpy()
+    size = np.sqrt(matrix.diagonal().clip(min=1e-12 * matrix.diagonal().max()))
     count, own = bodies.at.shape[0], len(size)
     base = (bodies.base - bodies.least).unsqueeze(1) @ bodies.triangles
     columns = np.zeros((own, count, 10))
-    columns[bodies.at.numpy(), np.arange(count)[:, None]] = bodies.triangles.numpy()
+    columns[at, np.arange(count)[:, None]] = bodies.triangles.numpy()
     solver = clarabel.DefaultSolver(
-        _sparse(np.triu(2 * matrix.numpy() / size / size[:, None]).T),
-        -2 * right.numpy() / size,
+        _sparse(np.triu(2 * matrix / size / size[:, None]).T),
+        -2 * right / size,
         _sparse(columns.reshape(own, -1) / -size[:, None]),
         base.flatten().numpy(),
         [clarabel.PSDTriangleConeT(4)] * count,
@@ -247,7 +245,7 @@ def _within(
     x = np.array(found.x)
     if "Solved" not in str(found.status) and not np.isfinite(x).all():
         raise TorchidError("no bodies were found that fit.", got=str(found.status))
-    return torch.from_numpy(x / size)
+    return x / size
 
 
 def _sparse(columns: np.ndarray) -> sparse.csc_matrix:

@@ -9,8 +9,10 @@ to it follow without a second look at the log (Golub and Van Loan 2013, 5.3).
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from scipy.linalg.blas import dsyrk
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -39,6 +41,8 @@ def inverse_root(
     count = matrix.shape[-1]
     if not matrix.numel():
         return matrix.clone()
+    if matrix.dim() == 2:
+        return torch.from_numpy(root_of(matrix.numpy(), least, known))
     # A column that is nowhere in these samples determines nothing.
     diagonal = matrix.diagonal(dim1=-2, dim2=-1)
     there = diagonal > 0
@@ -60,6 +64,25 @@ def inverse_root(
             own = unit.view(-1, count, count)[k]
             flat[k] = _determined(own, least, None if parts is None else parts[k])
     return root / size.unsqueeze(-1)
+
+
+def root_of(
+    matrix: np.ndarray, least: float = DETERMINED, known: Float[Tensor, "K K"] | None = None
+) -> np.ndarray:
+    """The same of one matrix (K, K), by LAPACK itself: of a small one torch's calls would take
+    longer than the work."""
+    if not matrix.size:
+        return matrix
+    diagonal = matrix.diagonal()
+    there = diagonal > 0
+    size = np.where(there, np.sqrt(diagonal.clip(min=0)), np.inf)
+    unit = matrix / size / size[:, None] + np.diag(~there)
+    factor, failed = dpotrf(unit, lower=1)
+    root = dtrtri(factor, lower=1)[0].T
+    if failed or np.square(root).sum() * np.abs(unit).sum(1).max() * least >= 1.0:
+        parts = None if known is None else torch.from_numpy(known.numpy() / size / size[:, None])
+        root = _determined(torch.from_numpy(unit), least, parts).numpy()
+    return root / size[:, None]
 
 
 def _determined(
@@ -90,27 +113,30 @@ unseen."""
 
 
 def visible_root(
-    left: Float[Tensor, "*M C C"],
-    square: Float[Tensor, "*M C"],
-    free: Float[Tensor, "*M C C"] | None = None,
-) -> Float[Tensor, "*M C C"]:
-    """A root of the inverse of what a model leaves of columns, zero where it leaves too little.
+    left: np.ndarray, square: np.ndarray, free: np.ndarray | None = None
+) -> np.ndarray:
+    """A root (*M, C, C) of the inverse of what a model leaves of columns, zero where it leaves too
+    little.
 
     Args:
-        left: products of what it leaves of them.
-        square: of the columns themselves; 0 of those that are nowhere.
-        free: what it would leave of them if nothing were known of it beforehand, where something
-            is: what that alone leaves is no rest of two large things that cancel.
+        left: (*M, C, C) products of what it leaves of them.
+        square: (*M, C) of the columns themselves; 0 of those that are nowhere.
+        free: (*M, C, C) what it would leave of them if nothing were known of it beforehand, where
+            something is: what that alone leaves is no rest of two large things that cancel.
     """
-    size = torch.where(square > 0, square.sqrt(), torch.inf)
-    scale = size.unsqueeze(-1) * size.unsqueeze(-2)
-    values, vectors = torch.linalg.eigh(left / scale)
+    size = np.sqrt(np.where(square > 0, square, np.inf))
+    scale = size[..., None] * size[..., None, :]
+    unit = left / scale
+    if unit.shape[-1] == 1:  # of most, which have one column
+        values, vectors = unit[..., 0], np.ones_like(unit)
+    else:
+        values, vectors = np.linalg.eigh(unit)
     seen = values > VISIBLE
     if free is not None:
         by_data = (vectors * ((free / scale) @ vectors)).sum(-2)
         seen |= (values - by_data > 0.5 * values) & (values > EXACT)
-    safe = torch.where(seen, values, torch.ones_like(values))
-    return vectors * (seen / safe.sqrt()).unsqueeze(-2) / size.unsqueeze(-1)
+    kept = np.where(seen, 1 / np.sqrt(np.where(seen, values, 1.0)), 0.0)
+    return vectors * kept[..., None, :] / size[..., None]
 
 
 class Gram:

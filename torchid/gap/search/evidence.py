@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from weakref import WeakKeyDictionary
 
+import numpy as np
 import torch
 
 from torchid.design.bodies import Prior, Priors, together
@@ -34,7 +35,7 @@ from torchid.design.gram import (
 )
 from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
-from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
+from torchid.gap.search.terms import BASE, Batch, Candidates, Term, term_columns
 from torchid.gap.settings import GapSettings
 from torchid.statistics.autocorrelation import autocorrelation, time_of
 from torchid.statistics.criteria import FORBIDDEN_STD
@@ -128,16 +129,18 @@ class Question:
         return float(max(1, len({t.key for t in self.candidates.terms})))
 
     @cached_property
-    def products(self) -> tuple[Float[Tensor, "..."], ...]:
-        """Of each batch of candidates the products of every term's own columns: (M, C, C) on its
-        joint, or (n, M, C, C) on all."""
+    def offered(self) -> tuple[tuple[Batch, np.ndarray], ...]:
+        """Batches of candidates, but for all base parameters, with the products of every term's own
+        columns: (M, C, C) on its joint, or (n, M, C, C) on all."""
         out = []
         for batch in self.candidates.batches:
+            if all(t.name == BASE for t in batch.terms):
+                continue
             at = batch.at.unsqueeze(2), batch.at.unsqueeze(1)
             if batch.place is None:
-                out.append(torch.stack([g[at] for g in self.normal.g]))
+                out.append((batch, torch.stack([g[at] for g in self.normal.g]).numpy()))
             else:
-                out.append(self.normal.g[batch.place][at])
+                out.append((batch, self.normal.g[batch.place][at].numpy()))
         return tuple(out)
 
     @cached_property
@@ -588,85 +591,83 @@ class Offer:
 
 
 def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = None) -> list[Offer]:
-    """Every candidate's gain beside a fit, those that physics refuses left out; of these places
-    alone where some are given.
+    """Every candidate's gain beside a fit, all base parameters and those that physics refuses left
+    out; of these places alone where some are given.
 
     Gains are those of independent samples, for what a candidate leaves may be as independent: what
     is dependent now may be the very effect that is missing.
     """
     normal = question.normal
-    weight = normal.rows / fit.losses.clamp(min=1e-300)
+    weight = (normal.rows / fit.losses.clamp(min=1e-300)).numpy()
     prior = prior_of(fit.terms)
-    equations = normal.of(fit.subset)
-    solved = prior.solve_of(equations, weight)
     common = question.candidates.gram.common
+    # Weighted rows of what the fit holds, in every joint's matrix, and of what it explains. Of a
+    # joint that is not asked of, only what all joints feel.
+    parts: list[tuple[np.ndarray, np.ndarray]] = []
+    count = fit.subset.count
+    matrix, right = np.zeros((count, count)), np.zeros(count)
+    for j, (w, own, at) in enumerate(zip(weight, normal.g, fit.subset.at.numpy(), strict=True)):
+        g = own.numpy()
+        felt = w * (at >= 0)
+        asked = slice(None) if places is None or j in places else slice(common)
+        target = g[-1]
+        for joint, of_model, values in fit.subset.instead:
+            if joint == j:
+                target = target + values.numpy() @ g[of_model.numpy()]
+        matrix += g[at[:, None], at] * felt[:, None] * (at >= 0)
+        right += target[at] * felt
+        # Rows are columns, for the matrix is symmetric.
+        parts.append((g[at, asked] * felt[:, None], w * target[asked]))
+    normal_equations = torch.from_numpy(matrix)
+    solved = prior.solve(normal_equations, torch.from_numpy(right))
     # Beside the root, that of a model of which nothing is known, where something is.
     root, k = solved.root, solved.root.shape[1]
     if prior.known is not None:
-        matrix = equations.weighted(weight)[0] + prior.unknown.squares
-        root = torch.cat([root, inverse_root(matrix, known=prior.unknown.squares)], 1)
-    # What the fit leaves, and what it holds, of every row of the joints' matrices; rows of
-    # effects that all joints feel are summed.
-    across = torch.zeros(fit.subset.count, common, dtype=torch.float64)
-    pull_common = torch.zeros(common, dtype=torch.float64)
-    held: dict[int, Tensor] = {}
-    pulls: dict[int, Tensor] = {}
-    for j, (w, g) in enumerate(zip(weight.tolist(), normal.g, strict=True)):
-        # Rows are columns, for the matrix is symmetric; of a joint that is not asked of, only those
-        # that all joints feel.
-        whole = places is None or j in places
-        asked = slice(None) if whole else slice(common)
-        at = fit.subset.at[j]
-        rows = g[:, asked].index_select(0, at.clamp(min=0)) * (w * (at >= 0)).unsqueeze(1)
-        target = w * g[-1, asked]
-        for joint, of_model, values in fit.subset.instead:
-            if joint == j:
-                target = target + w * (values @ g[:, asked].index_select(0, of_model))
-        b = target - solved.x @ rows
-        across += rows[:, :common]
-        pull_common += b[:common]
-        if whole:
-            held[j], pulls[j] = rows.T @ root, b
-    held_common = across.T @ root
+        known = prior.unknown.squares
+        root = torch.cat([root, inverse_root(normal_equations + known, known=known)], 1)
+    inner, x = root.numpy(), solved.x.numpy()
+    # What the fit leaves and what it holds; of effects that all joints feel, the sum.
+    pulls = [target - x @ rows for rows, target in parts]
+    pull_common = sum(b[:common] for b in pulls)
+    held_common = sum(rows[:, :common] for rows, _ in parts).T @ inner
+    held = {j: parts[j][0].T @ inner for j in range(len(parts)) if places is None or j in places}
     # Each batch at once: squares, pulls and what is held of the candidates' columns.
     # What the model leaves open of its own effects is no change of these.
     present = {t.key for t in fit.terms if t.effects and t.information is None} | question.barred
     out: list[Offer] = []
-    for batch, products in zip(question.candidates.batches, question.products, strict=True):
+    for batch, products in question.offered:
         if places is not None and batch.place not in places:
             continue
+        at = batch.at.numpy()
         # Candidates that all joints feel sum over joints; those of one joint see its matrix alone.
         if batch.place is None:
-            h, b = held_common[batch.at], pull_common[batch.at]
-            gram = torch.tensordot(weight, products, 1)
+            h, b = held_common[at], pull_common[at]
+            gram, extra = np.tensordot(weight, products, 1), 0.0
         else:
-            h, b = held[batch.place][batch.at], pulls[batch.place][batch.at]
-            g = normal.g[batch.place]
-            gram = float(weight[batch.place]) * products
-            extra = torch.zeros(len(batch.terms), dtype=torch.float64)
+            h, b = held[batch.place][at], pulls[batch.place][at]
+            g, w = normal.g[batch.place].numpy(), weight[batch.place]
+            gram, extra = w * products, np.zeros(len(at))
             for m, term in batch.standing_in:
-                for _, own, values in term.instead:
+                for _, model, values in term.instead:
                     # The target grows by the effect that is replaced: so does what is left of it.
-                    w = float(weight[batch.place])
-                    rest = held[batch.place][own.at, :k].T @ values
-                    grown = w * (values @ g[own.at.unsqueeze(1), own.at] @ values) - rest @ rest
-                    extra[m] += grown + 2 * values @ pulls[batch.place][own.at]
-                    b[m] += w * (g[term.at.unsqueeze(1), own.at] @ values) - h[m, :, :k] @ rest
+                    rows, v = model.at.numpy(), values.numpy()
+                    rest = held[batch.place][rows, :k].T @ v
+                    grown = w * (v @ g[rows[:, None], rows] @ v) - rest @ rest
+                    extra[m] += grown + 2 * v @ pulls[batch.place][rows]
+                    b[m] += w * (g[term.at.numpy()[:, None], rows] @ v) - h[m, :, :k] @ rest
         # Gain of each candidate, less what is lost with the effect in whose place it stands.
         free = h[..., k:] if prior.known is not None else None
         gains, counts = _gains(batch, gram, h[..., :k], b, free)
-        if batch.place is not None:
-            gains = gains - extra
+        gains = gains - extra
         n = float(normal.rows.sum() if batch.place is None else normal.rows[batch.place])
         # What is gained on one joint cannot exceed what is there: n log(1 / (1 - share)).
-        rise = -n * torch.log1p(-(gains / max(n, 1e-9)).clamp(0, 1 - 1e-9))
-        paid = (counts + batch.shapes) * math.log(max(n, 2.0))
-        best = (rise - paid).argsort(descending=True)[:LOOKED_AT]
-        chosen = torch.stack([gains, rise, paid], 1)[best].tolist()
-        for m, (gain, rising, price) in zip(best.tolist(), chosen, strict=True):
+        rise = -n * np.log1p(-(gains / max(n, 1e-9)).clip(0, 1 - 1e-9))
+        paid = (counts + batch.shapes.numpy()) * math.log(max(n, 2.0))
+        for m in np.argsort(paid - rise, kind="stable")[:LOOKED_AT].tolist():
             term = batch.terms[m]
-            if gain > 0 and term.key not in present and not _beside(term, fit.terms):
-                out.append(Offer(term, rising, price))
+            refused = gains[m] <= 0 or term.key in present or term.name == BASE
+            if not (refused or _beside(term, fit.terms)):
+                out.append(Offer(term, float(rise[m]), float(paid[m])))
     return sorted(out, key=lambda o: -o.net)
 
 
@@ -691,35 +692,40 @@ def _beside(term: Term, others: Sequence[Term]) -> bool:
 
 
 def _gains(
-    batch: Batch,
-    gram: Float[Tensor, "M C C"],
-    held: Float[Tensor, "M C k"],
-    b: Float[Tensor, "M C"],
-    free: Float[Tensor, "M C f"] | None,
-) -> tuple[Tensor, Tensor]:
-    """Gains (M,) and directions (M,) of terms beside a model that holds part of
-    their columns; 0 where physics forbids a coefficient. `free` is what it would hold if nothing
-    were known of it."""
+    batch: Batch, gram: np.ndarray, held: np.ndarray, b: np.ndarray, free: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gains (M,) and directions (M,) of terms beside a model that holds part of their columns; 0
+    where physics forbids a coefficient.
+
+    Args:
+        batch: the terms.
+        gram, b: (M, C, C), (M, C) products of their columns, and those with what is left.
+        held: (M, C, k) what the model holds of the columns.
+        free: (M, C, f) what it would hold if nothing were known of it.
+    """
     # What the model leaves of the columns, in units of the columns themselves.
-    square = gram.diagonal(dim1=1, dim2=2)
-    whole = gram + torch.diag_embed(batch.ridge)
-    left = whole - held @ held.transpose(1, 2)
-    rest = None if free is None else whole - free @ free.transpose(1, 2)
+    ridge, known, largest = (x.numpy() for x in (batch.ridge, batch.known, batch.largest))
+    signed, optional = batch.signed.numpy(), batch.optional.numpy()
+    square = gram.diagonal(0, 1, 2)
+    whole = gram + ridge[:, None] * np.eye(ridge.shape[1])
+    left = whole - held @ held.transpose(0, 2, 1)
+    rest = None if free is None else whole - free @ free.transpose(0, 2, 1)
+    pull = (b + ridge * batch.centre.numpy())[:, None]
     # Least squares along the directions that are seen; the rest is noise of the columns.
-    size = torch.where(square > 1e-300, square + batch.ridge, 0.0)
+    size = np.where(square > 1e-300, square + ridge, 0.0)
     while True:
         root = visible_root(left, size, rest)
-        along = root.transpose(1, 2) @ (b + batch.ridge * batch.centre).unsqueeze(-1)
-        gain = along.square().sum((1, 2))
-        x, std = (root @ along).squeeze(-1), root.norm(dim=-1)
+        along = (pull @ root)[:, 0]
+        gain = np.square(along).sum(1)
+        x, std = (root * along[:, None]).sum(-1), np.sqrt(np.square(root).sum(-1))
         # A sign counts only where the coefficient is determined, and is no noise.
-        sure = (root @ (root.transpose(1, 2) @ left)).diagonal(dim1=1, dim2=2) > 0.99
-        low = sure & (x + batch.known < -FORBIDDEN_STD * std) & batch.signed
-        high = sure & (x.abs() > batch.largest + FORBIDDEN_STD * std)
+        sure = (root * (left @ root)).sum(-1) > 0.99
+        low = sure & (x + known < -FORBIDDEN_STD * std) & signed
+        high = sure & (np.abs(x) > largest + FORBIDDEN_STD * std)
         # A friction that drives, or a coefficient larger than on any arm, is no gain.
-        wrong = (high | (low & ~batch.optional)).any(-1)
-        held = low & ~wrong.unsqueeze(-1) & (size > 0)
-        if not bool(held.any()):
-            return torch.where(wrong, torch.zeros_like(gain), gain), root.any(-2).sum(-1)
+        wrong = (high | (low & ~optional)).any(-1)
+        zero = low & ~wrong[:, None] & (size > 0)
+        if not zero.any():
+            return np.where(wrong, 0.0, gain), root.any(-2).sum(-1)
         # What may be zero is held there, and the term is asked what it gains without it.
-        size = torch.where(held, 0.0, size)
+        size = np.where(zero, 0.0, size)

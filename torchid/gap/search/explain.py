@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 
 from torchid.design.columns import Columns, Model, Place, on_joint
@@ -474,8 +475,8 @@ def _closest(
         """What columns (C, m, N) explain of it beside the other terms, which are fitted anew."""
         flat = (x * weight).flatten(1)
         gram, held = flat @ flat.T, flat @ others_hold.T
-        root = visible_root(gram - held @ held.T, gram.diagonal())
-        return float((root.T @ (flat @ y)).square().sum())
+        root = visible_root((gram - held @ held.T).numpy(), gram.diagonal().numpy())
+        return float(np.square((flat @ y).numpy() @ root).sum())
 
     # Each time the shapes around the best one are tried, three times more closely.
     best, most = effect, gained(columns.on_all_joints(effect)[:, joints])
