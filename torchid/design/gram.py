@@ -41,8 +41,11 @@ def inverse_root(
     count = matrix.shape[-1]
     if not matrix.numel():
         return matrix.clone()
-    if matrix.dim() == 2:
-        return torch.from_numpy(root_of(matrix.numpy(), least, known))
+    if matrix.numel() == count * count:
+        some = (matrix, matrix if known is None else known.expand_as(matrix))
+        own, given = (x.reshape(count, count).numpy() for x in some)
+        root = _root_of_one(own, least, None if known is None else given)
+        return torch.from_numpy(root).view(matrix.shape)
     # A column that is nowhere in these samples determines nothing.
     diagonal = matrix.diagonal(dim1=-2, dim2=-1)
     there = diagonal > 0
@@ -66,13 +69,9 @@ def inverse_root(
     return root / size.unsqueeze(-1)
 
 
-def root_of(
-    matrix: np.ndarray, least: float = DETERMINED, known: Float[Tensor, "K K"] | None = None
-) -> np.ndarray:
+def _root_of_one(matrix: np.ndarray, least: float, known: np.ndarray | None) -> np.ndarray:
     """The same of one matrix (K, K), by LAPACK itself: of a small one torch's calls would take
     longer than the work."""
-    if not matrix.size:
-        return matrix
     diagonal = matrix.diagonal()
     there = diagonal > 0
     size = np.where(there, np.sqrt(diagonal.clip(min=0)), np.inf)
@@ -80,7 +79,7 @@ def root_of(
     factor, failed = dpotrf(unit, lower=1)
     root = dtrtri(factor, lower=1)[0].T
     if failed or np.square(root).sum() * np.abs(unit).sum(1).max() * least >= 1.0:
-        parts = None if known is None else torch.from_numpy(known.numpy() / size / size[:, None])
+        parts = None if known is None else torch.from_numpy(known / size / size[:, None])
         root = _determined(torch.from_numpy(unit), least, parts).numpy()
     return root / size[:, None]
 
