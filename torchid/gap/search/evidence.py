@@ -229,13 +229,16 @@ def residual(
 ) -> Float[Tensor, "n N"]:
     """Samples that terms with these coefficients leave; zero where none counts."""
     # The gap less the columns; a term that stands for the model's own takes that out, too.
-    left = question.candidates.gap.clone()
+    left = question.candidates.gap.clone().numpy()
     for term, own in zip(terms, x.split([len(t.at) for t in terms]), strict=True):
-        joints = slice(None) if term.place is None else slice(term.place, term.place + 1)
-        left[joints] -= torch.tensordot(own, rows_of(question, term), 1)
+        rows = rows_of(question, term).numpy()
+        if term.place is None:
+            left -= np.tensordot(own.numpy(), rows, 1)
+        else:
+            left[term.place] -= own.numpy() @ rows[:, 0]
         for joint, effect, values in term.instead:
-            left[joint] += values @ rows_of(question, effect)[:, 0]
-    return left * question.candidates.keep
+            left[joint] += values.numpy() @ rows_of(question, effect).numpy()[:, 0]
+    return torch.from_numpy(left) * question.candidates.keep
 
 
 def acting(question: Question, terms: Sequence[Term]) -> float:
