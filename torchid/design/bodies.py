@@ -65,7 +65,7 @@ class Bodies:
 
     def are(self, x: Float[Tensor, " K"]) -> bool:
         """Whether coefficients leave all of them bodies."""
-        return leave_bodies([self], x.unsqueeze(0))[0]
+        return not _no_bodies([self], x.unsqueeze(0))
 
     def squares(self, count: int) -> Float[Tensor, "K K"]:
         """The metric of so many coefficients."""
@@ -177,7 +177,8 @@ class Priors:
 
     def leave_bodies(self, x: Float[Tensor, "B K"]) -> list[bool]:
         """Whether each one's coefficients leave bodies, where it corrects any."""
-        return [p.bodies is None or p.bodies.are(own) for p, own in zip(self.each, x, strict=True)]
+        wrong = {k for some in _no_bodies([p.bodies for p in self.each], x) for k in some}
+        return [k not in wrong for k in range(len(self.each))]
 
     def solve_of(
         self, equations: Equations, weight: Float[Tensor, "B *batch n"], *, conic: bool = True
@@ -202,13 +203,24 @@ class Priors:
         return Solved(x, root)
 
 
-def leave_bodies(each: Sequence[Bodies], x: Float[Tensor, "G K"]) -> list[bool]:
-    """Whether coefficients leave bodies, equally many of each."""
-    at = torch.stack([b.at for b in each])
-    own = torch.stack([b.base for b in each]) - torch.stack([b.least for b in each])
-    own = own + x.gather(1, at.flatten(1)).view(own.shape)
-    pseudo = (own @ pseudo_inertia_basis().flatten(1)).view(*own.shape[:2], 4, 4)
-    return (torch.linalg.cholesky_ex(pseudo)[1] == 0).all(1).tolist()
+def _no_bodies(bodies: Sequence[Bodies | None], x: Float[Tensor, "G K"]) -> list[list[int]]:
+    """Which coefficients leave no bodies; those that correct equally many together."""
+    alike: dict[int, list[int]] = {}
+    for k, some in enumerate(bodies):
+        if some is not None:
+            alike.setdefault(len(some.at), []).append(k)
+    out = []
+    for asked in alike.values():
+        each = [b for b in map(bodies.__getitem__, asked) if b is not None]
+        at, base, least = (torch.stack([getattr(b, name) for b in each]) for name in _LIMITS)
+        own = base - least + x[asked].gather(1, at.flatten(1)).view(at.shape)
+        pseudo = (own @ pseudo_inertia_basis().flatten(1)).view(*at.shape[:2], 4, 4)
+        failed = torch.linalg.cholesky_ex(pseudo)[1].any(1).tolist()
+        out.append([k for k, wrong in zip(asked, failed, strict=True) if wrong])
+    return [some for some in out if some]
+
+
+_LIMITS = ("at", "base", "least")
 
 
 def _stay_bodies(
@@ -223,18 +235,9 @@ def _stay_bodies(
     Raises:
         TorchidError: a conic program has no solution.
     """
-    alike: dict[int, list[tuple[int, Bodies]]] = {}
-    for k, own in enumerate(bodies):
-        if own is not None:
-            alike.setdefault(len(own.at), []).append((k, own))
-    for some in alike.values():
-        asked = [k for k, _ in some]
-        there = leave_bodies([b for _, b in some], x if len(asked) == len(x) else x[asked])
-        wrong = [pair for pair, are in zip(some, there, strict=True) if not are]
-        if wrong:
-            asked = [k for k, _ in wrong]
-            found = _minima([b for _, b in wrong], matrix[asked].numpy(), right[asked].numpy())
-            x[asked] = torch.from_numpy(found)
+    for asked in _no_bodies(bodies, x):
+        each = [b for b in map(bodies.__getitem__, asked) if b is not None]
+        x[asked] = torch.from_numpy(_minima(each, matrix[asked].numpy(), right[asked].numpy()))
 
 
 def _minima(each: Sequence[Bodies], matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
