@@ -69,7 +69,8 @@ def autocorrelation(
     parts = [slice(0, x.shape[-1])] if bounds is None else bounds
     longest = max(b.stop - b.start for b in parts)
     # Zeros for as long as the series; lengths of few small factors are fast.
-    size = min(k * 2 ** max(0, math.ceil(math.log2(2 * longest / k))) for k in (1, 3, 5))
+    least = 2 * max(1, longest)
+    size = min(k * 2 ** max(0, math.ceil(math.log2(least / k))) for k in (1, 3, 5))
     found = (torch.fft.rfft(x[..., b], n=size) for b in parts)
     power = sum(f.real.square() + f.imag.square() for f in found)
     covariance = torch.fft.irfft(power, n=size)[..., :longest]

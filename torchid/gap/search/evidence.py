@@ -82,7 +82,7 @@ class Fitted:
 
     def values(self) -> list[Float[Tensor, " _"]]:
         """Coefficients, term by term."""
-        return list(self.x.split([len(t.at) for t in self.terms]))
+        return list(self.x.split([t.count for t in self.terms]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,30 +188,32 @@ class Question:
 
 def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
     """Where the columns of terms are in each joint's matrix."""
-    n = len(normal.g)
-    if not terms:
-        return Subset(torch.zeros(n, 0, dtype=torch.long))
-    at = torch.cat([t.at for t in terms])
-    places = torch.cat([t.places for t in terms])
-    felt = (places < 0) | (places == torch.arange(n).unsqueeze(1))
+    at = np.full((len(normal.g), sum(t.count for t in terms)), -1)
+    first = 0
+    for term in terms:
+        felt = slice(None) if term.place is None else term.place
+        at[felt, first : first + term.count] = term.at.numpy()
+        first += term.count
     # What is explained: the gap, and the model's own effect where a term replaces it.
     instead = [(j, own.at, values) for t in terms for j, own, values in t.instead]
-    return Subset(torch.where(felt, at, -1), tuple(instead))
+    return Subset(torch.from_numpy(at), tuple(instead))
 
 
 def prior_of(terms: Sequence[Term]) -> Prior:
     """What is known of the coefficients of terms beforehand."""
-    ridge, bodies, first = [torch.zeros(0, dtype=torch.float64)], [], 0
+    none = torch.zeros(0, dtype=torch.float64)
+    ridge, bodies, first = [none], [], 0
     information = [t.information for t in terms if t.information is not None]
-    centre = [torch.zeros(0, dtype=torch.float64), *(t.centre for t in terms)]
+    centre = [none, *(t.centre for t in terms)] if any(t.seen for t in terms) else None
     for term in terms:
         ridge.append(term.ridge if term.bodies is None else torch.zeros_like(term.ridge))
         if term.bodies is not None:
             bodies.append(term.bodies.shifted(first))
-        first += len(term.at)
+        first += term.count
     # What a model knows of itself stands first.
     known = torch.cat(information) if information else None
-    return Prior(torch.cat(ridge), together(bodies), torch.cat(centre), known)
+    centre = None if centre is None else torch.cat(centre)
+    return Prior(torch.cat(ridge), together(bodies), centre, known)
 
 
 def rows_of(question: Question, term: Term) -> Float[Tensor, "C m N"]:
@@ -230,7 +232,7 @@ def residual(
     """Samples that terms with these coefficients leave; zero where none counts."""
     # The gap less the columns; a term that stands for the model's own takes that out, too.
     left = question.candidates.gap.clone().numpy()
-    for term, own in zip(terms, x.split([len(t.at) for t in terms]), strict=True):
+    for term, own in zip(terms, x.split([t.count for t in terms]), strict=True):
         rows = rows_of(question, term).numpy()
         if term.place is None:
             left -= np.tensordot(own.numpy(), rows, 1)
@@ -262,7 +264,7 @@ def slack_torque(question: Question, fit: Fitted) -> Float[Tensor, "n N"]:
     """Samples of the torque of what the model as given leaves open of itself, as a fit takes it."""
     fixed = question.fixed
     taken = fit.terms[: len(fixed)]
-    x = fit.x[: sum(len(t.at) for t in taken)]
+    x = fit.x[: sum(t.count for t in taken)]
     return -residual(question, taken, x) + question.candidates.gap * question.candidates.keep
 
 
@@ -435,18 +437,25 @@ def _fit_each(
         weight = effective / losses.clamp(min=1e-300)
     known = priors.value(solved.x).tolist()
     complete = [True] * len(every) if conic else priors.leave_bodies(solved.x)
+    # Bounds of all at once, none of the coefficients that the smaller ones lack.
+    inside = torch.arange(solved.x.shape[1]) < torch.tensor([[s.count] for s in subsets])
+    limits = torch.tensor([0.0, -math.inf, math.inf]).double().repeat(*inside.shape, 1)
+    limits[inside] = limits_of([t for terms in every for t in terms])
+    refusals = forbidden(limits, solved)
+    refusal = refusals.any(1).tolist()
     out = []
     for k, (terms, subset) in enumerate(zip(every, subsets, strict=True)):
         own = subset.count
         x, root = solved.x[k, :own], solved.root[k, :own, :own]
         fit = Fitted(terms, subset, x, root, losses[k], known[k], -math.inf, effective)
-        wrong = forbidden(terms, Solved(x, root))
-        while complete[k] and bool(wrong.any()):
+        wrong, any_wrong = refusals[k, :own], refusal[k]
+        while complete[k] and any_wrong:
             # At its bound of zero a coefficient is none; the others are fitted without it.
             if bool((wrong & ~torch.cat([t.optional for t in terms])).any()):
                 break
             fit = _without(question, fit, wrong, priors.each[k], rounds)
-            wrong = forbidden(terms, Solved(fit.x, fit.root))
+            wrong = forbidden(limits[k, :own], Solved(fit.x, fit.root))
+            any_wrong = bool(wrong.any())
         else:
             gain = float(risen(effective, question.squares, fit.losses).sum())
             evidence = gain - fit.known - cost(question, explanations[k], effective)
@@ -479,20 +488,23 @@ def risen(
     return effective * (before.clamp(min=1e-300) / after.clamp(min=1e-300)).log()
 
 
-def forbidden(terms: Sequence[Term], solved: Solved) -> Bool[Tensor, " K"]:
+def limits_of(terms: Sequence[Term]) -> Float[Tensor, "K 3"]:
+    """The limits of all coefficients of terms, see `Term.limits`."""
+    return torch.cat([torch.zeros(0, 3, dtype=torch.float64), *(t.limits for t in terms)])
+
+
+def forbidden(limits: Float[Tensor, "*batch K 3"], solved: Solved) -> Bool[Tensor, "*batch K"]:
     """Which coefficients have a sign that physics forbids, or are larger than on any arm, beyond
     what their own uncertainty explains: a friction that drives, a load of negative mass."""
-    if not terms:
-        return torch.zeros(0, dtype=torch.bool)
     # The whole coefficient, with what the model has of it, is what physics bounds.
-    known, least, largest = torch.cat([t.limits for t in terms]).unbind(1)
-    slack = FORBIDDEN_STD * solved.root.norm(dim=1) + 1e-12
+    known, least, largest = limits.unbind(-1)
+    slack = FORBIDDEN_STD * solved.root.norm(dim=-1) + 1e-12
     return (solved.x + known < least - slack) | (solved.x.abs() > largest + slack)
 
 
 def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
     """Terms of which physics forbids a coefficient."""
-    parts = forbidden(terms, solved).split([len(t.at) for t in terms])
+    parts = forbidden(limits_of(terms), solved).split([t.count for t in terms])
     return [t for t, own in zip(terms, parts, strict=True) if bool(own.any())]
 
 
@@ -514,17 +526,16 @@ def cost(
 
 def directions(question: Question, term: Term) -> int:
     """Directions of a term's columns that the samples tell apart."""
-    if len(term.at) == 1:
-        return 1
-    if id(term) not in question.seen:
+    found = question.seen.get(id(term), 1 if term.count == 1 else 0)
+    if not found:
         joints = range(len(question.normal.g)) if term.place is None else (term.place,)
         own = [question.normal.g[j][term.at.unsqueeze(1), term.at] for j in joints]
         gram = torch.stack(own).sum(0)
         # Eigenvalues of the columns' correlation: as many as are visible count.
         size = gram.diagonal().clamp(min=1e-300).sqrt()
         values = torch.linalg.eigvalsh(gram / size / size.unsqueeze(1))
-        question.seen[id(term)] = max(1, int((values > VISIBLE).sum()))
-    return question.seen[id(term)]
+        found = question.seen[id(term)] = max(1, int((values > VISIBLE).sum()))
+    return found
 
 
 def common_names(terms: Iterable[Term], n: int) -> set[str]:
