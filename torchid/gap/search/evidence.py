@@ -48,6 +48,9 @@ there."""
 TOGETHER = 32
 """Explanations that are fitted at once: of a hundred columns and seven joints 18 MB."""
 
+CLOSE = 3
+"""Explanations beyond the best that are fitted at once: one more costs less than one by itself."""
+
 TAIL = 0.01
 """Share of a cause's largest torque that the fit's filter may leave where it does not act [1]."""
 
@@ -402,13 +405,14 @@ def leading(
         bounds += zip(*_fit_each(question, some, effective, weight, 2, conic=False), strict=True)
     order = sorted(range(len(bounds)), key=lambda k: -worth(bounds[k][0]))
     best: list[tuple[int, Fitted]] = []
-    for k in order:
-        fit, complete = bounds[k]
-        if len(best) == count and worth(fit) <= worth(best[-1][1]):
+    for first in range(0, len(order), count + CLOSE):
+        some = order[first : first + count + CLOSE]
+        if len(best) == count and worth(bounds[some[0]][0]) <= worth(best[-1][1]):
             break
-        if not complete:
-            (fit,) = fit_each(question, [explanations[k]], effective, weight)
-        best = sorted([*best, (k, fit)], key=lambda pair: -worth(pair[1]))[:count]
+        open_ = [k for k in some if not bounds[k][1]]
+        again = fit_each(question, [explanations[k] for k in open_], effective, weight)
+        fits = {k: bounds[k][0] for k in some} | dict(zip(open_, again, strict=True))
+        best = sorted([*best, *fits.items()], key=lambda pair: -worth(pair[1]))[:count]
     return best
 
 
@@ -611,35 +615,60 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
     Gains are those of independent samples, for what a candidate leaves may be as independent: what
     is dependent now may be the very effect that is missing.
     """
-    normal = question.normal
-    weight = (normal.rows / fit.losses.clamp(min=1e-300)).numpy()
-    prior = prior_of(fit.terms)
-    common = question.candidates.gram.common
-    # Weighted rows of what the fit holds, in every joint's matrix, and of what it explains. Of a
-    # joint that is not asked of, only what all joints feel.
+    return offers_of_each(question, [fit], [places])[0]
+
+
+def offers_of_each(
+    question: Question, fits: Sequence[Fitted], places: Sequence[Sequence[Place] | None]
+) -> list[list[Offer]]:
+    """The same beside each of several fits."""
+    if not fits:
+        return []
+    priors = Priors([prior_of(fit.terms) for fit in fits])
+    equations = question.normal.of_each([fit.subset for fit in fits])
+    losses = torch.stack([fit.losses for fit in fits])
+    weight = question.normal.rows / losses.clamp(min=1e-300)
+    solved = priors.solve_of(equations, weight)
+    # Beside the root, that of a model of which nothing is known, where something is.
+    free: Tensor | None = None
+    if any(p.known is not None for p in priors.each):
+        unknown = Priors([p.unknown for p in priors.each]).squares
+        free = inverse_root(equations.weighted(weight)[0] + unknown, known=unknown)
+    out = []
+    for k, (fit, some) in enumerate(zip(fits, places, strict=True)):
+        own = slice(fit.subset.count)
+        roots = solved.root[k, own, own], None if free is None else free[k, own, own]
+        out.append(
+            _offers(question, fit, weight[k], Solved(solved.x[k, own], roots[0]), roots[1], some)
+        )
+    return out
+
+
+def _offers(
+    question: Question,
+    fit: Fitted,
+    weights: Float[Tensor, " n"],
+    solved: Solved,
+    free_root: Float[Tensor, "K K"] | None,
+    places: Sequence[Place] | None,
+) -> list[Offer]:
+    """The same beside a fit with these weights, and root where nothing is known of the model."""
+    normal, weight, common = question.normal, weights.numpy(), question.candidates.gram.common
+    root, k = solved.root, solved.root.shape[1]
+    inner = (root if free_root is None else torch.cat([root, free_root], 1)).numpy()
+    x = solved.x.numpy()
+    # Weighted rows of what the fit holds, in every joint's matrix, and of what it explains; rows
+    # are columns, for the matrix is symmetric. Of a joint that is not asked of, only what all
+    # joints feel.
     parts: list[tuple[np.ndarray, np.ndarray]] = []
-    count = fit.subset.count
-    matrix, right = np.zeros((count, count)), np.zeros(count)
     for j, (w, own, at) in enumerate(zip(weight, normal.g, fit.subset.at.numpy(), strict=True)):
         g = own.numpy()
-        felt = w * (at >= 0)
         asked = slice(None) if places is None or j in places else slice(common)
-        target = g[-1]
+        target = g[-1, asked]
         for joint, of_model, values in fit.subset.instead:
             if joint == j:
-                target = target + values.numpy() @ g[of_model.numpy()]
-        matrix += g[at[:, None], at] * felt[:, None] * (at >= 0)
-        right += target[at] * felt
-        # Rows are columns, for the matrix is symmetric.
-        parts.append((g[at, asked] * felt[:, None], w * target[asked]))
-    normal_equations = torch.from_numpy(matrix)
-    solved = prior.solve(normal_equations, torch.from_numpy(right))
-    # Beside the root, that of a model of which nothing is known, where something is.
-    root, k = solved.root, solved.root.shape[1]
-    if prior.known is not None:
-        known = prior.unknown.squares
-        root = torch.cat([root, inverse_root(normal_equations + known, known=known)], 1)
-    inner, x = root.numpy(), solved.x.numpy()
+                target = target + values.numpy() @ g[of_model.numpy(), asked]
+        parts.append((g[at, asked] * (w * (at >= 0))[:, None], w * target))
     # What the fit leaves and what it holds; of effects that all joints feel, the sum.
     pulls = [target - x @ rows for rows, target in parts]
     pull_common = sum(b[:common] for b in pulls)
@@ -670,7 +699,7 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
                     extra[m] += grown + 2 * v @ pulls[batch.place][rows]
                     b[m] += w * (g[term.at.numpy()[:, None], rows] @ v) - h[m, :, :k] @ rest
         # Gain of each candidate, less what is lost with the effect in whose place it stands.
-        free = h[..., k:] if prior.known is not None else None
+        free = None if free_root is None else h[..., k:]
         gains, counts = _gains(batch, gram, h[..., :k], b, free)
         gains = gains - extra
         n = float(normal.rows.sum() if batch.place is None else normal.rows[batch.place])
