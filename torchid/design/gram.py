@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 from torchid.typing import Bool, Float, Int, Tensor
@@ -171,10 +170,8 @@ class Gram:
         for p in part[keep].unique().tolist():
             chosen = (keep & (part == p)).nonzero().flatten()
             own = torch.cat([x.index_select(1, chosen) for x in rows])
-            # Half of a symmetric product; BLAS sees the rows as columns, in which it leaves zeros.
-            half = torch.from_numpy(dsyrk(1.0, own.numpy().T, trans=1)).T
-            self.g[joint][p] += half
-            self.g[joint][p] += half.tril(-1).T
+            # All of a symmetric product: half of it, and its mirror image, take longer.
+            self.g[joint][p].addmm_(own, own.T)
             self.rows[p, joint] += len(chosen)
 
     def folds(self) -> "Folds":

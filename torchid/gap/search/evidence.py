@@ -519,7 +519,8 @@ def cost(
     alpha: float | None = None,
 ) -> float:
     """Of the coefficients and shapes of terms, and of their causes at a level (see `price`)."""
-    total = question.price(alpha) * len(cause_groups(terms, question.joints))
+    common = common_names(terms, question.joints)
+    total = question.price(alpha) * (len(common) + sum(t.name not in common for t in terms))
     counts = effective.tolist()
     logs = [math.log(max(n, 2.0)) for n in (*counts, sum(counts))]
     for term in terms:
