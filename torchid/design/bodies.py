@@ -254,7 +254,7 @@ def _minima(each: Sequence[Bodies], matrix: np.ndarray, right: np.ndarray) -> np
     alone = matrix[row, at[:, :, None], at[:, None]] - held.transpose(0, 2, 1) @ held
     pull = right[g, at] - _times(held.transpose(0, 2, 1), _times(inner, right[g, rest], True))
     own, settled = _by_newton(each, alone, pull)
-    for k in (~settled).nonzero()[0]:
+    for k in (~settled).nonzero()[0].tolist():
         own[k] = _by_interior_points(each[k], alone[k], pull[k])
     x = np.zeros_like(right)
     x[g, at] = own
@@ -301,8 +301,10 @@ def _by_newton(
     y[sure] = np.linalg.solve(q[sure], c[sure, :, None])[..., 0]
     now = sure.nonzero()[0]
     for _ in range(STEPS):
+        if not len(now):
+            break
         own, m = y[now], moved[now]
-        z = (_times(m, own) + (step * c)[now]).reshape(len(now), count, -1)
+        z = (_times(m, own) + (step * c)[now]).reshape(len(now), count, size // count)
         values, vectors = np.linalg.eigh((z / _SIZE)[..., _PLACES])
         kept, turned = np.maximum(values, 0.0), vectors.swapaxes(-1, -2)
         near = (vectors * kept[..., None, :]) @ turned
@@ -311,8 +313,6 @@ def _by_newton(
         y[now] -= off * done[:, None]
         settled[now] = done
         now, m, off = now[~done], m[~done], off[~done]
-        if not len(now):
-            break
         # The projection's slope: divided differences of [.]+ in the eigenvectors' frame.
         kept, sizes, vectors = kept[~done], np.abs(values[~done]), vectors[~done]
         both = sizes[..., None] + sizes[..., None, :] + 1e-300
@@ -320,7 +320,7 @@ def _by_newton(
         pairs = vectors[..., _I, :, None] * vectors[..., _J, None, :]
         frame = (pairs[..., _I, _J] + pairs[..., _J, _I]) * (0.5 * _SIZE * _SIZE[:, None])
         slope = (frame * shares) @ frame.swapaxes(-1, -2)
-        held = (slope @ m.reshape(len(m), count, -1, size)).reshape(m.shape)
+        held = (slope @ m.reshape(len(m), count, size // count, size)).reshape(m.shape)
         y[now] -= np.linalg.solve(np.eye(size) - held, off[..., None])[..., 0]
     x = y.reshape(len(y), count, 1, -1) @ units
     return x.reshape(right.shape) - base, settled

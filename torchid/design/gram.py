@@ -42,9 +42,9 @@ def inverse_root(
         return matrix.clone()
     if matrix.numel() == count * count:
         some = (matrix, matrix if known is None else known.expand_as(matrix))
-        own, given = (x.reshape(count, count).numpy() for x in some)
-        root = _root_of_one(own, least, None if known is None else given)
-        return torch.from_numpy(root).view(matrix.shape)
+        one, given = (x.reshape(count, count).numpy() for x in some)
+        found = _root_of_one(one, least, None if known is None else given)
+        return torch.from_numpy(found).view(matrix.shape)
     # A column that is nowhere in these samples determines nothing.
     diagonal = matrix.diagonal(dim1=-2, dim2=-1)
     there = diagonal > 0
@@ -54,8 +54,8 @@ def inverse_root(
     # Cholesky is ten times cheaper than eigenvectors, and as good where all is determined, which
     # two bounds say: 1 / trace(M^-1) of the least eigenvalue, the largest row sum of the largest.
     factor, failed = torch.linalg.cholesky_ex(unit)
-    one = torch.eye(count, dtype=matrix.dtype, device=matrix.device)
-    root = torch.linalg.solve_triangular(factor, one, upper=False).mT
+    unity = torch.eye(count, dtype=matrix.dtype, device=matrix.device)
+    root = torch.linalg.solve_triangular(factor, unity, upper=False).mT
     sure = root.square().sum((-2, -1)) * unit.abs().sum(-1).amax(-1) * least < 1.0
     sure &= failed == 0
     if not bool(sure.all()):

@@ -207,7 +207,7 @@ def prior_of(terms: Sequence[Term]) -> Prior:
     none = torch.zeros(0, dtype=torch.float64)
     ridge, bodies, first = [none], [], 0
     information = [t.information for t in terms if t.information is not None]
-    centre = [none, *(t.centre for t in terms)] if any(t.seen for t in terms) else None
+    centre = torch.cat([none, *(t.centre for t in terms)]) if any(t.seen for t in terms) else None
     for term in terms:
         ridge.append(term.ridge if term.bodies is None else torch.zeros_like(term.ridge))
         if term.bodies is not None:
@@ -215,7 +215,6 @@ def prior_of(terms: Sequence[Term]) -> Prior:
         first += term.count
     # What a model knows of itself stands first.
     known = torch.cat(information) if information else None
-    centre = None if centre is None else torch.cat(centre)
     return Prior(torch.cat(ridge), together(bodies), centre, known)
 
 
@@ -406,12 +405,12 @@ def leading(
     order = sorted(range(len(bounds)), key=lambda k: -worth(bounds[k][0]))
     best: list[tuple[int, Fitted]] = []
     for first in range(0, len(order), count + CLOSE):
-        some = order[first : first + count + CLOSE]
-        if len(best) == count and worth(bounds[some[0]][0]) <= worth(best[-1][1]):
+        near = order[first : first + count + CLOSE]
+        if len(best) == count and worth(bounds[near[0]][0]) <= worth(best[-1][1]):
             break
-        open_ = [k for k in some if not bounds[k][1]]
-        again = fit_each(question, [explanations[k] for k in open_], effective, weight)
-        fits = {k: bounds[k][0] for k in some} | dict(zip(open_, again, strict=True))
+        incomplete = [k for k in near if not bounds[k][1]]
+        again = fit_each(question, [explanations[k] for k in incomplete], effective, weight)
+        fits = {k: bounds[k][0] for k in near} | dict(zip(incomplete, again, strict=True))
         best = sorted([*best, *fits.items()], key=lambda pair: -worth(pair[1]))[:count]
     return best
 
@@ -672,8 +671,8 @@ def _offers(
         parts.append((g[at, asked] * (w * (at >= 0))[:, None], w * target))
     # What the fit leaves and what it holds; of effects that all joints feel, the sum.
     pulls = [target - x @ rows for rows, target in parts]
-    pull_common = sum(b[:common] for b in pulls)
-    held_common = sum(rows[:, :common] for rows, _ in parts).T @ inner
+    pull_common = np.sum([b[:common] for b in pulls], 0)
+    held_common = np.sum([rows[:, :common] for rows, _ in parts], 0).T @ inner
     held = {j: parts[j][0].T @ inner for j in range(len(parts)) if places is None or j in places}
     # Each batch at once: squares, pulls and what is held of the candidates' columns.
     # What the model leaves open of its own effects is no change of these.
@@ -686,7 +685,7 @@ def _offers(
         # Candidates that all joints feel sum over joints; those of one joint see its matrix alone.
         if batch.place is None:
             h, b = held_common[at], pull_common[at]
-            gram, extra = np.tensordot(weight, products, 1), 0.0
+            gram, extra = np.tensordot(weight, products, 1), np.zeros(len(at))
         else:
             h, b = held[batch.place][at], pulls[batch.place][at]
             g, w = normal.g[batch.place].numpy(), weight[batch.place]
