@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 
 from torchid.design.columns import Columns, Model, Place, on_joint
@@ -23,6 +24,7 @@ from torchid.gap.search.climb import (
     fitted,
     held_out_losses,
     moves,
+    moves_of_each,
     swapped,
     worthy,
 )
@@ -33,6 +35,7 @@ from torchid.gap.search.evidence import (
     acting,
     apart,
     common_names,
+    fit_each,
     fit_terms,
     residual,
     rows_of,
@@ -438,10 +441,10 @@ def at_their_size(question: Question, fit: Fitted) -> list[Effect]:
     other place a large true cause leaves more than rivals that are linear."""
     moved: dict[object, Effect] = {}
     own = fit.terms[len(question.fixed) :]
-    for term in own:
-        rest = [t for t in own if t is not term]
-        without = fit_terms(question, rest, fit.effective, fit.weight)
-        for net, (rival, *_) in moves(question, without, term)[:CLOSELY]:
+    rests = [[t for t in own if t is not term] for term in own]
+    without = fit_each(question, rests, fit.effective, fit.weight)
+    for rest, offered in zip(rests, moves_of_each(question, without, own), strict=True):
+        for net, (rival, *_) in offered[:CLOSELY]:
             effect = rival.effects[0] if len(rival.effects) == 1 else None
             if net > 0 and effect and effect.linearised and effect.identity not in moved:
                 there = fit_terms(question, (*rest, rival), fit.effective, fit.weight)
@@ -474,8 +477,8 @@ def _closest(
         """What columns (C, m, N) explain of it beside the other terms, which are fitted anew."""
         flat = (x * weight).flatten(1)
         gram, held = flat @ flat.T, flat @ others_hold.T
-        root = visible_root(gram - held @ held.T, gram.diagonal())
-        return float((root.T @ (flat @ y)).square().sum())
+        root = visible_root((gram - held @ held.T).numpy(), gram.diagonal().numpy())
+        return float(np.square((flat @ y).numpy() @ root).sum())
 
     # Each time the shapes around the best one are tried, three times more closely.
     best, most = effect, gained(columns.on_all_joints(effect)[:, joints])

@@ -135,7 +135,12 @@ class Term:
         """Whether it changes links' parameters, as a body or as a mistake of the file."""
         return self.inertial or self.change is not None
 
-    @property
+    @cached_property
+    def count(self) -> int:
+        """C."""
+        return len(self.at)
+
+    @cached_property
     def shapes(self) -> int:
         """Number of its parameters that are searched beside the coefficients, how wrong a body may
         be among them; none of the model's own effect, whose shape is given."""
