@@ -251,7 +251,7 @@ class Columns:
         lengths = [len(m.q) for m in motions]
         if kind.windowed or not kind.needs & {"t", "age"}:
             motions = [together(motions)]
-        for parts in zip(*(kind.columns_of(effects, m, robot) for m in motions), strict=True):
+        for parts in kind.columns_along(effects, motions, robot):
             yield list(torch.cat([x.permute(2, 1, 0) for x in parts], -1).split(lengths, -1))
 
     def _all_the_time(self, contact: Contact) -> list[Float[Tensor, "C n _"]]:

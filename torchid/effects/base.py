@@ -388,6 +388,16 @@ class ModelEffect(Effect):
         whose columns have much in common evaluates that once."""
         yield from (effect.torque_columns(motion, robot) for effect in effects)
 
+    @classmethod
+    def columns_along(
+        cls,
+        effects: "Sequence[ModelEffect]",
+        motions: Sequence[Motion],
+        robot: "Robot | None" = None,
+    ) -> Iterator[Sequence[Columns]]:
+        """The same along several trajectories, one column each."""
+        yield from zip(*(cls.columns_of(effects, m, robot) for m in motions), strict=True)
+
     def around(self, level: int, interval: float) -> "Sequence[ModelEffect]":
         """The effect with what no coefficient scales a little otherwise, ever less so with `level`;
         none where there is no such thing.
