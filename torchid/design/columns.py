@@ -16,6 +16,7 @@ import torch
 from torchid.design.segments import Samples, Segment
 from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
+from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.registry import Valued, in_rounds, model_torque, nominal_effects
 from torchid.effects.transient import Contact
 from torchid.robot.inertia import PARAMETERS_PER_LINK
@@ -173,6 +174,13 @@ class Columns:
         """Columns of an effect, zero on joints that do not feel it."""
         place, columns = self.of(effect)
         return columns if place is None else on_joint(columns, place, self.n)
+
+    def laws(self, joint: int) -> Float[Tensor, "K N"]:
+        """Columns of the rigid body, dry and viscous friction and an offset on a joint."""
+        moved = list(self.model.robot.moved_by(joint))
+        laws = (ViscousFriction, CoulombFriction, TorqueOffset)
+        own = [self.of(law(joint))[1] for law in laws]
+        return torch.cat([self.regressor[moved, :, joint].flatten(0, 1), *own])
 
     def torque(self, effect: Effect, values: Sequence[float]) -> Float[Tensor, "n N"]:
         """Torque of an effect on all joints [N m; N]."""

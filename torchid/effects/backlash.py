@@ -85,9 +85,13 @@ class Backlash(OneJointEffect):
 
     @classmethod
     def starts(cls, robot: Robot) -> list[ModelEffect]:
-        """Plays of every width on every joint, with each kind of impact."""
-        places = itertools.product(range(robot.n), WIDTHS, IMPACTS)
+        """Plays of every other width on every joint, with each kind of impact."""
+        places = itertools.product(range(robot.n), WIDTHS[::2], IMPACTS)
         return [cls(joint, width, *impact) for joint, width, impact in places]
+
+    def between(self) -> "list[Backlash]":
+        """The play of the next width."""
+        return [replace(self, at=at) for at in WIDTHS[WIDTHS.index(self.at) + 1 :][:1]]
 
     def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Secant of the torque of all joints over the width of the play (T, n, 1)."""

@@ -377,8 +377,13 @@ class ModelEffect(Effect):
     @classmethod
     def starts(cls, robot: "Robot") -> "list[ModelEffect]":
         """What a search begins with: several at a place where the column is another one at another
-        secant."""
+        secant, so far apart that each has something in common with those `between`."""
         return cls.candidates(robot)
+
+    def between(self) -> "Sequence[ModelEffect]":
+        """What stands between this one of the `starts` and the next, and is looked at where the
+        starts explain something; none where the starts are all."""
+        return []
 
     @classmethod
     def columns_of(
