@@ -90,19 +90,12 @@ class Backlash(OneJointEffect):
         return [cls(joint, width, *impact) for joint, width, impact in places]
 
     def between(self) -> "list[Backlash]":
-        """The play of the next width."""
-        return [replace(self, at=at) for at in WIDTHS[WIDTHS.index(self.at) + 1 :][:1]]
+        """The play of the next width; none where its own is none of `WIDTHS`."""
+        return [replace(self, at=b) for a, b in itertools.pairwise(WIDTHS) if a == self.at]
 
     def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Secant of the torque of all joints over the width of the play (T, n, 1)."""
-        return next(self.columns_of([self], motion, robot))
-
-    @classmethod
-    def columns_of(
-        cls, effects: Sequence[ModelEffect], motion: Motion, robot: Robot | None = None
-    ) -> Iterator[Columns]:
-        """Those of several, as `columns_along`."""
-        yield from (own for (own,) in cls.columns_along(effects, [motion], robot))
+        return next(self.columns_along([self], [motion], robot))[0]
 
     @classmethod
     def columns_along(

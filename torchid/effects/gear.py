@@ -127,6 +127,10 @@ class _Pieces(NamedTuple):
         first = self.load[0]
         return first / self.gear.stiffness + np.sign(first) * self.gear.play / 2
 
+    def flat(self, x: np.ndarray) -> np.ndarray:
+        """(P * B,) of what holds for pieces, gears, or pieces with gears."""
+        return np.broadcast_to(x, self.start.shape).ravel()
+
 
 def link_lag(
     load: Float[Tensor, "T ..."],
@@ -150,8 +154,9 @@ def link_lags(links: Sequence[Driven]) -> list[Lag]:
         index = np.arange(0, len(t), piece) + np.arange(-lead, piece)[:, None]
         index = np.clip(index, 0, len(t) - 1)
         least = max(LEAST_INERTIA * float(inertia.abs().mean()), 1e-12)
-        m = inertia.double().clamp(min=least).numpy()[index]
-        own = _Pieces(*np.broadcast_arrays(load.double().numpy()[index], m), gear, rate)
+        raised = inertia.double().clamp(min=least)
+        u, m = np.broadcast_arrays(load.double().numpy()[index], raised.numpy()[index])
+        own = _Pieces(u, m, gear, rate)
         if gear.play.any():
             flying.setdefault((_steps(own), lead, piece), []).append((k, own))
         else:
@@ -214,31 +219,20 @@ def _flights(some: Sequence[_Pieces], steps: int, lead: int) -> list[list[np.nda
     """
     # Every piece with every gear is one of K links. What drives it stands among the Q columns of
     # all loads, which many of them have in common.
-    shapes = [p.start.shape for p in some]
+    u = np.concatenate([p.load.reshape(len(p.load), -1) for p in some], 1)
+    gains = [1 / (steps * p.rate) / p.inertia.reshape(len(p.load), -1) for p in some]
+    slope, gain = np.diff(u, axis=0) / steps, np.concatenate(gains, 1)
     first = np.cumsum([0, *(p.load[0].size for p in some)])
-    column = np.concatenate(
-        [
-            np.broadcast_to(a + np.arange(p.load[0].size).reshape(p.load[0].shape), shape).ravel()
-            for a, p, shape in zip(first, some, shapes, strict=False)
-        ]
-    )
-    u, m = (
-        np.concatenate([x.reshape(len(x), -1) for x in signals], 1)
-        for signals in ([p.load for p in some], [p.inertia for p in some])
-    )
-    rate = np.repeat([p.rate for p in some], np.diff(first))
-    k, damping, half, drag = (
-        np.concatenate([np.broadcast_to(x, s).ravel() for x, s in zip(own, shapes, strict=True)])
-        for own in zip(*((*p.gear[:2], p.gear.play / 2, p.gear.drag) for p in some), strict=True)
-    )
-    slope, gain = np.diff(u, axis=0) / steps, 1 / (steps * rate) / m
-    h, rate = 1 / (steps * rate[column]), rate[column]
-    x = np.concatenate([p.start.ravel() for p in some])
+    places = [a + np.arange(p.load[0].size) for a, p in zip(first, some, strict=False)]
+    places = [x.reshape(p.load[0].shape) for x, p in zip(places, some, strict=True)]
+    pairs = zip(some, places, strict=True)
+    flat = [[p.flat(x) for x in (at, *p.gear, np.array(p.rate), p.start)] for p, at in pairs]
+    column, k, damping, play, drag, rate, x = map(np.concatenate, zip(*flat, strict=True))
+    half, below, h = play / 2, -play / 2, 1 / (steps * rate)
     xs, vs, middle = np.zeros((3, len(u) - lead, len(x)))
     # In place: these arrays fit the cache, and new ones would take half of the time.
     v = np.zeros_like(x)
-    beyond, push, touching, rest, below = (np.empty_like(x) for _ in range(5))
-    np.negative(half, out=below)
+    beyond, push, touching, rest = (np.empty_like(x) for _ in range(4))
     flank = np.empty(x.shape, dtype=bool)
     for i in range(len(u)):
         if i >= lead:
@@ -268,9 +262,9 @@ def _flights(some: Sequence[_Pieces], steps: int, lead: int) -> list[list[np.nda
             if step == steps // 2 and i + 1 >= lead:
                 middle[i + 1 - lead] = v
     after = np.concatenate([middle[1:], middle[-1:]])
-    parts = np.cumsum([p * b for p, b in shapes])[:-1]
-    found = [np.split(x, parts, axis=1) for x in (xs, vs, (after - middle) * rate)]
+    ends = np.cumsum([p.start.size for p in some])[:-1]
+    found = [np.split(x, ends, axis=1) for x in (xs, vs, (after - middle) * rate)]
     return [
-        [x.reshape(len(x), *shape) for x in own]
-        for *own, shape in zip(*found, shapes, strict=True)
+        [x.reshape(len(x), *p.start.shape) for x in own]
+        for p, *own in zip(some, *found, strict=True)
     ]

@@ -430,7 +430,8 @@ def _torques_at_size(
 ) -> Float[Tensor, "B n N"]:
     """Torques of B effects of one class, each of its own size `at`, on the samples."""
     kind = type(effects[0])
-    found = [torch.cat(x, -1) for x in zip(*kind.columns_along(effects, motions, robot), strict=True)]
+    every = kind.columns_along(effects, motions, robot)
+    found = [torch.cat(x, -1) for x in zip(*every, strict=True)]
     sizes = torch.tensor([e.at for e in effects]).reshape(-1, 1, 1)  # type: ignore[attr-defined]
     return sizes * samples.of([x.permute(2, 1, 0) for x in found])
 

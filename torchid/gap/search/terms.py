@@ -263,10 +263,10 @@ def candidates_of(
 
     # Effects of the whole arm, and those that all joints share.
     there: set[Effect] = set()
-    for some in _model_effects(wanted, data, columns, extra):
-        some = [e for e in some if e not in there]
+    for every in _model_effects(wanted, data, columns, extra):
+        some = [e for e in every if e not in there]
         starts = list(zip(some, columns.of_several(some), strict=True))
-        finer = _between(columns, gap, data.keep, starts)
+        finer = [e for e in _between(columns, gap, data.keep, starts) if e not in there]
         for effect, (place, x) in (*starts, *zip(finer, columns.of_several(finer), strict=True)):
             terms.append(put((effect,), place, x))
         there |= {*some, *finer}
@@ -282,8 +282,8 @@ def candidates_of(
             beside.append(put((e,), *columns.of(e)))
     for name in wanted.names:
         if KINDS[name].shared and not issubclass(KINDS[name], FileMistake):
-            every = tuple(KINDS[name].candidates(robot))  # type: ignore[attr-defined]
-            terms.append(put(every, None, sum(columns.on_all_joints(e) for e in every)))  # type: ignore[arg-type]
+            shared = tuple(KINDS[name].candidates(robot))  # type: ignore[attr-defined]
+            terms.append(put(shared, None, sum(columns.on_all_joints(e) for e in shared)))  # type: ignore[arg-type]
     # Effects of one joint: all shapes of the grid, and some that no grid holds. Once they are in
     # the joint's matrix, its columns are not needed any more.
     gram = Gram(filled, n, int(parts.max()) + 1)
