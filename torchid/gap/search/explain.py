@@ -163,11 +163,13 @@ def explained(
         if attempt + 1 == PASSES or not _changed(at, latest, data):
             break
         at = latest
-        # Secants at the estimate stand beside those at the usual place.
+        # Secants at the estimate stand beside those at the usual place, and all of them are there
+        # again, whatever of their grid is.
         pairs = zip(fit.terms, fit.values(), strict=True)
         moved = [at_estimate(t, v) for t, v in pairs]
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
-        extra += [e for t in start for e in t.effects if e.linearised and len(t.effects) == 1]
+        alone = [t.effects[0] for t in start if len(t.effects) == 1]
+        extra += [e for e in alone if hasattr(e, "at")]
     while True:
         fit = fit_to_convergence(question, fit.terms, fit)
         solution = solve(problem, fit)
@@ -431,7 +433,8 @@ def _torques_at_size(
 ) -> Float[Tensor, "B n N"]:
     """Torques of B effects of one class, each of its own size `at`, on the samples."""
     kind = type(effects[0])
-    found = [torch.cat(list(kind.columns_of(effects, m, robot)), -1) for m in motions]
+    every = kind.columns_along(effects, motions, robot)
+    found = [torch.cat(x, -1) for x in zip(*every, strict=True)]
     sizes = torch.tensor([e.at for e in effects]).reshape(-1, 1, 1)  # type: ignore[attr-defined]
     return sizes * samples.of([x.permute(2, 1, 0) for x in found])
 
