@@ -40,7 +40,11 @@ def shown(result: Identification) -> Shown:
 
 def tables(result: Identification) -> list[Table]:
     """Base parameters, effects per joint, errors per joint."""
-    return [parameter_table(result), *effect_tables(result), error_table(result)]
+    n, condition = result.base.n_rigid, f"{result.scaled_condition_number:.0f}"
+    what = f"{n} base parameters of {result.robot.name}"
+    title = f"{what} (condition number {condition} with scaled columns)"
+    first = coefficient_table(result, range(n), title)
+    return [first, *effect_tables(result), error_table(result)]
 
 
 def shown_errors(result: Identification) -> tuple[Errors, bool]:
@@ -54,25 +58,6 @@ def poor_names(result: Identification) -> list[str]:
     half = result.uncertainty.quantile() * result.relative_std_percent
     bad = [k for k in range(len(result.base)) if bool(result.free[k]) and float(half[k]) > _ZERO]
     return [result.base.names[k] for k in sorted(bad, key=lambda k: -float(half[k]))]
-
-
-def parameter_table(result: Identification) -> Table:
-    """Names, values, standard deviations."""
-    base, rows = result.base, []
-    for k in range(base.n_rigid):
-        spread = ("-", "held at 0")
-        if bool(result.free[k]):
-            relative = percent_words(float(result.relative_std_percent[k]))
-            spread = (f"{float(result.std[k]):.2g}", relative)
-        rows.append((base.names[k], f"{float(result.values[k]):.5g}", base.units[k], *spread))
-    condition = f"condition number {result.scaled_condition_number:.0f} with scaled columns"
-    title = f"{base.n_rigid} base parameters of {result.robot.name} ({condition})"
-    return Table(title, ("base parameter", "value", "unit", "std", "std %"), rows, "prl")
-
-
-def percent_words(relative: float) -> str:
-    """A standard deviation in percent of its value."""
-    return f"{relative:.1f}" if relative < 1e4 else "> 10⁴"
 
 
 def effect_tables(result: Identification) -> list[Table]:
@@ -308,13 +293,14 @@ def coefficient_table(result: Identification, which: Sequence[int], title: str) 
         spread, std = ("held at 0", "-", "-"), float(result.std[k])
         if bool(result.free[k]):
             low, high = (_to_digits(end, std) for end in ends[k])
-            relative = percent_words(float(result.relative_std_percent[k]))
+            percent = float(result.relative_std_percent[k])
+            relative = f"{percent:.1f}" if percent < 1e4 else "> 10⁴"
             spread = (f"{std:.3g}", f"[{low}, {high}]", relative)
         unit = unit_words(result.base.units[k])
         rows.append((result.base.names[k], f"{float(result.values[k]):.6g}", unit, *spread))
     columns = ("name", "value", "unit", "std", "95 % interval", "std, % of value")
     note = "Standard deviations from a block jackknife: neighbouring residuals are alike."
-    return Table(title, columns, rows, "lrl", note)
+    return Table(title, columns, rows, "prl", note)
 
 
 def _to_digits(value: float, std: float) -> str:
