@@ -9,7 +9,7 @@ import torch
 
 from torchid.report.colours import BLUE, BROWN, GREEN, GREY, INK, ORANGE, PURPLE, RED
 from torchid.report.panels import Figure, Figures, finish, joint_lines, panel, tiles
-from torchid.report.table import Shown, Table, cells
+from torchid.report.table import Shown, Table, cells, joint_numbers
 from torchid.robot.inertia import InertialParameters
 from torchid.study.equal_torque.statistics import Across
 from torchid.study.equal_torque.study import EqualTorqueStudy
@@ -68,7 +68,7 @@ def joint_table(study: EqualTorqueStudy) -> Table:
     errors = study.errors
     rows = {kind_words(k): errors.force_rms[study.rows(k)].median(0).values for k in study.kinds}
     rows["the force itself"] = errors.reference_force_rms
-    columns = ("kind", *_joints(study))
+    columns = ("kind", *joint_numbers(study.setting.robot.n))
     texts = [(name, *cells(row)) for name, row in rows.items()]
     return Table("median force error per joint [N]", columns, texts, "l")
 
@@ -127,7 +127,7 @@ def reach_table(study: EqualTorqueStudy) -> Table:
         )
         rows.append(("nothing (feasible)" if r.kind == "feasible" else kind_words(r.kind), *texts))
     title = "greatest force error of any set with this torque [N] (reached - bound)"
-    return Table(title, ("what may be violated", *_joints(study)), rows, "l")
+    return Table(title, ("what may be violated", *joint_numbers(study.setting.robot.n)), rows, "l")
 
 
 def truth_table(study: EqualTorqueStudy) -> Table:
@@ -183,10 +183,6 @@ def interval(found: Estimate) -> str:
     if math.isnan(found.low):
         return f"{found.value:.2f} (too few chains)"
     return f"{found.value:.2f} [{found.low:.2f}, {found.high:.2f}]"
-
-
-def _joints(study: EqualTorqueStudy) -> list[str]:
-    return [f"j{joint + 1}" for joint in range(study.setting.robot.n)]
 
 
 _NEARLY_ALL = 0.1

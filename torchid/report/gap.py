@@ -4,9 +4,7 @@ figures of torque over time."""
 import math
 import re
 from functools import partial
-from typing import Any
 
-from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import GapRecord, Known, NotTestable
 from torchid.report import gap_figures
@@ -22,6 +20,7 @@ from torchid.report.gap_words import (
 )
 from torchid.report.panels import Picture
 from torchid.report.table import Table
+from torchid.results.answer import named_size
 from torchid.results.record import as_plain
 from torchid.results.replication import times
 from torchid.results.words import (
@@ -37,6 +36,7 @@ from torchid.results.words import (
     sure,
     unit_behind,
     unit_words,
+    value_words,
 )
 from torchid.robot.model import Robot, joint_unit, torque_unit
 
@@ -162,14 +162,9 @@ def small_table(record: GapRecord) -> Table:
     """Effects that are there, of a size below what was asked for."""
     rows = []
     for e in record.small:
-        values = [
-            f"{name} = {measure(v, e.std.get(name), unit_behind(unit))}"
-            for name, unit in e.unit.items()
-            if isinstance(v := e.parameters[name], float | int)
-        ]
+        values = "\n".join(map(named_size, e.cause.sizes))
         last = (f"{e.closes_rms:.2g}", sure(e.how_sure), times(e.replication))
-        place = number_list(e.joints, "all")
-        rows.append((effect_words(e.effect), place, "\n".join(values), *last))
+        rows.append((effect_words(e.effect), number_list(e.joints, "all"), values, *last))
     columns = ("effect", "joints", "value", "removes, RMS", "sure", "found in")
     title = "small effects (real, but below `worthwhile=...`)"
     return Table(title, columns, rows, "lll")
@@ -273,24 +268,16 @@ def not_testable_table(record: GapRecord) -> Table:
 
 def experiment_table(record: GapRecord) -> Table:
     """What to record next."""
-    entries = as_plain(record.next_experiment) if record.next_experiment else {}
-    texts = {key.replace("_", " "): _value(value) for key, value in entries.items()}
-    rows = [(key, text) for key, text in texts.items() if text]
+    experiment, said = record.next_experiment, {}
+    if experiment is not None:
+        names = [effect_words(name) for name in experiment.separates]
+        said = {**as_plain(experiment), "separates": names}
+    rows = [
+        (key.replace("_", " "), value_words(value, ".4g"))
+        for key, value in said.items()
+        if value is not None
+    ]
     return Table("next experiment", ("", " "), rows, "lp")
-
-
-def _value(value: Any) -> str:
-    """Short text of a value; long arrays are left to the JSON."""
-    if isinstance(value, dict):
-        return "; ".join(f"{k.replace('_', ' ')}: {_value(v)}" for k, v in value.items())
-    if isinstance(value, list | tuple):
-        nested = any(isinstance(v, list | tuple | dict) for v in value)
-        if len(value) > _MOST_NUMBERS or nested:
-            return f"{len(value)} values (see the JSON)"
-        return ", ".join(_value(v) for v in value)
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "" if value is None else effect_words(value) if value in KINDS else str(value)
 
 
 def _others(names: tuple[str, ...]) -> str:

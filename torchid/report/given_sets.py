@@ -9,7 +9,7 @@ import numpy as np
 from torchid.report.colours import GREY, INK
 from torchid.report.equal_torque import class_colour, interval
 from torchid.report.panels import Figure, Figures, finish, panel
-from torchid.report.table import Shown, Table, cells
+from torchid.report.table import Shown, Table, cells, joint_numbers
 from torchid.study.equal_torque.given_sets import GivenSets
 from torchid.wrenches.classes import class_of
 
@@ -82,7 +82,7 @@ def set_table(found: GivenSets) -> Table:
     ]  # fmt: skip
     moment = f"{float(own.reference_moment_rms.max()):.3g}"
     rows.append(("itself", "", "", moment, *cells(own.reference_force_rms), ""))
-    joints = (f"j{joint + 1}" for joint in range(found.robot.n))
+    joints = joint_numbers(found.robot.n)
     columns = ("set", "degree", "torque [%]", "moment [N m]", *joints, "reasons")
     return Table(title, columns, rows, "l".ljust(len(columns) - 1, "r") + "p")
 

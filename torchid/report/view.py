@@ -164,10 +164,8 @@ def _effects(diagnosis: TorqueDiagnosis, trace: Trace) -> dict[str, Float[Tensor
         for effect, values in model.effects:
             torque = sign * _torque(diagnosis, trace, model, (effect, values), loaded)
             added[effect.name] = added.get(effect.name, torch.zeros_like(torque)) + torque
-    rigid = Model(answered.robot, ()).load(motion) - Model(given.robot, ()).load(
-        motion
-    )  # of changed parameters
-    added["parameters"] = rigid
+    bodies, before = (Model(model.robot, ()).load(motion) for model in (answered, given))
+    added["parameters"] = bodies - before
     added = {k: low_passed(x.T, trace.rate, diagnosis.band).T for k, x in added.items()}
     total = torch.stack(list(added.values())).sum(0)
     return {**added, "refit": trace.after - trace.before - total}

@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 
 from torchid.report.colours import BLUE, GREY, INK, ORANGE
-from torchid.report.panels import SMALL, Figure, Figures, finish, new_figure, panel, ruled, tiles
+from torchid.report.panels import (
+    SMALL,
+    Figure,
+    Figures,
+    finish,
+    new_figure,
+    panel,
+    shaded_map,
+    tiles,
+)
 from torchid.report.table import Shown, Table, pipe_table
 from torchid.withheld.own import LEVELS, OwnCheck, Planted
 
@@ -358,21 +367,15 @@ def confusion_figure(inside: Matrix, outside: Matrix) -> Figure:
     shares = table / np.maximum(table.sum(1, keepdims=True), 1)
     figure = new_figure(3.6 + 0.3 * len(columns), 2.6 + 0.24 * len(rows))
     axes = figure.subplots()
-    axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
-    for y, row in enumerate(rows):
-        for x, column in enumerate(columns):
-            if table[y, x]:
-                axes.text(
-                    x, y, f"{table[y, x]:.0f}", ha="center", va="center", fontsize=SMALL,
-                    color="white" if shares[y, x] > 0.55 else INK,
-                )  # fmt: skip
-            if row == column:
-                corner = (x - 0.5, y - 0.5)
-                axes.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=GREY, linewidth=1.0))
     names = [_words(c) for c in columns]
+    shaded_map(axes, shares, names, [_words(r) for r in rows], "share of the row's cases", 1.0)
     axes.set_xticks(range(len(columns)), names, rotation=60, ha="right", rotation_mode="anchor")
-    axes.set_yticks(range(len(rows)), [_words(r) for r in rows])
-    ruled(axes, len(rows), len(columns), 1.5)
+    for (y, x), cases in np.ndenumerate(table):
+        text = f"{cases:.0f}" if cases else ""
+        axes.text(x, y, text, ha="center", va="center", fontsize=SMALL, color=INK)
+        if rows[y] == columns[x]:
+            corner = (x - 0.5, y - 0.5)
+            axes.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=GREY, linewidth=1.0))
     if inside and outside:
         axes.axhline(len(inside) - 0.5, color=INK, linewidth=1.0)
         axes.text(

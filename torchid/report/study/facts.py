@@ -200,7 +200,14 @@ def verdict(study: Study) -> list[str]:
         if why
         else "Truth: the simulated arm's own parameters are feasible."
     )
-    said += _possible(study)
+    for text, bounds in proofs(study).items():
+        proven = text or "it is not known whether a set has exactly the identified coefficients"
+        said.append(f"{'Proven' if text else 'Open'}: within the bounds {listed(bounds)} {proven}.")
+    if not study.certificates:
+        said.append(
+            "Open: there is no certificate, so how small the loss of a feasible set can be is not "
+            "known."
+        )
     good, bad = by_feasibility(study, True), by_feasibility(study, False)
     feasible, runs = feasible_runs(study)
     failing = [f"{s.scenario.id} ({', '.join(s.reasons)})" for s in bad]
@@ -230,40 +237,21 @@ def verdict(study: Study) -> list[str]:
     return said + [f"Noticed: {warning}" for warning in study.warnings]
 
 
-def _possible(study: Study) -> list[str]:
-    """What the certificates say: the least loss of a feasible set, and what forces it."""
-    if not study.certificates:
-        return [
-            "Unknown: there is no certificate, so how small the loss of a feasible set can be is "
-            "not known."
-        ]
-    free = [b for b, c in study.certificates.items() if c.exact and c.with_conditions]
-    out = []
-    if free:
-        out.append(
-            f"Possible: within the bounds {listed(free)} there are feasible sets with exactly the "
-            "identified coefficients (phi_min = 0)."
-        )
+def proofs(study: Study) -> dict[str, list[str]]:
+    """What the certificates prove, and of which bounds; under an empty text those of which it is
+    open whether a set has exactly the identified coefficients."""
+    out: dict[str, list[str]] = {}
     for bounds, c in study.certificates.items():
+        text = ""
         if math.isinf(c.phi_min):
-            out.append(f"Impossible: within the bounds {bounds} there is no physical set.")
-            continue
-        if math.isnan(c.phi_min):
-            out.append(f"Unknown: within the bounds {bounds} the solver failed.")
-            continue
-        whose = "feasible" if c.with_conditions else "physical"
-        if c.phi_min > 0:
-            why = f" Forced by {listed(c.forcing)}." if c.forcing else ""
-            out.append(
-                f"Impossible: within the bounds {bounds} no {whose} set has a loss below phi_min = "
-                f"{number(c.phi_min, 4)} (a set with {number(c.phi_strict, 4)} was found), so "
-                f"none has exactly the identified coefficients.{why}"
-            )
-        elif not c.exact:
-            out.append(
-                f"Open: within the bounds {bounds} the least loss of a {whose} set lies between 0 "
-                f"and {number(c.phi_strict, 4)}."
-            )
+            text = "there is no physical set at all"
+        elif c.exact and c.with_conditions and not math.isnan(c.phi_min):
+            text = "feasible sets with exactly the identified coefficients exist"
+        elif c.phi_min > 0:
+            whose = "feasible" if c.with_conditions else "physical"
+            forced = f", forced by {listed(c.forcing)}" if c.forcing else ""
+            text = f"no {whose} set has exactly the identified coefficients{forced}"
+        out.setdefault(text, []).append(bounds)
     return out
 
 

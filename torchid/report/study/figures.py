@@ -11,6 +11,7 @@ import torch
 
 from torchid.log.model import Log
 from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, INK, KEEPS, ORANGE, RED
+from torchid.report.extraction import draw_search
 from torchid.report.log import SIGNALS, trajectory_figure
 from torchid.report.panels import (
     Figure,
@@ -297,37 +298,14 @@ def _convergence(study: Study) -> Figure:
     k = len(study.scenarios)
     width = max(6.0, 1.0 + 2.1 * k)
     figure, grid = panel(width, 5.6, 2, k, sharex=True, sharey="row", squeeze=False)
-    gammas = torch.cat([s.extraction.history_gamma.flatten() for s in study.scenarios])
-    positive = gammas[(gammas > 0) & torch.isfinite(gammas)]
-    zero = 10.0 ** (math.floor(math.log10(float(positive.min()))) - 1) if len(positive) else 1e-1
-    for c, s in enumerate(study.scenarios):
-        e = s.extraction
-        for axes, history, floor in zip(
-            grid[:, c], (e.history_phi, e.history_gamma), (_LEAST_PHI, zero), strict=True
-        ):
-            values = _floored(history, floor)
-            axes.set(yscale="log", xlabel="stage" if axes is grid[1, c] else "")
-            stages = np.arange(1, values.shape[1] + 1)
-            axes.plot(stages, values.T, color=GREY, linewidth=0.5, alpha=0.7)
-            axes.plot(stages, values[e.best], color=BLUE, linewidth=2.0)
-        least = facts.phi_min(study, s)
-        if _LEAST_PHI < least < math.inf:
-            grid[0, c].axhline(least, color=BREAKS, linewidth=1.2)
+    for (upper, lower), s in zip(grid.T, study.scenarios, strict=True):
+        draw_search(upper, lower, s.extraction, facts.phi_min(study, s))
         heading = f"{s.scenario.id}: {s.scenario.bounds}, {s.scenario.penalty}"
-        grid[0, c].set_title(heading, fontsize=9, color=KEEPS if s.feasible else BREAKS)
-        grid[1, c].axhline(zero, color=INK, linewidth=0.8)
-        grid[1, c].text(0.98, zero / 1.3, "gamma = 0", transform=grid[1, c].get_yaxis_transform(),
-                        fontsize=7, color=INK, ha="right", va="top")  # fmt: skip
+        upper.set_title(heading, fontsize=9, color=KEEPS if s.feasible else BREAKS)
+        lower.set_xlabel("stage")
     grid[0, 0].set_ylabel("phi")
-    grid[1, 0].set(ylim=(zero / 10, None), ylabel="gamma")
-    keys = {
-        "runs": {"color": GREY, "linewidth": 0.8},
-        "best run": {"color": BLUE, "linewidth": 2.0},
-        "phi_min": {"color": BREAKS, "linewidth": 1.2},
-    }
-    if not any(_LEAST_PHI < facts.phi_min(study, s) < math.inf for s in study.scenarios):
-        del keys["phi_min"]
-    return finish(figure, f"{study.robot.name}: the search, stage by stage", keys=keys)
+    grid[1, 0].set_ylabel("gamma")
+    return finish(figure, f"{study.robot.name}: the search, stage by stage", *grid[0])
 
 
 def _losses_caption(study: Study) -> str:

@@ -13,14 +13,14 @@ from torchid.extraction.cma.search import default_population
 from torchid.feasibility.sets import joined, sets_record
 from torchid.files import make_folder, write_text
 from torchid.report.cautions import caution_section
-from torchid.report.page.document import Origin, Page, setting_words, versions
+from torchid.report.page.document import Origin, Page, versions
 from torchid.report.panels import Picture, save_small
 from torchid.report.study import facts
 from torchid.report.study.facts import by_feasibility, ids, kept, number, verdict
 from torchid.report.study.figures import motion_drawings, search_drawings, torque_drawings
 from torchid.report.study.wrench_figures import payload_drawings, wrench_drawings
 from torchid.report.table import Section, Shown, Table, cell, joint_numbers
-from torchid.results.words import count, listed
+from torchid.results.words import count, listed, value_words
 from torchid.robot.model import torque_unit
 from torchid.study.result import Study
 from torchid.wrenches.compare import ClassSummary
@@ -329,7 +329,7 @@ def _origin(study: Study, files: Sequence[str]) -> str:
     said["versions"] = dict(versions())
     if files:
         said["beside this page"] = [f"`{name}`" for name in files]
-    return "".join(f"- {name}: {setting_words(value)}\n" for name, value in said.items())
+    return "".join(f"- {name}: {value_words(value)}\n" for name, value in said.items())
 
 
 _ORDER = (
@@ -407,19 +407,9 @@ def page_verdict(study: Study) -> str:
             f"Feasible in part: {len(good)} of {total} ({listed(ids(good))}), while the others "
             f"{failing}"
         )
-    # What is proven to be possible, groups of bounds of which the same holds together.
-    same: dict[str, list[str]] = {}
-    for bounds, c in study.certificates.items():
-        text = ""
-        if math.isinf(c.phi_min):
-            text = "there is no physical set at all"
-        elif c.exact and c.with_conditions and not math.isnan(c.phi_min):
-            text = "feasible sets with exactly the identified coefficients exist"
-        elif c.phi_min > 0:
-            whose = "feasible" if c.with_conditions else "physical"
-            forced = f", forced by {listed(c.forcing)}" if c.forcing else ""
-            text = f"no {whose} set has exactly the identified coefficients{forced}"
-        if text:
-            same.setdefault(text, []).append(bounds)
-    proofs = [f"within the bounds {listed(bounds)} {text}" for text, bounds in same.items()]
-    return "; ".join([said, *proofs]) + "."
+    proven = [
+        f"within the bounds {listed(bounds)} {text}"
+        for text, bounds in facts.proofs(study).items()
+        if text
+    ]
+    return "; ".join([said, *proven]) + "."
