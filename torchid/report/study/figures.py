@@ -11,7 +11,7 @@ import torch
 
 from torchid.log.model import Log
 from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, INK, KEEPS, ORANGE, RED
-from torchid.report.extraction import draw_search
+from torchid.report.extraction import draw_searches
 from torchid.report.log import SIGNALS, trajectory_figure
 from torchid.report.panels import (
     Figure,
@@ -298,8 +298,8 @@ def _convergence(study: Study) -> Figure:
     k = len(study.scenarios)
     width = max(6.0, 1.0 + 2.1 * k)
     figure, grid = panel(width, 5.6, 2, k, sharex=True, sharey="row", squeeze=False)
+    draw_searches(grid, [(s.extraction, facts.phi_min(study, s)) for s in study.scenarios])
     for (upper, lower), s in zip(grid.T, study.scenarios, strict=True):
-        draw_search(upper, lower, s.extraction, facts.phi_min(study, s))
         heading = f"{s.scenario.id}: {s.scenario.bounds}, {s.scenario.penalty}"
         upper.set_title(heading, fontsize=9, color=KEEPS if s.feasible else BREAKS)
         lower.set_xlabel("stage")
