@@ -7,14 +7,23 @@ from functools import partial
 
 from rich.text import Text
 
-from torchid.compare.diagnoses import ALPHA, GapComparison, Shared
-from torchid.compare.identifications import Compared, Comparison
-from torchid.compare.record import Named, Range, TorqueSpread, Verdict
-from torchid.compare.sets import SetComparison
+from torchid.compare.diagnoses import ALPHA
+from torchid.compare.record import (
+    ComparedParameter,
+    Comparison,
+    GapComparison,
+    Named,
+    Range,
+    SetComparison,
+    Shared,
+    TorqueSpread,
+    Verdict,
+)
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
 from torchid.report.panels import Figure, Figures, finish, panel, rows_of
 from torchid.report.table import Cell, Shown, Table, cells, joint_numbers
 from torchid.results.words import count, short, unit_behind
+from torchid.statistics.proportion import HALF_95
 
 ORDER: tuple[Verdict, ...] = ("drift", "differ", "agree", "never_determined", "not_compared")
 WORDS = {
@@ -83,18 +92,19 @@ def verdict(result: Comparison) -> str:
 
 def _scatter(result: Comparison) -> str:
     """How far the standard deviations can be trusted."""
-    whole, typical = result.whole, result.birge
+    whole, pooled, typical = result.whole, result.birge.pooled, result.birge.typical
     assert whole is not None
+    assert pooled is not None
     assert typical is not None
-    low, _, high = whole.pooled_expected
-    if whole.pooled <= high and whole.p >= 0.05:
+    low, _, high = result.birge.pooled_expected or (0.0, 0.0, 0.0)
+    if pooled <= high and whole.p >= 0.05:
         meaning = ": the standard deviations can be trusted from run to run."
         if result.same_motion:
             meaning = (
                 ": no contradiction, but fitted on the same trajectory they say nothing about the "
                 "standard deviations from run to run."
             )
-        elif whole.pooled < low:
+        elif pooled < low:
             meaning = (
                 ": they agree better than chance allows, so they share data, or their standard "
                 "deviations are too large."
@@ -102,10 +112,10 @@ def _scatter(result: Comparison) -> str:
     elif typical > NOTABLE:
         meaning = (
             f". The typical parameter does so {typical:.2g} times: if nothing about the arm "
-            f"changed, its standard deviations are too small by a factor {whole.pooled:.2g}; the "
+            f"changed, its standard deviations are too small by a factor {pooled:.2g}; the "
             "consensus accounts for it."
         )
-    elif whole.pooled <= high:
+    elif pooled <= high:
         meaning = (
             ". What differs shows in combinations of parameters more than in single ones: look at "
             "the torque."
@@ -116,7 +126,7 @@ def _scatter(result: Comparison) -> str:
             "their standard deviations are too small, not those of all."
         )
     return (
-        f"The results scatter {whole.pooled:.2g} times as much as their standard deviations claim "
+        f"The results scatter {pooled:.2g} times as much as their standard deviations claim "
         f"(by chance {low:.2g} to {high:.2g}); all together, correlations included, the "
         f"chi-square is {whole.q:.0f} where {whole.expected[0]:.0f} to {whole.expected[2]:.0f} is "
         f"expected (p = {whole.p:.2g}){meaning}"
@@ -162,9 +172,9 @@ def tables(result: Comparison) -> list[Table | None]:
                 known = sorted((v, c) for (v, s), c in values if not math.isnan(s))
                 texts = [known[0][1], known[-1][1]] if known else ["-", "-"]
             consensus = ["", "", ""]
-            if p.scatter is not None and p.p_holm is not None:
-                mean = f"{p.scatter.consensus:.3g} ± {p.scatter.std:.2g}"
-                consensus = [mean, f"{p.scatter.birge:.2f}", f"{p.p_holm:.2g}"]
+            if p.p_holm is not None:
+                mean = f"{p.consensus:.3g} ± {p.consensus_std:.2g}"
+                consensus = [mean, f"{p.birge:.2f}", f"{p.p_holm:.2g}"]
             rows.append([name, *texts, *consensus])
         rows.append([])
     labels = result.labels if wide else ("lowest", "highest")
@@ -173,7 +183,7 @@ def tables(result: Comparison) -> list[Table | None]:
     return [Table(title, columns, rows, "l"), torque_table(result.torque, result.labels)]
 
 
-def _pairs(p: Compared) -> list[tuple[float, float]]:
+def _pairs(p: ComparedParameter) -> list[tuple[float, float]]:
     return list(zip(p.values.tolist(), p.std.tolist(), strict=True))
 
 
@@ -289,7 +299,7 @@ def gap_tables(result: GapComparison) -> list[Table | None]:
                 "" if value is None else f"{value:.4g} ± {std:.2g} {unit_behind(c.unit)}".rstrip()
                 for value, std in zip(c.values, c.std, strict=True)
             ]
-            rows.append(["", c.name, *texts, f"{c.scatter.birge:.2f}", f"{c.p_holm:.2g}"])
+            rows.append(["", c.name, *texts, f"{c.birge:.2f}", f"{c.p_holm:.2g}"])
         # Coefficients that no other diagnosis gives with a standard deviation, then shapes.
         alike = [c.name for c in s.coefficients]
         named = [n for n in s.named if n is not None]
@@ -344,19 +354,21 @@ def forest_figure(result: Comparison) -> Figure:
     standard deviations; the consensus' own interval is the grey bar."""
     shown = [p for kind in ORDER[:4] for p in result.having(kind)]
     m = len(result.labels)
+    quantiles = result.quantiles or [HALF_95] * m
     figure, axes = panel(10, 1.6 + (0.2 + 0.05 * m) * len(shown))
     for row, p in enumerate(shown):
-        assert p.scatter is not None
+        assert p.consensus is not None
+        assert isinstance(p.consensus_ci95, tuple)
         known = p.std[~p.std.isnan()]
         unit = max(float(known.clamp(min=1e-300).log().mean().exp()), 1e-300)
-        half = p.scatter.quantile * p.scatter.std / unit
+        half = (p.consensus_ci95[1] - p.consensus) / unit
         axes.barh(row, 2 * half, left=-half, height=0.8, color=GREY, alpha=0.22, linewidth=0)
         for k, (value, std) in enumerate(zip(p.values.tolist(), p.std.tolist(), strict=True)):
             if math.isnan(std):
                 continue
-            x = (value - p.scatter.consensus) / unit
+            x = (value - p.consensus) / unit
             y = row + 0.6 * ((k + 0.5) / m - 0.5)
-            wide = result.quantiles[k] * std / unit
+            wide = quantiles[k] * std / unit
             axes.plot([x - wide, x + wide], [y, y], color=_colour(k), linewidth=1.1)
             marker = "o" if abs(x) <= CLIP else ("<" if x < 0 else ">")
             axes.plot(max(-CLIP, min(CLIP, x)), y, marker, color=_colour(k), markersize=3.2)
@@ -431,7 +443,7 @@ def _colour(k: int) -> str:
 
 
 def _compared(
-    figure: Figure, title: str, shown: Sequence[Compared | Range], labels: Sequence[str]
+    figure: Figure, title: str, shown: Sequence[ComparedParameter | Range], labels: Sequence[str]
 ) -> Figure:
     """Names of the rows in the colours of their verdicts, and a legend of the results."""
     for name, row in zip(figure.axes[0].get_yticklabels(), shown, strict=True):

@@ -4,9 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from torchid.compare.diagnoses import GapComparison
-from torchid.compare.identifications import Comparison
-from torchid.compare.sets import SetComparison
+from torchid.compare.record import Comparison, GapComparison, SetComparison
 from torchid.doctor.examine import Examination
 from torchid.errors import TorchidError
 from torchid.extraction.convex.atlas import Atlas

@@ -84,11 +84,6 @@ def all_degrees(study: Study) -> Float[Tensor, " K"]:
     return torch.cat([s.feasibility.degree for s in study.scenarios])
 
 
-def kept(gamma: Float[Tensor, " R"]) -> int:
-    """Runs that meet all conditions: those whose penalty is zero."""
-    return int((gamma == 0).sum())
-
-
 def endings(result: ScenarioResult) -> Int[Tensor, " R"]:
     """(R,) which runs ended in the same set: the number of the first of them."""
     x = result.extraction.sets.vector

@@ -2,8 +2,9 @@
 folder with all of it, and the HTML page."""
 
 import math
+import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -13,18 +14,17 @@ from torchid.extraction.cma.search import default_population
 from torchid.feasibility.sets import joined, sets_record
 from torchid.files import make_folder, write_text
 from torchid.report.cautions import caution_section
-from torchid.report.page.document import Origin, Page, versions
-from torchid.report.panels import Picture, save_small
+from torchid.report.equal_torque import interval
+from torchid.report.page.document import Origin, Page, origin
+from torchid.report.panels import save_small
 from torchid.report.study import facts
-from torchid.report.study.facts import by_feasibility, ids, kept, number, verdict
-from torchid.report.study.figures import motion_drawings, search_drawings, torque_drawings
-from torchid.report.study.wrench_figures import payload_drawings, wrench_drawings
+from torchid.report.study.facts import by_feasibility, ids, number, verdict
+from torchid.report.study.figures import drawings
 from torchid.report.table import Section, Shown, Table, cell, joint_numbers
-from torchid.results.words import count, listed, value_words
+from torchid.results.words import count, listed
 from torchid.robot.model import torque_unit
 from torchid.study.result import Study
 from torchid.wrenches.compare import ClassSummary
-from torchid.wrenches.resampling import Estimate
 
 
 def shown(study: Study) -> Shown:
@@ -87,7 +87,7 @@ def search_table(study: Study) -> Table:
         rows.append(
             (
                 s.scenario.id, str(len(e.sets)), *(number(float(x)) for x in losses),
-                str(kept(e.gamma)), str(int(s.feasibility.feasible.sum())),
+                str(int((e.gamma == 0).sum())), str(int(s.feasibility.feasible.sum())),
                 str(len(facts.endings(s).unique())), f"{e.seconds:.1f}",
             )
         )  # fmt: skip
@@ -191,12 +191,12 @@ def class_table(study: Study) -> Table:
         effect, distinct = effects.get(c.name), str(facts.distinct_errors(study, c.name))
         against = ("-", "-")
         if effect is not None:
-            against = (_interval(effect.ratio), _interval(effect.delta))
+            against = (interval(effect.ratio), interval(effect.delta))
         rows.append((c.name, str(c.sets), distinct, *_quartiles(c), *against))
     rows += [()] + [(c.name, str(c.sets), "-", *_quartiles(c), "-", "-") for c in found.per_reason]
     infeasible = found.correlation_infeasible
     rho = [
-        f"{_interval(correlation.rho)} over {what}"
+        f"{interval(correlation.rho)} over {what}"
         for what, correlation in (
             (count(found.correlation.sets, "set"), found.correlation),
             (f"the {infeasible.sets} infeasible ones", infeasible),
@@ -233,29 +233,12 @@ def payload_table(study: Study) -> Table:
 
 
 def all_tables(study: Study) -> list[Table]:
-    """Every table, in the page's order."""
+    """Every table, in the pages' order."""
     return [table for _, _, makers in _SECTIONS for make in makers if (table := make(study))]
 
 
 def _quartiles(c: ClassSummary) -> list[str]:
     return [cell(value) for value in (c.median, c.lower_quartile, c.upper_quartile)]
-
-
-def _interval(e: Estimate) -> str:
-    if math.isnan(e.value) or math.isnan(e.low):
-        return number(e.value)
-    return f"{number(e.value)} [{number(e.low)}, {number(e.high)}]"
-
-
-def drawings(study: Study) -> list[Picture]:
-    """Figures with captions, none of them drawn yet (figures 5.1 to 5.19, and more)."""
-    return [
-        *motion_drawings(study),
-        *torque_drawings(study),
-        *search_drawings(study),
-        *wrench_drawings(study),
-        *payload_drawings(study),
-    ]
 
 
 def write_study(study: Study, folder: Path) -> list[Path]:
@@ -273,78 +256,40 @@ def write_study(study: Study, folder: Path) -> list[Path]:
         TorchidError: the folder cannot be written.
     """
     make_folder(folder)
-    figures = drawings(study)
     every = [
         replace(s.extraction.sets, ids=tuple(f"{s.scenario.id}/{k}" for k in s.extraction.sets.ids))
         for s in study.scenarios
     ]
     sets = {"sets.json": [s.best for s in study.scenarios], "all_sets.json": every}
-    written = [save_small(d.draw(), folder / d.file) for d in figures]
+    about = origin(arguments=(), started=time.monotonic(), files=(), **seeds_and_settings(study))
+    page = study_page(study, about)
+    written = [save_small(picture.draw(), folder / picture.file) for picture in page.pictures]
     for name, parts in sets.items():
         sets_record(joined(parts), study.robot).save(folder / name)
     # The page comes last: where it is, all that it shows is there too.
-    write_text(folder / "study.md", page(study, figures, list(sets)))
+    write_text(folder / "study.md", page.markdown())
     return [folder / "study.md", *(folder / name for name in sets), *written]
 
 
 _SECTIONS: tuple[tuple[str, str, tuple[Callable[[Study], Table], ...]], ...] = (
-    ("Identification", "identification", (identification_table,)),
-    ("Extraction", "extraction", (certificate_table, search_table)),
     ("Classification", "classification", (scenario_table, reason_table)),
-    ("Validation of the sets", "validation", (torque_table,)),
+    ("Extraction", "extraction", (certificate_table, search_table)),
     ("Internal wrenches", "wrenches", (set_wrench_table, class_table)),
+    ("Validation of the sets", "validation", (torque_table,)),
     ("Payload", "payload", (payload_table,)),
+    ("Identification", "identification", (identification_table,)),
 )  # fmt: skip
-
-
-def page(study: Study, drawings: Sequence[Picture], files: Sequence[str]) -> str:
-    """The whole page.
-
-    Args:
-        study: what to show.
-        drawings: its figures, which lie beside the page.
-        files: names of the other files beside it.
-    """
-    parts = [
-        f"# {study.settings.title} (section {study.settings.section})\n",
-        "\n".join(f"- {sentence}" for sentence in verdict(study)) + "\n",
-    ]
-    for heading, section, makers in _SECTIONS:
-        parts.append(f"## {heading}\n")
-        parts += [table.markdown() for make in makers if (table := make(study))]
-        parts += [
-            f"![{d.name.replace('_', ' ')}]({d.file})\n\n*{d.caption}*\n"
-            for d in drawings
-            if d.section == section
-        ]
-    parts += ["## How it was obtained\n", _origin(study, files)]
-    return "\n".join(parts)
-
-
-def _origin(study: Study, files: Sequence[str]) -> str:
-    """Seeds, settings, times, versions."""
-    said = {
-        name: value for part in seeds_and_settings(study).values() for name, value in part.items()
-    }
-    said["versions"] = dict(versions())
-    if files:
-        said["beside this page"] = [f"`{name}`" for name in files]
-    return "".join(f"- {name}: {value_words(value)}\n" for name, value in said.items())
-
-
-_ORDER = (
-    "classification", "extraction", "wrenches", "validation", "payload", "identification",
-)  # fmt: skip
-"""Of the pictures: what the verdict is about comes first."""
+"""Titles, the section of their pictures, and tables: what the verdict is about comes first."""
 _MOST_NAMED = 4
 
 
 def study_page(study: Study, origin: Origin) -> Page:
-    """The page of a study."""
+    """The page of a study: the same as HTML and as Markdown."""
     error, real = facts.torque_errors(study.sets_motion)
-    pictures = sorted(drawings(study), key=lambda d: _ORDER.index(d.section))
+    pictures = drawings(study)
     good = len(by_feasibility(study, True))
     feasible, runs = facts.feasible_runs(study)
+    told = [s for s in verdict(study) if not s.startswith("Noticed:")]
     return Page(
         f"{study.settings.title} (section {study.settings.section})",
         page_verdict(study),
@@ -356,12 +301,15 @@ def study_page(study: Study, origin: Origin) -> Page:
         ),
         origin,
         sections=[
-            Section(
-                "Findings", [[s for s in verdict(study) if not s.startswith("Noticed:")]],
-                folded=False,
+            Section("Findings", [told], folded=False),
+            *(
+                Section(
+                    title,
+                    [*(m(study) for m in makers), *(p for p in pictures if p.section == section)],
+                    folded=section != "classification",
+                )
+                for title, section, makers in _SECTIONS
             ),
-            Section("Pictures", pictures),
-            Section("Numbers", all_tables(study)),
             caution_section(study.warnings),
         ],
     )  # fmt: skip
