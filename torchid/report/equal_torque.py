@@ -11,11 +11,9 @@ from torchid.report.colours import BLUE, BROWN, GREEN, GREY, INK, ORANGE, PURPLE
 from torchid.report.panels import Figure, Figures, finish, joint_lines, panel, tiles
 from torchid.report.table import Shown, Table, cells, joint_numbers
 from torchid.robot.inertia import InertialParameters
-from torchid.study.equal_torque.statistics import Across
 from torchid.study.equal_torque.study import EqualTorqueStudy
 from torchid.wrenches.classes import KINDS as CLASS_NAMES
 from torchid.wrenches.classes import MIXED
-from torchid.wrenches.compare import EffectSize
 from torchid.wrenches.regressor import wrench_norms
 from torchid.wrenches.resampling import Estimate
 
@@ -27,11 +25,9 @@ def shown(study: EqualTorqueStudy) -> Shown:
 
 
 def tables(study: EqualTorqueStudy) -> list[Table]:
-    """Errors by kind, their differences, the degree, what any set can do, other assumptions."""
-    makers = (
-        kind_table, joint_table, effect_table, degree_table, third_table, reach_table, truth_table,
-        firm_table, variant_table,
-    )  # fmt: skip
+    """Errors by kind, their differences, the degree, what any set can do, other assumptions; the
+    JSON has more: thirds of the degree, and each feasible set as the true arm."""
+    makers = (kind_table, joint_table, effect_table, degree_table, reach_table, variant_table)
     return [make(study) for make in makers]
 
 
@@ -97,25 +93,6 @@ def degree_table(study: EqualTorqueStudy) -> Table:
     return Table(title, columns, rows, "llll")
 
 
-def third_table(study: EqualTorqueStudy) -> Table:
-    """Slight and gross violations, barely and firmly feasible sets."""
-    rows = []
-    for t in study.statistics.thirds:
-        low, high = t.degree
-        ratio = "1" if (t.kind, t.third[0]) == ("feasible", "n") else interval(t.ratio)
-        median = f"{t.median:.3g}"
-        rows.append((kind_words(t.kind), t.third, f"{low:.2g} .. {high:.2g}", median, ratio))
-    for a in study.statistics.across:
-        if min(a.sets) > 0:
-            sets = f"{a.sets[0]} and {a.sets[1]} sets"
-            medians = f"{a.medians[0]:.3g}, {a.medians[1]:.3g}"
-            who = f"just {kind_words(a.kind)}"
-            rows.append((who, "vs just feasible", sets, medians, interval(a.ratio)))
-    columns = ("sets", "third", "degree", "median [N]", "times the error")
-    title = "by thirds of the degree, against the feasible sets nearest the boundary"
-    return Table(title, columns, rows, "lllll")
-
-
 def reach_table(study: EqualTorqueStudy) -> Table:
     """The greatest force error of any set, per joint."""
     rows = []
@@ -128,29 +105,6 @@ def reach_table(study: EqualTorqueStudy) -> Table:
         rows.append(("nothing (feasible)" if r.kind == "feasible" else kind_words(r.kind), *texts))
     title = "greatest force error of any set with this torque [N] (reached - bound)"
     return Table(title, ("what may be violated", *joint_numbers(study.setting.robot.n)), rows, "l")
-
-
-def truth_table(study: EqualTorqueStudy) -> Table:
-    """If another feasible set were the arm."""
-    rows = []
-    for t in study.truths:
-        ratio = f"{t.ratio[0]:.2f} ({t.ratio[1]:.2f} - {t.ratio[2]:.2f})"
-        better, low, high = (100 * b for b in t.better)
-        rows.append((kind_words(t.kind), ratio, f"{better:.0f} % ({low:.0f} - {high:.0f})"))
-    columns = ("kind", "times the feasible sets' error", "nearer to it than a feasible set")
-    title = "each feasible set as the true arm (median and 95 % range over them)"
-    return Table(title, columns, rows, "lll")
-
-
-def firm_table(study: EqualTorqueStudy) -> Table:
-    """Are firmer sets better? That depends on how firm the truth is."""
-    rows = [
-        (f"third {f.third}", f"{f.rho[0]:.2f} ({f.rho[1]:.2f} .. {f.rho[2]:.2f})")
-        for f in study.firm_truths
-    ]
-    columns = ("the true set's degree", "rho: median and 95 % range")
-    title = "rho of degree and error among feasible sets, by how firm the true one is"
-    return Table(title, columns, rows, "ll")
 
 
 def variant_table(study: EqualTorqueStudy) -> Table:
@@ -191,7 +145,11 @@ _COMPARED = (
     ("inertia only", "feasible"), ("CoM only", "feasible"), ("CoM only", "inertia only"),
 )  # fmt: skip
 """Classes whose difference is told."""
-_WORDS = {"inertia": "inertia", "com": "centres of mass"}
+_WORDS = {
+    "inertia": "inertia", "com": "centres of mass",
+    "inertia only": "inertia", "CoM only": "centres of mass",
+}  # fmt: skip
+"""Of kinds and of classes."""
 
 
 def findings(study: EqualTorqueStudy) -> list[str]:
@@ -201,12 +159,44 @@ def findings(study: EqualTorqueStudy) -> list[str]:
         f"{float(study.torque_relative.max()):.0e} of that joint's torque.",
         weight_sentence(study.static_share),
     ]
-    effects = study.comparison.effects
-    told += [_effect_sentence(e) for e in effects if (e.first, e.second) in _COMPARED]
+    few = "too few independent chains to tell"
+    for e in study.comparison.effects:
+        if (e.first, e.second) in _COMPARED:
+            who = f"Drawn sets that violate {_WORDS[e.first]} only"
+            against = f"those that violate {_WORDS.get(e.second)} only"
+            against = "drawn feasible sets" if e.second == "feasible" else against
+            told.append(
+                _judged(
+                    e.ratio, 1, f"{who}, against {against}: {few}.",
+                    f"{who} are not distinguishable from {against}: HOW.",
+                    f"{who} have HOW of {against}.", "{:.2f} times the force error",
+                )
+            )  # fmt: skip
     for c in study.statistics.correlations:
-        if c.kind in ("feasible", "inertia", "com"):
-            told.append(_degree_sentence(c.kind, c.degree))
-    told += [_across_sentence(a) for a in study.statistics.across if a.kind in ("inertia", "com")]
+        if c.kind in ("feasible", *_WORDS):
+            among = f"sets that violate {_WORDS.get(c.kind)} only"
+            among, which = (
+                ("feasible sets", "firmer") if c.kind == "feasible" else (among, "less violating")
+            )
+            side = "smaller" if c.degree.value < 0 else "larger"
+            told.append(
+                _judged(
+                    c.degree, 0, f"Among {among}: {few} whether the degree matters.",
+                    f"Among {among} no effect of the degree is visible: HOW.",
+                    f"Among {among} {which} ones have {side} errors: HOW.", "rho = {:.2f}",
+                )
+            )  # fmt: skip
+    for a in study.statistics.across:
+        if a.kind in _WORDS:
+            what = f"Just outside and just inside the boundary of {_WORDS[a.kind]}"
+            told.append(
+                _judged(
+                    a.ratio, 1, f"{what}: {few} whether the error jumps.",
+                    f"{what} no jump of the error is visible: HOW.",
+                    f"{what} the errors differ: HOW; their tightest conditions need not be the "
+                    "same ones.",
+                )
+            )  # fmt: skip
     # What any set can do, feasible ones first.
     reach = {r.kind: r for r in study.reach}
     if "feasible" in reach:
@@ -249,44 +239,15 @@ def weight_sentence(share: tuple[float, float, float]) -> str:
     )
 
 
-def _effect_sentence(effect: EffectSize) -> str:
-    ratio = effect.ratio
-    names = {"inertia only": "inertia", "CoM only": "centres of mass"}
-    who = f"Drawn sets that violate {names[effect.first]} only"
-    against = (
-        "drawn feasible sets"
-        if effect.second == "feasible"
-        else f"those that violate {names[effect.second]} only"
-    )
-    if math.isnan(ratio.low):
-        return f"{who}, against {against}: too few independent chains to tell."
-    how = f"{ratio.value:.2f} times the force error (95 %: {ratio.low:.2f} to {ratio.high:.2f})"
-    if ratio.low <= 1 <= ratio.high:
-        return f"{who} are not distinguishable from {against}: {how}."
-    return f"{who} have {how} of {against}."
-
-
-def _degree_sentence(kind: str, rho: Estimate) -> str:
-    among = "feasible sets" if kind == "feasible" else f"sets that violate {_WORDS[kind]} only"
-    if math.isnan(rho.low):
-        return f"Among {among}: too few independent chains to tell whether the degree matters."
-    how = f"rho = {rho.value:.2f} (95 %: {rho.low:.2f} to {rho.high:.2f})"
-    if rho.low <= 0 <= rho.high:
-        return f"Among {among} no effect of the degree is visible: {how}."
-    which = "firmer" if kind == "feasible" else "less violating"
-    side = "smaller" if rho.value < 0 else "larger"
-    return f"Among {among} {which} ones have {side} errors: {how}."
-
-
-def _across_sentence(across: Across) -> str:
-    what = f"Just outside and just inside the boundary of {_WORDS[across.kind]}"
-    low, high = across.ratio.low, across.ratio.high
-    if math.isnan(low):
-        return f"{what}: too few independent chains to tell whether the error jumps."
-    how = f"{across.ratio.value:.2f} times (95 %: {low:.2f} to {high:.2f})"
-    if low <= 1 <= high:
-        return f"{what} no jump of the error is visible: {how}."
-    return f"{what} the errors differ: {how}; their tightest conditions need not be the same ones."
+def _judged(
+    found: Estimate, none: float, few: str, same: str, other: str, how: str = "{:.2f} times"
+) -> str:
+    """What an interval says: too little, that `none` is in it, or that something is; `HOW` in these
+    sentences is the estimate with its interval."""
+    if math.isnan(found.low):
+        return few
+    said = f"{how.format(found.value)} (95 %: {found.low:.2f} to {found.high:.2f})"
+    return (same if found.low <= none <= found.high else other).replace("HOW", said)
 
 
 COLOURS = {
