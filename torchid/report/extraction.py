@@ -39,7 +39,7 @@ def atlas_shown(atlas: Atlas, problem: Problem, notes: Sequence[str]) -> Shown:
         parts=[atlas_table(atlas)],
         warnings=notes,
         last=atlas_headline(atlas, problem),
-        figures={"atlas": partial(atlas_figure, atlas.record)},
+        figures={"atlas": partial(atlas_figure, atlas)},
     )
 
 
@@ -143,7 +143,7 @@ def figures(found: Found) -> Figures:
     return {} if search is None else {"search": partial(search_figure, search, found.proof)}
 
 
-def search_figure(search: Extraction, proof: Certificate | None) -> Figure:
+def search_figure(search: Extraction, proof: Certificate | None = None) -> Figure:
     """Loss and penalty of all runs against the stage, and the loss of the sets they end in."""
     figure, grid = panel(9, 5.4, 2, 1, sharex=True, squeeze=False)
     draw_searches(grid, [(search, 0.0 if proof is None else proof.phi_min)])
@@ -234,8 +234,10 @@ def atlas_table(atlas: Atlas) -> Table:
     return Table("ranges over feasible sets of equal torque", columns, rows, "lrrl")
 
 
-def atlas_figure(atlas: AtlasRecord) -> Figure:
+def atlas_figure(found: Atlas | AtlasRecord) -> Figure:
     """Each parameter's range inside the range that the bounds alone allow."""
+    atlas = found.record
+    assert isinstance(atlas, AtlasRecord)
     kinds = {"m": "masses", "c": "centres of mass", "J": "inertias about the link frame"}
     columns: dict[str, list[int]] = {title: [] for title in kinds.values()}
     for k, parameter in enumerate(atlas.parameters):

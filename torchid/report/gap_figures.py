@@ -12,7 +12,7 @@ from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.record import GapRecord, Regime
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
 from torchid.report.gap_words import CLEAR, clear_regimes
-from torchid.report.over_time import torque_over_time
+from torchid.report.over_time import motion_over_time, torque_over_time
 from torchid.report.panels import (
     SMALL,
     Figure,
@@ -23,6 +23,7 @@ from torchid.report.panels import (
     rows_of,
 )
 from torchid.report.repeats import error_figure, repeats_picture
+from torchid.report.skeleton import skeleton_of
 from torchid.results.words import percent, regime_words
 from torchid.robot.model import joint_unit
 from torchid.statistics.jackknife import student_quantile
@@ -52,6 +53,19 @@ def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
     if record.knowledge is not None and record.knowledge.coefficients:
         out["known"] = partial(known_figure, record)
     return out
+
+
+def kinds(result: TorqueDiagnosis | GapRecord) -> Figures:
+    """By kind; those of one joint take it as `joint`."""
+    record = result.record
+    assert isinstance(record, GapRecord)
+    drawn: dict[str, Callable[..., Figure | None]] = {"where": partial(map_figure, record)}
+    drawn |= {k: v for k, v in figures(result).items() if not k.startswith("gap_joint")}
+    if isinstance(result, TorqueDiagnosis) and result.traces:
+        drawn |= {"gap": partial(joint_figure, result), "robot": partial(skeleton_of, result)}
+        if (motion := motion_over_time(result)) is not None:
+            drawn["motion"] = motion.draw
+    return drawn
 
 
 def worst_joints(record: GapRecord, most: int = WORST) -> list[int]:

@@ -9,6 +9,7 @@ from itertools import count
 import numpy as np
 
 from torchid.design.motion import MOVING
+from torchid.errors import TorchidError
 from torchid.identification.identify import Identification
 from torchid.identification.payload import Estimate, Payload
 from torchid.identification.record import Errors, IdentificationRecord
@@ -181,6 +182,21 @@ def run_figure(result: Identification, run: Prediction, held_out: bool) -> Figur
     """The torque of one trajectory of the result."""
     units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
     return torque_figure(run, units, f"{run.name} ({_data(held_out)})", result.settings.rows)
+
+
+def kinds(result: Identification) -> Figures:
+    """What can be drawn, by kind; torque takes a `trajectory`, from 0, held-out ones first."""
+    runs = (*result.held_out_predictions, *result.fit_predictions)
+
+    def torque(trajectory: int = 0) -> Figure:
+        if not 0 <= trajectory < len(runs):
+            raise TorchidError(
+                "there is no such trajectory.", got=trajectory, expected=f"0..{len(runs) - 1}"
+            )
+        held_out = trajectory < len(result.held_out_predictions)
+        return run_figure(result, runs[trajectory], held_out)
+
+    return {"parameters": partial(parameter_figure, result.record), "torque": torque}
 
 
 def _data(held_out: bool) -> str:

@@ -21,6 +21,7 @@ from torchid.report.panels import (
 )
 from torchid.report.table import Shown, Table, pipe_table
 from torchid.withheld.own import LEVELS, OwnCheck, Planted
+from torchid.withheld.score_record import ScoreRecord
 
 Summary = Mapping[str, Any]
 
@@ -321,8 +322,9 @@ _TICKS = (0.1, 0.3, 1, 3, 10, 30, 100)
 Matrix = Mapping[str, Mapping[str, int]]
 
 
-def figures(summary: Mapping[str, Any]) -> Figures:
+def figures(found: Summary | ScoreRecord) -> Figures:
     """What draws each figure that there are data for, by the names of their files."""
+    summary = found.plain() if isinstance(found, ScoreRecord) else found
     scores, out = summary["scores"], {}
     inside, outside = scores["confusion"], scores["confusion_outside"]
     if inside or outside:

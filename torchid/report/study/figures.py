@@ -17,6 +17,7 @@ from torchid.report.extraction import draw_searches
 from torchid.report.log import trajectory_figure
 from torchid.report.panels import (
     Figure,
+    Figures,
     Picture,
     drawing,
     finish,
@@ -124,6 +125,11 @@ def drawings(study: Study) -> list[Picture]:
         for name, caption in named.items()
     ]
     return [*_motions(study), *fixed, *_overviews(study), *_combinations(study)]
+
+
+def kinds(study: Study) -> Figures:
+    """What draws each figure, by its name."""
+    return {picture.name: picture.draw for picture in drawings(study)}
 
 
 def _motions(study: Study) -> list[Picture]:
