@@ -2,7 +2,7 @@
 sentences: nothing here is drawn."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -136,12 +136,6 @@ def row_of(sets: SetsOnMotion, name: str) -> int:
     return sets.labels.index(name)
 
 
-def at_joint(values: Sequence[float], unit: str = "") -> str:
-    """The largest of one value a joint, and where: `3.2 N at joint 2`."""
-    joint = max(range(len(values)), key=lambda k: values[k])
-    return f"{number(values[joint])}{unit and ' '}{unit} at joint {joint + 1}"
-
-
 class Quantity(NamedTuple):
     """One quantity of the payload: its true value, estimate and 95 % interval."""
 
@@ -195,29 +189,17 @@ def verdict(study: Study) -> list[str]:
         if why
         else "Truth: the simulated arm's own parameters are feasible."
     )
-    for text, bounds in proofs(study).items():
-        proven = text or "it is not known whether a set has exactly the identified coefficients"
-        said.append(f"{'Proven' if text else 'Open'}: within the bounds {listed(bounds)} {proven}.")
+    for bounds in proofs(study).get("", ()):
+        said.append(f"Open: whether a set of '{bounds}' has exactly the identified coefficients.")
     if not study.certificates:
         said.append(
             "Open: there is no certificate, so how small the loss of a feasible set can be is not "
             "known."
         )
-    good, bad = by_feasibility(study, True), by_feasibility(study, False)
-    feasible, runs = feasible_runs(study)
-    failing = [f"{s.scenario.id} ({', '.join(s.reasons)})" for s in bad]
-    said.append(
-        f"Feasible: {len(good)} of the {len(study.scenarios)} best sets"
-        f"{f' ({listed(ids(good))})' if good else ''}, and {feasible} of "
-        f"{count(runs, 'run')}.{f' Not feasible: {listed(failing)}.' if failing else ''}"
-    )
     off, real = torque_errors(study.sets_motion)
-    exact, others = [], []
-    for name, row in zip(study.sets_motion.labels[1:], off / real, strict=True):
-        if float(row.max()) < ROUNDING:
-            exact.append(name)
-        else:
-            others.append(f"{name} {at_joint((100 * row).tolist(), '%')}")
+    worst = dict(zip(study.sets_motion.labels[1:], (off / real).amax(1).tolist(), strict=True))
+    exact = [name for name, size in worst.items() if size < ROUNDING]
+    others = [f"{n} {number(100 * size)} %" for n, size in worst.items() if n not in exact]
     largest = f"; largest error relative to a joint's torque: {listed(others)}" if others else ""
     said.append(
         "Torque on a new motion: equal to the real one to rounding with "

@@ -26,7 +26,6 @@ from torchid.report.panels import (
     joint_rows,
     note,
     panel,
-    rows_of,
     spread,
     thin,
 )
@@ -34,7 +33,7 @@ from torchid.report.study import facts
 from torchid.report.study.facts import by_feasibility, ids, number
 from torchid.robot.model import torque_unit
 from torchid.study.motions import new_motion
-from torchid.study.result import ScenarioResult, SetsOnMotion, Study
+from torchid.study.result import SetsOnMotion, Study
 from torchid.typing import Float, Tensor
 from torchid.wrenches.classes import FEASIBLE, ordered_classes
 
@@ -47,8 +46,6 @@ _FAR = 8.0
 """Times the real arm's largest value from which a logarithmic axis is easier to read."""
 _DECADES = 1e-3
 """Share of the real arm's largest value down to which a logarithmic axis goes."""
-_LEAST_PHI = 1e-32
-"""Losses below it are drawn on it: the square of rounding."""
 
 CAPTIONS = {
     "identification": {
@@ -72,12 +69,6 @@ CAPTIONS = {
             "scenario's bounds where it is not zero. Under the full loss xi grows from stage to "
             "stage, so phi may rise while gamma falls."
         ),
-        "search_losses": (
-            "Loss of every run after its last stage (grey) and in the end (green: feasible, red: "
-            "infeasible), the best set ringed, and phi_min as a bar: the proven least loss of any "
-            f"feasible set, so nothing green can be below it. Losses below {_LEAST_PHI:g} are "
-            "drawn there."
-        ),
     },
     "classification": {
         "degrees": (
@@ -96,12 +87,6 @@ CAPTIONS = {
         ),
     },
     "payload": {
-        "payload_estimate": (
-            "The payload estimated from two runs of the exciting motion with the noise of real "
-            "sensors (encoder steps, noisy torque), without and with it: error of each quantity "
-            "in half-widths of its 95 % interval, so that the true value is inside the green band "
-            "where the interval holds it."
-        ),
         "payload_force": (
             "Norms of the internal forces on the reference motion without the payload, with the "
             "true one, and with the estimated one."
@@ -115,9 +100,8 @@ def drawings(study: Study) -> list[Picture]:
     """Every figure with its caption, none of them drawn yet."""
     draw = {
         "validation_torque": _torque_figure, "sets_torque": _sets_figure,
-        "search_convergence": _convergence, "search_losses": _losses, "degrees": _degrees,
-        "force_error_by_degree": _error_figure, "payload_estimate": _estimate,
-        "payload_force": _force,
+        "search_convergence": _convergence, "degrees": _degrees,
+        "force_error_by_degree": _error_figure, "payload_force": _force,
     }  # fmt: skip
     fixed = [
         drawing(section, name, caption, partial(draw[name], study))
@@ -273,65 +257,26 @@ def _convergence(study: Study) -> Figure:
     return finish(figure, f"{study.robot.name}: the search, stage by stage", *grid[0])
 
 
-def _losses(study: Study) -> Figure:
-    figure, axes = _columns(study)
-    axes.set(yscale="log", ylabel="loss phi")
-    for c, s in enumerate(study.scenarios):
-        e = s.extraction
-        before, after = (_floored(x, _LEAST_PHI) for x in (e.history_phi[:, -1], e.phi))
-        axes.scatter(c - 0.2 + spread(len(before), 1, 0.1), before, s=10, color=GREY, linewidth=0)
-        place = c + 0.15 + spread(len(after), 2, 0.12)
-        _marks(axes, s, place, after)
-        least = facts.phi_min(study, s)
-        if not math.isnan(least) and least < math.inf:
-            axes.hlines(max(least, _LEAST_PHI), c - 0.42, c + 0.42, color=INK, linewidth=1.6)
-    axes.scatter([], [], s=10, color=GREY, label="after the last stage")
-    _names(axes)
-    axes.plot([], [], color=INK, linewidth=1.6, label="phi_min")
-    title = f"{study.robot.name}: losses of all runs against what is possible"
-    return finish(figure, title, axes, columns=5)
-
-
-def _floored(values: Tensor, floor: float) -> np.ndarray:
-    """Values for a logarithmic axis: what is smaller than the floor is drawn on it."""
-    return torch.nan_to_num(values, nan=torch.inf).clamp(min=floor).cpu().numpy()
-
-
-def _marks(axes: Any, s: ScenarioResult, place: np.ndarray, values: np.ndarray) -> None:
-    feasible = s.feasibility.feasible.cpu().numpy()
-    for chosen, colour, marker in ((~feasible, BREAKS, "x"), (feasible, KEEPS, "o")):
-        axes.scatter(place[chosen], values[chosen], s=16, color=colour, marker=marker, linewidth=1)
-    best = s.extraction.best
-    axes.scatter(place[best], values[best], s=90, facecolors="none", edgecolors=INK, linewidth=1.2)
-
-
-def _names(axes: Any) -> None:
-    axes.scatter([], [], s=16, color=KEEPS, marker="o", label="feasible")
-    axes.scatter([], [], s=16, color=BREAKS, marker="x", label="infeasible")
-    axes.scatter([], [], s=90, facecolors="none", edgecolors=INK, label="best set")
-
-
-def _columns(study: Study) -> tuple[Figure, Any]:
-    """A panel with one column a scenario."""
+def _degrees(study: Study) -> Figure:
     names = [f"{s.scenario.id}\n{s.scenario.bounds}, {s.scenario.penalty}" for s in study.scenarios]
     figure, axes = panel(max(6.0, 1.5 + 1.5 * len(names)), 4.6)
-    axes.set_xticks(range(len(names)), names, fontsize=8)
-    axes.set_xlim(-0.6, len(names) - 0.4)
-    return figure, axes
-
-
-def _degrees(study: Study) -> Figure:
-    figure, axes = _columns(study)
-    axes.set_yscale("symlog", linthresh=1e-3, linscale=0.6)
+    ring = {"s": 90, "facecolors": "none", "edgecolors": INK, "linewidth": 1.2, "label": "best set"}
     for c, s in enumerate(study.scenarios):
-        degree = s.feasibility.degree.cpu().numpy()
-        _marks(axes, s, c + spread(len(degree), 3, 0.25), degree)
+        degree, feasible = s.feasibility.degree, s.feasibility.feasible
+        place, best = c + spread(len(degree), 3, 0.25), s.extraction.best
+        for own, colour, marker, name in (
+            (~feasible, BREAKS, "x", "infeasible"), (feasible, KEEPS, "o", "feasible"),
+        ):  # fmt: skip
+            look = {"s": 16, "color": colour, "marker": marker, "linewidth": 1, "label": name}
+            axes.scatter(place[own.numpy()], degree[own].numpy(), **look)
+        axes.scatter(place[best], float(degree[best]), **ring)
+    axes.set_yscale("symlog", linthresh=1e-3, linscale=0.6)
     low, high = axes.get_ylim()
     high = max(high, 1e-1)
     axes.axhspan(0, high, color=KEEPS, alpha=0.08, linewidth=0)
     axes.axhline(0, color=INK, linewidth=0.9)
-    axes.set(ylim=(low, high), ylabel="degree [-]")
-    _names(axes)
+    axes.set_xticks(range(len(names)), names, fontsize=8)
+    axes.set(xlim=(-0.6, len(names) - 0.4), ylim=(low, high), ylabel="degree [-]")
     return finish(figure, f"{study.robot.name}: degree of feasibility of all runs", axes, columns=3)
 
 
@@ -402,26 +347,6 @@ def _decades(axis: Any) -> None:
         last = max(first + 1, math.ceil(math.log10(high)))
         axis.axes.set(**{f"{axis.axis_name}lim": (10.0**first, 10.0**last)})
     axis.set_minor_formatter(NullFormatter())
-
-
-def _estimate(study: Study) -> Figure:
-    figure, axes = panel(9, 4.2)
-    axes.axvspan(-1, 1, color=GREEN, alpha=0.12, linewidth=0)
-    axes.axvline(0, color=GREY, linewidth=0.8)
-    labels, largest = [], 2.0
-    for k, q in enumerate(facts.payload_quantities(study)):
-        half = (q.high - q.low) / 2
-        error, shown = (q.value - q.true) / half if half > 0 else math.nan, "not known"
-        if math.isfinite(error):
-            axes.errorbar(error, k, xerr=1, fmt="o", markersize=4, capsize=3, linewidth=1,
-                          color=BLUE if abs(error) <= 1 else RED)  # fmt: skip
-            largest = max(largest, 1.15 * abs(error) + 1)
-            shown = f"{number(q.value, 4)} ± {number(half, 2)}"
-        labels.append(f"{q.name} [{q.unit}]\n{shown}, true {number(q.true, 4)}")
-    rows_of(axes, labels, 6.5)
-    axes.set_xlim(-largest, largest)
-    axes.set_xlabel("(estimated - true) / half-width of the 95 % interval")
-    return finish(figure, f"{study.robot.name}: payload, estimated against true")
 
 
 def _force(study: Study) -> Figure:

@@ -22,7 +22,6 @@ from torchid.report.study.facts import by_feasibility, ids, number, verdict
 from torchid.report.study.figures import drawings
 from torchid.report.table import Section, Shown, Table, cell, joint_numbers
 from torchid.results.words import count, listed
-from torchid.robot.model import torque_unit
 from torchid.study.result import Study
 from torchid.wrenches.compare import ClassSummary
 
@@ -84,18 +83,20 @@ def search_table(study: Study) -> Table:
     for s in study.scenarios:
         e = s.extraction
         losses = (e.history_phi[:, -1].median(), e.phi.min(), e.phi.median(), e.phi.max())
+        every = Counter(r for k in range(len(e.sets)) for r in s.feasibility.reasons(k))
+        often = [f"{name} {k}" for name, k in every.most_common(_FREQUENT)]
         rows.append(
             (
                 s.scenario.id, str(len(e.sets)), *(number(float(x)) for x in losses),
                 str(int((e.gamma == 0).sum())), str(int(s.feasibility.feasible.sum())),
-                str(len(facts.endings(s).unique())), f"{e.seconds:.1f}",
+                str(len(facts.endings(s).unique())), ", ".join(often) or "-", f"{e.seconds:.1f}",
             )
         )  # fmt: skip
     return Table(
         "runs of each scenario: loss phi",
         ("set", "runs", "median after the last stage", "best", "median", "worst", "gamma = 0",
-         "feasible", "different", "time [s]"),
-        rows, "l",
+         "feasible", "different", "why not, most frequent", "time [s]"),
+        rows, "lrrrrrrrrp",
         note="each run ends in the set of nearly the least loss that is nearest to where its last "
         "stage left it; gamma = 0: runs without any penalty; different: runs that ended in the "
         "same set count once.",
@@ -126,39 +127,6 @@ def certificate_table(study: Study) -> Table:
         "saves 5 % or more; no room for: conditions that the bounds meet on a face of theirs at "
         "most; relaxed: bounds that count in phi_min by a relaxation only.",
     )  # fmt: skip
-
-
-def reason_table(study: Study) -> Table:
-    """Reasons of the best set beside how often they occur: what is chance of the search."""
-    rows = []
-    for s in study.scenarios:
-        runs = len(s.extraction.sets)
-        every = Counter(reason for k in range(runs) for reason in s.feasibility.reasons(k))
-        found = sorted(every.items(), key=lambda item: (-item[1], item[0]))
-        often = ", ".join(f"{name} {k}" for name, k in found[:_FREQUENT])
-        if len(found) > _FREQUENT:
-            often += f", {count(len(found) - _FREQUENT, 'other')}"
-        feasible = f"{int(s.feasibility.feasible.sum())} of {runs}"
-        rows.append((s.scenario.id, ", ".join(s.reasons) or "-", feasible, often or "-"))
-    columns = ("set", "best set: why not", "runs feasible", "reasons over all runs")
-    note = (
-        "The best set is the run of least loss: where many runs have losses that differ by "
-        "rounding only, which of them is best, and hence its reasons, is chance of the search."
-    )
-    title = "reasons of the best set, and in how many runs each reason occurs"
-    return Table(title, columns, rows, "lprp", note)
-
-
-def torque_table(study: Study) -> Table:
-    """Torque errors of the best sets per joint."""
-    error, real = facts.torque_errors(study.sets_motion)
-    rows = [("real torque", *(number(v) for v in real.tolist()), "-")]
-    for name, row in zip(study.sets_motion.labels[1:], error, strict=True):
-        largest = number(float((row / real).max()))
-        rows.append((name, *(number(v) for v in row.tolist()), largest))
-    unit = torque_unit(study.robot, "N m; N")
-    title = f"torque of the best sets on a new motion: root mean square error per joint [{unit}]"
-    return Table(title, ("set", *joint_numbers(study.robot.n), "largest share"), rows, "l")
 
 
 def set_wrench_table(study: Study) -> Table:
@@ -272,10 +240,10 @@ def write_study(study: Study, folder: Path) -> list[Path]:
 
 
 _SECTIONS: tuple[tuple[str, str, tuple[Callable[[Study], Table], ...]], ...] = (
-    ("Classification", "classification", (scenario_table, reason_table)),
+    ("Classification", "classification", (scenario_table,)),
     ("Extraction", "extraction", (certificate_table, search_table)),
     ("Internal wrenches", "wrenches", (set_wrench_table, class_table)),
-    ("Validation of the sets", "validation", (torque_table,)),
+    ("Validation of the sets", "validation", ()),
     ("Payload", "payload", (payload_table,)),
     ("Identification", "identification", (identification_table,)),
 )  # fmt: skip
