@@ -14,6 +14,7 @@ from torchid.robot.inertia import InertialParameters
 from torchid.study.equal_torque.study import EqualTorqueStudy
 from torchid.wrenches.classes import KINDS as CLASS_NAMES
 from torchid.wrenches.classes import MIXED
+from torchid.wrenches.compare import ClassSummary, Comparison, EffectSize
 from torchid.wrenches.regressor import wrench_norms
 from torchid.wrenches.resampling import Estimate
 
@@ -80,6 +81,25 @@ def effect_table(study: EqualTorqueStudy) -> Table:
     columns = ("class", "against", "times the error", "Cliff's delta", "at equal carried mass")
     title = "differences of the classes (95 % intervals from whole chains)"
     return Table(title, columns, rows, "lplll")
+
+
+def class_table(found: Comparison, title: str, note: str = "") -> Table:
+    """Errors by class, against those of the first, then of all sets that have a reason, alone or
+    among others."""
+    effects = {e.first: e for e in found.effects}
+
+    def row(c: ClassSummary, effect: EffectSize | None) -> list[str]:
+        sizes = cells((c.median, c.lower_quartile, c.upper_quartile))
+        against = ["-"] * 2 if effect is None else [interval(effect.ratio), interval(effect.delta)]
+        return [c.name, str(c.sets), *sizes, *against]
+
+    rows = [row(c, effects.get(c.name)) for c in found.classes]
+    rows += [[], *(row(c, None) for c in found.per_reason)]
+    columns = (
+        "sets that violate", "sets", "median", "lower quartile", "upper quartile",
+        f"ratio to {found.classes[0].name}", "Cliff's delta",
+    )  # fmt: skip
+    return Table(title, columns, rows, "l", note)
 
 
 def degree_table(study: EqualTorqueStudy) -> Table:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from torchid.report.colours import GREY, INK
-from torchid.report.equal_torque import class_colour, interval
+from torchid.report.equal_torque import class_colour, class_table, interval
 from torchid.report.panels import Figure, Figures, finish, panel
 from torchid.report.table import Shown, Table, cells, joint_numbers
 from torchid.study.equal_torque.given_sets import GivenSets
@@ -26,7 +26,11 @@ def shown(found: GivenSets, warnings: Sequence[str]) -> Shown:
 
 def tables(found: GivenSets) -> list[Table]:
     """Set by set, then by class and by reason where there are enough of them."""
-    return [set_table(found), *([class_table(found)] if len(found.sets) > 1 else [])]
+    rho = found.comparison.correlation
+    value = interval(rho.rho) if rho.sets else "-"
+    title = f"largest force error by class and reason [N]; Spearman's rho with the degree {value}"
+    several = len(found.sets) > 1
+    return [set_table(found), *([class_table(found.comparison, title)] if several else [])]
 
 
 UNEQUAL = 0.01
@@ -85,23 +89,6 @@ def set_table(found: GivenSets) -> Table:
     joints = joint_numbers(found.robot.n)
     columns = ("set", "degree", "torque [%]", "moment [N m]", *joints, "reasons")
     return Table(title, columns, rows, "l".ljust(len(columns) - 1, "r") + "p")
-
-
-def class_table(found: GivenSets) -> Table:
-    """By class and reason, with the rank correlation of error and degree."""
-    rho = found.comparison.correlation
-    value = interval(rho.rho) if rho.sets else "-"
-    rows = []
-    for summary in (*found.comparison.classes, *found.comparison.per_reason):
-        middle = ("-", "too few")
-        if summary.median is not None:
-            quartiles = f"{summary.lower_quartile:.3g} - {summary.upper_quartile:.3g}"
-            middle = (f"{summary.median:.3g}", quartiles)
-        rows.append((summary.name, str(summary.sets), *middle))
-    title = (
-        f"largest force error by class and by reason [N]; Spearman's rho with the degree {value}"
-    )
-    return Table(title, ("sets that violate", "sets", "median", "quartiles"), rows, "l")
 
 
 def figures(found: GivenSets) -> Figures:

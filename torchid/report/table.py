@@ -305,7 +305,7 @@ def _plain(text: str) -> str:
     return text
 
 
-def cells(values: "Iterable[float] | Tensor", digits: str = ".3g") -> list[str]:
+def cells(values: "Iterable[float | None] | Tensor", digits: str = ".3g") -> list[str]:
     """Numbers of one row; a dash for what is not finite."""
     return [cell(v, digits) for v in (values.tolist() if hasattr(values, "tolist") else values)]
 

@@ -14,16 +14,15 @@ from torchid.extraction.cma.search import default_population
 from torchid.feasibility.sets import joined, sets_record
 from torchid.files import make_folder, write_text
 from torchid.report.cautions import caution_section
-from torchid.report.equal_torque import interval
+from torchid.report.equal_torque import class_table, interval
 from torchid.report.page.document import Origin, Page, origin
 from torchid.report.panels import save_small
 from torchid.report.study import facts
 from torchid.report.study.facts import by_feasibility, ids, number, verdict
 from torchid.report.study.figures import drawings
-from torchid.report.table import Section, Shown, Table, cell, joint_numbers
+from torchid.report.table import Section, Shown, Table, joint_numbers
 from torchid.results.words import count, listed
 from torchid.study.result import Study
-from torchid.wrenches.compare import ClassSummary
 
 
 def shown(study: Study) -> Shown:
@@ -150,40 +149,24 @@ def set_wrench_table(study: Study) -> Table:
     )  # fmt: skip
 
 
-def class_table(study: Study) -> Table:
+def run_table(study: Study) -> Table:
     """Force errors of all runs by class, against feasible ones, then by each reason."""
     found = study.comparison
-    effects = {e.first: e for e in found.effects}
-    rows: list[tuple[str, ...]] = []
-    for c in found.classes:
-        effect, distinct = effects.get(c.name), str(facts.distinct_errors(study, c.name))
-        against = ("-", "-")
-        if effect is not None:
-            against = (interval(effect.ratio), interval(effect.delta))
-        rows.append((c.name, str(c.sets), distinct, *_quartiles(c), *against))
-    rows += [()] + [(c.name, str(c.sets), "-", *_quartiles(c), "-", "-") for c in found.per_reason]
-    infeasible = found.correlation_infeasible
+    ranked = {
+        count(found.correlation.sets, "set"): found.correlation,
+        f"the {found.correlation_infeasible.sets} infeasible ones": found.correlation_infeasible,
+    }
     rho = [
-        f"{interval(correlation.rho)} over {what}"
-        for what, correlation in (
-            (count(found.correlation.sets, "set"), found.correlation),
-            (f"the {infeasible.sets} infeasible ones", infeasible),
-        )
-        if not math.isnan(correlation.rho.value)
+        f"{interval(c.rho)} over {what}" for what, c in ranked.items() if c.rho.value == c.rho.value
     ]
-    said = "No rank correlation of degree and error: too few sets."
-    if rho:
-        said = f"Rank correlation of degree and error: {listed(rho)}."
-    return Table(
-        "force error of all runs by the kind of their reasons, and of those that have a reason, "
-        "alone or among others: largest joint [N]",
-        ("class", "sets", "different", "median", "lower quartile", "upper quartile",
-         f"ratio to {found.classes[0].name}", "Cliff's delta"),
-        rows, "l",
-        note=f"{said} A ratio of 1 and a delta of 0 are no difference; in brackets 95 % "
-        "bootstrap intervals that take every run for its own unit: they are too narrow where many "
-        "runs have the same error (`different` counts errors that differ by 0.1 % or more).",
-    )  # fmt: skip
+    said = f"Rank correlation of degree and error: {listed(rho)}. " if rho else ""
+    return class_table(
+        found,
+        "force error of all runs by the kind of their reasons, largest joint [N]",
+        f"{said}A ratio of 1 and a delta of 0 are no difference; in brackets 95 % bootstrap "
+        "intervals that take every run for its own unit: they are too narrow where many runs have "
+        "the same error.",
+    )
 
 
 def payload_table(study: Study) -> Table:
@@ -203,10 +186,6 @@ def payload_table(study: Study) -> Table:
 def all_tables(study: Study) -> list[Table]:
     """Every table, in the pages' order."""
     return [table for _, _, makers in _SECTIONS for make in makers if (table := make(study))]
-
-
-def _quartiles(c: ClassSummary) -> list[str]:
-    return [cell(value) for value in (c.median, c.lower_quartile, c.upper_quartile)]
 
 
 def write_study(study: Study, folder: Path) -> list[Path]:
@@ -242,7 +221,7 @@ def write_study(study: Study, folder: Path) -> list[Path]:
 _SECTIONS: tuple[tuple[str, str, tuple[Callable[[Study], Table], ...]], ...] = (
     ("Classification", "classification", (scenario_table,)),
     ("Extraction", "extraction", (certificate_table, search_table)),
-    ("Internal wrenches", "wrenches", (set_wrench_table, class_table)),
+    ("Internal wrenches", "wrenches", (set_wrench_table, run_table)),
     ("Validation of the sets", "validation", ()),
     ("Payload", "payload", (payload_table,)),
     ("Identification", "identification", (identification_table,)),
