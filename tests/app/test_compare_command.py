@@ -22,8 +22,7 @@ def test_compare_writes_and_says_the_verdict_first(command, results, tmp_path):
     data = json.loads((tmp_path / "c.json").read_text())
     assert data == json.loads((tmp_path / "out" / "compare.json").read_text())
     assert data["schema"] == "torchid.compare/1"
-    for name in ("parameters", "torque"):
-        assert (tmp_path / "out" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "out" / "parameters.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_compare_on_a_log(command, results, folder, tmp_path):

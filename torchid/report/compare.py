@@ -2,7 +2,7 @@
 intervals, and torque per joint."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 from rich.text import Text
@@ -13,7 +13,6 @@ from torchid.compare.record import (
     Comparison,
     GapComparison,
     Named,
-    Range,
     SetComparison,
     Shared,
     TorqueSpread,
@@ -337,16 +336,10 @@ CLIP = 10.0
 
 
 def figures(result: Comparison | GapComparison | SetComparison) -> Figures:
-    """What draws each figure that the comparison has, by the names of their files."""
-    out: dict[str, Callable[[], Figure | None]] = {}
+    """The forest of identifications; tables say the rest."""
     if isinstance(result, Comparison) and result.having(*ORDER[:4]):
-        out["parameters"] = partial(forest_figure, result)
-    if isinstance(result, SetComparison):
-        for name, ranges in (("parameters", result.physical), ("base_parameters", result.base)):
-            out[name] = partial(range_figure, ranges, result.labels, result.robot)
-    if result.torque is not None:
-        out["torque"] = partial(torque_figure, result.torque, result.labels, result.robot)
-    return out
+        return {"parameters": partial(forest_figure, result)}
+    return {}
 
 
 def forest_figure(result: Comparison) -> Figure:
@@ -380,73 +373,12 @@ def forest_figure(result: Comparison) -> Figure:
         "red: drifts, orange: differs, black: agrees, grey: never determined; "
         "triangles lie beyond the edge"
     )
-    return _compared(figure, f"{result.robot}: do {m} identifications agree?", shown, result.labels)
-
-
-def range_figure(ranges: Sequence[Range], labels: Sequence[str], robot: str) -> Figure:
-    """Ranges of the sets of every file, each parameter scaled to the widest of all."""
-    shown = [r for kind in ORDER for r in ranges if r.verdict == kind]
-    m = len(labels)
-    figure, axes = panel(9, 1.4 + (0.14 + 0.04 * m) * len(shown))
-    names = []
-    for row, r in enumerate(shown):
-        low, high = float(r.low.min()), float(r.high.max())
-        size = max(high - low, 1e-9 * max(abs(low), abs(high)), 1e-300)
-        for k in range(m):
-            y = row + 0.6 * ((k + 0.5) / m - 0.5)
-            a, b = ((float(x[k]) - (low + high) / 2) / size for x in (r.low, r.high))
-            axes.plot([a, b], [y, y], "|-", color=_colour(k), markersize=4)
-        names.append(f"{short(r.name, 44)}  {low:.3g} .. {high:.3g}")
-    axes.set(xlim=(-0.55, 0.55), xticks=[])
-    rows_of(axes, names, 6)
-    axes.set_xlabel(
-        "range of each file's sets, scaled to the whole range of the parameter (given beside its "
-        f"name)\nred: {WORDS['drift']}, orange: {WORDS['differ']}, grey: open in every file"
-    )
-    return _compared(figure, f"{robot}: sets compared", shown, labels)
-
-
-def torque_figure(t: TorqueSpread, labels: Sequence[str], robot: str) -> Figure:
-    """Per joint: differences between models against what their covariances claim, and, with a log,
-    every model's error."""
-    n, m = len(t.size), len(labels)
-    rows = 1 if t.errors is None else 2
-    figure, grid = panel(9, 0.8 + 2.8 * rows, rows, 1, squeeze=False)
-    claimed = [] if t.claimed is None else [("std that their covariances claim", t.claimed, GREY)]
-    spreads = [("std between models", t.spread, BLUE), *claimed]
-    parts = [(f"differences on {t.source} (in % of the joint's RMS torque)", spreads)]
-    if t.errors is not None:
-        errors = zip(labels, t.errors, map(_colour, range(m)), strict=True)
-        parts.append(("measured torque - model", list(errors)))
-    for axes, (title, bars) in zip(grid[:, 0], parts, strict=True):
-        width = 0.8 / len(bars)
-        for k, (name, values, colour) in enumerate(bars):
-            x = [j + (k - (len(bars) - 1) / 2) * width for j in range(n)]
-            axes.bar(x, values.tolist(), width * 0.94, color=colour, label=name)
-        axes.set_xticks(range(n), [f"joint {j + 1}" for j in range(n)], fontsize=8)
-        axes.set_ylabel("RMS [N m; N]")
-        axes.set_title(title, fontsize=8, color=INK)
-        axes.legend(fontsize=8, frameon=False)
-    for j in range(n):
-        share = 100 * float(t.spread[j] / t.size[j].clamp(min=1e-12))
-        top = max(float(v[j]) for _, v, _ in spreads)
-        grid[0, 0].annotate(
-            f"{share:.2g} %", (j, top), xytext=(0, 2), textcoords="offset points",
-            ha="center", fontsize=7, color=INK,
-        )  # fmt: skip
-    grid[0, 0].margins(y=0.15)
-    return finish(figure, f"{robot}: torque of {m} models")
+    for name, p in zip(axes.get_yticklabels(), shown, strict=True):
+        name.set_color(SHADES.get(p.verdict, INK))
+    styles = ({"color": _colour(k), "marker": "o", "markersize": 4} for k in range(m))
+    keys = dict(zip(result.labels, styles, strict=True))
+    return finish(figure, f"{result.robot}: do {m} identifications agree?", keys=keys)
 
 
 def _colour(k: int) -> str:
     return COLOURS[k % len(COLOURS)]
-
-
-def _compared(
-    figure: Figure, title: str, shown: Sequence[ComparedParameter | Range], labels: Sequence[str]
-) -> Figure:
-    """Names of the rows in the colours of their verdicts, and a legend of the results."""
-    for name, row in zip(figure.axes[0].get_yticklabels(), shown, strict=True):
-        name.set_color(SHADES.get(row.verdict, INK))
-    styles = ({"color": _colour(k), "marker": "o", "markersize": 4} for k in range(len(labels)))
-    return finish(figure, title, keys=dict(zip(labels, styles, strict=True)))
