@@ -2,11 +2,10 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from torchid.report.colours import GREY, INK
+from torchid.report.colours import INK
 from torchid.report.equal_torque import class_colour, class_table, interval
 from torchid.report.panels import Figure, Figures, finish, panel
 from torchid.report.table import Shown, Table, cells, joint_numbers
@@ -92,30 +91,8 @@ def set_table(found: GivenSets) -> Table:
 
 
 def figures(found: GivenSets) -> Figures:
-    """What draws each figure, by the names of their files."""
-    return {
-        "force_errors": partial(error_figure, found),
-        "force_by_degree": partial(degree_figure, found),
-    }
-
-
-def error_figure(found: GivenSets) -> Figure:
-    """Force error per joint, a mark a set."""
-    figure, axes = panel(8.0, 4.6)
-    joints, errors = np.arange(1, found.robot.n + 1), found.errors.force_rms.numpy()
-    floor = max(1e-6 * float(errors.max()), 1e-12)
-    apart = np.linspace(-0.28, 0.28, len(errors)) if len(errors) > 1 else np.zeros(1)
-    for name, rows in _by_class(found).items():
-        place, shown = joints + apart[rows, None], np.maximum(errors[rows], floor)
-        axes.scatter(
-            place, shown, s=22, color=class_colour(name), alpha=0.8, linewidths=0, label=name
-        )
-    own = np.maximum(found.errors.reference_force_rms.numpy(), floor)
-    itself = "the force itself"
-    axes.hlines(own, joints - 0.35, joints + 0.35, color=GREY, label=itself, zorder=0)
-    axes.set(xticks=joints, xlabel="joint", ylabel="force error [N], RMS over the motion")
-    title = f"{found.robot.name}: force error per joint against {_reference(found)}"
-    return _finish(figure, axes, title)
+    """What draws the figure, by the name of its file."""
+    return {"force_by_degree": partial(degree_figure, found)}
 
 
 def degree_figure(found: GivenSets) -> Figure:
@@ -123,32 +100,21 @@ def degree_figure(found: GivenSets) -> Figure:
     figure, axes = panel(8.0, 4.6)
     degree = found.checked.degree.numpy()
     worst = found.errors.force_rms.amax(-1).clamp(min=1e-12).numpy()
+    classes = np.array([class_of(found.checked.reasons(k)) for k in range(len(found.sets))])
     style = {"s": 22, "alpha": 0.8, "linewidths": 0}
-    for name, rows in _by_class(found).items():
-        axes.scatter(degree[rows], worst[rows], color=class_colour(name), label=name, **style)
+    for name in dict.fromkeys(classes.tolist()):
+        own = classes == name
+        axes.scatter(degree[own], worst[own], color=class_colour(name), label=name, **style)
     if len(worst) <= _MOST_NAMED:
         for place in zip(found.sets.ids, zip(degree, worst, strict=True), strict=True):
             axes.annotate(*place, (4, 3), textcoords="offset points", fontsize=7, color=INK)
     axes.axvline(0, color=INK, linewidth=0.9)
     axes.set_xscale("symlog", linthresh=1e-3, linscale=0.6)
     axes.margins(x=0.08)
+    axes.set(yscale="log", ylabel="force error, largest joint [N], RMS")
     axes.set_xlabel("degree (0 is the boundary, negative infeasible)")
-    axes.set_ylabel("force error, largest joint [N], RMS")
-    return _finish(figure, axes, f"{found.robot.name}: degree and force error")
-
-
-def _by_class(found: GivenSets) -> dict[str, list[int]]:
-    """Rows of the sets of every class."""
-    out: dict[str, list[int]] = {}
-    for k in range(len(found.sets)):
-        out.setdefault(class_of(found.checked.reasons(k)), []).append(k)
-    return out
-
-
-def _finish(figure: Figure, axes: Any, title: str) -> Figure:
-    axes.set_yscale("log")
     axes.tick_params(axis="y", which="minor", labelsize=7, labelcolor=INK)
-    return finish(figure, title, axes)
+    return finish(figure, f"{found.robot.name}: degree and force error", axes)
 
 
 def _reference(found: GivenSets) -> str:
