@@ -16,9 +16,8 @@ from tests.marks import quick_first
 from tests.report.page.reading import headings, parsed, rows_of, text_of
 from torchid.gap.diagnosis import HowFar
 from torchid.gap.record import Budget, Parametric, Status
-from torchid.report.diagnosis import page
+from torchid.report.diagnosis import STATUS, page, which_model
 from torchid.report.page import document as rendering
-from torchid.report.page.diagnosis import STATUS, which_model
 from torchid.report.page.document import InputFile, origin, render
 from torchid.simulation.two_models import Horizon, Rollout, SimulatedMotion, TorqueGap
 
