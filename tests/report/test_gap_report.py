@@ -17,8 +17,7 @@ from torchid.gap.diagnosis import HowFar
 from torchid.gap.record import NotTestable, Parametric, Status
 from torchid.report import gap
 from torchid.report.diagnosis import shown
-from torchid.report.gap_words import coefficients
-from torchid.results.answer import COLUMNS, Answer, Cause, JointError, Size
+from torchid.results.answer import COLUMNS, Answer, Cause, JointError, Size, named_size
 from torchid.results.words import effect_words, listed, measure, percent
 from torchid.simulation.two_models import Horizon, Rollout, TorqueGap
 
@@ -243,7 +242,8 @@ def test_measure(value, std, expected):
 
 def test_units_of_prismatic_joints():
     slide = replace(VISCOUS, effect=ViscousFriction(1), joints=(1,))
-    assert coefficients(slide.record(mixed_arm("RPR"))) == ["Fv = 0.20 ± 0.10 N s/m"]
+    (size,) = slide.record(mixed_arm("RPR")).cause.sizes
+    assert named_size(size) == "Fv = 0.20 ± 0.10 N s/m"
 
 
 @pytest.mark.parametrize(

@@ -6,18 +6,10 @@ import re
 from functools import partial
 
 from torchid.gap.diagnosis import TorqueDiagnosis
-from torchid.gap.record import GapRecord, Known, NotTestable
+from torchid.gap.record import FoundEffect, GapRecord, Known, KnownCoefficient, NotTestable
 from torchid.report import gap_figures
 from torchid.report.cautions import ranged
-from torchid.report.gap_words import (
-    CLEAR,
-    change_words,
-    clear_regimes,
-    coefficients,
-    corrects,
-    excess_words,
-    shapes,
-)
+from torchid.report.gap_figures import CLEAR, clear_regimes, excess_words
 from torchid.report.panels import Picture
 from torchid.report.table import Table
 from torchid.results.answer import named_size
@@ -126,12 +118,14 @@ def which_table(record: GapRecord) -> Table:
         elif f.changed:
             values = [change_words(c) for c in f.changed]
         else:
-            values = coefficients(f)
+            values = [named_size(size) for size in f.cause.sizes]
             if corrects(f, model_of(record)):
                 values = [f"change of {value}" for value in values]
         values = [*values[:_MOST_NUMBERS], *(["..."] if len(values) > _MOST_NUMBERS else [])]
         if f.shape:
-            values.append(f"({', '.join(shapes(f))})")
+            sizes = ((name, f.parameters[name], unit_behind(f.unit[name])) for name in f.shape)
+            numbers = [(n, x, u) for n, x, u in sizes if isinstance(x, int | float)]
+            values.append(f"({', '.join(f'{n} = {x:.4g} {u}'.rstrip() for n, x, u in numbers)})")
         links = f.effect == "link_inertia"
         what = f"inertia of link {number_list(f.joints)}" if links else effect_words(f.effect)
         joints = number_list(f.joints, "all")
@@ -156,6 +150,21 @@ def which_table(record: GapRecord) -> Table:
         "above it; found in: motions with the same size, of those that can show it"
     )
     return Table("which: effects the model lacks (value ± std)", columns, rows, "lllp", note)
+
+
+def change_words(one: KnownCoefficient) -> str:
+    """`9.1 ± 0.3 N m s/rad, was 4.0 ± 0.3`."""
+    before = measure(one.before, one.before_std, "")
+    return f"{measure(one.after, one.after_std, unit_behind(one.unit))}, was {before}"
+
+
+def corrects(found: FoundEffect, robot: Robot) -> bool:
+    """Whether the model has this effect at this place already, so that values are changes of it."""
+    joints = [j + 1 for j in found.located]
+    return any(
+        r.get("effect") == found.effect and (not joints or r.get("joint") in joints)
+        for r in robot.effects
+    )
 
 
 def small_table(record: GapRecord) -> Table:

@@ -9,9 +9,8 @@ import numpy as np
 import torch
 
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
-from torchid.gap.record import GapRecord, Regime
+from torchid.gap.record import GapRecord, Regime, RegimeGap
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
-from torchid.report.gap_words import CLEAR, clear_regimes
 from torchid.report.over_time import motion_over_time, torque_over_time
 from torchid.report.panels import (
     SMALL,
@@ -24,13 +23,32 @@ from torchid.report.panels import (
 )
 from torchid.report.repeats import error_figure, repeats_picture
 from torchid.report.skeleton import skeleton_of
-from torchid.results.words import percent, regime_words
+from torchid.results.words import interval, percent, regime_words
 from torchid.robot.model import joint_unit
 from torchid.statistics.jackknife import student_quantile
 from torchid.statistics.proportion import HALF_95
 
 WORST = 3
 """Joints that get a figure of their own."""
+CLEAR = 0.05
+"""p below which a regime is said to hold more than its share."""
+
+
+def excess_words(one: RegimeGap) -> str:
+    """`low speed 40 % [35, 45]`."""
+    return f"{regime_words(one.regime)} {percent(one.excess)} {interval(one.ci95)}"
+
+
+def clear_regimes(record: GapRecord, joint: int) -> list[RegimeGap]:
+    """What holds more than its share of a joint's gap beyond chance, the most first; nothing on a
+    joint whose gap is below all noise."""
+    gap = next(g for g in record.where.joints if g.joint == joint)
+    if gap.gap_rms <= gap.noise_floor_rms[0]:
+        return []
+    # Against chance, and in other samples of the log's blocks as well.
+    regimes = record.where.regimes
+    found = [r for r in regimes if r.joint == joint and r.p < CLEAR and r.ci95[0] > 0]
+    return sorted(found, key=lambda r: -r.excess)
 
 
 def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
