@@ -7,11 +7,12 @@ from functools import partial
 from itertools import count
 
 import numpy as np
+import torch
 
 from torchid.design.motion import MOVING
 from torchid.errors import TorchidError
 from torchid.identification.identify import Identification
-from torchid.identification.payload import Estimate, Payload
+from torchid.identification.payload import Body, Payload
 from torchid.identification.record import Errors, IdentificationRecord
 from torchid.identification.result import UNEXPLAINED
 from torchid.identification.settings import Rows
@@ -381,11 +382,7 @@ def payload_shown(payload: Payload) -> Shown:
 def payload_tables(payload: Payload) -> list[Table]:
     """The body in the tool's and in the last link's frame, and what else changed, if anything."""
     tool, link = (
-        [
-            _payload_cells(part, k)
-            for part in (body.mass, body.com, body.inertia_about_com)
-            for k in range(part.value.numel())
-        ]
+        [_payload_cells(*numbers) for _, _, *numbers in quantities(body)]
         for body in (payload.tool, payload.link)
     )
     named = zip(QUANTITIES, tool, link, strict=True)
@@ -425,10 +422,18 @@ def payload_headline(payload: Payload) -> str:
     )
 
 
-def _payload_cells(estimate: Estimate, k: int) -> tuple[str, str]:
-    value, std, low, high = (
-        float(x[k]) for x in (estimate.value, estimate.std, estimate.low, estimate.high)
+def quantities(body: Body) -> list[tuple[str, str, float, float, float, float]]:
+    """Name and unit, value, standard deviation and ends of the 95 % interval of a payload's ten
+    quantities."""
+    parts = (body.mass, body.com, body.inertia_about_com)
+    columns = (
+        torch.cat([getattr(x, name) for x in parts]).tolist()
+        for name in ("value", "std", "low", "high")
     )
+    return [(*named, *numbers) for named, *numbers in zip(QUANTITIES, *columns, strict=True)]
+
+
+def _payload_cells(value: float, std: float, low: float, high: float) -> tuple[str, str]:
     if math.isnan(value):
         return "not known", "-"
     return f"{value:.4g} ± {std:.1g}", f"{low:.4g} .. {high:.4g}"

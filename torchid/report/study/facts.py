@@ -4,13 +4,12 @@ sentences: nothing here is drawn."""
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import NamedTuple
 
 import torch
 
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
-from torchid.report.identification import QUANTITIES
+from torchid.report.identification import quantities
 from torchid.results.words import count, listed
 from torchid.robot.inertia import InertialParameters
 from torchid.study.result import ScenarioResult, SetsOnMotion, Study
@@ -136,39 +135,13 @@ def row_of(sets: SetsOnMotion, name: str) -> int:
     return sets.labels.index(name)
 
 
-class Quantity(NamedTuple):
-    """One quantity of the payload: its true value, estimate and 95 % interval."""
-
-    name: str
-    unit: str
-    true: float
-    value: float
-    low: float
-    high: float
-
-    @property
-    def known(self) -> bool:
-        """Whether it has an estimate with an interval."""
-        return math.isfinite(self.value) and math.isfinite(self.low)
-
-    @property
-    def held(self) -> bool:
-        """Whether the interval holds the true value."""
-        return self.low <= self.true <= self.high
-
-
-def payload_quantities(study: Study) -> list[Quantity]:
-    """The ten quantities of the payload, in the tool frame."""
-    body, tool = InertialParameters(study.payload.true), study.payload.estimate.tool
-    true = torch.cat([body.mass.reshape(1), body.com, body.inertia_about_com])
-    parts = (tool.mass, tool.com, tool.inertia_about_com)
-    columns = (torch.cat([getattr(x, name) for x in parts]) for name in ("value", "low", "high"))
-    return [
-        Quantity(*named, *numbers)
-        for named, *numbers in zip(
-            QUANTITIES, true.tolist(), *(x.tolist() for x in columns), strict=True
-        )
-    ]
+def payload_quantities(study: Study) -> list[tuple[str, str, float, float, float, float]]:
+    """Name and unit, true value, estimate and ends of its 95 % interval of the ten quantities of
+    the payload, in the tool frame."""
+    body = InertialParameters(study.payload.true)
+    true = torch.cat([body.mass.reshape(1), body.com, body.inertia_about_com]).tolist()
+    estimated = zip(quantities(study.payload.estimate.tool), true, strict=True)
+    return [(name, unit, t, value, low, high) for (name, unit, value, _, low, high), t in estimated]
 
 
 def verdict(study: Study) -> list[str]:
@@ -255,12 +228,12 @@ def _class(study: Study, e: EffectSize) -> str:
 
 
 def _payload(study: Study) -> str:
-    mass, *_ = quantities = payload_quantities(study)
-    known = [q for q in quantities if q.known]
-    if not mass.known:
+    (_, _, true, mass, low, high), *_ = every = payload_quantities(study)
+    if math.isnan(low):
         return "Payload: its mass is not determined."
+    held = [start <= value <= end for _, _, value, _, start, end in every if start == start]
     return (
-        f"Payload: {number(mass.value, 6)} ± {number((mass.high - mass.low) / 2, 2)} kg against "
-        f"the true {number(mass.true, 6)} kg; the intervals hold the truth for "
-        f"{sum(q.held for q in known)} of {count(len(known), 'quantity', 'quantities')}."
+        f"Payload: {number(mass, 6)} ± {number((high - low) / 2, 2)} kg against the true "
+        f"{number(true, 6)} kg; the intervals hold the truth for {sum(held)} of "
+        f"{count(len(held), 'quantity', 'quantities')}."
     )

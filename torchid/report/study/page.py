@@ -172,12 +172,12 @@ def run_table(study: Study) -> Table:
 def payload_table(study: Study) -> Table:
     """True and estimated payload in the tool frame, with intervals."""
     rows = []
-    for q in facts.payload_quantities(study):
-        value = number(q.value, 4) if math.isfinite(q.value) else "not known"
-        ends = ("-", "-")
-        if math.isfinite(q.low):
-            ends = (f"{number(q.low, 4)} .. {number(q.high, 4)}", "yes" if q.held else "no")
-        rows.append((q.name, q.unit, number(q.true, 4), value, *ends))
+    for name, unit, true, value, low, high in facts.payload_quantities(study):
+        cells = ["not known" if math.isnan(value) else number(value, 4), "-", "-"]
+        if math.isfinite(low):
+            held = "yes" if low <= true <= high else "no"
+            cells[1:] = [f"{number(low, 4)} .. {number(high, 4)}", held]
+        rows.append((name, unit, number(true, 4), *cells))
     columns = ("quantity", "unit", "true", "estimated", "95 % interval", "true inside")
     title = "payload in the tool frame, inertia about its centre of mass"
     return Table(title, columns, rows, "pprrrp")
