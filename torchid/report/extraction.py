@@ -4,7 +4,6 @@ parameters the torque determines, and how far."""
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import torch
 from rich.text import Text
@@ -145,9 +144,21 @@ def figures(found: Found) -> Figures:
 
 def search_figure(search: Extraction, proof: Certificate | None = None) -> Figure:
     """Loss and penalty of all runs against the stage, and the loss of the sets they end in."""
-    figure, grid = panel(9, 5.4, 2, 1, sharex=True, squeeze=False)
-    draw_searches(grid, [(search, 0.0 if proof is None else proof.phi_min)])
-    upper, lower = grid[:, 0]
+    figure, (upper, lower) = panel(9, 5.4, 2, 1, sharex=True)
+    for axes, history in ((upper, search.history_phi), (lower, search.history_gamma)):
+        shown = history.nan_to_num(nan=math.inf).clamp(min=_LEAST).numpy()
+        stages = range(1, shown.shape[1] + 1)
+        axes.plot(stages, shown.T, color=GREY, linewidth=0.7, alpha=0.6, label="runs")
+        axes.plot(stages, shown[search.best], color=BLUE, linewidth=1.8, label="best run")
+    upper.set_yscale("log")
+    least = 0.0 if proof is None else proof.phi_min
+    if 0 < least < math.inf:
+        upper.axhline(least, color=RED, linewidth=1.2, label="least possible, phi_min")
+    gamma = search.history_gamma
+    # Linear below the least penalty that is one.
+    linear = min(gamma[(gamma > 0) & gamma.isfinite()].tolist(), default=1.0)
+    lower.set_yscale("symlog", linthresh=linear)
+    lower.set_ylim(bottom=-0.1 * linear)
     end = [search.settings.stages + 0.6] * len(search.phi)
     upper.scatter(end, search.phi.clamp(min=_LEAST).numpy(), s=10, color=BLUE, label="in the end")
     upper.set_ylabel("loss phi of the best so far")
@@ -157,26 +168,6 @@ def search_figure(search: Extraction, proof: Certificate | None = None) -> Figur
         f"'{search.problem.bounds.name}', {search.settings.penalty} loss"
     )
     return finish(figure, title, upper)
-
-
-def draw_searches(grid: Any, searches: Sequence[tuple[Extraction, float]]) -> None:
-    """A column of two panels a search: loss and, below it, penalty of all runs against the stage,
-    and the least possible loss where that is known and not zero."""
-    for (upper, lower), (search, least) in zip(grid.T, searches, strict=True):
-        for axes, history in ((upper, search.history_phi), (lower, search.history_gamma)):
-            shown = history.nan_to_num(nan=math.inf).clamp(min=_LEAST).numpy()
-            stages = range(1, shown.shape[1] + 1)
-            axes.plot(stages, shown.T, color=GREY, linewidth=0.7, alpha=0.6, label="runs")
-            axes.plot(stages, shown[search.best], color=BLUE, linewidth=1.8, label="best run")
-        upper.set_yscale("log")
-        if 0 < least < math.inf:
-            upper.axhline(least, color=RED, linewidth=1.2, label="least possible, phi_min")
-    gammas = torch.cat([search.history_gamma.flatten() for search, _ in searches])
-    # Linear below the least penalty that is one.
-    linear = min(gammas[(gammas > 0) & gammas.isfinite()].tolist(), default=1.0)
-    for lower in grid[1]:
-        lower.set_yscale("symlog", linthresh=linear)
-        lower.set_ylim(bottom=-0.1 * linear)
 
 
 _LEAST = 1e-34

@@ -78,11 +78,6 @@ def distinct_errors(study: Study, name: str) -> int:
     return different(study.errors.force_rms[rows].amax(-1))
 
 
-def all_degrees(study: Study) -> Float[Tensor, " K"]:
-    """Degree of every run of every scenario."""
-    return torch.cat([s.feasibility.degree for s in study.scenarios])
-
-
 def endings(result: ScenarioResult) -> Int[Tensor, " R"]:
     """(R,) which runs ended in the same set: the number of the first of them."""
     x = result.extraction.sets.vector

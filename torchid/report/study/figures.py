@@ -1,19 +1,16 @@
 """A study's figures (5.1 to 5.19 of the report, and more): its motions and torques, searches and
 degrees, internal wrenches of its sets, and its payload."""
 
-import math
 from collections.abc import Sequence
 from functools import partial
 from itertools import product
 from typing import Any
 
-import numpy as np
 import torch
 
 from torchid.log.model import Log
 from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, INK, KEEPS, ORANGE, REAL, RED
-from torchid.report.equal_torque import class_colour
-from torchid.report.extraction import draw_searches
+from torchid.report.given_sets import error_by_degree
 from torchid.report.log import trajectory_figure
 from torchid.report.panels import (
     Figure,
@@ -35,7 +32,6 @@ from torchid.robot.model import torque_unit
 from torchid.study.motions import new_motion
 from torchid.study.result import SetsOnMotion, Study
 from torchid.typing import Float, Tensor
-from torchid.wrenches.classes import FEASIBLE, ordered_classes
 
 _STYLES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)))
 """Lines that distinguish sets of one colour."""
@@ -62,14 +58,6 @@ CAPTIONS = {
             "root mean square difference."
         ),
     },
-    "extraction": {
-        "search_convergence": (
-            "Loss phi (above) and penalty gamma (below) of the best point so far after each stage; "
-            "thin: all runs, thick: the run that is best in the end, red: phi_min of the "
-            "scenario's bounds where it is not zero. Under the full loss xi grows from stage to "
-            "stage, so phi may rise while gamma falls."
-        ),
-    },
     "classification": {
         "degrees": (
             "Degree of every run: the smallest margin of its conditions over their scales, "
@@ -80,10 +68,8 @@ CAPTIONS = {
     "wrenches": {
         "force_error_by_degree": (
             "Force error of every run (root mean square of the vector difference from the real "
-            "arm, largest joint) against its degree, by the kind of its reasons: feasible sets by "
-            "how firmly they are inside, infeasible ones by how far they are outside (both "
-            "logarithmic), and the classes side by side with medians and quartiles. Crosses mark "
-            "the best sets."
+            "arm, largest joint) against its degree, by the kind of its reasons. The best sets "
+            "have their names."
         ),
     },
     "payload": {
@@ -100,7 +86,7 @@ def drawings(study: Study) -> list[Picture]:
     """Every figure with its caption, none of them drawn yet."""
     draw = {
         "validation_torque": _torque_figure, "sets_torque": _sets_figure,
-        "search_convergence": _convergence, "degrees": _degrees,
+        "degrees": _degrees,
         "force_error_by_degree": _error_figure, "payload_force": _force,
     }  # fmt: skip
     fixed = [
@@ -243,20 +229,6 @@ def _sets_figure(study: Study) -> Figure:
     return finish(figure, title, columns=3, keys=keys)
 
 
-def _convergence(study: Study) -> Figure:
-    k = len(study.scenarios)
-    width = max(6.0, 1.0 + 2.1 * k)
-    figure, grid = panel(width, 5.6, 2, k, sharex=True, sharey="row", squeeze=False)
-    draw_searches(grid, [(s.extraction, facts.phi_min(study, s)) for s in study.scenarios])
-    for (upper, lower), s in zip(grid.T, study.scenarios, strict=True):
-        heading = f"{s.scenario.id}: {s.scenario.bounds}, {s.scenario.penalty}"
-        upper.set_title(heading, fontsize=9, color=KEEPS if s.feasible else BREAKS)
-        lower.set_xlabel("stage")
-    grid[0, 0].set_ylabel("phi")
-    grid[1, 0].set_ylabel("gamma")
-    return finish(figure, f"{study.robot.name}: the search, stage by stage", *grid[0])
-
-
 def _degrees(study: Study) -> Figure:
     names = [f"{s.scenario.id}\n{s.scenario.bounds}, {s.scenario.penalty}" for s in study.scenarios]
     figure, axes = panel(max(6.0, 1.5 + 1.5 * len(names)), 4.6)
@@ -301,52 +273,14 @@ def _norms(
 
 
 def _error_figure(study: Study) -> Figure:
-    error = study.errors.force_rms.amax(-1)
-    degree, classes = facts.all_degrees(study), facts.run_classes(study)
-    names = ordered_classes(classes)
-    figure, (inside, outside, beside) = panel(12, 4.8, 1, 3, sharey=True, width_ratios=(2, 3, 2))
-    for axes in (inside, outside):
-        axes.set(xscale="log", yscale="log")
-    best = torch.zeros_like(degree, dtype=torch.bool)
-    best[facts.best_rows(study)] = True
-    for c, name in enumerate(names):
-        own = torch.tensor([x == name for x in classes])
-        axes = inside if name == FEASIBLE else outside
-        colour = class_colour(name)
-        depth = degree[own].abs().clamp(min=1e-12)
-        axes.scatter(depth, error[own], s=16, color=colour, alpha=0.7, linewidth=0)
-        axes.scatter(depth[best[own]], error[own & best], s=60, color=INK, marker="x", linewidth=1)
-        place = c + spread(int(own.sum()), c)
-        beside.scatter(place, error[own], s=12, color=colour, alpha=0.6, linewidth=0)
-        low, median, high = np.nanpercentile(error[own].numpy(), [25, 50, 75])
-        beside.vlines(c, low, high, color=INK, linewidth=5, alpha=0.35)
-        beside.hlines(median, c - 0.35, c + 0.35, color=INK, linewidth=1.6)
-        outside.scatter([], [], s=16, color=colour, label=name)
-    for axes in (inside, outside):
-        _decades(axes.xaxis)
-    _decades(inside.yaxis)
-    if FEASIBLE not in names:
-        inside.text(0.5, 0.5, "no run is feasible", transform=inside.transAxes, ha="center",
-                    fontsize=9, color=GREY)  # fmt: skip
-    outside.scatter([], [], s=60, color=INK, marker="x", label="best sets")
-    inside.set(xlabel="degree (feasible)", ylabel="force error, largest joint [N]")
-    outside.set_xlabel("-degree (infeasible)")
-    beside.set_xticks(range(len(names)), [x.replace(" ", "\n") for x in names], fontsize=8)
-    beside.set_xlim(-0.6, len(names) - 0.4)
-    title = f"{study.robot.name}: force error by degree and by reason, all runs"
-    return finish(figure, title, outside, columns=7)
-
-
-def _decades(axis: Any) -> None:
-    """A logarithmic axis of whole decades, with a label at each and none between."""
-    from matplotlib.ticker import NullFormatter
-
-    low, high = axis.get_data_interval()
-    if 0 < low <= high < math.inf:
-        first = math.floor(math.log10(low))
-        last = max(first + 1, math.ceil(math.log10(high)))
-        axis.axes.set(**{f"{axis.axis_name}lim": (10.0**first, 10.0**last)})
-    axis.set_minor_formatter(NullFormatter())
+    best = zip(facts.best_rows(study), ids(study.scenarios), strict=True)
+    return error_by_degree(
+        f"{study.robot.name}: force error by degree and by reason, all runs",
+        torch.cat([s.feasibility.degree for s in study.scenarios]).numpy(),
+        study.errors.force_rms.amax(-1).numpy(),
+        facts.run_classes(study),
+        dict(best),
+    )
 
 
 def _force(study: Study) -> Figure:
