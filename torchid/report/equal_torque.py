@@ -2,6 +2,7 @@
 intervals, and as figures."""
 
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -13,7 +14,7 @@ from torchid.report.table import Shown, Table, cells, joint_numbers
 from torchid.robot.inertia import InertialParameters
 from torchid.study.equal_torque.study import EqualTorqueStudy
 from torchid.wrenches.classes import KINDS as CLASS_NAMES
-from torchid.wrenches.classes import MIXED
+from torchid.wrenches.classes import MIXED, ordered_classes
 from torchid.wrenches.compare import ClassSummary, Comparison, EffectSize
 from torchid.wrenches.regressor import wrench_norms
 from torchid.wrenches.resampling import Estimate
@@ -280,6 +281,8 @@ COLOURS = {
 }
 _LINEAR = 1e-3
 """Degrees smaller than this are drawn on a linear scale."""
+_MANY = 100
+"""Sets from which marks are small."""
 
 
 def figures(study: EqualTorqueStudy) -> Figures:
@@ -294,22 +297,67 @@ def figures(study: EqualTorqueStudy) -> Figures:
 
 def degree_figure(study: EqualTorqueStudy) -> Figure:
     """Force error against the degree, coloured by kind; what any feasible set can reach."""
-    figure, axes = panel(10.5, 5.4)
-    degree, worst = study.degree.numpy(), study.worst.numpy()
-    for kind in study.kinds:
-        rows = study.rows(kind)
-        axes.scatter(
-            degree[rows], worst[rows], s=11, color=_colour(kind), alpha=0.55, linewidths=0,
-            label=f"{kind_words(kind)} ({len(rows)})",
+    rows = {kind: study.rows(kind) for kind in study.kinds}
+    what = "the degree of a violation and the error of the internal forces"
+    figure = error_by_degree(
+        f"{study.setting.robot.name}: {what}",
+        study.degree.numpy(),
+        study.worst.numpy(),
+        {f"{kind_words(k)} ({len(own)})": (own, _colour(k)) for k, own in rows.items()},
+    )
+    (axes,) = figure.axes
+    for value in (float(r.reached.max()) for r in study.reach if r.kind == "feasible"):
+        axes.axhline(value, color=GREEN, linewidth=1.0, linestyle=(0, (5, 3)))
+        axes.annotate(
+            f"greatest of any feasible set: {value:.3g} N", (0.995, value),
+            xycoords=axes.get_yaxis_transform(), xytext=(0, 3), textcoords="offset points",
+            fontsize=8, color=GREEN, va="bottom", ha="right",
         )  # fmt: skip
+    return figure
+
+
+def by_class(classes: Sequence[str]) -> dict[str, tuple[list[int], str]]:
+    """Rows and colour of each class of reasons."""
+    return {
+        name: ([k for k, own in enumerate(classes) if own == name], class_colour(name))
+        for name in ordered_classes(classes)
+    }
+
+
+def error_by_degree(
+    title: str,
+    degree: np.ndarray,
+    error: np.ndarray,
+    groups: Mapping[str, tuple[list[int], str]],
+    named: Iterable[tuple[int, str]] = (),
+) -> Figure:
+    """Force errors of sets against their degrees, a colour a group, with running medians where a
+    group has enough of them.
+
+    Args:
+        title: of the figure.
+        degree, error: of the sets; errors [N], largest joint.
+        groups: rows and colour by name.
+        named: rows with names beside their marks.
+    """
+    figure, axes = panel(10.5, 5.4)
+    shown = np.maximum(error, 1e-12)
+    for name, (rows, colour) in groups.items():
+        look = {"s": 11 if len(error) > _MANY else 22, "alpha": 0.55, "linewidths": 0}
+        axes.scatter(degree[rows], shown[rows], color=colour, label=name, **look)
         # Running median of six groups of neighbours.
-        order = np.argsort(degree[rows])
-        groups = [g for g in np.array_split(order, 6) if len(g) >= 5]
-        x, y = ([float(np.median(v[rows][g])) for g in groups] for v in (degree, worst))
+        neighbours = np.array_split(np.argsort(degree[rows]), 6)
+        parts = [g for g in neighbours if len(g) >= 5]
+        x, y = ([float(np.median(v[rows][g])) for g in parts] for v in (degree, shown))
         axes.plot(x, y, color="white", linewidth=3.6)
-        axes.plot(x, y, color=_colour(kind), linewidth=2.0)
+        axes.plot(x, y, color=colour, linewidth=2.0)
+    for k, name in named:
+        place = (degree[k], shown[k])
+        axes.annotate(name, place, (4, 3), textcoords="offset points", fontsize=7, color=INK)
     axes.set_xscale("symlog", linthresh=_LINEAR, linscale=0.6)
+    axes.margins(x=0.08)
     axes.set(yscale="log", ylabel=_ERROR)
+    axes.tick_params(axis="y", which="minor", labelsize=7, labelcolor=INK)
     axes.set_xlabel("degree (smallest margin over its scale; 0 is the boundary)")
     axes.axvline(0, color=INK, linewidth=0.9)
     for text, side in ((" feasible", "left"), ("infeasible ", "right")):
@@ -317,16 +365,7 @@ def degree_figure(study: EqualTorqueStudy) -> Figure:
             0.0, 1.04, text, transform=axes.get_xaxis_transform(), ha=side, va="top",
             fontsize=8, color=INK,
         )  # fmt: skip
-    greatest = [float(r.reached.max()) for r in study.reach if r.kind == "feasible"]
-    for value in greatest:
-        axes.axhline(value, color=GREEN, linewidth=1.0, linestyle=(0, (5, 3)))
-        axes.annotate(
-            f"greatest of any feasible set: {value:.3g} N", (0.995, value),
-            xycoords=axes.get_yaxis_transform(), xytext=(0, 3), textcoords="offset points",
-            fontsize=8, color=GREEN, va="bottom", ha="right",
-        )  # fmt: skip
-    what = "the degree of a violation and the error of the internal forces"
-    return finish(figure, f"{study.setting.robot.name}: {what}", axes)
+    return finish(figure, title, axes)
 
 
 def kind_figure(study: EqualTorqueStudy) -> Figure:

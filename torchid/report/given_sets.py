@@ -1,16 +1,13 @@
 """Internal wrenches of given sets: tables and figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 
-import numpy as np
-
-from torchid.report.colours import INK
-from torchid.report.equal_torque import class_colour, class_table, interval
-from torchid.report.panels import Figure, Figures, finish, panel
+from torchid.report.equal_torque import by_class, class_table, error_by_degree, interval
+from torchid.report.panels import Figure, Figures
 from torchid.report.table import Shown, Table, cells, joint_numbers
 from torchid.study.equal_torque.given_sets import GivenSets
-from torchid.wrenches.classes import class_of, ordered_classes
+from torchid.wrenches.classes import class_of
 
 _MOST_ROWS = 40
 _MOST_NAMED = 15
@@ -97,48 +94,14 @@ def figures(found: GivenSets) -> Figures:
 
 def degree_figure(found: GivenSets) -> Figure:
     """Largest force error against the degree; ids beside the marks where there are few."""
-    sets = range(len(found.sets))
+    classes = [class_of(found.checked.reasons(k)) for k in range(len(found.sets))]
     return error_by_degree(
         f"{found.robot.name}: degree and force error",
         found.checked.degree.numpy(),
         found.errors.force_rms.amax(-1).numpy(),
-        [class_of(found.checked.reasons(k)) for k in sets],
-        dict(zip(sets, found.sets.ids, strict=True)) if len(sets) <= _MOST_NAMED else {},
+        by_class(classes),
+        enumerate(found.sets.ids) if len(classes) <= _MOST_NAMED else (),
     )
-
-
-def error_by_degree(
-    title: str,
-    degree: np.ndarray,
-    error: np.ndarray,
-    classes: Sequence[str],
-    named: Mapping[int, str],
-) -> Figure:
-    """Force errors of sets against their degrees, a colour a class.
-
-    Args:
-        title: of the figure.
-        degree, error, classes: of the sets; errors [N], largest joint.
-        named: names beside marks, by the number of the set.
-    """
-    figure, axes = panel(8.0, 4.6)
-    own, shown = np.array(classes), np.maximum(error, 1e-12)
-    for name in ordered_classes(classes):
-        rows = own == name
-        axes.scatter(
-            degree[rows], shown[rows], s=22, alpha=0.8, linewidths=0, color=class_colour(name),
-            label=name,
-        )  # fmt: skip
-    for k, name in named.items():
-        place = (degree[k], shown[k])
-        axes.annotate(name, place, (4, 3), textcoords="offset points", fontsize=7, color=INK)
-    axes.axvline(0, color=INK, linewidth=0.9)
-    axes.set_xscale("symlog", linthresh=1e-3, linscale=0.6)
-    axes.margins(x=0.08)
-    axes.set(yscale="log", ylabel="force error, largest joint [N], RMS")
-    axes.set_xlabel("degree (0 is the boundary, negative infeasible)")
-    axes.tick_params(axis="y", which="minor", labelsize=7, labelcolor=INK)
-    return finish(figure, title, axes)
 
 
 def _reference(found: GivenSets) -> str:

@@ -10,7 +10,7 @@ import torch
 
 from torchid.log.model import Log
 from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, INK, KEEPS, ORANGE, REAL, RED
-from torchid.report.given_sets import error_by_degree
+from torchid.report.equal_torque import by_class, error_by_degree
 from torchid.report.log import trajectory_figure
 from torchid.report.panels import (
     Figure,
@@ -273,13 +273,12 @@ def _norms(
 
 
 def _error_figure(study: Study) -> Figure:
-    best = zip(facts.best_rows(study), ids(study.scenarios), strict=True)
     return error_by_degree(
         f"{study.robot.name}: force error by degree and by reason, all runs",
         torch.cat([s.feasibility.degree for s in study.scenarios]).numpy(),
         study.errors.force_rms.amax(-1).numpy(),
-        facts.run_classes(study),
-        dict(best),
+        by_class(facts.run_classes(study)),
+        zip(facts.best_rows(study), ids(study.scenarios), strict=True),
     )
 
 
