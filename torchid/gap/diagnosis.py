@@ -1,6 +1,5 @@
 """The answer: where the gap lies, which effects cause it, how far it shrinks."""
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
