@@ -25,6 +25,7 @@ from typing import Any
 
 import torch
 from withheld_baselines import baseline_case
+from withheld_page import markdown, markdown_table
 
 from torchid.design.columns import Columns, Model
 from torchid.effects.registry import EVENTS, KINDS, effect_from_record
@@ -38,7 +39,7 @@ from torchid.json_data import plain, read_json, write_json
 from torchid.log.columns import log_from_columns
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress, cores
-from torchid.report.withheld import LINES, Line, headline, markdown, markdown_table, score_table
+from torchid.report.withheld import LINES, Line, headline, score_table
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot

@@ -7,11 +7,12 @@ import pytest
 from tests.benchmarks import loaded
 from tests.withheld.fakes import answer, draw_case, entry, key_of
 from torchid.errors import TorchidError
-from torchid.report.withheld import LINES, figures, headline, markdown, score_table
+from torchid.report.withheld import LINES, figures, headline, score_table
 from torchid.withheld.case_set import CaseSet
 from torchid.withheld.summary import require_answers, summary
 
 references = loaded("withheld_score")
+markdown = loaded("withheld_page").markdown
 
 RIGHT = answer("explained", entry("coulomb_friction", "sign", 2))
 WRONG = answer("explained", entry("viscous_friction", "speed", 1))

@@ -74,7 +74,7 @@ def excite_command(
             "kind criterion basis duration rate usage speed",
             result=Annotated[Path | None, typer.Option("--for", metavar="RESULT")],
             count=opt.Count,
-            effects=opt.Excited,
+            effects=opt.FittedEffects,
             harmonics=Annotated[int, typer.Option(min=1, max=100)],
             restarts=opt.Count,
             seed=opt.Seed,
@@ -131,22 +131,19 @@ def excite_command(
 
     found = None if robot is None else opt.load(robot, part)
     asking = None if motion.result is None else read_asking(motion.result)
+    if found is None and not isinstance(asking, PositionRecord):
+        found = None if asking is None else asking.model
+    if found is None:
+        raise TorchidError(
+            f"'{motion.result}' does not record its robot.",
+            expected=f"torchid excite ROBOT --for {motion.result}",
+        )
     if isinstance(asking, PositionRecord):
-        if found is None:
-            raise TorchidError(
-                "which robot?", expected=f"torchid excite ROBOT --for {motion.result}"
-            )
         if files.ros2 or files.urscript or motion.speed != 1:
             raise TorchidError("commands of servos are written with --save, at full speed.")
         arm = opt.limited(found, max_velocity, max_acceleration)
         _commands(asking, arm, motion, room, target, output)
         return
-    if asking is not None:
-        found = found or asking.model
-    if found is None:
-        raise TorchidError(
-            f"'{motion.result}' does not record its robot.", expected="torchid excite ROBOT"
-        )
     found.require_fixed_base("the design of motions")
     arm = opt.limited(found, max_velocity, max_acceleration)
     files.check(arm, 3 if motion.kind == "paper" else motion.count)

@@ -110,13 +110,11 @@ def simulate_command(
     for file, one in zip(targets, motions, strict=True):
         own, runs = runs[: one.trajectory_count], runs[one.trajectory_count :]
         output.put(file, partial(torchid.write_log, torchid.Log.concatenate(own)))
-    asked = {
-        "file": ", ".join(file.name for file in targets),
-        "noise": noise,
-        "closed_loop": moves,
-        "seed": seed,
-    }
-    output.write_json(simulation_record(found, log, effects, **asked), "simulation.json")
+    names = ", ".join(file.name for file in targets)
+    record = simulation_record(
+        found, log, effects, file=names, noise=noise, closed_loop=moves, seed=seed
+    )
+    output.write_json(record, "simulation.json")
     output.warn(log.warnings)
     output.say(f"{log.samples} samples of {log.trajectory_count} trajectories")
 
