@@ -159,7 +159,7 @@ class Prior:
         pull = right[own] - held.T @ (inner.T @ right[rest])
         bodies = replace(self.bodies, at=torch.searchsorted(own, self.bodies.at))
         x = torch.zeros_like(right)
-        x[own] = _within(bodies, alone, pull)
+        x[own] = nearest_to(bodies, alone, pull)
         x[rest] = inner @ (inner.T @ (right[rest] - across @ x[own]))
         return x
 
@@ -225,7 +225,7 @@ class Priors:
         return Solved(x, root)
 
 
-def _within(
+def nearest_to(
     bodies: Bodies, matrix: Float[Tensor, "K K"], right: Float[Tensor, " K"]
 ) -> Float[Tensor, " K"]:
     """The minimum over coefficients that all belong to bodies, among those that leave them so."""
