@@ -57,9 +57,9 @@ _UNSEEN = 1e-7
 _RESOLVED = 1e-6
 """Share of others, in units of the columns, below which rows tell a parameter by itself."""
 
-_INSIDE, _TRACE = 1e-8, 1e-9
-"""Of the nearest consistent body: its least eigenvalue, and what its trace counts beside the
-distance, so that directions that the distance does not weigh do not run away."""
+_INSIDE, _AT_NO_DISTANCE, _SURE = 1e-8, 1e-7, 1e6
+"""Of the nearest consistent body: its least eigenvalue; what directions that are at no distance
+count beside it, so that they do not run away; and what those without a variance do."""
 
 
 @dataclass(frozen=True)
@@ -351,10 +351,18 @@ def nearest_consistent(
     entries = unit / size / size.unsqueeze(-1)
     least = _INSIDE * torch.diag(size.square()).flatten() @ torch.linalg.pinv(unit.flatten(1))
     triangles = torch.from_numpy(triangle(entries.numpy()))
-    at, metric = torch.arange(PARAMETERS_PER_LINK), whiten.T @ whiten
-    three = (x.unsqueeze(0) for x in (parameters, least, torch.zeros_like(metric), triangles))
-    body = Bodies(at.unsqueeze(0), *three)
+    # Coordinates in which the distance, and what a direction at none does to a body, are one.
+    certain = seen.mT @ vectors[:, ~kept] / scale.unsqueeze(-1) ** -2
+    others = torch.cat([certain, null], 1)
+    others = others / (triangles.T @ others).norm(dim=0).clamp(min=1e-300)
+    basis = torch.cat([torch.linalg.pinv(whiten), others], 1)
+    metric = torch.ones(len(basis), dtype=basis.dtype)
+    metric[len(whiten) :] = _SURE
+    metric[len(basis) - null.shape[1] :] = _AT_NO_DISTANCE
+    at, start = torch.arange(len(basis)), torch.linalg.solve(basis, parameters - least)
+    parts = (start, 0 * start, torch.zeros_like(basis), basis.T @ triangles)
+    body = Bodies(at.unsqueeze(0), *(x.unsqueeze(0) for x in parts))
     change = torch.zeros_like(parameters)
-    if not body.are(change):
-        change = nearest_to(body, metric, -_TRACE * entries.diagonal(dim1=1, dim2=2).sum(-1))
+    if float(torch.linalg.eigvalsh(torch.einsum("k,kab->ab", parameters, entries))[0]) < _INSIDE:
+        change = basis @ nearest_to(body, torch.diag(metric), 0 * start)
     return parameters + change, float((whiten @ change).square().sum()), len(whiten)

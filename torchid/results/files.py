@@ -23,7 +23,7 @@ RECORDS = {
     "torchid.feasibility/1": "torchid.feasibility.record:FeasibilityRecord",
     "torchid.wrenches/1 equal_torque": "torchid.study.equal_torque.record:EqualTorqueRecord",
     "torchid.wrenches/1 sets": "torchid.study.equal_torque.record:GivenSetsRecord",
-    "torchid.payload/1": "torchid.identification.payload:PayloadRecord",
+    "torchid.payload/1": "torchid.identification.payload:Payload",
     "torchid.gap/1": "torchid.gap.record:GapRecord",
     "torchid.pair/1": "torchid.pair.record:PairRecord",
     "torchid.position_gap/1": "torchid.position.record:PositionRecord",

@@ -3,7 +3,7 @@
 from msgspec import field
 
 from torchid.extraction.record import CertificateRecord
-from torchid.identification.payload import PayloadRecord
+from torchid.identification.payload import Payload
 from torchid.results.record import Part, Real, Record, Rows
 from torchid.typing import Float, Tensor
 
@@ -63,7 +63,7 @@ class WrenchesRecord(Part, frozen=True, kw_only=True):
     unit: str
 
 
-class StudyPayload(PayloadRecord, frozen=True, kw_only=True, tag="torchid.payload/1"):
+class StudyPayload(Payload, frozen=True, kw_only=True, tag="torchid.payload/1"):
     """The payload, identified and true (10,) in the tool frame."""
 
     true: Float[Tensor, "10"]
