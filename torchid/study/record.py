@@ -76,7 +76,6 @@ class StudySearch(Part, frozen=True, kw_only=True):
     stages: int
     generations: int
     schedule: str
-    engine: str
     seed: int
 
 
