@@ -94,7 +94,7 @@ def test_full_loss(name: str, limit: float) -> None:
 
 def assert_consistent(p: Problem, found: Extraction, settings: SearchSettings) -> None:
     """The figures are those of the sets, and the history's last column is what was searched."""
-    q = p.search_vector(found.sets)
+    q = found.sets.search_vector
     torch.testing.assert_close(p.phi(q), found.phi, rtol=1e-6, atol=1e-20)
     torch.testing.assert_close(gamma(p, q), found.gamma, rtol=1e-6, atol=1e-12)
     shape = (settings.runs, settings.stages)

@@ -27,11 +27,13 @@ import torch
 from torchid.effects.base import JointEffect
 from torchid.extraction.convex.conic import Rows, Solution, minimise
 from torchid.extraction.convex.rows import RowBuilder
+from torchid.extraction.problem import Problem
 from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.conditions import Conditions
 from torchid.feasibility.sets import ParameterSets
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
+from torchid.typing import Float
 
 _REACHED = 1e-2
 """Distance to such a condition, relative to it, at which it is reached."""
@@ -239,6 +241,48 @@ def convex_sets(
     unknown = np.full(builder.size, np.inf)
     radius = builder.reach(bounds) if reach and bounds is not None else unknown
     return ConvexSets(tuple(builder.rows), np.diag(builder.scale), np.zeros(builder.size), radius)
+
+
+@dataclass(frozen=True, eq=False)
+class AskedSets:
+    """The feasible sets of a problem, of which some conditions count.
+
+    Attributes:
+        problem: target, bounds and conditions.
+        with_conditions: whether the conditions of section 2.3 count; without, only bounds and
+            physics do.
+        com_bounds, inertia_bounds: whether the bounds' boxes do, see `convex_sets`.
+    """
+
+    problem: Problem
+    with_conditions: bool = True
+    com_bounds: bool = True
+    inertia_bounds: bool = True
+
+    @property
+    def conditions(self) -> Conditions | None:
+        """Those that count."""
+        return self.problem.conditions if self.with_conditions else None
+
+    @property
+    def box(self) -> Float[np.ndarray, "n 3 2"]:
+        """Of the centres of mass."""
+        bounds = self.problem.bounds if self.com_bounds else None
+        return com_box(self.problem.n, self.conditions, bounds)
+
+    def body(self, margin: float = 0.0, inside: np.ndarray | None = None) -> ConvexSets:
+        """The sets, with margin and centres of mass as in `convex_sets`."""
+        return convex_sets(
+            self.problem.robot,
+            self.problem.target.effects,
+            self.conditions,
+            self.problem.bounds,
+            com_bounds=self.com_bounds,
+            inertia_bounds=self.inertia_bounds,
+            margin=margin,
+            reach=True,
+            inside=inside,
+        )
 
 
 def com_box(n: int, conditions: Conditions | None, bounds: Bounds | None) -> np.ndarray:
