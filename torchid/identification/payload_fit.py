@@ -100,9 +100,7 @@ def evidence_of(result: Identification) -> tuple[Evidence, ...]:
     All columns take part, those too that the fit held at zero or could not tell from others: what
     the rows say is of all of them together.
     """
-    columns = layout(result.robot, result.base, result.effects)
-    order = torch.empty(len(columns.order), dtype=torch.long)
-    order[list(columns.order)] = torch.arange(len(order))
+    order = layout(result.robot, result.base, result.effects).back
     found, r = result.uncertainty, result.factor
     covariance = found.covariance[order][:, order]
     undetermined = torch.tensor([n in result.undetermined for n in result.base.names])
