@@ -147,7 +147,7 @@ def test_searches_that_are_over_are_not_repeated(tmp_path, monkeypatch):
     [
         ("id: p_4", "id: p_1", "p_1"),
         ("id: p_1,", "id: a/b,", "a/b"),
-        ("duration: 10", "duration: long", "long"),
+        ("duration: 10", "duration: long", "duration"),
         ("rate: 100,", "rate: 0,", "rate"),
         ("com: [0.02, -0.01, 0.04]", "com: [0.02]", "com"),
         ("mass: 0.5", "mass: -1", "mass"),

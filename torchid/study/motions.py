@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import torch
+from msgspec import structs
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
@@ -98,7 +99,7 @@ def payload_part(robot: Robot, settings: StudySettings, motion: Log) -> PayloadR
     mass = torch.tensor([body.mass], dtype=torch.float64)
     true = InertialParameters.from_com(mass, com, inertia).pi[0]
     loaded = with_payload(robot, true)
-    plan = excitation(robot, replace(settings.excitation, rate=PAYLOAD_RATE))
+    plan = excitation(robot, structs.replace(settings.excitation, rate=PAYLOAD_RATE))
     chosen = Settings(effects=settings.effects, signs="free")
     results = []
     for k, arm in enumerate((robot, loaded)):
