@@ -18,8 +18,8 @@ from torchid.extraction.record import (
     problem_fields,
 )
 from torchid.extraction.settings import SearchSettings
-from torchid.feasibility.findings import search_names
 from torchid.feasibility.margins import Feasibility, feasibility
+from torchid.feasibility.plausibility import search_names
 from torchid.feasibility.sets import ParameterSets, sets_record
 from torchid.results.record import Result
 from torchid.robot.knowledge import to_mapping

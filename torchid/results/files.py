@@ -40,7 +40,7 @@ RECORDS = {
     "torchid.fleet/1": "torchid.fleet.record:FleetRecord",
     "torchid.fleet_gap/1": "torchid.fleet.gap:FleetGapRecord",
     "torchid.fleet_watch/1": "torchid.fleet.watch:WatchRecord",
-    "torchid.study/1": "torchid.study.record:StudyRecord",
+    "torchid.study/1": "torchid.study.result:StudyRecord",
     "torchid.withheld.own/1": "torchid.withheld.own:OwnRecord",
     "torchid.withheld.score/1": "torchid.withheld.score_record:ScoreRecord",
 }

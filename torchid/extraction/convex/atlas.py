@@ -30,8 +30,7 @@ from scipy import stats
 from torchid.errors import TorchidError
 from torchid.extraction.convex.certificate import loss_matrix
 from torchid.extraction.convex.conic import Rows, Status
-from torchid.extraction.convex.rows import AXES
-from torchid.extraction.convex.sets import AskedSets, ConvexSets
+from torchid.extraction.convex.sets import AXES, AskedSets, ConvexSets
 from torchid.extraction.problem import Problem
 from torchid.extraction.record import AtlasRange, AtlasRecord, problem_fields
 from torchid.identification.result import Identification

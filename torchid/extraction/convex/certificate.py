@@ -14,8 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from torchid.extraction.convex.conic import Solution, minimise
-from torchid.extraction.convex.rows import AXES, ENTRIES, link_columns
-from torchid.extraction.convex.sets import AskedSets, ConvexSets, Nearest, sets_of
+from torchid.extraction.convex.sets import (
+    AXES,
+    ENTRIES,
+    AskedSets,
+    ConvexSets,
+    Nearest,
+    link_columns,
+    sets_of,
+)
 from torchid.extraction.problem import Problem
 from torchid.feasibility.conditions import physics_only
 from torchid.feasibility.margins import feasibility

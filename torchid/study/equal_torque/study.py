@@ -27,8 +27,8 @@ from torchid.extraction.equal_torque.sample import (
     KINDS,
     EqualTorqueSets,
     equal_torque_sets,
+    equal_torque_space,
 )
-from torchid.extraction.equal_torque.space import equal_torque_space
 from torchid.feasibility.margins import LINK_CONDITIONS, Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets
 from torchid.inputs import RobotLike, as_robot
