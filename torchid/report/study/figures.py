@@ -28,8 +28,8 @@ from torchid.report.study import facts
 from torchid.report.study.facts import at_joint, ids, kept, number, rms
 from torchid.results.words import count, listed
 from torchid.robot.model import torque_unit
-from torchid.study.motions import new_motion
 from torchid.study.result import ScenarioResult, Study
+from torchid.study.study import new_motion
 from torchid.typing import Tensor
 
 _UNITS = ("rad", "rad/s", "rad/s²")
