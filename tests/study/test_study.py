@@ -149,6 +149,8 @@ def test_searches_that_are_over_are_not_repeated(tmp_path, monkeypatch):
         ("id: p_1,", "id: a/b,", "a/b"),
         ("duration: 10", "duration: long", "duration"),
         ("rate: 100,", "rate: 0,", "rate"),
+        ("rate: 100,", "rate: 100, noise_dB: 3,", "noise_dB"),
+        ("mass: 0.5", "mass: 0.5, weight: 5", "weight"),
         ("com: [0.02, -0.01, 0.04]", "com: [0.02]", "com"),
         ("mass: 0.5", "mass: -1", "mass"),
     ],

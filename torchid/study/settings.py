@@ -16,7 +16,8 @@ from torchid.robot.yaml_values import parsed_yaml
 Positive = Annotated[float, Meta(gt=0, lt=1e9)]
 
 
-class MotionSettings(Struct, frozen=True, forbid_unknown_fields=True):
+@dataclass(frozen=True)
+class MotionSettings:
     """A motion and how it is sampled.
 
     Attributes:
@@ -141,6 +142,8 @@ def load_study(name: str) -> StudySettings:
         )
     try:
         search = SearchSettings(**data["search"])
+        for motion in ("excitation", "validation", "sets_motion", "wrench_motion"):
+            MotionSettings(**data[motion])  # else keys that it does not know are passed over
         given = {**data, "name": path.stem, "search": {}}
         return replace(msgspec.convert(given, StudySettings), search=search)
     except (TypeError, ValueError) as error:

@@ -5,12 +5,11 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
 import torch
-from msgspec import structs
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
@@ -119,7 +118,7 @@ def payload_part(robot: Robot, settings: StudySettings, motion: Log) -> PayloadR
     mass = torch.tensor([body.mass], dtype=torch.float64)
     true = InertialParameters.from_com(mass, com, inertia).pi[0]
     loaded = with_payload(robot, true)
-    plan = excitation(robot, structs.replace(settings.excitation, rate=PAYLOAD_RATE))
+    plan = excitation(robot, replace(settings.excitation, rate=PAYLOAD_RATE))
     chosen = Settings(effects=settings.effects, signs="free")
     results = []
     for k, arm in enumerate((robot, loaded)):
@@ -189,8 +188,8 @@ def run_study(
         problems[group] = problem
         certificates[group], notes = certificate_where_possible(problem)
         warnings += notes
-    searches = [
-        _Search(
+    searches: list[_Search] = [
+        (
             problems[scenario.bounds],
             replace(settings.search, penalty=scenario.penalty),
             None if checkpoints is None else checkpoints.absolute() / f"{scenario.id}.npz",
@@ -268,30 +267,14 @@ def remove_checkpoints(settings: StudySettings, checkpoints: Path) -> None:
         checkpoints.rmdir()
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """A scenario's extraction.
-
-    Attributes:
-        problem, settings, checkpoint, resume, device: as `extract` takes them.
-    """
-
-    problem: Problem
-    settings: SearchSettings
-    checkpoint: Path | None
-    resume: bool
-    device: torch.device | str
+_Search = tuple[Problem, SearchSettings, Path | None, bool, torch.device | str]
+"""Of one scenario: what, how, its checkpoint and whether to resume there, and the device."""
 
 
 def _searched(job: _Search) -> Extraction:
-    """What it finds; its checkpoint is kept."""
+    problem, settings, checkpoint, resume, device = job
     return extract(
-        job.problem,
-        job.settings,
-        checkpoint=job.checkpoint,
-        resume=job.resume,
-        keep=True,
-        device=job.device,
+        problem, settings, checkpoint=checkpoint, resume=resume, keep=True, device=device
     )
 
 
