@@ -137,18 +137,10 @@ def minimise(
     n_runs, n = state.mean.shape
     rates = strategy(n, size)
     weights = state.mean.new_tensor(rates.weights)
-    covariance = state.covariance.clone()
-    runs = _Runs(
-        mean=state.mean.clone(),
-        sigma=state.sigma.clone(),
-        covariance=covariance,
-        factor=_factor(covariance),
-        path_sigma=state.path_sigma.clone(),
-        path_covariance=state.path_covariance.clone(),
-        adapts=torch.ones_like(state.sigma, dtype=torch.bool),
-        best=state.best.clamp(0.0, 1.0),
-        best_value=state.best_value,
-    )
+    own = {name: x.clone() for name, x in state.tensors().items()}
+    adapts = torch.ones_like(state.sigma, dtype=torch.bool)
+    runs = _Runs(**own, factor=_factor(own["covariance"]), adapts=adapts)
+    runs.best = runs.best.clamp(0.0, 1.0)
     _limit(runs)
     runs.best_value = evaluate(objective, runs.best.unsqueeze(1)).squeeze(1)
     for generation in range(state.generation, state.generation + generations):
@@ -160,16 +152,9 @@ def minimise(
         _fold(runs)
         _limit(runs)
     lower = runs.covariance.tril()
-    return SearchState(
-        mean=runs.mean,
-        sigma=runs.sigma,
-        covariance=lower + lower.tril(-1).mT,
-        path_sigma=runs.path_sigma,
-        path_covariance=runs.path_covariance,
-        generation=state.generation + generations,
-        best=runs.best,
-        best_value=runs.best_value,
-    )
+    found = {name: getattr(runs, name) for name in own}
+    found["covariance"] = lower + lower.tril(-1).mT
+    return SearchState(**found, generation=state.generation + generations)
 
 
 def _select(

@@ -56,7 +56,7 @@ class SearchState:
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """All of it as arrays on the CPU, by attribute name: for npz. Nothing is rounded."""
-        arrays = {k: x.detach().cpu().numpy().copy() for k, x in self._tensors().items()}
+        arrays = {k: x.detach().cpu().numpy().copy() for k, x in self.tensors().items()}
         return arrays | {"generation": np.asarray(self.generation, dtype=np.int64)}
 
     @classmethod
@@ -79,21 +79,22 @@ class SearchState:
 
     def part(self, runs: slice) -> "SearchState":
         """Some of the searches."""
-        own = {name: t[runs] for name, t in self._tensors().items()}
+        own = {name: t[runs] for name, t in self.tensors().items()}
         return SearchState(**own, generation=self.generation)
 
     @staticmethod
     def joined(parts: Sequence["SearchState"]) -> "SearchState":
         """Searches of as many generations, one after another."""
-        rows = {name: torch.cat([getattr(p, name) for p in parts]) for name in parts[0]._tensors()}
+        rows = {name: torch.cat([getattr(p, name) for p in parts]) for name in parts[0].tensors()}
         return SearchState(**rows, generation=parts[0].generation)
 
     def to(self, device: torch.device | str) -> "SearchState":
         """The same state on another device."""
-        moved = {name: t.to(device) for name, t in self._tensors().items()}
+        moved = {name: t.to(device) for name, t in self.tensors().items()}
         return SearchState(**moved, generation=self.generation)
 
-    def _tensors(self) -> dict[str, Tensor]:
+    def tensors(self) -> dict[str, Tensor]:
+        """All but the count of generations, by name."""
         return {name: x for name, x in vars(self).items() if name != "generation"}
 
 
