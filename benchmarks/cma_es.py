@@ -34,9 +34,8 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tests.extraction.problems import PROBLEMS, generations_to, problem, values_of
+from tests.extraction.problems import ENGINES, PROBLEMS, generations_to, problem, values_of
 from torchid.extraction.cma.search import default_population, start
-from torchid.extraction.extract import engine
 
 VARIABLES = (30, 70, 91)
 RUNS = (30, 50)
@@ -85,7 +84,7 @@ def batched_steps(runs: int, n: int, device: str) -> Step:
 
     def steps(generations: int) -> None:
         nonlocal state
-        state = engine("batched").minimise(sphere, state, generations=generations, seed=0)
+        state = ENGINES["batched"](sphere, state, generations=generations, seed=0)
         state.best_value.cpu()
 
     return steps
@@ -122,9 +121,9 @@ def quality(name: str, n: int) -> dict[str, float]:
     for kind in ("cma", "batched"):
         if name == "rastrigin":
             endless = replace(p, target=-1.0)
-            found[kind] = float(values_of(endless, engine(kind), first)[-1].median())
+            found[kind] = float(values_of(endless, ENGINES[kind], first)[-1].median())
             continue
-        needed = generations_to(p, engine(kind), first)
+        needed = generations_to(p, ENGINES[kind], first)
         found[kind] = float(needed.median())
         found[f"{kind} found"] = int(needed.isfinite().sum())
     return found | {"ratio": found["batched"] / found["cma"]}

@@ -29,10 +29,9 @@ from torchid.report.study.page import (
     write_study,
 )
 from torchid.report.table import Table
-from torchid.study.motions import excitation
 from torchid.study.result import Study
 from torchid.study.settings import load_study
-from torchid.study.study import run_study
+from torchid.study.study import excitation, run_study
 
 
 def tiny(name: str, scenarios: tuple[str, ...]) -> Study:

@@ -125,7 +125,7 @@ def excite_command(
     if robot is None and motion.result is None:
         raise TorchidError("which robot?", expected="torchid excite ROBOT, or --for RESULT")
     from torchid.next_motion.design import read_asking
-    from torchid.next_motion.plan import plan
+    from torchid.next_motion.planned import plan
     from torchid.position.record import PositionRecord
     from torchid.report.motion import design_shown, shown
 
@@ -166,7 +166,7 @@ def _commands(
     output: Output,
 ) -> None:
     """Commands for an arm that logs no torque: written, and what they would show."""
-    from torchid.next_motion.plan import clearance_of
+    from torchid.next_motion.planned import clearance_of
     from torchid.position.next_motion import NextCommands
     from torchid.report.position import commands_shown
 

@@ -11,7 +11,7 @@ from torchid.app.faults import resumable
 from torchid.app.output import Reported
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
-from torchid.extraction.settings import EngineName, Schedule
+from torchid.extraction.settings import Schedule
 from torchid.robot.config_files import robot_file
 
 _CHECKPOINTS = "checkpoints"
@@ -22,7 +22,7 @@ class Changes:
     """Of a study's search.
 
     Attributes:
-        runs, stages, generations, schedule, engine: Instead of the study's own.
+        runs, stages, generations, schedule: Instead of the study's own.
         seed: Of the searches.
     """
 
@@ -30,7 +30,6 @@ class Changes:
     stages: int | None = None
     generations: int | None = None
     schedule: Schedule | None = None
-    engine: EngineName | None = None
     seed: Annotated[int | None, typer.Option(min=0, max=opt.LARGEST_SEED)] = None
 
 

@@ -255,7 +255,7 @@ def _minima(each: Sequence[Bodies], matrix: np.ndarray, right: np.ndarray) -> np
     pull = right[g, at] - _times(held.transpose(0, 2, 1), _times(inner, right[g, rest], True))
     own, settled = _by_newton(each, alone, pull)
     for k in (~settled).nonzero()[0].tolist():
-        own[k] = _by_interior_points(each[k], alone[k], pull[k])
+        own[k] = nearest_to(each[k], alone[k], pull[k])
     x = np.zeros_like(right)
     x[g, at] = own
     x[g, rest] = _times(inner, _times(inner, right[g, rest] - _times(across, own), True))
@@ -326,7 +326,7 @@ def _by_newton(
     return x.reshape(right.shape) - base, settled
 
 
-def _by_interior_points(bodies: Bodies, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+def nearest_to(bodies: Bodies, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     """The minimum over the coefficients of bodies, body by body."""
     # Columns of length one, and every body in units of the small one that it holds.
     size = np.sqrt(matrix.diagonal().clip(min=1e-12 * matrix.diagonal().max()))

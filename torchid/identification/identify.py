@@ -1,7 +1,7 @@
 """From a robot and its logs to base parameters: the whole job as one call."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -24,7 +24,7 @@ from torchid.identification.logs import prepared, refuse_repeated
 from torchid.identification.mirror import as_one, mirror_of, mirrored_base
 from torchid.identification.record import FittedRows
 from torchid.identification.result import Identification, findings
-from torchid.identification.rows import Layout, RowSource, layout
+from torchid.identification.rows import RowSource, layout
 from torchid.identification.settings import Settings
 from torchid.identification.statistics import Uncertainty, jackknife
 from torchid.identification.tuning import (
@@ -142,7 +142,6 @@ def identify(
         measured = _loaded(training, measured, settings)
     columns = training.layout
     base, effects = columns.base, columns.effects
-    physical = _non_negative(columns)
     estimate = _estimate(training, measured, settings, progress)
     # Rounding alone would leave no four digits: values of thousands of kilograms would be printed
     # with standard deviations as large, and look like a result.
@@ -159,7 +158,8 @@ def identify(
             hint="`torchid excite` designs a motion that tells them apart; `effects=...` with "
             "fewer names asks for less",
         )
-    values, order = _in_base_order(estimate.fit.x, columns)
+    order = columns.back
+    values = estimate.fit.x[order]
     covariance = estimate.uncertainty.covariance[order][:, order]
     factor = estimate.fit.factor[:, torch.cat([order, order.new_tensor([len(base)])])]
     free, undetermined = (m[order] for m in (estimate.fit.free, estimate.fit.undetermined))
@@ -230,7 +230,7 @@ def identify(
         bounded=named(estimate.fit.bounded),
         undetermined=tuple(n for n, k in zip(base.names, undetermined.tolist(), strict=True) if k),
         dropped=named(estimate.dropped),
-        wrong_sign=named(physical & (estimate.fit.x < 0)),
+        wrong_sign=named(columns.non_negative & (estimate.fit.x < 0)),
         fit=errors(fitted, robot.free),
         held_out=errors(checked, robot.free) if checked else None,
         fit_predictions=tuple(fitted),
@@ -298,7 +298,7 @@ def _training(robot: Robot, log: Log, effects: Sequence[Effect], settings: Setti
     """The log with the columns of base parameters and effects."""
     base = base_parameters(robot, effects, basis=settings.basis)
     columns = layout(robot, base, effects)
-    bounded = _non_negative(columns) & (settings.signs == "bounded")
+    bounded = columns.non_negative & (settings.signs == "bounded")
     return Training(log, columns, settings.rows == "moving", bounded)
 
 
@@ -317,7 +317,7 @@ def _with_shapes(
     part = replace(training, log=shortened(training.log))
     measured = timed(measurements(part.log, cutoff, reversal))
     # What searched effects of the torque see, and what their shapes are relative to.
-    measured = _with_load(part, measured, _plain_fit(part, measured, settings))
+    measured = _refitted_load(part, measured, settings)
     robot = training.layout.robot
     known = _training(robot, part.log, [a.effect for a in asked if not a.searched], settings)
     source = RowSource(measured, known.layout, moving_only=known.moving_only)
@@ -347,20 +347,39 @@ def _named(effect: Effect) -> str:
     return f"{effect.name} of joint {joints[0]}" + "".join(f" with joint {j}" for j in joints[1:])
 
 
-def _plain_fit(
-    training: Training, measured: list[Measurement], settings: Settings
-) -> Float[Tensor, " B"]:
-    """Base parameters by a fit without standard deviations."""
-    source = RowSource(
-        measured, training.layout, moving_only=training.moving_only, compiled=settings.compiled
+def _source(
+    training: Training,
+    measured: list[Measurement],
+    settings: Settings,
+    progress: Callable[[int, int], None] | None = None,
+) -> RowSource:
+    return RowSource(
+        measured,
+        training.layout,
+        moving_only=training.moving_only,
+        compiled=settings.compiled,
+        progress=progress,
     )
-    found = fit(
+
+
+def _fitted(
+    source: RowSource, training: Training, settings: Settings, left_out: Tensor | None = None
+) -> Fit:
+    return fit(
         source,
         method=settings.method,
         covariance=settings.covariance,
         non_negative=training.non_negative,
+        left_out=left_out,
     )
-    return _in_base_order(found.x, training.layout)[0]
+
+
+def _refitted_load(
+    training: Training, measured: list[Measurement], settings: Settings
+) -> list[Measurement]:
+    """Trajectories with the torque of a fit to them, without standard deviations."""
+    found = _fitted(_source(training, measured, settings), training, settings)
+    return _with_load(training, measured, found.x[training.layout.back])
 
 
 def _with_load(
@@ -390,9 +409,9 @@ def _loaded(
     if len(without) == len(c.effects):
         return measured
     first = _training(c.robot, training.log, without, settings)
-    measured = _with_load(first, measured, _plain_fit(first, measured, settings))
+    measured = _refitted_load(first, measured, settings)
     for _ in range(LOAD_FITS):
-        measured = _with_load(training, measured, _plain_fit(training, measured, settings))
+        measured = _refitted_load(training, measured, settings)
     return measured
 
 
@@ -415,22 +434,10 @@ def _estimate(
     training: Training, measured: list[Measurement], settings: Settings, progress: Progress | None
 ) -> _Estimate:
     """Fit with standard deviations; with `essential`, without parameters that may be zero."""
-    source = RowSource(
-        measured,
-        training.layout,
-        moving_only=training.moving_only,
-        compiled=settings.compiled,
-        progress=stage(progress, "filtering"),
-    )
+    source = _source(training, measured, settings, stage(progress, "filtering"))
 
     def without(dropped: Tensor) -> _Estimate:
-        found = fit(
-            source,
-            method=settings.method,
-            covariance=settings.covariance,
-            non_negative=training.non_negative,
-            left_out=dropped,
-        )
+        found = _fitted(source, training, settings, dropped)
         counts = (last - first for first, last in itertools.pairwise(source.boundaries))
         seconds = sum(n * step for n, step in zip(counts, source.interval, strict=True))
         rows = FittedRows(seconds, source.instants / seconds, found.whitening)
@@ -446,21 +453,3 @@ def _estimate(
         dropped[weakest] = True
         now = without(dropped)
     return now
-
-
-def _non_negative(columns: Layout) -> Bool[Tensor, " B"]:
-    """Columns, in the layout's order, that are one coefficient which physics forbids to be < 0."""
-    base = columns.base
-    coefficients = [c for e in columns.effects for c in e.coefficients]
-    out = torch.zeros(columns.size, dtype=torch.bool)
-    for j, position in enumerate(columns.order):
-        k = base.independent[position] - base.n_rigid_parameters
-        out[j] = k >= 0 and coefficients[k].non_negative and base.is_single(position)
-    return out
-
-
-def _in_base_order(x: Tensor, columns: Layout) -> tuple[Tensor, Tensor]:
-    """Values in the base parameters' order, and the index that takes any column vector there."""
-    order = torch.empty(columns.size, dtype=torch.long)
-    order[list(columns.order)] = torch.arange(columns.size)
-    return x[order], order

@@ -29,8 +29,8 @@ from torchid.report.panels import (
 from torchid.report.study import facts
 from torchid.report.study.facts import by_feasibility, ids, number
 from torchid.robot.model import torque_unit
-from torchid.study.motions import new_motion
 from torchid.study.result import SetsOnMotion, Study
+from torchid.study.study import new_motion
 from torchid.typing import Float, Tensor
 
 _STYLES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)))
