@@ -28,8 +28,7 @@ from torchid.parallel.workers import Progress
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.withheld.case_set import sha256
-from torchid.withheld.plant.arms import Arm, urdf
-from torchid.withheld.plant.trees import arm_named
+from torchid.withheld.plant.arms import Arm, arm_named, urdf
 
 SECONDS, RATE = 5.0, 100.0
 """Length and rate of each of the three logs."""

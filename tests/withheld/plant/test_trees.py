@@ -12,11 +12,10 @@ from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
 from torchid.robot.library import load_robot
 from torchid.withheld.case_set import make, read_cases, write_shown
-from torchid.withheld.plant.arms import CORNER, urdf
+from torchid.withheld.plant.arms import BUS, CORNER, ROBOTS, TREES, urdf
 from torchid.withheld.plant.case import draw_case, simulate_case
 from torchid.withheld.plant.catalogue import drawn_effect
 from torchid.withheld.plant.scene import nominal_of, scene_of
-from torchid.withheld.plant.trees import BUS, ROBOTS, TREES
 
 
 @pytest.fixture(params=list(TREES))

@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 
 from torchid.errors import TorchidError
-from torchid.withheld.plant.arms import ARMS, Arm
+from torchid.withheld.plant.arms import ARMS, ROBOTS, Arm, arm_named
 from torchid.withheld.plant.catalogue import (
     FOREIGN,
     KINDS,
@@ -23,7 +23,6 @@ from torchid.withheld.plant.motion import MotionPlan
 from torchid.withheld.plant.plan import EffectSpec
 from torchid.withheld.plant.servo_catalogue import SERVO_KINDS
 from torchid.withheld.plant.settings import DRAWS
-from torchid.withheld.plant.trees import ROBOTS, arm_named
 
 Item = TypeVar("Item")
 Rng = np.random.Generator
