@@ -16,9 +16,7 @@ from torchid.doctor.clock import (
     check_time_unit,
     check_values,
 )
-from torchid.doctor.commands import check_channel_units, check_commands
-from torchid.doctor.content import check_excitation, check_side
-from torchid.doctor.estimates import check_gravity, check_lag
+from torchid.doctor.estimates import check_excitation, check_gravity, check_lag, check_side
 from torchid.doctor.faults import fault_checks, unseen
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
@@ -42,7 +40,7 @@ from torchid.doctor.torque import (
     check_torque,
     torque_or_current,
 )
-from torchid.doctor.velocity import check_velocity
+from torchid.doctor.velocity import check_channel_units, check_commands, check_velocity
 from torchid.errors import LogError
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.json_data import plain
