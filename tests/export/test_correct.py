@@ -17,9 +17,9 @@ from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.export.correct import correct
 from torchid.export.correction import CLAIMED, Correction
+from torchid.export.engines import InMujoco, InPinocchio
 from torchid.export.export import export_dynamics
 from torchid.export.projection import Projector
-from torchid.export.replay import InMujoco, InPinocchio
 from torchid.export.write_xml import xml_of
 from torchid.gap.data import prepare
 from torchid.gap.settings import GapSettings

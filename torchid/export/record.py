@@ -74,10 +74,16 @@ class TorqueErrors(Part, frozen=True, kw_only=True, rename=_ERRORS):
     run_time: Float[Tensor, " n"]
 
 
-class ForwardErrors(
-    Part, frozen=True, kw_only=True, rename={"horizon": "horizon_s", "engine": "file_in_engine"}
-):
-    """Errors of the motion (n,) [rad; m]; see `export.correction.Forward`."""
+class Forward(Part, frozen=True, rename={"horizon": "horizon_s", "engine": "file_in_engine"}):
+    """Where the arm is after a while, given the measured torque.
+
+    Attributes:
+        horizon: [s].
+        starts: number of simulations.
+        nominal, full: (n,) RMS error [rad; m] of the robot as given and of the diagnosed one, by
+            torchid; None where no trajectory is as long.
+        engine: (n,) of the file; None where MuJoCo is not installed, or refuses it.
+    """
 
     horizon: float
     starts: int
@@ -95,7 +101,7 @@ class JudgedRecord(
     by: str
     band: float
     torque_error_percent: TorqueErrors
-    forward: tuple[ForwardErrors, ...]
+    forward: tuple[Forward, ...]
 
 
 class KeptRecord(Part, frozen=True, kw_only=True, rename={"share": "kept", "field": "by"}):
