@@ -43,7 +43,7 @@ from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.withheld.case_set import CaseSet, keys_beside, read_answers, read_cases, read_keys
 from torchid.withheld.run import Job, default_settings, job_of, run, written
-from torchid.withheld.summary import require_answers, summary
+from torchid.withheld.score import require_answers, summary
 
 LEVEL = 0.5
 """At which the oracle accepts what it is told."""

@@ -9,7 +9,7 @@ from tests.withheld.fakes import answer, draw_case, entry, key_of
 from torchid.errors import TorchidError
 from torchid.report.withheld import LINES, figures, headline, markdown, score_table
 from torchid.withheld.case_set import CaseSet
-from torchid.withheld.summary import require_answers, summary
+from torchid.withheld.score import require_answers, summary
 
 references = loaded("withheld_score")
 

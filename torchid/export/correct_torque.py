@@ -123,7 +123,7 @@ def correct_torque(
             forward = _forward(inside, whole, to, before, full, on, settings, data.silent)
             judged = replace(judged, forward=forward)
     beside = [
-        f"{one.effect.name}{of_joints(one.joints)} ({one.lost:.2g} of {one.made:.2g} RMS are lost)"
+        f"{one.effect}{of_joints(one.joints)} ({one.lost:.2g} of {one.made:.2g} RMS are lost)"
         for one in projection.kept
     ]
     stem = f"{stem_of(robot)}_corrected" if name is None else name

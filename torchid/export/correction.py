@@ -14,7 +14,6 @@ from torchid.export.record import (
     FollowedRow,
     Forward,
     JudgedRecord,
-    KeptRecord,
     PositionCorrectionRecord,
     TorqueErrors,
     UnsaidRow,
@@ -127,7 +126,7 @@ def correction_record(done: Correction) -> CorrectionRecord:
             torque_error_percent=TorqueErrors.of(judged),
             forward=judged.forward,
         ),
-        no_field=tuple(KeptRecord.of(kept, effect=kept.effect.name) for kept in projection.kept),
+        no_field=projection.kept,
         bodies=BodiesRecord.of(
             projection,
             projection.robot.require_parameters("a correction"),

@@ -104,8 +104,18 @@ class JudgedRecord(
     forward: tuple[Forward, ...]
 
 
-class KeptRecord(Part, frozen=True, kw_only=True, rename={"share": "kept", "field": "by"}):
-    """What the file keeps of an effect; see `export.projection.Kept`."""
+class Kept(Part, frozen=True, rename={"share": "kept", "field": "by"}):
+    """What the file keeps of an effect that it has no field for.
+
+    Attributes:
+        effect, joints: its name, and joints from 0 (none: of the whole arm).
+        share: 1 - rms of what the refitted fields leave of its torque, over its rms; between 0
+            and 1, over the samples and joints of the fit, each joint in units of its noise.
+        field, joint, value: the field that carries most of it (`damping`, ..., `bodies`), of which
+            joint from 0, and what it has become there [its unit]; None of bodies.
+        made, lost: RMS of its torque while joints move, and of what the fields leave of it; of
+            several joints as root of the sum of their mean squares [N m; N].
+    """
 
     effect: str
     joints: tuple[Joint, ...]
@@ -144,13 +154,13 @@ class CorrectionRecord(Record, frozen=True, kw_only=True, tag="torchid.correctio
     robot: str
     to: str
     judged: JudgedRecord
-    no_field: tuple[KeptRecord, ...]
+    no_field: tuple[Kept, ...]
     bodies: BodiesRecord
     exports: tuple[ExportRecord, ...]
     warnings: tuple[str, ...]
 
     @property
-    def table(self) -> Rows[KeptRecord]:
+    def table(self) -> Rows[Kept]:
         """Effects that the file has no field for."""
         return Rows(self.no_field)
 

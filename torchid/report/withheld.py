@@ -149,7 +149,7 @@ def markdown(summary: Summary, drawn: Sequence[str] = ()) -> str:
     """The whole report.
 
     Args:
-        summary: from `torchid.withheld.summary`.
+        summary: from `torchid.withheld.score`.
         drawn: files to show, relative to the report's.
     """
     scores = summary["scores"]

@@ -14,8 +14,7 @@ from torchid.withheld.plant.laws import bristles
 from torchid.withheld.plant.model import Drive, compiled, plant_of
 from torchid.withheld.plant.plan import EffectSpec, Live, Plan
 from torchid.withheld.plant.scene import nominal_of, scene_of
-from torchid.withheld.plant.simulate import simulated
-from torchid.withheld.plant.sizes import gaps, planted, readings, size_of, sized
+from torchid.withheld.plant.simulate import gaps, planted, readings, simulated, size_of, sized
 
 STEP = 5e-4
 

@@ -18,8 +18,7 @@ from torchid.withheld.plant.scene import friction_known, moved_otherwise, nomina
 from torchid.withheld.plant.servo_catalogue import SERVO_KINDS
 from torchid.withheld.plant.servo_scene import led, placed, servo_scene, visible
 from torchid.withheld.plant.settings import DRAWS
-from torchid.withheld.plant.simulate import simulated
-from torchid.withheld.plant.sizes import gaps, planted, readings, size_of, sized
+from torchid.withheld.plant.simulate import gaps, planted, readings, simulated, size_of, sized
 
 __all__ = ["CaseSpec", "SimulatedCase", "draw_case", "simulate_case"]
 
