@@ -35,7 +35,7 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.dynamics import machine
+from benchmarks.cpu_time import machine
 from tests.arms import consistent_parameters, states
 from tests.oracles import PinocchioOracle
 from torchid.robot.inertia import InertialParameters

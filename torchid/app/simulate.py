@@ -150,12 +150,15 @@ def _replay(
     seed: int,
 ) -> None:
     """Simulated positions of logs, one file each."""
-    from torchid.log.readers import is_written
+    from torchid.log.readers import written_suffixes
 
     folder = save or output.out
     if folder is None or folder.is_file():
         raise TorchidError("--replay writes one file a log.", got=folder, expected="--save DIR")
-    names = [path.name if is_written(path.suffix) else f"{path.stem}.parquet" for path in paths]
+    names = [
+        path.name if path.suffix.lower() in written_suffixes() else f"{path.stem}.parquet"
+        for path in paths
+    ]
     twice = [name for k, name in enumerate(names) if name in names[:k]]
     if twice:
         raise TorchidError("two logs have one name.", got=twice[0], expected="logs of other names")

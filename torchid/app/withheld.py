@@ -142,7 +142,7 @@ def score_command(
     """
     from torchid.report.withheld import shown
     from torchid.withheld.case_set import keys_beside, read_answers, read_cases, read_keys
-    from torchid.withheld.summary import require_answers, summary
+    from torchid.withheld.score import require_answers, summary
 
     found = read_cases(folder)
     opened = read_keys(found, keys_beside(folder) if keys is None else keys)
