@@ -134,7 +134,9 @@ def test_the_whole_keeps_its_level_where_covariances_are_singular():
         sample = root @ torch.randn(m, d, nu, generator=g, dtype=torch.float64)
         c = sample @ sample.transpose(1, 2) / nu
         p.append(
-            whole(x, c, white, torch.full((m,), float(nu), dtype=torch.float64), seed=k, draws=60).p
+            whole(x, c, white, torch.full((m,), float(nu), dtype=torch.float64), seed=k, draws=60)[
+                0
+            ].p
         )
     p = torch.tensor(p, dtype=torch.float64)
     assert 0.35 < float(p.mean()) < 0.65
@@ -147,10 +149,10 @@ def test_the_whole_sees_what_no_single_parameter_shows():
     c = 0.02 * torch.eye(d, dtype=torch.float64) + 0.98 * torch.ones(d, d, dtype=torch.float64)
     away = torch.tensor([0.5, -0.5] * (d // 2), dtype=torch.float64)
     x = torch.stack([torch.zeros(d, dtype=torch.float64), away])
-    found = whole(
+    found, scatter = whole(
         x, c.expand(2, d, d), c.expand(2, d, d), torch.full((2,), float(nu), dtype=torch.float64)
     )
-    assert found.pooled < 0.5
+    assert scatter.pooled < 0.5
     assert found.p < 0.01
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import get_args
 
 import torch
+from msgspec.structs import replace
 
 from torchid.compare.basis import Common, common_basis
 from torchid.compare.reading import Identified
@@ -12,7 +13,6 @@ from torchid.compare.record import (
     ComparedParameter,
     Comparison,
     Verdict,
-    WholeRecord,
 )
 from torchid.compare.scatter import Scatter, holm, monotone, scatter, typical_birge, whole
 from torchid.compare.torque import identified_spread
@@ -55,16 +55,16 @@ def compare_identifications(
     )
     parameters = _parameters(common, freedom)
     pairs = [(p.birge, int(torch.isfinite(p.std).sum())) for p in parameters if p.birge is not None]
-    birge = typical_birge(*torch.tensor(pairs, dtype=torch.float64).T) if pairs else None
+    typical = typical_birge(*torch.tensor(pairs, dtype=torch.float64).T) if pairs else None
     # All parameters that every result estimates.
     every = (common.estimated.all(0) & (common.std > 0).all(0)).nonzero().flatten()
-    together = None
+    together, birge = None, BirgeRecord()
     if len(every):
         covariance, correlation = (
             x[:, every][:, :, every] for x in (common.covariance, common.correlation)
         )
         values = common.values[:, every]
-        together = whole(values, covariance, correlation, freedom, seed=seed)
+        together, birge = whole(values, covariance, correlation, freedom, seed=seed)
     fitted = [name for r in results for name in set(r.record.fit.trajectories)]
     names = list(dict.fromkeys(r.record.robot for r in results if r.record.model is not None))
     notes = [
@@ -83,8 +83,8 @@ def compare_identifications(
         labels=tuple(r.label for r in results),
         counts={v: sum(p.verdict == v for p in parameters) for v in get_args(Verdict)},
         parameters=parameters,
-        birge=BirgeRecord.of(together, typical=birge),
-        whole=None if together is None else WholeRecord.of(together),
+        birge=replace(birge, typical=typical),
+        whole=together,
         torque=None if robot is None else identified_spread(results, robot, on=on, seed=seed),
         notes=tuple(notes),
         quantiles=tuple(r.record.statistics.quantile95 for r in results),

@@ -65,15 +65,29 @@ class ComparedParameter(Part, frozen=True, kw_only=True):
 
 
 class BirgeRecord(Part, frozen=True, kw_only=True):
-    """Ratios of the scatter to what standard deviations claim."""
+    """Ratios of the scatter to what standard deviations claim.
+
+    Attributes:
+        pooled: over the parameters, without their correlations.
+        pooled_expected: 2.5 %, 50 % and 97.5 % of its distribution without a difference.
+        typical: of the typical parameter (median).
+    """
 
     pooled: float | None = None
     pooled_expected: tuple[float, ...] | None = None
-    typical: float | None
+    typical: float | None = None
 
 
-class WholeRecord(Part, frozen=True, kw_only=True):
-    """All parameters together."""
+class Whole(Part, frozen=True, kw_only=True):
+    """All parameters together.
+
+    Attributes:
+        q: the statistic.
+        count: D (m - 1), its degrees of freedom were the covariances known.
+        expected: 2.5 %, 50 % and 97.5 % of its distribution without a difference.
+        p: share of that beyond q (one more of each counted, so never 0).
+        birge: sqrt(q / mean of that distribution).
+    """
 
     q: Real = field(name="chi_square")
     count: int = field(name="degrees_of_freedom")
@@ -109,7 +123,7 @@ class Comparison(Record, frozen=True, kw_only=True, tag="torchid.compare/1"):
     parameters: tuple[ComparedParameter, ...]
     correction: str = "Holm, family-wise 5 %"
     birge: BirgeRecord
-    whole: WholeRecord | None
+    whole: Whole | None
     torque: TorqueSpread | None
     notes: tuple[str, ...]
     quantiles: tuple[float, ...] = field(name="quantile95", default=())
