@@ -21,10 +21,10 @@ from torchid.identification.knowledge import (
 )
 from torchid.identification.least_squares import Fit, fit
 from torchid.identification.logs import prepared, refuse_repeated
-from torchid.identification.mirror import as_one, mirror_of, mirrored_base
+from torchid.identification.mirror import Mirror, as_one, mirror_of, mirrored_base
 from torchid.identification.record import FittedRows
 from torchid.identification.result import Identification, findings
-from torchid.identification.rows import RowSource, layout
+from torchid.identification.rows import Layout, RowSource, layout
 from torchid.identification.settings import Settings
 from torchid.identification.statistics import Uncertainty, jackknife
 from torchid.identification.tuning import (
@@ -105,6 +105,105 @@ def identify(
     log = as_log(log, robot)
     held_out = None if held_out is None else as_log(held_out, robot)
     settings = settings or Settings()
+    log, kept_back, noticed = _prepared(robot, log, held_out, settings)
+    mirror = mirror_of(robot, settings.mirror) if settings.mirror else None
+    asked = asked_effects(settings.effects, robot)
+    # The filter is chosen with the effects whose columns are known beforehand.
+    training = _training(robot, _on(log, device), [a.effect for a in asked if a.plain], settings)
+    cutoff, choice, reversal = _chosen_filter(training, settings, progress)
+    measured = timed(measurements(training.log, cutoff, reversal))
+    said: tuple[str, ...] = ()
+    if not all(a.plain for a in asked):
+        shaped, said = _with_shapes(asked, training, cutoff, reversal, settings)
+        training = _training(robot, training.log, shaped, settings)
+        measured = _loaded(training, measured, settings)
+    columns = training.layout
+    base, effects = columns.base, columns.effects
+    estimate = _estimate(training, measured, settings, progress)
+    condition = estimate.fit.scaled_condition_number
+    refuse_lost(condition, training.log)
+    order = columns.back
+    found = _with_priors(robot, estimate, columns, mirror)
+    values = found.values
+    shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
+    apart: list[Measurement] = []
+    if kept_back is not None:
+        # The end of the same log follows its beginning; another log follows the whole of it.
+        last = measured[-1]
+        end = float(last.motion.require("t", "a trajectory")[-1]) + 1 / last.rate
+        clock = 0.0 if held_out is None else end
+        apart = measurements(_on(kept_back, device), shown, reversal)
+        apart = timed(apart, None if held_out is not None else float(log.t[0]), clock)
+    fitted, checked = (
+        [predict(m, robot, base, effects, values, stage(progress, "predicting")) for m in part]
+        for part in (
+            measured if shown == cutoff else timed(measurements(training.log, shown, reversal)),
+            apart,
+        )
+    )
+
+    if not settings.force:
+        refuse_useless(fitted, condition, training.log, robot.free)
+    knowledge = over_parameters(found.root, base, effects, ", ".join(training.log.names))
+    knowledge = replace(knowledge, left=moving_rms(fitted))
+    if robot.knowledge is not None:
+        # The rows hold what was known before; sources and the rest are put together.
+        both = robot.knowledge.plus(knowledge)
+        knowledge = replace(both, coefficients=knowledge.coefficients, root=knowledge.root)
+
+    def names(mask: Tensor) -> tuple[str, ...]:
+        return tuple(name for name, hit in zip(base.names, mask.tolist(), strict=True) if hit)
+
+    lone = names(estimate.uncertainty.by_one_block[order])
+    one_stretch = (
+        "one short stretch of the log alone determines these; their standard deviations are lower "
+        "bounds: " + ", ".join(lone)
+    )
+    result = Identification(
+        robot=robot,
+        base=base,
+        effects=effects,
+        values=values,
+        covariance=found.covariance,
+        factor=found.factor,
+        rows=found.rows,
+        free=found.free,
+        bounded=names(estimate.fit.bounded[order]),
+        undetermined=tuple(
+            n for n, k in zip(base.names, found.undetermined.tolist(), strict=True) if k
+        ),
+        dropped=names(estimate.dropped[order]),
+        wrong_sign=names((columns.non_negative & (estimate.fit.x < 0))[order]),
+        fit=errors(fitted, robot.free),
+        held_out=errors(checked, robot.free) if checked else None,
+        fit_predictions=tuple(fitted),
+        held_out_predictions=tuple(checked),
+        condition_number=estimate.fit.condition_number,
+        scaled_condition_number=estimate.fit.scaled_condition_number,
+        cutoff=cutoff,
+        cutoff_choice=choice,
+        reversal=reversal,
+        uncertainty=estimate.uncertainty,
+        settings=settings,
+        knowledge=knowledge,
+        warnings=(
+            *robot.warnings,
+            *noticed,
+            *base.warnings,
+            *said,
+            *found.said,
+            *(w for m in measured for w in m.warnings),
+            *estimate.uncertainty.warnings,
+            *([one_stretch] if lone else []),
+        ),
+    )
+    return replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *findings(result)])))
+
+
+def _prepared(
+    robot: Robot, log: Log, held_out: Log | None, settings: Settings
+) -> tuple[Log, Log | None, tuple[str, ...]]:
+    """The log to fit and what is held out, even in time, and what is to be said of them."""
     if held_out is not None and settings.held_out_fraction != 0:
         raise LogError(
             "both a held-out log and a held-out fraction are given.", expected="one of them"
@@ -119,10 +218,13 @@ def identify(
         kept_back, more = prepared(kept_back, robot)
         noticed = (*noticed, *more)
     refuse_repeated(log, kept_back)
-    mirror = mirror_of(robot, settings.mirror) if settings.mirror else None
-    asked = asked_effects(settings.effects, robot)
-    # The filter is chosen with the effects whose columns are known beforehand.
-    training = _training(robot, _on(log, device), [a.effect for a in asked if a.plain], settings)
+    return log, kept_back, noticed
+
+
+def _chosen_filter(
+    training: Training, settings: Settings, progress: Progress | None
+) -> tuple[float | None, CutoffChoice | None, Tensor]:
+    """Cut-off [Hz], how it was chosen if it was, and reversal speeds (n,)."""
     choice: CutoffChoice | None = None
     if settings.cutoff == "auto":
         choice = choose_cutoff(training, stage(progress, "choosing the cut-off"))
@@ -134,21 +236,16 @@ def identify(
         reversal = choose_reversal(training, cutoff, report)
     else:
         reversal = settings.reversal * fast_speed(measurements(training.log, cutoff)).cpu()
-    measured = timed(measurements(training.log, cutoff, reversal))
-    said: tuple[str, ...] = ()
-    if not all(a.plain for a in asked):
-        found, said = _with_shapes(asked, training, cutoff, reversal, settings)
-        training = _training(robot, training.log, found, settings)
-        measured = _loaded(training, measured, settings)
-    columns = training.layout
-    base, effects = columns.base, columns.effects
-    estimate = _estimate(training, measured, settings, progress)
-    # Rounding alone would leave no four digits: values of thousands of kilograms would be printed
-    # with standard deviations as large, and look like a result.
-    condition = estimate.fit.scaled_condition_number
+    return cutoff, choice, reversal
+
+
+def refuse_lost(condition: float, log: Log) -> None:
+    """Raise IdentificationError where rounding alone would leave no four digits: values of
+    thousands of kilograms would be printed with standard deviations as large, and look like a
+    result."""
     largest = FEWEST_DIGITS / torch.finfo(torch.float64).eps
     if condition > largest:
-        moved = (training.log.q.amax(0) - training.log.q.amin(0)).tolist()
+        moved = (log.q.amax(0) - log.q.amin(0)).tolist()
         raise IdentificationError(
             "these logs cannot tell the parameters apart: the fit is lost in rounding.",
             got=f"condition number {condition:.1e} (columns of length one); the joints move over "
@@ -158,6 +255,27 @@ def identify(
             hint="`torchid excite` designs a motion that tells them apart; `effects=...` with "
             "fewer names asks for less",
         )
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Base parameters in their own order, with all that is known of them; see Identification."""
+
+    values: Float[Tensor, " B"]
+    covariance: Float[Tensor, "B B"]
+    factor: Float[Tensor, "C C"]
+    rows: FittedRows
+    free: Bool[Tensor, " B"]
+    undetermined: Bool[Tensor, " B"]
+    root: Float[Tensor, "D B"]
+    said: tuple[str, ...]
+
+
+def _with_priors(
+    robot: Robot, estimate: "_Estimate", columns: Layout, mirror: Mirror | None
+) -> _Found:
+    """What the log, earlier sessions and the other side of a mirrored robot say together."""
+    base, effects = columns.base, columns.effects
     order = columns.back
     values = estimate.fit.x[order]
     covariance = estimate.uncertainty.covariance[order][:, order]
@@ -183,78 +301,7 @@ def identify(
         across = mirrored_base(mirror, base, effects)
         alike, said_alike = as_one(across, base, root, values, free)
         with_prior(alike, torch.zeros_like(values))
-    shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
-    apart: list[Measurement] = []
-    if kept_back is not None:
-        # The end of the same log follows its beginning; another log follows the whole of it.
-        last = measured[-1]
-        end = float(last.motion.require("t", "a trajectory")[-1]) + 1 / last.rate
-        clock = 0.0 if held_out is None else end
-        apart = measurements(_on(kept_back, device), shown, reversal)
-        apart = timed(apart, None if held_out is not None else float(log.t[0]), clock)
-    fitted, checked = (
-        [predict(m, robot, base, effects, values, stage(progress, "predicting")) for m in part]
-        for part in (
-            measured if shown == cutoff else timed(measurements(training.log, shown, reversal)),
-            apart,
-        )
-    )
-
-    if not settings.force:
-        refuse_useless(fitted, condition, training.log, robot.free)
-    knowledge = over_parameters(root, base, effects, ", ".join(training.log.names))
-    knowledge = replace(knowledge, left=moving_rms(fitted))
-    if robot.knowledge is not None:
-        # The rows hold what was known before; sources and the rest are put together.
-        both = robot.knowledge.plus(knowledge)
-        knowledge = replace(both, coefficients=knowledge.coefficients, root=knowledge.root)
-
-    def named(mask: Tensor) -> tuple[str, ...]:
-        hits = mask[order].tolist()
-        return tuple(name for name, hit in zip(base.names, hits, strict=True) if hit)
-
-    lone = named(estimate.uncertainty.by_one_block)
-    one_stretch = (
-        "one short stretch of the log alone determines these; their standard deviations are lower "
-        "bounds: " + ", ".join(lone)
-    )
-    result = Identification(
-        robot=robot,
-        base=base,
-        effects=effects,
-        values=values,
-        covariance=covariance,
-        factor=factor,
-        rows=rows,
-        free=free,
-        bounded=named(estimate.fit.bounded),
-        undetermined=tuple(n for n, k in zip(base.names, undetermined.tolist(), strict=True) if k),
-        dropped=named(estimate.dropped),
-        wrong_sign=named(columns.non_negative & (estimate.fit.x < 0)),
-        fit=errors(fitted, robot.free),
-        held_out=errors(checked, robot.free) if checked else None,
-        fit_predictions=tuple(fitted),
-        held_out_predictions=tuple(checked),
-        condition_number=estimate.fit.condition_number,
-        scaled_condition_number=estimate.fit.scaled_condition_number,
-        cutoff=cutoff,
-        cutoff_choice=choice,
-        reversal=reversal,
-        uncertainty=estimate.uncertainty,
-        settings=settings,
-        knowledge=knowledge,
-        warnings=(
-            *robot.warnings,
-            *noticed,
-            *base.warnings,
-            *said,
-            *said_alike,
-            *(w for m in measured for w in m.warnings),
-            *estimate.uncertainty.warnings,
-            *([one_stretch] if lone else []),
-        ),
-    )
-    return replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *findings(result)])))
+    return _Found(values, covariance, factor, rows, free, undetermined, root, said_alike)
 
 
 def refuse_useless(

@@ -125,7 +125,7 @@ class Certificate:
         feasible: whether there is a strictly feasible set at all.
         phi_min: lower bound of the loss of all feasible sets, proven by the dual problem to its
             rounding; infinite if there are none, nan if the solver failed. Without bounds of
-            inertias they are still taken to be below `convex_rows.REACH`: the largest mass a
+            inertias they are still taken to be below `sets.REACH`: the largest mass a
             hundred times, at a third of the arm's longest step.
         phi_strict: loss of `sets`; nan if there are none.
         sets: one strictly feasible set that nearly reaches phi_min, with no violation by

@@ -460,7 +460,7 @@ def convex_sets(
         com_bounds, inertia_bounds: whether the bounds' boxes of the centres of mass and of the
             barycentric inertias count.
         margin: smallest eigenvalue of the links' pseudo-inertias [kg m^2, kg], of all or of each.
-        reach: whether diagonal entries of J are at most `convex_rows.REACH` times the bound of the
+        reach: whether diagonal entries of J are at most `REACH` times the bound of the
             mass times the square of `length_scale`, or twice what the bounds allow if that is
             more: it makes sets of bounded masses bounded.
         inside: (n, 3) centres of mass. The bounds of the barycentric inertias are then not relaxed
