@@ -39,13 +39,6 @@ COARSE = 4
 TRIES = 12
 """Places and shapes drawn until one reaches the size asked for; else the one that came closest."""
 
-NEEDS_FRICTION = ("thermal_friction_drift", "asymmetric_friction", "gear_coupling")
-"""They take away from friction that must be there first, or share it with another joint."""
-
-NEEDS_SMOOTH = ("joint_elasticity",)
-"""The deflection is in proportion to the torque at every instant, so that dry friction, which
-jumps, would make the motor's position jump."""
-
 CAPS = {
     "torque_gain": 0.3,
     "torque_crosstalk": 0.3,
