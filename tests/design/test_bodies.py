@@ -7,7 +7,7 @@ from tests.gap.motions import ROBOT
 from torchid.design.bodies import (
     Bodies,
     Prior,
-    _by_interior_points,
+    nearest_to,
     _by_newton,
     links_near,
     some_body,
@@ -135,7 +135,7 @@ def test_newton_and_interior_points_find_the_same_minimum() -> None:
         found, settled = _by_newton([bodies] * 12, matrix.numpy(), right.numpy())
         assert settled.all()
         for m, b, x in zip(matrix, right, torch.from_numpy(found), strict=True):
-            slow = torch.from_numpy(_by_interior_points(bodies, m.numpy(), b.numpy()))
+            slow = torch.from_numpy(nearest_to(bodies, m.numpy(), b.numpy()))
             fast, exact = (float(y @ m @ y - 2 * b @ y) for y in (x, slow))
             assert fast == pytest.approx(exact, rel=1e-6)
             assert torch.allclose(x, slow, atol=1e-3)
