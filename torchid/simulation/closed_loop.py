@@ -110,9 +110,10 @@ def plant_of(robot: Robot, effects: Sequence[Sequence[Valued]], like: Tensor) ->
     nominal = nominal_effects(robot)
     every = [[*nominal, *own] for own in effects]
     bodies = [_body(robot, own) for own in every]
-    same = all(body is robot for body in bodies)
-    arms = arms_of([robot] if same else bodies, like)
-    return Plant(arms, BatchEffects(every, robot, like))
+    if all(body is robot for body in bodies):
+        bodies = [robot]
+    body = bodies[0] if len(bodies) == 1 else None
+    return Plant(arms_of(bodies, like), BatchEffects(every, robot, like), body)
 
 
 def _body(robot: Robot, effects: Sequence[Valued]) -> Robot:

@@ -22,8 +22,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchid.dynamics.forward import ComponentsAt
 from torchid.dynamics.world_frame import Arms, Posture
 from torchid.effects.base import Motion
+from torchid.robot.model import Robot
 from torchid.simulation.loads import BatchEffects
 
 LONGEST_STEP = 2e-3
@@ -92,10 +94,12 @@ class Plant:
     Attributes:
         arms: bodies and kinematics, one for all or one an arm.
         effects: torques beyond the rigid body's.
+        body: the robot that all arms are; None where their bodies differ.
     """
 
     arms: Arms
     effects: BatchEffects
+    body: Robot | None = None
 
     def start(self, q: Tensor, dq: Tensor, ddq: Tensor, t: Tensor) -> State:
         """At positions and velocities (B, n) at times t (B,), effects at their beginning."""
@@ -150,7 +154,7 @@ class Plant:
         h: float,
         t: Tensor,
         drive: Drive,
-        posture: Posture,
+        posture: Posture | ComponentsAt,
         mass: Tensor,
         guess: Instant,
     ) -> "Linearised":

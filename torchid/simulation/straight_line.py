@@ -240,6 +240,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "cumsum": lambda x, dim: np.add.accumulate(x, axis=dim),
     "cat": lambda parts, dim=0: np.concatenate(parts, dim),
     "stack": lambda parts, dim=0: np.stack(parts, dim),
+    "broadcast_tensors": lambda *parts: list(np.broadcast_arrays(*parts)),
     "flip": lambda x, *dims: np.flip(x, tuple(_sizes(dims))),
     "view": lambda x, *sizes: x.reshape(_sizes(sizes)),
     "reshape": lambda x, *sizes: x.reshape(_sizes(sizes)),
