@@ -102,6 +102,14 @@ def _applied(text: str, known: Callable[..., Any], truth: bool = False) -> Calla
     return every
 
 
+def _number(x: Any) -> Any:
+    truth = x.truth if isinstance(x, Symbol) else isinstance(x, bool)
+    return (x.graph.of("float({})", x) if isinstance(x, Symbol) else float(x)) if truth else x
+
+
+_NUMBER = np.frompyfunc(_number, 1, 1)
+
+
 def _choose(condition: Any, a: Any, b: Any) -> Any:
     if not isinstance(condition, Symbol):
         return a if condition else b
@@ -252,7 +260,8 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "unbind": lambda x, dim=0: [_at(x, dim, k) for k in range(x.shape[dim])],
     "diagonal": _diagonal, "diag_embed": _diag_embed,
     "getitem": _index,
-    **dict.fromkeys(("clone", "detach", "contiguous", "to", "double"), lambda x, *_, **__: x),
+    **dict.fromkeys(("clone", "detach", "contiguous"), lambda x, **_: x),
+    **dict.fromkeys(("to", "double", "type_as"), lambda x, *_, **__: _NUMBER(x)),
     "zeros_like": _filled(0.0), "ones_like": _filled(1.0),
     "full_like": lambda x, value, **_: np.full(x.shape, value, dtype=object),
     "new_zeros": lambda x, *sizes, **_: np.full(_sizes(sizes), 0.0, dtype=object),
