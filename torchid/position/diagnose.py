@@ -19,7 +19,7 @@ from torchid.position.data import WINDOW_S, PositionData, missing_commands, prep
 from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
 from torchid.position.early import EarlyAnswer
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, neutral
-from torchid.position.fit import NOISE, TOGETHER, errors, errors_of_one, fit
+from torchid.position.fit import NOISE, errors, errors_of_one, fit
 from torchid.position.judge import (
     Equations,
     each_window,
@@ -491,14 +491,20 @@ def _findings(answered: _Answer, known: Equations, windows: Windows) -> tuple[Po
     """What is named, by what it was worth in windows."""
     data, found, rivals = answered.data, answered.found, answered.rivals
     least = slight(data, windows)
-    seconds = float((windows.length * windows.weight).sum()) * data.tracks.dt
+    rows = float((windows.length * windows.weight).sum()) / known.alike
 
-    def sure(losses: Sequence[Tensor], numbers: int, again: Replication | None = None) -> float:
+    def sure(
+        losses: Sequence[Tensor],
+        numbers: int,
+        again: Replication | None = None,
+        joint: int | slice = slice(None),
+    ) -> float:
         """Of an effect, from losses without it and with it, and the least that calls for one."""
-        without, with_it, slightest = (float(x.sum()) for x in losses)
+        without, with_it, slightest = (float(x[joint].sum()) for x in losses)
         looks = len(EFFECTS) * data.robot.n
+        independent = float(rows[joint].mean())
         return effect_sure(
-            without, with_it, slightest, numbers, again, seconds=seconds, looks=looks
+            without, with_it, slightest, numbers, again, rows=independent, looks=looks
         )
 
     deviation = known.deviations()
@@ -556,7 +562,7 @@ def _findings(answered: _Answer, known: Equations, windows: Windows) -> tuple[Po
                 p, k = PARAMETERS[INDEX[key]], known.names.index(key)
                 # Commands are simulated along straight lines; that they are held until the next one
                 # makes them half a sample late on average, which is no delay of its own.
-                held = 0.5 * data.tracks.dt if key == "delay" else 0.0
+                held = 0.5 * data.held if key == "delay" else 0.0
                 value = float(found.servos.of(key)[j]) - held
                 spread = value_interval(key, value, float(deviation[j, k]))
                 sizes.append(Size(key, p.unit, value, spread))
@@ -572,7 +578,7 @@ def _findings(answered: _Answer, known: Equations, windows: Windows) -> tuple[Po
                 PositionFinding(
                     name, effect.family, j + 1, tuple(sizes), *ends, others,
                     effect.meaning, effect.remedy, again,
-                    sure([x[j] for x in (*losses, least)], len(sizes), again),
+                    sure((*losses, least), len(sizes), again, j),
                 )
             )  # fmt: skip
     return tuple(sorted(out, key=lambda f: f.error_with - f.error_without))
@@ -582,7 +588,7 @@ def _ratio_only(known: Equations) -> Tensor:
     """(n,) joints of which a common factor on all torques is hardly told: no load anchors it."""
     # Torques are searched as shares of kp, so that kp alone is that factor.
     k = known.names.index("kp")
-    return known.gram.sum(0)[:, k, k] / TOGETHER < (NOISE / RATIO) ** 2
+    return known.gram.sum(0)[:, k, k] / known.alike < (NOISE / RATIO) ** 2
 
 
 def _accuracies(

@@ -8,7 +8,7 @@ would be known; those that help the open ones most are taken one after the other
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from torchid.parallel.workers import Progress
 from torchid.position.data import WINDOW_S, prepare
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.effects import BY_NAME, CORE
-from torchid.position.fit import TOGETHER, prior_precision
+from torchid.position.fit import TOGETHER_S
 from torchid.position.judge import Equations, equations
 from torchid.position.model import ServoArm, replay
 from torchid.position.record import PositionRecord
@@ -176,13 +176,16 @@ def next_commands(
     asked = _asked(found, servos, still)
     free = _free(servos, {name for _, name in asked}, still)
     told = equations(data, servos, free, windows_of(data.tracks, WINDOW_S))
+    # Noise as large as what the diagnosis left.
     left = torch.tensor([1e-3 * joint.answered_mrad for joint in found.where.joints])
     square = left.to(torch.float64).nan_to_num(1e-3).clamp(min=1e-4).square()
-    start = _start(told, square, asked)
+    alike = torch.full_like(square, TOGETHER_S / data.tracks.dt)
+    told = replace(told, square=square, alike=alike)
+    start = _start(told, asked)
     places = [(j, told.names.index(name)) for j, name in asked if name in told.names]
     places = places or told.mask.nonzero().tolist()
-    chosen = _chosen(told, start, square, places)
-    after = _deviations(told, start + told.gram[chosen].sum(0), square)
+    chosen = _chosen(told, start, places)
+    after = _deviations(told, start + told.gram[chosen].sum(0))
     opened = tuple(
         OpenParameter(
             joint=j, parameter=name, why=why, now=now,
@@ -311,35 +314,29 @@ def _free(servos: Servos, asked: set[str], still: Tensor) -> dict[str, Tensor]:
 
 
 def _start(
-    told: Equations,
-    square: Float[Tensor, " n"],
-    asked: Mapping[tuple[int, str], tuple[str, float]],
+    told: Equations, asked: Mapping[tuple[int, str], tuple[str, float]]
 ) -> Float[Tensor, "n K K"]:
     """Normal equations of the prior, and of what the diagnosis knows of the open parameters."""
-    gram, to = torch.diag_embed(prior_precision(told.names, square)), told.to_values()
+    gram, to = torch.diag_embed(told.prior), told.to_values()
     for (j, name), (_, half) in asked.items():
         if name in told.names and half > 0:
             row = to[j, told.names.index(name)]
-            gram[j] += TOGETHER * square[j] * (HALF_95 / half) ** 2 * torch.outer(row, row)
+            gram[j] += told.noise[j] * (HALF_95 / half) ** 2 * torch.outer(row, row)
     return gram
 
 
-def _deviations(
-    told: Equations, gram: Float[Tensor, "n K K"], square: Float[Tensor, " n"]
-) -> Float[Tensor, "n K"]:
-    """Standard deviations of parameters by noise as large as what the diagnosis left, alike for a
-    second; what is not free is held."""
+def _deviations(told: Equations, gram: Float[Tensor, "n K K"]) -> Float[Tensor, "n K"]:
+    """Standard deviations of parameters; what is not free is held."""
     on, to = told.mask, told.to_values()
     held = gram * on[:, :, None] * on[:, None] + torch.diag_embed((~on).to(gram))
     inverse = torch.linalg.inv(held) * on[:, :, None] * on[:, None]
     variance = (to @ inverse @ to.mT).diagonal(dim1=-2, dim2=-1).clamp(min=0)
-    return (TOGETHER * square[:, None] * variance).sqrt()
+    return (told.noise[:, None] * variance).sqrt()
 
 
 def _chosen(
     told: Equations,
     gram: Float[Tensor, "n K K"],
-    square: Float[Tensor, " n"],
     places: Sequence[Sequence[int]],
 ) -> list[int]:
     """The motions that lower the logarithms of the deviations of these places (joint, parameter)
@@ -349,8 +346,7 @@ def _chosen(
     for _ in range(min(MOTIONS, len(told.gram))):
         left = [k for k in range(len(told.gram)) if k not in chosen]
         scores = [
-            float(_deviations(told, gram + told.gram[k], square)[joints, columns].log().sum())
-            for k in left
+            float(_deviations(told, gram + told.gram[k])[joints, columns].log().sum()) for k in left
         ]
         chosen.append(left[scores.index(min(scores))])
         gram = gram + told.gram[chosen[-1]]
