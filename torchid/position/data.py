@@ -6,6 +6,7 @@ from functools import cached_property
 
 import torch
 
+from torchid.dynamics.forward import gravity_torque
 from torchid.errors import LogError
 from torchid.log.checks import (
     DEGREES,
@@ -17,9 +18,11 @@ from torchid.log.checks import (
 )
 from torchid.log.model import Log
 from torchid.position.rods import with_rods
+from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.simulation.servo import INDEX, PARAMETERS
 from torchid.simulation.servo_loop import Body, Tracks, Windows, body_near
+from torchid.statistics.criteria import BODY_STD
 from torchid.typing import Float, Tensor
 
 UNEVEN_RATE = 0.02
@@ -45,6 +48,8 @@ JAW = 0.3
 """Share of the link before that a jaw weighs at most [1]."""
 SHORTEST_S = 10.0
 """Of less log no servo is told [s]."""
+GRAVITY_ROWS = 200
+"""That tell which links a joint carries [1]."""
 MOVES = 0.01
 """What varies by less, as a standard deviation within motions, does not move [rad]."""
 UNITS = {
@@ -135,6 +140,26 @@ class PositionData:
             far = not 1 / GEARED < gain < GEARED
             out.append(gain if plain and far else 1.0)
         return torch.tensor(out, dtype=torch.float64)
+
+    @cached_property
+    def torque_std(self) -> Float[Tensor, " n"]:
+        """Standard deviation of the joints' torques that is the masses' alone, as a share [1]: what
+        a robot's file says of its links is known to `BODY_STD`, of each link by itself."""
+        pi = self.robot.require_parameters("gravity").pi
+        rows = self.q[:: max(1, len(self.q) // GRAVITY_ROWS)]
+        parts = torch.stack(
+            [
+                gravity_torque(
+                    self.robot.with_parameters(InertialParameters(pi * one[:, None])), rows
+                )
+                for one in torch.eye(len(pi), dtype=pi.dtype)
+            ]
+        )
+        whole = parts.sum(0)
+        square = whole.square().sum(0)
+        share = (parts * whole).sum(1) / square.clamp(min=1e-12)
+        own = share.square().sum(0).sqrt().clamp(max=1.0)
+        return BODY_STD * torch.where(square > 1e-9 * square.amax(), own, 1.0)
 
     @property
     def outwards(self) -> Float[Tensor, "3"]:

@@ -29,7 +29,7 @@ from torchid.simulation.servo_loop import Windows
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.jackknife import jackknife, student_quantile
 from torchid.statistics.proportion import HALF_95
-from torchid.typing import Float, Int
+from torchid.typing import Bool, Float, Int
 
 FOLDS = 5
 USUAL = 2.0
@@ -47,6 +47,8 @@ class Equations:
         gram: (m, n, K, K), pull: (m, n, K) of motions.
         square: (n,) mean square error [rad^2].
         alike: (n,) rows, one after the other, whose errors are as good as one [1].
+        torque_std: (n,) of the scale of all torques of a joint, which the robot's masses have [1].
+        given: (n, K, K) covariances that are known already; None: as the equations tell.
     """
 
     servos: Servos
@@ -56,6 +58,8 @@ class Equations:
     pull: Tensor
     square: Tensor
     alike: Tensor
+    torque_std: Tensor
+    given: Tensor | None = None
 
     @property
     def noise(self) -> Float[Tensor, " n"]:
@@ -100,14 +104,21 @@ class Equations:
                 scales.append(MotionScale(motion, 0.0, end, 1.0 + step, std))
         return replication_of(scales)
 
-    def deviations(self) -> Float[Tensor, "n K"]:
+    def deviations(self, shares: Bool[Tensor, " n"] | None = None) -> Float[Tensor, "n K"]:
         """Half of the 95 % intervals (n, K) over that of a normal variable; of logarithms where
-        parameters are searched so."""
-        return self.covariances().diagonal(dim1=1, dim2=2).sqrt()
+        parameters are searched so.
 
-    def covariances(self) -> Float[Tensor, "n K K"]:
+        Args:
+            shares: joints of which torques are told as shares of kp.
+        """
+        return self.covariances(shares).diagonal(dim1=1, dim2=2).sqrt()
+
+    def covariances(self, shares: Bool[Tensor, " n"] | None = None) -> Float[Tensor, "n K K"]:
         """Of what `deviations` tells, joint by joint; zeros of what is not free."""
-        to, own = self.to_values(), self.mask.nonzero()[:, 0].unique().tolist()
+        if self.given is not None:
+            way = self.to_values(shares) @ torch.linalg.inv(self.to_values())
+            return way @ self.given @ way.mT
+        to, own = self.to_values(shares), self.mask.nonzero()[:, 0].unique().tolist()
         out, both, freedom = torch.zeros_like(to), {}, self.noise.new_zeros(self.mask.shape)
         for j in own:
             # In units of the noise, where what was expected is given.
@@ -137,7 +148,9 @@ class Equations:
             together = both[j][0] + both[j][1]
             unit = std[j] / together.diagonal().clamp(min=1e-300).sqrt()
             out[j] = together * unit * unit[:, None]
-        return out
+        # With other masses all torques would be others.
+        scale = to[:, :, self.names.index("kp")] * self.torque_std[:, None] * self.mask
+        return out + scale[:, :, None] * scale[:, None]
 
     def expected(self) -> Float[Tensor, "n K K"]:
         """The same of what is left open where values were expected near to these before any motion
@@ -150,27 +163,40 @@ class Equations:
             out[j][on[:, None] & on] = ((rest + rest.T) / 2).flatten()
         return out
 
-    def to_values(self) -> Float[Tensor, "n K K"]:
+    def to_values(self, shares: Bool[Tensor, " n"] | None = None) -> Float[Tensor, "n K K"]:
         """Changes of parameters, logarithms of what is searched so, by searched coordinates, in
-        which torques are shares of kp."""
+        which torques are shares of kp, and stay so on some joints."""
         size = len(self.names)
         out = torch.eye(size, dtype=self.gram.dtype).repeat(self.servos.n, 1, 1)
         gain, k = self.servos.of("kp"), self.names.index("kp")
+        whole = torch.ones_like(gain, dtype=torch.bool) if shares is None else ~shares
         for row, name in enumerate(self.names):
             if name not in TORQUES or name == "kp":
                 continue
             if PARAMETERS[INDEX[name]].kind == "log":
-                out[:, row, k] = 1.0
+                out[:, row, k] = 1.0 * whole
             else:
-                out[:, row, row] = gain / SMALL
-                out[:, row, k] = self.servos.of(name)
+                out[:, row, row] = torch.where(whole, gain, 1.0) / SMALL
+                out[:, row, k] = self.servos.of(name) * whole
         return out
 
 
 def equations(
-    data: PositionData, servos: Servos, free: Mapping[str, Tensor], windows: Windows
+    data: PositionData,
+    servos: Servos,
+    free: Mapping[str, Tensor],
+    windows: Windows,
+    *,
+    trusted: bool = True,
 ) -> Equations:
-    """Normal equations by motion; Huber's weights bound what a rare event can do."""
+    """Normal equations by motion; Huber's weights bound what a rare event can do.
+
+    Args:
+        data: motions.
+        servos, free: where, and what is free on which joints.
+        windows: of the motions.
+        trusted: whether the masses of the robot's file are what they are said to be.
+    """
     names = tuple(free)
     s = sensitivities(data, servos, names, windows)
     w = weights(s.residual, windows)
@@ -183,8 +209,9 @@ def equations(
     pull = torch.zeros(*shape, len(names), dtype=a.dtype)
     pull.index_add_(0, windows.motion, torch.einsum("lwnk,lwn->wnk", a, b))
     mask = torch.stack([free[name] for name in names], 1)
-    alike = alike_rows(s.residual, windows)
-    return Equations(servos, names, mask, gram, pull, mean_square(s.residual, w, windows), alike)
+    alike, square = alike_rows(s.residual, windows), mean_square(s.residual, w, windows)
+    unsure = torch.zeros_like(square) if trusted else data.torque_std
+    return Equations(servos, names, mask, gram, pull, square, alike, unsure)
 
 
 def alike_rows(residual: Float[Tensor, "L W n"], windows: Windows) -> Float[Tensor, " n"]:
