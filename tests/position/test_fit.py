@@ -1,5 +1,7 @@
 """Servos are found again from what they commanded and where the arm went."""
 
+import math
+
 import pytest
 import torch
 
@@ -7,6 +9,7 @@ from tests.position.planted import DT, planted, robot, true_servos
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.position.data import prepare
+from torchid.position.equal import pooled
 from torchid.position.fit import errors, fit, loss, moved, searched, sensitivities
 from torchid.position.judge import equations, motion_losses, value_interval
 from torchid.position.search import plain
@@ -65,6 +68,56 @@ def test_covariances_are_of_the_deviations(found):
     # Gain and inertia are told by the same torques.
     k, i = known.names.index("kp"), known.names.index("armature")
     assert float(correlations[:, k, i].min()) > 0.3
+
+
+def test_shares_of_kp_are_known_where_torques_are_not(found):
+    """Of joint 1, that no load anchors: damping over kp, and not the two of them."""
+    _, data, windows, model = found
+    known = equations(data, model.servos, model.free, windows)
+    k = known.names.index("damping")
+    shares = torch.tensor([True, False, False])
+    torque, share = known.deviations()[:, k], known.deviations(shares)[:, k]
+    assert float(share[0]) < 0.3 * float(torque[0])
+    assert torch.allclose(share[1:], torque[1:], rtol=0.05)
+    true = math.log(22.0 / 260.0)
+    said = math.log(float(model.servos.of("damping")[0] / model.servos.of("kp")[0]))
+    assert abs(said - true) < 2.5 * float(share[0])
+
+
+def test_servos_of_one_type_tell_each_other(found):
+    """The joint that no load anchors has the gain of the two that carry the arm; a joint at rest
+    and one of another type have their own."""
+    _, data, windows, model = found
+    known = equations(data, model.servos, model.free, windows)
+    k = known.names.index("kp")
+    drawn = pooled(known, ["M1"] * 3, torch.ones(3, dtype=torch.bool))
+    kp, was = drawn.servos.of("kp"), model.servos.of("kp")
+    assert abs(float(kp[0]) - 260) < 0.5 * abs(float(was[0]) - 260)
+    assert bool((drawn.deviations()[:, k] <= known.deviations()[:, k] + 1e-12).all())
+    low, high = value_interval("kp", float(kp[0]), float(drawn.deviations()[0, k]))
+    assert low < 260 < high
+    # What the motions tell, the share of damping, stays.
+    share = drawn.servos.of("damping")[0] / kp[0]
+    assert float(share) == pytest.approx(float(model.servos.of("damping")[0] / was[0]), rel=0.1)
+    for types, moves in ((["", "M1", "M2"], [1, 1, 1]), (["M1"] * 3, [0, 1, 0])):
+        same = pooled(known, types, torch.tensor(moves, dtype=torch.bool)).servos
+        assert torch.allclose(same.joint, model.servos.joint)
+
+
+def test_torques_are_as_sure_as_the_masses(found):
+    """Of a joint that carries one link 30 %, of one that carries three less; at shares none."""
+    _, data, windows, model = found
+    assert float(data.torque_std[2]) == pytest.approx(0.3)
+    assert 0.15 < float(data.torque_std[1]) < 0.3
+    trusted, file = (
+        equations(data, model.servos, model.free, windows, trusted=on) for on in (True, False)
+    )
+    k = trusted.names.index("kp")
+    more = file.deviations()[:, k].square() - trusted.deviations()[:, k].square()
+    assert torch.allclose(more, data.torque_std.square())
+    shares, d = torch.ones(3, dtype=torch.bool), trusted.names.index("damping")
+    both = [one.deviations(shares)[:, d] for one in (trusted, file)]
+    assert torch.allclose(*both)
 
 
 def test_a_slope_is_the_change_of_a_simulation(found):

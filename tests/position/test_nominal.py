@@ -7,7 +7,7 @@ import pytest
 
 from torchid.errors import TorchidError
 from torchid.position.model import ServoArm
-from torchid.position.nominal import PRESETS, nominal_servos, read_servos
+from torchid.position.nominal import PRESETS, nominal_servos, read_servos, types_of
 from torchid.robot.library import load_robot
 from torchid.robot.writer import robot_yaml
 
@@ -28,6 +28,12 @@ def test_what_is_not_in_public_tables_is_unknown() -> None:
     with pytest.raises(TorchidError, match="what a step of the gain makes is not known of STS3215"):
         read_servos("STS3215 gain=16", 1)
     assert read_servos("sts3215 kp=17.8 counts=unknown", 1)[0].counts is None
+
+
+def test_which_are_units_of_one_type() -> None:
+    assert types_of(read_servos("STS3215", 3)) == ("STS3215",) * 3
+    assert types_of(read_servos("kp=3", 2)) == ("", "")  # each as it is said to be
+    assert types_of(read_servos("type=big kp=3,type=big,type=small", 3)) == ("big", "big", "small")
 
 
 def test_one_a_joint() -> None:

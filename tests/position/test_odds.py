@@ -10,8 +10,8 @@ def again(*factors, std=0.05):
     return replication_of([MotionScale(f"m{k}", 0.0, 10.0, f, std) for k, f in enumerate(factors)])
 
 
-def sure(without, with_it, least=0.1, numbers=1, replication=None, seconds=100.0):
-    return effect_sure(without, with_it, least, numbers, replication, seconds=seconds, looks=60)
+def sure(without, with_it, least=0.1, numbers=1, replication=None, rows=100.0):
+    return effect_sure(without, with_it, least, numbers, replication, rows=rows, looks=60)
 
 
 def test_an_effect_that_explains_the_error_is_sure():
@@ -23,7 +23,7 @@ def test_one_that_explains_nothing_is_not():
 
 
 def test_what_stays_unexplained_bounds_it():
-    found = [sure(10.0, left, seconds=1e4) for left in (0.5, 2.0, 5.0, 8.0)]
+    found = [sure(10.0, left, rows=1e4) for left in (0.5, 2.0, 5.0, 8.0)]
     assert found == sorted(found, reverse=True)
     assert found[-1] < 0.75
 

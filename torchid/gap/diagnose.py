@@ -19,7 +19,7 @@ from torchid.position.data import WINDOW_S
 from torchid.position.diagnose import diagnose_positions
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import ServoArm, replay
-from torchid.position.nominal import ACTUATOR, nominal_servos
+from torchid.position.nominal import ACTUATOR, nominal_servos, types_of
 from torchid.results.answer import Diagnosis
 from torchid.robot.model import Robot
 
@@ -112,7 +112,7 @@ def _of_positions(
 ) -> PositionDiagnosis:
     """Of logs of commands and positions."""
     settings = settings or GapSettings()
-    default = GapSettings(seed=settings.seed)
+    default = GapSettings(seed=settings.seed, parameters=settings.parameters)
     changed = [
         f.name for f in fields(settings) if getattr(settings, f.name) != getattr(default, f.name)
     ]
@@ -120,10 +120,13 @@ def _of_positions(
         raise TorchidError(
             "these logs have commands and positions and no torques.",
             got=", ".join(f"`{name}=...`" for name in changed),
-            expected="none of the options on how to search",
+            expected="none of the options on how to search, but whether `parameters` are `trusted`",
         )
     nominal = nominal_servos(robot, servo)
-    found = diagnose_positions(robot, log, held_out=held_out, progress=progress, watch=watch)
+    found = diagnose_positions(
+        robot, log, held_out=held_out, trusted=settings.parameters == "trusted",
+        types=types_of(nominal), progress=progress, watch=watch,
+    )  # fmt: skip
     geared = [
         f"{j} ({servo.values['scale']:.4g})"
         for j, servo in enumerate(nominal, start=1)

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import torch
 
+from torchid.dynamics.forward import gravity_torque
 from torchid.errors import LogError
 from torchid.log.checks import (
     DEGREES,
@@ -17,13 +18,22 @@ from torchid.log.checks import (
 )
 from torchid.log.model import Log
 from torchid.position.rods import with_rods
+from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.simulation.servo import INDEX, PARAMETERS
 from torchid.simulation.servo_loop import Body, Tracks, Windows, body_near
+from torchid.statistics.criteria import BODY_STD
 from torchid.typing import Float, Tensor
 
+UNEVEN_RATE = 0.02
+"""Share by which a rate may miss a multiple of `RATE` and count as one [1]."""
 UNEVEN = 0.5
 """A step that differs from the median by more than this share of it is no jitter [1]."""
+RATE = 50.0
+"""What logs are thinned to, every second row or fewer, as far as they stay no slower [Hz]: that of
+small servos' buses, above which positions under a servo hold little."""
+RATE_S = 0.08
+"""Time over which a velocity is told [s]."""
 WINDOW_S = 2.0
 """Length of the windows that fits and searches simulate [s]."""
 STILL = 0.02
@@ -38,6 +48,8 @@ JAW = 0.3
 """Share of the link before that a jaw weighs at most [1]."""
 SHORTEST_S = 10.0
 """Of less log no servo is told [s]."""
+GRAVITY_ROWS = 200
+"""That tell which links a joint carries [1]."""
 MOVES = 0.01
 """What varies by less, as a standard deviation within motions, does not move [rad]."""
 UNITS = {
@@ -63,10 +75,11 @@ class PositionData:
     Attributes:
         robot: with the masses that it is given, or rods in their place.
         weighed: whether it was given any.
-        log: as given.
+        log: as given, but for rows that are left out (`RATE`).
         scale: (n,) radians of the model per unit of the log, 1 unless the log's own velocities say
             otherwise.
         tracks: commands.
+        held: how long a command of the log as given holds [s].
         q: (T, n) measured positions [rad].
         dq: (T, n) their rate, 0 where the joint is at rest [rad/s].
         body: the rigid body near the measured motion, halfway from each row to the next.
@@ -80,6 +93,7 @@ class PositionData:
     log: Log
     scale: Float[Tensor, " n"]
     tracks: Tracks
+    held: float
     q: Float[Tensor, "T n"]
     dq: Float[Tensor, "T n"]
     body: Body
@@ -126,6 +140,26 @@ class PositionData:
             far = not 1 / GEARED < gain < GEARED
             out.append(gain if plain and far else 1.0)
         return torch.tensor(out, dtype=torch.float64)
+
+    @cached_property
+    def torque_std(self) -> Float[Tensor, " n"]:
+        """Standard deviation of the joints' torques that is the masses' alone, as a share [1]: what
+        a robot's file says of its links is known to `BODY_STD`, of each link by itself."""
+        pi = self.robot.require_parameters("gravity").pi
+        rows = self.q[:: max(1, len(self.q) // GRAVITY_ROWS)]
+        parts = torch.stack(
+            [
+                gravity_torque(
+                    self.robot.with_parameters(InertialParameters(pi * one[:, None])), rows
+                )
+                for one in torch.eye(len(pi), dtype=pi.dtype)
+            ]
+        )
+        whole = parts.sum(0)
+        square = whole.square().sum(0)
+        share = (parts * whole).sum(1) / square.clamp(min=1e-12)
+        own = share.square().sum(0).sqrt().clamp(max=1.0)
+        return BODY_STD * torch.where(square > 1e-9 * square.amax(), own, 1.0)
 
     @property
     def outwards(self) -> Float[Tensor, "3"]:
@@ -255,21 +289,39 @@ def scale_of(log: Log) -> Float[Tensor, " n"]:
 
 
 def rates(q: Float[Tensor, "T n"], tracks: Tracks) -> Float[Tensor, "T n"]:
-    """Velocity from two samples before to two after, 0 for a joint at rest [rad/s]."""
-    dq = torch.zeros_like(q)
-    dq[2:-2] = (q[4:] - q[:-4]) / (4 * tracks.dt)
-    for rows in (*(tracks.first + k for k in (0, 1)), *(tracks.last - k for k in (0, 1))):
-        dq[rows] = 0.0
+    """Velocity from a while before to as long after, 0 for a joint at rest [rad/s]."""
+    dq, k = torch.zeros_like(q), max(1, round(RATE_S / 2 / tracks.dt))
+    dq[k:-k] = (q[2 * k :] - q[: -2 * k]) / (2 * k * tracks.dt)
+    for i in range(k):
+        dq[torch.cat([tracks.first + i, tracks.last - i]).clamp(0, len(q) - 1)] = 0.0
     return torch.where(dq.abs() < STILL, 0.0, dq)
 
 
-def prepare(robot: Robot, log: Log, scale: Float[Tensor, " n"] | None = None) -> PositionData:
+def _thinned(log: Log, tracks: Tracks) -> tuple[Log, Tracks]:
+    """Every k-th row, so that a log's rate is no reason for another answer."""
+    k = math.floor((1 + UNEVEN_RATE) / (RATE * tracks.dt))
+    if k < 2:
+        return log, tracks
+    rows = torch.cat([torch.arange(part.stop - part.start) % k == 0 for part in log.slices()])
+    thin = log.select(rows)
+    ends = torch.tensor([(part.start, part.stop - 1) for part in thin.slices()])
+    return thin, Tracks(tracks.u[rows], ends[:, 0], ends[:, 1], k * tracks.dt)
+
+
+def prepare(
+    robot: Robot,
+    log: Log,
+    scale: Float[Tensor, " n"] | None = None,
+    *,
+    all_rows: bool = False,
+) -> PositionData:
     """Motions as the fit takes them.
 
     Args:
         robot: links without inertial parameters are taken for rods (`with_rods`).
         log: t, q and u.
         scale: (n,) radians per unit of the log, where servos know them; as `scale_of` if None.
+        all_rows: whether a fast log is taken as it is, and not at `RATE`.
 
     Raises:
         LogError: other joints than the robot's, as `tracks_of`, positions that are not finite or
@@ -303,6 +355,9 @@ def prepare(robot: Robot, log: Log, scale: Float[Tensor, " n"] | None = None) ->
             got=f"{sum(log.duration):.3g} s",
             expected=f"{SHORTEST_S:g} s",
         )
+    held = tracks.dt
+    if not all_rows:
+        log, tracks = _thinned(log, tracks)
     q = log.q * scale
     if bool((q.amax(0) - q.amin(0) < MOVES).all()):
         raise LogError(
@@ -316,7 +371,7 @@ def prepare(robot: Robot, log: Log, scale: Float[Tensor, " n"] | None = None) ->
     link = _outermost(robot)
     body = body_near(robot, q, dq, link).midway(tracks.last)
     strength = _strength(body, tracks.u - q)
-    return PositionData(robot, weighed, log, scale, tracks, q, dq, body, strength, link)
+    return PositionData(robot, weighed, log, scale, tracks, held, q, dq, body, strength, link)
 
 
 def _strength(body: Body, error: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:

@@ -19,7 +19,8 @@ from torchid.position.data import WINDOW_S, PositionData, missing_commands, prep
 from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
 from torchid.position.early import EarlyAnswer
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, neutral
-from torchid.position.fit import NOISE, TOGETHER, errors, errors_of_one, fit
+from torchid.position.equal import pooled
+from torchid.position.fit import NOISE, errors, errors_of_one, fit
 from torchid.position.judge import (
     Equations,
     each_window,
@@ -47,7 +48,7 @@ from torchid.position.search import (
 from torchid.results.answer import Answer
 from torchid.results.replication import Replication
 from torchid.robot.model import Robot
-from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
+from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, PLANE, TORQUES, Servos, as_share
 from torchid.simulation.servo_loop import Windows, windows_of
 from torchid.statistics.criteria import WORTHWHILE
 from torchid.statistics.proportion import HALF_95
@@ -58,8 +59,11 @@ MOST = 250
 """Windows that a search looks at [1]: more do not change what it finds, only how long it takes."""
 SQUARES = 1.0 - (1.0 - WORTHWHILE) ** 2
 """Share of the squared error by which an effect must lower it to be worth a name."""
+WORSE = 0.1
+"""Rise of a joint's squared error from which it is not of the type of the others [1]."""
 RATIO = 0.2
-"""Standard deviation of a torque's scale from which only ratios are told [1]."""
+"""Standard deviation of a torque's scale from which only ratios are told, by the load that noise
+leaves to be seen, or by the log as it is [1]."""
 
 
 def diagnose_positions(
@@ -67,6 +71,8 @@ def diagnose_positions(
     log: Log,
     *,
     held_out: Log | None = None,
+    trusted: bool = False,
+    types: Sequence[str] = (),
     progress: Callable[[str, int, int], None] | None = None,
     watch: Callable[[Answer], None] | None = None,
 ) -> PositionDiagnosis:
@@ -77,6 +83,9 @@ def diagnose_positions(
             taken for rods, and all torques are told in their ratios.
         log: t, q and u of several motions; of one alone nothing can be held out but its parts.
         held_out: motions that take part in nothing but the judgement.
+        trusted: whether the masses of the robot's file are right; else they are known as files are,
+            and all torques with them.
+        types: of the joints' servos: those of one name are units of one type.
         progress: called with the stage, steps done and steps in all.
         watch: called with an `Answer` of status `searching` whenever more is known.
 
@@ -106,13 +115,22 @@ def diagnose_positions(
         else EarlyAnswer(watch, data, losses_of(data, simple.servos, few).sum(0), few)
     )
     given, answered = data, _answer(data, simple, few, more, say, early)
-    data, found, servos = answered.data, answered.found, answered.found.servos
+    data, found = answered.data, answered.found
     say("how far it goes")
-    known = equations(data, servos, found.free, more)
+    known, still = equations(data, found.servos, found.free, more, trusted=trusted), _still(data)
+    odd: tuple[str, ...] = ()
+    if len(set(types) - {""}) and data.weighed:
+        known, odd = _of_one_type(data, known, found, types, ~still, few)
+        found = replace(found, servos=known.servos)
+        answered = replace(answered, found=found)
+    servos = found.servos
     ways, errors_of = _accuracies(((given, simple), (data, found)), windows, few)
-    findings = _findings(answered, known, few)
-    still = _still(data)
     deviation = known.deviations()[:, known.names.index("kp")]
+    # A joint at rest tells no torque either.
+    anchored = torch.tensor([t != "" for t in types or [""] * servos.n])
+    ratio_only = (_ratio_only(known) & ~anchored) | (deviation > RATIO) | (not data.weighed)
+    findings = _findings(answered, known, few, ratio_only)
+    unknown = still | ratio_only
     interval = [
         value_interval("kp", k, d)
         for k, d in zip(servos.of("kp").tolist(), deviation.tolist(), strict=True)
@@ -122,7 +140,7 @@ def diagnose_positions(
         f"joint {j + 1} {names[j]} never moves, so its servo is not identified."
         for j in torch.nonzero(still).flatten().tolist()
     )
-    warnings += missing_commands(data.log)
+    warnings += missing_commands(log) + odd
     if not data.weighed:
         warnings += (
             f"robot '{robot.name}' has no masses: its links were taken for rods of {PER_METRE:g} "
@@ -139,10 +157,10 @@ def diagnose_positions(
         servos=servos,
         findings=findings,
         gains=(
-            servos.of("kp").masked_fill(still, torch.nan),
-            torch.tensor(interval).masked_fill(still[:, None], torch.nan),
+            servos.of("kp").masked_fill(unknown, torch.nan),
+            torch.tensor(interval).masked_fill(unknown[:, None], torch.nan),
         ),
-        ratio_only=_ratio_only(known) | (not data.weighed),
+        ratio_only=ratio_only,
         commanded=ways[0],
         plain_servo=ways[1],
         answered=ways[2],
@@ -160,6 +178,35 @@ def diagnose_positions(
     if held_out is None:
         return result
     return replace(result, held_out=accuracy(result.corrected, held_out, ~still))
+
+
+def _of_one_type(
+    data: PositionData,
+    known: Equations,
+    found: Found,
+    types: Sequence[str],
+    moves: Tensor,
+    windows: Windows,
+) -> tuple[Equations, tuple[str, ...]]:
+    """Joints of one type drawn together, with a sentence for each that would then follow worse: it
+    stays as it was fitted."""
+    kinds, odd = list(types), list[str]()
+    before = losses_of(data, found.servos, windows).sum(0)
+    for _ in range(len(kinds)):
+        drawn = pooled(known, kinds, moves)
+        # What is left over of the small steps that equations do not know of.
+        servos = fit(data, drawn.servos, found.free, windows, iterations=1)
+        after = losses_of(data, servos, windows).sum(0)
+        worse = (after - before) / before.clamp(min=1e-300) * moves
+        j = int(worse.argmax())
+        if not float(worse[j]) > WORSE or not kinds[j]:
+            return replace(drawn, servos=servos), tuple(odd)
+        odd.append(
+            f"joint {j + 1} is not like the others of type {kinds[j]}: with their numbers its "
+            f"error grows by {100 * ((1 + float(worse[j])) ** 0.5 - 1):.0f} %, so it keeps its own."
+        )
+        kinds[j] = ""
+    return known, tuple(odd)
 
 
 def answer(robot: Robot, log: Log) -> tuple[PositionData, Found]:
@@ -410,7 +457,9 @@ def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, 
         if not effect.parameters:
             gain, total = gain.sum(1, keepdim=True).expand(-1, n), total.sum().expand(n)
         often = _mostly(gain) if effect.family == "world" else _sure(gain)
-        keep = on & (gain.sum(0) > SQUARES * total) & (gain.sum(0) > least) & often
+        # A plane is there for all joints or for none.
+        call = least if effect.parameters else least.sum()
+        keep = on & (gain.sum(0) > SQUARES * total) & (gain.sum(0) > call) & often
         if effect.name == "command_delay":
             keep &= found.servos.of("delay") > data.tracks.dt
         worth[effect.name] = without.sum(0), whole.sum(0)
@@ -487,21 +536,29 @@ def _returned(
     return shown, stood, now
 
 
-def _findings(answered: _Answer, known: Equations, windows: Windows) -> tuple[PositionFinding, ...]:
-    """What is named, by what it was worth in windows."""
+def _findings(
+    answered: _Answer, known: Equations, windows: Windows, shares: Tensor
+) -> tuple[PositionFinding, ...]:
+    """What is named, by what it was worth in windows; torques of some joints as shares of kp."""
     data, found, rivals = answered.data, answered.found, answered.rivals
     least = slight(data, windows)
-    seconds = float((windows.length * windows.weight).sum()) * data.tracks.dt
+    rows = float((windows.length * windows.weight).sum()) / known.alike
 
-    def sure(losses: Sequence[Tensor], numbers: int, again: Replication | None = None) -> float:
+    def sure(
+        losses: Sequence[Tensor],
+        numbers: int,
+        again: Replication | None = None,
+        joint: int | slice = slice(None),
+    ) -> float:
         """Of an effect, from losses without it and with it, and the least that calls for one."""
-        without, with_it, slightest = (float(x.sum()) for x in losses)
+        without, with_it, slightest = (float(x[joint].sum()) for x in losses)
         looks = len(EFFECTS) * data.robot.n
+        independent = float(rows[joint].mean())
         return effect_sure(
-            without, with_it, slightest, numbers, again, seconds=seconds, looks=looks
+            without, with_it, slightest, numbers, again, rows=independent, looks=looks
         )
 
-    deviation = known.deviations()
+    deviation = known.deviations(shares)
     looked = float(data.tracks.u.shape[0])
     motions = list(zip(data.log.names, data.log.duration, strict=True))
     out = []
@@ -556,23 +613,27 @@ def _findings(answered: _Answer, known: Equations, windows: Windows) -> tuple[Po
                 p, k = PARAMETERS[INDEX[key]], known.names.index(key)
                 # Commands are simulated along straight lines; that they are held until the next one
                 # makes them half a sample late on average, which is no delay of its own.
-                held = 0.5 * data.tracks.dt if key == "delay" else 0.0
+                held = 0.5 * data.held if key == "delay" else 0.0
                 value = float(found.servos.of(key)[j]) - held
+                unit, name_of = p.unit, key
+                if bool(shares[j]) and key in TORQUES:
+                    value /= float(found.servos.of("kp")[j])
+                    unit, name_of = PER_KP[unit], as_share(key)
                 spread = value_interval(key, value, float(deviation[j, k]))
-                sizes.append(Size(key, p.unit, value, spread))
+                sizes.append(Size(name_of, unit, value, spread))
             ends = float(without[j]), float(with_it[j])
             others = rivals.get((name, j), ())
             neutral = PARAMETERS[INDEX[effect.parameters[0]]].neutral
             again = None
             if sizes and effect.family != "world":
-                again = known.replication(sizes[0].name, j, motions)
+                again = known.replication(sizes[0].name.removesuffix(as_share("")), j, motions)
             if effect.twin and (not effect.twin_below or (sizes and sizes[0].value < neutral)):
                 others += (effect.twin,)
             out.append(
                 PositionFinding(
                     name, effect.family, j + 1, tuple(sizes), *ends, others,
                     effect.meaning, effect.remedy, again,
-                    sure([x[j] for x in (*losses, least)], len(sizes), again),
+                    sure((*losses, least), len(sizes), again, j),
                 )
             )  # fmt: skip
     return tuple(sorted(out, key=lambda f: f.error_with - f.error_without))
@@ -582,7 +643,7 @@ def _ratio_only(known: Equations) -> Tensor:
     """(n,) joints of which a common factor on all torques is hardly told: no load anchors it."""
     # Torques are searched as shares of kp, so that kp alone is that factor.
     k = known.names.index("kp")
-    return known.gram.sum(0)[:, k, k] / TOGETHER < (NOISE / RATIO) ** 2
+    return known.gram.sum(0)[:, k, k] / known.alike < (NOISE / RATIO) ** 2
 
 
 def _accuracies(

@@ -138,8 +138,10 @@ class PositionDiagnosis(Diagnosis):
         data: the motions.
         servos: the answered model, fitted to all of them.
         findings: effects beside a plain servo, those that close most first.
-        gains: (n,) kp [N m/rad] with (n, 2) its 95 % interval; NaN of joints that never move.
-        ratio_only: (n,) joints of which torques are known up to one factor.
+        gains: (n,) kp [N m/rad] with (n, 2) its 95 % interval; NaN of joints that never move, and
+            of those of which ratios alone are known.
+        ratio_only: (n,) joints of which torques are known up to one factor: findings have them as
+            shares of kp (`kd/kp`), and those of `servos` are one choice of many.
         commanded: the position is the command.
         plain_servo: one with gain, damping, dry friction, inertia, delay and offset, held out.
         answered: the answered model, held out.

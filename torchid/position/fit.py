@@ -27,8 +27,9 @@ LARGE = 0.03
 """Position error from which it counts less than its square [rad]."""
 LOOSE = 1.0
 """Standard deviation of the prior of a logarithm about where the fit starts [1]."""
-TOGETHER = 50
-"""Samples whose errors are alike: of one second at 50 Hz [1]."""
+TOGETHER_S = 1.0
+"""Time for which errors are taken to be alike while servos are sought [s]; how well they are known
+then follows from what is left (`judge.alike_rows`)."""
 DAMPINGS = (0.0, 1.0, 10.0, 100.0)
 LONGEST = 0.7
 """Longest step of a logarithm [1]."""
@@ -208,14 +209,17 @@ def weights(residual: Tensor, windows: Windows) -> Tensor:
     return LARGE / residual.abs().clamp(min=LARGE) * windows.weight[:, None]
 
 
-def prior_precision(names: tuple[str, ...], square: Float[Tensor, " n"]) -> Float[Tensor, "n K"]:
+def prior_precision(
+    names: tuple[str, ...], square: Float[Tensor, " n"], rows: float | Tensor
+) -> Float[Tensor, "n K"]:
     """Of the searched coordinates, in units of a squared position error.
 
     Args:
         names: of the K parameters.
         square: mean square error of each joint [rad^2], which a prior is weighed against.
+        rows: one after the other, or (n, 1), whose errors are alike [1].
     """
-    return TOGETHER * square.clamp(FINEST**2, NOISE**2)[:, None] / prior_deviations(names) ** 2
+    return rows * square.clamp(FINEST**2, NOISE**2)[:, None] / prior_deviations(names) ** 2
 
 
 def prior_deviations(names: tuple[str, ...]) -> Float[Tensor, " K"]:
@@ -264,7 +268,8 @@ def fit(
         logs = torch.tensor([PARAMETERS[i].kind == "log" for i in at.tolist()])
         s = sensitivities(data, servos, names, windows, plane=plane)
         w = weights(s.residual, windows)
-        precision = prior_precision(names, mean_square(s.residual, w, windows))
+        square = mean_square(s.residual, w, windows)
+        precision = prior_precision(names, square, TOGETHER_S / data.tracks.dt)
         here = searched(servos)
         a = (s.slope * w.sqrt()[..., None]).flatten(0, 1).transpose(0, 1)
         b = (s.residual * w.sqrt()).flatten(0, 1).T

@@ -1,9 +1,9 @@
 """How well servos are known: by how much motions disagree, and by how much noise alone allows.
 
 Per motion, the normal equations of every joint at the fitted servos tell where that motion pulls;
-their spread is a jackknife with motions as blocks (see `statistics.jackknife`). A parameter that
-one motion alone tells has no such spread: there what is left in the windows, alike within a second,
-is its noise. The larger answer counts.
+their spread is a jackknife with motions as blocks (see `statistics.jackknife`). Of few motions, or
+one alone, that variance is hardly known: it is drawn towards the noise's, alike for as long as its
+correlation says, times what is usual on the arm's other numbers (Smyth 2004).
 """
 
 import math
@@ -15,7 +15,6 @@ from torch import Tensor
 
 from torchid.position.data import SMALL, PositionData
 from torchid.position.fit import (
-    TOGETHER,
     huber,
     mean_square,
     prior_deviations,
@@ -27,11 +26,14 @@ from torchid.position.fit import (
 from torchid.results.replication import MotionScale, Replication, replication_of
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import Windows
-from torchid.statistics.jackknife import jackknife
+from torchid.statistics.autocorrelation import integrated_time
+from torchid.statistics.jackknife import jackknife, student_quantile
 from torchid.statistics.proportion import HALF_95
-from torchid.typing import Float, Int
+from torchid.typing import Bool, Float, Int
 
 FOLDS = 5
+USUAL = 2.0
+"""Motions that what is usual on an arm counts as, beside a number's own [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,9 @@ class Equations:
         mask: (n, K) where each is free.
         gram: (m, n, K, K), pull: (m, n, K) of motions.
         square: (n,) mean square error [rad^2].
+        alike: (n,) rows, one after the other, whose errors are as good as one [1].
+        torque_std: (n,) of the scale of all torques of a joint, which the robot's masses have [1].
+        given: (n, K, K) covariances that are known already; None: as the equations tell.
     """
 
     servos: Servos
@@ -52,6 +57,19 @@ class Equations:
     gram: Tensor
     pull: Tensor
     square: Tensor
+    alike: Tensor
+    torque_std: Tensor
+    given: Tensor | None = None
+
+    @property
+    def noise(self) -> Float[Tensor, " n"]:
+        """Mean square error of rows as if each were independent [rad^2]."""
+        return self.alike * self.square
+
+    @property
+    def prior(self) -> Float[Tensor, "n K"]:
+        """Precision of what was expected."""
+        return prior_precision(self.names, self.square, self.alike[:, None])
 
     def replication(
         self, name: str, joint: int, motions: Sequence[tuple[str, float]]
@@ -66,7 +84,7 @@ class Equations:
         """
         on, k = self.mask[joint], int(self.mask[joint, : self.names.index(name)].sum())
         grams, pulls = self.gram[:, joint][:, on][:, :, on], self.pull[:, joint, on]
-        prior = prior_precision(self.names, self.square)[joint, on]
+        prior = self.prior[joint, on]
         # Along this direction the joint's other numbers make up for what they can: what is left is
         # this parameter's alone.
         unit = torch.eye(int(on.sum()), dtype=grams.dtype)[k]
@@ -75,7 +93,7 @@ class Equations:
         p = PARAMETERS[INDEX[name]]
         found = float(searched(self.servos)[joint, INDEX[name]]) - p.neutral
         size = 1.0 if p.kind == "log" else found
-        noise = TOGETHER * float(self.square[joint])
+        noise = float(self.noise[joint])
         scales = []
         for (motion, end), gram, pull in zip(motions, grams, pulls, strict=True):
             # How far the parameter must go in this motion until nothing pulls along it.
@@ -86,34 +104,53 @@ class Equations:
                 scales.append(MotionScale(motion, 0.0, end, 1.0 + step, std))
         return replication_of(scales)
 
-    def deviations(self) -> Float[Tensor, "n K"]:
+    def deviations(self, shares: Bool[Tensor, " n"] | None = None) -> Float[Tensor, "n K"]:
         """Half of the 95 % intervals (n, K) over that of a normal variable; of logarithms where
-        parameters are searched so."""
-        return self.covariances().diagonal(dim1=1, dim2=2).sqrt()
+        parameters are searched so.
 
-    def covariances(self) -> Float[Tensor, "n K K"]:
+        Args:
+            shares: joints of which torques are told as shares of kp.
+        """
+        return self.covariances(shares).diagonal(dim1=1, dim2=2).sqrt()
+
+    def covariances(self, shares: Bool[Tensor, " n"] | None = None) -> Float[Tensor, "n K K"]:
         """Of what `deviations` tells, joint by joint; zeros of what is not free."""
-        to, prior = self.to_values(), torch.diag_embed(prior_precision(self.names, self.square))
-        out = torch.zeros(*self.mask.shape, len(self.names), dtype=self.gram.dtype)
-        for j, on in enumerate(self.mask):
-            if not bool(on.any()):
-                continue
-            # The prior is one block more, which pulls nowhere.
-            grams = torch.cat([self.gram[:, j], prior[j][None]])[:, on][:, :, on]
-            pulls = self.pull[:, j, on] - self.pull[:, j, on].mean(0)
-            pulls = torch.cat([pulls, torch.zeros_like(pulls[:1])])
-            noise = TOGETHER * float(self.square[j])
-            found = jackknife(grams, pulls, variance=noise, combinations=to[j][:, on])
-            by_motions = found.std * found.quantile() / HALF_95
-            inverse = torch.linalg.inv(grams.sum(0))
-            white = to[j][:, on] @ inverse @ to[j][:, on].T * noise
-            by_noise = white.diagonal().clamp(min=0).sqrt()
-            std = torch.where(on, torch.maximum(by_motions, by_noise), 0.0)
-            # How numbers vary together, as motions and noise say it, at the larger of their sizes.
-            both = found.covariance + white
-            unit = 1 / both.diagonal().clamp(min=1e-300).sqrt()
-            out[j] = both * unit * unit[:, None] * std * std[:, None]
-        return out
+        if self.given is not None:
+            way = self.to_values(shares) @ torch.linalg.inv(self.to_values())
+            return way @ self.given @ way.mT
+        to, own = self.to_values(shares), self.mask.nonzero()[:, 0].unique().tolist()
+        out, both, freedom = torch.zeros_like(to), {}, self.noise.new_zeros(self.mask.shape)
+        for j in own:
+            # In units of the noise, where what was expected is given.
+            on, noise, way = self.mask[j], self.noise[j].clamp(min=1e-300), to[j][:, self.mask[j]]
+            grams = self.gram[:, j][:, on][:, :, on] / noise
+            pulls = (self.pull[:, j, on] - self.pull[:, j, on].mean(0)) / noise
+            prior = (self.prior[j, on] / noise).diag()
+            found = jackknife(grams, pulls, variance=1.0, combinations=way, known=prior)
+            white = way @ torch.linalg.inv(grams.sum(0) + prior) @ way.T
+            both[j] = white, found.covariance
+            freedom[j, on] = torch.where(found.by_one_block, 0.0, found.freedom)[on]
+        by_noise, by_motions = (
+            torch.stack(
+                [both[j][k].diagonal() if j in both else out[j, 0] for j in range(len(out))]
+            )
+            for k in (0, 1)
+        )
+        # How far the arm's motions disagree beyond noise: few motions tell little of one number.
+        ratio = (freedom * by_motions / by_noise.clamp(min=1e-300)).sum() / freedom.sum()
+        usual = by_noise * float(ratio.nan_to_num(1.0).clamp(min=1.0))
+        sure = USUAL + freedom
+        variance = (USUAL * usual + freedom * by_motions) / sure
+        wide = student_quantile(0.95, sure.flatten()).view_as(sure) / HALF_95
+        std = torch.maximum(variance.sqrt() * wide, by_noise.clamp(min=0).sqrt()) * self.mask
+        for j in own:
+            # How numbers vary together, as motions and noise say it, at those sizes.
+            together = both[j][0] + both[j][1]
+            unit = std[j] / together.diagonal().clamp(min=1e-300).sqrt()
+            out[j] = together * unit * unit[:, None]
+        # With other masses all torques would be others.
+        scale = to[:, :, self.names.index("kp")] * self.torque_std[:, None] * self.mask
+        return out + scale[:, :, None] * scale[:, None]
 
     def expected(self) -> Float[Tensor, "n K K"]:
         """The same of what is left open where values were expected near to these before any motion
@@ -126,27 +163,40 @@ class Equations:
             out[j][on[:, None] & on] = ((rest + rest.T) / 2).flatten()
         return out
 
-    def to_values(self) -> Float[Tensor, "n K K"]:
+    def to_values(self, shares: Bool[Tensor, " n"] | None = None) -> Float[Tensor, "n K K"]:
         """Changes of parameters, logarithms of what is searched so, by searched coordinates, in
-        which torques are shares of kp."""
+        which torques are shares of kp, and stay so on some joints."""
         size = len(self.names)
         out = torch.eye(size, dtype=self.gram.dtype).repeat(self.servos.n, 1, 1)
         gain, k = self.servos.of("kp"), self.names.index("kp")
+        whole = torch.ones_like(gain, dtype=torch.bool) if shares is None else ~shares
         for row, name in enumerate(self.names):
             if name not in TORQUES or name == "kp":
                 continue
             if PARAMETERS[INDEX[name]].kind == "log":
-                out[:, row, k] = 1.0
+                out[:, row, k] = 1.0 * whole
             else:
-                out[:, row, row] = gain / SMALL
-                out[:, row, k] = self.servos.of(name)
+                out[:, row, row] = torch.where(whole, gain, 1.0) / SMALL
+                out[:, row, k] = self.servos.of(name) * whole
         return out
 
 
 def equations(
-    data: PositionData, servos: Servos, free: Mapping[str, Tensor], windows: Windows
+    data: PositionData,
+    servos: Servos,
+    free: Mapping[str, Tensor],
+    windows: Windows,
+    *,
+    trusted: bool = True,
 ) -> Equations:
-    """Normal equations by motion; Huber's weights bound what a rare event can do."""
+    """Normal equations by motion; Huber's weights bound what a rare event can do.
+
+    Args:
+        data: motions.
+        servos, free: where, and what is free on which joints.
+        windows: of the motions.
+        trusted: whether the masses of the robot's file are what they are said to be.
+    """
     names = tuple(free)
     s = sensitivities(data, servos, names, windows)
     w = weights(s.residual, windows)
@@ -159,7 +209,17 @@ def equations(
     pull = torch.zeros(*shape, len(names), dtype=a.dtype)
     pull.index_add_(0, windows.motion, torch.einsum("lwnk,lwn->wnk", a, b))
     mask = torch.stack([free[name] for name in names], 1)
-    return Equations(servos, names, mask, gram, pull, mean_square(s.residual, w, windows))
+    alike, square = alike_rows(s.residual, windows), mean_square(s.residual, w, windows)
+    unsure = torch.zeros_like(square) if trusted else data.torque_std
+    return Equations(servos, names, mask, gram, pull, square, alike, unsure)
+
+
+def alike_rows(residual: Float[Tensor, "L W n"], windows: Windows) -> Float[Tensor, " n"]:
+    """Integrated autocorrelation times of what is left in windows, of mean zero [rows]."""
+    ends = windows.length.cumsum(0).tolist()
+    bounds = [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+    inside = torch.arange(len(residual))[:, None] < windows.length
+    return integrated_time(residual.transpose(0, 1)[inside.T].T, bounds, centred=False)
 
 
 def folds_of(motions: int, count: int = FOLDS) -> Int[Tensor, " m"]:

@@ -16,7 +16,7 @@ from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.checks import check_joints
 from torchid.log.model import Log
 from torchid.log.readers import each_log
-from torchid.position.data import STILL, WINDOW_S, tracks_of
+from torchid.position.data import RATE_S, STILL, WINDOW_S, tracks_of
 from torchid.results.record import Part, Record, Result, Rows
 from torchid.robot.model import Robot
 from torchid.robot.writer import robot_yaml
@@ -31,8 +31,6 @@ from torchid.typing import Bool, Float, Tensor
 KEY = "servos"
 SAME_RATE = 0.01
 """Sampling intervals that differ by no more are one [1]."""
-_BEFORE = 4
-"""Samples before a start from which its velocity is told [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +288,8 @@ def accuracy(arm: ServoArm, log: Log, moving: Bool[Tensor, " n"]) -> tuple[float
 def _velocities(q: Tensor, tracks: Tracks, windows: Windows) -> Tensor:
     """(W, n) velocities at starts, from what was measured until then; at rest where a motion
     begins [rad/s]."""
-    before = torch.maximum(windows.start - _BEFORE, tracks.first[windows.motion])
+    back = max(1, round(RATE_S / tracks.dt))
+    before = torch.maximum(windows.start - back, tracks.first[windows.motion])
     seconds = (windows.start - before).clamp(min=1)[:, None] * tracks.dt
     dq = (q[windows.start] - q[before]) / seconds
     return torch.where(dq.abs() < STILL, 0.0, dq)

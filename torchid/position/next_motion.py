@@ -8,7 +8,7 @@ would be known; those that help the open ones most are taken one after the other
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from torchid.parallel.workers import Progress
 from torchid.position.data import WINDOW_S, prepare
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.effects import BY_NAME, CORE
-from torchid.position.fit import TOGETHER, prior_precision
+from torchid.position.fit import TOGETHER_S
 from torchid.position.judge import Equations, equations
 from torchid.position.model import ServoArm, replay
 from torchid.position.record import PositionRecord
@@ -32,10 +32,10 @@ from torchid.position.rods import with_rods
 from torchid.results.files import read_as
 from torchid.results.record import Joint, Part, Real, Record, Result, Rows
 from torchid.robot.model import Robot
-from torchid.simulation.servo import INDEX, PARAMETERS, Servos
+from torchid.simulation.servo import INDEX, PARAMETERS, Servos, as_share
 from torchid.simulation.servo_loop import windows_of
 from torchid.statistics.proportion import HALF_95
-from torchid.typing import Float, Tensor
+from torchid.typing import Bool, Float, Tensor
 
 MOTIONS = 4
 """That are written."""
@@ -176,13 +176,17 @@ def next_commands(
     asked = _asked(found, servos, still)
     free = _free(servos, {name for _, name in asked}, still)
     told = equations(data, servos, free, windows_of(data.tracks, WINDOW_S))
+    # Noise as large as what the diagnosis left.
     left = torch.tensor([1e-3 * joint.answered_mrad for joint in found.where.joints])
     square = left.to(torch.float64).nan_to_num(1e-3).clamp(min=1e-4).square()
-    start = _start(told, square, asked)
+    alike = torch.full_like(square, TOGETHER_S / data.tracks.dt)
+    told = replace(told, square=square, alike=alike)
+    shares = torch.tensor([joint.ratio_only for joint in found.where.joints])
+    start = _start(told, asked, shares)
     places = [(j, told.names.index(name)) for j, name in asked if name in told.names]
     places = places or told.mask.nonzero().tolist()
-    chosen = _chosen(told, start, square, places)
-    after = _deviations(told, start + told.gram[chosen].sum(0), square)
+    chosen = _chosen(told, start, places, shares)
+    after = _deviations(told, start + told.gram[chosen].sum(0), shares)
     opened = tuple(
         OpenParameter(
             joint=j, parameter=name, why=why, now=now,
@@ -280,8 +284,8 @@ def _asked(
     every = [j for j in range(servos.n) if not bool(still[j])]
     for effect in found.which:
         joints = effect.joints or every
-        for name, (low, high) in effect.ci95.items():
-            value = effect.parameters[name]
+        for told, (low, high) in effect.ci95.items():
+            value, name = effect.parameters[told], told.removesuffix(as_share(""))
             if name not in INDEX or not math.isfinite(value):
                 continue
             log = PARAMETERS[INDEX[name]].kind == "log"
@@ -311,36 +315,34 @@ def _free(servos: Servos, asked: set[str], still: Tensor) -> dict[str, Tensor]:
 
 
 def _start(
-    told: Equations,
-    square: Float[Tensor, " n"],
-    asked: Mapping[tuple[int, str], tuple[str, float]],
+    told: Equations, asked: Mapping[tuple[int, str], tuple[str, float]], shares: Bool[Tensor, " n"]
 ) -> Float[Tensor, "n K K"]:
     """Normal equations of the prior, and of what the diagnosis knows of the open parameters."""
-    gram, to = torch.diag_embed(prior_precision(told.names, square)), told.to_values()
+    gram, to = torch.diag_embed(told.prior), told.to_values(shares)
     for (j, name), (_, half) in asked.items():
         if name in told.names and half > 0:
             row = to[j, told.names.index(name)]
-            gram[j] += TOGETHER * square[j] * (HALF_95 / half) ** 2 * torch.outer(row, row)
+            gram[j] += told.noise[j] * (HALF_95 / half) ** 2 * torch.outer(row, row)
     return gram
 
 
 def _deviations(
-    told: Equations, gram: Float[Tensor, "n K K"], square: Float[Tensor, " n"]
+    told: Equations, gram: Float[Tensor, "n K K"], shares: Bool[Tensor, " n"]
 ) -> Float[Tensor, "n K"]:
-    """Standard deviations of parameters by noise as large as what the diagnosis left, alike for a
-    second; what is not free is held."""
-    on, to = told.mask, told.to_values()
+    """Standard deviations of parameters, of some joints as shares of kp; what is not free is
+    held."""
+    on, to = told.mask, told.to_values(shares)
     held = gram * on[:, :, None] * on[:, None] + torch.diag_embed((~on).to(gram))
     inverse = torch.linalg.inv(held) * on[:, :, None] * on[:, None]
     variance = (to @ inverse @ to.mT).diagonal(dim1=-2, dim2=-1).clamp(min=0)
-    return (TOGETHER * square[:, None] * variance).sqrt()
+    return (told.noise[:, None] * variance).sqrt()
 
 
 def _chosen(
     told: Equations,
     gram: Float[Tensor, "n K K"],
-    square: Float[Tensor, " n"],
     places: Sequence[Sequence[int]],
+    shares: Bool[Tensor, " n"],
 ) -> list[int]:
     """The motions that lower the logarithms of the deviations of these places (joint, parameter)
     most, one after the other."""
@@ -349,7 +351,7 @@ def _chosen(
     for _ in range(min(MOTIONS, len(told.gram))):
         left = [k for k in range(len(told.gram)) if k not in chosen]
         scores = [
-            float(_deviations(told, gram + told.gram[k], square)[joints, columns].log().sum())
+            float(_deviations(told, gram + told.gram[k], shares)[joints, columns].log().sum())
             for k in left
         ]
         chosen.append(left[scores.index(min(scores))])

@@ -1,11 +1,11 @@
 """What a servo is said to be: values from its maker's tables or its user, beside what is found.
 
 Nominal only: a maker's torque is that of a new servo at its supply's voltage, without friction.
-Nothing that is found depends on it.
+What is found depends on it in one way: servos of one name are units of one type.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ from torchid.robot.yaml_values import parsed_yaml
 from torchid.simulation.servo import INDEX, NAMES, PARAMETERS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 UNKNOWN = "unknown"
 FITTED = "earlier fit"
@@ -88,7 +88,8 @@ def read_servos(text: str, n: int) -> tuple[NominalServo, ...]:
     """Servos from a text: `STS3215`, `XL330 gain=400`, `kp=12 clip=unknown`, for all joints, or one
     a joint with commas between.
 
-    `gain` is the register of the proportional gain; other names are those of
+    Joints with one preset are taken for units of one type; `type=left kp=12` names a type without a
+    preset. `gain` is the register of the proportional gain; other names are those of
     `torchid.simulation.servo.PARAMETERS`, in their units, and `counts` a turn.
 
     Args:
@@ -129,8 +130,10 @@ def _servo(text: str) -> NominalServo:
     values, counts = dict(servo.values), servo.counts
     for word in words:
         name, _, given = word.partition("=")
-        value = None if given == UNKNOWN else _number(word, given)
-        if name == "counts":
+        value = None if given == UNKNOWN or name == "type" else _number(word, given)
+        if name == "type":
+            servo = replace(servo, name=given)
+        elif name == "counts":
             counts = value
         elif name == "gain":
             if value is not None and servo.gain_unit is None:
@@ -144,7 +147,7 @@ def _servo(text: str) -> NominalServo:
                 values["kp"] = value * servo.gain_unit
         elif name not in NAMES:
             raise TorchidError(
-                "a servo has no such value.", got=word, available=["gain", "counts", *NAMES]
+                "a servo has no such value.", got=word, available=["type", "gain", "counts", *NAMES]
             )
         elif value is None:
             values.pop(name, None)
@@ -195,6 +198,12 @@ def nominal_servos(robot: Robot, text: str | None) -> tuple[NominalServo, ...]:
         )
     listed = given if isinstance(given, list) else [given]
     return read_servos(",".join(map(str, listed)), robot.n)
+
+
+def types_of(servos: "Sequence[NominalServo]") -> tuple[str, ...]:
+    """Which servos are units of one type: those of one name, but for what no user has named."""
+    own = (KEY, FITTED, ACTUATOR)
+    return tuple("" if servo.name in own else servo.name for servo in servos)
 
 
 def unit_of(name: str) -> str:

@@ -14,7 +14,7 @@ def effect_sure(
     numbers: int,
     replication: Replication | None = None,
     *,
-    seconds: float,
+    rows: float,
     looks: int,
 ) -> float:
     """Probability of an effect, or of the set with what does as well in its place.
@@ -24,15 +24,15 @@ def effect_sure(
         least: loss that calls for no cause [rad^2].
         numbers: that it has.
         replication: by which factor motions want it; None where that is not asked.
-        seconds: of motion, of which each is one independent error [s].
+        rows: as many independent errors as the motions have [1].
         looks: effects that were looked at, at all joints.
     """
-    risen = seconds * math.log(max(without, 1e-300) / max(with_it, 1e-300))
+    risen = rows * math.log(max(without, 1e-300) / max(with_it, 1e-300))
     ways = []
     if replication is not None and replication.repeats < replication.asked:
         # A servo's effect is not linear: factors count where they differ by more than that makes.
         ways.append([(m.scale, m.std) for m in replication.motions])
-    paid = 2 * math.log(looks / EXPECTED) + numbers * math.log(max(seconds, 2.0))
+    paid = 2 * math.log(looks / EXPECTED) + numbers * math.log(max(rows, 2.0))
     misfit = max(with_it - least, 1e-12 * with_it + 1e-300)
     ratio = (without - with_it) / misfit
     beyond = unknown_rise(ratio, misfit / max(without, misfit), ways)

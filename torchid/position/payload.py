@@ -16,7 +16,7 @@ from torchid.position.fit import (
     HARDLY,
     LONGEST,
     NOISE,
-    TOGETHER,
+    TOGETHER_S,
     errors_of_one,
     fit,
     loss,
@@ -27,6 +27,7 @@ from torchid.position.fit import (
     sensitivities,
     weights,
 )
+from torchid.position.judge import alike_rows
 from torchid.position.search import Found
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
@@ -153,12 +154,13 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
         a = (s.slope * root).flatten(0, 1).transpose(0, 1) * mask[:, None]
         b = (torch.stack(slopes, -1) * root).flatten(0, 1).transpose(0, 1)
         r = (s.residual[..., None] * root).flatten(0, 1).transpose(0, 1)
-        own = torch.where(mask, prior_precision(names, square), 1.0)
+        alike = TOGETHER_S / data.tracks.dt
+        own = torch.where(mask, prior_precision(names, square, alike), 1.0)
         gram = a.mT @ a + torch.diag_embed(own)
         cross, pull = a.mT @ b, a.mT @ r
         # What servos can do in the load's place is no sign of it.
         alone = b - a @ torch.linalg.solve(gram, cross)
-        prior = (TOGETHER * square.clamp(max=NOISE**2).mean() / spread**2).diag()
+        prior = (alike * square.clamp(max=NOISE**2).mean() / spread**2).diag()
         reduced = (alone.mT @ b).sum(0) + prior
         towards = (alone.mT @ r).sum(0)[:, 0] + prior @ x
         step, began = -torch.linalg.solve(reduced, towards), x
@@ -190,7 +192,8 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
             break
     # A search that has not come to rest knows no more than how far it still wants to go.
     left = x - (began + step)
-    std = (_deviations(alone, r, prior, windows).square() + left.square()).sqrt()
+    rows = float(alike_rows(s.residual, windows).mean())
+    std = (_deviations(alone, r, prior, windows, rows).square() + left.square()).sqrt()
     # First moments without a mass are no body: something else bends these joints.
     if not float(x[0]) > HALF_95 * float(std[0]):
         return None
@@ -220,7 +223,9 @@ def _begun(
     return best[1:]
 
 
-def _deviations(columns: Tensor, residual: Tensor, prior: Tensor, windows: Windows) -> Tensor:
+def _deviations(
+    columns: Tensor, residual: Tensor, prior: Tensor, windows: Windows, alike: float
+) -> Tensor:
     """(4,) of mass and first moments, as `Equations.deviations` has those of servos: the larger of
     what motions and what noise tell.
 
@@ -228,6 +233,7 @@ def _deviations(columns: Tensor, residual: Tensor, prior: Tensor, windows: Windo
         columns, residual: (n, L W, 4 or 1), weighted, of every joint.
         prior: (4, 4) precision.
         windows: W of them.
+        alike: rows whose errors are as good as one [1].
     """
     motions = int(windows.motion.max()) + 1
     of = windows.motion.repeat(columns.shape[1] // len(windows.motion))
@@ -235,13 +241,12 @@ def _deviations(columns: Tensor, residual: Tensor, prior: Tensor, windows: Windo
     pulls = torch.zeros(motions, 4, dtype=columns.dtype)
     grams.index_add_(0, of, torch.einsum("jri,jrk->rik", columns, columns))
     pulls.index_add_(0, of, torch.einsum("jri,jr->ri", columns, residual[..., 0]))
-    grams = torch.cat([grams, prior[None]])
-    pulls = torch.cat([pulls - pulls.mean(0), torch.zeros_like(pulls[:1])])
     rows = float((windows.length * windows.weight).sum())
-    noise = TOGETHER * float(residual.square().sum()) / rows / len(columns)
-    found = jackknife(grams, pulls, variance=noise)
-    by_noise = (torch.linalg.inv(grams.sum(0)).diagonal() * noise).sqrt()
-    return torch.maximum(found.std * found.quantile() / HALF_95, by_noise)
+    noise = alike * float(residual.square().sum()) / rows / len(columns)
+    grams, pulls, prior = grams / noise, (pulls - pulls.mean(0)) / noise, prior / noise
+    by_motions = jackknife(grams, pulls, variance=1.0, known=prior).widened()
+    by_noise = torch.linalg.inv(grams.sum(0) + prior)
+    return torch.maximum(by_motions.diagonal(), by_noise.diagonal()).sqrt()
 
 
 def _carrying(data: PositionData, mass: float, com: Tensor) -> Robot:

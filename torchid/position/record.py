@@ -13,9 +13,10 @@ from torchid.typing import Float, Tensor
 
 
 class JointRecord(Part, frozen=True, kw_only=True):
-    """One joint: errors of whole motions [mrad of the log's unit], its gain [N m/rad]; missing in
-    files of older versions: its name, what is too little to look for a cause, and the step of its
-    encoder, as the log shows it [mrad]."""
+    """One joint: errors of whole motions [mrad of the log's unit], its gain [N m/rad], null where
+    torques are known as shares of it alone (`ratio_only`); missing in files of older versions: its
+    name, what is too little to look for a cause, and the step of its encoder, as the log shows it
+    [mrad]."""
 
     joint: Joint
     name: str = ""
@@ -134,7 +135,8 @@ class PositionRecord(
         robot: its name. motions: how many.
         status: `explained`, `partly_explained`, `detected_unexplained` or `no_gap`.
         where, which, how_far: the answer.
-        servos: its model. log_scale: (n,) from the log's unit to rad or m.
+        servos: its model; the torques of a joint with `ratio_only` are one choice of many.
+        log_scale: (n,) from the log's unit to rad or m.
         warnings: sentences for the user.
         seconds: that it took.
         held_out: errors of a log that took part in nothing.

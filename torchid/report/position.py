@@ -29,7 +29,8 @@ from torchid.report.panels import (
 from torchid.report.repeats import error_figure, repeats_picture
 from torchid.report.table import Shown, Table, cell
 from torchid.results.replication import times
-from torchid.results.words import effect_words, regime_words, within
+from torchid.results.words import effect_words, regime_words, unit_behind, within
+from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, TORQUES, as_share
 
 WORST = 3
 """Joints that get a figure of their own."""
@@ -104,13 +105,14 @@ def where_table(record: PositionRecord) -> Table:
             float(far.plain.windows_per_joint[j.joint]),
             float(far.answered.windows_per_joint[j.joint]),
         )  # fmt: skip
-        gain = f"{j.kp:.1f}" + (" (ratio)" if j.ratio_only else "")
+        gain = "ratio" if j.ratio_only else f"{j.kp:.1f}"
         cells = ["-"] * 6 if j.never_moves else [*(f"{x:.1f}" for x in levels), gain]
         joints.append((str(j.joint + 1), j.name, *cells))
     servos = ("plain servo", "corrected", "plain, 2 s", "corrected, 2 s")
     columns = ("joint", "name", "command", *servos, "kp")
     note = (
-        "kp [N m/rad]; (ratio): without a load on the joint its torques are known up to one factor"
+        "kp [N m/rad]; ratio: no load anchors the joint's torques, which are known as shares of kp "
+        "alone"
     )
     return Table("Position error of motions left out [mrad]", columns, joints, "rl", note)
 
@@ -163,14 +165,19 @@ def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> T
         place = (str(j + 1), servo.servo)
         own = [f for f in record.which if f.joints == (j,)]
         found = {name: (f.parameters[name], f.ci95[name]) for f in own for name in f.parameters}
-        if not joint.never_moves:
+        if not joint.never_moves and not joint.ratio_only:
             found["kp"] = (joint.kp, joint.kp_ci95)
         for name in dict.fromkeys([*servo.values, *servo.register_units]):
             stated = servo.values.get(name)
-            if name not in found and stated is None:
+            if not {name, as_share(name)} & found.keys() and stated is None:
                 continue
             text = "never moves" if joint.never_moves else "not needed"
-            if name in found:
+            if joint.ratio_only and name in TORQUES and not joint.never_moves:
+                text = "as a share of kp alone"
+                if as_share(name) in found:
+                    unit = unit_behind(PER_KP[PARAMETERS[INDEX[name]].unit])
+                    text = f"{as_share(name)} {_size(*found[as_share(name)], unit)}"
+            elif name in found:
                 value, ends = found[name]
                 text = _size(value, ends, unit_of(name))
                 if name in servo.register_units:
@@ -183,7 +190,7 @@ def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> T
             rows.append((*place, "resolution", step, f"{joint.resolution_mrad:.3g} mrad"))
     note = (
         "nominal: makers' tables for a new servo at its supply's voltage, or the earlier fit or "
-        "the actuators in the robot's file; nothing found depends on it"
+        "the actuators in the robot's file; servos of one name are taken for units of one type"
     )
     title = "Servos: nominal values, and what was found (95 %)"
     return Table(title, ("joint", "servo", "value", "nominal", "found"), rows, "rllpp", note)

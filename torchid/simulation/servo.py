@@ -73,6 +73,13 @@ PLANE = ("x", "y", "z", "height", "stiffness")
 
 TORQUES = tuple(p.name for p in PARAMETERS if p.unit.startswith("N m") or p.name == "armature")
 """What is multiplied by one factor when all torques are."""
+PER_KP = {"N m": "rad", "N m s/rad": "s", "N m/(rad s)": "1/s", "kg m^2": "s^2", "N m/rad": "1"}
+"""Units of torques as shares of kp."""
+
+
+def as_share(name: str) -> str:
+    """What the share of kp is called that is known where a torque itself is not: `kd/kp`."""
+    return f"{name}/kp"
 
 
 @dataclass(frozen=True, eq=False)
