@@ -7,9 +7,9 @@ from tests.gap.motions import ROBOT
 from torchid.design.bodies import (
     Bodies,
     Prior,
-    nearest_to,
     _by_newton,
     links_near,
+    nearest_to,
     some_body,
     together,
     usual_bodies,
