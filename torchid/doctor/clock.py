@@ -48,8 +48,10 @@ def check_values(log: Log) -> Check:
     bad = ~torch.isfinite(log.t)
     counts = {}
     for name, signal in log.signals.items():
-        empty = [k for k in range(log.n) if not torch.isfinite(signal[:, k]).any()]
-        if empty:
+        wrong = ~torch.isfinite(signal)
+        if not bool(wrong.any()):
+            continue
+        if empty := wrong.all(0).nonzero().flatten().tolist():
             columns = ", ".join(f"{PREFIXES[name]}{k + 1}" for k in empty)
             raise LogError(
                 f"log '{log.source}': no row has a number in {columns}.",
@@ -57,10 +59,8 @@ def check_values(log: Log) -> Check:
                 expected=f"measured values, or no {PREFIXES[name]} columns",
                 hint=f'leave them out: `columns="{PREFIXES[name]}=none"`' if name != "q" else None,
             )
-        wrong = ~torch.isfinite(signal)
         bad |= wrong.any(1)
-        if wrong.any():
-            counts[name] = int(wrong.sum())
+        counts[name] = int(wrong.sum())
     rows = bad.nonzero().flatten().tolist()
     if not rows:
         return said("values", "fine")

@@ -254,14 +254,15 @@ def check_jumps(robot: Robot, log: Log) -> Check:
     # Angles within one turn that step by a whole one, however often.
     step = torch.cat([part.q.diff(dim=0).abs() for part in log.trajectories()])
     extent = log.q.amax(0) - log.q.amin(0)
-    turn = _turn(extent, step)
+    largest = step.amax(0)
+    turn = _turn(extent, largest)
     found = [
         *[
             f"q{k + 1} steps by a whole turn {int((step[:, k] > 0.9 * turn).sum())} times"
             for k, kind in enumerate(robot.joint_types)
             if kind is JointType.REVOLUTE
             and float(extent[k]) < 1.01 * turn
-            and bool((step[:, k] > 0.9 * turn).any())
+            and float(largest[k]) > 0.9 * turn
         ],
         *position_jumps(log),
     ]
@@ -285,11 +286,10 @@ def check_jumps(robot: Robot, log: Log) -> Check:
 
 def _turn(extent: Tensor, step: Tensor) -> float:
     """What a whole turn is in the unit of the positions: nearly the largest extent of a joint, and
-    nearly its largest step, where angles are wrapped."""
-    wrapped = (step.amax(0) > 0.9 * extent) & (extent > 0)
+    nearly its largest step (n,), where angles are wrapped."""
+    wrapped = (step > 0.9 * extent) & (extent > 0)
     for turn in (_TURN, 360.0, 3600.0, 36000.0, *(2.0**k for k in range(9, 25))):
-        near_turn = (extent <= 1.01 * turn) & (step.amax(0) > 0.9 * turn)
-        if bool((wrapped & near_turn).any()):
+        if bool((wrapped & (extent <= 1.01 * turn) & (step > 0.9 * turn)).any()):
             return turn
     return _TURN
 
