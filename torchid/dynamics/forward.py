@@ -49,15 +49,7 @@ def mass_matrix(
     """
     robot = as_robot(robot)
     (q,) = joint_signals(robot.n, q=q)
-    if _is_small(q, parameters):
-        return _posture(robot, q, parameters).mass_matrix()
-    geometry = replace(chain_geometry(robot), gravity=ZERO)
-    still = [0.0] * robot.n
-    columns = []
-    for j in range(robot.n):
-        unit = [1.0 if k == j else 0.0 for k in range(robot.n)]
-        columns.append(_torques(robot, geometry, q, still, unit, parameters))
-    return torch.stack(columns, -1)
+    return _posture(robot, q, parameters, SMALL_BATCH).mass_matrix()
 
 
 def bias_torque(
@@ -67,20 +59,14 @@ def bias_torque(
     parameters: InertialParameters | None = None,
 ) -> Joints:
     """S(q, dq) dq + g(q) (..., n) [N m]."""
-    if _is_small(torch.broadcast_tensors(q, dq)[0], parameters, SMALL_BATCH_BIAS):
-        return _posture(robot, q, parameters).torque(dq)
-    rates = list(dq.unbind(-1))
-    return _torques(robot, chain_geometry(robot), q, rates, [0.0] * robot.n, parameters)
+    return _posture(robot, torch.broadcast_tensors(q, dq)[0], parameters, SMALL_BATCH_BIAS).torque(dq)
 
 
 def gravity_torque(
     robot: Robot, q: BroadcastJoints, parameters: InertialParameters | None = None
 ) -> Joints:
     """g(q) (..., n) [N m]."""
-    if _is_small(q, parameters, SMALL_BATCH_BIAS):
-        return _posture(robot, q, parameters).torque(torch.zeros_like(q))
-    still = [0.0] * robot.n
-    return _torques(robot, chain_geometry(robot), q, still, still, parameters)
+    return _posture(robot, q, parameters, SMALL_BATCH_BIAS).torque(torch.zeros_like(q))
 
 
 def forward_dynamics(
@@ -115,11 +101,9 @@ def forward_dynamics(
     """
     robot = as_robot(robot)
     q, dq, tau = joint_signals(robot.n, q=q, dq=dq, tau=tau)
-    if _is_small(torch.broadcast_tensors(q, dq, tau)[0], parameters):
-        posture = _posture(robot, q, parameters)
-        return solve_mass(posture.mass_matrix(), tau - posture.torque(dq))
-    rest = tau - bias_torque(robot, q, dq, parameters)
-    return solve_mass(mass_matrix(robot, q, parameters), rest)
+    whole = torch.broadcast_tensors(q, dq, tau)[0]
+    mass = _posture(robot, q, parameters, SMALL_BATCH).mass_matrix()
+    return solve_mass(mass, tau - bias_torque(robot, q, dq, parameters))
 
 
 def solve_mass(mass: JointMatrix, torque: BroadcastJoints) -> Joints:
@@ -134,27 +118,59 @@ def solve_mass(mass: JointMatrix, torque: BroadcastJoints) -> Joints:
     return torch.cholesky_solve(torque.unsqueeze(-1), factor).squeeze(-1)
 
 
-def _is_small(q: Tensor, parameters: InertialParameters | None, most: int = SMALL_BATCH) -> bool:
+class Components:
+    """One arm, each of whose numbers is a tensor over the batch: what `Arms` is with few kernels,
+    with few operations."""
+
+    def __init__(self, robot: Robot, parameters: InertialParameters | None = None):
+        self._geometry = chain_geometry(robot)
+        self._pi = (parameters or robot.require_parameters("the equations of motion")).pi
+
+    def at(self, q: Joints) -> "ComponentsAt":
+        """The arm at positions q."""
+        return ComponentsAt(self._geometry, self._pi, q)
+
+
+class ComponentsAt:
+    """One arm at positions (..., n), see `Components`."""
+
+    def __init__(self, geometry: ChainGeometry, pi: Tensor, q: Tensor):
+        self._geometry = geometry
+        self._pi = [link.unbind(-1) for link in pi.to(q).unbind(-2)]
+        self._q = q.unbind(-1)
+        # Not torch.broadcast_shapes, whose first call imports sympy: more than a second.
+        self._like = torch.zeros_like(torch.broadcast_tensors(q[..., 0], pi[..., 0, 0])[0])
+
+    def mass_matrix(self) -> JointMatrix:
+        """M(q) [kg m^2], column by column."""
+        n = len(self._q)
+        still, floating = [0.0] * n, replace(self._geometry, gravity=ZERO)
+        columns = [
+            self._torques(floating, still, [1.0 if k == j else 0.0 for k in range(n)])
+            for j in range(n)
+        ]
+        # The half below the diagonal, which no link before the joint has a part in.
+        rows = [[columns[min(i, j)][max(i, j)] for j in range(n)] for i in range(n)]
+        return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+    def torque(self, dq: BroadcastJoints) -> Joints:
+        """S(q, dq) dq + g(q) [N m; N]."""
+        return torch.stack(
+            self._torques(self._geometry, dq.unbind(-1), [0.0] * len(self._q)), -1
+        )
+
+    def _torques(
+        self, geometry: ChainGeometry, dq: Sequence[Scalar], ddq: Sequence[Scalar]
+    ) -> list[Tensor]:
+        torques, _ = forces(geometry, kinematics(geometry, self._q, dq, ddq), self._pi)
+        return [torque + self._like for torque in torques]
+
+
+def _posture(
+    robot: Robot, q: Tensor, parameters: InertialParameters | None, most: int
+) -> Posture | ComponentsAt:
+    """By whichever is faster: with few kernel calls up to so many samples."""
     sets = 1 if parameters is None else parameters.pi[..., 0, 0].numel()
-    return q[..., 0].numel() * sets <= most
-
-
-def _posture(robot: Robot, q: Tensor, parameters: InertialParameters | None) -> Posture:
+    if q[..., 0].numel() * sets > most:
+        return Components(robot, parameters).at(q)
     return arms_of([robot], q, None if parameters is None else [parameters]).at(q)
-
-
-def _torques(
-    robot: Robot,
-    geometry: ChainGeometry,
-    q: Tensor,
-    dq: Sequence[Scalar],
-    ddq: Sequence[Scalar],
-    parameters: InertialParameters | None,
-) -> Tensor:
-    pi = (parameters or robot.require_parameters("the equations of motion")).pi.to(q)
-    links = kinematics(geometry, q.unbind(-1), dq, ddq)
-    components = [link.unbind(-1) for link in pi.unbind(-2)]
-    values, _ = forces(geometry, links, components)
-    # Not torch.broadcast_shapes, whose first call imports sympy: more than a second.
-    like = q.new_zeros(torch.broadcast_tensors(q[..., 0], pi[..., 0, 0])[0].shape)
-    return torch.stack([v + like for v in values], -1)
