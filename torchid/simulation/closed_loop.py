@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 
 import torch
-from scipy.interpolate import CubicHermiteSpline
 from torch import Tensor
 
 from torchid.dynamics.world_frame import arms_of
@@ -147,13 +146,23 @@ def _on_grid(log: Log, rate: float) -> Motion:
     grid = torch.arange(count, dtype=torch.float64) / rate
     if count == len(t) and bool(((t - grid).abs() < 1e-9).all()):
         return Motion(log.q, log.dq, log.ddq, t=grid)
-    at = grid.clamp(max=float(t[-1])).numpy()
-    q, dq = (
-        torch.from_numpy(CubicHermiteSpline(t.numpy(), x.numpy(), rate_of.numpy())(at))
-        for x, rate_of in ((log.q, log.dq), (log.dq, log.ddq))
-    )
-    slope = CubicHermiteSpline(t.numpy(), log.dq.numpy(), log.ddq.numpy()).derivative()
-    return Motion(q, dq, torch.from_numpy(slope(at)), t=grid)
+    at = grid.clamp(max=float(t[-1]))
+    q, _ = _cubic(t, log.q, log.dq, at)
+    return Motion(q, *_cubic(t, log.dq, log.ddq, at), t=grid)
+
+
+def _cubic(
+    t: Float[Tensor, " T"], x: Float[Tensor, "T n"], rate: Float[Tensor, "T n"], at: Float[Tensor, " M"]
+) -> tuple[Float[Tensor, "M n"], Float[Tensor, "M n"]]:
+    """Values and slopes of the cubic through x with these rates (Hermite; not SciPy's, whose import
+    takes as long as a simulation)."""
+    k = (torch.searchsorted(t, at, right=True) - 1).clamp(0, len(t) - 2)
+    step = (t[k + 1] - t[k]).unsqueeze(1)
+    s = (at - t[k]).unsqueeze(1) / step
+    rise, before, after = (x[k + 1] - x[k]) / step, rate[k], rate[k + 1]
+    bend, twist = 3 * rise - 2 * before - after, before + after - 2 * rise
+    value = x[k] + step * s * (before + s * (bend + s * twist))
+    return value, before + s * (2 * bend + 3 * s * twist)
 
 
 def _padded(feeds: Sequence[Tensor]) -> Float[Tensor, "B T n"]:
