@@ -207,12 +207,12 @@ def _on_code(code: Code, task: _Task) -> Course:
     clock: Any = float(task.t[0]) if alone else task.t.numpy()
     feeds = task.feeds[:, 0].tolist() if alone else task.feeds.mT.contiguous().numpy()
     rows = np.full((out.alive.shape[0], len(picked), arms), np.nan)
-    whole = bool(alive.all())
+    dead = ~alive.numpy()
     at = 0
     for k, feed in enumerate(feeds):
         try:
             got = run(*x, clock + k * task.h, *feed, *gains)
-            good = whole and bool(got[-1] if alone else np.all(got[-1]))
+            good = bool(got[-1] if alone else np.all(got[-1] | dead))
         except (ArithmeticError, ValueError):
             good = False
         if not good:
@@ -220,9 +220,12 @@ def _on_code(code: Code, task: _Task) -> Course:
             drive = task.drive._replace(feed=task.feeds[k])
             after, instant = task.plant.step(state, task.h, task.t + k * task.h, drive)
             got, alive = _elements(_outputs(after, instant), arms), after.alive
-            whole = bool(alive.all())
-            if not alive.any():
+            dead = ~alive.numpy()
+            if dead.all():
                 break
+        elif not alone and dead.any():
+            # Arms that have diverged stay where they were.
+            got = [*(np.where(dead, a, b) for a, b in zip(x, got, strict=False)), *got[size:]]
         x = got[:size]
         if k % task.every == task.first:
             for j, place in enumerate(picked):

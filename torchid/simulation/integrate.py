@@ -19,7 +19,7 @@ starts, stops or turns within them.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -192,34 +192,44 @@ def _with_dry_friction(matrix: Tensor, impulse: Tensor, dry: Tensor, dq: Tensor)
     A joint sticks (dq + x = 0) or slides in a known direction; a stuck one that would need more
     than `dry` starts to slide, and one that would slide backwards sticks.
     """
-    if not bool((dry > 0).any()):
-        return _solved(matrix, impulse)
-    change, way = torch.zeros_like(dq), torch.sign(dq)
-    identity = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
-    left = torch.arange(len(dq), device=dq.device)
-    for _ in range(_MOST_CHANGES):
-        has_dry = dry > 0
-        stuck = has_dry & (way == 0)
-        rows = torch.where(stuck.unsqueeze(-1), identity, matrix)
-        free = _solved(rows, torch.where(stuck, -dq, impulse - dry * way))
-        own = torch.where(stuck, -dq, free)
-        change[left] = own
-        needed = impulse - (matrix @ own.unsqueeze(-1)).squeeze(-1)
-        starts = torch.where(needed.abs() > dry, torch.sign(needed), torch.zeros_like(needed))
-        turned = has_dry & ((dq + own) * way < 0)
-        new = torch.where(stuck, starts, torch.where(turned, torch.zeros_like(way), way))
-        again = (new != way).any(-1)
-        if not bool(again.any()):
-            break
-        # Most arms are done; the others go on without them.
-        left, way = left[again], new[again]
-        matrix, impulse, dry, dq = (x[again] for x in (matrix, impulse, dry, dq))
-    return change
+    solved = _active_set(torch, _solved, matrix.movedim(0, -1), impulse.T, dry.T, dq.T)
+    return solved.T  # type: ignore[no-any-return]
 
 
 def _solved(matrix: Tensor, right: Tensor) -> Tensor:
     """Without an error where a matrix is singular: that arm diverges, the others go on."""
-    return torch.linalg.solve_ex(matrix, right.unsqueeze(-1))[0].squeeze(-1)
+    rows = torch.linalg.solve_ex(matrix.movedim(-1, 0), right.T.unsqueeze(-1))[0]
+    return rows.squeeze(-1).T
+
+
+def _active_set(xp: Any, solved: Any, matrix: Any, impulse: Any, dry: Any, dq: Any) -> Any:
+    """The same with arms on the last axis, for the tensors of `torch` or the arrays of `numpy`."""
+    has_dry = dry > 0
+    if not bool(has_dry.any()):
+        return solved(matrix, impulse)
+    n = len(impulse)
+    identity = xp.zeros_like(matrix[:, :, :1])
+    identity[range(n), range(n)] = 1.0
+    change, way, places = xp.zeros_like(dq), xp.sign(dq), xp.arange(dq.shape[1])
+    for _ in range(_MOST_CHANGES):
+        stuck = has_dry & (way == 0)
+        sticks = bool(stuck.any())
+        rows = xp.where(stuck[:, None], identity, matrix) if sticks else matrix
+        right = impulse - dry * way
+        own = solved(rows, xp.where(stuck, -dq, right) if sticks else right)
+        change[:, places] = own
+        new = xp.where(has_dry & ((dq + own) * way < 0), 0.0, way)
+        if sticks:
+            needed = impulse - (matrix * own).sum(1)
+            new = xp.where(stuck, xp.where(abs(needed) > dry, xp.sign(needed), 0.0), new)
+        again = (new != way).any(0)
+        if not bool(again.any()):
+            break
+        # Most arms are done; the others go on without them.
+        places, way = places[again], new[:, again]
+        matrix, has_dry = matrix[:, :, again], has_dry[:, again]
+        impulse, dry, dq = impulse[:, again], dry[:, again], dq[:, again]
+    return change
 
 
 def _of_one(
@@ -286,14 +296,16 @@ def _elimination(n: int) -> Callable[..., tuple[float, ...]]:
 
 def _of_many(*arguments: Sequence[np.ndarray | float]) -> Sequence[np.ndarray]:
     """`_with_dry_friction` of arrays (B,)."""
-    many = max(np.size(x) for argument in arguments for x in argument)
-    whole = [np.empty((many, len(argument))) for argument in arguments]
-    for out, argument in zip(whole, arguments, strict=True):
-        for k, x in enumerate(argument):
-            out[:, k] = x
-    matrix, *others = map(torch.from_numpy, whole)
-    n = others[0].shape[1]
-    return list(_with_dry_friction(matrix.unflatten(1, (n, n)), *others).numpy().T)
+    n, many = len(arguments[1]), max(np.size(x) for x in arguments[1])
+    matrix, *others = (
+        np.array([x if np.ndim(x) else np.full(many, x) for x in argument])
+        for argument in arguments
+    )
+    return list(_active_set(np, _solved_arrays, matrix.reshape(n, n, many), *others))
+
+
+def _solved_arrays(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    return _solved(torch.from_numpy(matrix), torch.from_numpy(right)).numpy()
 
 
 _change_of_speed = Opaque(_with_dry_friction, _of_one, _of_many)
