@@ -59,7 +59,9 @@ def bias_torque(
     parameters: InertialParameters | None = None,
 ) -> Joints:
     """S(q, dq) dq + g(q) (..., n) [N m]."""
-    return _posture(robot, torch.broadcast_tensors(q, dq)[0], parameters, SMALL_BATCH_BIAS).torque(dq)
+    return _posture(robot, torch.broadcast_tensors(q, dq)[0], parameters, SMALL_BATCH_BIAS).torque(
+        dq
+    )
 
 
 def gravity_torque(
@@ -155,9 +157,7 @@ class ComponentsAt:
 
     def torque(self, dq: BroadcastJoints) -> Joints:
         """S(q, dq) dq + g(q) [N m; N]."""
-        return torch.stack(
-            self._torques(self._geometry, dq.unbind(-1), [0.0] * len(self._q)), -1
-        )
+        return torch.stack(self._torques(self._geometry, dq.unbind(-1), [0.0] * len(self._q)), -1)
 
     def _torques(
         self, geometry: ChainGeometry, dq: Sequence[Scalar], ddq: Sequence[Scalar]

@@ -183,7 +183,11 @@ class _Recorder(TorchDispatchMode):
         self._alive.append(x)
 
     def record(
-        self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
+        self,
+        func: Any,
+        types: Any,
+        args: tuple[Any, ...] = (),
+        kwargs: dict[str, Any] | None = None,
     ) -> Any:
         """Run a kernel, and do with the elements what it does with the values."""
         kwargs = kwargs or {}
@@ -392,7 +396,10 @@ def _printed(inputs: Sequence[str], outputs: Sequence[Expression]) -> str:
 
     for node in order:
         parts = [shown(a) for a in node.arguments]
-        source, depth = node.template.format(*(p for p, _ in parts)), 1 + max((d for _, d in parts), default=-1)
+        source, depth = (
+            node.template.format(*(p for p, _ in parts)),
+            1 + max((d for _, d in parts), default=-1),
+        )
         if depth and (uses[id(node)] > 1 or depth > _DEEPEST):
             lines.append(f"    v{node.number} = {source}")
             source, depth = f"v{node.number}", 0
@@ -420,7 +427,11 @@ def _with_few_names(lines: Sequence[str]) -> list[str]:
 def _number(x: Any) -> str:
     if isinstance(x, bool):
         return str(x)
-    return repr(float(x)) if math.isfinite(x) else f"({'-' if x < 0 else ''}{'nan' if x != x else 'inf'})"
+    return (
+        repr(float(x))
+        if math.isfinite(x)
+        else f"({'-' if x < 0 else ''}{'nan' if x != x else 'inf'})"
+    )
 
 
 def _executed(source: str, names: dict[str, Any]) -> Callable[..., tuple[Any, ...]]:
@@ -441,13 +452,51 @@ _ON_FLOATS: dict[str, Callable[..., Any]] = {
     "isfinite": math.isfinite,
     "power": math.pow,
     "sqrt": math.sqrt,
-    **{k: getattr(math, k) for k in ("sin", "cos", "tan", "exp", "expm1", "log", "tanh", "atan2", "atan", "asin", "floor")},
+    **{
+        k: getattr(math, k)
+        for k in (
+            "sin",
+            "cos",
+            "tan",
+            "exp",
+            "expm1",
+            "log",
+            "tanh",
+            "atan2",
+            "atan",
+            "asin",
+            "floor",
+        )
+    },
     **{k: getattr(operator, k) for k in ("lt", "le", "gt", "ge", "eq", "ne")},
     "mod": lambda a, b: a % b,
 }
 _ON_ARRAYS: dict[str, Callable[..., Any]] = {
-    **{k: getattr(np, k) for k in ("where", "maximum", "minimum", "sign", "abs", "isfinite", "power", "sqrt", "sin", "cos", "tan", "exp", "expm1", "log", "tanh", "floor")},
-    "negate": np.logical_not, "atan2": np.arctan2, "atan": np.arctan, "asin": np.arcsin,
+    **{
+        k: getattr(np, k)
+        for k in (
+            "where",
+            "maximum",
+            "minimum",
+            "sign",
+            "abs",
+            "isfinite",
+            "power",
+            "sqrt",
+            "sin",
+            "cos",
+            "tan",
+            "exp",
+            "expm1",
+            "log",
+            "tanh",
+            "floor",
+        )
+    },
+    "negate": np.logical_not,
+    "atan2": np.arctan2,
+    "atan": np.arctan,
+    "asin": np.arcsin,
 }
 
 # What kernels do with elements.
@@ -497,7 +546,9 @@ def _as_is(view: Callable[..., Any]) -> Callable[..., Any]:
     return handler
 
 
-def _slice(m: Mirror, dim: int = 0, start: int | None = None, end: int | None = None, step: int = 1) -> Mirror:
+def _slice(
+    m: Mirror, dim: int = 0, start: int | None = None, end: int | None = None, step: int = 1
+) -> Mirror:
     return m[(slice(None),) * (dim % m.ndim) + (slice(start, end, step),)]
 
 
@@ -527,7 +578,9 @@ def _product(r: _Recorder, a: Any, b: Any) -> Mirror:
     return _sum(r, _each(r, _multiply, a[..., :, :, None], b[..., None, :, :]), -2)
 
 
-def _reduced(operation: Callable[..., Expression], start: Expression = None) -> Callable[..., Mirror]:
+def _reduced(
+    operation: Callable[..., Expression], start: Expression = None
+) -> Callable[..., Mirror]:
     def handler(r: _Recorder, x: Any, dim: Any = None, keepdim: bool = False, **_: Any) -> Mirror:
         m = x if isinstance(x, np.ndarray) else r.mirror(x)
         dims = range(m.ndim) if dim is None or dim == [] else [dim] if isinstance(dim, int) else dim
@@ -551,6 +604,21 @@ def _cumsum(r: _Recorder, x: Tensor, dim: int, **_: Any) -> Mirror:
     for k in range(1, len(along)):
         along[k] = _each(r, _add, along[k - 1], _array(along[k]))
     return m
+
+
+def _norm(
+    r: _Recorder, x: Tensor, order: float = 2, dim: Any = None, keepdim: bool = False
+) -> Mirror:
+    if order != 2:
+        raise NoStraightLine(f"a norm of order {order}")
+    return _each(r, _plain("sqrt"), _sum(r, _each(r, _multiply, x, x), dim, keepdim))
+
+
+def _cross(r: _Recorder, a: Tensor, b: Tensor, dim: int = -1) -> Mirror:
+    one, other = ([np.roll(r.mirror(x), -k, dim) for k in (1, 2)] for x in (a, b))
+    return _each(
+        r, _subtract, _each(r, _multiply, one[0], other[1]), _each(r, _multiply, one[1], other[0])
+    )
 
 
 def _clamp(r: _Recorder, x: Any, low: Any = None, high: Any = None) -> Mirror:
@@ -578,7 +646,13 @@ def _index(r: _Recorder, x: Tensor, indices: Sequence[Tensor | None]) -> Mirror:
     return r.mirror(x)[tuple(slice(None) if i is None else _numbers(r, i) for i in indices)]
 
 
-def _index_put(r: _Recorder, x: Tensor, indices: Sequence[Tensor | None], values: Tensor, accumulate: bool = False) -> Mirror:
+def _index_put(
+    r: _Recorder,
+    x: Tensor,
+    indices: Sequence[Tensor | None],
+    values: Tensor,
+    accumulate: bool = False,
+) -> Mirror:
     if accumulate:
         raise NoStraightLine("index_put with accumulation")
     mirror = r.mirror(x)
@@ -622,7 +696,25 @@ def _unbind(m: Mirror, dim: int = 0) -> list[Mirror]:
     return [_select(m, dim, k) for k in range(m.shape[dim])]
 
 
-_NAMED = ("sin", "cos", "tan", "exp", "expm1", "log", "tanh", "sqrt", "sign", "abs", "atan2", "atan", "asin", "floor", "maximum", "minimum", "isfinite")
+_NAMED = (
+    "sin",
+    "cos",
+    "tan",
+    "exp",
+    "expm1",
+    "log",
+    "tanh",
+    "sqrt",
+    "sign",
+    "abs",
+    "atan2",
+    "atan",
+    "asin",
+    "floor",
+    "maximum",
+    "minimum",
+    "isfinite",
+)
 _COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
 _ELEMENTWISE: dict[str, Callable[..., Expression]] = {
     "add": _add, "sub": _subtract, "rsub": lambda r, a, b: _subtract(r, b, a), "mul": _multiply, "div": _divide, "neg": _negative, "pow": _power,
@@ -641,7 +733,7 @@ _HANDLERS: dict[str, Callable[..., Any]] = {
     **{f"{name}_": _in_place(operation) for name, operation in _ELEMENTWISE.items()},
     "bmm": _product, "mm": _product, "mv": _product, "dot": _product,
     "sum": _sum, "amax": _reduced(_plain("maximum")), "amin": _reduced(_plain("minimum")),
-    "any": _reduced(_either, False), "all": _reduced(_both, True), "cumsum": _cumsum,
+    "linalg_vector_norm": _norm, "linalg_cross": _cross, "any": _reduced(_either, False), "all": _reduced(_both, True), "cumsum": _cumsum,
     "clamp": _clamp, "clamp_min": _clamp, "clamp_max": lambda r, x, high: _clamp(r, x, None, high),
     "lerp": _lerp, "addcmul": _fused, "copy_": _copied, "index": _index, "index_put_": _index_put,
     "_to_copy": _cast,

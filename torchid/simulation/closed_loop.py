@@ -152,7 +152,10 @@ def _on_grid(log: Log, rate: float) -> Motion:
 
 
 def _cubic(
-    t: Float[Tensor, " T"], x: Float[Tensor, "T n"], rate: Float[Tensor, "T n"], at: Float[Tensor, " M"]
+    t: Float[Tensor, " T"],
+    x: Float[Tensor, "T n"],
+    rate: Float[Tensor, "T n"],
+    at: Float[Tensor, " M"],
 ) -> tuple[Float[Tensor, "M n"], Float[Tensor, "M n"]]:
     """Values and slopes of the cubic through x with these rates (Hermite; not SciPy's, whose import
     takes as long as a simulation)."""

@@ -73,10 +73,18 @@ class _Task(NamedTuple):
 
     def arm(self, k: int) -> "_Task":
         """Of one of the arms."""
-        state = State(*(_row(x, k) for x in self.state[:3]), [_row(x, k) for x in self.state.memory], self.state.alive[k : k + 1])  # type: ignore[arg-type]
+        state = State(
+            *(_row(x, k) for x in self.state[:3]),
+            [_row(x, k) for x in self.state.memory],
+            self.state.alive[k : k + 1],
+        )  # type: ignore[arg-type]
         drive = Drive(*(x if x is self.drive.limit else _row(x, k) for x in self.drive))  # type: ignore[arg-type]
         return self._replace(
-            plant=self.plant.alone(k), state=state, drive=drive, feeds=self.feeds[:, k : k + 1], t=self.t[k : k + 1]
+            plant=self.plant.alone(k),
+            state=state,
+            drive=drive,
+            feeds=self.feeds[:, k : k + 1],
+            t=self.t[k : k + 1],
         )
 
 
@@ -266,7 +274,10 @@ def _same(code: Code, task: _Task) -> bool:
     given = [*signals, task.t[:1] + some * task.h, task.feeds[some, 0], *gains]
     there = task.drive.damping is not None, task.drive.stiffness is not None
     state, t, drive = _unpacked(given, len(signals) - 3, there, task.drive.limit)
-    wanted = torch.cat([x.reshape(_SAMPLES, -1) for x in _outputs(*task.plant.unguarded(state, task.h, t, drive))], 1)
+    wanted = torch.cat(
+        [x.reshape(_SAMPLES, -1) for x in _outputs(*task.plant.unguarded(state, task.h, t, drive))],
+        1,
+    )
     run, flat = code.on_arrays, _elements(given, _SAMPLES)
     if task.feeds.shape[1] > 1:
         rows = np.stack([np.broadcast_to(e, _SAMPLES) for e in run(*flat)], 1)
