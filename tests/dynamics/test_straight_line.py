@@ -7,7 +7,7 @@ from torch import Tensor
 
 from tests.arms import ARMS, arm, states
 from torchid.dynamics.forward import Components
-from torchid.dynamics.straight_line import NoStraightLine, Opaque, straight_line
+from torchid.dynamics.straight_line import NoStraightLineError, Opaque, straight_line
 from torchid.dynamics.world_frame import arms_of
 
 
@@ -83,7 +83,7 @@ def test_what_vanishes_and_what_is_twice_is_computed_never_and_once() -> None:
     ],
 )
 def test_branches_and_unknown_kernels_have_no_straight_form(function) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(NoStraightLine):
+    with pytest.raises(NoStraightLineError):
         straight_line(function, [torch.ones(1, 3, dtype=torch.float64)])
 
 

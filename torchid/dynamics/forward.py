@@ -103,7 +103,6 @@ def forward_dynamics(
     """
     robot = as_robot(robot)
     q, dq, tau = joint_signals(robot.n, q=q, dq=dq, tau=tau)
-    whole = torch.broadcast_tensors(q, dq, tau)[0]
     mass = _posture(robot, q, parameters, SMALL_BATCH).mass_matrix()
     return solve_mass(mass, tau - bias_torque(robot, q, dq, parameters))
 

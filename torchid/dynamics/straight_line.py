@@ -18,6 +18,7 @@ code compares it with the function first.
 import math
 import operator
 import re
+import threading
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -35,7 +36,7 @@ _NAME = re.compile(r"\bv\d+\b")
 _DEEPEST = 25  # expressions within one another on one line, which Python's parser bounds
 
 
-class NoStraightLine(Exception):
+class NoStraightLineError(Exception):
     """The function has no form without branches, or calls what is not known here."""
 
 
@@ -50,9 +51,9 @@ class Node:
         self.arguments = arguments
 
     def __bool__(self) -> bool:
-        raise NoStraightLine("a branch on a value")
+        raise NoStraightLineError("a branch on a value")
 
-    __float__ = __int__ = __index__ = __bool__  # type: ignore[assignment]
+    __float__ = __int__ = __index__ = __bool__
 
 
 class Code(NamedTuple):
@@ -79,7 +80,7 @@ def straight_line(function: Callable[..., Iterable[Tensor]], examples: Sequence[
         examples: any values.
 
     Raises:
-        NoStraightLine: see the module.
+        NoStraightLineError: see the module.
     """
     recorder = _Recorder()
     inputs = [name for x in examples for name in recorder.enter(x)]
@@ -97,9 +98,9 @@ class Opaque(NamedTuple):
     """A function that branches, called as a whole from straight-line code.
 
     Attributes:
-        on_tensors: (..., *) tensors to a tensor (..., n).
-        on_floats, on_arrays: the same of one batch element, or of arrays: called with the elements
-            of each argument in a tuple, they return n.
+        on_tensors: of tensors; it returns one.
+        on_floats, on_arrays: the same of the elements, a tuple of floats or of arrays (B,) for each
+            tensor; they return those of the result.
     """
 
     on_tensors: Callable[..., Tensor]
@@ -108,39 +109,36 @@ class Opaque(NamedTuple):
 
     def __call__(self, *arguments: Tensor) -> Tensor:
         """On tensors; recorded where a recording is going on."""
-        recorder = _Recorder.present
-        if recorder is None:
-            return self.on_tensors(*arguments)
-        return recorder.call(self, arguments)
+        recorder: _Recorder | None = getattr(_present, "recorder", None)
+        return self.on_tensors(*arguments) if recorder is None else recorder.call(self, arguments)
+
+
+_present = threading.local()
 
 
 class _Recorder(TorchDispatchMode):
     """Keeps the elements of every tensor that is made while it is on."""
-
-    present: "_Recorder | None" = None
 
     def __init__(self) -> None:
         super().__init__()
         self._mirrors: dict[int, Mirror] = {}
         self._alive: list[Tensor] = []  # an id belongs to another tensor once its own is gone
         self._nodes: dict[tuple[Any, ...], Node] = {}
-        self._count = 0
+        self._inputs = 0
 
     def __enter__(self) -> "_Recorder":
-        type(self).present = self
-        return super().__enter__()  # type: ignore[no-any-return]
+        _present.recorder = self
+        return super().__enter__()
 
     def __exit__(self, *exception: Any) -> None:
-        type(self).present = None
+        _present.recorder = None
         super().__exit__(*exception)
 
     def enter(self, x: Tensor) -> list[str]:
         """Names of the elements of an input."""
-        names = [f"x{self._count + k}" for k in range(x.numel())]
-        self._count += len(names)
-        mirror = np.empty(x.shape, dtype=object)
-        mirror.flat = [Node(-1, name) for name in names]
-        self._keep(x, mirror)
+        names = [f"x{self._inputs + k}" for k in range(x.numel())]
+        self._inputs += len(names)
+        self._keep(x, _mirror_of([Node(-1, name) for name in names], x.shape))
         return names
 
     def mirror(self, x: Any) -> Mirror:
@@ -158,64 +156,69 @@ class _Recorder(TorchDispatchMode):
             self._nodes[key] = Node(len(self._nodes), template, arguments)
         return self._nodes[key]
 
+    def is_known(self, x: Tensor) -> bool:
+        """Whether no input is in it."""
+        mirror = self._mirrors.get(id(x))
+        return mirror is None or _known(*mirror.flat)
+
     def call(self, function: Opaque, arguments: Sequence[Tensor]) -> Tensor:
         """An opaque function of recorded tensors; its values are those it really has."""
-        type(self).present = None
+        _present.recorder = None
         try:
             out = function.on_tensors(*arguments)
         finally:
-            type(self).present = self
-        given = [self.node(_tuple(m.size), *m.flat) for m in map(self.mirror, arguments)]
-        called = self.node(
-            f"{function.on_tensors.__name__}({', '.join(['{}'] * len(given))})", *given
-        )
-        mirror = np.empty(out.shape, dtype=object)
-        mirror.flat = [self.node(f"{{}}[{k}]", called) for k in range(out.numel())]
-        _ON_FLOATS[function.on_tensors.__name__] = function.on_floats
-        _ON_ARRAYS[function.on_tensors.__name__] = function.on_arrays
-        self._keep(out, mirror)
+            _present.recorder = self
+        name = function.on_tensors.__name__
+        _ON_FLOATS[name], _ON_ARRAYS[name] = function.on_floats, function.on_arrays
+        given = [self.node(f"({'{}, ' * m.size})", *m.flat) for m in map(self.mirror, arguments)]
+        called = self.node(f"{name}({', '.join(['{}'] * len(given))})", *given)
+        elements = [self.node(f"{{}}[{k}]", called) for k in range(out.numel())]
+        self._keep(out, _mirror_of(elements, out.shape))
         return out
 
-    def _keep(self, x: Tensor, mirror: Mirror) -> None:
-        if tuple(x.shape) != mirror.shape:
-            raise NoStraightLine(f"{mirror.shape} elements of a tensor {tuple(x.shape)}")
-        self._mirrors[id(x)] = mirror
-        self._alive.append(x)
-
     def record(
-        self,
-        func: Any,
-        types: Any,
-        args: tuple[Any, ...] = (),
-        kwargs: dict[str, Any] | None = None,
+        self, kernel: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None
     ) -> Any:
         """Run a kernel, and do with the elements what it does with the values."""
         kwargs = kwargs or {}
-        if type(self).present is None:  # within an opaque function
-            return func(*args, **kwargs)
-        name = func.overloadpacket.__name__
+        name = kernel.overloadpacket.__name__
+        if getattr(_present, "recorder", None) is None:  # within an opaque function
+            return kernel(*args, **kwargs)
+        in_place = name.endswith("_") or "out" in kwargs
         handler = _HANDLERS.get(name)
         if handler is None:
-            if name not in _FACTORIES and not all(map(self.is_known, _tensors(args))):
-                raise NoStraightLine(name)
-            return func(*args, **kwargs)
-        mirrors = handler(self, *args, **kwargs)
-        out = func(*args, **kwargs)
+            new = name in _FACTORIES or all(map(self.is_known, _tensors(args)))
+            if in_place or not new:
+                raise NoStraightLineError(name)
+            return kernel(*args, **kwargs)
+        try:
+            mirrors = handler(self, *args, **kwargs)
+        except (TypeError, ValueError, IndexError, ArithmeticError) as error:
+            raise NoStraightLineError(f"{name}: {error}") from error
+        out = kernel(*args, **kwargs)
         if isinstance(out, Tensor):
-            if not name.endswith("_"):  # else the elements were written in place
+            if not in_place:  # else the elements were written there
                 self._keep(out, mirrors)
         else:
             for x, m in zip(out, mirrors, strict=True):
                 self._keep(x, m)
         return out
 
-    def is_known(self, x: Tensor) -> bool:
-        mirror = self._mirrors.get(id(x))
-        return mirror is None or not any(isinstance(e, Node) for e in mirror.flat)
+    def _keep(self, x: Tensor, mirror: Mirror) -> None:
+        if tuple(x.shape) != mirror.shape:
+            raise NoStraightLineError(f"{mirror.shape} elements of a tensor {tuple(x.shape)}")
+        self._mirrors[id(x)] = mirror
+        self._alive.append(x)
 
 
 # Not in the class, where PyTorch would wrap it in what imports its compiler: more than a second.
-_Recorder.__torch_dispatch__ = _Recorder.record  # type: ignore[method-assign]
+setattr(_Recorder, "__torch_dispatch__", _Recorder.record)  # noqa: B010
+
+
+def _mirror_of(elements: Sequence[Expression], shape: Sequence[int]) -> Mirror:
+    mirror = np.empty(len(elements), dtype=object)
+    mirror[:] = elements
+    return mirror.reshape(shape)
 
 
 def _tensors(arguments: Iterable[Any]) -> Iterable[Tensor]:
@@ -224,10 +227,6 @@ def _tensors(arguments: Iterable[Any]) -> Iterable[Tensor]:
             yield from _tensors(x)
         elif isinstance(x, Tensor):
             yield x
-
-
-def _tuple(size: int) -> str:
-    return f"({', '.join(['{}'] * size)},)"
 
 
 # Arithmetic on expressions.
@@ -310,34 +309,6 @@ def _where(r: _Recorder, a: Expression, b: Expression, c: Expression) -> Express
     return b if b is c or (_known(b, c) and b == c) else r.node("where({}, {}, {})", a, b, c)
 
 
-def _and(r: _Recorder, a: Expression, b: Expression) -> Expression:
-    if _known(b):
-        a, b = b, a
-    return (b if a else False) if _known(a) else r.node("({} & {})", a, b)
-
-
-def _or(r: _Recorder, a: Expression, b: Expression) -> Expression:
-    if _known(b):
-        a, b = b, a
-    return (True if a else b) if _known(a) else r.node("({} | {})", a, b)
-
-
-def _real(r: _Recorder, a: Expression) -> Expression:
-    return float(a) if _known(a) else r.node("({} + 0.0)", a)
-
-
-def _power(r: _Recorder, a: Expression, b: Expression) -> Expression:
-    if b == 1:
-        return a
-    return _multiply(r, a, a) if b == 2 else _of("power({}, {})")(r, a, b)
-
-
-def _where(r: _Recorder, a: Expression, b: Expression, c: Expression) -> Expression:
-    if _known(a):
-        return b if a else c
-    return b if b is c or (_known(b, c) and b == c) else r.node("where({}, {}, {})", a, b, c)
-
-
 def _both(r: _Recorder, a: Expression, b: Expression) -> Expression:
     if _known(b):
         a, b = b, a
@@ -370,10 +341,6 @@ def _plain(name: str, template: str | None = None) -> Callable[..., Expression]:
         return r.node(template or f"{name}({places})", *arguments)
 
     return operation
-
-
-def _sign(a: float) -> float:
-    return 1.0 if a > 0.0 else -1.0 if a < 0.0 else 0.0
 
 
 def _printed(inputs: Sequence[str], outputs: Sequence[Expression]) -> str:
@@ -427,76 +394,34 @@ def _with_few_names(lines: Sequence[str]) -> list[str]:
 def _number(x: Any) -> str:
     if isinstance(x, bool):
         return str(x)
-    return (
-        repr(float(x))
-        if math.isfinite(x)
-        else f"({'-' if x < 0 else ''}{'nan' if x != x else 'inf'})"
-    )
+    return f"({float(x)!r})" if x < 0 else repr(float(x))
 
 
 def _executed(source: str, names: dict[str, Any]) -> Callable[..., tuple[Any, ...]]:
     space = {**names, "inf": math.inf, "nan": math.nan}
-    exec(compile(source, "<straight line>", "exec"), space)  # noqa: S102  # of numbers and names above
-    return space["f"]  # type: ignore[no-any-return]
+    exec(compile(source, "<straight line>", "exec"), space)
+    function: Callable[..., tuple[Any, ...]] = space["f"]
+    return function
 
 
 # The names in the source.
-
+_FUNCTIONS = ("sin", "cos", "tan", "tanh", "exp", "expm1", "log", "sqrt", "floor", "isfinite")
+_COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
 _ON_FLOATS: dict[str, Callable[..., Any]] = {
+    **{name: getattr(math, name) for name in (*_FUNCTIONS, "asin", "atan", "atan2")},
+    **{name: getattr(operator, name) for name in (*_COMPARISONS, "mod")},
     "where": lambda condition, a, b: a if condition else b,
     "maximum": lambda a, b: a if a >= b else b,
     "minimum": lambda a, b: a if a <= b else b,
-    "sign": _sign,
+    "sign": lambda a: 1.0 if a > 0.0 else -1.0 if a < 0.0 else 0.0,
     "abs": abs,
     "negate": operator.not_,
-    "isfinite": math.isfinite,
     "power": math.pow,
-    "sqrt": math.sqrt,
-    **{
-        k: getattr(math, k)
-        for k in (
-            "sin",
-            "cos",
-            "tan",
-            "exp",
-            "expm1",
-            "log",
-            "tanh",
-            "atan2",
-            "atan",
-            "asin",
-            "floor",
-        )
-    },
-    **{k: getattr(operator, k) for k in ("lt", "le", "gt", "ge", "eq", "ne")},
-    "mod": lambda a, b: a % b,
 }
 _ON_ARRAYS: dict[str, Callable[..., Any]] = {
-    **{
-        k: getattr(np, k)
-        for k in (
-            "where",
-            "maximum",
-            "minimum",
-            "sign",
-            "abs",
-            "isfinite",
-            "power",
-            "sqrt",
-            "sin",
-            "cos",
-            "tan",
-            "exp",
-            "expm1",
-            "log",
-            "tanh",
-            "floor",
-        )
-    },
-    "negate": np.logical_not,
-    "atan2": np.arctan2,
-    "atan": np.arctan,
-    "asin": np.arcsin,
+    **{name: getattr(np, name) for name in _FUNCTIONS},
+    **{name: getattr(np, name) for name in ("where", "maximum", "minimum", "sign", "abs", "power")},
+    **{"negate": np.logical_not, "asin": np.arcsin, "atan": np.arctan, "atan2": np.arctan2},
 }
 
 # What kernels do with elements.
@@ -505,6 +430,8 @@ _ON_ARRAYS: dict[str, Callable[..., Any]] = {
 def _elementwise(operation: Callable[..., Expression]) -> Callable[..., Mirror]:
     def handler(r: _Recorder, *arguments: Any, **options: Any) -> Mirror:
         scale = options.pop("alpha", 1)
+        if options:
+            raise NoStraightLineError(", ".join(options))
         if scale != 1:
             arguments = (arguments[0], _each(r, _multiply, arguments[1], scale))
         return _each(r, operation, *arguments)
@@ -546,6 +473,10 @@ def _as_is(view: Callable[..., Any]) -> Callable[..., Any]:
     return handler
 
 
+def _joined(join: Callable[..., Mirror]) -> Callable[..., Mirror]:
+    return lambda r, xs, dim=0: join([r.mirror(x) for x in xs], dim)
+
+
 def _slice(
     m: Mirror, dim: int = 0, start: int | None = None, end: int | None = None, step: int = 1
 ) -> Mirror:
@@ -553,11 +484,9 @@ def _slice(
 
 
 def _select(m: Mirror, dim: int, index: int) -> Mirror:
-    return _view(m, (slice(None),) * (dim % m.ndim) + (index,))
-
-
-def _view(m: Mirror, key: tuple[Any, ...]) -> Mirror:
-    return m[(*key, ...)]  # with the ellipsis a view, even of one element
+    # With the ellipsis a view, even of one element.
+    key: Any = (*(slice(None),) * (dim % m.ndim), index, ...)
+    return m[key]
 
 
 def _expand(m: Mirror, size: Sequence[int], implicit: bool = False) -> Mirror:
@@ -610,7 +539,7 @@ def _norm(
     r: _Recorder, x: Tensor, order: float = 2, dim: Any = None, keepdim: bool = False
 ) -> Mirror:
     if order != 2:
-        raise NoStraightLine(f"a norm of order {order}")
+        raise NoStraightLineError(f"a norm of order {order}")
     return _each(r, _plain("sqrt"), _sum(r, _each(r, _multiply, x, x), dim, keepdim))
 
 
@@ -646,15 +575,7 @@ def _index(r: _Recorder, x: Tensor, indices: Sequence[Tensor | None]) -> Mirror:
     return r.mirror(x)[tuple(slice(None) if i is None else _numbers(r, i) for i in indices)]
 
 
-def _index_put(
-    r: _Recorder,
-    x: Tensor,
-    indices: Sequence[Tensor | None],
-    values: Tensor,
-    accumulate: bool = False,
-) -> Mirror:
-    if accumulate:
-        raise NoStraightLine("index_put with accumulation")
+def _index_put(r: _Recorder, x: Tensor, indices: Sequence[Tensor | None], values: Tensor) -> Mirror:
     mirror = r.mirror(x)
     mirror[tuple(slice(None) if i is None else _numbers(r, i) for i in indices)] = r.mirror(values)
     return mirror
@@ -662,7 +583,7 @@ def _index_put(
 
 def _numbers(r: _Recorder, index: Tensor) -> np.ndarray:
     if not r.is_known(index):
-        raise NoStraightLine("an index that depends on the inputs")
+        raise NoStraightLineError("an index that depends on the inputs")
     return index.numpy()
 
 
@@ -670,7 +591,7 @@ def _cast(r: _Recorder, x: Tensor, *_: Any, dtype: torch.dtype | None = None, **
     if dtype is None or dtype == x.dtype or (x.dtype.is_floating_point and dtype == torch.float64):
         return r.mirror(x).copy()
     if not dtype.is_floating_point and not r.is_known(x):
-        raise NoStraightLine(f"a number as {dtype}")
+        raise NoStraightLineError(f"a number as {dtype}")
     return _each(r, _real, x) if dtype.is_floating_point else r.mirror(x)
 
 
@@ -696,29 +617,11 @@ def _unbind(m: Mirror, dim: int = 0) -> list[Mirror]:
     return [_select(m, dim, k) for k in range(m.shape[dim])]
 
 
-_NAMED = (
-    "sin",
-    "cos",
-    "tan",
-    "exp",
-    "expm1",
-    "log",
-    "tanh",
-    "sqrt",
-    "sign",
-    "abs",
-    "atan2",
-    "atan",
-    "asin",
-    "floor",
-    "maximum",
-    "minimum",
-    "isfinite",
-)
-_COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
+_NAMED = (*_FUNCTIONS, "asin", "atan", "atan2", "sign", "abs", "maximum", "minimum")
 _ELEMENTWISE: dict[str, Callable[..., Expression]] = {
-    "add": _add, "sub": _subtract, "rsub": lambda r, a, b: _subtract(r, b, a), "mul": _multiply, "div": _divide, "neg": _negative, "pow": _power,
-    "where": _where, "bitwise_and": _both, "logical_and": _both, "bitwise_or": _either, "logical_or": _either,
+    "add": _add, "sub": _subtract, "rsub": lambda r, a, b: _subtract(r, b, a), "neg": _negative,
+    "mul": _multiply, "div": _divide, "pow": _power, "where": _where, "bitwise_and": _both,
+    "logical_and": _both, "bitwise_or": _either, "logical_or": _either,
     "reciprocal": lambda r, a: _divide(r, 1.0, a), "square": lambda r, a: _multiply(r, a, a),
     "logical_not": _plain("negate"), "bitwise_not": _plain("negate"), "sgn": _plain("sign"),
     "remainder": _plain("mod", "({} % {})"),
@@ -733,19 +636,19 @@ _HANDLERS: dict[str, Callable[..., Any]] = {
     **{f"{name}_": _in_place(operation) for name, operation in _ELEMENTWISE.items()},
     "bmm": _product, "mm": _product, "mv": _product, "dot": _product,
     "sum": _sum, "amax": _reduced(_plain("maximum")), "amin": _reduced(_plain("minimum")),
-    "linalg_vector_norm": _norm, "linalg_cross": _cross, "any": _reduced(_either, False), "all": _reduced(_both, True), "cumsum": _cumsum,
+    "any": _reduced(_either, False), "all": _reduced(_both, True), "cumsum": _cumsum,
+    "linalg_vector_norm": _norm, "linalg_cross": _cross,
     "clamp": _clamp, "clamp_min": _clamp, "clamp_max": lambda r, x, high: _clamp(r, x, None, high),
     "lerp": _lerp, "addcmul": _fused, "copy_": _copied, "index": _index, "index_put_": _index_put,
-    "_to_copy": _cast,
-    "cat": lambda r, xs, dim=0: np.concatenate([r.mirror(x) for x in xs if x.ndim > 1 or len(x)], dim),
-    "stack": lambda r, xs, dim=0: np.stack([r.mirror(x) for x in xs], dim),
+    "_to_copy": _cast, "cat": _joined(np.concatenate), "stack": _joined(np.stack),
     "view": _as_is(np.reshape), "_unsafe_view": _as_is(np.reshape), "reshape": _as_is(np.reshape),
     "_reshape_alias": _as_is(lambda m, size, _: m.reshape(size)),
     "expand": _as_is(_expand), "slice": _as_is(_slice), "select": _as_is(_select),
-    "unsqueeze": _as_is(lambda m, dim: np.expand_dims(m, dim)), "squeeze": _as_is(_squeeze),
+    "unsqueeze": _as_is(np.expand_dims), "squeeze": _as_is(_squeeze),
     "transpose": _as_is(np.swapaxes), "t": _as_is(np.transpose), "permute": _as_is(np.transpose),
     "flip": _as_is(np.flip), "clone": _as_is(lambda m, **_: m.copy()),
-    "detach": _as_is(lambda m: m), "alias": _as_is(lambda m: m), "diag_embed": _as_is(_diag_embed), "diagonal": _as_is(_diagonal),
+    "detach": _as_is(lambda m: m), "alias": _as_is(lambda m: m),
+    "diag_embed": _as_is(_diag_embed), "diagonal": _as_is(_diagonal),
     "split": _as_is(_split), "split_with_sizes": _as_is(_split), "unbind": _as_is(_unbind),
-    "fill_": lambda r, x, value: _copied(r, x, value), "zero_": lambda r, x: _copied(r, x, 0.0),
+    "fill_": _copied, "zero_": lambda r, x: _copied(r, x, 0.0),
 }  # fmt: skip

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from torchid.dynamics.forward import Components
-from torchid.dynamics.straight_line import Code, NoStraightLine, straight_line
+from torchid.dynamics.straight_line import Code, NoStraightLineError, straight_line
 from torchid.simulation.integrate import Drive, Instant, Plant, State, held
 from torchid.typing import Bool, Float
 
@@ -73,18 +73,18 @@ class _Task(NamedTuple):
 
     def arm(self, k: int) -> "_Task":
         """Of one of the arms."""
+        now, limit = self.state, self.drive.limit
+        own = slice(k, k + 1)
         state = State(
-            *(_row(x, k) for x in self.state[:3]),
-            [_row(x, k) for x in self.state.memory],
-            self.state.alive[k : k + 1],
-        )  # type: ignore[arg-type]
-        drive = Drive(*(x if x is self.drive.limit else _row(x, k) for x in self.drive))  # type: ignore[arg-type]
+            now.q[own], now.dq[own], now.ddq[own], [_row(x, k) for x in now.memory], now.alive[own]
+        )
+        damping, stiffness = (_row(x, k) for x in (self.drive.damping, self.drive.stiffness))
         return self._replace(
             plant=self.plant.alone(k),
             state=state,
-            drive=drive,
-            feeds=self.feeds[:, k : k + 1],
-            t=self.t[k : k + 1],
+            drive=Drive(now.q[own], damping, limit, stiffness),
+            feeds=self.feeds[:, own],
+            t=self.t[own],
         )
 
 
@@ -172,7 +172,7 @@ def _recorded(
     try:
         with torch.inference_mode(False):
             return straight_line(step, [x.clone() for x in examples])
-    except NoStraightLine:
+    except NoStraightLineError:
         return None
 
 
@@ -202,7 +202,7 @@ def _signals(state: State) -> list[Tensor]:
 
 def _on_code(code: Code, task: _Task) -> Course:
     """On floats for one arm, on arrays for several."""
-    steps, arms, n = task.feeds.shape
+    arms, n = task.feeds.shape[1:]
     alone, out, alive = arms == 1, task.blank(), task.state.alive
     run = code.on_floats if alone else code.on_arrays
     signals = _signals(task.state)
@@ -210,7 +210,7 @@ def _on_code(code: Code, task: _Task) -> Course:
     # Where in the outputs what is kept begins: q, dq; or q, dq, ddq, torque of the instant.
     places = (0, n) if task.states else (size, size + n, 2 * n, size + 2 * n)
     picked = [place + j for place in places for j in range(n)]
-    x = _elements(signals, arms)
+    x: Sequence[Any] = _elements(signals, arms)
     gains = _elements(_gains(task.drive), arms)
     clock: Any = float(task.t[0]) if alone else task.t.numpy()
     feeds = task.feeds[:, 0].tolist() if alone else task.feeds.mT.contiguous().numpy()
@@ -227,13 +227,13 @@ def _on_code(code: Code, task: _Task) -> Course:
             state = _state_of(x, task.state, alive)
             drive = task.drive._replace(feed=task.feeds[k])
             after, instant = task.plant.step(state, task.h, task.t + k * task.h, drive)
-            got, alive = _elements(_outputs(after, instant), arms), after.alive
+            got, alive = tuple(_elements(_outputs(after, instant), arms)), after.alive
             dead = ~alive.numpy()
             if dead.all():
                 break
         elif not alone and dead.any():
             # Arms that have diverged stay where they were.
-            got = [*(np.where(dead, a, b) for a, b in zip(x, got, strict=False)), *got[size:]]
+            got = (*(np.where(dead, a, b) for a, b in zip(x, got, strict=False)), *got[size:])
         x = got[:size]
         if k % task.every == task.first:
             for j, place in enumerate(picked):

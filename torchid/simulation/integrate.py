@@ -192,8 +192,8 @@ def _with_dry_friction(matrix: Tensor, impulse: Tensor, dry: Tensor, dq: Tensor)
     A joint sticks (dq + x = 0) or slides in a known direction; a stuck one that would need more
     than `dry` starts to slide, and one that would slide backwards sticks.
     """
-    solved = _active_set(torch, _solved, matrix.movedim(0, -1), impulse.T, dry.T, dq.T)
-    return solved.T  # type: ignore[no-any-return]
+    solved: Tensor = _active_set(torch, _solved, matrix.movedim(0, -1), impulse.T, dry.T, dq.T)
+    return solved.T
 
 
 def _solved(matrix: Tensor, right: Tensor) -> Tensor:

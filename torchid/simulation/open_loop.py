@@ -78,7 +78,7 @@ def rollout(
     plant = plant_of(robot, [list(effects)], q0)
     true, shift, ignored = undone(robot, effects, tau)
     begin = Motion(q0 - shift, dq0, torch.zeros_like(q0))
-    arms, total, _ = true.shape
+    arms = len(true)
     steps = max(1, math.ceil(dt / longest_step - 1e-9))
     h = dt / steps
     t = torch.as_tensor(t0).to(q0).expand(arms)
