@@ -130,13 +130,14 @@ def course(
 
 def _run(task: _Task) -> Course:
     """Arms that are alike."""
-    gains = task.drive.damping is not None, task.drive.stiffness is not None
-    limit = task.drive.limit
-    code = _recorded(task.plant, task.h, gains, None if limit is None else tuple(limit.tolist()))
-    if code is None or not _same(code, task):
-        return _on_tensors(task)
+    drive, limit = task.drive, task.drive.limit
+    gains = drive.damping is not None, drive.stiffness is not None
+    bound = None if limit is None else tuple(limit.tolist())
     with np.errstate(all="ignore"):
-        return _on_code(code, task)
+        code = _recorded(task.plant, task.h, gains, bound)
+        if code is not None and _same(code, task):
+            return _on_code(code, task)
+    return _on_tensors(task)
 
 
 def _on_tensors(task: _Task) -> Course:
