@@ -166,4 +166,12 @@ def write_npz(columns: Columns, file: IO[bytes]) -> None:
 
 
 def _table(columns: Columns) -> pa.Table:
-    return pa.table({name: np.ascontiguousarray(column) for name, column in columns.items()})
+    return pa.table({name: _arrow(np.ascontiguousarray(x)) for name, x in columns.items()})
+
+
+def _arrow(x: np.ndarray) -> pa.Array | np.ndarray:
+    """Numbers as they lie in memory: of an array, pyarrow imports pandas to ask whether it is its
+    own, which takes as long as a simulation."""
+    if x.dtype != np.float64 or x.ndim != 1:
+        return x
+    return pa.Array.from_buffers(pa.float64(), len(x), [None, pa.py_buffer(x)])
