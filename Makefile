@@ -78,6 +78,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tests.rooms
 
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .

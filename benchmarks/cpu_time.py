@@ -1,7 +1,10 @@
-"""CPU time of this process and of all that it started, ended or not."""
+"""What benchmarks share: the machine in words, and CPU time of this process and all it started."""
 
 import os
+import platform
 from pathlib import Path
+
+import torch
 
 _TICK = os.sysconf("SC_CLK_TCK")
 
@@ -27,3 +30,22 @@ def processor_time() -> float:
     for k in mine:
         total += stats[k][1]
     return total
+
+
+def machine() -> str:
+    """Processor, cores, load and versions, for the head of a table."""
+    model = next(
+        (
+            line.split(":")[1].strip()
+            for line in Path("/proc/cpuinfo").read_text().splitlines()
+            if line.startswith("model name")
+        )
+        if Path("/proc/cpuinfo").exists()
+        else [platform.processor()],
+    )
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
+    return (
+        f"{model}, {os.cpu_count()} cores, load {load:.1f}, python {platform.python_version()}, "
+        f"torch {torch.__version__}, {torch.get_num_threads()} thread, "
+        f"{torch.backends.cpu.get_cpu_capability()}"
+    )

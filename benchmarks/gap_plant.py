@@ -23,21 +23,14 @@ from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.friction_laws import ThermalFrictionDrift
 from torchid.effects.registry import KINDS, Valued, effect_torque, model_torque, nominal_effects
 from torchid.effects.transient import Contact, DroppedSamples, Saturation
-from torchid.excitation.trajectories import random_trajectory
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters, six
-from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.simulation.loads import adds_torque, changes_measurement
 
 RATE = 500.0
 DURATION = 15.0
-PAUSE = 1.0
-"""Seconds between the trajectories of a case; the clock runs on."""
-
-NOISE = 0.01
-"""Standard deviation of the torque noise, as a share of the RMS of the joint's nominal torque."""
 
 BAND = 20.0
 COARSE = 4
@@ -45,13 +38,6 @@ COARSE = 4
 
 TRIES = 12
 """Places and shapes drawn until one reaches the size asked for; else the one that came closest."""
-
-NEEDS_FRICTION = ("thermal_friction_drift", "asymmetric_friction", "gear_coupling")
-"""They take away from friction that must be there first, or share it with another joint."""
-
-NEEDS_SMOOTH = ("joint_elasticity",)
-"""The deflection is in proportion to the torque at every instant, so that dry friction, which
-jumps, would make the motor's position jump."""
 
 CAPS = {
     "torque_gain": 0.3,
@@ -130,43 +116,6 @@ class Scene:
     def loaded(self) -> Tensor:
         """(n,) 99 % torque."""
         return self.together.require("torque", "a scene").abs().quantile(0.99, dim=0)
-
-
-def scene(robot: str, key: str, repeats: bool, first: float = 0.0) -> Scene:
-    """Four trajectories at two speed levels, one a repeat of another unless `repeats` is False.
-
-    Args:
-        robot: name of the nominal model.
-        key: that the random numbers depend on.
-        repeats: whether the fourth trajectory repeats one of the others.
-        first: clock at the first sample [s].
-    """
-    g = generator("trajectories", key)
-    arm = load_robot(robot)
-    levels = [uniform(g, 0.75, 0.9), uniform(g, 0.5, 0.65)]
-    choices = [(levels[k % 2], pick(g, 2**31)) for k in range(4)]
-    again = pick(g, 3)
-    if repeats:
-        choices[3] = choices[again]
-    logs = []
-    for k, (usage, seed) in enumerate(choices):
-        plan = random_trajectory(arm, seed, duration=DURATION, fill=True, usage=usage)
-        # Clocks of logger and controller differ by a part of a sample: without that two repeats
-        # would count the same positions, and what counting does to the gap would cancel.
-        t = torch.arange(round(DURATION * RATE), dtype=torch.float64) / RATE
-        q, dq, ddq = plan.at(t + uniform(g, 0, 1 / RATE)).state
-        start = first + k * (DURATION + PAUSE)
-        logs.append(Log(t + start, q, dq, ddq, names=(f"trajectory {k + 1}",)))
-    motions = tuple(_coarse(arm, log) for log in logs)
-    every = torch.cat([m.require("torque", "noise") for m in motions])
-    noise = NOISE * every.square().mean(0).sqrt()
-    return Scene(arm, tuple(logs), tuple(float(x.t[0]) for x in logs), motions, noise)
-
-
-def _coarse(robot: Robot, log: Log) -> Motion:
-    q, dq, ddq = (x[::COARSE] for x in (log.q, log.dq, log.ddq))  # type: ignore[index]
-    motion = Motion(q, dq, ddq, t=log.t[::COARSE] - log.t[0])
-    return motion._replace(torque=model_torque(robot, nominal_effects(robot), motion))
 
 
 def on_clock(effects: Sequence[Valued], start: float, duration: float = DURATION) -> list[Valued]:
@@ -537,10 +486,3 @@ _SPECIAL: dict[str, Callable[[Scene, torch.Generator, int], Sized | None]] = {
     "dropped_samples": _dropped,
     "base_tilt": _tilt,
 }
-
-
-def record_of(valued: Valued) -> dict[str, object]:
-    """As in a robot's yaml; windows that are open at an end left out."""
-    effect, values = valued
-    record = effect.record(values)
-    return {key: value for key, value in record.items() if value is not None}

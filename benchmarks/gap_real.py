@@ -10,11 +10,10 @@ filtered as in docs/results.md section 3, on data that took part in no choice.
 
 import argparse
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from real_logs import UR10E_GAINS
+from real_logs import LINES, UR10E_GAINS, Line
 
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
@@ -29,75 +28,7 @@ FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
 MOVING = 0.02
 
 
-@dataclass(frozen=True)
-class Line:
-    label: str
-    robot: str
-    logs: tuple[str, ...]
-    held_out: str | float
-    judged: float
-    rows: str
-    searched: float = 8.0
-    reference: str = ""
-
-
-UR10E = ("ur10e/log_est_30s_12harm.parquet", "ur10e/log_exc_40s_12harm.parquet")
-LINES = {
-    "panda": Line(
-        "Franka Panda, first 60 % -> last 40 %",
-        "panda_gaz/robot.yaml",
-        ("panda_gaz/log_exciting_traj1.parquet",),
-        0.4,
-        8.0,
-        "all",
-        reference="5.9 0.8 1.1 0.7 5.7 2.0 6.1",
-    ),
-    "ptp": Line(
-        "UR10e, est_30s + exc_40s -> val_ptp10",
-        "ur10e/robot.urdf",
-        UR10E,
-        "ur10e/log_val_ptp10.parquet",
-        20.0,
-        "moving",
-        reference="6.9 2.4 2.6 4.4 7.3 6.4",
-    ),
-    "exc": Line(
-        "UR10e, est_30s + exc_40s -> exc_20s",
-        "ur10e/robot.urdf",
-        UR10E,
-        "ur10e/log_exc_20s_8harm.parquet",
-        20.0,
-        "moving",
-        reference="6.4 4.0 3.4 5.4 8.1 6.9",
-    ),
-    "ur10": Line(
-        "UR10, first 60 % -> last 40 %",
-        "ur10_unisa/robot.yaml",
-        ("ur10_unisa/log_exciting.parquet",),
-        0.4,
-        2.0,
-        "all",
-        reference="4.3 2.2 2.0 3.1 7.1 23.7",
-    ),
-    "xmate": Line(
-        "xMate7 Pro, traj1 -> traj2",
-        "xmate7p/robot.urdf",
-        ("xmate7p/log_traj1.parquet",),
-        "xmate7p/log_traj2.parquet",
-        8.0,
-        "all",
-    ),
-    "emps": Line(
-        "EMPS drive, train -> test",
-        "emps/robot.yaml",
-        ("emps/log_train.parquet",),
-        "emps/log_test_pulses.parquet",
-        60.0,
-        "all",
-        60.0,
-        "6.7",
-    ),
-}
+UR10E = LINES["ptp"].logs
 
 
 def logs(data: Path, names: tuple[str, ...]) -> Log:
@@ -113,7 +44,7 @@ def run(line: Line, data: Path, background: tuple[str, ...]) -> Diagnosis:
         cutoff=line.searched,
         background=background,
         held_out_fraction=0.0 if whole else line.held_out,  # type: ignore[arg-type]
-        report_band=max(20.0, line.judged),
+        report_band=max(20.0, line.cutoff),
     )
     kept = logs(data, (line.held_out,)) if isinstance(line.held_out, str) else None
     robot: Robot = load_robot(str(data / line.robot)).with_parameters(None)
@@ -124,7 +55,7 @@ def errors(found: Diagnosis, line: Line, which: str) -> str:
     """100 ||e|| / ||tau|| per joint."""
     error, torque = torch.zeros(found.robot.n), torch.zeros(found.robot.n)
     for trace in found.traces:
-        low = ZeroPhaseFilter(trace.rate, line.judged) if line.judged < 0.45 * trace.rate else None
+        low = ZeroPhaseFilter(trace.rate, line.cutoff) if line.cutoff < 0.45 * trace.rate else None
         measured, predicted = (
             x if low is None else low.apply(x.T).T for x in (trace.measured, getattr(trace, which))
         )
@@ -139,9 +70,7 @@ def errors(found: Diagnosis, line: Line, which: str) -> str:
 def show(line: Line, found: Diagnosis, start: str, seconds: float) -> None:
     print(f"\n## {line.label}, from {start} ({found.status}, {seconds:.0f} s)\n")
     print("| before | after | to reach |\n|---|---|---|")
-    print(
-        f"| {errors(found, line, 'before')} | {errors(found, line, 'after')} | {line.reference} |\n"
-    )
+    print(f"| {errors(found, line, 'before')} | {errors(found, line, 'after')} | {line.gap} |\n")
     print("| effect | joints | cannot be told from | coefficients | share |\n|---|---|---|---|--:|")
     for f in found.findings:
         pairs = zip(f.effect.coefficients, f.values, f.std, strict=True)

@@ -11,6 +11,7 @@ else that is named beside the truth is listed too: nobody knows whether it is th
 import argparse
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,7 @@ from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
-
-DRY = ("coulomb_friction", "presliding_hysteresis", "stribeck_friction", "power_law_friction")
+from torchid.yaml_data import parsed_yaml
 
 
 @dataclass(frozen=True)
@@ -67,98 +67,13 @@ class Question:
     silent: tuple[int, ...] = ()
 
 
-AIRBOT, UR10E, EMPS = "airbot_play/robot.urdf", "ur10e/robot.urdf", "emps/robot.yaml"
-QUESTIONS = {
-    "sim": Question(
-        "a simulator's own log: nothing is worth a name",
-        AIRBOT,
-        ("airbot_play/log_chirp_sim.parquet",),
-        silent=(1, 2, 3, 4, 5, 6),
-    ),
-    "sim_loaded": Question(
-        "the same with a load of 0.48 kg",
-        AIRBOT,
-        ("airbot_play/log_chirp_sim_loaded.parquet",),
-        (Truth(("payload",), None, "m", 0.48),),
-    ),
-    "chirp": Question(
-        "a low-cost arm: dry friction on all joints",
-        AIRBOT,
-        ("airbot_play/log_chirp_real.parquet",),
-        tuple(Truth(DRY, j) for j in range(1, 7)),
-    ),
-    "chirp_loaded": Question(
-        "the same arm, its model corrected without, then with a load of 0.48 kg",
-        AIRBOT,
-        ("airbot_play/log_chirp_real_loaded.parquet",),
-        (Truth(("payload",), None, "m", 0.48),),
-        first=("airbot_play/log_chirp_real.parquet", "airbot_play/log_trapez_real.parquet"),
-    ),
-    "baxter": Question(
-        "a spring of 18-26 N m/rad on joint 2; damping of 0.7 on the wrist that is not there",
-        "baxter_left/robot.urdf",
-        tuple(
-            f"baxter_left/log_{k}.parquet"
-            for k in ("sin_10s_r18", "sin_12s_r10", "sin_15s_r15", "random")
-        ),
-        (
-            Truth(("joint_spring",), 2, "k", 22.0),
-            *(Truth(("viscous_friction",), j, "Fv", -0.7) for j in (5, 6, 7)),
-        ),
-    ),
-    "tiago": Question(
-        "the wrist's torque holds no signal: nothing may be said of joints 6-8",
-        "tiago/robot.urdf",
-        ("tiago/log_identification.parquet",),
-        tip="arm_7_link",
-        silent=(6, 7, 8),
-    ),
-    "ur10e": Question(
-        "a URDF without friction: Coulomb and viscous friction on all joints",
-        UR10E,
-        tuple(
-            f"ur10e/log_{k}.parquet"
-            for k in ("est_30s_12harm", "exc_40s_12harm", "exc_20s_8harm", "val_ptp10")
-        ),
-        tuple(
-            Truth((name,), j)
-            for j in range(1, 7)
-            for name in ("coulomb_friction", "viscous_friction")
-        ),
-    ),
-    "ur10e_loaded": Question(
-        "the same arm, its model fitted without, then with a load of 2.6 kg",
-        UR10E,
-        ("ur10e/log_loaded_2p6kg_jan13.parquet",),
-        (Truth(("payload",), None, "m", 2.6),),
-        first=("ur10e/log_unloaded_dec23.parquet",),
-        rigid=True,
-    ),
-    "xmate": Question(
-        "CAD predicts 16-39 % too little torque on every joint: gains, or mass that it lacks",
-        "xmate7p/robot.urdf",
-        ("xmate7p/log_traj1.parquet", "xmate7p/log_traj2.parquet"),
-        (Truth(("torque_gain", "link_inertia", "payload")),),
-    ),
-    "emps": Question(
-        "a drive: published Fv 203.5 N s/m, Fc 20.4 N, offset -3.2 N",
-        EMPS,
-        ("emps/log_train.parquet",),
-        (
-            Truth(("viscous_friction",), 1, "Fv", 203.5),
-            Truth(("coulomb_friction",), 1, "Fc", 20.39),
-            Truth(("torque_offset",), 1, "F0", -3.165),
-        ),
-        rigid=True,
-    ),
-    "pulses": Question(
-        "the same drive, its model fitted without, then with force pulses every second: no effect",
-        EMPS,
-        ("emps/log_test_pulses.parquet",),
-        first=("emps/log_train.parquet",),
-        rigid=True,
-    ),
-}
+def _question(truths: Sequence[Sequence[Any]] = (), **given: Any) -> Question:
+    listed = {key: tuple(x) if isinstance(x, list) else x for key, x in given.items()}
+    return Question(truths=tuple(Truth(tuple(names), *at) for names, *at in truths), **listed)
+
+
+_FILE = Path(__file__).with_suffix(".yaml")
+QUESTIONS = {key: _question(**own) for key, own in parsed_yaml(_FILE.read_text()).items()}
 
 
 def asked(question: Question, data: Path) -> dict[str, Any]:

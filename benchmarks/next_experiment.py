@@ -34,8 +34,7 @@ from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
-from torchid.next_motion.ambiguity import open_questions
-from torchid.next_motion.rivals import rivals
+from torchid.next_motion.ambiguity import open_questions, rivals
 from torchid.next_motion.separating_motion import Separation, design_separation
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot

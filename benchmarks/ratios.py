@@ -27,16 +27,17 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from dynamics import drain, machine
+from cpu_time import machine
 
 from tests.arms import arm
 from torchid.dynamics.compiled import compiled_dynamics
 from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.dynamics.regressor import regressor_chunks
+from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.excitation.design import excite
 from torchid.excitation.synthetic import simulate
 from torchid.export.export import export_dynamics
@@ -58,6 +59,14 @@ STEPS = 20
 """Of each simulation in a round."""
 
 Call = Callable[[], object]
+
+
+def drain(chunks: "object") -> None:
+    """Take every chunk and keep none."""
+    for _chunk in chunks:  # type: ignore[attr-defined]
+        assert isinstance(_chunk, RegressorChunk)
+
+
 Line = tuple[str, Call, float, Call, float]
 """What it is; a peer's call and how often it does it; torchid's, and how often."""
 
@@ -170,9 +179,33 @@ def evolution() -> Iterator[Line]:
     """A generation of 30 runs in 30 variables against pycma's."""
     if not find_spec("cma"):
         return
-    from cma_es import batched_steps, pycma_steps
+    import cma
 
-    peer, ours = pycma_steps(30, 30), batched_steps(30, 30, "cpu")
+    from torchid.extraction.cma.search import default_population, start
+    from torchid.extraction.extract import engine
+
+    def sphere(x: torch.Tensor) -> torch.Tensor:
+        return (x - 0.4).square_().sum(-1)
+
+    runs = n = 30
+    options = {"bounds": [0, 1], "verbose": -9, "popsize": default_population(n)}
+    peers = [
+        cma.CMAEvolutionStrategy(n * [0.5], 0.3, options | {"seed": r + 1}) for r in range(runs)
+    ]
+    state = start(torch.full((runs, n), 0.5, dtype=torch.float64), 0.3)
+
+    def peer(generations: int) -> None:
+        # Strategies that live from round to round; all their samples are evaluated in one call.
+        for _ in range(generations):
+            asked = [strategy.ask() for strategy in peers]
+            values = sphere(torch.as_tensor(np.asarray(asked))).numpy()
+            for strategy, points, told in zip(peers, asked, values, strict=True):
+                strategy.tell(points, told)
+
+    def ours(generations: int) -> None:
+        nonlocal state
+        state = engine("batched").minimise(sphere, state, generations=generations, seed=0)
+
     yield "CMA-ES, 30 runs / pycma", lambda: peer(5), 5, lambda: ours(50), 50
 
 

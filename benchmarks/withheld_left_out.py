@@ -15,12 +15,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
+from withheld_page import counts_table, listed, markdown_table
+
 from torchid import __version__
 from torchid.effects.registry import FAMILIES, KINDS, effect_kind
 from torchid.errors import TorchidError
 from torchid.json_data import plain, read_json, write_json
 from torchid.parallel.workers import Progress, cores, each
-from torchid.report.withheld import counts_table, listed, markdown_table
 from torchid.withheld.case_set import ANSWER, LOG, ROBOT, write_case
 from torchid.withheld.measures import Verdict, rate, verdict
 from torchid.withheld.rows import named_record, row_of

@@ -1,6 +1,6 @@
-"""What a score is compared with: simple methods, the diagnosis that is told, and the truth.
+"""What a score is compared with: the diagnosis that is told, and the truth.
 
-    python benchmarks/withheld_score.py cases --out score [--no-baselines] [--no-oracle] [--no-truth]
+    python benchmarks/withheld_score.py cases --out score [--no-oracle] [--no-truth]
 
 All of it belongs to scoring: it needs the keys, or the seed, and who knows the seed knows the keys.
 Answers lie beside the set, not in it, and are kept as long as the diagnosis does not change.
@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from withheld_baselines import baseline_case
+from withheld_page import markdown
 
 from torchid.design.columns import Columns, Model
 from torchid.effects.registry import EVENTS, KINDS, effect_from_record
@@ -34,18 +34,17 @@ from torchid.gap.noise.floor import stuck
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import closed_share, levels
 from torchid.gap.validate.traces import traces
-from torchid.json_data import plain, read_json, write_json
+from torchid.json_data import read_json, write_json
 from torchid.log.columns import log_from_columns
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress, cores
-from torchid.report.withheld import LINES, Line, headline, markdown, markdown_table, score_table
+from torchid.report.withheld import headline, score_table
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.withheld.case_set import CaseSet, keys_beside, read_answers, read_cases, read_keys
-from torchid.withheld.run import ERROR, Job, default_settings, job_of, run, written
-from torchid.withheld.score import closed_by, scored, scores
-from torchid.withheld.summary import require_answers, summary
+from torchid.withheld.run import Job, default_settings, job_of, run, written
+from torchid.withheld.score import require_answers, summary
 
 LEVEL = 0.5
 """At which the oracle accepts what it is told."""
@@ -69,13 +68,6 @@ def _beside(
     folder.mkdir(exist_ok=True)
     todo = [job_of(cases, case, folder / f"{case}.json", own) for case, own in wanted.items()]
     return run(todo, method=method, jobs=jobs, again=True, progress=progress)
-
-
-def baseline_answers(
-    cases: CaseSet, wanted: Sequence[str], jobs: int, progress: Progress | None
-) -> Answers:
-    """Records of `baseline_case`, by case."""
-    return _beside("baselines", cases, dict.fromkeys(wanted), baseline_case, jobs, progress)
 
 
 def oracle_answers(
@@ -207,71 +199,13 @@ def true_share(
     return None if share != share else share
 
 
-NAMES = {"friction": "friction", "stlsq": "STLSQ", "bic": "BIC"}
-
-
-def baseline_scores(
-    keys: Sequence[Mapping[str, Any]],
-    answers: Mapping[str, Mapping[str, Any]],
-    found: Mapping[str, Mapping[str, Any]],
-    oracle: Mapping[str, Mapping[str, Any]] | None = None,
-) -> dict[str, Any]:
-    """Scores of every baseline on the answered cases; one on which they failed is one in which
-    they found nothing."""
-    closed = None if oracle is None else closed_by(oracle)
-    methods = dict.fromkeys(m for record in found.values() for m in record.get("methods", ()))
-    failed = {"status": ERROR, "which": []}
-    out = {}
-    for method in methods:
-        rows = [
-            scored(key, found[key["id"]].get("methods", {}).get(method, failed))
-            for key in keys
-            if key["id"] in found and key["id"] in answers
-        ]
-        out[method] = plain(scores(rows, closed))
-    return out
-
-
-def beats(line: Line, scores: Mapping[str, Any], others: Mapping[str, Any]) -> bool:
-    """Whether a score is better than another method's; no if the better side is not known."""
-    own, other = line.value(scores), line.value(others)
-    if own is None or other is None or (line.low is None) == (line.high is None):
-        return False
-    return own < other if line.low is None else own > other
-
-
-def beaten_by(ours: Mapping[str, Any], baselines: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Scores in which a simple method is better, in words."""
-    return [
-        f"{line.label}: {NAMES.get(name, name)} {line.parts(theirs)[0]}, ours {line.parts(ours)[0]}"
-        for line in LINES
-        for name, theirs in baselines.items()
-        if beats(line, theirs, ours)
-    ]
-
-
-def comparison(ours: Mapping[str, Any], baselines: Mapping[str, Mapping[str, Any]]) -> str:
-    """All scores side by side as Markdown, and where a simple method is better."""
-    rows = [
-        [line.label, *(line.parts(own)[0] for own in (ours, *baselines.values()))]
-        for line in LINES
-        if line.value(ours) is not None
-    ]
-    head = ["score", "torchid", *(NAMES.get(name, name) for name in baselines)]
-    better = beaten_by(ours, baselines)
-    said = "No simple method is better on any score that has a target."
-    if better:
-        said = "A simple method is better on:\n\n" + "\n".join(f"- {x}" for x in better)
-    return f"## Simple methods\n\n{markdown_table(head, rows)}\n\n{said}\n"
-
-
 def main() -> None:
     """Score a set, and write score.json and score.md."""
     parser = argparse.ArgumentParser(description="Score a set beside its references.")
     parser.add_argument("folder", type=Path, help="a set of cases, from `torchid withheld make`")
     parser.add_argument("--keys", type=Path, help="what was planted (default: DIR.keys.json)")
     parser.add_argument("--out", type=Path, required=True)
-    for name in ("baselines", "oracle", "truth"):
+    for name in ("oracle", "truth"):
         parser.add_argument(f"--no-{name}", action="store_true")
     parser.add_argument("--partial", action="store_true", help="leave out unanswered cases")
     parser.add_argument("--jobs", type=int, default=cores())
@@ -282,21 +216,15 @@ def main() -> None:
     require_answers(cases, answers, partial=given.partial)
     # Beside answers on commands and positions there is no other method of torques.
     torque, wanted, jobs = cases.kind == "torque", tuple(answers), given.jobs
-    simple = oracle = truth = None
-    if torque and not given.no_baselines:
-        simple = baseline_answers(cases, wanted, jobs, None)
+    oracle = truth = None
     if torque and not given.no_oracle:
         oracle = oracle_answers(cases, keys, wanted, jobs, None)
     if torque and not given.no_truth:
         truth = true_shares(cases, keys, answers, jobs, None)
     result = summary(cases, keys, answers, oracle=oracle, truly_closed=truth)
-    text = markdown(result)
-    if simple is not None:
-        result["baselines"] = baseline_scores(keys, answers, simple, oracle)
-        text += "\n" + comparison(result["scores"], result["baselines"])
     given.out.mkdir(parents=True, exist_ok=True)
     write_json(result, given.out / "score.json")
-    (given.out / "score.md").write_text(text, encoding="utf-8")
+    (given.out / "score.md").write_text(markdown(result), encoding="utf-8")
     print(headline(result), score_table(result).markdown(), sep="\n\n")
 
 

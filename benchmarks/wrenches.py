@@ -4,7 +4,7 @@
     python benchmarks/wrenches.py [--sets K] [--instants T] [--eigen DIR] [--json FILE]
 
 A set-sample is one parameter set at one instant: all the joint wrenches. `internal_wrenches` stores
-them (in new memory, or over an earlier result: `out`), `wrench_errors` reduces them to errors against a reference, `wrench_norms` stores the norms.
+them, `wrench_errors` reduces them to errors against a reference, `wrench_norms` stores the norms.
 Pinocchio's rnea computes the same wrenches (data.f) for one set at one instant; it is timed from
 C++ (-O3 -march=native, nothing stored, no reduction) when a compiler and the headers of Pinocchio and
 Eigen are there (--eigen: the folder that has Eigen/Core), and from a Python loop, which includes Python's own time. Peers and torchid run in turn;
@@ -35,12 +35,12 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.dynamics import machine
+from benchmarks.cpu_time import machine
 from tests.arms import consistent_parameters, states
 from tests.oracles import PinocchioOracle
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
-from torchid.wrenches import tiles
+from torchid.wrenches import regressor as tiles
 from torchid.wrenches.deviation import wrench_errors
 from torchid.wrenches.regressor import internal_wrenches, wrench_norms
 
@@ -281,10 +281,8 @@ def main() -> None:
     sets = consistent_parameters(robot.n, 2, (args.sets,))
     reference = InertialParameters(sets.pi[0].clone())
     units = args.sets * args.instants
-    earlier = internal_wrenches(robot, *motion, sets)
     ours: dict[str, Callable[[], object]] = {
         "internal_wrenches": lambda: internal_wrenches(robot, *motion, sets),
-        "internal_wrenches, out": lambda: internal_wrenches(robot, *motion, sets, out=earlier),
         "wrench_norms": lambda: wrench_norms(robot, *motion, sets),
         "wrench_errors": lambda: wrench_errors(robot, *motion, sets, reference),
     }

@@ -34,7 +34,7 @@ _PUBLIC = {
     "problem_of": "torchid.extraction.from_identification",
     "extract": "torchid.extraction.extract",
     "best_set": "torchid.extraction.found",
-    "near_set": "torchid.extraction.near",
+    "near_set": "torchid.extraction.methods",
     "SearchSettings": "torchid.extraction.settings",
     "atlas": "torchid.extraction.convex.atlas",
     "ParameterSets": "torchid.feasibility.sets",

@@ -16,7 +16,7 @@ from torchid.extraction.convex.atlas import atlas as atlas
 from torchid.extraction.extract import extract as extract
 from torchid.extraction.found import best_set as best_set
 from torchid.extraction.from_identification import problem_of as problem_of
-from torchid.extraction.near import near_set as near_set
+from torchid.extraction.methods import near_set as near_set
 from torchid.extraction.settings import SearchSettings as SearchSettings
 from torchid.feasibility.record import check as check
 from torchid.feasibility.sets import ParameterSets as ParameterSets

@@ -14,7 +14,7 @@ import mujoco
 import torch
 
 import torchid
-from torchid.export.replay import InMujoco
+from torchid.export.engines import InMujoco
 from torchid.gap.data import prepare
 from torchid.simulation.shooting import Windows, starts_of, windows_of
 from torchid.simulators.mujoco import Effects

@@ -8,7 +8,7 @@ import pytest
 from torchid.files import write_text
 from torchid.results.files import load
 from torchid.withheld.demo import demonstrate, withheld_cause, write_files
-from torchid.withheld.plant.trees import arm_named
+from torchid.withheld.plant.arms import arm_named
 
 
 def test_causes_differ_by_their_seeds_and_are_those_of_their_seed() -> None:

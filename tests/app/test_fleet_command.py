@@ -98,7 +98,8 @@ def test_gap_maps_units_and_effects_on_one_page(command, folder, tmp_path) -> No
     named = {e["effect"] for e in data["effects"]}
     assert "coulomb_friction" in named
     assert named <= {"viscous_friction", "coulomb_friction"}
-    assert all(e["share"] == 1.0 for e in data["effects"] if e["effect"] == "coulomb_friction")
+    # Some kind of it on each of three joints, in every unit.
+    assert sum(e["share"] for e in data["effects"]) == 3.0
     text = page.read_text()
     assert "script-src 'sha256-" in text
     assert "arm-001" in text

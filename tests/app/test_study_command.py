@@ -89,6 +89,5 @@ def test_bad_input(command, arguments, said):
     assert said in shown.err
 
 
-@pytest.mark.parametrize("option", ["--schedule", "--engine"])
-def test_choices_are_wrong_usage(command, option):
-    assert command("study", "3r", option, "nonsense").code == 2
+def test_choices_are_wrong_usage(command):
+    assert command("study", "3r", "--schedule", "nonsense").code == 2

@@ -84,7 +84,7 @@ def test_given_sets_against_the_nominal_one(folder, tmp_path):
     assert heavy["carried_mass_difference"] == pytest.approx([1.0] * 3)
     assert heavy["force_rms"] == pytest.approx([9.81] * 3, rel=0.1)
     assert max(heavy["torque_relative"]) > 0.1
-    assert (tmp_path / "force_errors.png").exists()
+    assert (tmp_path / "force_by_degree.png").exists()
 
 
 def test_positions_alone_are_differentiated(folder, tmp_path):

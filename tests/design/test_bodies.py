@@ -7,6 +7,8 @@ from tests.gap.motions import ROBOT
 from torchid.design.bodies import (
     Bodies,
     Prior,
+    nearest_to,
+    _by_newton,
     links_near,
     some_body,
     together,
@@ -118,3 +120,34 @@ def test_numbers_that_no_body_has_are_no_links() -> None:
     pi[1, 0] = -1.0
     assert links_near(pi, USUAL, 1.0) is None
     assert together([]) is None
+
+
+def test_newton_and_interior_points_find_the_same_minimum() -> None:
+    """Of many least squares at once, some of which no body fits, and with two bodies each."""
+    links = near(1.0)
+    for bodies in (links_near(PI, USUAL, 1.0)[0], Bodies(*(x[:2] for x in vars(links).values()))):  # type: ignore[index]
+        count = bodies.at.numel()
+        g = torch.Generator().manual_seed(5)
+        a = torch.randn(12, 3 * count, count, generator=g, dtype=torch.float64)
+        wanted = torch.randn(12, count, generator=g, dtype=torch.float64)
+        matrix = 1e2 * a.mT @ a + bodies.squares(count)
+        right = (matrix @ wanted.unsqueeze(-1)).squeeze(-1)
+        found, settled = _by_newton([bodies] * 12, matrix.numpy(), right.numpy())
+        assert settled.all()
+        for m, b, x in zip(matrix, right, torch.from_numpy(found), strict=True):
+            slow = torch.from_numpy(nearest_to(bodies, m.numpy(), b.numpy()))
+            fast, exact = (float(y @ m @ y - 2 * b @ y) for y in (x, slow))
+            assert fast == pytest.approx(exact, rel=1e-6)
+            assert torch.allclose(x, slow, atol=1e-3)
+
+
+def test_a_direction_that_nothing_shows_is_left_to_interior_points() -> None:
+    """A load of which one moment is never felt: Newton says so, and the minimum is a body."""
+    load = some_body(USUAL[-1])
+    matrix = 1e4 * torch.eye(10, dtype=torch.float64)
+    matrix[5, 5] = 0.0
+    right = -matrix @ torch.ones(10, dtype=torch.float64)
+    assert not _by_newton([load], matrix[None].numpy(), right[None].numpy())[1].any()
+    found = Prior(torch.zeros(10).double(), load).solve(matrix, right).x
+    margin = InertialParameters((USUAL[-1] + found).unsqueeze(0)).consistency_margin()
+    assert bool((margin > 0).all())

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from torchid.doctor.commands import check_channel_units, check_commands
 from torchid.doctor.examine import examine
+from torchid.doctor.velocity import check_channel_units, check_commands
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
 

@@ -5,7 +5,7 @@ import torch
 
 from tests.doctor.synthetic import clean
 from torchid.doctor.examine import examine
-from torchid.doctor.signs import alternatives, invisible_groups, least_groups
+from torchid.doctor.moves import alternatives, invisible_groups, least_groups
 from torchid.robot.library import load_robot
 
 

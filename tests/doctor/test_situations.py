@@ -37,6 +37,10 @@ def turned(log, angle):
     return changed(log, q=q)
 
 
+def sign_bit(x, bit):
+    return torch.where(x < 0, bit - x, x)
+
+
 def every_stamp_twice(log):
     t = log.t.clone()
     t[1::2] = t[0:-1:2]
@@ -61,6 +65,15 @@ SITUATIONS = {
         {"position unit", "zero of positions"}, True),
     "RMD: 0.01 degrees, degrees/s": ("panda", lambda r, x: changed(
         x, q=(x.q * DEGREES * 100).round(), dq=(x.dq * DEGREES).round()), {"position unit"}, True),
+    "a counter that runs the other way": ("panda", lambda r, x: changed(
+        x, q=(2048 - x.q * 4096 / TURN).round(), dq=(-x.dq / (0.229 * TURN / 60)).round()),
+        {"position unit", "zero of positions", "position sign"}, True),
+    "CAN: int16 read as unsigned": ("panda", lambda r, x: changed(
+        x, tau=torch.remainder((100 * x.tau).round(), 65536)),
+        {"number format", "torque unit"}, True),
+    "Feetech: bit 15 is the sign of a speed": ("panda", lambda r, x: changed(
+        x, q=(x.q * 4096 / TURN + 2048).round(), dq=sign_bit((x.dq * 4096 / TURN).round(), 32768)),
+        {"number format", "position unit", "zero of positions"}, True),
     "LeRobot: percent of the range": ("panda", percent, {"position unit"}, True),
     "packed 16 bit, unknown scale": ("panda", lambda r, x: changed(
         x, q=((x.q + 12.5) / 25 * 65535).round(), dq=((x.dq + 65) / 130 * 4095).round()),

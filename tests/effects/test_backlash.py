@@ -42,11 +42,15 @@ def test_columns_of_several_are_those_of_each() -> None:
     robot = arm("3r")
     motion = smooth_motion(robot, 400, rate=250.0)
     plays = [e for e in Backlash.starts(robot) if e.joints == (1,)]
-    together = list(Backlash.columns_of(plays, motion, robot))
+    # Along two trajectories, too, of which the second is a part of the first.
+    part = motion.part(slice(100, 350))
+    together, shorter = zip(*Backlash.columns_along(plays, [motion, part], robot), strict=True)
     assert len(together) == len(plays) > 8
     for k in (0, len(plays) - 1):
         alone = plays[k].torque_columns(motion, robot)
         torch.testing.assert_close(together[k], alone, rtol=1e-9, atol=1e-9)
+        alone = plays[k].torque_columns(part, robot)
+        torch.testing.assert_close(shorter[k], alone, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("rotor", [0.0, 0.3])

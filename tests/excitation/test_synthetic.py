@@ -9,7 +9,6 @@ from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.errors import LogError, RobotError, TorchidError
 from torchid.excitation.synthetic import (
-    ENCODER_STEP,
     HonestNoise,
     PaperNoise,
     nominal_torque,
@@ -19,6 +18,7 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
+from torchid.simulation.sensors import ENCODER_STEP
 
 ROBOT = load_robot("3r_friction")
 PLAN = trajectory_log(random_trajectory(ROBOT, 0, count=2, duration=20.0), 500.0)

@@ -17,9 +17,9 @@ from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.export.correct import correct
 from torchid.export.correction import CLAIMED, Correction
+from torchid.export.engines import InMujoco, InPinocchio
 from torchid.export.export import export_dynamics
 from torchid.export.projection import Projector
-from torchid.export.replay import InMujoco, InPinocchio
 from torchid.export.write_xml import xml_of
 from torchid.gap.data import prepare
 from torchid.gap.settings import GapSettings
@@ -112,7 +112,7 @@ def test_fields_and_bodies_that_the_file_can_say_are_found(tmp_path):
             # Where a joint reverses MuJoCo's dry friction is its own.
             assert bool((judged.engine < judged.full + 2).all())
         else:
-            assert {one.effect.name for one in done.projection.kept} == {"rotor_inertia"}
+            assert {one.effect for one in done.projection.kept} == {"rotor_inertia"}
         assert float(judged.engine.mean()) < 0.2 * float(judged.nominal.mean())
 
 
@@ -164,7 +164,7 @@ def test_the_example_replays_a_log(done, logs, tmp_path, monkeypatch, capsys):
 
 
 def test_every_effect_without_a_field_is_named_with_what_is_kept(done):
-    kept = {one.effect.name: one for one in done.projection.kept}
+    kept = {one.effect: one for one in done.projection.kept}
     assert set(kept) == {"stribeck_friction", "load_dependent_friction", "torque_offset"}
     assert all(0 <= one.share <= 1 for one in kept.values())
     assert (kept["stribeck_friction"].field, kept["stribeck_friction"].joint) == ("frictionloss", 0)
@@ -208,7 +208,7 @@ def test_what_is_kept_is_what_the_fit_itself_makes_of_the_effect(full, logs):
     takes over of that tenth."""
     data = prepare(arm("3r"), logs[0], None, widest=20.0)
     projector = Projector(arm("3r"), full, data, "mjcf")
-    kept = {one.effect.name: one for one in projector.projection().kept}
+    kept = {one.effect: one for one in projector.projection().kept}
     every = torch.ones(len(data.samples), dtype=torch.bool)
     before = projector.without(every)
     for effect, values in nominal_effects(full):

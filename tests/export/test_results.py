@@ -16,7 +16,7 @@ from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, folded, nearest_representative, robot_torque, states
 from torchid.export.export import export_dynamics, require_feasible
 from torchid.export.results import base_dynamics, carried, load, robot_dynamics, set_dynamics
-from torchid.export.tables import read_values
+from torchid.export.write_plain import read_values
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, nominal_set, sets_record
 from torchid.identification.base_parameters import base_parameters, nominal_values

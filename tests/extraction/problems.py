@@ -9,7 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchid.extraction.cma.search import Engine, SearchState, start
+from benchmarks import pycma_engine
+from torchid.extraction.cma import batched
+from torchid.extraction.cma.search import SearchState, start
+
+ENGINES = {"batched": batched.minimise, "cma": pycma_engine.minimise}
+"""Ours, and pycma as a peer."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +119,7 @@ class _FoundError(Exception):
     """All runs have the target."""
 
 
-def values_of(p: Problem, engine: Engine, state: SearchState) -> Tensor:
+def values_of(p: Problem, engine: Callable[..., SearchState], state: SearchState) -> Tensor:
     """(generations, R) best value so far, until all runs have the target."""
     best = torch.full((len(state.mean),), float("inf"), dtype=torch.float64)
     history = []
@@ -129,11 +134,11 @@ def values_of(p: Problem, engine: Engine, state: SearchState) -> Tensor:
         return value
 
     with contextlib.suppress(_FoundError):
-        engine.minimise(watched, state, generations=p.generations, seed=3)
+        engine(watched, state, generations=p.generations, seed=3)
     return torch.stack(history)
 
 
-def generations_to(p: Problem, engine: Engine, state: SearchState) -> Tensor:
+def generations_to(p: Problem, engine: Callable[..., SearchState], state: SearchState) -> Tensor:
     """(R,) generations until the target; inf where it was not reached."""
     hit = values_of(p, engine, state) < p.target
     return torch.where(hit.any(0), hit.double().argmax(0).double(), float("inf"))

@@ -58,7 +58,7 @@ def sets_of(given: Problem, x: Tensor) -> ParameterSets:
 def allowed(given: Problem, x: Tensor) -> Tensor:
     """(K,) whether vectors are feasible and within the bounds."""
     sets = sets_of(given, x)
-    p = given.search_vector(sets)
+    p = sets.search_vector
     low, high = given.box.unbind(-1)
     return feasibility(sets, given.conditions).feasible & ((p >= low) & (p <= high)).all(-1)
 

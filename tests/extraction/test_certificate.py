@@ -86,7 +86,7 @@ def test_the_reports_three_axis_arm_has_one(name: str, group: str) -> None:
     assert (found.forcing, found.released, found.conflict) == ((), {}, ())
     assert found.sets is not None
     assert bool(feasibility(found.sets, given.conditions).feasible.all())
-    p = given.search_vector(found.sets)[0]
+    p = found.sets.search_vector[0]
     low, high = given.box.unbind(-1)
     assert bool(((p >= low - 1e-9) & (p <= high + 1e-9)).all())
     assert float(found.sets.parameters.consistency_margin().min()) >= 0.99 * found.strict
@@ -102,7 +102,7 @@ def test_inertia_bounds_that_matter_are_bracketed() -> None:
     assert without.phi_min * 1.01 < found.phi_min < found.phi_strict < 1.12e-4
     assert "bound_4yy" in found.relaxed_active
     assert found.sets is not None
-    p = given.search_vector(found.sets)[0]
+    p = found.sets.search_vector[0]
     low, high = given.box.unbind(-1)
     assert bool(((p >= low - 1e-9) & (p <= high + 1e-9)).all())
 

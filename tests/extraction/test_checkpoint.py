@@ -85,9 +85,7 @@ def test_killed_three_times(tmp_path: Path, whole: Extraction) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(
-    "changes", [{"penalty": "partial"}, {"schedule": "geometric"}, {"engine": "cma", "runs": 2}]
-)
+@pytest.mark.parametrize("changes", [{"penalty": "partial"}, {"schedule": "geometric"}])
 def test_of_every_kind_of_search(changes: dict[str, object], tmp_path: Path) -> None:
     settings = replace(SETTINGS, stages=3, **changes)
     path = tmp_path / "search.npz"
@@ -231,7 +229,7 @@ def test_file_is_lossless(tmp_path: Path) -> None:
 
 OTHER_SETTINGS = [
     {"runs": 4}, {"stages": 7}, {"generations": 9}, {"population": 12}, {"penalty": "partial"},
-    {"schedule": "geometric"}, {"engine": "cma"}, {"seed": 5},
+    {"schedule": "geometric"}, {"seed": 5},
 ]  # fmt: skip
 
 

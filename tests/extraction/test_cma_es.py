@@ -9,11 +9,18 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.extraction.problems import PROBLEMS, begin, generations_to, problem, same, sphere
+from tests.extraction.problems import (
+    ENGINES,
+    PROBLEMS,
+    begin,
+    generations_to,
+    problem,
+    same,
+    sphere,
+)
 from tests.marks import quick_first
 from torchid.errors import TorchidError
 from torchid.extraction.cma.search import PERIOD, SearchState, default_population
-from torchid.extraction.extract import ENGINES, engine
 from torchid.typing import Tensor
 
 NAMES = sorted(ENGINES)
@@ -26,7 +33,7 @@ NAMES = sorted(ENGINES)
 @pytest.mark.parametrize("n", quick_first([2, 10], 1))
 def test_batched_engine_finds_the_optimum(name: str, n: int) -> None:
     p = problem(name, n)
-    needed = generations_to(p, engine("batched"), begin(12, n))
+    needed = generations_to(p, ENGINES["batched"], begin(12, n))
     assert needed.isfinite().double().mean() >= p.share
 
 
@@ -34,24 +41,24 @@ def test_batched_engine_finds_the_optimum(name: str, n: int) -> None:
 @pytest.mark.parametrize(("name", "n"), [("sphere", 2), ("active bounds", 2), ("sphere", 5)])
 def test_pycma_engine_finds_the_optimum(name: str, n: int) -> None:
     p = problem(name, n)
-    state = engine("cma").minimise(p.objective, begin(4, n), generations=150, seed=1)
+    state = ENGINES["cma"](p.objective, begin(4, n), generations=150, seed=1)
     assert (state.best_value < p.target).all()
 
 
 def test_one_dimension() -> None:
-    state = engine("batched").minimise(sphere, begin(5, 1), generations=60, seed=0)
+    state = ENGINES["batched"](sphere, begin(5, 1), generations=60, seed=0)
     torch.testing.assert_close(
         state.best, torch.full((5, 1), 0.4, dtype=torch.float64), atol=1e-6, rtol=0
     )
     with pytest.raises(TorchidError, match="one dimension"):
-        engine("cma").minimise(sphere, begin(5, 1), generations=1, seed=0)
+        ENGINES["cma"](sphere, begin(5, 1), generations=1, seed=0)
 
 
 def test_covariance_becomes_the_inverse_hessian() -> None:
     n = 6
     q, _ = torch.linalg.qr(torch.randn(n, n, dtype=torch.float64))
     hessian = q @ torch.diag(10.0 ** torch.linspace(0, 4, n, dtype=torch.float64)) @ q.mT
-    state = engine("batched").minimise(
+    state = ENGINES["batched"](
         lambda x: torch.einsum("rli,ij,rlj->rl", x - 0.5, hessian, x - 0.5),
         begin(8, n),
         generations=200,
@@ -71,7 +78,7 @@ def test_no_slower_than_pycma(name: str, n: int) -> None:
     if p.share < 0.9:
         pytest.skip("both end in local optima")
     medians = {
-        kind: generations_to(p, engine(kind), begin(21, n, seed=n)).median() for kind in NAMES
+        kind: generations_to(p, ENGINES[kind], begin(21, n, seed=n)).median() for kind in NAMES
     }
     assert medians["batched"] <= 1.5 * medians["cma"]
 
@@ -90,7 +97,7 @@ def test_only_ranks_matter(transform) -> None:
     def ranks(x: Tensor) -> Tensor:
         return torch.floor(sphere(x) * 1024)
 
-    run = engine("batched").minimise
+    run = ENGINES["batched"]
     a = run(ranks, begin(4, 5), generations=25, seed=3)
     b = run(lambda x: transform(ranks(x)), begin(4, 5), generations=25, seed=3)
     same(a, b, but=("best_value",))
@@ -115,7 +122,7 @@ def test_contract(kind: str, runs: int, n: int, seed: int, data: st.DataObject) 
 
     first = begin(runs, n, sigma=data.draw(st.sampled_from([1e-3, 0.3, 5.0])), seed=seed)
     arguments = {"generations": 6, "seed": seed, "population": population}
-    state = engine(kind).minimise(objective, first, **arguments)
+    state = ENGINES[kind](objective, first, **arguments)
     assert [tuple(x.shape) for x, _ in seen] == [(runs, 1, n)] + 6 * [
         (runs, population or default_population(n), n)
     ]
@@ -127,7 +134,7 @@ def test_contract(kind: str, runs: int, n: int, seed: int, data: st.DataObject) 
     for name, tensor in state.to_arrays().items():
         assert tensor.shape == first.to_arrays()[name].shape
         assert np.isfinite(tensor).all()
-    same(state, engine(kind).minimise(objective, first, **arguments))
+    same(state, ENGINES[kind](objective, first, **arguments))
 
 
 @ENGINE_CASES
@@ -139,7 +146,7 @@ def test_runs_do_not_see_each_other(kind: str) -> None:
         values[3] = 7.0
         return values
 
-    run = engine(kind).minimise
+    run = ENGINES[kind]
     quiet, loud = (run(f, begin(6, 4), generations=40, seed=9) for f in (sphere, disturbed))
     for rows in (slice(0, 1), slice(4, 6)):
         same(quiet, loud, runs=rows)
@@ -153,7 +160,7 @@ def test_seeds_differ_and_the_world_is_left_alone(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     before, numpys = torch.get_rng_state(), np.random.get_state()[1].copy()
-    run = engine(kind).minimise
+    run = ENGINES[kind]
     a, b = (run(sphere, begin(3, 4), generations=5, seed=seed) for seed in (1, 2))
     assert not torch.equal(a.mean, b.mean)
     assert len({tuple(row) for row in a.mean.tolist()}) == 3
@@ -169,7 +176,7 @@ def test_seeds_differ_and_the_world_is_left_alone(
 @pytest.mark.parametrize("sigma", [0.3, 5.0])
 @pytest.mark.parametrize("split", [1, 2, 11])
 def test_two_calls_are_one(split: int, sigma: float, tmp_path: Path) -> None:
-    run, first = engine("batched").minimise, begin(4, 6, sigma)
+    run, first = ENGINES["batched"], begin(4, 6, sigma)
     whole = run(sphere, first, generations=30, seed=5)
     part = run(sphere, first, generations=split, seed=5)
     np.savez(tmp_path / "state.npz", **part.to_arrays())
@@ -181,8 +188,8 @@ def test_two_calls_are_one(split: int, sigma: float, tmp_path: Path) -> None:
 
 @ENGINE_CASES
 def test_no_generations_change_nothing(kind: str) -> None:
-    state = engine(kind).minimise(sphere, begin(3, 4), generations=5, seed=0)
-    again = engine(kind).minimise(sphere, state, generations=0, seed=0)
+    state = ENGINES[kind](sphere, begin(3, 4), generations=5, seed=0)
+    again = ENGINES[kind](sphere, state, generations=0, seed=0)
     assert torch.equal(again.best, state.best)
     assert torch.equal(again.best_value, state.best_value)
     torch.testing.assert_close(again.point, state.point, atol=1e-14, rtol=0)
@@ -192,7 +199,7 @@ def test_no_generations_change_nothing(kind: str) -> None:
 @ENGINE_CASES
 def test_a_grown_penalty_is_met(kind: str) -> None:
     """The best of the first objective is judged by the second before the search goes on."""
-    run = engine(kind).minimise
+    run = ENGINES[kind]
     state = run(sphere, begin(4, 3), generations=60, seed=0)
 
     def penalised(x: Tensor) -> Tensor:
@@ -220,7 +227,7 @@ def test_a_grown_penalty_is_met(kind: str) -> None:
     ],
 )
 def test_a_degenerate_covariance_is_repaired_alone(covariance: Tensor) -> None:
-    run = engine("batched").minimise
+    run = ENGINES["batched"]
     sound = begin(3, 4)
     arrays = sound.to_arrays()
     arrays["covariance"][1] = covariance
@@ -237,13 +244,13 @@ def test_a_degenerate_covariance_is_repaired_alone(covariance: Tensor) -> None:
 def test_a_collapsed_step_stays_alive(kind: str) -> None:
     arrays = begin(3, 4).to_arrays()
     arrays["sigma"][:] = 0.0, 1e-300, 0.3
-    state = engine(kind).minimise(sphere, SearchState.from_arrays(arrays), generations=30, seed=0)
+    state = ENGINES[kind](sphere, SearchState.from_arrays(arrays), generations=30, seed=0)
     assert all(np.isfinite(a).all() for a in state.to_arrays().values())
     assert (state.sigma > 1e-13).all()
 
 
 def test_far_beyond_convergence() -> None:
-    state = engine("batched").minimise(sphere, begin(4, 3), generations=500, seed=0)
+    state = ENGINES["batched"](sphere, begin(4, 3), generations=500, seed=0)
     assert all(np.isfinite(a).all() for a in state.to_arrays().values())
     torch.testing.assert_close(
         state.best, torch.full((4, 3), 0.4, dtype=torch.float64), atol=1e-7, rtol=0
@@ -251,7 +258,7 @@ def test_far_beyond_convergence() -> None:
 
 
 def test_nothing_to_find_does_not_run_away() -> None:
-    state = engine("batched").minimise(
+    state = ENGINES["batched"](
         lambda x: torch.zeros(x.shape[:-1], dtype=torch.float64),
         begin(6, 5),
         generations=300,

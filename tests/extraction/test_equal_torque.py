@@ -19,8 +19,9 @@ from torchid.extraction.equal_torque import sample as equal_torque
 from torchid.extraction.equal_torque.sample import (
     EqualTorqueSets,
     equal_torque_sets,
+    equal_torque_space,
+    kernel,
 )
-from torchid.extraction.equal_torque.space import equal_torque_space, kernel
 from torchid.feasibility.bounds import Bounds, read_bounds
 from torchid.feasibility.conditions import Conditions, conditions
 from torchid.feasibility.margins import feasibility, kinds

@@ -59,7 +59,7 @@ def test_counts_below_one_are_refused(name: str, value: int) -> None:
 @pytest.mark.usefixtures("types_unchecked")
 @pytest.mark.parametrize(
     ("name", "known"),
-    [("penalty", "partial"), ("schedule", "geometric"), ("engine", "batched")],
+    [("penalty", "partial"), ("schedule", "geometric")],
 )
 def test_unknown_names_are_refused(name: str, known: str) -> None:
     with pytest.raises(TorchidError, match=f"unknown {name}") as caught:
@@ -94,7 +94,7 @@ def test_full_loss(name: str, limit: float) -> None:
 
 def assert_consistent(p: Problem, found: Extraction, settings: SearchSettings) -> None:
     """The figures are those of the sets, and the history's last column is what was searched."""
-    q = p.search_vector(found.sets)
+    q = found.sets.search_vector
     torch.testing.assert_close(p.phi(q), found.phi, rtol=1e-6, atol=1e-20)
     torch.testing.assert_close(gamma(p, q), found.gamma, rtol=1e-6, atol=1e-12)
     shape = (settings.runs, settings.stages)
@@ -113,7 +113,6 @@ def assert_consistent(p: Problem, found: Extraction, settings: SearchSettings) -
         {"penalty": "partial"},
         {"schedule": "geometric"},
         {"stages": 1, "runs": 1, "population": 6},
-        {"engine": "cma", "runs": 2, "stages": 2},
     ],
 )
 def test_figures_are_those_of_the_sets(changes: dict[str, object]) -> None:
@@ -159,11 +158,9 @@ def assert_descends(found: Extraction) -> None:
     assert bool((final < phi[:, 0] + last * violated[:, 0]).all())
 
 
-@pytest.mark.parametrize("engine", ["batched", "cma"])
 @pytest.mark.parametrize("changes", [{}, {"penalty": "partial"}, {"schedule": "geometric"}])
-def test_search_alone_descends(engine: str, changes: dict[str, object]) -> None:
-    size = {"stages": 6} if engine == "batched" else {"stages": 3, "runs": 2}
-    settings = with_settings(engine=engine, **size, **changes)
+def test_search_alone_descends(changes: dict[str, object]) -> None:
+    settings = with_settings(stages=6, **changes)
     found = extract(problem_of("3r"), settings)
     assert_descends(found)
 
@@ -187,16 +184,6 @@ def test_global_random_state_is_neither_read_nor_changed() -> None:
     assert_same(a, extract(p, SMALL))
 
 
-@pytest.mark.nightly
-def test_engine_of_pycma() -> None:
-    p = problem_of("3r")
-    settings = with_settings(engine="cma", runs=2, stages=3)
-    found = extract(p, settings)
-    assert float(found.phi.max()) < 1e-18
-    assert bool(feasibility(found.sets, p.conditions).feasible.all())
-    assert_same(found, extract(p, settings))
-
-
 @pytest.fixture
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three runs of the 3R and more."""
@@ -205,9 +192,8 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.usefixtures("small_blocks")
-@pytest.mark.parametrize("engine", ["batched", pytest.param("cma", marks=pytest.mark.nightly)])
-def test_the_bits_do_not_depend_on_the_workers(engine: str) -> None:
-    p, settings = problem_of("3r"), with_settings(runs=10, engine=engine, stages=3)
+def test_the_bits_do_not_depend_on_the_workers() -> None:
+    p, settings = problem_of("3r"), with_settings(runs=10, stages=3)
     assert len(room._blocks(p, settings, "cpu")) == 3
     found = extract(p, settings)
     with ThreadPoolExecutor(3) as threads:

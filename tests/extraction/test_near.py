@@ -10,7 +10,7 @@ from tests.arms import arm, states
 from tests.oracles import MujocoOracle, PinocchioOracle
 from torchid.errors import TorchidError
 from torchid.extraction.from_identification import problem_of
-from torchid.extraction.near import near_set
+from torchid.extraction.methods import near_set
 from torchid.feasibility.plausibility import DENSITIES, bodies
 from torchid.identification.identify import Settings, identify
 from torchid.identification.values import nominal_base

@@ -160,7 +160,7 @@ def test_continuous(name: str, exact: bool) -> None:
 
 def feasible_3r() -> tuple[Problem, torch.Tensor]:
     p = problem_of("3r")
-    return p, p.search_vector(nominal_set(arm("3r")))[0]
+    return p, nominal_set(arm("3r")).search_vector[0]
 
 
 def test_scaled_violations_by_hand() -> None:
@@ -204,7 +204,7 @@ def test_total_mass_open_to_one_side(interval: tuple[float, float], expected: fl
 
 def test_shape_by_hand() -> None:
     p = problem_of("3r", shapes=True)
-    good = p.search_vector(nominal_set(arm("3r")))[0]
+    good = nominal_set(arm("3r")).search_vector[0]
     assert float(gamma(p, good)) == 0.0
     q = good.clone()
     q[p.n + 1 * 3 + 1] = 0.03
@@ -245,7 +245,7 @@ def test_batches_and_devices(device: torch.device) -> None:
 def test_without_boxes_only_physics_counts() -> None:
     p = problem_of("3r")
     free = replace(p, conditions=nothing_asked(p.conditions))
-    q = p.search_vector(nominal_set(arm("3r")))[0]
+    q = nominal_set(arm("3r")).search_vector[0]
     q[p.n : 4 * p.n] = 100.0
     assert float(gamma(p, q)) > 100
     assert float(gamma(free, q)) == 0.0
@@ -262,7 +262,7 @@ def test_coefficients_with_a_sign_count_when_the_bounds_let_them_be_negative():
     target = two_step(found.base, found.effects, found.values)
     open_bounds = replace(bounds, coefficients=wide)
     asked = extraction_problem(robot, target, open_bounds, conditions(robot))
-    p = asked.search_vector(nominal_set(robot))
+    p = nominal_set(robot).search_vector
     for k, expected in ((30, 0.1), (33, 0.1), (36, 0.0)):
         worse = p.clone()
         worse[:, k] = -5.0

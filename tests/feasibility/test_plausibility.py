@@ -11,9 +11,13 @@ from hypothesis import strategies as st
 from tests.arms import arm, consistent_parameters
 from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.conditions import conditions, physics_only
-from torchid.feasibility.findings import own_inertial_findings, search_names
 from torchid.feasibility.margins import feasibility
-from torchid.feasibility.plausibility import bodies, plausibility
+from torchid.feasibility.plausibility import (
+    bodies,
+    own_inertial_findings,
+    plausibility,
+    search_names,
+)
 from torchid.feasibility.sets import ParameterSets, nominal_set
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot

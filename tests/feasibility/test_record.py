@@ -10,7 +10,7 @@ import torch
 from torchid.errors import RobotError
 from torchid.feasibility.bounds import read_bounds, read_total_mass
 from torchid.feasibility.derived_bounds import derive_bounds
-from torchid.feasibility.findings import Finding
+from torchid.feasibility.plausibility import Finding
 from torchid.feasibility.record import check, check_sets, excess_percent
 from torchid.feasibility.sets import ParameterSets, joined, nominal_set, sets_record
 from torchid.json_data import write_json

@@ -16,9 +16,8 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
-from torchid.next_motion.ambiguity import open_questions
+from torchid.next_motion.ambiguity import open_questions, rivals
 from torchid.next_motion.design import excite_for
-from torchid.next_motion.rivals import rivals
 from torchid.next_motion.separating_motion import design_separation
 from torchid.robot.library import load_robot
 

@@ -22,8 +22,7 @@ from torchid.excitation.trajectories import random_trajectory
 from torchid.gap.record import GapRecord
 from torchid.identification.base_parameters import base_parameters
 from torchid.log.filtering import ZeroPhaseFilter
-from torchid.next_motion.ambiguity import open_questions
-from torchid.next_motion.rivals import rivals
+from torchid.next_motion.ambiguity import open_questions, rivals
 from torchid.next_motion.rows import RATE, Rows, Setting
 from torchid.next_motion.separating_motion import _hardly, design_separation
 from torchid.next_motion.separation import (

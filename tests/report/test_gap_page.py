@@ -16,9 +16,8 @@ from tests.marks import quick_first
 from tests.report.page.reading import headings, parsed, rows_of, text_of
 from torchid.gap.diagnosis import HowFar
 from torchid.gap.record import Budget, Parametric, Status
-from torchid.report.diagnosis import page
+from torchid.report.diagnosis import STATUS, page, which_model
 from torchid.report.page import document as rendering
-from torchid.report.page.diagnosis import STATUS, which_model
 from torchid.report.page.document import InputFile, origin, render
 from torchid.simulation.two_models import Horizon, Rollout, SimulatedMotion, TorqueGap
 
@@ -98,15 +97,13 @@ def test_numbers_are_those_of_the_json(undrawn):
         for name in f["std"]:
             value, _, unit = row[2].removeprefix(f"{name} = ").partition(" ")
             assert float(value) == pytest.approx(f["parameters"][name], rel=1e-2), unit
-    rms = rows_of(tree, "RMS of what the model lacks [N m]")
-    for name, key in (("as given", "before"), ("corrected", "after")):
-        (row,) = (r for r in rms if r[0] == name)
-        expected = [j[key] for j in data["how_far"]["per_joint"]]
-        assert [float(x) for x in row[1:-1]] == pytest.approx(expected, rel=5e-3)
-    gaps = rows_of(tree, "torque the model lacks, below 20 Hz")
-    assert [float(r[1].split()[0]) for r in gaps] == pytest.approx(
-        [j["gap_rms"] for j in data["where"]["joints"]], rel=5e-3
-    )
+    *joints, every = rows_of(tree, "RMS of the torque the model lacks, below 20 Hz")
+    far, where = data["how_far"], data["where"]["joints"]
+    for row, own, gap in zip(joints, far["per_joint"], where, strict=True):
+        sizes = [float(cell.split()[0]) for cell in row[1:3]]
+        assert sizes == pytest.approx([own["before"], own["after"]], rel=5e-3)
+        assert sizes[0] == pytest.approx(gap["gap_rms"], rel=5e-3)
+    assert float(every[2]) == pytest.approx(far["rms_after"], rel=5e-3)
 
 
 def test_the_answer_has_a_bar_a_joint_the_largest_error_first(undrawn):

@@ -17,8 +17,7 @@ from torchid.gap.diagnosis import HowFar
 from torchid.gap.record import NotTestable, Parametric, Status
 from torchid.report import gap
 from torchid.report.diagnosis import shown
-from torchid.report.gap_words import coefficients
-from torchid.results.answer import COLUMNS, Answer, Cause, JointError, Size
+from torchid.results.answer import COLUMNS, Answer, Cause, JointError, Size, named_size
 from torchid.results.words import effect_words, listed, measure, percent
 from torchid.simulation.two_models import Horizon, Rollout, TorqueGap
 
@@ -144,9 +143,9 @@ def test_tables_hold_the_numbers():
         "inertia of link 3",
         CoulombFriction.meaning[:20],
         "joint 2: its value rises with the cut-off",
-        "as given 0.08 0.61 0.05 0.617",
-        "corrected 0.06 0.07 0.05 0.105",
-        "2 % 93 % 5 % 93 % [90, 95]",
+        "2 0.61 N m 0.07 0.04 - 0.06 98 %",
+        "all 0.617 N m 0.105",
+        "closed: 93 % [90, 95]; base parameters 2 %, effects 93 %, unexplained 5 %",
         "1: at no size",
         "3: 0.4 N m",
         "too small beside the noise",
@@ -243,7 +242,8 @@ def test_measure(value, std, expected):
 
 def test_units_of_prismatic_joints():
     slide = replace(VISCOUS, effect=ViscousFriction(1), joints=(1,))
-    assert coefficients(slide.record(mixed_arm("RPR"))) == ["Fv = 0.20 ± 0.10 N s/m"]
+    (size,) = slide.record(mixed_arm("RPR")).cause.sizes
+    assert named_size(size) == "Fv = 0.20 ± 0.10 N s/m"
 
 
 @pytest.mark.parametrize(

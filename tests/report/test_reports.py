@@ -41,7 +41,7 @@ def test_tables_show_every_parameter_with_its_value(result):
     text = text_of(result)
     for name, value in zip(result.base.names[:15], result.values.tolist(), strict=False):
         line = next(x for x in text.splitlines() if name in " ".join(x.split()))
-        assert f"{value:.5g}" in line
+        assert f"{value:.6g}" in line
 
 
 def test_tables_show_the_errors(result):

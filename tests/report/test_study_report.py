@@ -11,27 +11,27 @@ import pytest
 import torch
 from rich.console import Console
 
+from tests.report.test_gap_page import made
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import read_sets
 from torchid.report.log import trajectory_figure
 from torchid.report.study import facts
 from torchid.report.study.facts import verdict
+from torchid.report.study.figures import drawings
 from torchid.report.study.page import (
     all_tables,
-    drawings,
     identification_table,
-    page,
     page_verdict,
     payload_table,
     scenario_table,
     set_wrench_table,
+    study_page,
     write_study,
 )
 from torchid.report.table import Table
-from torchid.study.motions import excitation
 from torchid.study.result import Study
 from torchid.study.settings import load_study
-from torchid.study.study import run_study
+from torchid.study.study import excitation, run_study
 
 
 def tiny(name: str, scenarios: tuple[str, ...]) -> Study:
@@ -95,7 +95,7 @@ def test_the_page_shows_every_figure_and_every_set(study, written):
     assert sorted(shown) == sorted(d.file for d in drawings(study))
     for s in study.scenarios:
         assert re.search(rf"^\| {s.scenario.id} \|", text, re.MULTILINE)
-    assert text.index("- Identification:") < text.index("## Identification")
+    assert text.index("- Identification:") < text.index("## Classification")
 
 
 def test_the_page_names_no_place_of_this_machine(written):
@@ -198,11 +198,11 @@ def test_a_study_without_certificates_has_a_report(study):
     bare = replace(study, certificates=MappingProxyType({}), warnings=("no certificate: missing",))
     sheet = scenario_table(bare)
     assert {row[sheet.columns.index("phi_min")] for row in sheet.rows} == {"-"}
-    text = page(bare, drawings(bare), [])
+    text = study_page(bare, made()).markdown()
     assert "there is no certificate" in text
-    assert "Noticed: no certificate: missing" in text
+    assert "no certificate: missing" in text
     assert "mpossible" not in text
-    next(d for d in drawings(bare) if d.name == "search_losses").draw()
+    next(d for d in drawings(bare) if d.name == "degrees").draw()
     assert page_verdict(bare)
 
 
@@ -214,11 +214,9 @@ def test_an_impossible_certificate_has_a_report(study):
         c, feasible=False, phi_min=torch.inf, phi_strict=torch.nan, sets=None, conflict=("com_1x",)
     )
     changed = replace(study, certificates=MappingProxyType({"normal": none}))
-    assert any("no physical set" in line for line in verdict(changed))
+    assert "no physical set" in page_verdict(changed)
     assert "com_1x" in text_of(changed)
-    for d in drawings(changed):
-        if d.name.startswith("search"):
-            d.draw()
+    next(d for d in drawings(changed) if d.name == "force_error_by_degree").draw()
 
 
 @pytest.mark.nightly
@@ -232,9 +230,8 @@ def test_a_study_without_feasible_sets_has_a_report(without_feasible):
             d.draw()
     labels = [line.get_label() for line in found["wrenches_UN-p_1.png"].draw().axes[0].lines]
     assert labels == ["real", "UN = p_1"]
-    text = page(without_feasible, figures, [])
-    assert "There is no feasible set to compare with." in text
-    assert f"Feasible: 0 of the {len(without_feasible.scenarios)} best sets" in text
+    text = study_page(without_feasible, made()).markdown()
+    assert f"Not feasible: none of the {len(without_feasible.scenarios)} best sets" in text
 
 
 def test_what_is_said_of_classes_follows_their_intervals(study):

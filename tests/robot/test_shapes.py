@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from torchid.errors import RobotError
 from torchid.robot.library import load_robot
-from torchid.robot.mesh_files import find_mesh, mesh_vertices
 from torchid.robot.model import link_poses
 from torchid.robot.placement import pose, roll_pitch_yaw
 from torchid.robot.shapes import (
@@ -22,7 +21,7 @@ from torchid.robot.shapes import (
     own_inertials,
     reach,
 )
-from torchid.robot.solids import box, capsule, cylinder, ellipsoid, points
+from torchid.robot.solids import box, capsule, cylinder, ellipsoid, find_mesh, mesh_vertices, points
 
 MASS = (
     '<inertial><mass value="{}"/>'

@@ -13,7 +13,7 @@ from tests.arms import mixed_arm, states
 from tests.oracles import PinocchioOracle
 from torchid.effects.base import Motion
 from torchid.errors import TorchidError
-from torchid.extraction.equal_torque.space import equal_torque_space, kernel
+from torchid.extraction.equal_torque.sample import equal_torque_space, kernel
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
 from torchid.identification.base_parameters import base_parameters

@@ -56,7 +56,7 @@ def test_a_whole_study(name):
     for scenario in study.scenarios:
         found = scenario.extraction
         low, high = found.problem.box.unbind(-1)
-        p = found.problem.search_vector(found.sets)
+        p = found.sets.search_vector
         slack = 1e-9 * (high - low)
         assert bool(((p >= low - slack) & (p <= high + slack)).all())
         proof = study.certificates[scenario.scenario.bounds]
@@ -147,8 +147,10 @@ def test_searches_that_are_over_are_not_repeated(tmp_path, monkeypatch):
     [
         ("id: p_4", "id: p_1", "p_1"),
         ("id: p_1,", "id: a/b,", "a/b"),
-        ("duration: 10", "duration: long", "long"),
+        ("duration: 10", "duration: long", "duration"),
         ("rate: 100,", "rate: 0,", "rate"),
+        ("rate: 100,", "rate: 100, noise_dB: 3,", "noise_dB"),
+        ("mass: 0.5", "mass: 0.5, weight: 5", "weight"),
         ("com: [0.02, -0.01, 0.04]", "com: [0.02]", "com"),
         ("mass: 0.5", "mass: -1", "mass"),
     ],

@@ -5,7 +5,7 @@ import pytest
 from torchid.statistics.proportion import wilson
 from torchid.withheld.case_set import keys_beside, make, read_answers, read_keys
 from torchid.withheld.run import default_settings, jobs_of, run
-from torchid.withheld.summary import summary
+from torchid.withheld.score import summary
 
 SEED, CASES = 101, 12
 """Of the development: releases are scored on others (docs/withheld.md)."""

@@ -7,11 +7,12 @@ import pytest
 from tests.benchmarks import loaded
 from tests.withheld.fakes import answer, draw_case, entry, key_of
 from torchid.errors import TorchidError
-from torchid.report.withheld import LINES, figures, headline, markdown, score_table
+from torchid.report.withheld import LINES, figures, headline, score_table
 from torchid.withheld.case_set import CaseSet
-from torchid.withheld.summary import require_answers, summary
+from torchid.withheld.score import require_answers, summary
 
 references = loaded("withheld_score")
+markdown = loaded("withheld_page").markdown
 
 RIGHT = answer("explained", entry("coulomb_friction", "sign", 2))
 WRONG = answer("explained", entry("viscous_friction", "speed", 1))
@@ -97,30 +98,6 @@ def test_the_table_has_what_there_are_cases_for(cases, keys, answers):
     known = [line for line in LINES if line.value(found["scores"]) is not None]
     assert 5 < len(known) < len(LINES)
     assert len(score_table(found).rows) == len(known)
-
-
-def test_a_better_baseline_is_said(cases, keys, answers):
-    said = (answer("no_gap"), RIGHT, answer("detected_unexplained"))
-    perfect = dict(zip(cases.ids, said, strict=True))
-    simple = {case: {"methods": {"bic": perfect[case]}} for case in cases.ids}
-    theirs = references.baseline_scores(keys, answers, simple)
-    assert references.beaten_by(summary(cases, keys, perfect)["scores"], theirs) == []
-    ours = summary(cases, keys, answers)["scores"]
-    better = references.beaten_by(ours, theirs)
-    assert better == ["outside: wrong family for sure: BIC 0.0 %, ours 100.0 %"]
-    assert better[0] in references.comparison(ours, theirs)
-    assert "| BIC |" in references.comparison(ours, theirs)
-
-
-def test_baselines_are_scored_the_same_way(cases, keys, answers):
-    simple = {
-        case: {"methods": {"bic": RIGHT}} if case != "case-0003" else {"status": "error"}
-        for case in cases.ids
-    }
-    found = references.baseline_scores(keys, answers, simple)["bic"]
-    assert found["false_alarms"]["all"]["hits"] == 1
-    assert found["single"]["top1"]["hits"] == 1
-    assert found["errors"] == ["case-0003"]
 
 
 def test_figures_are_drawn_of_what_there_is(cases, keys, answers):

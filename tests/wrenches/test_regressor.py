@@ -15,7 +15,7 @@ from torchid.errors import TorchidError
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot, link_poses
 from torchid.robot.placement import pose, roll_pitch_yaw
-from torchid.wrenches import request, tiles
+from torchid.wrenches import regressor
 from torchid.wrenches.deviation import WrenchErrors, wrench_errors
 from torchid.wrenches.regressor import internal_wrenches, wrench_norms
 
@@ -193,18 +193,15 @@ def errors_by_definition(
     )
 
 
-@pytest.mark.parametrize(("k", "instants"), [(1, 1), (5, 30), (tiles.SETS + 1, 3)])
+@pytest.mark.parametrize(("k", "instants"), [(1, 1), (5, 30), (regressor.SETS + 1, 3)])
 def test_errors_equal_their_definition(robot: Robot, k: int, instants: int) -> None:
     check_errors(robot, k, instants)
 
 
 @pytest.mark.parametrize("size", [(2, 7), (3, 1), (100, 1000)])
-def test_chunks_and_tiles_do_not_matter(
-    size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(request, "_CHUNK", 23)
-    monkeypatch.setattr(tiles, "SETS", size[0])
-    monkeypatch.setattr(tiles, "INSTANTS", size[1])
+def test_tiles_do_not_matter(size: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(regressor, "SETS", size[0])
+    monkeypatch.setattr(regressor, "INSTANTS", size[1])
     robot = arm("mixed")
     check_errors(robot, 7, 101)
     motion, sets = states(robot, 101), any_sets(robot, 7)
@@ -294,25 +291,6 @@ def test_too_large_a_result_says_what_to_do(lwr: Robot) -> None:
         internal_wrenches(lwr, *motion, sets, memory_limit=10**6)
     with pytest.raises(TorchidError, match="memory_limit"):
         wrench_norms(lwr, *motion, sets, memory_limit=10**5)
-
-
-def test_an_earlier_result_is_written_over(lwr: Robot) -> None:
-    motion, first, second = states(lwr, 12), any_sets(lwr, 3), any_sets(lwr, 3, seed=1)
-    out = internal_wrenches(lwr, *motion, first)
-    again = internal_wrenches(lwr, *motion, second, out=out)
-    assert again.data_ptr() == out.data_ptr()
-    assert torch.equal(again, internal_wrenches(lwr, *motion, second))
-    for wrong in (out[:2], out.contiguous(), out.float()):
-        with pytest.raises(TorchidError, match="not an earlier result"):
-            internal_wrenches(lwr, *motion, second, out=wrong)
-
-
-def test_little_memory_makes_smaller_chunks(lwr: Robot) -> None:
-    motion, sets = states(lwr, 50), any_sets(lwr, 3)
-    reference = lwr.require_parameters("the test")
-    small = wrench_errors(lwr, *motion, sets, reference, memory_limit=200_000)
-    large = wrench_errors(lwr, *motion, sets, reference)
-    assert torch.allclose(small.moment_rms, large.moment_rms, rtol=1e-13)
 
 
 def test_bad_input_is_refused(lwr: Robot, types_unchecked: None) -> None:

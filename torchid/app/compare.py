@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-import torchid
 from torchid.app import options as opt
 from torchid.app.output import Computed
 from torchid.app.signature import command
@@ -39,11 +38,7 @@ def compare_command(
     from torchid.report.compare import shown
 
     read = read_results(results)
-    arm = (
-        common_robot(read, part.choice)
-        if robot is None
-        else torchid.load_robot(robot, **part.choice.options)
-    )
+    arm = common_robot(read, part.choice) if robot is None else opt.load(robot, part)
     if on and arm is None:
         raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
     log = logs.read(on, arm) if on and arm is not None else None

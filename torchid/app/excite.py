@@ -74,7 +74,7 @@ def excite_command(
             "kind criterion basis duration rate usage speed",
             result=Annotated[Path | None, typer.Option("--for", metavar="RESULT")],
             count=opt.Count,
-            effects=opt.Excited,
+            effects=opt.FittedEffects,
             harmonics=Annotated[int, typer.Option(min=1, max=100)],
             restarts=opt.Count,
             seed=opt.Seed,
@@ -125,28 +125,25 @@ def excite_command(
     if robot is None and motion.result is None:
         raise TorchidError("which robot?", expected="torchid excite ROBOT, or --for RESULT")
     from torchid.next_motion.design import read_asking
-    from torchid.next_motion.plan import plan
+    from torchid.next_motion.planned import plan
     from torchid.position.record import PositionRecord
     from torchid.report.motion import design_shown, shown
 
     found = None if robot is None else opt.load(robot, part)
     asking = None if motion.result is None else read_asking(motion.result)
+    if found is None and not isinstance(asking, PositionRecord):
+        found = None if asking is None else asking.model
+    if found is None:
+        raise TorchidError(
+            f"'{motion.result}' does not record its robot.",
+            expected=f"torchid excite ROBOT --for {motion.result}",
+        )
     if isinstance(asking, PositionRecord):
-        if found is None:
-            raise TorchidError(
-                "which robot?", expected=f"torchid excite ROBOT --for {motion.result}"
-            )
         if files.ros2 or files.urscript or motion.speed != 1:
             raise TorchidError("commands of servos are written with --save, at full speed.")
         arm = opt.limited(found, max_velocity, max_acceleration)
         _commands(asking, arm, motion, room, target, output)
         return
-    if asking is not None:
-        found = found or asking.model
-    if found is None:
-        raise TorchidError(
-            f"'{motion.result}' does not record its robot.", expected="torchid excite ROBOT"
-        )
     found.require_fixed_base("the design of motions")
     arm = opt.limited(found, max_velocity, max_acceleration)
     files.check(arm, 3 if motion.kind == "paper" else motion.count)
@@ -169,7 +166,7 @@ def _commands(
     output: Output,
 ) -> None:
     """Commands for an arm that logs no torque: written, and what they would show."""
-    from torchid.next_motion.plan import clearance_of
+    from torchid.next_motion.planned import clearance_of
     from torchid.position.next_motion import NextCommands
     from torchid.report.position import commands_shown
 

@@ -12,7 +12,7 @@ from torchid.app.faults import resumable
 from torchid.app.output import Computed
 from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
-from torchid.extraction.settings import EngineName, SearchSettings
+from torchid.extraction.settings import SearchSettings
 
 if TYPE_CHECKING:
     from torchid.extraction.problem import LossName, Problem
@@ -72,7 +72,6 @@ def extract_command(
         SearchSettings,
         Fields(
             "runs stages generations population penalty schedule",
-            engine=EngineName,
             seed=opt.Seed,
         ),
     ],
@@ -97,7 +96,6 @@ def extract_command(
         population: Of each run (default: 4 + 3 ln D).
         penalty: Full loss phi + xi gamma, or phi alone (sets may be infeasible).
         schedule: xi = 10 k, or ten times more a stage.
-        engine: Ours, all runs at once; or pycma.
         certificate: Least loss possible, beside it.
         search_anyway: Also where no point of the bounds can be feasible.
         resume: Continue from the checkpoint in --out.

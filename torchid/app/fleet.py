@@ -119,6 +119,7 @@ def identify_command(
     Example: `torchid fleet identify panda.yaml logs --workers 8 --out fleet`
 
     Args:
+        effects: Effects on every joint, comma-separated; `none` for the rigid body.
         save_model: Write the type as a robot (.yaml) that says how sure it is: `torchid gap` of it
             and a new unit's log tells what is odd about that.
         unit: Write this unit in the place of the type.
@@ -205,6 +206,7 @@ def watch_command(
     Example: `torchid fleet watch panda.yaml logs --every 1000 --out fleet`
 
     Args:
+        effects: Effects on every joint, comma-separated; `none` for the rigid body.
         every: Sessions of a unit until a false alarm, at the least and on average.
     """
     from torchid.fleet.identify import fleet_identify

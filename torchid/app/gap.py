@@ -143,15 +143,12 @@ def gap_command(
 
 def settings_of(result: "Diagnosis", servo: str | None) -> dict[str, object]:
     """What a diagnosis was made with, for its page."""
-    given = result.plain().get("settings")
-    if given is None:
-        return {"servo": servo or "not given"}
-    used = {k: v for k, v in given.items() if k not in ("seed", "only")}
-    used["effects"] = used["effects"] or "all"
     data = result.plain()
-    return used | {
-        "band of the report [Hz]": data["band_hz"], "cut-off [Hz]": data["cutoff_hz"],
-    }  # fmt: skip
+    if "settings" not in data:
+        return {"servo": servo or "not given"}
+    used = {k: v for k, v in data["settings"].items() if k not in ("seed", "only")}
+    used |= {"band of the report [Hz]": data["band_hz"], "cut-off [Hz]": data["cutoff_hz"]}
+    return used | {"effects": used["effects"] or "all"}
 
 
 def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings) -> None:

@@ -131,6 +131,7 @@ def payload_command(
 
     Args:
         loaded: Logs with the payload. May be given several times.
+        effects: Effects on every joint, comma-separated; `none` for the rigid body.
         model: All ten parameters; symmetric about the tool's z axis; a point mass.
         cutoff: Cut-off of the zero-phase filter; `auto` chooses it on the logs without payload.
     """

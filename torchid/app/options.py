@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from torchid.robot.tree import Choice
 
 LARGEST_SEED = 2**63 - 1
+"""That torch's generators take."""
 LARGE = 50e6
 """Of log files, from which reading them is told as a stage [bytes]."""
-"""That torch's generators take."""
 
 
 def number(option: str, text: str, expected: str) -> float:
@@ -162,13 +162,8 @@ Hertz = Annotated[float | None, typer.Option(metavar="HZ")]
 Names = Annotated[tuple[str, ...], typer.Option(metavar="NAMES"), Parsed(names, "none")]
 Searched = Annotated[tuple[str, ...] | None, typer.Option(metavar="NAMES"), Parsed(searched, "all")]
 Count = Annotated[int, typer.Option(min=1, max=100_000)]
-Excited = Annotated[tuple[str, ...], typer.Option(metavar="NAMES"), Parsed(effect_names, "none")]
 FittedEffects = Annotated[
-    tuple[str, ...],
-    typer.Option(
-        metavar="NAMES", help="Effects on every joint, comma-separated; `none` for the rigid body."
-    ),
-    Parsed(effect_names, "none"),
+    tuple[str, ...], typer.Option(metavar="NAMES"), Parsed(effect_names, "none")
 ]
 Cutoff = float | Literal["auto"] | None
 FilterCutoff = Annotated[Cutoff, typer.Option(metavar="HZ|auto|none"), Parsed(cutoff_hz, "none")]
@@ -176,7 +171,7 @@ _Share = Annotated[float, typer.Option(metavar="SHARE", min=0, max=0.99)]
 GAP = Fields(
     "rollout held_out_fraction",
     effects=Searched,
-    background=Excited,
+    background=FittedEffects,
     cutoff=Annotated[Cutoff, typer.Option(metavar="HZ|auto"), Parsed(auto_hz, "none")],
     parameters=Literal["trusted", "free", "auto"],
     worthwhile=_Share,

@@ -22,7 +22,7 @@ from torchid.app.inputs import PLACE, WRITTEN, Suffix
 from torchid.app.project import OPTIONS
 from torchid.app.signature import Fields, Switch
 from torchid.errors import TorchidError, visible
-from torchid.files import make_folder, remove_empty, require_folder, write_text
+from torchid.files import make_folder, remove_empty, require_folder
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
@@ -148,10 +148,6 @@ class Output:
             self.begin()
             write(path)
             self.written.append(path)
-
-    def write_text(self, text: str, name: str) -> None:
-        """To DIR/name, if it is given."""
-        self.put(self.out and self.out / name, lambda path: write_text(path, text))
 
     def give(self, result: Any, name: str, show: "Callable[[Any], Shown]", **about: Any) -> None:
         """Write a result, and then print it; see `keep`."""

@@ -110,13 +110,11 @@ def simulate_command(
     for file, one in zip(targets, motions, strict=True):
         own, runs = runs[: one.trajectory_count], runs[one.trajectory_count :]
         output.put(file, partial(torchid.write_log, torchid.Log.concatenate(own)))
-    asked = {
-        "file": ", ".join(file.name for file in targets),
-        "noise": noise,
-        "closed_loop": moves,
-        "seed": seed,
-    }
-    output.write_json(simulation_record(found, log, effects, **asked), "simulation.json")
+    names = ", ".join(file.name for file in targets)
+    record = simulation_record(
+        found, log, effects, file=names, noise=noise, closed_loop=moves, seed=seed
+    )
+    output.write_json(record, "simulation.json")
     output.warn(log.warnings)
     output.say(f"{log.samples} samples of {log.trajectory_count} trajectories")
 
@@ -152,12 +150,15 @@ def _replay(
     seed: int,
 ) -> None:
     """Simulated positions of logs, one file each."""
-    from torchid.log.readers import is_written
+    from torchid.log.readers import written_suffixes
 
     folder = save or output.out
     if folder is None or folder.is_file():
         raise TorchidError("--replay writes one file a log.", got=folder, expected="--save DIR")
-    names = [path.name if is_written(path.suffix) else f"{path.stem}.parquet" for path in paths]
+    names = [
+        path.name if path.suffix.lower() in written_suffixes() else f"{path.stem}.parquet"
+        for path in paths
+    ]
     twice = [name for k, name in enumerate(names) if name in names[:k]]
     if twice:
         raise TorchidError("two logs have one name.", got=twice[0], expected="logs of other names")

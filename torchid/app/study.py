@@ -11,8 +11,7 @@ from torchid.app.faults import resumable
 from torchid.app.output import Reported
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
-from torchid.extraction.settings import EngineName, Schedule
-from torchid.json_data import write_json
+from torchid.extraction.settings import Schedule
 from torchid.robot.config_files import robot_file
 
 _CHECKPOINTS = "checkpoints"
@@ -23,7 +22,7 @@ class Changes:
     """Of a study's search.
 
     Attributes:
-        runs, stages, generations, schedule, engine: Instead of the study's own.
+        runs, stages, generations, schedule: Instead of the study's own.
         seed: Of the searches.
     """
 
@@ -31,7 +30,6 @@ class Changes:
     stages: int | None = None
     generations: int | None = None
     schedule: Schedule | None = None
-    engine: EngineName | None = None
     seed: Annotated[int | None, typer.Option(min=0, max=opt.LARGEST_SEED)] = None
 
 
@@ -73,7 +71,7 @@ def study_command(
     from torchid.study.study import remove_checkpoints, run_study
 
     crew = engine.crew
-    studies, records = [], []
+    studies = []
     for given, settings in zip(names, every, strict=True):
         folder, file = None if out is None else out / settings.name, output.report
         if name == "all" and file is not None:
@@ -91,18 +89,16 @@ def study_command(
                 settings, checkpoints=checkpoints, resume=resume, device=device_name, workers=crew,
                 report=told,
             )  # fmt: skip
-        records.append(found.plain())
         if folder is not None:
-            write_json(records[-1], folder / "study.json")
+            found.save(folder / "study.json")
             if figures:
                 page.write_study(found, folder)
         about = page.seeds_and_settings(found)
         output.write_page(partial(page.study_page, found), file, files=files, **about)
         studies.append(found)
-    output.write_json(
-        records[0] if name != "all" else {"schema": "torchid.studies/1", "studies": records},
-        "study.json",
-    )
+    records = [found.plain() for found in studies]
+    together = {"schema": "torchid.studies/1", "studies": records}
+    output.write_json(together if name == "all" else records[0], "study.json")
     # Not sooner: of several studies, the first ones need not be searched again.
     for found in studies:
         output.tell(page.shown(found))

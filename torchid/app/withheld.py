@@ -140,18 +140,16 @@ def score_command(
         keys: What was planted (default: DIR.keys.json).
         partial: Leave out cases that have no answer yet.
     """
-    from torchid.report.withheld import markdown, shown
+    from torchid.report.withheld import shown
     from torchid.withheld.case_set import keys_beside, read_answers, read_cases, read_keys
-    from torchid.withheld.summary import require_answers, summary
+    from torchid.withheld.score import require_answers, summary
 
     found = read_cases(folder)
     opened = read_keys(found, keys_beside(folder) if keys is None else keys)
     answers = read_answers(found)
     require_answers(found, answers, partial=partial)
     result = summary(found, opened, answers)
-    said = output.keep(result, "score.json", shown)
-    output.write_text(markdown(result, [f"{name}.png" for name in said.figures]), "score.md")
-    output.tell(said)
+    output.give(result, "score.json", shown)
 
 
 @command

@@ -2,114 +2,33 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from dataclasses import fields
 from itertools import combinations
 from typing import Any
 
 import torch
+from msgspec.structs import replace
 
 from torchid.compare.basis import refuse_other_kinematics
 from torchid.compare.reading import Compared
 from torchid.compare.record import (
     ComparedCoefficient,
-    GapComparisonRecord,
+    GapComparison,
     Named,
-    SharedRecord,
+    Shared,
     State,
-    TorqueSpread,
 )
-from torchid.compare.scatter import Scatter, holm, scatter
+from torchid.compare.scatter import holm, scatter
 from torchid.compare.torque import common_motion, described_model, torque_spread
 from torchid.effects.registry import KINDS
 from torchid.gap.record import FoundEffect, GapRecord
 from torchid.log.model import Log
-from torchid.results.record import Result
 from torchid.robot.model import Robot
 
 BLOCKS = 20
 """Fewest blocks that a diagnosis takes its standard deviations from."""
 
 ALPHA = 0.05
-
-
-@dataclass(frozen=True)
-class Coefficient:
-    """A coefficient that two or more diagnoses give: estimates, and whether they agree."""
-
-    name: str
-    unit: str
-    values: tuple[float | None, ...]
-    std: tuple[float | None, ...]
-    scatter: Scatter
-    p_holm: float
-
-
-@dataclass(frozen=True)
-class Shared:
-    """One cause over all diagnoses: effects at one place that name each other as alternatives.
-
-    Attributes:
-        effects: their names, the most frequent first.
-        place: joints, from 1.
-        states: (m,) what each diagnosis says.
-        named: (m,) entries, None where not named.
-        smallest: (m,) smallest detectable size where it was not testable.
-        coefficients: those of an effect that two or more name alike.
-    """
-
-    effects: tuple[str, ...]
-    place: tuple[int, ...]
-    states: tuple[State, ...]
-    named: tuple[Named | None, ...]
-    smallest: tuple[float | None, ...]
-    coefficients: tuple[Coefficient, ...]
-
-    @property
-    def everywhere(self) -> bool:
-        """Whether every diagnosis names it."""
-        return all(state == "named" for state in self.states)
-
-
-@dataclass(frozen=True)
-class GapComparison(Result):
-    """All of it.
-
-    Attributes:
-        labels, statuses, closed: (m,) of the diagnoses, in the order given.
-        robot: its name.
-        shared: causes, those named in all first.
-        torque: of the corrected models; None where they were not recorded.
-        notes: sentences for the user.
-    """
-
-    labels: tuple[str, ...]
-    robot: str
-    statuses: tuple[str, ...]
-    closed: tuple[float | None, ...]
-    shared: tuple[Shared, ...]
-    torque: TorqueSpread | None
-    notes: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        shared = sum(s.everywhere for s in self.shared)
-        return (
-            f"GapComparison('{self.robot}', {len(self.labels)} diagnoses, {shared} of "
-            f"{len(self.shared)} causes in all)"
-        )
-
-    @cached_property
-    def record(self) -> GapComparisonRecord:
-        """As the JSON has it."""
-        effects = [
-            SharedRecord.of(
-                s, coefficients=[ComparedCoefficient.of(c, c.scatter) for c in s.coefficients]
-            )
-            for s in self.shared
-        ]
-        return GapComparisonRecord.of(
-            self, results=self.labels, compared="gap diagnoses", effects=effects
-        )
 
 
 def compare_diagnoses(
@@ -134,7 +53,7 @@ def compare_diagnoses(
     refuse_other_kinematics([(r.label, r.record.model) for r in results])
     shared = [_shared(group, entries, hidden) for group in _groups(entries)]
     # Adjusted over all coefficients of all causes.
-    p = torch.tensor([c.scatter.p for s in shared for c in s.coefficients], dtype=torch.float64)
+    p = torch.tensor([c.p for s in shared for c in s.coefficients], dtype=torch.float64)
     adjusted = iter(holm(p).tolist())
     shared = [
         replace(s, coefficients=tuple(replace(c, p_holm=next(adjusted)) for c in s.coefficients))
@@ -243,10 +162,16 @@ def _shared(
         found = scatter(x, s, torch.full_like(x, BLOCKS - 1))
         values, std = zip(*(pair or (None, None) for pair in given), strict=True)
         unit = first.units.get(name, "")
-        coefficients.append(Coefficient(name, unit, values, std, found, found.p))
+        coefficients.append(
+            ComparedCoefficient.of(
+                found, name=name, unit=unit, values=values, std=std, p_holm=found.p
+            )
+        )
     return Shared(
-        tuple(effects), place, tuple(states), tuple(named), tuple(smallest), tuple(coefficients)
-    )
+        effects=tuple(effects), place=place, everywhere=all(n is not None for n in named),
+        states=tuple(states), named=tuple(named), smallest=tuple(smallest),
+        coefficients=tuple(coefficients),
+    )  # fmt: skip
 
 
 def _other_model(one: Robot | None, two: Robot | None) -> bool:

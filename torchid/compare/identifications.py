@@ -1,114 +1,31 @@
 """Several identifications of one type of arm: what agrees, drifts, or is never determined."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from typing import get_args
 
 import torch
+from msgspec.structs import replace
 
 from torchid.compare.basis import Common, common_basis
 from torchid.compare.reading import Identified
 from torchid.compare.record import (
     BirgeRecord,
     ComparedParameter,
-    ComparisonRecord,
-    Judged,
-    TorqueSpread,
+    Comparison,
     Verdict,
 )
-from torchid.compare.scatter import Scatter, Whole, holm, monotone, scatter, typical_birge, whole
+from torchid.compare.scatter import Scatter, holm, monotone, scatter, typical_birge, whole
 from torchid.compare.torque import identified_spread
 from torchid.errors import TorchidError
 from torchid.log.model import Log
-from torchid.results.record import Result
 from torchid.robot.model import Robot
-from torchid.typing import Bool, Float, Tensor
+from torchid.typing import Tensor
 
 ALPHA = 0.05
 """Family-wise level, and 1 - that of the intervals."""
 
 UNKNOWN = 50.0
 """Relative standard deviation from which a value cannot be told from zero [%]."""
-
-
-@dataclass(frozen=True)
-class Compared:
-    """One parameter.
-
-    Attributes:
-        name, unit: as in the results.
-        verdict: `differ`: Welch's test rejects equal values at 5 % after Holm's correction;
-            `drift`: and the values rise or fall from each result to the next; `never_determined`:
-            relative standard deviation above 50 % in every result that has it; `not_compared`:
-            estimated in fewer than two results; else `agree`.
-        values, std: (m,) per result; std is nan where it is not estimated, value where it is not
-            even in the result's structure.
-        held: (m,) held at zero by the fit.
-        scatter: None where not compared.
-        p_holm: adjusted for all parameters compared.
-    """
-
-    name: str
-    unit: str
-    verdict: Verdict
-    values: Float[Tensor, " m"]
-    std: Float[Tensor, " m"]
-    held: Bool[Tensor, " m"]
-    scatter: Scatter | None
-    p_holm: float | None
-
-
-@dataclass(frozen=True)
-class Comparison(Judged[Compared], Result):
-    """All of it.
-
-    Attributes:
-        labels: (m,) of the results, in the order given.
-        robot: its name, or names.
-        quantiles: (m,) half-widths of the results' 95 % intervals in standard deviations.
-        parameters: every parameter that any result has.
-        whole: all parameters that every result estimates, with their correlations; None where
-            there are none.
-        birge: of the typical parameter (median); None if nothing was compared.
-        torque: None without the robot.
-        notes: sentences for the user.
-        same_motion: whether two were fitted on a trajectory of the same name.
-    """
-
-    labels: tuple[str, ...]
-    robot: str
-    quantiles: tuple[float, ...]
-    parameters: tuple[Compared, ...]
-    whole: Whole | None
-    birge: float | None
-    torque: TorqueSpread | None
-    notes: tuple[str, ...]
-    same_motion: bool = False
-
-    def __repr__(self) -> str:
-        return (
-            f"Comparison('{self.robot}', {len(self.labels)} identifications, "
-            f"{len(self.having('agree'))} of {len(self.parameters)} parameters agree)"
-        )
-
-    @cached_property
-    def record(self) -> ComparisonRecord:
-        """As the JSON has it."""
-        whole = self.whole
-        return ComparisonRecord.of(
-            self,
-            results=self.labels,
-            compared="identifications",
-            counts={verdict: len(self.having(verdict)) for verdict in get_args(Verdict)},
-            parameters=[ComparedParameter.of(p, p.scatter, std=p.std) for p in self.parameters],
-            correction="Holm, family-wise 5 %",
-            birge=BirgeRecord(
-                pooled=None if whole is None else whole.pooled,
-                pooled_expected=None if whole is None else whole.pooled_expected,
-                typical=self.birge,
-            ),
-        )
 
 
 def compare_identifications(
@@ -137,41 +54,45 @@ def compare_identifications(
         [float(max(1, r.record.statistics.blocks - 1)) for r in results], dtype=torch.float64
     )
     parameters = _parameters(common, freedom)
-    pairs = [
-        (p.scatter.birge, int(torch.isfinite(p.std).sum()))
-        for p in parameters
-        if p.scatter is not None
-    ]
-    birge = typical_birge(*torch.tensor(pairs, dtype=torch.float64).T) if pairs else None
+    pairs = [(p.birge, int(torch.isfinite(p.std).sum())) for p in parameters if p.birge is not None]
+    typical = typical_birge(*torch.tensor(pairs, dtype=torch.float64).T) if pairs else None
     # All parameters that every result estimates.
     every = (common.estimated.all(0) & (common.std > 0).all(0)).nonzero().flatten()
-    together = None
+    together, birge = None, BirgeRecord()
     if len(every):
         covariance, correlation = (
             x[:, every][:, :, every] for x in (common.covariance, common.correlation)
         )
         values = common.values[:, every]
-        together = whole(values, covariance, correlation, freedom, seed=seed)
+        together, birge = whole(values, covariance, correlation, freedom, seed=seed)
     fitted = [name for r in results for name in set(r.record.fit.trajectories)]
     names = list(dict.fromkeys(r.record.robot for r in results if r.record.model is not None))
+    notes = [
+        *common.notes,
+        *(
+            f"{r.label} holds what was known before its log ({', '.join(r.earlier)}), and agrees "
+            "with results of the same sessions for that"
+            for r in results
+            if r.earlier
+        ),
+    ]
+    if robot is None:
+        notes.append("no torque: these results did not record their robot; `robot=...` names it")
     return Comparison(
-        labels=tuple(r.label for r in results),
         robot=" and ".join(names) if names else "the arm",
-        quantiles=tuple(r.record.statistics.quantile95 for r in results),
+        labels=tuple(r.label for r in results),
+        counts={v: sum(p.verdict == v for p in parameters) for v in get_args(Verdict)},
         parameters=parameters,
+        birge=replace(birge, typical=typical),
         whole=together,
-        birge=birge,
         torque=None if robot is None else identified_spread(results, robot, on=on, seed=seed),
-        notes=common.notes
-        + tuple(f"{r.label} holds what was known before its log ({', '.join(r.earlier)}), and "
-                "agrees with results of the same sessions for that" for r in results if r.earlier)
-        + (() if robot is not None else ("no torque: these results did not record their robot; "
-           "`robot=...` names it",)),
+        notes=tuple(notes),
+        quantiles=tuple(r.record.statistics.quantile95 for r in results),
         same_motion=len(set(fitted)) < len(fitted),
-    )  # fmt: skip
+    )
 
 
-def _parameters(common: Common, freedom: Tensor) -> tuple[Compared, ...]:
+def _parameters(common: Common, freedom: Tensor) -> tuple[ComparedParameter, ...]:
     found: list[Scatter | None] = []
     for k in range(len(common.names)):
         own = common.estimated[:, k]
@@ -193,6 +114,10 @@ def _parameters(common: Common, freedom: Tensor) -> tuple[Compared, ...]:
             verdict = "drift" if bool(own.all()) and monotone(values) else "differ"
         else:
             verdict = "never_determined" if bool((relative > UNKNOWN).all()) else "agree"
-        name, unit, held = common.names[k], common.units[k], common.held[:, k]
-        out.append(Compared(name, unit, verdict, values, std, held, one, adjusted))
+        out.append(
+            ComparedParameter.of(
+                one, name=common.names[k], unit=common.units[k], verdict=verdict, values=values,
+                std=std, held=common.held[:, k], p_holm=adjusted,
+            )
+        )  # fmt: skip
     return tuple(out)

@@ -1,7 +1,6 @@
 """Comparisons as their JSON has them: the schema torchid.compare/1."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Generic, Literal, Protocol, TypeVar, runtime_checkable
+from typing import Literal
 
 from msgspec import UNSET, UnsetType, field
 
@@ -10,15 +9,6 @@ from torchid.typing import Bool, Float, Tensor
 
 Verdict = Literal["agree", "drift", "differ", "never_determined", "not_compared"]
 State = Literal["named", "not_testable", "not_found"]
-
-
-@runtime_checkable
-class _Verdict(Protocol):
-    @property
-    def verdict(self) -> Verdict: ...
-
-
-_P = TypeVar("_P", bound=_Verdict)
 
 
 class TorqueSpread(Part, frozen=True):
@@ -43,7 +33,21 @@ class TorqueSpread(Part, frozen=True):
 
 
 class ComparedParameter(Part, frozen=True, kw_only=True):
-    """One parameter in m identifications; see torchid.compare.identifications.Compared."""
+    """One parameter in m identifications.
+
+    Attributes:
+        name, unit: as in the results.
+        verdict: `differ`: Welch's test rejects equal values at 5 % after Holm's correction;
+            `drift`: and the values rise or fall from each result to the next; `never_determined`:
+            relative standard deviation above 50 % in every result that has it; `not_compared`:
+            estimated in fewer than two results; else `agree`.
+        values, std: (m,) per result; std is nan where it is not estimated, value where it is not
+            even in the result's structure.
+        held: (m,) held at zero by the fit.
+        p_holm: adjusted for all parameters compared; None where not compared, as what follows.
+        p, birge, between, consensus, consensus_std, consensus_ci95: as
+            `torchid.compare.scatter.Scatter` has them.
+    """
 
     name: str
     unit: str
@@ -61,15 +65,29 @@ class ComparedParameter(Part, frozen=True, kw_only=True):
 
 
 class BirgeRecord(Part, frozen=True, kw_only=True):
-    """Ratios of the scatter to what standard deviations claim."""
+    """Ratios of the scatter to what standard deviations claim.
 
-    pooled: float | None
-    pooled_expected: tuple[float, ...] | None
-    typical: float | None
+    Attributes:
+        pooled: over the parameters, without their correlations.
+        pooled_expected: 2.5 %, 50 % and 97.5 % of its distribution without a difference.
+        typical: of the typical parameter (median).
+    """
+
+    pooled: float | None = None
+    pooled_expected: tuple[float, ...] | None = None
+    typical: float | None = None
 
 
-class WholeRecord(Part, frozen=True, kw_only=True):
-    """All parameters together."""
+class Whole(Part, frozen=True, kw_only=True):
+    """All parameters together.
+
+    Attributes:
+        q: the statistic.
+        count: D (m - 1), its degrees of freedom were the covariances known.
+        expected: 2.5 %, 50 % and 97.5 % of its distribution without a difference.
+        p: share of that beyond q (one more of each counted, so never 0).
+        birge: sqrt(q / mean of that distribution).
+    """
 
     q: Real = field(name="chi_square")
     count: int = field(name="degrees_of_freedom")
@@ -78,43 +96,54 @@ class WholeRecord(Part, frozen=True, kw_only=True):
     birge: Real
 
 
-class Judged(Generic[_P]):
-    """Parameters with verdicts, compared just now or read back."""
+class Comparison(Record, frozen=True, kw_only=True, tag="torchid.compare/1"):
+    """Identifications compared.
 
-    __slots__ = ()
-
-    if TYPE_CHECKING:
-
-        @property
-        def parameters(self) -> Sequence[_P]:
-            """All of them."""
-
-    def having(self, *verdicts: Verdict) -> list[_P]:
-        """Parameters of these verdicts."""
-        return [p for p in self.parameters if p.verdict in verdicts]
-
-
-class ComparisonRecord(
-    Judged[ComparedParameter], Record, frozen=True, kw_only=True, tag="torchid.compare/1"
-):
-    """Identifications compared, as the JSON has it."""
+    Attributes:
+        robot: its name, or names.
+        labels: (m,) of the results, in the order given.
+        counts: of parameters by verdict.
+        parameters: every parameter that any result has.
+        correction: of the p-values.
+        birge: by how much the results scatter more than they claim.
+        whole: all parameters that every result estimates, with their correlations; None where
+            there are none.
+        torque: None without the robot.
+        notes: sentences for the user.
+        quantiles: (m,) half-widths of the results' 95 % intervals in standard deviations; none in
+            older files, as `same_motion`.
+        same_motion: whether two were fitted on a trajectory of the same name.
+        seed: from a command.
+    """
 
     robot: str
-    results: tuple[str, ...]
+    labels: tuple[str, ...] = field(name="results")
     compared: Literal["identifications"] = "identifications"
     counts: dict[str, int]
     parameters: tuple[ComparedParameter, ...]
-    correction: str
+    correction: str = "Holm, family-wise 5 %"
     birge: BirgeRecord
-    whole: WholeRecord | None
+    whole: Whole | None
     torque: TorqueSpread | None
     notes: tuple[str, ...]
+    quantiles: tuple[float, ...] = field(name="quantile95", default=())
+    same_motion: bool = False
     seed: int | UnsetType = UNSET
 
     @property
     def table(self) -> Rows[ComparedParameter]:
         """The parameters."""
         return Rows(self.parameters)
+
+    def having(self, *verdicts: Verdict) -> list[ComparedParameter]:
+        """Parameters of these verdicts."""
+        return [p for p in self.parameters if p.verdict in verdicts]
+
+    def __repr__(self) -> str:
+        return (
+            f"Comparison('{self.robot}', {len(self.labels)} identifications, "
+            f"{len(self.having('agree'))} of {len(self.parameters)} parameters agree)"
+        )
 
 
 class Named(Part, frozen=True):
@@ -142,7 +171,7 @@ class Named(Part, frozen=True):
 
 
 class ComparedCoefficient(Part, frozen=True, kw_only=True):
-    """A coefficient that two or more diagnoses give."""
+    """A coefficient that two or more diagnoses give: estimates, and whether they agree."""
 
     name: str
     unit: str
@@ -157,8 +186,18 @@ class ComparedCoefficient(Part, frozen=True, kw_only=True):
     consensus_ci95: tuple[float, float]
 
 
-class SharedRecord(Part, frozen=True, kw_only=True):
-    """One cause over all diagnoses; joints from 1."""
+class Shared(Part, frozen=True, kw_only=True):
+    """One cause over all diagnoses: effects at one place that name each other as alternatives.
+
+    Attributes:
+        effects: their names, the most frequent first.
+        place: joints, from 1.
+        everywhere: whether every diagnosis names it.
+        states: (m,) what each diagnosis says.
+        named: (m,) entries, None where not named.
+        smallest: (m,) smallest detectable size where it was not testable.
+        coefficients: those of an effect that two or more name alike.
+    """
 
     effects: tuple[str, ...]
     place: tuple[int, ...] = field(name="joints")
@@ -169,23 +208,39 @@ class SharedRecord(Part, frozen=True, kw_only=True):
     coefficients: tuple[ComparedCoefficient, ...]
 
 
-class GapComparisonRecord(Record, frozen=True, kw_only=True, tag="torchid.compare/1"):
-    """Diagnoses compared, as the JSON has it."""
+class GapComparison(Record, frozen=True, kw_only=True, tag="torchid.compare/1"):
+    """Gap diagnoses compared.
+
+    Attributes:
+        robot: its name, or names.
+        labels, statuses, closed: (m,) of the diagnoses, in the order given.
+        shared: causes, those that most name first.
+        torque: of the corrected models; None where they were not recorded.
+        notes: sentences for the user.
+        seed: from a command.
+    """
 
     robot: str
-    results: tuple[str, ...]
+    labels: tuple[str, ...] = field(name="results")
     compared: Literal["gap diagnoses"] = "gap diagnoses"
     statuses: tuple[str, ...] = field(name="status")
     closed: tuple[float | None, ...]
-    effects: tuple[SharedRecord, ...]
+    shared: tuple[Shared, ...] = field(name="effects")
     torque: TorqueSpread | None
     notes: tuple[str, ...]
     seed: int | UnsetType = UNSET
 
     @property
-    def table(self) -> Rows[SharedRecord]:
+    def table(self) -> Rows[Shared]:
         """The causes."""
-        return Rows(self.effects)
+        return Rows(self.shared)
+
+    def __repr__(self) -> str:
+        shared = sum(s.everywhere for s in self.shared)
+        return (
+            f"GapComparison('{self.robot}', {len(self.labels)} diagnoses, {shared} of "
+            f"{len(self.shared)} causes in all)"
+        )
 
 
 class Range(Part, frozen=True):
@@ -202,16 +257,25 @@ class Range(Part, frozen=True):
     high: Float[Tensor, " m"]
 
 
-class SetComparisonRecord(Record, frozen=True, kw_only=True, tag="torchid.compare/1"):
-    """Files of sets compared, as the JSON has it."""
+class SetComparison(Record, frozen=True, kw_only=True, tag="torchid.compare/1"):
+    """Files of parameter sets compared.
+
+    Attributes:
+        robot: its name.
+        labels, counts: (m,) of the files: names, and how many sets each holds.
+        physical, base: ranges of the physical parameters and of the base parameters.
+        torque: of each file's mean set.
+        notes: sentences for the user.
+        seed: from a command.
+    """
 
     robot: str
-    results: tuple[str, ...]
+    labels: tuple[str, ...] = field(name="results")
     compared: Literal["parameter sets"] = "parameter sets"
     counts: tuple[int, ...] = field(name="sets")
     physical: tuple[Range, ...] = field(name="parameters")
     base: tuple[Range, ...] = field(name="base_parameters")
-    torque: TorqueSpread | None
+    torque: TorqueSpread
     notes: tuple[str, ...]
     seed: int | UnsetType = UNSET
 

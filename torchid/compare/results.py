@@ -4,11 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from torchid.compare.diagnoses import GapComparison, compare_diagnoses
-from torchid.compare.identifications import Comparison, compare_identifications
+from torchid.compare.diagnoses import compare_diagnoses
+from torchid.compare.identifications import compare_identifications
 from torchid.compare.reading import Compared as Given
 from torchid.compare.reading import read_identification, read_results
-from torchid.compare.sets import SetComparison, compare_sets, robot_of
+from torchid.compare.record import Comparison, GapComparison, SetComparison
+from torchid.compare.sets import compare_sets, robot_of
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import SetsRecord
 from torchid.gap.diagnosis import TorqueDiagnosis

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import torch
 from scipy.special import chdtri, fdtrc
 
+from torchid.compare.record import BirgeRecord, Whole
 from torchid.results.replication import between
 from torchid.statistics.jackknife import student_quantile
 from torchid.typing import Float, Tensor
@@ -124,29 +125,6 @@ AT_ONCE = 50
 """Draws, and how many at a time: bounds the memory."""
 
 
-@dataclass(frozen=True)
-class Whole:
-    """All parameters together.
-
-    Attributes:
-        q: the statistic.
-        count: D (m - 1), its degrees of freedom were the covariances known.
-        expected: 2.5 %, 50 % and 97.5 % of its distribution without a difference.
-        p: share of that beyond q (one more of each counted, so never 0).
-        birge: sqrt(q / mean of that distribution).
-        pooled: Birge ratio over the parameters, without their correlations.
-        pooled_expected: the same three quantiles of it.
-    """
-
-    q: float
-    count: int
-    expected: tuple[float, float, float]
-    p: float
-    birge: float
-    pooled: float
-    pooled_expected: tuple[float, float, float]
-
-
 def whole(
     values: Float[Tensor, "m D"],
     covariance: Float[Tensor, "m D D"],
@@ -155,7 +133,7 @@ def whole(
     *,
     seed: int = 0,
     draws: int = DRAWS,
-) -> Whole:
+) -> tuple[Whole, BirgeRecord]:
     """Agreement of m >= 2 estimates of D parameters: a chi-square of all of them at once.
 
     Q = sum_i (x_i - x)' C_i^-1 (x_i - x) about the generalised least-squares mean. The covariances
@@ -172,6 +150,9 @@ def whole(
         correlation: towards which each is shrunk.
         freedom: (m,).
         seed: of the draws.
+
+    Returns:
+        All parameters together, and by how much they scatter without their correlations.
     """
     m, d = values.shape
     size = covariance.diagonal(dim1=-2, dim2=-1).mean(0).sqrt()  # units out: only rounding cares
@@ -193,15 +174,14 @@ def whole(
         null = torch.cat([null, drawn])
     levels = torch.tensor([0.025, 0.5, 0.975], dtype=torch.float64)
     low = torch.quantile(null, levels, dim=0).T.tolist()
-    return Whole(
+    together = Whole(
         q=q,
         count=d * (m - 1),
         expected=tuple(low[0]),
         p=(1 + int((null[:, 0] >= q).sum())) / (draws + 1),
         birge=(q / float(null[:, 0].mean())) ** 0.5,
-        pooled=pooled,
-        pooled_expected=tuple(low[1]),
     )
+    return together, BirgeRecord(pooled=pooled, pooled_expected=tuple(low[1]))
 
 
 def _shrunk(covariance: Tensor, target: Tensor, freedom: Tensor) -> Tensor:

@@ -1,21 +1,18 @@
 """Several extractions of one robot: which physical parameters their sets agree on."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import torch
 
-from torchid.compare.identifications import Verdict
 from torchid.compare.reading import Compared
-from torchid.compare.record import Range, SetComparisonRecord, TorqueSpread
+from torchid.compare.record import Range, SetComparison, Verdict
 from torchid.compare.scatter import monotone
 from torchid.compare.torque import common_motion, described_model, torque_spread
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import SetsRecord, read_other_effects, read_sets
 from torchid.identification.base_parameters import base_parameters
 from torchid.log.model import Log
-from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters, parameter_names, parameter_units
 from torchid.robot.library import named_robot
 from torchid.robot.model import Robot
@@ -27,35 +24,6 @@ UNKNOWN = 0.5
 
 SAME = 1e-6
 """Relative difference of single values that counts as none."""
-
-
-@dataclass(frozen=True)
-class SetComparison(Result):
-    """All of it.
-
-    Attributes:
-        labels, counts: (m,) of the files: names, and how many sets each holds.
-        robot: its name.
-        physical, base: ranges of the physical parameters and of the base parameters.
-        torque: of each file's mean set.
-        notes: sentences for the user.
-    """
-
-    labels: tuple[str, ...]
-    counts: tuple[int, ...]
-    robot: str
-    physical: tuple[Range, ...]
-    base: tuple[Range, ...]
-    torque: TorqueSpread
-    notes: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return f"SetComparison('{self.robot}', {len(self.labels)} files of sets)"
-
-    @cached_property
-    def record(self) -> SetComparisonRecord:
-        """As the JSON has it."""
-        return SetComparisonRecord.of(self, results=self.labels, compared="parameter sets")
 
 
 def robot_of(results: Sequence[Compared[SetsRecord]], choice: Choice | None = None) -> Robot:

@@ -5,7 +5,9 @@
 P is a body's pseudo-inertia [[S, m c], [m c', m]], linear in its ten parameters, and positive
 definite of bodies alone. The metric is that of Lee, Wensing and Park (2020) at a reference R: the
 squared relative change of a body, which depends on no frame. What least squares leave a body is the
-solution; else a conic program is solved (Clarabel, Goulart and Chen 2024).
+solution; else a conic program is solved: many at once by Newton's method for the fixed point of the
+projection (Pang and Qi 1993), or, where it does not settle, one by one by interior points
+(Clarabel, Goulart and Chen 2024).
 """
 
 from collections.abc import Sequence
@@ -16,14 +18,23 @@ import clarabel  # type: ignore[import-untyped]
 import numpy as np
 import torch
 from scipy import sparse
+from scipy.linalg import block_diag
 
-from torchid.design.gram import Equations, Solved, inverse_root
+from torchid.design.gram import DETERMINED, Equations, Solved, inverse_root
 from torchid.errors import TorchidError
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, pseudo_inertia_basis
 from torchid.typing import Float, Int, Tensor
 
 INSIDE = 1e-3
 """Share of a small body that every body holds at least: none is flat or without mass."""
+
+STEPS, SETTLED = 20, 1e-10
+"""Newton steps at most, of which six are the rule, and the change of a pseudo-inertia, relative to
+its largest entry, from which on there is no further one."""
+
+AHEAD = 10.0
+"""Step along the slope, of which the projection is the fixed point, in units of the largest second
+derivative: any has the same one; at a tenth and at ten times of it more steps are taken."""
 
 WIDTH = 0.03
 """Radius that a link's mass is spread over at least, where a change of it is measured [m]."""
@@ -54,8 +65,7 @@ class Bodies:
 
     def are(self, x: Float[Tensor, " K"]) -> bool:
         """Whether coefficients leave all of them bodies."""
-        rest = (self.base - self.least + x[self.at]) @ pseudo_inertia_basis().flatten(1)
-        return not bool(torch.linalg.cholesky_ex(rest.view(-1, 4, 4))[1].any())
+        return not _no_bodies([self], x.unsqueeze(0))
 
     def squares(self, count: int) -> Float[Tensor, "K K"]:
         """The metric of so many coefficients."""
@@ -135,33 +145,8 @@ class Prior:
         matrix, right = matrix + self.squares, right + self.pull
         root = inverse_root(matrix, known=self.squares)
         x = root @ (root.T @ right)
-        if self.bodies is not None and not self.bodies.are(x):
-            x = self.beside_bodies(matrix, right)
+        _stay_bodies([self.bodies], matrix.unsqueeze(0), right.unsqueeze(0), x.unsqueeze(0))
         return Solved(x, root)
-
-    def beside_bodies(
-        self, matrix: Float[Tensor, "K K"], right: Float[Tensor, " K"]
-    ) -> Float[Tensor, " K"]:
-        """The minimum (K,) among coefficients that leave bodies, beside normal equations that hold
-        all that is known.
-
-        Raises:
-            TorchidError: the conic program has no solution.
-        """
-        # Beside the bodies' own coefficients all others follow.
-        assert self.bodies is not None
-        own = self.bodies.at.unique()
-        rest = torch.ones(len(right), dtype=torch.bool)
-        rest[own] = False
-        inner, across = inverse_root(matrix[rest][:, rest]), matrix[rest][:, own]
-        held = inner.T @ across
-        alone = matrix[own][:, own] - held.T @ held
-        pull = right[own] - held.T @ (inner.T @ right[rest])
-        bodies = replace(self.bodies, at=torch.searchsorted(own, self.bodies.at))
-        x = torch.zeros_like(right)
-        x[own] = _within(bodies, alone, pull)
-        x[rest] = inner @ (inner.T @ (right[rest] - across @ x[own]))
-        return x
 
     def solve_of(self, equations: Equations, weight: Float[Tensor, " n"]) -> Solved:
         """The minimum of joints' normal equations with these weights (n,)."""
@@ -192,10 +177,8 @@ class Priors:
 
     def leave_bodies(self, x: Float[Tensor, "B K"]) -> list[bool]:
         """Whether each one's coefficients leave bodies, where it corrects any."""
-        return [
-            p.bodies is None or p.bodies.are(own[: len(p.ridge)])
-            for p, own in zip(self.each, x, strict=True)
-        ]
+        wrong = {k for some in _no_bodies([p.bodies for p in self.each], x) for k in some}
+        return [k not in wrong for k in range(len(self.each))]
 
     def solve_of(
         self, equations: Equations, weight: Float[Tensor, "B *batch n"], *, conic: bool = True
@@ -212,42 +195,155 @@ class Priors:
         matrix, right = matrix + squares, right + self.pull.view(len(self.each), *more, -1)
         root = inverse_root(matrix, known=squares)
         x = (root @ (root.mT @ right.unsqueeze(-1))).squeeze(-1)
-        for k, p in enumerate(self.each):
-            if conic and p.bodies is not None:
-                own = len(p.ridge)
-                some = (matrix[k, ..., :own, :own], right[k, ..., :own], x[k, ..., :own])
-                for m, b, y in zip(
-                    some[0].reshape(-1, own, own), some[1].reshape(-1, own),
-                    some[2].view(-1, own), strict=True,
-                ):  # fmt: skip
-                    if not p.bodies.are(y):
-                        y.copy_(p.beside_bodies(m, b))
+        if conic and any(p.bodies for p in self.each):
+            own = right.shape[-1]
+            flat = matrix.reshape(-1, own, own), right.reshape(-1, own), x.view(-1, own)
+            each = len(flat[1]) // len(self.each)
+            _stay_bodies([p.bodies for p in self.each for _ in range(each)], *flat)
         return Solved(x, root)
 
 
-def _within(
-    bodies: Bodies, matrix: Float[Tensor, "K K"], right: Float[Tensor, " K"]
-) -> Float[Tensor, " K"]:
-    """The minimum over coefficients that all belong to bodies, among those that leave them so."""
+def _no_bodies(bodies: Sequence[Bodies | None], x: Float[Tensor, "G K"]) -> list[list[int]]:
+    """Which coefficients leave no bodies; those that correct equally many together."""
+    alike: dict[int, list[int]] = {}
+    for k, some in enumerate(bodies):
+        if some is not None:
+            alike.setdefault(len(some.at), []).append(k)
+    out = []
+    for asked in alike.values():
+        each = [b for b in map(bodies.__getitem__, asked) if b is not None]
+        at, base, least = (torch.stack([getattr(b, name) for b in each]) for name in _LIMITS)
+        own = base - least + x[asked].gather(1, at.flatten(1)).view(at.shape)
+        pseudo = (own @ pseudo_inertia_basis().flatten(1)).view(*at.shape[:2], 4, 4)
+        failed = torch.linalg.cholesky_ex(pseudo)[1].any(1).tolist()
+        out.append([k for k, wrong in zip(asked, failed, strict=True) if wrong])
+    return [some for some in out if some]
+
+
+_LIMITS = ("at", "base", "least")
+
+
+def _stay_bodies(
+    bodies: Sequence[Bodies | None],
+    matrix: Float[Tensor, "G K K"],
+    right: Float[Tensor, "G K"],
+    x: Float[Tensor, "G K"],
+) -> None:
+    """Put what leaves no bodies at the minimum among coefficients that do, beside normal equations
+    that hold all that is known.
+
+    Raises:
+        TorchidError: a conic program has no solution.
+    """
+    for asked in _no_bodies(bodies, x):
+        each = [b for b in map(bodies.__getitem__, asked) if b is not None]
+        x[asked] = torch.from_numpy(_minima(each, matrix[asked].numpy(), right[asked].numpy()))
+
+
+def _minima(each: Sequence[Bodies], matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Of each of G problems the minimum (G, K) over coefficients that leave its bodies so."""
+    # Beside the bodies' own coefficients all others follow.
+    at = torch.stack([b.at for b in each]).flatten(1).numpy()
+    g = np.arange(len(each))[:, None]
+    others = np.ones(right.shape, dtype=bool)
+    others[g, at] = False
+    rest, row = others.nonzero()[1].reshape(len(g), -1), g[:, None]
+    inner = inverse_root(torch.from_numpy(matrix[row, rest[:, :, None], rest[:, None]])).numpy()
+    across = matrix[row, rest[:, :, None], at[:, None]]
+    held = inner.transpose(0, 2, 1) @ across
+    alone = matrix[row, at[:, :, None], at[:, None]] - held.transpose(0, 2, 1) @ held
+    pull = right[g, at] - _times(held.transpose(0, 2, 1), _times(inner, right[g, rest], True))
+    own, settled = _by_newton(each, alone, pull)
+    for k in (~settled).nonzero()[0].tolist():
+        own[k] = nearest_to(each[k], alone[k], pull[k])
+    x = np.zeros_like(right)
+    x[g, at] = own
+    x[g, rest] = _times(inner, _times(inner, right[g, rest] - _times(across, own), True))
+    return x
+
+
+def _times(matrix: np.ndarray, x: np.ndarray, transposed: bool = False) -> np.ndarray:
+    """Each of several matrices times its vector."""
+    return (x[:, None] @ matrix)[:, 0] if transposed else (matrix @ x[..., None])[..., 0]
+
+
+_J, _I = np.tril_indices(4)
+_SIZE = np.where(_I == _J, 1.0, np.sqrt(2.0))
+_PLACES = np.zeros((4, 4), dtype=int)
+_PLACES[_I, _J] = _PLACES[_J, _I] = np.arange(PARAMETERS_PER_LINK)
+
+
+def _by_newton(
+    each: Sequence[Bodies], matrix: np.ndarray, right: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Minima (G, C) over the coefficients of bodies, body by body, and which of them are found: by
+    Newton's method for the fixed point y = [y - t (Q y - c)]+, y the pseudo-inertias' triangles and
+    [.]+ the projection onto what is positive definite."""
+    # The objective y'Qy - 2c'y of the triangles, which hold x and the body without it.
+    rest = (torch.stack([b.base for b in each]) - torch.stack([b.least for b in each])).numpy()
+    units = torch.linalg.inv(torch.stack([b.triangles for b in each])).numpy()
+    count, size = rest.shape[1], right.shape[1]
+
+    def in_units(a: np.ndarray) -> np.ndarray:
+        return (units @ a.reshape(len(a), count, size // count, -1)).reshape(len(a), size, -1)
+
+    base = rest.reshape(right.shape)
+    q = in_units(in_units(matrix).transpose(0, 2, 1))
+    c = in_units(right + _times(matrix, base))[..., 0]
+    # Where nothing is known of some direction, the middle of what is possible is the answer.
+    diagonal = q.diagonal(0, 1, 2)
+    factor, failed = torch.linalg.cholesky_ex(torch.from_numpy(q))
+    left = factor.diagonal(dim1=1, dim2=2).numpy() ** 2
+    sure = (failed.numpy() == 0) & (left > DETERMINED * diagonal).all(1)
+    step = AHEAD / diagonal.max(1)[:, None]
+    moved = np.eye(size) - step[..., None] * q
+    y, settled = np.zeros_like(c), np.zeros(len(c), dtype=bool)
+    y[sure] = np.linalg.solve(q[sure], c[sure, :, None])[..., 0]
+    now = sure.nonzero()[0]
+    for _ in range(STEPS):
+        if not len(now):
+            break
+        own, m = y[now], moved[now]
+        z = (_times(m, own) + (step * c)[now]).reshape(len(now), count, size // count)
+        values, vectors = np.linalg.eigh((z / _SIZE)[..., _PLACES])
+        kept, turned = np.maximum(values, 0.0), vectors.swapaxes(-1, -2)
+        near = (vectors * kept[..., None, :]) @ turned
+        off = own - (near[..., _I, _J] * _SIZE).reshape(own.shape)
+        done = np.abs(off).max(1) <= SETTLED * np.abs(own).max(1)
+        y[now] -= off * done[:, None]
+        settled[now] = done
+        now, m, off = now[~done], m[~done], off[~done]
+        # The projection's slope: divided differences of [.]+ in the eigenvectors' frame.
+        kept, sizes, vectors = kept[~done], np.abs(values[~done]), vectors[~done]
+        both = sizes[..., None] + sizes[..., None, :] + 1e-300
+        shares = ((kept[..., None] + kept[..., None, :]) / both)[..., None, _I, _J]
+        pairs = vectors[..., _I, :, None] * vectors[..., _J, None, :]
+        frame = (pairs[..., _I, _J] + pairs[..., _J, _I]) * (0.5 * _SIZE * _SIZE[:, None])
+        slope = (frame * shares) @ frame.swapaxes(-1, -2)
+        held = (slope @ m.reshape(len(m), count, size // count, size)).reshape(m.shape)
+        y[now] -= np.linalg.solve(np.eye(size) - held, off[..., None])[..., 0]
+    x = y.reshape(len(y), count, 1, -1) @ units
+    return x.reshape(right.shape) - base, settled
+
+
+def nearest_to(bodies: Bodies, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The minimum over the coefficients of bodies, body by body."""
     # Columns of length one, and every body in units of the small one that it holds.
-    size = matrix.diagonal().clamp(min=1e-12 * float(matrix.diagonal().max())).sqrt().numpy()
-    count, own = bodies.at.shape[0], len(size)
+    size = np.sqrt(matrix.diagonal().clip(min=1e-12 * matrix.diagonal().max()))
     base = (bodies.base - bodies.least).unsqueeze(1) @ bodies.triangles
-    columns = np.zeros((own, count, 10))
-    columns[bodies.at.numpy(), np.arange(count)[:, None]] = bodies.triangles.numpy()
     solver = clarabel.DefaultSolver(
-        _sparse(np.triu(2 * matrix.numpy() / size / size[:, None]).T),
-        -2 * right.numpy() / size,
-        _sparse(columns.reshape(own, -1) / -size[:, None]),
+        _sparse(np.triu(2 * matrix / size / size[:, None]).T),
+        -2 * right / size,
+        _sparse(block_diag(*bodies.triangles.numpy()) / -size[:, None]),
         base.flatten().numpy(),
-        [clarabel.PSDTriangleConeT(4)] * count,
+        [clarabel.PSDTriangleConeT(4)] * len(bodies.at),
         _settings(),
     )
     found = solver.solve()
     x = np.array(found.x)
     if "Solved" not in str(found.status) and not np.isfinite(x).all():
         raise TorchidError("no bodies were found that fit.", got=str(found.status))
-    return torch.from_numpy(x / size)
+    return x / size
 
 
 def _sparse(columns: np.ndarray) -> sparse.csc_matrix:

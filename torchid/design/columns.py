@@ -16,6 +16,7 @@ import torch
 from torchid.design.segments import Samples, Segment
 from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
+from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.registry import Valued, in_rounds, model_torque, nominal_effects
 from torchid.effects.transient import Contact
 from torchid.robot.inertia import PARAMETERS_PER_LINK
@@ -174,6 +175,13 @@ class Columns:
         place, columns = self.of(effect)
         return columns if place is None else on_joint(columns, place, self.n)
 
+    def laws(self, joint: int) -> Float[Tensor, "K N"]:
+        """Columns of the rigid body, dry and viscous friction and an offset on a joint."""
+        moved = list(self.model.robot.moved_by(joint))
+        laws = (ViscousFriction, CoulombFriction, TorqueOffset)
+        own = [self.of(law(joint))[1] for law in laws]
+        return torch.cat([self.regressor[moved, :, joint].flatten(0, 1), *own])
+
     def torque(self, effect: Effect, values: Sequence[float]) -> Float[Tensor, "n N"]:
         """Torque of an effect on all joints [N m; N]."""
         columns = self.on_all_joints(effect)
@@ -251,7 +259,7 @@ class Columns:
         lengths = [len(m.q) for m in motions]
         if kind.windowed or not kind.needs & {"t", "age"}:
             motions = [together(motions)]
-        for parts in zip(*(kind.columns_of(effects, m, robot) for m in motions), strict=True):
+        for parts in kind.columns_along(effects, motions, robot):
             yield list(torch.cat([x.permute(2, 1, 0) for x in parts], -1).split(lengths, -1))
 
     def _all_the_time(self, contact: Contact) -> list[Float[Tensor, "C n _"]]:

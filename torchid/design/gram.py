@@ -9,8 +9,9 @@ to it follow without a second look at the log (Golub and Van Loan 2013, 5.3).
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
-from scipy.linalg.blas import dsyrk
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -39,6 +40,11 @@ def inverse_root(
     count = matrix.shape[-1]
     if not matrix.numel():
         return matrix.clone()
+    if matrix.numel() == count * count:
+        some = (matrix, matrix if known is None else known.expand_as(matrix))
+        one, given = (x.reshape(count, count).numpy() for x in some)
+        found = _root_of_one(one, least, None if known is None else given)
+        return torch.from_numpy(found).view(matrix.shape)
     # A column that is nowhere in these samples determines nothing.
     diagonal = matrix.diagonal(dim1=-2, dim2=-1)
     there = diagonal > 0
@@ -48,8 +54,8 @@ def inverse_root(
     # Cholesky is ten times cheaper than eigenvectors, and as good where all is determined, which
     # two bounds say: 1 / trace(M^-1) of the least eigenvalue, the largest row sum of the largest.
     factor, failed = torch.linalg.cholesky_ex(unit)
-    one = torch.eye(count, dtype=matrix.dtype, device=matrix.device)
-    root = torch.linalg.solve_triangular(factor, one, upper=False).mT
+    unity = torch.eye(count, dtype=matrix.dtype, device=matrix.device)
+    root = torch.linalg.solve_triangular(factor, unity, upper=False).mT
     sure = root.square().sum((-2, -1)) * unit.abs().sum(-1).amax(-1) * least < 1.0
     sure &= failed == 0
     if not bool(sure.all()):
@@ -60,6 +66,21 @@ def inverse_root(
             own = unit.view(-1, count, count)[k]
             flat[k] = _determined(own, least, None if parts is None else parts[k])
     return root / size.unsqueeze(-1)
+
+
+def _root_of_one(matrix: np.ndarray, least: float, known: np.ndarray | None) -> np.ndarray:
+    """The same of one matrix (K, K), by LAPACK itself: of a small one torch's calls would take
+    longer than the work."""
+    diagonal = matrix.diagonal()
+    there = diagonal > 0
+    size = np.where(there, np.sqrt(diagonal.clip(min=0)), np.inf)
+    unit = matrix / size / size[:, None] + np.diag(~there)
+    factor, failed = dpotrf(unit, lower=1)
+    root = dtrtri(factor, lower=1)[0].T
+    if failed or np.square(root).sum() * np.abs(unit).sum(1).max() * least >= 1.0:
+        parts = None if known is None else torch.from_numpy(known / size / size[:, None])
+        root = _determined(torch.from_numpy(unit), least, parts).numpy()
+    return root / size[:, None]
 
 
 def _determined(
@@ -90,27 +111,30 @@ unseen."""
 
 
 def visible_root(
-    left: Float[Tensor, "*M C C"],
-    square: Float[Tensor, "*M C"],
-    free: Float[Tensor, "*M C C"] | None = None,
-) -> Float[Tensor, "*M C C"]:
-    """A root of the inverse of what a model leaves of columns, zero where it leaves too little.
+    left: np.ndarray, square: np.ndarray, free: np.ndarray | None = None
+) -> np.ndarray:
+    """A root (*M, C, C) of the inverse of what a model leaves of columns, zero where it leaves too
+    little.
 
     Args:
-        left: products of what it leaves of them.
-        square: of the columns themselves; 0 of those that are nowhere.
-        free: what it would leave of them if nothing were known of it beforehand, where something
-            is: what that alone leaves is no rest of two large things that cancel.
+        left: (*M, C, C) products of what it leaves of them.
+        square: (*M, C) of the columns themselves; 0 of those that are nowhere.
+        free: (*M, C, C) what it would leave of them if nothing were known of it beforehand, where
+            something is: what that alone leaves is no rest of two large things that cancel.
     """
-    size = torch.where(square > 0, square.sqrt(), torch.inf)
-    scale = size.unsqueeze(-1) * size.unsqueeze(-2)
-    values, vectors = torch.linalg.eigh(left / scale)
+    size = np.sqrt(np.where(square > 0, square, np.inf))
+    scale = size[..., None] * size[..., None, :]
+    unit = left / scale
+    if unit.shape[-1] == 1:  # of most, which have one column
+        values, vectors = unit[..., 0], np.ones_like(unit)
+    else:
+        values, vectors = np.linalg.eigh(unit)
     seen = values > VISIBLE
     if free is not None:
         by_data = (vectors * ((free / scale) @ vectors)).sum(-2)
         seen |= (values - by_data > 0.5 * values) & (values > EXACT)
-    safe = torch.where(seen, values, torch.ones_like(values))
-    return vectors * (seen / safe.sqrt()).unsqueeze(-2) / size.unsqueeze(-1)
+    kept = np.where(seen, 1 / np.sqrt(np.where(seen, values, 1.0)), 0.0)
+    return vectors * kept[..., None, :] / size[..., None]
 
 
 class Gram:
@@ -146,10 +170,8 @@ class Gram:
         for p in part[keep].unique().tolist():
             chosen = (keep & (part == p)).nonzero().flatten()
             own = torch.cat([x.index_select(1, chosen) for x in rows])
-            # Half of a symmetric product; BLAS sees the rows as columns, in which it leaves zeros.
-            half = torch.from_numpy(dsyrk(1.0, own.numpy().T, trans=1)).T
-            self.g[joint][p] += half
-            self.g[joint][p] += half.tril(-1).T
+            # All of a symmetric product: half of it, and its mirror image, take longer.
+            self.g[joint][p].addmm_(own, own.T)
             self.rows[p, joint] += len(chosen)
 
     def folds(self) -> "Folds":

@@ -7,13 +7,11 @@ torque there has a gap that is none of its faults.
 """
 
 import math
-from collections.abc import Sequence
 
 import torch
 
 from torchid.design.columns import Columns
 from torchid.design.gram import least_squares
-from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.log.model import Log
 from torchid.statistics.robust import robust_std
 from torchid.typing import Bool, Float, Int, Tensor
@@ -53,12 +51,9 @@ def without_signal(
         keep: samples that count.
         parts: (N,) stretch of every sample, from 1; 0 of those between stretches.
     """
-    laws = (ViscousFriction, CoulombFriction, TorqueOffset)
     out = []
     for joint, (y, error) in enumerate(zip(torque, gap, strict=True)):
-        own: Sequence[Tensor] = [columns.of(law(joint))[1] for law in laws]
-        moved = list(columns.model.robot.moved_by(joint))
-        a = torch.cat([columns.regressor[moved, :, joint].flatten(0, 1), *own])
+        a = columns.laws(joint)
         # A push is no law: what is far off what fits the usual torques takes no part.
         telling = keep[joint] & ~_far(y - y.median(), keep[joint])
         telling &= ~_far(y - least_squares(a[:, telling], y[telling], EXCITED) @ a, telling)

@@ -13,7 +13,6 @@ from torchid.doctor.hypothesis import FEWEST, Hypothesis, Judge
 from torchid.doctor.repair import MOTION, TORQUE, Reorder, within
 from torchid.doctor.samples import BLOCKS
 from torchid.doctor.search import AGREE, CLEAR
-from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.robot.model import Robot, joint_list
 
 ALIKE = 0.5
@@ -78,14 +77,14 @@ def check_branches(judge: Judge, now: Hypothesis) -> list[Check]:
 def _left(judge: Judge, hypothesis: Hypothesis) -> np.ndarray:
     """(B, n) what nominal torque, friction, rotor and offset leave of each joint's torque, as a
     share of its spread, in each block; NaN where it does not move."""
-    q, dq, ddq, sign = judge.motion(hypothesis).unbind(-1)
-    nominal = inverse_dynamics(judge.robot, q, dq, ddq).numpy()
+    nominal = judge.nominal(hypothesis, judge.robot.gravity).numpy()
+    columns = judge.own(hypothesis).numpy()
     tau, moving = judge.torque(hypothesis), judge.moving(hypothesis)
     block = judge.samples.block.numpy()
     out = np.full((BLOCKS, judge.robot.n), np.nan)
     for j in judge.live(hypothesis):
         rows = moving[:, j]
-        own = np.stack([dq[:, j], sign[:, j], ddq[:, j], np.ones(len(q))], 1)[rows]
+        own = columns[rows, j]
         gap = (tau - nominal)[rows, j]
         left = gap - own @ np.linalg.lstsq(own, gap, rcond=None)[0]
         spread = tau[rows, j].std()

@@ -2,9 +2,12 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 from torchid.doctor.repair import Repair
+from torchid.robot.model import joint_list
+from torchid.yaml_data import parsed_yaml
 
 Verdict = Literal["fine", "wrong", "doubtful", "cannot tell"]
 VERDICTS: tuple[Verdict, ...] = ("wrong", "doubtful", "cannot tell", "fine")
@@ -72,6 +75,47 @@ class Check:
         """With repairs, which say what to do, before whatever else there is to be done."""
         said = [*map(str, repairs), *([self.fix] if self.fix else [])]
         return replace(self, fix="; ".join(said) or None, repairs=repairs)
+
+
+_TEXTS = Path(__file__).with_name("checks.yaml")
+TEXTS: dict[str, dict[str, Any]] = parsed_yaml(_TEXTS.read_text(encoding="utf-8"))
+"""What there is to say, by check."""
+
+
+def said(
+    name: str,
+    verdict: str,
+    /,
+    *words: object,
+    joints: Sequence[int] = (),
+    estimate: Any = None,
+    interval: Any = None,
+    **known: Any,
+) -> Check:
+    """A check as checks.yaml says it, with words and numbers in their places.
+
+    Args:
+        name: of the check.
+        verdict: and which of several of this verdict, `doubtful idle`.
+        words: of the texts, in order.
+        joints, estimate, interval: as of a Check.
+        known: words of the texts by name.
+    """
+    own = TEXTS[name]
+    given = own.get(verdict, "{text}")
+    parts = {"evidence": given} if isinstance(given, str) else given
+    known |= {"joints": joint_list(joints)} if joints else {}
+    texts = {key: text.format(*words, **known) for key, text in parts.items()}
+    unit = own.get("unit", "") if estimate is not None else ""
+    kind = next(v for v in VERDICTS if verdict.startswith(v))
+    return Check(
+        name,
+        kind,
+        **{"unit": unit} | texts,
+        joints=tuple(joints),
+        estimate=estimate,
+        interval=interval,
+    )
 
 
 def among(check: Check, choices: Sequence[Choice], fixes: Collection[str]) -> Check:

@@ -1,9 +1,11 @@
 """Time stamps and rows: does the clock run on, evenly, in seconds, and is every row a new one?"""
 
+from typing import Any
+
 import numpy as np
 import torch
 
-from torchid.doctor.check import Check
+from torchid.doctor.check import Check, said
 from torchid.doctor.repair import (
     Bridge,
     DropRows,
@@ -61,14 +63,11 @@ def check_values(log: Log) -> Check:
             counts[name] = int(wrong.sum())
     rows = bad.nonzero().flatten().tolist()
     if not rows:
-        return Check("values", "fine", "every value is a number")
+        return said("values", "fine")
     found = ", ".join(f"{count} in {name}" for name, count in counts.items()) or "in t"
-    return Check(
-        "values",
-        "wrong",
-        f"{len(rows)} of {log.samples} rows have values that are not numbers ({found})",
-        estimate=len(rows) / log.samples,
-    ).mended_by(DropRows(tuple(rows), "NaN or infinite"))
+    counted: dict[str, Any] = {"rows": len(rows), "samples": log.samples, "found": found}
+    check = said("values", "wrong", estimate=len(rows) / log.samples, **counted)
+    return check.mended_by(DropRows(tuple(rows), "NaN or infinite"))
 
 
 def check_clock(log: Log) -> Check:
@@ -78,12 +77,16 @@ def check_clock(log: Log) -> Check:
         t, q = log.t[rows].numpy(), log.q[rows].numpy()
         step = np.diff(t)
         if not (step > 0).any():
-            return Check("clock", "wrong", "no time stamp is later than the one before it")
+            return said("clock", "wrong never")
         median = np.median(step[step > 0])
         offset = rows.start
-        restarts = _new_runs(np.flatnonzero(step < 0), q)
+        # Steps back across which some joint goes further than in its usual steps: a new run.
+        behind = np.flatnonzero(step < 0)
+        moved, usual = _steps(q, behind)
+        far = moved > USUAL_STEPS * usual + 1e-3 * np.ptp(q, 0).max()
+        restarts = behind[far.any(1)]
         runs += (restarts + offset + 1).tolist()
-        back += (np.setdiff1d(np.flatnonzero(step < 0), restarts) + offset).tolist()
+        back += (np.setdiff1d(behind, restarts) + offset).tolist()
         repeated += (np.flatnonzero(step == 0) + offset).tolist()
         # Long steps of the clock across which the positions make a usual step only.
         long = np.flatnonzero(step > LONG_GAP_STEPS * median)
@@ -107,19 +110,10 @@ def check_clock(log: Log) -> Check:
     split = (SplitRuns(tuple(runs)),) if runs else ()
     now = repaired(log, split)
     rest = _clock_repairs(now, repeated, back + jumped) if repeated or back or jumped else ()
-    return Check(
-        "clock",
-        "wrong",
-        f"{', '.join(found)}; the first after row {first + 1}, t = {float(log.t[first]):.6g}",
-        estimate=float(len(repeated) + len(back) + len(jumped) + len(runs)),
-    ).mended_by(*split, *rest)
-
-
-def _new_runs(back: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Steps back of the clock across which some joint goes further than in its usual steps: a new
-    run begins."""
-    moved, usual = _steps(q, back)
-    return back[(moved > USUAL_STEPS * usual + 1e-3 * np.ptp(q, 0).max()).any(1)]
+    count = float(len(repeated) + len(back) + len(jumped) + len(runs))
+    place = {"row": first + 1, "t": float(log.t[first])}
+    check = said("clock", "wrong", estimate=count, found=", ".join(found), **place)
+    return check.mended_by(*split, *rest)
 
 
 def _steps(q: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -161,8 +155,7 @@ def check_time_unit(log: Log) -> Check:
 
 
 def _time_in(unit: str, factor: float, why: str, step: float) -> Check:
-    text = f"t is in {unit}: median step {step:.4g}, and {why}"
-    check = Check("time unit", "wrong", text, estimate=factor, unit="counts per second")
+    check = said("time unit", "wrong", estimate=factor, unit=unit, step=step, why=why)
     return check.mended_by(ScaleTime(1.0 / factor))
 
 
@@ -184,14 +177,7 @@ def check_dropouts(log: Log) -> Check:
     )
     if share < DROPPED and longest < LONG_GAP_S:
         return Check("dropouts", "fine", text if gaps else "no gaps", estimate=share)
-    return Check(
-        "dropouts",
-        "doubtful",
-        f"{text}, the longest {1e3 * longest:.3g} ms",
-        estimate=share,
-        fix="nothing to add: short gaps are interpolated and the log is split at long ones; "
-        "record again if what matters fell into them",
-    )
+    return said("dropouts", "doubtful", estimate=share, text=text, longest=1e3 * longest)
 
 
 def check_held(log: Log) -> Check:
@@ -214,24 +200,14 @@ def check_held(log: Log) -> Check:
     whole = torch.stack(list(held.values())).all(0)
     rows = (whole & moving).nonzero().flatten() + 1
     if len(rows) / usable > HELD:
-        return Check(
-            "held samples",
-            "wrong",
-            f"{100 * len(rows) / usable:.3g} % of the rows in motion repeat the row before "
-            "(no new sample had come)",
-            estimate=len(rows) / usable,
-        ).mended_by(Bridge(tuple(rows.tolist())))
+        share = len(rows) / usable
+        check = said("held samples", "wrong", estimate=share, percent=100 * len(rows) / usable)
+        return check.mended_by(Bridge(tuple(rows.tolist())))
     late = [name for name, share in shares.items() if share > 2 * HELD]
     if late:
-        return Check(
-            "held samples",
-            "doubtful",
-            f"repeated values while the arm moves: {text}: {' and '.join(late)} came at a lower "
-            "rate and were held",
-            estimate=max(shares.values()),
-            fix="log all signals at the rate of the slowest; holding delays by half its step",
-        )
-    return Check("held samples", "fine", f"repeated while moving: {text}", estimate=0.0)
+        most, names = max(shares.values()), " and ".join(late)
+        return said("held samples", "doubtful", estimate=most, text=text, late=names)
+    return said("held samples", "fine", estimate=0.0, text=text)
 
 
 def _held(log: Log, name: str) -> Bool[Tensor, " steps"]:
@@ -259,22 +235,9 @@ def check_stamps(log: Log) -> Check:
         long = max(_usual_longest(part.t.numpy()) for part in parts)
         if long < LONG:
             return Check("stamps", "fine", text, estimate=share)
-        return Check(
-            "stamps",
-            "doubtful",
-            f"a tenth of the time lies in steps of {long:.2g} medians and more ({text})",
-            estimate=long,
-            unit="ratio",
-            fix="record at an even rate; nothing faster than the longest steps can be resolved",
-        )
-    return Check(
-        "stamps",
-        "wrong",
-        f"steps spread by {100 * share:.0f} % of the median, and positions are {worst:.3g} times "
-        f"smoother over even stamps: the stamps are rounded or were given late ({text})",
-        estimate=worst,
-        unit="ratio",
-    ).mended_by(EvenTime())
+        return said("stamps", "doubtful", estimate=long, long=long, text=text)
+    known: dict[str, Any] = {"percent": 100 * share, "worst": worst, "text": text}
+    return said("stamps", "wrong", estimate=worst, **known).mended_by(EvenTime())
 
 
 def _usual_longest(t: np.ndarray) -> float:

@@ -6,43 +6,21 @@ from functools import cached_property
 
 import numpy as np
 
+from torchid.doctor import clock, motion, torque, velocity
 from torchid.doctor.branches import check_branches
 from torchid.doctor.check import Check
-from torchid.doctor.clock import (
-    check_clock,
-    check_dropouts,
-    check_held,
-    check_stamps,
-    check_time_unit,
-    check_values,
-)
-from torchid.doctor.commands import check_channel_units, check_commands
-from torchid.doctor.content import check_excitation, check_side
-from torchid.doctor.estimates import check_gravity, check_lag
+from torchid.doctor.estimates import check_excitation, check_gravity, check_lag, check_side
 from torchid.doctor.faults import fault_checks, unseen
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
 from torchid.doctor.limits import check_limits
-from torchid.doctor.motion import (
-    check_jumps,
-    check_position_unit,
-    check_standstill,
-    check_zeros,
-)
+from torchid.doctor.number_format import check_number_format
 from torchid.doctor.record import CheckRecord, DoctorRecord, Examined
 from torchid.doctor.repair import Repair, Scale, repaired
 from torchid.doctor.runs import check_runs
 from torchid.doctor.samples import samples
 from torchid.doctor.search import CLEAR, Search, rms, search
 from torchid.doctor.size import check_nominal, check_size
-from torchid.doctor.torque import (
-    check_content,
-    check_resolution,
-    check_saturation,
-    check_torque,
-    torque_or_current,
-)
-from torchid.doctor.velocity import check_velocity
 from torchid.errors import LogError
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.json_data import plain
@@ -195,39 +173,45 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
         checks.append(check)
         now = repaired(now, check.repairs)
 
-    add(check_values(now))
-    add(check_clock(now))
+    add(clock.check_values(now))
+    add(check_number_format(now))
+    add(clock.check_clock(now))
     if not checks[-1].repairs and checks[-1].verdict == "wrong":
         return checks, now
-    add(check_held(now))
-    add(check_time_unit(now))
-    add(check_jumps(robot, now))
-    add(check_stamps(now))
-    add(check_dropouts(now))
-    add(check_position_unit(robot, now, fixes))
-    counts = any(c.name == "position unit" and "COUNTS" in (c.fix or "") for c in checks)
+    add(clock.check_held(now))
+    add(clock.check_time_unit(now))
+    add(motion.check_jumps(robot, now))
+    add(clock.check_stamps(now))
+    add(clock.check_dropouts(now))
+    add(motion.check_position_unit(robot, now, fixes))
+    counts = _counts(checks)
     if not counts:
-        add(check_zeros(robot, now, fixes))
+        add(motion.check_zeros(robot, now, fixes))
     if now.u is not None:
         # Before the velocities, which would be taken for what is wrong.
-        add(check_channel_units(now))
-    add(check_velocity(now, fixes, counts=counts))
-    add(check_standstill(now))
-    add(check_torque(now))
+        add(velocity.check_channel_units(now))
+    add(velocity.check_velocity(now, fixes, counts=counts))
+    add(motion.check_standstill(now))
+    add(torque.check_torque(now))
     if now.u is not None:
-        add(check_commands(now))
-    if torque_or_current(now) is not None:
-        add(check_saturation(now))
-        add(check_resolution(now))
-        add(check_content(now))
+        add(velocity.check_commands(now))
+    if torque.torque_or_current(now) is not None:
+        add(torque.check_saturation(now))
+        add(torque.check_resolution(now))
+        add(torque.check_content(now))
     return checks, now
+
+
+def _counts(checks: Sequence[Check]) -> bool:
+    """Whether positions are counts of an unknown part of a turn."""
+    return any(c.name == "position unit" and "COUNTS" in (c.fix or "") for c in checks)
 
 
 def _with_model(
     robot: Robot, log: Log, now: Log, checks: list[Check], fixes: Sequence[str], first: bool
 ) -> Examination:
     rows = samples(now)
-    if any(c.name == "velocity" and c.verdict == "cannot tell" for c in checks):
+    if _counts(checks):
         rows = "positions are in counts of an unknown part of a turn"
     if isinstance(rows, str):
         none = tuple(Check(name, "cannot tell", rows) for name in MODEL_CHECKS)
@@ -246,7 +230,7 @@ def _with_model(
         now = repaired(now, [r for f in found.found for r in f.move.repairs])
         # Positions beyond the limits may be another joint's, or of another sign.
         checks = [
-            check_zeros(robot, now) if c.name == "zero of positions" and not c.repairs else c
+            motion.check_zeros(robot, now) if c.name == "zero of positions" and not c.repairs else c
             for c in checks
         ]
     turned = any(f.move.kind == "gravity" for f in found.found)

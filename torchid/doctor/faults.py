@@ -5,13 +5,11 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from torchid.doctor.check import Check, Choice, among
-from torchid.doctor.hypothesis import Hypothesis, Judge
-from torchid.doctor.moves import LEAST_GAIN, Move
-from torchid.doctor.profile import profile
+from torchid.doctor.check import TEXTS, Check, Choice, among, said
+from torchid.doctor.hypothesis import Hypothesis, Judge, profile
+from torchid.doctor.moves import LEAST_GAIN, Move, invisible_groups, least_groups
 from torchid.doctor.repair import TORQUE, Scale, within
 from torchid.doctor.search import CLEAR, Found, Search
-from torchid.doctor.signs import invisible_groups, least_groups
 from torchid.doctor.size import nominal_loss
 from torchid.robot.model import joint_list
 
@@ -26,22 +24,11 @@ CHECK_OF = {
     "position unit": "position unit, by torque",
     "zero": "zero of positions",
 }
-_FINE = {
-    "joint order": "no exchange of columns explains the torque better",
-    "torque sign": "bodies with positive masses and friction that brakes explain the torque",
-    "position sign": "no other direction of a joint explains the torque better",
-    "gain of a joint": "the joints' torques agree with one another",
-}
-_UNSEEN = {
-    "torque sign": "negating the torque of {} would leave it about as well explained",
-    "position sign": "negating the position of {} would leave the torque about as well explained",
-    "joint sign": "which way the axis of {} points: with position and torque negated together, "
-    "mirrored bodies explain all that this log shows about as well",
-    "joint order": "numbering {} otherwise would leave the torque about as well explained",
-    "torque order": "exchanging the torques of {} would leave them about as well explained",
-    "position order": "exchanging the positions of {} would leave the torque about as well "
-    "explained",
-}
+_ALWAYS = ("joint order", "torque sign", "position sign", "gain of a joint")
+"""Checks that are there without a fault, too."""
+_UNSEEN = (
+    "torque sign", "position sign", "joint sign", "joint order", "torque order", "position order",
+)  # fmt: skip
 _TOLD = 4
 _MODELLED = ("joint order", "torque sign", "position sign")
 """Checks that nominal parameters bear out, or not."""
@@ -53,7 +40,7 @@ def fault_checks(judge: Judge, result: Search, fixes: Collection[str] = ()) -> l
     found = [f for f in result.found if f.move.kind in CHECK_OF]
     checks = [_explained(result, live), *(_check(judge, result, f, fixes) for f in found)]
     names = {c.name for c in checks}
-    for name, text in _FINE.items():
+    for name in _ALWAYS:
         if name in names:
             continue
         if not live or (len(live) < 2 and name in ("joint order", "gain of a joint")):
@@ -61,14 +48,14 @@ def fault_checks(judge: Judge, result: Search, fixes: Collection[str] = ()) -> l
         elif not result.explained:
             checks.append(Check(name, "cannot tell", "the torque is not explained either way"))
         else:
-            checks.append(Check(name, "fine", text))
+            checks.append(said(name, "fine"))
     return checks
 
 
 def unseen(judge: Judge, result: Search) -> list[Check]:
     """Faults that would not show in this log: having them costs too little."""
     out = []
-    for kind, words in _UNSEEN.items():
+    for kind in _UNSEEN:
         groups = [m.joints for cost, m in result.costs if m.kind == kind and cost < CLEAR]
         if kind == "joint sign":
             # Of groups, those that the robot's geometry allows; what they make up is not said.
@@ -80,14 +67,8 @@ def unseen(judge: Judge, result: Search) -> list[Check]:
             continue
         if len(told) > _TOLD:
             told[_TOLD:] = [f"{len(told) - _TOLD} more"]
-        out.append(
-            Check(
-                f"unseen {kind}",
-                "cannot tell",
-                words.format(" or of ".join(told)),
-                joints=tuple(sorted({k for g in groups for k in g})),
-            )
-        )
+        joints = sorted({k for g in groups for k in g})
+        out.append(said(f"unseen {kind}", "cannot tell", " or of ".join(told), joints=joints))
     return out
 
 
@@ -99,17 +80,9 @@ def _explained(result: Search, live: Sequence[int]) -> Check:
     text = "bodies that can exist, friction and offsets leave " + ", ".join(
         f"{100 * x:.0f} % (joint {k + 1})" for k, x in zip(live, left, strict=True)
     )
-    return Check(
-        "torque explained",
-        "fine" if result.explained else "doubtful",
-        f"{text} of the torque's spread, on time held out",
-        joints=tuple(live),
-        estimate=tuple(left.tolist()),
-        unit="share",
-        fix=None
-        if result.explained
-        else "is it this robot's description, and the torque of its motors, gravity included?",
-    )
+    verdict = "fine" if result.explained else "doubtful"
+    text = f"{text} of the torque's spread, on time held out"
+    return said("torque explained", verdict, joints=live, estimate=tuple(left.tolist()), text=text)
 
 
 def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -> Check:
@@ -203,17 +176,5 @@ def improvement(found: Found) -> str:
 
 
 def _name(move: Move) -> str:
-    words = {
-        "torque sign": "torque has the wrong sign in",
-        "position sign": "position has the wrong sign in",
-        "joint sign": "position and torque have the wrong sign in",
-        "torque order": "torque columns exchanged among",
-        "position order": "position columns exchanged among",
-        "joint order": "joints numbered otherwise:",
-        "gain": "torque of another size in",
-        "position unit": "positions in another unit, or on the motors' side, in",
-        "zero": "another zero in",
-        "lag": "torque late or early",
-        "gravity": "another direction of gravity",
-    }[move.kind]
+    words = TEXTS["moves"][move.kind]
     return f"{words} {joint_list(move.joints)}" if move.joints else words

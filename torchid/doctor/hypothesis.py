@@ -1,6 +1,6 @@
 """What a log may mean: which column is which joint, of which sign and size, under which gravity."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,8 +8,10 @@ import torch
 
 from torchid.doctor.cone import OWN, Fit, Normal, cone, fit, shares
 from torchid.doctor.samples import BLOCKS, Samples
+from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import regressor
 from torchid.robot.model import Robot
+from torchid.statistics.jackknife import from_left_out
 
 FEWEST = 5
 """Rows that a joint must have in a block of time to be judged there."""
@@ -164,18 +166,27 @@ class Judge:
             if len(self._columns) > 6:
                 del self._columns[next(iter(self._columns))]
             n, gravity = self.robot.n, torch.tensor(hypothesis.gravity, dtype=torch.float64)
-            q, dq, ddq, sign = self.motion(hypothesis).unbind(-1)
+            q, dq, ddq, _ = self.motion(hypothesis).unbind(-1)
             rigid = regressor(replace(self.robot, gravity=gravity), q, dq, ddq)
-            own = rigid.new_zeros(len(q), n, OWN * n)
+            own, each = rigid.new_zeros(len(q), n, OWN * n), self.own(hypothesis)
             for i in range(n):
-                columns = torch.stack(
-                    [dq[:, i], sign[:, i], ddq[:, i], torch.ones_like(dq[:, i])], -1
-                )
-                own[:, i, OWN * i : OWN * (i + 1)] = columns
+                own[:, i, OWN * i : OWN * (i + 1)] = each[:, i]
             rows = torch.cat([rigid, own], -1).numpy()
             a = rows * self.moving(hypothesis)[..., None]
             self._columns[key] = (a, _products(a, self.members))
         return self._columns[key]
+
+    def own(self, hypothesis: Hypothesis) -> torch.Tensor:
+        """(T, n, OWN) what is each joint's own: dq, direction of motion, ddq, one."""
+        _, dq, ddq, sign = self.motion(hypothesis).unbind(-1)
+        return torch.stack([dq, sign, ddq, torch.ones_like(dq)], -1)
+
+    def nominal(self, hypothesis: Hypothesis, gravity: torch.Tensor | None = None) -> torch.Tensor:
+        """(T, n) torque of the robot's own parameters, under the hypothesis's gravity or this."""
+        if gravity is None:
+            gravity = torch.tensor(hypothesis.gravity, dtype=torch.float64)
+        q, dq, ddq, _ = self.motion(hypothesis).unbind(-1)
+        return inverse_dynamics(replace(self.robot, gravity=gravity), q, dq, ddq)
 
     def motion(self, hypothesis: Hypothesis) -> torch.Tensor:
         """(T, n, 4) q, dq, ddq and direction of the robot's joints."""
@@ -207,3 +218,74 @@ def errors_left_out(normal: Normal, bodies: np.ndarray) -> np.ndarray:
         error = shares(normal.mean_square(found.x)[b], normal.spread)
         rows.append(np.where(normal.count[b] >= FEWEST, error, np.nan))
     return np.stack(rows)
+
+
+Family = Callable[[float], Hypothesis]
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A number and what is known of it.
+
+    Attributes:
+        value: where the loss is lowest.
+        low, high: 95 %, from leaving out one block of time after the other.
+        gain: by how much the loss is lower than at the starting value.
+    """
+
+    value: float
+    low: float
+    high: float
+    gain: float
+
+
+def profile(
+    judge: Judge, family: Family, grid: Sequence[float], start: float, step: float
+) -> Profile:
+    """Minimise the loss over one number: on a grid, then by parabolas, then by the jackknife.
+
+    Args:
+        judge: of the log.
+        family: the hypothesis for each value.
+        grid: first values tried; `start` is one more.
+        start: the value that would be fine.
+        step: distance of the values that a parabola goes through.
+    """
+
+    def loss(x: float) -> float:
+        return judge.score(family(x)).loss
+
+    best = minimum(loss, (*grid, start), step)
+    values = (best - step, best, best + step)
+    normals = [judge.normal(family(x)) for x in values]
+    weights = fit(normals[1], judge.cone).weights
+    estimates = []
+    for b in range(BLOCKS):
+        others = [normal.without(b) for normal in normals]
+        errors = [shares(fit(x, judge.cone, weights=weights).variance, x.spread) for x in others]
+        estimates.append(_vertex(values, [float(np.log(e).sum()) for e in errors]))
+    left_out = torch.tensor(estimates, dtype=torch.float64).unsqueeze(1)
+    low, high = from_left_out(left_out).interval(left_out.new_tensor([best]))[0].tolist()
+    return Profile(best, low, high, loss(start) - loss(best))
+
+
+def minimum(loss: Callable[[float], float], grid: Sequence[float], step: float) -> float:
+    """The lowest point of a grid, refined by three parabolas through points `step` apart."""
+    at = {x: loss(x) for x in grid}
+    best = min(at, key=lambda x: at[x])
+    for _ in range(3):
+        values = (best - step, best, best + step)
+        at |= {x: loss(x) for x in values if x not in at}
+        best = _vertex(values, [at[x] for x in values])
+    at[best] = loss(best)
+    return min(at, key=lambda x: at[x])
+
+
+def _vertex(values: Sequence[float], losses: Sequence[float]) -> float:
+    """The lowest point of the parabola through three points, at most two steps away."""
+    a, b, c = losses
+    step = values[2] - values[1]
+    curve = a - 2 * b + c
+    if curve <= 0:
+        return values[int(np.argmin(losses))]
+    return float(values[1] + np.clip(0.5 * (a - c) / curve, -2.0, 2.0) * step)

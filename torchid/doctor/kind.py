@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchid.doctor.check import Check
+from torchid.doctor.check import Check, said
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.robot.model import joint_list
@@ -24,10 +24,6 @@ _WORTH = 0.2
 _SCALED = 0.5
 """Share of the torque that nominal parts explain, however small they are, from which on it is a
 torque in another unit, or of the motors' side."""
-FIX = (
-    "on the command line --torque without-gravity, in Python robot.without_gravity(), or gravity: "
-    "[0, 0, 0] in the robot's yaml"
-)
 
 
 @dataclass(frozen=True)
@@ -70,17 +66,15 @@ def shares_of(judge: Judge, hypothesis: Hypothesis) -> Shares | None:
     size = float(robot.gravity.norm())
     if robot.parameters is None or not robot.parameters.pi.any() or size == 0.0:
         return None
-    q, dq, ddq, sign = judge.motion(hypothesis).unbind(-1)
+    q = judge.motion(hypothesis)[..., 0]
     zero = torch.zeros_like(q)
-    still = replace(robot, gravity=torch.zeros(3, dtype=torch.float64))
-    inertial = inverse_dynamics(still, q, dq, ddq)
+    inertial = judge.nominal(hypothesis, torch.zeros(3, dtype=torch.float64))
     axes = torch.eye(3, dtype=torch.float64) * size
     weights = [inverse_dynamics(replace(robot, gravity=g), q, zero, zero) for g in axes]
     parts = torch.stack([*weights, inertial], -1).numpy()
     tau, moving = judge.torque(hypothesis), judge.moving(hypothesis)
     block = judge.samples.block.numpy()
-    one = torch.ones_like(q)
-    own = torch.stack([dq, sign, ddq, one], -1).numpy()
+    own = judge.own(hypothesis).numpy()
     rows, targets, owners, weighed = [], [], [], []
     live = judge.live(hypothesis)
     for at, j in enumerate(live):
@@ -155,28 +149,14 @@ def check_kind(judge: Judge, end: Hypothesis) -> Check | None:
     )
     inertial = f"{shares.inertial:.2g} (± {shares.inertial_half:.2g})"
     if shares.inert:
-        return Check(
-            "torque kind",
-            "wrong",
-            f"external torque: {text}, and {inertial} of the accelerations': the model has been "
-            "taken out",
-            joints=shares.joints,
-            estimate=(gravity, shares.inertial),
-            unit="share of nominal",
-            fix="log the measured torque (tau_J, not tau_ext), or the model's with it",
-        )
+        both = gravity, shares.inertial
+        known = {"text": text, "inertial": inertial}
+        return said("torque kind", "wrong", joints=shares.joints, estimate=both, **known)
     also = ""
     if shares.inert is None:
         also = f"; as good: external torque, without the model ({inertial} of the accelerations')"
-    return Check(
-        "gravity",
-        "wrong",
-        f"the torque holds none (compensated): {text}{also}",
-        joints=shares.joints,
-        estimate=(0.0, 0.0, 0.0),
-        unit="m/s^2",
-        fix=FIX,
-    )
+    none = (0.0, 0.0, 0.0)
+    return said("gravity", "wrong none", joints=shares.joints, estimate=none, text=text + also)
 
 
 def weightless(hypothesis: Hypothesis) -> Hypothesis:

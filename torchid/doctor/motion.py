@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import torch
 
-from torchid.doctor.check import Check, Choice, among
+from torchid.doctor.check import Check, Choice, among, said
 from torchid.doctor.repair import PLACES, Repair, Scale, Shift, Unwrap
 from torchid.log.checks import (
     DEGREES,
@@ -210,7 +210,7 @@ def check_zeros(robot: Robot, log: Log, fixes: Collection[str] = ()) -> Check:
         if k not in ranges and max(-low[k], high[k]) > _FREE
     }
     if not out and not any(away.values()):
-        return Check("zero of positions", "fine", "no position is turns off its limits")
+        return said("zero of positions", "fine")
 
     def moved_by(common: float) -> tuple[float, ...] | None:
         """An offset of all joints, and whole turns; None where it leaves one beyond its limits."""
@@ -219,6 +219,10 @@ def check_zeros(robot: Robot, log: Log, fixes: Collection[str] = ()) -> Check:
             offsets[k] = common + away.get(k, 0.0)
             if k in ranges:
                 turns, beyond = _turned_back(ranges[k], low[k] + common, high[k] + common)
+                if common and beyond > _BEYOND:
+                    # A counter may run the other way: its sign is another question.
+                    turns, beyond = _turned_back(ranges[k], -high[k] - common, -low[k] - common)
+                    turns = -turns
                 if beyond > _BEYOND:
                     return None
                 # Without an offset, what is within its limits stays.
@@ -238,19 +242,11 @@ def check_zeros(robot: Robot, log: Log, fixes: Collection[str] = ()) -> Check:
     )
     if choices:
         joints = tuple(k for k, x in enumerate(options[choices[0].name] or ()) if x)
-        check = Check("zero of positions", "wrong", f"beyond the limits: {evidence}", joints)
+        check = said("zero of positions", "wrong", joints=joints, evidence=evidence)
         return among(check, choices, fixes)
-    names = joint_list(out)
     mirrored = all(_beyond(ranges[k], -high[k], -low[k]) < _BEYOND for k in out)
-    return Check(
-        "zero of positions",
-        "doubtful",
-        f"beyond the limits: {evidence}",
-        joints=tuple(out),
-        fix=f"negated they are within: is the sign of {names} the robot's?"
-        if mirrored
-        else f"are the zeros of {names} the robot's? An offset: q=q{{j}} +ZERO",
-    )
+    verdict = "doubtful mirrored" if mirrored else "doubtful"
+    return said("zero of positions", verdict, joints=out, evidence=evidence)
 
 
 def check_jumps(robot: Robot, log: Log) -> Check:
@@ -270,7 +266,7 @@ def check_jumps(robot: Robot, log: Log) -> Check:
         *position_jumps(log),
     ]
     if not found:
-        return Check("position jumps", "fine", "no jumps")
+        return said("position jumps", "fine")
     joints = []
     for k in range(log.n):
         mended = Unwrap((k,), turn).apply(log)
@@ -305,24 +301,9 @@ def check_standstill(log: Log) -> Check:
     speed = torch.cat([p.q.diff(dim=0) / p.t.diff()[:, None] for p in log.trajectories()]).abs()
     fast = column_quantile(speed[:: max(1, len(speed) // 100_000)], 0.95)
     idle = float((speed < 0.02 * fast.clamp(min=1e-9)).all(1).double().mean())
-    text = f"{100 * idle:.0f} % of the time nothing moves"
     if still:
-        return Check(
-            "standstill",
-            "doubtful",
-            f"{joint_list(still)} never move{'s' if len(still) == 1 else ''} (q varies by less "
-            f"than {STILL:g}): parameters of their own cannot be identified",
-            joints=still,
-            estimate=tuple(float(extent[k]) for k in still),
-            unit="rad",
-            fix="add a log in which they move",
-        )
-    if idle > IDLE:
-        return Check(
-            "standstill",
-            "doubtful",
-            text,
-            estimate=idle,
-            fix='cut the pauses, or fit moving rows only (`rows="moving"`, as identify does)',
-        )
-    return Check("standstill", "fine", text, estimate=idle)
+        extents = tuple(float(extent[k]) for k in still)
+        words = {"s": "s" * (len(still) == 1), "still": STILL}
+        return said("standstill", "doubtful", joints=still, estimate=extents, **words)
+    verdict = "doubtful idle" if idle > IDLE else "fine"
+    return said("standstill", verdict, estimate=idle, percent=100 * idle)

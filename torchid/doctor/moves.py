@@ -4,12 +4,13 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+import torch
 from scipy.optimize import linear_sum_assignment
 
-from torchid.doctor.hypothesis import Hypothesis, Judge
-from torchid.doctor.profile import minimum
+from torchid.doctor.hypothesis import Hypothesis, Judge, minimum
 from torchid.doctor.repair import (
     MOTION,
     PLACES,
@@ -21,7 +22,8 @@ from torchid.doctor.repair import (
     ShiftTorque,
     within,
 )
-from torchid.robot.model import JointType
+from torchid.dynamics.regressor import regressor
+from torchid.robot.model import JointType, Robot
 
 LAGS = (-0.2, -0.1, -0.05, -0.025, 0.025, 0.05, 0.1, 0.2)
 """How late torque may be [s]; what lies between is found afterwards."""
@@ -94,13 +96,19 @@ def _of_its_signals(judge: Judge, move: Move) -> Move:
 
 def _moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
     live = judge.live(now)
-    yield from _signs(now, live)
+    everyone = tuple(range(len(now.q_order)))
+    for joints in [(k,) for k in live] + [everyone] * (len(live) > 1):
+        yield _scaled("torque sign", joints, now, tau=-1.0)
+        yield _scaled("position sign", joints, now, q=-1.0)
+        yield _scaled("joint sign", joints, now, q=-1.0, tau=-1.0)
     yield from _orders(now, live)
     if len(live) == judge.robot.n:
         yield from _assigned(judge, now)
     yield from _gravities(now)
     yield from _gains(judge, now, live)
-    yield from _lags(judge, now)
+    for late in LAGS if now.late == 0.0 else ():
+        if abs(late) < judge.samples.reach:
+            yield Move("lag", (), replace(now, late=late), (ShiftTorque(late),))
     turning = [k for k, kind in enumerate(judge.robot.joint_types) if kind is JointType.REVOLUTE]
     if turning:
         yield _scaled("position unit", turning, now, q=DEGREE)
@@ -143,22 +151,6 @@ def _scaled(
         if f is not None
     ]
     return Move(kind, tuple(joints), now.scaled(joints, q=q, tau=tau), tuple(repairs))
-
-
-def _lags(judge: Judge, now: Hypothesis) -> Iterator[Move]:
-    if now.late == 0.0:
-        for late in LAGS:
-            if abs(late) < judge.samples.reach:
-                yield Move("lag", (), replace(now, late=late), (ShiftTorque(late),))
-
-
-def _signs(now: Hypothesis, live: Sequence[int]) -> Iterator[Move]:
-    everyone = tuple(range(len(now.q_order)))
-    groups = [(k,) for k in live] + ([everyone] if len(live) > 1 else [])
-    for joints in groups:
-        yield _scaled("torque sign", joints, now, tau=-1.0)
-        yield _scaled("position sign", joints, now, q=-1.0)
-        yield _scaled("joint sign", joints, now, q=-1.0, tau=-1.0)
 
 
 def _orders(now: Hypothesis, live: Sequence[int]) -> Iterator[Move]:
@@ -236,3 +228,72 @@ def _gains(judge: Judge, now: Hypothesis, live: Sequence[int]) -> Iterator[Move]
         best = minimum(loss, GAINS, step=0.3)
         if abs(best) > math.log(LEAST_GAIN):
             yield _scaled("gain", (k,), now, tau=math.exp(best))
+
+
+Group = frozenset[int]
+"""Joints, from 0, whose axes are turned around together."""
+MOST = 8
+"""Joints up to which every pattern is tried; of more, those of one, two and all of them."""
+_ROWS = 24
+_SAME = 1e-8
+
+
+def invisible_groups(robot: Robot, gravity: tuple[float, ...]) -> tuple[Group, ...]:
+    """Groups of axes that mirrored bodies explain, by the geometry alone, smallest first.
+
+    Args:
+        robot: its kinematics.
+        gravity: (3,) in the base frame [m/s^2].
+    """
+    return _groups(gravity, _Held(robot))
+
+
+class _Held:
+    """A robot that is no part of a cache's key: tensors have no hash."""
+
+    def __init__(self, robot: Robot):
+        self.robot = robot
+
+    def __hash__(self) -> int:
+        return id(self.robot)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Held) and other.robot is self.robot
+
+
+@lru_cache(maxsize=8)
+def _groups(gravity: tuple[float, ...], held: _Held) -> tuple[Group, ...]:
+    robot = replace(held.robot, gravity=torch.tensor(gravity, dtype=torch.float64))
+    n = robot.n
+    generator = torch.Generator().manual_seed(0)
+    motion = torch.randn(3, _ROWS, n, generator=generator, dtype=torch.float64)
+    bodies = torch.randn(10 * n, generator=generator, dtype=torch.float64)
+    tau = regressor(robot, *motion) @ bodies
+    sizes = range(1, n + 1) if n <= MOST else (1, 2, n)
+    tried = [frozenset(g) for size in sizes for g in itertools.combinations(range(n), size)]
+    return tuple(g for g in tried if _explains(robot, motion, tau, g))
+
+
+def _explains(robot: Robot, motion: torch.Tensor, tau: torch.Tensor, group: Group) -> bool:
+    """Whether some bodies make the torques of these axes turned around."""
+    sign = torch.ones(robot.n, dtype=torch.float64)
+    sign[list(group)] = -1.0
+    matrix = regressor(robot, *(x * sign for x in motion)).flatten(0, 1).numpy()
+    target = (tau * sign).flatten().numpy()
+    size = np.linalg.norm(matrix, axis=0)
+    matrix = matrix / np.where(size > 0, size, 1.0)
+    left = target - matrix @ np.linalg.lstsq(matrix, target, rcond=1e-11)[0]
+    return bool(np.linalg.norm(left) < _SAME * np.linalg.norm(target))
+
+
+def least_groups(groups: tuple[Group, ...]) -> list[Group]:
+    """Those that hold no other one."""
+    return [g for g in groups if not any(other < g for other in groups)]
+
+
+def alternatives(turned: Group, groups: tuple[Group, ...]) -> list[Group]:
+    """All groups that explain a log as well as this one, smallest first; axes that may point either
+    way by themselves are left as they are."""
+    alone = frozenset().union(*(g for g in groups if len(g) == 1))
+    found = {turned - alone, *((turned ^ g) - alone for g in groups)}
+    return sorted(found, key=lambda g: (len(g), sorted(g)))

@@ -234,6 +234,38 @@ class Unwrap(Repair):
 
 
 @dataclass(frozen=True)
+class Signed(Repair):
+    """Columns whose negative numbers were read as large positive ones.
+
+    Attributes:
+        signal: whose columns.
+        joints: from 0.
+        zero: the first number that stands for a negative one: the half of all numbers, or the bit
+            that is the sign.
+        magnitude: whether what is above it is the size of a negative number, and not its
+            complement.
+    """
+
+    signal: str
+    joints: tuple[int, ...]
+    zero: float
+    magnitude: bool
+
+    def apply(self, log: Log) -> Log:
+        """With the signs that the numbers had."""
+        x = log.signals[self.signal]
+        negative = self.zero - x if self.magnitude else x - 2.0 * self.zero
+        columns = torch.zeros(log.n, dtype=torch.bool)
+        columns[list(self.joints)] = True
+        return log.replace(**{self.signal: torch.where(columns & (x >= self.zero), negative, x)})
+
+    def __str__(self) -> str:
+        names = ", ".join(f"{PREFIXES[self.signal]}{k + 1}" for k in self.joints)
+        change = f"{self.zero:.10g} - x" if self.magnitude else f"x - {2 * self.zero:.10g}"
+        return f"{names}: {change} from {self.zero:.10g} on"
+
+
+@dataclass(frozen=True)
 class DropSignal(Repair):
     """A signal left out, where another one gives it better."""
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from torchid.doctor.check import Check
+from torchid.doctor.check import Check, said
 from torchid.doctor.cone import Normal, fit, shares
 from torchid.doctor.hypothesis import FEWEST, Hypothesis, Judge
 from torchid.doctor.search import CLEAR
@@ -50,7 +50,8 @@ def check_runs(judge: Judge, hypothesis: Hypothesis) -> list[Check]:
         piece[owner == run] = PIECES * place + np.arange(count[run]) * PIECES // count[run]
     normal = judge.normal(hypothesis, [piece == k for k in range(piece.max() + 1)])
     plain = fit(normal, judge.cone)
-    last = _last_link(judge.robot.n)
+    n = judge.robot.n  # columns of the last link's parameters among those of all links
+    last = np.r_[n - 1, n + 3 * (n - 1) : 4 * n, 4 * n + 6 * (n - 1) : 10 * n]
     body = judge.cone[last][:, judge.cone[last].any(0)]
     looked = []
     # Of two runs one is heavier, or the other lighter: it is said of the heavier one.
@@ -65,12 +66,7 @@ def check_runs(judge: Judge, hypothesis: Hypothesis) -> list[Check]:
     for _, name, mine, load in sorted(looked, key=lambda x: -x[0])[:MOST_LOOKED]:
         if (found := _contradicts(judge, normal, name, mine, load)) is not None:
             return [found]
-    return [Check("runs", "fine", f"{len(runs)} runs agree: none needs a load of its own")]
-
-
-def _last_link(n: int) -> np.ndarray:
-    """(10,) columns of the last link's parameters among those of n links."""
-    return np.r_[n - 1, n + 3 * (n - 1) : 4 * n, 4 * n + 6 * (n - 1) : 10 * n]
+    return [said("runs", "fine", count=len(runs))]
 
 
 def _contradicts(
@@ -91,16 +87,8 @@ def _contradicts(
     if gain.min() <= 0 or gain.mean() < CLEAR:
         return None
     left = 100 * np.exp((loaded - without).mean() / max(1, int((normal.spread > 0).sum())))
-    word = "more" if values[0, 0] > 0 else "less"
-    return Check(
-        "runs",
-        "wrong",
-        f"run {name} contradicts the others: it fits with {mass.mean():.2g} kg {word} on the last "
-        f"link, which leaves {left:.0f} % of its error on parts of it that are left out",
-        estimate=float(values[:, 0].mean()),
-        unit="kg",
-        fix=f"was a load attached? Diagnose run {name} apart, or leave it out",
-    )
+    words = {"word": "more" if values[0, 0] > 0 else "less", "mass": mass.mean(), "left": left}
+    return said("runs", "wrong", estimate=float(values[:, 0].mean()), run=name, **words)
 
 
 def _left_out(

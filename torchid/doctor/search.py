@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchid.doctor.hypothesis import Hypothesis, Judge, Score
-from torchid.doctor.moves import Move, joint_sign, moves
-from torchid.doctor.signs import Group, alternatives, invisible_groups
+from torchid.doctor.moves import Group, Move, alternatives, invisible_groups, joint_sign, moves
 
 CLEAR = 0.4
 """A fault is found when mending it lowers the sum of the joints' log errors by this, held out: as

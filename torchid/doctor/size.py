@@ -8,14 +8,13 @@ import numpy as np
 import torch
 from scipy.optimize import nnls
 
-from torchid.doctor.check import Check, Choice, Verdict, among
+from torchid.doctor.check import Check, Choice, Verdict, among, said
 from torchid.doctor.cone import reach_of, shares
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.repair import Scale
 from torchid.doctor.search import CLEAR
-from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.log.model import Log
-from torchid.robot.model import JointType, Robot, joint_list
+from torchid.robot.model import JointType
 from torchid.statistics.jackknife import fit_statistics
 
 WRONG, ODD = 5.0, 2.2
@@ -61,15 +60,14 @@ class Slopes:
 
 def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
     """Slope of measured on nominal torque of each joint that moves."""
-    q, dq, ddq, sign = judge.motion(hypothesis).unbind(-1)
-    nominal = inverse_dynamics(_under(judge, hypothesis), q, dq, ddq)
+    nominal = judge.nominal(hypothesis).unsqueeze(-1)
+    columns = torch.cat([nominal, judge.own(hypothesis)], -1).numpy()
     tau, moving = judge.torque(hypothesis), judge.moving(hypothesis)
     block = judge.samples.block.numpy()
     rows = []
     for j in judge.live(hypothesis):
         use = moving[:, j]
-        columns = [x[:, j] for x in (nominal, dq, sign, ddq, torch.ones_like(q))]
-        x, y = torch.stack(columns, -1).numpy()[use], tau[use, j]
+        x, y = columns[use, j], tau[use, j]
         owner = np.unique(block[use], return_inverse=True)[1]
         # Says nothing where the nominal torque is constant, or in fewer than three blocks of time.
         if x[:, 0].std() == 0.0 or owner.max() < 2:
@@ -83,19 +81,11 @@ def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
     return Slopes(tuple(r[0] for r in rows), *table.T)
 
 
-def _under(judge: Judge, hypothesis: Hypothesis) -> Robot:
-    """The robot under the hypothesis's gravity."""
-    gravity = torch.tensor(hypothesis.gravity, dtype=torch.float64)
-    return replace(judge.robot, gravity=gravity)
-
-
 def nominal_loss(judge: Judge, hypothesis: Hypothesis) -> float:
     """Sum of the joints' log errors of the nominal torque at a size of each joint's own, with
     friction and rotor, none of them negative, and an offset."""
-    q, dq, ddq, sign = judge.motion(hypothesis).unbind(-1)
-    nominal = inverse_dynamics(_under(judge, hypothesis), q, dq, ddq)
-    one = torch.ones_like(q)
-    columns = torch.stack([nominal, dq, sign, ddq, one, -one], -1).numpy()
+    nominal, own = judge.nominal(hypothesis).unsqueeze(-1), judge.own(hypothesis)
+    columns = torch.cat([nominal, own, -own[..., -1:]], -1).numpy()
     tau, moving, loss = judge.torque(hypothesis), judge.moving(hypothesis), 0.0
     for j in judge.live(hypothesis):
         use = moving[:, j]
@@ -115,23 +105,21 @@ def check_size(
     if log.tau is None:
         # Currents without gains; nominal parameters suggest some.
         text = "the log has currents [A] and no drive gains"
-        fix = "--gain {} or Log.with_torque [N m/A], or drive_gain in the robot's yaml"
         if robot.parameters is None:
-            return Check("torque unit", "doubtful", text, fix=fix.format("K1,K2,.."))
+            return said("torque unit", "doubtful current", text=text, gains="K1,K2,..")
         slopes = nominal_slopes(judge, hypothesis)
         clear = [(slopes.joints[k], 1.0 / slopes.value[k]) for k in np.flatnonzero(slopes.clear)]
         if clear:
             guess = ", ".join(f"{j + 1}: {gain:.3g}" for j, gain in clear)
             text += f"; nominal parameters suggest [N m/A] {guess}"
         every = ",".join(f"{gain:.4g}" for _, gain in clear)
-        return Check(
+        return said(
             "torque unit",
-            "doubtful",
-            text,
-            joints=tuple(j for j, _ in clear),
+            "doubtful current",
+            joints=[j for j, _ in clear],
             estimate=tuple(gain for _, gain in clear) or None,
-            unit="N m/A",
-            fix=fix.format(every if len(clear) == robot.n else "K1,K2,.."),
+            text=text,
+            gains=every if len(clear) == robot.n else "K1,K2,..",
         )
     if robot.parameters is not None and robot.parameters.pi.abs().sum() > 0:
         found = _against_nominal(judge, hypothesis)
@@ -146,15 +134,11 @@ def _against_nominal(judge: Judge, hypothesis: Hypothesis) -> Check | None:
     if overall is None:
         return None
     text = f"measured torque is {overall:.3g} times nominal (median of the joints)"
-    base = Check(
-        "torque unit",
-        "fine",
-        text,
-        joints=slopes.joints,
-        estimate=tuple(slopes.value.tolist()),
-        interval=tuple(zip(slopes.low.tolist(), slopes.high.tolist(), strict=True)),
-        unit="ratio",
-    )
+    interval = tuple(zip(slopes.low.tolist(), slopes.high.tolist(), strict=True))
+    base = said(
+        "torque unit", "fine", joints=slopes.joints, estimate=tuple(slopes.value.tolist()),
+        interval=interval, text=text,
+    )  # fmt: skip
     off = abs(math.log(overall))
     if off < math.log(ODD):
         return base
@@ -247,29 +231,22 @@ def check_nominal(judge: Judge, log: Log, hypothesis: Hypothesis) -> list[Check]
         k
         for k, joint in enumerate(slopes.joints)
         if (low[k] > WRONG or 0 < high[k] < 1.0 / WRONG)
-        and _alone(judge, hypothesis, joint, 1.0 / slopes.value[k])
+        # The other joints' torques would fit this one's at another size as well.
+        and judge.score(hypothesis.scaled((joint,), tau=1.0 / slopes.value[k])).loss
+        < judge.score(hypothesis).loss + CLEAR
     ]
     if not odd:
         return []
-    joints = tuple(slopes.joints[k] for k in odd)
-    said = ", ".join(
+    sizes = ", ".join(
         f"{slopes.value[k]:.3g} ({slopes.low[k]:.3g} to {slopes.high[k]:.3g})" for k in odd
     )
-    return [
-        Check(
-            "torque against nominal",
-            "doubtful",
-            f"torque of {joint_list(joints)} is {said} times nominal, the others' {overall:.3g}",
-            joints=joints,
-            estimate=tuple(float(slopes.value[k]) for k in odd),
-            interval=tuple((float(slopes.low[k]), float(slopes.high[k])) for k in odd),
-            unit="ratio",
-            fix="check the gear ratio or gain, or the nominal parameters, of these joints",
-        )
-    ]
-
-
-def _alone(judge: Judge, hypothesis: Hypothesis, joint: int, factor: float) -> bool:
-    """Whether the other joints' torques would fit this one's at another size as well."""
-    other = hypothesis.scaled((joint,), tau=factor)
-    return judge.score(other).loss < judge.score(hypothesis).loss + CLEAR
+    check = said(
+        "torque against nominal",
+        "doubtful",
+        joints=[slopes.joints[k] for k in odd],
+        estimate=tuple(float(slopes.value[k]) for k in odd),
+        interval=tuple((float(slopes.low[k]), float(slopes.high[k])) for k in odd),
+        said=sizes,
+        overall=overall,
+    )
+    return [check]

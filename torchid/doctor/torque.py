@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from torchid.doctor.check import Check
+from torchid.doctor.check import Check, said
 from torchid.log.model import Log
-from torchid.robot.model import joint_list
 from torchid.typing import Float, Tensor
 
 PILE = 0.004
@@ -36,26 +35,16 @@ def check_torque(log: Log) -> Check:
     """Columns of torque that are missing, zero or constant."""
     signal = torque_or_current(log)
     if signal is None and log.u is not None:
-        return Check("torque columns", "cannot tell", "commands and positions, and no torque")
+        return said("torque columns", "cannot tell")
     if signal is None:
-        return Check(
-            "torque columns",
-            "wrong",
-            "the log has neither torque nor current",
-            fix="add columns tau1.. [N m] or i1.. [A]",
-        )
+        return said("torque columns", "wrong")
     dead = tuple(k for k in range(log.n) if float(np.ptp(signal[:, k].numpy())) == 0.0)
     if dead:
-        return Check(
-            "torque columns",
-            "wrong" if len(dead) == log.n else "doubtful",
-            f"torque of {joint_list(dead)} never changes: "
-            + ", ".join(f"{float(signal[0, k]):.4g}" for k in dead),
-            joints=dead,
-            fix="record it again, or leave these joints out of what you conclude",
-        )
+        verdict = "wrong dead" if len(dead) == log.n else "doubtful dead"
+        values = ", ".join(f"{float(signal[0, k]):.4g}" for k in dead)
+        return said("torque columns", verdict, joints=dead, values=values)
     kind = "torque" if log.tau is not None else "current"
-    return Check("torque columns", "fine", f"{kind} in all {log.n} joints")
+    return said("torque columns", "fine", kind=kind, n=log.n)
 
 
 def check_saturation(log: Log) -> Check:
@@ -75,17 +64,9 @@ def check_saturation(log: Log) -> Check:
                     f"{sign * level:.4g}"
                 )
     if not joints:
-        return Check("saturation", "fine", "no torque is clipped")
-    return Check(
-        "saturation",
-        "wrong",
-        "; ".join(evidence[:4]),
-        joints=tuple(joints),
-        estimate=tuple(levels),
-        unit="N m",
-        fix="slow the motion down or raise the drive's limit and record again; clipped rows are "
-        "not the arm's torque",
-    )
+        return said("saturation", "fine")
+    text = "; ".join(evidence[:4])
+    return said("saturation", "wrong", joints=joints, estimate=tuple(levels), text=text)
 
 
 def _pile(x: np.ndarray) -> tuple[float, float]:
@@ -145,19 +126,10 @@ def check_resolution(log: Log) -> Check:
         shares.append(_resolution(x) / spread if spread > 0 and few else 0.0)
     coarse = tuple(k for k, share in enumerate(shares) if share > COARSE)
     if not coarse:
-        return Check(
-            "resolution", "fine", f"torque steps up to {100 * max(shares):.2g} % of spread"
-        )
-    return Check(
-        "resolution",
-        "doubtful",
-        "torque comes in steps of "
-        + ", ".join(f"{100 * shares[k]:.0f} % of its spread (joint {k + 1})" for k in coarse),
-        joints=coarse,
-        estimate=tuple(shares[k] for k in coarse),
-        unit="share",
-        fix="log torque with more digits, or in smaller units",
-    )
+        return said("resolution", "fine", most=100 * max(shares))
+    steps = ", ".join(f"{100 * shares[k]:.0f} % of its spread (joint {k + 1})" for k in coarse)
+    own = tuple(shares[k] for k in coarse)
+    return said("resolution", "doubtful", joints=coarse, estimate=own, steps=steps)
 
 
 def check_content(log: Log) -> Check:
@@ -168,9 +140,8 @@ def check_content(log: Log) -> Check:
     rows = max(log.slices(), key=lambda r: r.stop - r.start)
     rate, x = 1 / float(log.t[rows].diff().median()), signal[rows].numpy()
     x = x[:, np.ptp(x, 0) > 0]
-    name = "content"
     if len(x) < FEWEST or not x.shape[1]:
-        return Check(name, "cannot tell", f"no trajectory has {FEWEST} samples that change")
+        return said("content", "cannot tell", fewest=FEWEST)
     # Density of the steps, whose own gain is taken out: where it is that of the sensor's noise.
     frequency, power = _density(np.diff(x, axis=0), rate)
     power = power / (2 * np.sin(np.pi * frequency / rate).clip(1e-6))[:, None] ** 2
@@ -185,21 +156,11 @@ def check_content(log: Log) -> Check:
         coarse = np.array([_resolution(column) for column in x.T])
         straight = straight[steps > 20 * coarse]
         share = float(straight.mean()) if len(straight) else 0.0
-    fix = "log what the sensor gives, at its own rate; of this one nobody knows the noise"
     if share >= STRAIGHT:
-        said = (
-            f"{100 * share:.0f} % of the torques lie on the line between their neighbours: the log "
-            "was resampled from a lower rate"
-        )
-        return Check(name, "doubtful", said, estimate=share, unit="share", fix=fix)
+        return said("content", "doubtful straight", estimate=share, percent=100 * share)
     if float(noise.max()) > SENSED:
-        least = 100 * float(noise.min())
-        return Check(name, "fine", f"noise of {least:.2g} % of the torque or more")
-    said = (
-        f"above {ends:.3g} of {rate / 2:.4g} Hz there is nothing, not even noise: the torque was "
-        "filtered, resampled or simulated"
-    )
-    return Check(name, "doubtful", said, estimate=ends, unit="Hz", fix=fix)
+        return said("content", "fine", least=100 * float(noise.min()))
+    return said("content", "doubtful", estimate=ends, ends=ends, nyquist=rate / 2)
 
 
 def _density(x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,14 +1,15 @@
 """Is dq the derivative of q: of this joint, with this sign, size and timing?"""
 
+import math
 from collections.abc import Collection
 
 import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 
-from torchid.doctor.check import Check, Choice, among
+from torchid.doctor.check import Check, Choice, among, said
 from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
-from torchid.log.checks import FOLLOWS, MOVING, named_ratio, velocity_agreement
+from torchid.log.checks import FOLLOWS, MOVING, named_ratio, own_units, velocity_agreement
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import resample, sampling_rate
@@ -155,16 +156,7 @@ def _wrong_rate(ratio: float, n: int) -> tuple[Check, list[Choice]]:
         Choice.of("time scale", ScaleTime(1.0 / ratio)),
         Choice.of("velocity scale", Scale(("dq",), (1.0 / ratio,) * n)),
     ]
-    check = Check(
-        "velocity",
-        "wrong",
-        f"every dq is {ratio:.4g} times the derivative of its q, which is no unit: the time stamps "
-        "run at another rate than the samples were taken at, or dq is scaled (torque tells, where "
-        "it is explained clearly better with one of them)",
-        estimate=ratio,
-        unit="ratio",
-    )
-    return check, choices
+    return said("velocity", "wrong rate", estimate=ratio, ratio=ratio), choices
 
 
 def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
@@ -193,3 +185,66 @@ def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
     share = torch.where(active, (gap / size.clamp(min=1e-300)).sqrt(), 0.0)
     worst = (share > max(LATE_SHARE, 0.5 * float(share.max()))).nonzero().flatten()
     return lag, float(share.max()), tuple(worst.tolist())
+
+
+LATEST_S = 0.5
+"""Longest lag that is looked for [s]."""
+EVEN = 0.1
+"""A joint whose motion per command differs from 1 by more is in another unit, or held back [1]."""
+MOVES = 0.02
+"""A command that varies by less moves nothing [rad or m]."""
+
+
+def check_commands(log: Log) -> Check:
+    """Lag of every joint behind its command, and how much of the command it makes."""
+    assert log.u is not None
+    step = float(torch.cat([log.t[rows].diff() for rows in log.slices()]).median())
+    joints = [k for k in range(log.n) if float(log.u[:, k].max() - log.u[:, k].min()) > MOVES]
+    if not joints or not step > 0:
+        return Check("commands", "cannot tell", "no command moves a joint")
+    lags, gains = zip(*(_follow(log, k, step) for k in joints), strict=True)
+    late = ", ".join(
+        f"joint {k + 1} {1e3 * lag:.0f} ms" for k, lag in zip(joints, lags, strict=True)
+    )
+    odd = [k for k, g in zip(joints, gains, strict=True) if abs(g - 1) > EVEN]
+    evidence = f"positions follow the commands late by {late}"
+    if odd:
+        shares = ", ".join(f"{g:.2f}" for k, g in zip(joints, gains, strict=True) if k in odd)
+        make = f"makes {shares} of its" if len(odd) == 1 else f"make {shares} of their"
+        evidence += f"; {joint_list(odd)} {make} command"
+    verdict = "doubtful" if odd else "fine"
+    return said("commands", verdict, joints=joints, estimate=lags, text=evidence)
+
+
+def _follow(log: Log, k: int, step: float) -> tuple[float, float]:
+    """The delay at which the command fits a joint best, and the slope there, within motions."""
+    best = math.inf, 0.0, 0.0
+    for shift in range(round(LATEST_S / step) + 1):
+        us, qs = [], []
+        for rows in log.slices():
+            u, q = log.u[rows, k].numpy(), log.q[rows, k].numpy()  # type: ignore[index]
+            if len(u) > shift + 1:
+                us.append(u[: len(u) - shift] - u.mean())
+                qs.append(q[shift:] - q.mean())
+        u, q = np.concatenate(us), np.concatenate(qs)
+        slope = float(u @ q) / max(float(u @ u), 1e-300)
+        left = float(np.square(q - slope * u).mean())
+        if left < best[0]:
+            best = left, shift * step, slope
+    return best[1], best[2]
+
+
+def check_channel_units(log: Log) -> Check:
+    """Positions whose measured velocities are in another unit: a fraction of a range."""
+    if log.dq is None:
+        return Check("channel units", "cannot tell", "no velocity is measured to compare with")
+    odd = own_units(log)
+    if not odd:
+        return Check("channel units", "fine", "no q and u are in a unit of their own")
+    text = ", ".join(
+        f"dq{k + 1} is {factor:.3g} times the rate of q{k + 1}" for k, factor in odd.items()
+    )
+    check = said(
+        "channel units", "doubtful", joints=tuple(odd), estimate=tuple(odd.values()), text=text
+    )
+    return check.mended_by(Scale(("q", "u"), tuple(odd.get(k, 1.0) for k in range(log.n))))

@@ -16,7 +16,7 @@ from torchid.typing import Float, Joints, Numbers, Wrenches
 
 CHUNK = 12280
 """Samples at a time: long enough to hide the cost of a kernel call, short enough for the cache, and
-not a power of two, whose strides share cache lines (benchmarks/dynamics.py)."""
+not a power of two, whose strides share cache lines."""
 
 _KEEP_FREED_BYTES = 31 * 2**20
 

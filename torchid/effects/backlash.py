@@ -85,41 +85,54 @@ class Backlash(OneJointEffect):
 
     @classmethod
     def starts(cls, robot: Robot) -> list[ModelEffect]:
-        """Plays of every width on every joint, with each kind of impact."""
-        places = itertools.product(range(robot.n), WIDTHS, IMPACTS)
+        """Plays of every other width on every joint, with each kind of impact."""
+        places = itertools.product(range(robot.n), WIDTHS[::2], IMPACTS)
         return [cls(joint, width, *impact) for joint, width, impact in places]
+
+    def between(self) -> "list[Backlash]":
+        """The play of the next width; none where its own is none of `WIDTHS`."""
+        return [replace(self, at=b) for a, b in itertools.pairwise(WIDTHS) if a == self.at]
 
     def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Secant of the torque of all joints over the width of the play (T, n, 1)."""
-        return next(self.columns_of([self], motion, robot))
+        return next(self.columns_along([self], [motion], robot))[0]
 
     @classmethod
-    def columns_of(
-        cls, effects: Sequence[ModelEffect], motion: Motion, robot: Robot | None = None
-    ) -> Iterator[Columns]:
-        """Those of several, the links of all of them side by side."""
+    def columns_along(
+        cls, effects: Sequence[ModelEffect], motions: Sequence[Motion], robot: Robot | None = None
+    ) -> Iterator[list[Columns]]:
+        """Those of several along several motions, the links of all of them side by side."""
         arm = needed(robot, cls.name)
         plays = [e for e in effects if isinstance(e, cls)]
         links, rotors, places = [], [], []
         for joint in dict.fromkeys(e.joint for e in plays):
             own = [e for e in plays if e.joint == joint]
-            widths = [secant_at(e.at, 1e-7) for e in own]
-            load, inertia = joint_load(arm, motion.state, joint)
-            inertia = inertia[:, joint, None]
+            places.append((joint, [secant_at(e.at, 1e-7) for e in own]))
             contact, ratio, drag = zip(*((e.contact, e.ratio, e.drag) for e in own), strict=True)
-            gear = Gear.ringing(float(inertia.abs().mean()), contact, ratio, widths, drag)
-            # The motor has a part of the inertia, which does not fly.
-            rotor = float(inertia.abs().min()) * torch.tensor([e.rotor for e in own]).double()
-            there = motion.ddq[:, joint, None].double() * rotor
-            links.append(Driven(load[:, None] - there, inertia - rotor, gear))
-            rotors.append(rotor)
-            places.append((joint, widths))
-        lags = link_lags(links, motion.require("t", cls.name))
-        for (joint, widths), rotor, lag in zip(places, rotors, lags, strict=True):
-            change = link_lag_torque(arm, motion, joint, *(x.T for x in lag))
-            change[..., joint] += (rotor * lag.acceleration).T
-            for at, torque in zip(widths, change, strict=True):
-                yield (torque / at).to(motion.q).unsqueeze(-1)
+            for motion in motions:
+                load, inertia = joint_load(arm, motion.state, joint)
+                inertia = inertia[:, joint, None]
+                size = float(inertia.abs().mean())
+                gear = Gear.ringing(size, contact, ratio, places[-1][1], drag)
+                # The motor has a part of the inertia, which does not fly; most often nothing.
+                shares = [e.rotor for e in own]
+                rotor = float(inertia.abs().min()) * torch.tensor(
+                    shares if any(shares) else [0.0], dtype=torch.float64
+                )
+                there = motion.ddq[:, joint, None].double() * rotor
+                t = motion.require("t", cls.name)
+                links.append(Driven(load[:, None] - there, inertia - rotor, t, gear))
+                rotors.append(rotor)
+        lags = zip(rotors, link_lags(links), strict=True)
+        for joint, widths in places:
+            changes = []
+            for motion, (rotor, lag) in zip(motions, lags, strict=False):
+                change = link_lag_torque(arm, motion, joint, *(x.T for x in lag))
+                change[..., joint] += (rotor * lag.acceleration).T
+                changes.append(change)
+            for at, *torques in zip(widths, *changes, strict=True):
+                pairs = zip(motions, torques, strict=True)
+                yield [(x / at).to(motion.q).unsqueeze(-1) for motion, x in pairs]
 
     def around(self, level: int, interval: float) -> "list[Backlash]":
         """Plays, contacts and dampings a little larger and smaller: within the steps of `WIDTHS` at

@@ -377,8 +377,13 @@ class ModelEffect(Effect):
     @classmethod
     def starts(cls, robot: "Robot") -> "list[ModelEffect]":
         """What a search begins with: several at a place where the column is another one at another
-        secant."""
+        secant, so far apart that each has something in common with those `between`."""
         return cls.candidates(robot)
+
+    def between(self) -> "Sequence[ModelEffect]":
+        """What stands between this one of the `starts` and the next, and is looked at where the
+        starts explain something; none where the starts are all."""
+        return []
 
     @classmethod
     def columns_of(
@@ -387,6 +392,16 @@ class ModelEffect(Effect):
         """Columns of several effects of this kind, one after the other, joint by joint; a kind
         whose columns have much in common evaluates that once."""
         yield from (effect.torque_columns(motion, robot) for effect in effects)
+
+    @classmethod
+    def columns_along(
+        cls,
+        effects: "Sequence[ModelEffect]",
+        motions: Sequence[Motion],
+        robot: "Robot | None" = None,
+    ) -> Iterator[Sequence[Columns]]:
+        """The same along several trajectories, one column each."""
+        yield from zip(*(cls.columns_of(effects, m, robot) for m in motions), strict=True)
 
     def around(self, level: int, interval: float) -> "Sequence[ModelEffect]":
         """The effect with what no coefficient scales a little otherwise, ever less so with `level`;

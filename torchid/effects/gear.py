@@ -97,12 +97,39 @@ class Driven(NamedTuple):
     Attributes:
         load: (T, 1) or (T, B) torque that a rigid link would ask for [N m; N].
         inertia: (T, 1) or (T, B) of the links; one that no body has, zero or less, is raised.
+        t: (T,) uniform grid [s].
         gear: B of them.
     """
 
     load: Float[Tensor, "T ..."]
     inertia: Float[Tensor, "T ..."]
+    t: Float[Tensor, " T"]
     gear: Gear
+
+
+class _Pieces(NamedTuple):
+    """A motion cut into P pieces of W instants, each with its lead.
+
+    Attributes:
+        load, inertia: (W, P, 1 or B), as in `Driven`.
+        gear: B of them.
+        rate: of the samples [Hz].
+    """
+
+    load: np.ndarray
+    inertia: np.ndarray
+    gear: Gear
+    rate: float
+
+    @property
+    def start(self) -> np.ndarray:
+        """(P, B) angles at rest on the flank that the torque presses against."""
+        first = self.load[0]
+        return first / self.gear.stiffness + np.sign(first) * self.gear.play / 2
+
+    def flat(self, x: np.ndarray) -> np.ndarray:
+        """(P * B,) of what holds for pieces, gears, or pieces with gears."""
+        return np.broadcast_to(x, self.start.shape).ravel()
 
 
 def link_lag(
@@ -111,79 +138,59 @@ def link_lag(
     t: Float[Tensor, " T"],
     gear: Gear,
 ) -> Lag:
-    """How links lag behind their motor; see `Driven`.
-
-    Args:
-        load, inertia: of the links.
-        t: (T,) uniform grid [s].
-        gear: B of them.
-    """
-    return link_lags([Driven(load, inertia, gear)], t)[0]
+    """How links lag behind their motor; arguments as the attributes of `Driven`."""
+    return link_lags([Driven(load, inertia, t, gear)])[0]
 
 
-def link_lags(links: Sequence[Driven], t: Float[Tensor, " T"]) -> list[Lag]:
-    """How links of several joints lag behind their motors: those that need equally many steps of
-    integration are integrated side by side."""
-    total, rate = len(t), 1 / interval(t)
-    # All pieces side by side, each with its lead; before the first instant the motion is held.
-    piece, lead = max(1, round(PIECE * rate)), round(LEAD * rate)
-    starts = np.arange(0, total, piece)
-    index = np.clip(starts + np.arange(-lead, piece)[:, None], 0, total - 1)
-    pieces: dict[int, list[tuple[int, np.ndarray, np.ndarray]]] = {}
-    for k, (load, inertia, gear) in enumerate(links):
+def link_lags(links: Sequence[Driven]) -> list[Lag]:
+    """How links of several joints and trajectories lag behind their motors: those with play that
+    need equally many steps of integration are integrated side by side."""
+    found: dict[int, Sequence[np.ndarray]] = {}
+    flying: dict[tuple[int, int, int], list[tuple[int, _Pieces]]] = {}
+    for k, (load, inertia, t, gear) in enumerate(links):
+        # All pieces side by side, each with its lead; before the first instant the motion is held.
+        rate = 1 / interval(t)
+        piece, lead = max(1, round(PIECE * rate)), round(LEAD * rate)
+        index = np.arange(0, len(t), piece) + np.arange(-lead, piece)[:, None]
+        index = np.clip(index, 0, len(t) - 1)
         least = max(LEAST_INERTIA * float(inertia.abs().mean()), 1e-12)
-        m = inertia.double().clamp(min=least).numpy()[index]
-        steps = _steps(m, gear, rate) if gear.play.any() else 0
-        pieces.setdefault(steps, []).append((k, load.double().numpy()[index], m))
-    lags: dict[int, Lag] = {}
-    for steps, some in pieces.items():
-        gears = [links[k].gear for k, *_ in some]
-        gear = Gear(*map(np.concatenate, zip(*gears, strict=True)))
-        widths = [len(g.play) for g in gears]
-        u, m = (
-            x[0]
-            if len(x) == 1
-            else np.concatenate(
-                [np.broadcast_to(y, (*y.shape[:2], w)) for y, w in zip(x, widths, strict=True)], 2
-            )
-            for x in ([u for _, u, _ in some], [m for *_, m in some])
+        raised = inertia.double().clamp(min=least)
+        u, m = np.broadcast_arrays(load.double().numpy()[index], raised.numpy()[index])
+        own = _Pieces(u, m, gear, rate)
+        if gear.play.any():
+            flying.setdefault((_steps(own), lead, piece), []).append((k, own))
+        else:
+            found[k] = [x[lead:] for x in _swings(own)]
+    for (steps, lead, _), some in flying.items():
+        flights = _flights([own for _, own in some], steps, lead)
+        found |= {k: flight for (k, _), flight in zip(some, flights, strict=True)}
+    return [_in_a_row(found[k], len(link.t)) for k, link in enumerate(links)]
+
+
+def _in_a_row(pieces: Sequence[np.ndarray], total: int) -> Lag:
+    """Pieces (W, P, B) one after the other again."""
+    return Lag(
+        *(
+            torch.from_numpy(x.transpose(1, 0, 2).reshape(-1, x.shape[2])[:total].copy())
+            for x in pieces
         )
-        # At rest on the flank that the torque presses against.
-        x = u[0] / gear.stiffness + np.sign(u[0]) * gear.play / 2
-        found = _flights(u, m, gear, rate, x, steps) if steps else _swings(u, m, gear, rate, x)
-        # Pieces one after the other again, without their leads.
-        flat = [
-            torch.from_numpy(
-                p[lead:].transpose(1, 0, 2).reshape(len(starts) * piece, -1)[:total].copy()
-            ).split(widths, 1)
-            for p in found
-        ]
-        for (k, *_), *own in zip(some, *flat, strict=True):
-            lags[k] = Lag(*own)
-    return [lags[k] for k in range(len(links))]
+    )
 
 
-def _steps(m: np.ndarray, gear: Gear, rate: float) -> int:
+def _steps(pieces: _Pieces) -> int:
     """So many steps between two samples as the stiffest gear with the lightest link needs; odd, so
     that a rate is known in the middle."""
-    fastest = math.sqrt(float(gear.stiffness.max() / m.min())) / (2 * math.pi)
-    steps = max(1, math.ceil(STEPS * fastest / rate))
+    stiffest, lightest = pieces.gear.stiffness.max(), pieces.inertia.min()
+    fastest = math.sqrt(float(stiffest / lightest)) / (2 * math.pi)
+    steps = max(1, math.ceil(STEPS * fastest / pieces.rate))
     return steps + 1 - steps % 2
 
 
-def _swings(
-    u: np.ndarray, m: np.ndarray, gear: Gear, rate: float, x: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _swings(pieces: _Pieces) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Angle, rate and acceleration (W, P, B) without play: exact where the torque is linear and the
-    inertia constant from one sample to the next.
-
-    Args:
-        u, m: (W, P, 1 or B) torque and inertia of P pieces.
-        gear: B gears, damped less than critically.
-        rate: of the samples [Hz].
-        x: (P, B) angle at the first sample, at rest.
-    """
-    k, damping = gear.stiffness, gear.damping
+    inertia constant from one sample to the next. The gears are damped less than critically."""
+    u, m, gear, rate = pieces
+    k, damping, x = gear.stiffness, gear.damping, pieces.start
     # The deflection that follows a torque which grows so, and how the link swings about it.
     slope = np.diff(u, axis=0) * rate / k
     still = u[:-1] / k - damping / k * slope
@@ -203,45 +210,61 @@ def _swings(
     return xs, vs, (u - k * xs - damping * vs) / m
 
 
-def _flights(
-    u: np.ndarray, m: np.ndarray, gear: Gear, rate: float, x: np.ndarray, steps: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same with play, by leapfrog steps (rates half a step from angles), the damping implicit.
+def _flights(some: Sequence[_Pieces], steps: int, lead: int) -> list[list[np.ndarray]]:
+    """The same of motions with play, behind their leads, by leapfrog steps (rates half a step from
+    angles), the damping implicit.
 
     An impact may be shorter than the time between two samples: accelerations are means from the
     middle before a sample to the middle after it, so that none is lost.
     """
-    k, half = gear.stiffness, gear.play / 2
-    h = 1 / (steps * rate)
-    slope = np.diff(u, axis=0) / steps
-    gain = h / m
-    held, free, stiff = 1 / (1 + gain * gear.damping), 1 / (1 + gain * gear.drag), gain * k
-    xs, vs, middle = np.zeros((3, len(u), *x.shape))
+    # Every piece with every gear is one of K links. What drives it stands among the Q columns of
+    # all loads, which many of them have in common.
+    u = np.concatenate([p.load.reshape(len(p.load), -1) for p in some], 1)
+    gains = [1 / (steps * p.rate) / p.inertia.reshape(len(p.load), -1) for p in some]
+    slope, gain = np.diff(u, axis=0) / steps, np.concatenate(gains, 1)
+    first = np.cumsum([0, *(p.load[0].size for p in some)])
+    places = [a + np.arange(p.load[0].size) for a, p in zip(first, some, strict=False)]
+    places = [x.reshape(p.load[0].shape) for x, p in zip(places, some, strict=True)]
+    pairs = zip(some, places, strict=True)
+    flat = [[p.flat(x) for x in (at, *p.gear, np.array(p.rate), p.start)] for p, at in pairs]
+    column, k, damping, play, drag, rate, x = map(np.concatenate, zip(*flat, strict=True))
+    half, below, h = play / 2, -play / 2, 1 / (steps * rate)
+    xs, vs, middle = np.zeros((3, len(u) - lead, len(x)))
     # In place: these arrays fit the cache, and new ones would take half of the time.
-    x, v = x.copy(), np.zeros_like(x)
+    v = np.zeros_like(x)
     beyond, push, touching, rest = (np.empty_like(x) for _ in range(4))
     flank = np.empty(x.shape, dtype=bool)
-    xs[0] = x
-    for i in range(len(slope)):
+    for i in range(len(u)):
+        if i >= lead:
+            xs[i - lead], vs[i - lead] = x, v
+        if i == len(slope):
+            break
+        own = gain[i][column]
+        held, free, stiff = 1 / (1 + own * damping), 1 / (1 + own * drag), own * k
         for step in range(steps):
-            np.add(v, gain[i] * (u[i] + step * slope[i]), out=push)
+            np.take(gain[i] * (u[i] + step * slope[i]), column, out=push, mode="clip")
+            np.add(v, push, out=push)
             # What of the lag is beyond half the play.
             np.minimum(x, half, out=beyond)
-            np.maximum(beyond, -half, out=beyond)
+            np.maximum(beyond, below, out=beyond)
             np.subtract(x, beyond, out=beyond)
             # A flank pushes, or else the link flies.
-            np.multiply(stiff[i], beyond, out=touching)
+            np.multiply(stiff, beyond, out=touching)
             np.subtract(push, touching, out=touching)
-            np.multiply(touching, held[i], out=touching)
-            np.multiply(push, free[i], out=v)
+            np.multiply(touching, held, out=touching)
+            np.multiply(push, free, out=v)
             np.subtract(push, touching, out=rest)
             np.multiply(rest, beyond, out=rest)
             np.greater(rest, 0, out=flank)
             np.copyto(v, touching, where=flank)
             np.multiply(v, h, out=rest)
             np.add(x, rest, out=x)
-            if step == steps // 2:
-                middle[i + 1] = v
-        xs[i + 1], vs[i + 1] = x, v
+            if step == steps // 2 and i + 1 >= lead:
+                middle[i + 1 - lead] = v
     after = np.concatenate([middle[1:], middle[-1:]])
-    return xs, vs, (after - middle) * rate
+    ends = np.cumsum([p.start.size for p in some])[:-1]
+    found = [np.split(x, ends, axis=1) for x in (xs, vs, (after - middle) * rate)]
+    return [
+        [x.reshape(len(x), *p.start.shape) for x in own]
+        for p, *own in zip(some, *found, strict=True)
+    ]

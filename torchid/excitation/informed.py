@@ -187,25 +187,25 @@ def information(
 def _cost(prior: Prior, added: Tensor, targets: Tensor, goal: Goal) -> Float[Tensor, " K"]:
     if goal == "a_optimal":
         return _white_variance(prior, added)[..., targets].log().mean(-1) / 2
-    size = _size(prior, added)
-    whole = (prior.information + added) / size.unsqueeze(-1) / size.unsqueeze(-2)
-    root = torch.linalg.cholesky_ex(whole)[0]
+    root, size = _root(prior, added)
     return -(root.diagonal(dim1=-2, dim2=-1).log() + size.log()).mean(-1)
 
 
 def _white_variance(prior: Prior, added: Tensor) -> Tensor:
-    """diag (R'R + N)^-1, columns scaled to length one; infinite-like where nothing determines."""
-    size = _size(prior, added)
-    whole = (prior.information + added) / size.unsqueeze(-1) / size.unsqueeze(-2)
-    eye = torch.eye(whole.shape[-1], dtype=whole.dtype)
-    root = torch.linalg.cholesky_ex(whole + 1e-14 * eye)[0]
-    inverse = torch.linalg.solve_triangular(root, eye.expand_as(root), upper=False)
+    """diag (R'R + N)^-1; infinite-like where nothing determines."""
+    root, size = _root(prior, added)
+    eye = torch.eye(root.shape[-1], dtype=root.dtype).expand_as(root)
+    inverse = torch.linalg.solve_triangular(root, eye, upper=False)
     return inverse.square().sum(-2) / size.square()
 
 
-def _size(prior: Prior, added: Tensor) -> Tensor:
-    diagonal = (prior.information + added).diagonal(dim1=-2, dim2=-1)
-    return diagonal.clamp(min=1e-300).sqrt()
+def _root(prior: Prior, added: Tensor) -> tuple[Tensor, Tensor]:
+    """Cholesky factor of R'R + N, columns scaled to length one, and their lengths."""
+    whole = prior.information + added
+    size = whole.diagonal(dim1=-2, dim2=-1).clamp(min=1e-300).sqrt()
+    eye = torch.eye(whole.shape[-1], dtype=whole.dtype)
+    scaled = whole / size.unsqueeze(-1) / size.unsqueeze(-2)
+    return torch.linalg.cholesky_ex(scaled + 1e-14 * eye)[0], size
 
 
 def _times(prior: Prior, duration: float) -> Float[Tensor, " T"]:

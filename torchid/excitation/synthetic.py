@@ -31,7 +31,6 @@ from torchid.robot.model import Robot
 from torchid.simulation.closed_loop import closed_loop as under_control
 from torchid.simulation.controller import Controller
 from torchid.simulation.sensors import (
-    ENCODER_STEP,
     HonestNoise,
     Sensors,
     counted,
@@ -64,16 +63,6 @@ class PaperNoise:
         if not math.isfinite(self.snr_db):
             raise TorchidError("the signal-to-noise ratio is not a number.", got=self.snr_db)
 
-
-__all__ = [
-    "ENCODER_STEP",
-    "HonestNoise",
-    "NoiseModel",
-    "PaperNoise",
-    "nominal_torque",
-    "simulate",
-    "synthetic_log",
-]
 
 NoiseModel = PaperNoise | HonestNoise | None
 Noise = Literal["none", "paper", "honest"]

@@ -11,27 +11,13 @@ from torchid.digits import number
 from torchid.effects.c_text import JOINTS, RIGID
 from torchid.effects.registry import Valued, in_rounds, nominal_effects
 from torchid.export.dynamics import Dynamics, described
-from torchid.robot.config_files import filled_template
+from torchid.robot.config_files import config_folder, filled_template
 from torchid.robot.model import JointType, Robot
+from torchid.yaml_data import parsed_yaml
 
-_SIGN = """\
-static double sign(double x)
-{
-    return (double)((x > 0.0) - (x < 0.0));
-}
-
-"""
-_REPRESENTATIVE = """\
-The result is a set of base parameters: the {b} combinations of the {p} parameters on which
-the torque depends. The 10 n numbers in LINK[][] below are ONE REPRESENTATIVE of them: the
-independent parameters carry the base parameters' values, and the others are 0. They are not
-physical (masses can be zero or negative, and no link weighs that): only the torque that they
-give means something. The base parameters, effects' coefficients included:
-"""
-_SET = """\
-The numbers in LINK[][] below are {title}: physical parameters,
-one of many sets with the same torque.
-"""
+_WORDS: dict[str, str] = parsed_yaml(
+    (config_folder("templates") / "c_words.yaml").read_text(encoding="utf-8")
+)
 
 
 class CFile(NamedTuple):
@@ -115,7 +101,7 @@ def c_file(dynamics: Dynamics, file_name: str) -> CFile:
         "dynamics.c",
         **given,
         **_constants(robot),
-        sign=_SIGN if any("sign(" in line for line in code.first + code.later) else "",
+        sign=_WORDS["sign"] if any("sign(" in line for line in code.first + code.later) else "",
         signature=_signature(name, robot.n),
         torque=torque,
     )
@@ -135,18 +121,17 @@ def _about(dynamics: Dynamics, file_name: str, left_out: Sequence[Valued]) -> st
         "",
         "tau = Y_R(q, dq, ddq) beta + effects, torque positive along the joint's axis.",
         *units,
-        "Frames: link i moves about (along) the z axis of its joint frame; BEFORE[i] is the pose",
-        "of joint frame i in the frame of link PARENT[i] (the base if -1), AFTER[i] that of link",
-        "frame i in the moved joint frame. The joint is at RATIO[i] q[FOLLOWS[i]] + OFFSET[i].",
-        "GRAVITY is in axes of the base [m/s^2].",
+        *_WORDS["frames"].splitlines(),
         "",
     ]
     # What LINK[][] holds.
     if dynamics.base is None:
-        lines += _SET.format(title=dynamics.title).splitlines()
+        lines += _WORDS["set"].format(title=dynamics.title).splitlines()
     else:
         base = dynamics.base.base
-        lines += _REPRESENTATIVE.format(b=len(base), p=len(base.parameter_names)).splitlines()
+        lines += (
+            _WORDS["representative"].format(b=len(base), p=len(base.parameter_names)).splitlines()
+        )
         rows = zip(base.names, dynamics.base.values.tolist(), base.units, strict=True)
         lines += [f"  {number(value)} {unit}: {name}" for name, value, unit in rows]
     if left_out:

@@ -6,16 +6,16 @@ Nothing is written before the engine has run the file on the log.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
 
 import torch
 
 from torchid.errors import TorchidError
 from torchid.export.correction import Correction, Judged, of_joints
 from torchid.export.dynamics import Dynamics, require_same_arm
-from torchid.export.export import Export, edited_of, export_dynamics, stem_of
+from torchid.export.export import edited_of, export_dynamics, stem_of
 from torchid.export.results import servo_dynamics
 from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid, write_servos
 from torchid.export.write_actuator import Package
@@ -117,30 +117,21 @@ def correct_positions(
         )
     no_field = unsaid(arm.servos, SAID)
 
-    def write(
-        dynamics: Dynamics, stem: str, title: str, to: Literal["mjcf"] | Package = "mjcf"
-    ) -> Export:
-        return export_dynamics(
-            replace(dynamics, title=title),
-            to,
-            folder,
-            stem,
-            nominal=robot,
-            geometry="none",
-            seed=seed,
-            keep=keep,
-        )
-
+    write = partial(
+        export_dynamics, folder=folder, nominal=robot, geometry="none", seed=seed, keep=keep
+    )
     words = f"'{robot.name}' with servos, corrected and refitted to mjcf"
     others = [f"{name}{of_joints(joints)}" for name, joints in no_field.items()]
-    files = [write(own[0], stem, words + (f"; no field for {', '.join(others)}" if others else ""))]
+    title = words + (f"; no field for {', '.join(others)}" if others else "")
+    files = [write(replace(own[0], title=title), "mjcf", name=stem)]
     if with_effects:
-        files.append(write(beside[0], f"{stem}_effects", f"{words}, for set-points at run time"))
+        title = f"{words}, for set-points at run time"
+        files.append(write(replace(beside[0], title=title), "mjcf", name=f"{stem}_effects"))
         running.write(yaml)
     if not isinstance(with_effects, bool):
         (drives,) = refitted(arm, fitted, AS_EFFORT)
-        title = f"{words}, all of it at run time"
-        files.append(write(servo_dynamics(drives), stem, title, with_effects))
+        all_of_it = replace(servo_dynamics(drives), title=f"{words}, all of it at run time")
+        files.append(write(all_of_it, with_effects, name=stem))
     said = (yaml,) if with_effects else ()
     warnings = dict.fromkeys(words for one in files for words in one.warnings)
     return Correction(

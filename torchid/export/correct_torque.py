@@ -9,8 +9,10 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import torch
 
@@ -19,9 +21,9 @@ from torchid.design.repeats import find_repeats
 from torchid.errors import TorchidError
 from torchid.export.correction import Correction, Forward, Judged, of_joints
 from torchid.export.dynamics import Dynamics, require_same_arm
-from torchid.export.export import SUFFIXES, Export, edited_of, export_dynamics, stem_of
+from torchid.export.engines import AtRunTime, InMujoco, simulator
+from torchid.export.export import SUFFIXES, edited_of, export_dynamics, stem_of
 from torchid.export.projection import PRICE, Projection, Projector, Target
-from torchid.export.replay import AtRunTime, InMujoco, simulator
 from torchid.export.write_actuator import Package, adds_any
 from torchid.export.write_xml import xml_of
 from torchid.extraction.entropic import SPREAD
@@ -98,22 +100,22 @@ def correct_torque(
         all_of_it = traces(on.samples, split, models[:1], models, data.band)
         alone = "parts that were not fitted" if by_folds else "the log that was fitted"
 
-        def percent(torques: Sequence[Float[Tensor, "T n"]]) -> Tensor:
-            error = _percent(shown, torques)
-            error[list(data.silent)] = math.nan
-            return error
-
+        torques = {
+            "nominal": [x.before for x in shown],
+            "full": [x.after for x in shown],
+            "claim": [x.before for x in own],
+            "engine": [x.after for x in own],
+            "run_time": [x.after for x in all_of_it],
+        }
+        errors: dict[str, Any] = {
+            name: _percent(shown, some, data.silent) for name, some in torques.items()
+        }
         judged = Judged(
             "%",
             alone if apart is None else "a held-out log",
-            percent([t.before for t in shown]),
-            percent([t.after for t in shown]),
-            percent([t.before for t in own]),
-            percent([t.after for t in own]),
-            percent([t.after for t in all_of_it]),
-            engines[0].name,
-            data.band,
-            (),
+            **errors,
+            by=engines[0].name,
+            band=data.band,
         )
         _require_better(judged)
         if settings.rollout:
@@ -121,32 +123,29 @@ def correct_torque(
             forward = _forward(inside, whole, to, before, full, on, settings, data.silent)
             judged = replace(judged, forward=forward)
     beside = [
-        f"{one.effect.name}{of_joints(one.joints)} ({one.lost:.2g} of {one.made:.2g} RMS are lost)"
+        f"{one.effect}{of_joints(one.joints)} ({one.lost:.2g} of {one.made:.2g} RMS are lost)"
         for one in projection.kept
     ]
     stem = f"{stem_of(robot)}_corrected" if name is None else name
 
-    def write(one: Robot, stem: str, title: str, to: Target | Package = to) -> Export:
-        return export_dynamics(
-            Dynamics(one, "robot", title),
-            to,
-            folder,
-            stem,
-            nominal=robot,
-            seed=settings.seed,
-            geometry="none",
-            keep=keep,
-        )
-
+    write = partial(
+        export_dynamics,
+        folder=folder,
+        nominal=robot,
+        geometry="none",
+        seed=settings.seed,
+        keep=keep,
+    )
     words = f"'{robot.name}', corrected and refitted to {to}"
     title = words + (f"; no field for {', '.join(beside)}" if beside else "")
-    files = [write(projection.robot, stem, title)]
+    files = [write(Dynamics(projection.robot, "robot", title), to, name=stem)]
     if with_effects:
         every = torch.ones(len(data.samples), dtype=torch.bool)
-        beside_it, title = projector.with_effects(every), f"{words}, with effects beside it"
-        files.append(write(beside_it, f"{stem}_effects", title))
-        if with_effects is not True and adds_any(beside_it):
-            files.append(write(beside_it, stem, title, with_effects))
+        title = f"{words}, with effects beside it"
+        beside_it = Dynamics(projector.with_effects(every), "robot", title)
+        files.append(write(beside_it, to, name=f"{stem}_effects"))
+        if with_effects is not True and adds_any(beside_it.robot):
+            files.append(write(beside_it, with_effects, name=stem))
     warnings = _warnings(projection, judged, robot, data.silent)
     return Correction(robot, judged, tuple(files), warnings, projection)
 
@@ -169,14 +168,18 @@ def _in_file(robot: Robot, path: Path, original: Robot | None, to: Target) -> Ro
     return written
 
 
-def _percent(shown: Sequence[Trace], torques: Sequence[Float[Tensor, "T n"]]) -> Tensor:
-    """(n,) of torques (one a trajectory), while joints move."""
+def _percent(
+    shown: Sequence[Trace], torques: Sequence[Float[Tensor, "T n"]], silent: Sequence[int]
+) -> Tensor:
+    """(n,) of torques (one a trajectory), while joints move; nan of joints without a signal."""
     left, whole = torch.zeros(2, shown[0].measured.shape[1], dtype=torch.float64)
     for trace, torque in zip(shown, torques, strict=True):
         counts = trace.counting.double()
         left = left + ((trace.measured - torque).square() * counts).sum(0)
         whole = whole + (trace.measured.square() * counts).sum(0)
-    return 100 * (left / whole.clamp(min=1e-300)).sqrt()
+    error = 100 * (left / whole.clamp(min=1e-300)).sqrt()
+    error[list(silent)] = math.nan
+    return error
 
 
 def _forward(

@@ -12,9 +12,8 @@ from torchid.export.record import (
     BodiesRecord,
     CorrectionRecord,
     FollowedRow,
-    ForwardErrors,
+    Forward,
     JudgedRecord,
-    KeptRecord,
     PositionCorrectionRecord,
     TorqueErrors,
     UnsaidRow,
@@ -27,26 +26,6 @@ from torchid.typing import Float, Tensor
 
 CLAIMED = 1.15
 """Error in the engine over the claimed one from which a warning says so; beside 1 % or 1 mrad."""
-
-
-@dataclass(frozen=True, eq=False)
-class Forward:
-    """Where the arm is after a while, given the measured torque.
-
-    Attributes:
-        horizon: [s].
-        starts: number of simulations.
-        nominal, full: (n,) RMS error [rad; m] of the robot as given and of the diagnosed one, by
-            torchid; None where no trajectory is as long.
-        engine: (n,) of the file; None where MuJoCo is not installed, or
-            refuses it.
-    """
-
-    horizon: float
-    starts: int
-    nominal: Float[Tensor, " n"] | None
-    full: Float[Tensor, " n"] | None
-    engine: Float[Tensor, " n"] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,9 +124,9 @@ def correction_record(done: Correction) -> CorrectionRecord:
         judged=JudgedRecord.of(
             judged,
             torque_error_percent=TorqueErrors.of(judged),
-            forward=tuple(map(ForwardErrors.of, judged.forward)),
+            forward=judged.forward,
         ),
-        no_field=tuple(KeptRecord.of(kept, effect=kept.effect.name) for kept in projection.kept),
+        no_field=projection.kept,
         bodies=BodiesRecord.of(
             projection,
             projection.robot.require_parameters("a correction"),

@@ -16,8 +16,7 @@ from torchid.export.servo_mjcf import JOINTS, SAID, unsaid
 from torchid.export.write_actuator import Package, write_actuator
 from torchid.export.write_plain import write_c, write_table, write_yaml
 from torchid.export.write_xml import write_xml
-from torchid.feasibility.findings import by_percent
-from torchid.feasibility.plausibility import LEAD
+from torchid.feasibility.plausibility import LEAD, by_percent
 from torchid.feasibility.record import Check, check_sets
 from torchid.feasibility.sets import nominal_set
 from torchid.files import require_name

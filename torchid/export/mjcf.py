@@ -14,7 +14,6 @@ from lxml import etree
 
 from torchid.digits import number
 from torchid.errors import TorchidError
-from torchid.export.exact_text import principal, quaternion_of, text
 from torchid.export.urdf import refuse_moment_without_mass
 from torchid.export.xml_tree import (
     DECLARATION,
@@ -24,8 +23,11 @@ from torchid.export.xml_tree import (
     comment,
     local,
     new_child,
+    principal,
+    quaternion_of,
     read_xml,
     relocated,
+    text,
 )
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot

@@ -11,7 +11,7 @@ from torchid.export.dynamics import Dynamics, described
 from torchid.export.results import of_set
 from torchid.extraction.convex.nearest import NearestSets, nearest_feasible
 from torchid.extraction.from_identification import problem_of
-from torchid.extraction.near import near_set
+from torchid.extraction.methods import near_set
 from torchid.feasibility.record import Check
 from torchid.feasibility.sets import sets_record
 from torchid.json_data import plain
@@ -20,7 +20,7 @@ from torchid.robot.model import Robot
 
 def nearest_bodies(dynamics: Dynamics, robot: Robot, geometry: str | None) -> Dynamics:
     """Bodies that have identified base parameters nearly: those nearest to the robot's own, or to
-    typical ones, in the entropic metric (`torchid.extraction.near`).
+    typical ones, in the entropic metric (`torchid.extraction.methods`).
 
     Args:
         dynamics: of base parameters.

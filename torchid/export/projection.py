@@ -16,6 +16,7 @@ from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.effects.spring import JointSpring
 from torchid.export.dynamics import folded, records
+from torchid.export.record import Kept
 from torchid.extraction.entropic import (
     SPREAD,
     NearBodies,
@@ -55,30 +56,6 @@ MUCH = 0.1
 
 NOTHING = 1e-3
 """Share of its joint's torque below which a field is left at zero."""
-
-
-@dataclass(frozen=True)
-class Kept:
-    """What the file keeps of an effect that it has no field for.
-
-    Attributes:
-        effect, joints: what it is, and joints from 0 (none: of the whole arm).
-        share: 1 - rms of what the refitted fields leave of its torque, over its rms; between 0
-            and 1, over the samples and joints of the fit, each joint in units of its noise.
-        field, joint, value: the field that carries most of it (`damping`, ..., `bodies`), of which
-            joint from 0, and what it has become there [its unit]; None of bodies.
-        made, lost: RMS of its torque while joints move, and of what the fields leave of it; of
-            several joints as root of the sum of their mean squares [N m; N].
-    """
-
-    effect: Effect
-    joints: tuple[int, ...]
-    share: float
-    field: str
-    joint: int | None
-    value: float | None
-    made: float
-    lost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,5 +281,5 @@ class Projector:
             if k >= 0:
                 value = float(self.found.coefficients[names.index(names[k])])
                 carrier = (WORDS[names[k].name], names[k].joints[0], value)
-            out.append(Kept(pairs[0][0], joints, max(0.0, 1 - left), *carrier, made, lost))
+            out.append(Kept(pairs[0][0].name, joints, max(0.0, 1 - left), *carrier, made, lost))
         return tuple(sorted(out, key=lambda one: one.share))

@@ -155,6 +155,15 @@ class Randomisation(Result):
         return replace(robot, effects=records(self.draws.effects[k]))
 
 
+def range_row(
+    field: str, name: str, unit: str, drawn: Tensor, level: float, centre: float, why: str
+) -> RangeRow:
+    """The range that holds a share of draws (D,)."""
+    tail = torch.tensor([(1 - level) / 2, (1 + level) / 2], dtype=torch.float64)
+    low, high = drawn.quantile(tail).tolist()
+    return RangeRow(field=field, name=name, unit=unit, low=low, high=high, centre=centre, why=why)
+
+
 def sobol_points(count: int, width: int, seed: int) -> np.ndarray:
     """Points (count, width) that fill the unit cube evenly."""
     from scipy.stats import qmc

@@ -34,6 +34,7 @@ from torchid.export.randomisation import (
     Randomisation,
     drawn_values,
     normal_points,
+    range_row,
     sobol_points,
 )
 from torchid.export.randomise_positions import randomise_positions
@@ -458,7 +459,6 @@ def _ranges(
 ) -> tuple[RangeRow, ...]:
     """Of everything in which draws differ."""
     out = []
-    tail = torch.tensor([(1 - level) / 2, (1 + level) / 2], dtype=torch.float64)
     first = every.which == 0
     mixed = not bool(first.all())
 
@@ -466,7 +466,6 @@ def _ranges(
         spread = float(x.max() - x.min())
         if spread <= 1e-9 * float(x.abs().max()):
             return
-        low, high = x.quantile(tail).tolist()
         own = x[first] if int(first.sum()) > 1 else x
         parts = [f"one standard deviation is {float(own.std()):.2g} {unit} by the log"]
         if key is not None and key in between:
@@ -474,18 +473,8 @@ def _ranges(
         if mixed and float((x[~first].mean() - own.mean()).abs()) > float(own.std()):
             share = 100 * float((~first).double().mean())
             parts.append(f"{share:.0f} % of the draws are of explanations that say it otherwise")
-        middle = float(own.median())
-        out.append(
-            RangeRow(
-                field=field,
-                name=name,
-                unit=unit,
-                low=low,
-                high=high,
-                centre=middle,
-                why=f"{'; '.join(parts)}.",
-            )
-        )
+        middle, why = float(own.median()), f"{'; '.join(parts)}."
+        out.append(range_row(field, name, unit, x, level, middle, why))
 
     for field, x in fields.items():
         kind, c = FIELDS[field]

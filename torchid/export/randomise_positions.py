@@ -13,7 +13,7 @@ import torch
 from msgspec import UNSET
 
 from torchid.errors import TorchidError
-from torchid.export.randomisation import Randomisation, normal_points, sobol_points
+from torchid.export.randomisation import Randomisation, normal_points, range_row, sobol_points
 from torchid.export.record import RangeRow
 from torchid.position.fit import absolute, from_absolute
 from torchid.position.record import PositionRecord
@@ -83,26 +83,16 @@ def _ranges(
     drawn: Servos, servos: Servos, found: PositionRecord, names: tuple[str, ...], level: float
 ) -> tuple[RangeRow, ...]:
     """Of all numbers that the log told, joint by joint."""
-    tail = torch.tensor([(1 - level) / 2, (1 + level) / 2], dtype=torch.float64)
     out = []
     assert found.known is not UNSET
     for one in found.known:
         for k, name in enumerate(one.names):
             p, values = PARAMETERS[INDEX[name]], drawn.of(name)[:, one.joint]
-            low, high = values.quantile(tail).tolist()
             std = float(one.covariance[k, k]) ** 0.5
             size = f"{std:.2g} {p.unit}".removesuffix(" 1")
             if p.kind == "log":
                 size = f"a factor of {math.exp(std):.3g}"
-            out.append(
-                RangeRow(
-                    field=name,
-                    name=names[one.joint],
-                    unit=p.unit,
-                    low=low,
-                    high=high,
-                    centre=float(servos.of(name)[one.joint]),
-                    why=f"{p.meaning}; one standard deviation is {size} by the log.",
-                )
-            )
+            centre = float(servos.of(name)[one.joint])
+            why = f"{p.meaning}; one standard deviation is {size} by the log."
+            out.append(range_row(name, names[one.joint], p.unit, values, level, centre, why))
     return tuple(out)

@@ -74,10 +74,16 @@ class TorqueErrors(Part, frozen=True, kw_only=True, rename=_ERRORS):
     run_time: Float[Tensor, " n"]
 
 
-class ForwardErrors(
-    Part, frozen=True, kw_only=True, rename={"horizon": "horizon_s", "engine": "file_in_engine"}
-):
-    """Errors of the motion (n,) [rad; m]; see `export.correction.Forward`."""
+class Forward(Part, frozen=True, rename={"horizon": "horizon_s", "engine": "file_in_engine"}):
+    """Where the arm is after a while, given the measured torque.
+
+    Attributes:
+        horizon: [s].
+        starts: number of simulations.
+        nominal, full: (n,) RMS error [rad; m] of the robot as given and of the diagnosed one, by
+            torchid; None where no trajectory is as long.
+        engine: (n,) of the file; None where MuJoCo is not installed, or refuses it.
+    """
 
     horizon: float
     starts: int
@@ -95,11 +101,21 @@ class JudgedRecord(
     by: str
     band: float
     torque_error_percent: TorqueErrors
-    forward: tuple[ForwardErrors, ...]
+    forward: tuple[Forward, ...]
 
 
-class KeptRecord(Part, frozen=True, kw_only=True, rename={"share": "kept", "field": "by"}):
-    """What the file keeps of an effect; see `export.projection.Kept`."""
+class Kept(Part, frozen=True, rename={"share": "kept", "field": "by"}):
+    """What the file keeps of an effect that it has no field for.
+
+    Attributes:
+        effect, joints: its name, and joints from 0 (none: of the whole arm).
+        share: 1 - rms of what the refitted fields leave of its torque, over its rms; between 0
+            and 1, over the samples and joints of the fit, each joint in units of its noise.
+        field, joint, value: the field that carries most of it (`damping`, ..., `bodies`), of which
+            joint from 0, and what it has become there [its unit]; None of bodies.
+        made, lost: RMS of its torque while joints move, and of what the fields leave of it; of
+            several joints as root of the sum of their mean squares [N m; N].
+    """
 
     effect: str
     joints: tuple[Joint, ...]
@@ -138,13 +154,13 @@ class CorrectionRecord(Record, frozen=True, kw_only=True, tag="torchid.correctio
     robot: str
     to: str
     judged: JudgedRecord
-    no_field: tuple[KeptRecord, ...]
+    no_field: tuple[Kept, ...]
     bodies: BodiesRecord
     exports: tuple[ExportRecord, ...]
     warnings: tuple[str, ...]
 
     @property
-    def table(self) -> Rows[KeptRecord]:
+    def table(self) -> Rows[Kept]:
         """Effects that the file has no field for."""
         return Rows(self.no_field)
 

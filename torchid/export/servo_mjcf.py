@@ -19,7 +19,7 @@ import torch
 from torchid.digits import number
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.checks import EXACT, Comparison, missing, relative_difference
-from torchid.export.replay import LoadedInMujoco, silent
+from torchid.export.engines import LoadedInMujoco, silent
 from torchid.export.xml_tree import (
     XmlFile,
     child,

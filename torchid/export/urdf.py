@@ -14,7 +14,6 @@ from torchid.digits import number
 from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued
 from torchid.errors import TorchidError
-from torchid.export.exact_text import roll_pitch_yaw_of, text
 from torchid.export.xml_tree import (
     DECLARATION,
     XmlFile,
@@ -25,6 +24,8 @@ from torchid.export.xml_tree import (
     read_xml,
     relocated,
     replace,
+    roll_pitch_yaw_of,
+    text,
 )
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import JointType, Limits, Robot, free_name

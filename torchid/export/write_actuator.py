@@ -16,9 +16,16 @@ from torchid import __version__
 from torchid.effects.base import Motion
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.errors import TorchidError
-from torchid.export.checks import EXACT, Comparison, compared, relative_difference
+from torchid.export.checks import (
+    EXACT,
+    Comparison,
+    Draft,
+    compared,
+    kept,
+    relative_difference,
+    staged,
+)
 from torchid.export.dynamics import Dynamics, robot_torque
-from torchid.export.keeping import Draft, kept, staged
 from torchid.export.servo_mjcf import STEP
 from torchid.export.write_plain import READER, Written
 from torchid.position.model import ServoArm

@@ -7,10 +7,9 @@ from torchid import __version__
 from torchid.effects.base import Motion
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.export.checks import Comparison, compared
+from torchid.export.checks import Comparison, Draft, compared, kept, staged
 from torchid.export.dynamics import Dynamics, described, folded, records, robot_torque
 from torchid.export.engines import check_mujoco, check_pinocchio
-from torchid.export.keeping import Draft, kept, staged
 from torchid.export.mjcf import edited_mjcf, new_mjcf
 from torchid.export.servo_mjcf import check_servos, write_servos
 from torchid.export.urdf import edited_urdf, in_joint_frames, new_urdf

@@ -22,9 +22,8 @@ import numpy as np
 import torch
 
 from torchid.errors import TorchidError
-from torchid.extraction.cma.batched import BatchedCmaEs
-from torchid.extraction.cma.pycma import PycmaEngine
-from torchid.extraction.cma.search import Engine, SearchState, default_population, start
+from torchid.extraction.cma.batched import minimise
+from torchid.extraction.cma.search import SearchState, default_population, start
 from torchid.extraction.convex.finish import attainable, finished
 from torchid.extraction.found import Extraction
 from torchid.extraction.penalty import gamma
@@ -33,20 +32,6 @@ from torchid.extraction.settings import SearchSettings
 from torchid.files import atomic_write
 from torchid.parallel.workers import Executor, Workers, each, opened
 from torchid.typing import Float, Tensor
-
-ENGINES: dict[str, Engine] = {"batched": BatchedCmaEs(), "cma": PycmaEngine()}
-
-
-def engine(name: str) -> Engine:
-    """The engine of that name: `batched` (ours, all runs at once) or `cma` (pycma, run by run).
-
-    Raises:
-        TorchidError: no such engine.
-    """
-    if name not in ENGINES:
-        raise TorchidError("there is no such search engine.", got=name, available=sorted(ENGINES))
-    return ENGINES[name]
-
 
 Report = Callable[[int, int], None]
 
@@ -72,7 +57,7 @@ class Progress:
 
     Attributes:
         stage: how many stages are done.
-        state: of the engine.
+        state: of the searches.
         phi, gamma: (R, stage) of the best so far, after each stage.
     """
 
@@ -281,7 +266,7 @@ def _advanced(block: _Block) -> SearchState:
         return value if weight == 0 else value + weight * gamma(problem, p, exact=False)
 
     sigma = block.state.sigma.clamp(min=_LEAST_SIGMA)
-    found = engine(settings.engine).minimise(
+    found = minimise(
         loss,
         replace(block.state, sigma=sigma).to(block.device),
         generations=settings.generations,

@@ -19,6 +19,7 @@ from torchid.extraction.record import (
 )
 from torchid.extraction.settings import SearchSettings
 from torchid.feasibility.margins import Feasibility, feasibility
+from torchid.feasibility.plausibility import search_names
 from torchid.feasibility.sets import ParameterSets, sets_record
 from torchid.results.record import Result
 from torchid.robot.knowledge import to_mapping
@@ -156,7 +157,7 @@ def judged(
     return (
         sets,
         problem.residual_of_vector(sets.vector).square().sum(-1),
-        gamma(problem, problem.search_vector(sets)),
+        gamma(problem, sets.search_vector),
         torque_error(problem, sets),
         feasibility(sets, problem.conditions),
     )
@@ -209,11 +210,7 @@ def at_bounds(found: Found) -> list[str]:
     of inertia are not below 0 is physics, and no bound."""
     problem = found.problem
     n = problem.n
-    names = [f"m{i + 1}" for i in range(n)]
-    names += [f"c{i + 1}{axis}" for i in range(n) for axis in "xyz"]
-    names += [f"I{i + 1}{e}" for i in range(n) for e in ("xx", "xy", "xz", "yy", "yz", "zz")]
-    names += found.sets.coefficient_names()
-    own = problem.search_vector(found.sets)[found.best]
+    own = found.sets.search_vector[found.best]
     low, high = problem.box.unbind(-1)
     near = _ON_A_BOUND * (high - low)
     physics = torch.zeros_like(low, dtype=torch.bool)
@@ -223,6 +220,6 @@ def at_bounds(found: Found) -> list[str]:
     lower, upper = ((own - low < near) & ~physics).tolist(), (high - own < near).tolist()
     return [
         f"{name} ({'lower' if below else 'upper'})"
-        for name, below, above in zip(names, lower, upper, strict=True)
+        for name, below, above in zip(search_names(found.sets), lower, upper, strict=True)
         if below or above
     ]

@@ -189,10 +189,6 @@ class Problem:
         """All parameters in the grouping's order: the paper's stacking, then coefficients."""
         return torch.cat([self.parameters(p).to_paper_order(), self.split(p)[3]], -1)
 
-    def search_vector(self, sets: ParameterSets) -> Float[Tensor, "K D"]:
-        """Search vectors (K, D) of sets with the problem's effects; not clipped to the bounds."""
-        return sets.search_vector
-
     def sets(self, p: Float[Tensor, "K D"], ids: Sequence[str]) -> ParameterSets:
         """Search vectors as parameter sets."""
         return ParameterSets(tuple(ids), self.parameters(p), self.target.effects, self.split(p)[3])

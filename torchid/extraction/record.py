@@ -59,7 +59,6 @@ class SearchRecord(Part, frozen=True, kw_only=True):
     population: int | None
     penalty: str
     schedule: str
-    engine: str
     seed: int
     contradictions: tuple[str, ...]
 

@@ -7,7 +7,6 @@ from torchid.errors import TorchidError
 
 Schedule = Literal["linear", "geometric"]
 Penalty = Literal["full", "partial"]
-EngineName = Literal["batched", "cma"]
 
 _MOST_AT_ONCE = 1_000_000
 _MOST_GEOMETRIC = 300
@@ -26,7 +25,6 @@ class SearchSettings:
         penalty: `full` loss phi + xi gamma, or `partial`: phi alone.
         schedule: xi_{k+1} = 10 k (`linear`, as Algorithm 1 prints it) or 10^k (`geometric`, as the
             text says: ten times more at every stage).
-        engine: `batched` or `cma`.
         seed: of starts and samples.
 
     Raises:
@@ -43,7 +41,6 @@ class SearchSettings:
     population: int | None = None
     penalty: Penalty = "full"
     schedule: Schedule = "linear"
-    engine: str = "batched"
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -56,11 +53,7 @@ class SearchSettings:
                 got=self.runs * (self.population or 1),
                 expected=f"at most {_MOST_AT_ONCE}",
             )
-        for name, known in (
-            ("penalty", get_args(Penalty)),
-            ("schedule", get_args(Schedule)),
-            ("engine", get_args(EngineName)),
-        ):
+        for name, known in (("penalty", get_args(Penalty)), ("schedule", get_args(Schedule))):
             if getattr(self, name) not in known:
                 raise TorchidError(f"unknown {name}.", got=getattr(self, name), available=known)
         if self.schedule == "geometric" and self.stages > _MOST_GEOMETRIC:

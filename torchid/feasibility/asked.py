@@ -6,7 +6,7 @@ from pathlib import Path
 
 from torchid.effects.registry import Valued, nominal_effects, nominal_others
 from torchid.errors import TorchidError
-from torchid.feasibility.findings import Finding
+from torchid.feasibility.plausibility import Finding
 from torchid.feasibility.sets import (
     ParameterSets,
     nominal_set,

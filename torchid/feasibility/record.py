@@ -13,14 +13,13 @@ from msgspec import UNSET, UnsetType
 from torchid.feasibility.bounds import Bounds, bounds_groups, read_bounds, read_total_mass
 from torchid.feasibility.conditions import GEOMETRY_GROUP, Conditions, conditions, physics_only
 from torchid.feasibility.derived_bounds import named_bounds
-from torchid.feasibility.findings import Finding
 from torchid.feasibility.margins import (
     LINK_CONDITIONS,
     Feasibility,
     feasibility,
     inertia_eigenvalues,
 )
-from torchid.feasibility.plausibility import Bodies, bodies, plausibility
+from torchid.feasibility.plausibility import Bodies, Finding, bodies, plausibility
 from torchid.feasibility.sets import ParameterSets, nominal_set, read_sets
 from torchid.feasibility.units import nominal_findings, shape_findings
 from torchid.inputs import RobotLike, as_robot

@@ -14,13 +14,15 @@ from dataclasses import replace
 import torch
 
 from torchid.errors import RobotError
-from torchid.feasibility.findings import (
+from torchid.feasibility.plausibility import (
+    DENSITIES,
+    Bodies,
     Finding,
     add_gravity_loads,
+    bodies,
     each,
     own_inertial_findings,
 )
-from torchid.feasibility.plausibility import DENSITIES, Bodies, bodies
 from torchid.results.words import listed
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot

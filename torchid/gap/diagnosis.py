@@ -1,6 +1,5 @@
 """The answer: where the gap lies, which effects cause it, how far it shrinks."""
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,7 +36,7 @@ from torchid.gap.record import (
 )
 from torchid.gap.settings import GapSettings
 from torchid.json_data import plain
-from torchid.results.answer import Answer, Cause, Diagnosis, JointError, Size
+from torchid.results.answer import Answer, Diagnosis, JointError
 from torchid.results.record import Rows
 from torchid.results.replication import Replication
 from torchid.results.words import count, effect_words, joints_words, listed
@@ -144,34 +143,6 @@ class Finding:
     def valued(self) -> Valued:
         """Effect and coefficients, for a model."""
         return self.effect, list(self.values)
-
-    def cause(self, robot: Robot) -> Cause:
-        """As the answer has it."""
-        effect, at = self.effect, self.located or self.joints
-        if self.changed:
-            sizes = [
-                Size(name=c.name, unit=c.unit, value=c.after, std=c.after_std, was=c.before)
-                for c in self.changed
-            ]
-        else:
-            sizes = [
-                Size(
-                    name=c.name,
-                    unit=unit_of(c.unit, at, robot),
-                    value=value,
-                    std=std if math.isfinite(std) else None,
-                )
-                for c, value, std in zip(effect.coefficients, self.values, self.std, strict=True)
-            ]
-        return Cause(
-            effect=effect.name,
-            joints=self.located,
-            sizes=tuple(sizes),
-            how_sure=self.how_sure,
-            ambiguous_with=self.ambiguous_with,
-            closes=self.share,
-            remedy=effect.remedy,
-        )
 
     def record(self, robot: Robot) -> FoundEffect:
         """As the JSON has it."""
@@ -305,6 +276,12 @@ class TorqueDiagnosis(Diagnosis):
         return f"Diagnosis('{self.robot.name}', {self.status}: {effects}{closed})"
 
     @cached_property
+    def which(self) -> tuple[FoundEffect, ...]:
+        """Accepted effects, then links whose inertial parameters changed, as the JSON has them."""
+        links = (_link(p) for p in self.parametric if p.links)
+        return (*(f.record(self.robot) for f in self.findings), *links)
+
+    @cached_property
     def record(self) -> GapRecord:
         """As the JSON has it."""
         far, floor = self.how_far, self.floor
@@ -313,10 +290,6 @@ class TorqueDiagnosis(Diagnosis):
             self,
             robot=self.robot.name,
             where=Where(self.joints, self.regimes),
-            which=(
-                *(f.record(self.robot) for f in self.findings),
-                *(_link(p) for p in self.parametric if p.links),
-            ),
             how_far=FarRecord.of(
                 far,
                 rms_before=far.rms_before.norm(),
@@ -352,18 +325,9 @@ class TorqueDiagnosis(Diagnosis):
     def answer(self) -> Answer:
         """What each joint's error is, which causes close it, and what to do."""
         far, floor, robot = self.how_far, self.floor, self.robot
-        causes = [f.cause(robot) for f in self.findings]
-        causes += [
-            Cause(
-                effect="link_inertia",
-                joints=p.links,
-                how_sure=p.how_sure,
-                ambiguous_with=p.ambiguous_with,
-                closes=p.share,
-                remedy=INERTIA_REMEDY,
-            )
-            for p in self.parametric
-        ]
+        # All base parameters stand in the JSON's `parametric` alone.
+        bodies = (_link(p) for p in self.parametric if not p.links)
+        causes = [f.cause for f in (*self.which, *bodies)]
         levels = zip(far.rms_before.tolist(), far.rms_after.tolist(), strict=True)
         return Answer(
             status=self.status,

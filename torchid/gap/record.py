@@ -161,6 +161,23 @@ class FoundEffect(Part, frozen=True, kw_only=True):
     source: str | None = None
     notes: tuple[str, ...] = ()
 
+    @property
+    def cause(self) -> Cause:
+        """As an answer has it: of what the model knew otherwise, what has changed."""
+        changed = tuple(
+            Size(name=c.name, unit=c.unit, value=c.after, std=c.after_std, was=c.before)
+            for c in self.changed
+        )
+        return Cause(
+            effect=self.effect,
+            joints=self.located,
+            sizes=changed or _sizes(self),
+            how_sure=self.how_sure,
+            ambiguous_with=self.ambiguous_with,
+            closes=math.nan if self.share is None else self.share,
+            remedy=self.remedy,
+        )
+
 
 class UnnamedEffect(Part, frozen=True, kw_only=True):
     """An effect that gets no name: of a size below what was asked for, or not sure enough.
@@ -186,18 +203,22 @@ class UnnamedEffect(Part, frozen=True, kw_only=True):
     @property
     def cause(self) -> Cause:
         """As an answer has it."""
-        sizes = (
-            Size(name=name, unit=unit, value=float(value), std=self.std.get(name))
-            for name, unit in self.unit.items()
-            if isinstance(value := self.parameters[name], float | int)
-        )
         return Cause(
             effect=self.effect,
             joints=self.joints,
-            sizes=tuple(sizes),
+            sizes=_sizes(self),
             how_sure=self.how_sure,
             remedy=self.settles,
         )
+
+
+def _sizes(of: FoundEffect | UnnamedEffect) -> tuple[Size, ...]:
+    """Coefficients as numbers of a cause."""
+    return tuple(
+        Size(name=name, unit=of.unit[name], value=float(value), std=std)
+        for name, std in of.std.items()
+        if isinstance(value := of.parameters[name], float | int)
+    )
 
 
 class Open(Part, frozen=True, kw_only=True):

@@ -338,6 +338,13 @@ def _sum_name(row: Tensor, names: Sequence[str], lead: int) -> str:
     return text
 
 
+def non_negative(base: BaseParameters, effects: Sequence[Effect]) -> Bool[Tensor, " B"]:
+    """Base parameters (B,) that are one coefficient which physics forbids to be negative."""
+    rigid = [False] * base.n_rigid_parameters
+    bounded = [*rigid, *(c.non_negative for e in effects for c in e.coefficients)]
+    return torch.tensor([bounded[k] and base.is_single(b) for b, k in enumerate(base.independent)])
+
+
 _ROUNDING = 1e-6
 
 

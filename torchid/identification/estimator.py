@@ -4,18 +4,18 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from scipy.optimize import lsq_linear
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_array, check_is_fitted, check_X_y
 
 from torchid.effects.base import Motion
 from torchid.errors import TorchidError
 from torchid.identification.asked import asked_effects
-from torchid.identification.base_parameters import base_parameters, stacked_regressor
+from torchid.identification.base_parameters import base_parameters, non_negative, stacked_regressor
+from torchid.identification.least_squares import solve, stacked_factor, undetermined_columns
 from torchid.identification.model import model_torque
 from torchid.identification.settings import DEFAULT_EFFECTS
 from torchid.inputs import RobotLike, as_robot
-from torchid.typing import Float, Tensor
+from torchid.typing import Bool, Float, Tensor
 
 _PIECE = 4096
 """Rows whose regressor is in memory at a time."""
@@ -92,21 +92,13 @@ class DynamicsRegressor(RegressorMixin, MultiOutputMixin, BaseEstimator):
             rows = torch.cat([rows, tau[part].reshape(-1, 1)], 1)
             rows = rows.unflatten(0, (-1, robot.n)).movedim(1, 0)
             factors = torch.linalg.qr(torch.cat([factors, rows], 1), mode="r").R
-        coefficients = [c for e in effects for c in e.coefficients]
-        start = base.n_rigid_parameters
-        low = [
-            0.0
-            if self.bounded
-            and k >= start
-            and coefficients[k - start].non_negative
-            and base.is_single(b)
-            else -np.inf
-            for b, k in enumerate(base.independent)
-        ]
-        found = _solved(factors, np.ones(robot.n), low)
+        signs = non_negative(base, effects) & self.bounded
+        found = _solved(factors, signs)
         left = (factors @ torch.cat([found, found.new_tensor([-1.0])])).norm(dim=1)
         size = factors[:, :, -1].norm(dim=1)
-        found = _solved(factors, 1 / left.clamp(min=1e-9 * float(size.max()) + 1e-300).numpy(), low)
+        found = _solved(
+            factors / left.clamp(min=1e-9 * float(size.max()) + 1e-300)[:, None, None], signs
+        )
         self._model = robot, base, effects
         self.coef_, self.names_, self.units_ = found.numpy(), base.names, base.units
         self.n_features_in_, self._flat = 3 * robot.n, y.ndim == 1
@@ -139,12 +131,7 @@ def _require(table: np.ndarray | Tensor, columns: int, what: str) -> None:
         )
 
 
-def _solved(
-    factors: Float[Tensor, "n r c"], weights: np.ndarray, low: Sequence[float]
-) -> Float[Tensor, " B"]:
-    """Least squares of all joints, columns scaled to length one; what no row sees is 0."""
-    rows = (factors * torch.from_numpy(weights)[:, None, None]).flatten(0, 1).numpy()
-    size = np.linalg.norm(rows[:, :-1], axis=0)
-    size[size == 0] = 1.0
-    found = lsq_linear(rows[:, :-1] / size, rows[:, -1], (low, np.inf), method="bvls").x
-    return torch.from_numpy(found / size)
+def _solved(factors: Float[Tensor, "n r c"], signs: Bool[Tensor, " B"]) -> Float[Tensor, " B"]:
+    """Least squares of all joints; what the rows do not tell is 0."""
+    rows = stacked_factor([factors.flatten(0, 1)])
+    return solve(rows, signs, undetermined_columns(rows, torch.zeros_like(signs)))[0]

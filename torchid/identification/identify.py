@@ -1,7 +1,7 @@
 """From a robot and its logs to base parameters: the whole job as one call."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -21,7 +21,7 @@ from torchid.identification.knowledge import (
 )
 from torchid.identification.least_squares import Fit, fit
 from torchid.identification.logs import prepared, refuse_repeated
-from torchid.identification.mirror import as_one, mirror_of, mirrored_base
+from torchid.identification.mirror import Mirror, as_one, mirror_of, mirrored_base
 from torchid.identification.record import FittedRows
 from torchid.identification.result import Identification, findings
 from torchid.identification.rows import Layout, RowSource, layout
@@ -105,6 +105,105 @@ def identify(
     log = as_log(log, robot)
     held_out = None if held_out is None else as_log(held_out, robot)
     settings = settings or Settings()
+    log, kept_back, noticed = _prepared(robot, log, held_out, settings)
+    mirror = mirror_of(robot, settings.mirror) if settings.mirror else None
+    asked = asked_effects(settings.effects, robot)
+    # The filter is chosen with the effects whose columns are known beforehand.
+    training = _training(robot, _on(log, device), [a.effect for a in asked if a.plain], settings)
+    cutoff, choice, reversal = _chosen_filter(training, settings, progress)
+    measured = timed(measurements(training.log, cutoff, reversal))
+    said: tuple[str, ...] = ()
+    if not all(a.plain for a in asked):
+        shaped, said = _with_shapes(asked, training, cutoff, reversal, settings)
+        training = _training(robot, training.log, shaped, settings)
+        measured = _loaded(training, measured, settings)
+    columns = training.layout
+    base, effects = columns.base, columns.effects
+    estimate = _estimate(training, measured, settings, progress)
+    condition = estimate.fit.scaled_condition_number
+    refuse_lost(condition, training.log)
+    order = columns.back
+    found = _with_priors(robot, estimate, columns, mirror)
+    values = found.values
+    shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
+    apart: list[Measurement] = []
+    if kept_back is not None:
+        # The end of the same log follows its beginning; another log follows the whole of it.
+        last = measured[-1]
+        end = float(last.motion.require("t", "a trajectory")[-1]) + 1 / last.rate
+        clock = 0.0 if held_out is None else end
+        apart = measurements(_on(kept_back, device), shown, reversal)
+        apart = timed(apart, None if held_out is not None else float(log.t[0]), clock)
+    fitted, checked = (
+        [predict(m, robot, base, effects, values, stage(progress, "predicting")) for m in part]
+        for part in (
+            measured if shown == cutoff else timed(measurements(training.log, shown, reversal)),
+            apart,
+        )
+    )
+
+    if not settings.force:
+        refuse_useless(fitted, condition, training.log, robot.free)
+    knowledge = over_parameters(found.root, base, effects, ", ".join(training.log.names))
+    knowledge = replace(knowledge, left=moving_rms(fitted))
+    if robot.knowledge is not None:
+        # The rows hold what was known before; sources and the rest are put together.
+        both = robot.knowledge.plus(knowledge)
+        knowledge = replace(both, coefficients=knowledge.coefficients, root=knowledge.root)
+
+    def names(mask: Tensor) -> tuple[str, ...]:
+        return tuple(name for name, hit in zip(base.names, mask.tolist(), strict=True) if hit)
+
+    lone = names(estimate.uncertainty.by_one_block[order])
+    one_stretch = (
+        "one short stretch of the log alone determines these; their standard deviations are lower "
+        "bounds: " + ", ".join(lone)
+    )
+    result = Identification(
+        robot=robot,
+        base=base,
+        effects=effects,
+        values=values,
+        covariance=found.covariance,
+        factor=found.factor,
+        rows=found.rows,
+        free=found.free,
+        bounded=names(estimate.fit.bounded[order]),
+        undetermined=tuple(
+            n for n, k in zip(base.names, found.undetermined.tolist(), strict=True) if k
+        ),
+        dropped=names(estimate.dropped[order]),
+        wrong_sign=names((columns.non_negative & (estimate.fit.x < 0))[order]),
+        fit=errors(fitted, robot.free),
+        held_out=errors(checked, robot.free) if checked else None,
+        fit_predictions=tuple(fitted),
+        held_out_predictions=tuple(checked),
+        condition_number=estimate.fit.condition_number,
+        scaled_condition_number=estimate.fit.scaled_condition_number,
+        cutoff=cutoff,
+        cutoff_choice=choice,
+        reversal=reversal,
+        uncertainty=estimate.uncertainty,
+        settings=settings,
+        knowledge=knowledge,
+        warnings=(
+            *robot.warnings,
+            *noticed,
+            *base.warnings,
+            *said,
+            *found.said,
+            *(w for m in measured for w in m.warnings),
+            *estimate.uncertainty.warnings,
+            *([one_stretch] if lone else []),
+        ),
+    )
+    return replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *findings(result)])))
+
+
+def _prepared(
+    robot: Robot, log: Log, held_out: Log | None, settings: Settings
+) -> tuple[Log, Log | None, tuple[str, ...]]:
+    """The log to fit and what is held out, even in time, and what is to be said of them."""
     if held_out is not None and settings.held_out_fraction != 0:
         raise LogError(
             "both a held-out log and a held-out fraction are given.", expected="one of them"
@@ -119,10 +218,13 @@ def identify(
         kept_back, more = prepared(kept_back, robot)
         noticed = (*noticed, *more)
     refuse_repeated(log, kept_back)
-    mirror = mirror_of(robot, settings.mirror) if settings.mirror else None
-    asked = asked_effects(settings.effects, robot)
-    # The filter is chosen with the effects whose columns are known beforehand.
-    training = _training(robot, _on(log, device), [a.effect for a in asked if a.plain], settings)
+    return log, kept_back, noticed
+
+
+def _chosen_filter(
+    training: Training, settings: Settings, progress: Progress | None
+) -> tuple[float | None, CutoffChoice | None, Tensor]:
+    """Cut-off [Hz], how it was chosen if it was, and reversal speeds (n,)."""
     choice: CutoffChoice | None = None
     if settings.cutoff == "auto":
         choice = choose_cutoff(training, stage(progress, "choosing the cut-off"))
@@ -134,22 +236,16 @@ def identify(
         reversal = choose_reversal(training, cutoff, report)
     else:
         reversal = settings.reversal * fast_speed(measurements(training.log, cutoff)).cpu()
-    measured = timed(measurements(training.log, cutoff, reversal))
-    said: tuple[str, ...] = ()
-    if not all(a.plain for a in asked):
-        found, said = _with_shapes(asked, training, cutoff, reversal, settings)
-        training = _training(robot, training.log, found, settings)
-        measured = _loaded(training, measured, settings)
-    columns = training.layout
-    base, effects = columns.base, columns.effects
-    physical = _non_negative(columns)
-    estimate = _estimate(training, measured, settings, progress)
-    # Rounding alone would leave no four digits: values of thousands of kilograms would be printed
-    # with standard deviations as large, and look like a result.
-    condition = estimate.fit.scaled_condition_number
+    return cutoff, choice, reversal
+
+
+def refuse_lost(condition: float, log: Log) -> None:
+    """Raise IdentificationError where rounding alone would leave no four digits: values of
+    thousands of kilograms would be printed with standard deviations as large, and look like a
+    result."""
     largest = FEWEST_DIGITS / torch.finfo(torch.float64).eps
     if condition > largest:
-        moved = (training.log.q.amax(0) - training.log.q.amin(0)).tolist()
+        moved = (log.q.amax(0) - log.q.amin(0)).tolist()
         raise IdentificationError(
             "these logs cannot tell the parameters apart: the fit is lost in rounding.",
             got=f"condition number {condition:.1e} (columns of length one); the joints move over "
@@ -159,7 +255,29 @@ def identify(
             hint="`torchid excite` designs a motion that tells them apart; `effects=...` with "
             "fewer names asks for less",
         )
-    values, order = _in_base_order(estimate.fit.x, columns)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Base parameters in their own order, with all that is known of them; see Identification."""
+
+    values: Float[Tensor, " B"]
+    covariance: Float[Tensor, "B B"]
+    factor: Float[Tensor, "C C"]
+    rows: FittedRows
+    free: Bool[Tensor, " B"]
+    undetermined: Bool[Tensor, " B"]
+    root: Float[Tensor, "D B"]
+    said: tuple[str, ...]
+
+
+def _with_priors(
+    robot: Robot, estimate: "_Estimate", columns: Layout, mirror: Mirror | None
+) -> _Found:
+    """What the log, earlier sessions and the other side of a mirrored robot say together."""
+    base, effects = columns.base, columns.effects
+    order = columns.back
+    values = estimate.fit.x[order]
     covariance = estimate.uncertainty.covariance[order][:, order]
     factor = estimate.fit.factor[:, torch.cat([order, order.new_tensor([len(base)])])]
     free, undetermined = (m[order] for m in (estimate.fit.free, estimate.fit.undetermined))
@@ -183,78 +301,7 @@ def identify(
         across = mirrored_base(mirror, base, effects)
         alike, said_alike = as_one(across, base, root, values, free)
         with_prior(alike, torch.zeros_like(values))
-    shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
-    apart: list[Measurement] = []
-    if kept_back is not None:
-        # The end of the same log follows its beginning; another log follows the whole of it.
-        last = measured[-1]
-        end = float(last.motion.require("t", "a trajectory")[-1]) + 1 / last.rate
-        clock = 0.0 if held_out is None else end
-        apart = measurements(_on(kept_back, device), shown, reversal)
-        apart = timed(apart, None if held_out is not None else float(log.t[0]), clock)
-    fitted, checked = (
-        [predict(m, robot, base, effects, values, stage(progress, "predicting")) for m in part]
-        for part in (
-            measured if shown == cutoff else timed(measurements(training.log, shown, reversal)),
-            apart,
-        )
-    )
-
-    if not settings.force:
-        refuse_useless(fitted, condition, training.log, robot.free)
-    knowledge = over_parameters(root, base, effects, ", ".join(training.log.names))
-    knowledge = replace(knowledge, left=moving_rms(fitted))
-    if robot.knowledge is not None:
-        # The rows hold what was known before; sources and the rest are put together.
-        both = robot.knowledge.plus(knowledge)
-        knowledge = replace(both, coefficients=knowledge.coefficients, root=knowledge.root)
-
-    def named(mask: Tensor) -> tuple[str, ...]:
-        hits = mask[order].tolist()
-        return tuple(name for name, hit in zip(base.names, hits, strict=True) if hit)
-
-    lone = named(estimate.uncertainty.by_one_block)
-    one_stretch = (
-        "one short stretch of the log alone determines these; their standard deviations are lower "
-        "bounds: " + ", ".join(lone)
-    )
-    result = Identification(
-        robot=robot,
-        base=base,
-        effects=effects,
-        values=values,
-        covariance=covariance,
-        factor=factor,
-        rows=rows,
-        free=free,
-        bounded=named(estimate.fit.bounded),
-        undetermined=tuple(n for n, k in zip(base.names, undetermined.tolist(), strict=True) if k),
-        dropped=named(estimate.dropped),
-        wrong_sign=named(physical & (estimate.fit.x < 0)),
-        fit=errors(fitted, robot.free),
-        held_out=errors(checked, robot.free) if checked else None,
-        fit_predictions=tuple(fitted),
-        held_out_predictions=tuple(checked),
-        condition_number=estimate.fit.condition_number,
-        scaled_condition_number=estimate.fit.scaled_condition_number,
-        cutoff=cutoff,
-        cutoff_choice=choice,
-        reversal=reversal,
-        uncertainty=estimate.uncertainty,
-        settings=settings,
-        knowledge=knowledge,
-        warnings=(
-            *robot.warnings,
-            *noticed,
-            *base.warnings,
-            *said,
-            *said_alike,
-            *(w for m in measured for w in m.warnings),
-            *estimate.uncertainty.warnings,
-            *([one_stretch] if lone else []),
-        ),
-    )
-    return replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *findings(result)])))
+    return _Found(values, covariance, factor, rows, free, undetermined, root, said_alike)
 
 
 def refuse_useless(
@@ -298,7 +345,7 @@ def _training(robot: Robot, log: Log, effects: Sequence[Effect], settings: Setti
     """The log with the columns of base parameters and effects."""
     base = base_parameters(robot, effects, basis=settings.basis)
     columns = layout(robot, base, effects)
-    bounded = _non_negative(columns) & (settings.signs == "bounded")
+    bounded = columns.non_negative & (settings.signs == "bounded")
     return Training(log, columns, settings.rows == "moving", bounded)
 
 
@@ -317,7 +364,7 @@ def _with_shapes(
     part = replace(training, log=shortened(training.log))
     measured = timed(measurements(part.log, cutoff, reversal))
     # What searched effects of the torque see, and what their shapes are relative to.
-    measured = _with_load(part, measured, _plain_fit(part, measured, settings))
+    measured = _refitted_load(part, measured, settings)
     robot = training.layout.robot
     known = _training(robot, part.log, [a.effect for a in asked if not a.searched], settings)
     source = RowSource(measured, known.layout, moving_only=known.moving_only)
@@ -347,20 +394,39 @@ def _named(effect: Effect) -> str:
     return f"{effect.name} of joint {joints[0]}" + "".join(f" with joint {j}" for j in joints[1:])
 
 
-def _plain_fit(
-    training: Training, measured: list[Measurement], settings: Settings
-) -> Float[Tensor, " B"]:
-    """Base parameters by a fit without standard deviations."""
-    source = RowSource(
-        measured, training.layout, moving_only=training.moving_only, compiled=settings.compiled
+def _source(
+    training: Training,
+    measured: list[Measurement],
+    settings: Settings,
+    progress: Callable[[int, int], None] | None = None,
+) -> RowSource:
+    return RowSource(
+        measured,
+        training.layout,
+        moving_only=training.moving_only,
+        compiled=settings.compiled,
+        progress=progress,
     )
-    found = fit(
+
+
+def _fitted(
+    source: RowSource, training: Training, settings: Settings, left_out: Tensor | None = None
+) -> Fit:
+    return fit(
         source,
         method=settings.method,
         covariance=settings.covariance,
         non_negative=training.non_negative,
+        left_out=left_out,
     )
-    return _in_base_order(found.x, training.layout)[0]
+
+
+def _refitted_load(
+    training: Training, measured: list[Measurement], settings: Settings
+) -> list[Measurement]:
+    """Trajectories with the torque of a fit to them, without standard deviations."""
+    found = _fitted(_source(training, measured, settings), training, settings)
+    return _with_load(training, measured, found.x[training.layout.back])
 
 
 def _with_load(
@@ -390,9 +456,9 @@ def _loaded(
     if len(without) == len(c.effects):
         return measured
     first = _training(c.robot, training.log, without, settings)
-    measured = _with_load(first, measured, _plain_fit(first, measured, settings))
+    measured = _refitted_load(first, measured, settings)
     for _ in range(LOAD_FITS):
-        measured = _with_load(training, measured, _plain_fit(training, measured, settings))
+        measured = _refitted_load(training, measured, settings)
     return measured
 
 
@@ -415,22 +481,10 @@ def _estimate(
     training: Training, measured: list[Measurement], settings: Settings, progress: Progress | None
 ) -> _Estimate:
     """Fit with standard deviations; with `essential`, without parameters that may be zero."""
-    source = RowSource(
-        measured,
-        training.layout,
-        moving_only=training.moving_only,
-        compiled=settings.compiled,
-        progress=stage(progress, "filtering"),
-    )
+    source = _source(training, measured, settings, stage(progress, "filtering"))
 
     def without(dropped: Tensor) -> _Estimate:
-        found = fit(
-            source,
-            method=settings.method,
-            covariance=settings.covariance,
-            non_negative=training.non_negative,
-            left_out=dropped,
-        )
+        found = _fitted(source, training, settings, dropped)
         counts = (last - first for first, last in itertools.pairwise(source.boundaries))
         seconds = sum(n * step for n, step in zip(counts, source.interval, strict=True))
         rows = FittedRows(seconds, source.instants / seconds, found.whitening)
@@ -446,21 +500,3 @@ def _estimate(
         dropped[weakest] = True
         now = without(dropped)
     return now
-
-
-def _non_negative(columns: Layout) -> Bool[Tensor, " B"]:
-    """Columns, in the layout's order, that are one coefficient which physics forbids to be < 0."""
-    base = columns.base
-    coefficients = [c for e in columns.effects for c in e.coefficients]
-    out = torch.zeros(columns.size, dtype=torch.bool)
-    for j, position in enumerate(columns.order):
-        k = base.independent[position] - base.n_rigid_parameters
-        out[j] = k >= 0 and coefficients[k].non_negative and base.is_single(position)
-    return out
-
-
-def _in_base_order(x: Tensor, columns: Layout) -> tuple[Tensor, Tensor]:
-    """Values in the base parameters' order, and the index that takes any column vector there."""
-    order = torch.empty(columns.size, dtype=torch.long)
-    order[list(columns.order)] = torch.arange(columns.size)
-    return x[order], order

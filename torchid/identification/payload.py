@@ -6,12 +6,11 @@ application to collision detection", IROS 2017. The mathematics is in `payload_f
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, get_args
+from dataclasses import replace
+from typing import get_args
 
 import torch
-from msgspec import UNSET, UnsetType, field
+from msgspec import UNSET, UnsetType, field, structs
 from scipy.special import chdtri, fdtri
 
 from torchid.dynamics.newton_euler import inverse_dynamics
@@ -35,7 +34,7 @@ from torchid.identification.result import Identification
 from torchid.identification.settings import Settings
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
-from torchid.results.record import Part, Real, Record, Result, Rows
+from torchid.results.record import Part, Real, Record, Rows
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import Robot, joint_list
 from torchid.robot.shapes import reach
@@ -109,7 +108,15 @@ class Change(Part, frozen=True):
 
 
 class PayloadParameters(Part, frozen=True, kw_only=True):
-    """The ten parameters in the last link's frame, and which of them are determined."""
+    """The payload's ten parameters.
+
+    Attributes:
+        names, frame: of the parameters, and the frame they are in.
+        parameters: (10,) m, m c, J about the last link frame's origin, in its axes.
+        covariance: (10, 10) theirs.
+        determined: (10,) which of them the arm and the logs determine, to less than what the torque
+            of the log could hold at arm's length; others are of least norm.
+    """
 
     names: tuple[str, ...]
     frame: str
@@ -125,25 +132,29 @@ class PayloadFrames(Part, frozen=True):
     tool: Body
 
 
-class _Carried:
-    """What a payload can say, computed or read back."""
+class Payload(Record, frozen=True, kw_only=True, tag="torchid.payload/1"):
+    """What the last link carries.
 
-    __slots__ = ()
-
-    if TYPE_CHECKING:
-
-        @property
-        def effect_changes(self) -> tuple[Change, ...]:
-            """Of friction and other effects."""
-
-    @property
-    def friction_changes(self) -> tuple[Change, ...]:
-        """Effects that changed beyond their 95 % intervals."""
-        return tuple(c for c in self.effect_changes if c.significant)
-
-
-class PayloadRecord(_Carried, Record, frozen=True, kw_only=True, tag="torchid.payload/1"):
-    """A payload as its JSON has it; see Payload."""
+    Attributes:
+        robot: name.
+        model: `general` (10 parameters), `symmetric` about the tool's z axis (4), or `point_mass`.
+        frames: the body in the last link's frame and in the tool's.
+        estimate: the ten parameters in the last link's frame.
+        degrees_of_freedom: of the mass's variance; quantile: of Student's 95 % interval with them.
+        seen: whether the mass can be told from zero.
+        consistent: whether some rigid body has these parameters.
+        consistent_within: whether some rigid body lies in the estimate's 95 % region.
+        margin: smallest eigenvalue of the pseudo-inertia in the last link's frame; nan where not
+            all parameters are determined.
+        nearest: (10,) the consistent payload nearest in the metric of the covariance, in the last
+            link's frame; None for the models with fewer parameters where they are inconsistent.
+        effect_changes: of friction and other effects; none of it is the payload's.
+        unexplained: changes of rigid base parameters that no payload on the last link makes.
+        undetermined: names of the parameters that are not determined.
+        excluded: base parameters that one of the runs did not estimate.
+        warnings: sentences for the user.
+        cutoff: of both identifications' filter [Hz]; None without one.
+    """
 
     robot: str
     model: Model
@@ -194,75 +205,16 @@ class PayloadRecord(_Carried, Record, frozen=True, kw_only=True, tag="torchid.pa
         """What changed beside the payload."""
         return Rows((*self.effect_changes, *self.unexplained))
 
-
-@dataclass(frozen=True, eq=False)
-class Payload(_Carried, Result):
-    """What the last link carries.
-
-    Attributes:
-        robot: name.
-        model: `general` (10 parameters), `symmetric` about the tool's z axis (4), or `point_mass`.
-        parameters: (10,) m, m c, J about the last link frame's origin, in its axes.
-        covariance: (10, 10) theirs.
-        determined: (10,) which of them the arm and the logs determine, to less than what the torque
-            of the log could hold at arm's length; others are of least norm.
-        link, tool: the body in the last link's frame and in the tool's.
-        degrees_of_freedom: of the mass's variance; quantile: of Student's 95 % interval with them.
-        seen: whether the mass can be told from zero.
-        consistent: whether some rigid body has these parameters.
-        consistent_within: whether some rigid body lies in the estimate's 95 % region.
-        margin: smallest eigenvalue of the pseudo-inertia in the last link's frame; nan where not
-            all parameters are determined.
-        nearest: (10,) the consistent payload nearest in the metric of the covariance, in the last
-            link's frame; None for the models with fewer parameters where they are inconsistent.
-        effect_changes: of friction and other effects; none of it is the payload's.
-        unexplained: changes of rigid base parameters that no payload on the last link makes.
-        excluded: base parameters that one of the runs did not estimate.
-        warnings: sentences for the user.
-        cutoff: of both identifications' filter [Hz]; None without one.
-    """
-
-    robot: str
-    model: Model
-    parameters: Float[Tensor, "10"]
-    covariance: Float[Tensor, "10 10"]
-    determined: Bool[Tensor, "10"]
-    link: Body
-    tool: Body
-    degrees_of_freedom: float
-    quantile: float
-    seen: bool
-    consistent: bool
-    consistent_within: bool
-    margin: float
-    nearest: Float[Tensor, "10"] | None
-    effect_changes: tuple[Change, ...]
-    unexplained: tuple[Change, ...]
-    excluded: tuple[str, ...]
-    warnings: tuple[str, ...]
-    cutoff: float | None = None
+    @property
+    def friction_changes(self) -> tuple[Change, ...]:
+        """Effects that changed beyond their 95 % intervals."""
+        return tuple(c for c in self.effect_changes if c.significant)
 
     def __repr__(self) -> str:
         mass = self.tool.mass
         return (
             f"Payload('{self.robot}', {float(mass.value):.4g} ± {float(mass.std):.2g} kg, "
             f"{self.model})"
-        )
-
-    @cached_property
-    def record(self) -> PayloadRecord:
-        """As the JSON has it."""
-        return PayloadRecord.of(
-            self,
-            frames=PayloadFrames(self.link, self.tool),
-            estimate=PayloadParameters.of(self, names=PARAMETER_NAMES, frame="last_link"),
-        )
-
-    @property
-    def undetermined(self) -> tuple[str, ...]:
-        """Names of the parameters, in the last link's frame, that are not determined."""
-        return tuple(
-            n for n, d in zip(PARAMETER_NAMES, self.determined.tolist(), strict=True) if not d
         )
 
 
@@ -467,7 +419,8 @@ def payload(
     found = estimate_payload(without, carrying, model=model)
     noticed += [f"with payload: {w}" for w in carrying.warnings]
     noticed += [*found.warnings, *_motion_for(found, robot, loaded, carrying)]
-    return replace(found, cutoff=carrying.cutoff, warnings=tuple(dict.fromkeys(noticed)))
+    warnings = tuple(dict.fromkeys(noticed))
+    return structs.replace(found, cutoff=carrying.cutoff, warnings=warnings)
 
 
 def estimate_payload(
@@ -567,7 +520,7 @@ def payload_from_evidence(
     ]
     alone = _payload(robot, model, fitted, largest)
     explained = alone.determined[0]
-    payload = replace(
+    payload = structs.replace(
         alone,
         effect_changes=tuple(c for k, c in changes if k >= base.n_rigid),
         # A mass that is not known leaves open what it would explain.
@@ -587,7 +540,7 @@ def payload_from_evidence(
     ]
     hidden = ", ".join(name for name in absorbed if not name.startswith("Ia"))
     said = f"taken for unchanged, as they are part of rigid base parameters: {hidden}"
-    return replace(payload, warnings=(*([said] if hidden else []), *findings(payload)))
+    return structs.replace(payload, warnings=(*([said] if hidden else []), *findings(payload)))
 
 
 def with_payload(robot: Robot, payload: Float[Tensor, "10"]) -> Robot:
@@ -599,10 +552,6 @@ def with_payload(robot: Robot, payload: Float[Tensor, "10"]) -> Robot:
     pi = robot.require_parameters("carrying a payload").pi.clone()
     pi[..., -1, :] += move(payload, robot.tool.to(payload)).to(pi)
     return robot.with_parameters(InertialParameters(pi))
-
-
-def _quantile(level: float, degrees: float) -> float:
-    return float(student_quantile(level, torch.tensor([degrees])))
 
 
 def _payload(robot: Robot, model: Model, fitted: Fitted, largest: Float[Tensor, "10"]) -> Payload:
@@ -634,14 +583,19 @@ def _payload(robot: Robot, model: Model, fitted: Fitted, largest: Float[Tensor, 
         elif directions > 0 and left > 0:
             region = directions * least / left * float(fdtri(directions, left, LEVEL))
         within = consistent or distance <= region
+    link, tool = torch.eye(4, dtype=theta.dtype), torch.linalg.inv(robot.tool)
+    unknown = zip(PARAMETER_NAMES, determined.tolist(), strict=True)
     return Payload(
         robot=robot.name,
         model=model,
-        parameters=theta,
-        covariance=covariance,
-        determined=determined,
-        link=_body(fitted, torch.eye(4, dtype=theta.dtype), largest, seen),
-        tool=_body(fitted, torch.linalg.inv(robot.tool), largest, seen),
+        frames=PayloadFrames(*(_body(fitted, pose, largest, seen) for pose in (link, tool))),
+        estimate=PayloadParameters(
+            names=PARAMETER_NAMES,
+            frame="last_link",
+            parameters=theta,
+            covariance=covariance,
+            determined=determined,
+        ),
         degrees_of_freedom=degrees,
         quantile=quantile,
         seen=seen,
@@ -651,8 +605,10 @@ def _payload(robot: Robot, model: Model, fitted: Fitted, largest: Float[Tensor, 
         nearest=nearest,
         effect_changes=(),
         unexplained=(),
+        undetermined=tuple(name for name, told in unknown if not told),
         excluded=(),
         warnings=(),
+        cutoff=None,
     )
 
 

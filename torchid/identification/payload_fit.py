@@ -24,6 +24,7 @@ import torch
 from scipy.optimize import least_squares
 from torch.autograd.functional import jacobian
 
+from torchid.design.bodies import Bodies, nearest_to, triangle
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.result import Identification
 from torchid.identification.rows import layout
@@ -56,10 +57,9 @@ _UNSEEN = 1e-7
 _RESOLVED = 1e-6
 """Share of others, in units of the columns, below which rows tell a parameter by itself."""
 
-_SHARPEST = 1e8
-_SHARPER = 10.0
-_NEWTON_STEPS = 200
-"""Path to the nearest consistent body: last weight of the distance, its growth, steps a weight."""
+_INSIDE, _AT_NO_DISTANCE, _SURE = 1e-8, 1e-7, 1e6
+"""Of the nearest consistent body: its least eigenvalue; what directions that are at no distance
+count beside it, so that they do not run away; and what those without a variance do."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,7 @@ def evidence_of(result: Identification) -> tuple[Evidence, ...]:
     All columns take part, those too that the fit held at zero or could not tell from others: what
     the rows say is of all of them together.
     """
-    columns = layout(result.robot, result.base, result.effects)
-    order = torch.empty(len(columns.order), dtype=torch.long)
-    order[list(columns.order)] = torch.arange(len(order))
+    order = layout(result.robot, result.base, result.effects).back
     found, r = result.uncertainty, result.factor
     covariance = found.covariance[order][:, order]
     undetermined = torch.tensor([n in result.undetermined for n in result.base.names])
@@ -325,10 +323,8 @@ def nearest_consistent(
     """The physically consistent payload nearest in the metric of the covariance.
 
     Consistent bodies are those of positive definite pseudo-inertia P, which is linear in the ten
-    parameters (Wensing et al. 2018), so the problem is convex. Newton's method follows the central
-    path of t distance^2 - log det P + trace P; the last term keeps directions that the distance
-    does not weigh from running away. The body found is strictly inside, its squared distance
-    within about 1e-7 of the least.
+    parameters (Wensing et al. 2018), so the problem is a conic program. The body found is strictly
+    inside, its squared distance within about 1e-6 of the least.
 
     Args:
         parameters: the estimate, in any frame.
@@ -346,51 +342,27 @@ def nearest_consistent(
     sizes, vectors = torch.linalg.eigh(seen @ covariance @ seen.T)
     kept = sizes > _VANISHES * sizes.max().clamp(min=1e-300)
     whiten = (vectors[:, kept] / sizes[kept].sqrt()).T @ seen
-    # P's entries by parameter (10, 4, 4), in units that make them of order one; and a consistent
-    # body near the given parameters, with eigenvalues raised.
+    # Bodies are corrected within the cone as a diagnosis does, in units of order one.
     unit = pseudo_inertia_basis().to(parameters)
-    p = torch.einsum("k,kab->ab", parameters, unit)
-    size = p.diagonal().abs().sqrt()
+    size = torch.einsum("k,kab->ab", parameters, unit).diagonal().abs().sqrt()
     size = size.clamp(min=1e-2 * float(size.max())).clamp(min=1e-9)
     entries = unit / size / size.unsqueeze(-1)
-    values, axes = torch.linalg.eigh(p / size / size.unsqueeze(-1))
-    raised = ((axes * values.clamp(min=1e-2)) @ axes.T).flatten().unsqueeze(-1)
-    x = torch.linalg.lstsq(entries.flatten(1).T, raised, driver="gelsd").solution.squeeze(-1)
-
-    def distance(x: Tensor) -> float:
-        return float((whiten @ (x - parameters)).square().sum())
-
-    t = 1 / max(1.0, distance(x))
-    while t < _SHARPEST:
-        t = min(_SHARPER * t, _SHARPEST)
-        for _ in range(_NEWTON_STEPS):
-            x, decrement = _newton_step(x, parameters, whiten, entries, t)
-            if decrement < 1e-6:
-                break
-    return x, distance(x), len(whiten)
-
-
-def _newton_step(
-    x: Tensor, centre: Tensor, whiten: Tensor, entries: Tensor, t: float
-) -> tuple[Tensor, float]:
-    """One step on t |whiten (x - centre)|^2 - log det P(x) + trace P(x), damped so that P stays
-    positive definite (Nesterov and Nemirovskii 1994); and Newton's decrement before it."""
-    inverse = torch.linalg.inv(torch.linalg.cholesky(torch.einsum("k,kab->ab", x, entries)))
-    scaled = inverse @ entries @ inverse.T
-    gradient = (
-        2 * t * whiten.T @ (whiten @ (x - centre))
-        - scaled.diagonal(dim1=1, dim2=2).sum(-1)
-        + entries.diagonal(dim1=1, dim2=2).sum(-1)
-    )
-    # The Hessian is rows' rows; by its QR factor, the condition number is not squared.
-    rows = torch.cat([math.sqrt(2 * t) * whiten, scaled.flatten(1).T])
-    unit = 1 / rows.norm(dim=0)
-    r = torch.linalg.qr(rows * unit, mode="r").R
-    half = torch.linalg.solve_triangular(r.T, (unit * gradient).unsqueeze(-1), upper=False)
-    step = unit * torch.linalg.solve_triangular(r, half, upper=True).squeeze(-1)
-    decrement = float(half.norm())
-    step = step / (1 + decrement if decrement > 0.25 else 1.0)
-    # Where the distance outweighs the barrier a billion times, rounding alone may leave the cone.
-    while torch.linalg.cholesky_ex(torch.einsum("k,kab->ab", x - step, entries)).info > 0:
-        step = step / 2
-    return x - step, decrement
+    least = _INSIDE * torch.diag(size.square()).flatten() @ torch.linalg.pinv(unit.flatten(1))
+    triangles = torch.from_numpy(triangle(entries.numpy()))
+    # Coordinates in which the distance, and what a direction at none does to a body, are one.
+    certain = seen.mT @ vectors[:, ~kept] / scale.unsqueeze(-1) ** -2
+    others = torch.cat([certain, null], 1)
+    others = others / (triangles.T @ others).norm(dim=0).clamp(min=1e-300)
+    basis = torch.cat([torch.linalg.pinv(whiten), others], 1)
+    metric = torch.ones(len(basis), dtype=basis.dtype)
+    metric[len(whiten) :] = _SURE
+    metric[len(basis) - null.shape[1] :] = _AT_NO_DISTANCE
+    at, start = torch.arange(len(basis)), torch.linalg.solve(basis, parameters - least)
+    parts = (start, 0 * start, torch.zeros_like(basis), basis.T @ triangles)
+    body = Bodies(at.unsqueeze(0), *(x.unsqueeze(0) for x in parts))
+    change = torch.zeros_like(parameters)
+    if float(torch.linalg.eigvalsh(torch.einsum("k,kab->ab", parameters, entries))[0]) < _INSIDE:
+        change = basis @ torch.from_numpy(
+            nearest_to(body, torch.diag(metric).numpy(), 0 * start.numpy())
+        )
+    return parameters + change, float((whiten @ change).square().sum()), len(whiten)

@@ -21,7 +21,7 @@ import torch
 from torchid.design.motion import Measurement, moves
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.effects.base import Effect, JointEffect, Motion
-from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.base_parameters import BaseParameters, non_negative
 from torchid.log.filtering import ZeroPhaseFilter, extended
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
 from torchid.robot.model import Robot
@@ -71,6 +71,16 @@ class Layout:
     def size(self) -> int:
         """Number of columns B."""
         return len(self.order)
+
+    @property
+    def back(self) -> Int[Tensor, " B"]:
+        """What takes a vector of columns to the base parameters' own order."""
+        return torch.tensor(self.order, dtype=torch.long).argsort()
+
+    @property
+    def non_negative(self) -> Bool[Tensor, " B"]:
+        """Columns that are one coefficient which physics forbids to be negative."""
+        return non_negative(self.base, self.effects)[list(self.order)]
 
 
 def layout(robot: Robot, base: BaseParameters, effects: Sequence[Effect]) -> Layout:

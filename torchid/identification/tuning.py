@@ -187,9 +187,7 @@ def _left_out(
     m: Measurement, layout: Layout, x: Tensor, k: int, filtered: bool
 ) -> tuple[Tensor, Tensor]:
     """Squared error and squared torque (n,) of stretch k of a trajectory, moving rows."""
-    values = torch.empty_like(x)
-    values[list(layout.order)] = x
-    values = values.to(m.tau)
+    values = x[layout.back].to(m.tau)
     tail = m.edge if filtered else 0
     inside = m.samples - 2 * m.edge
     start, stop = m.edge + inside * k // FOLDS, m.edge + inside * (k + 1) // FOLDS

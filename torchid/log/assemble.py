@@ -49,7 +49,12 @@ def log_from_table(
     try:
         values = _wildcards(table, mapping)
         if values is not None:
-            log = torchid.Log.concatenate([_read_part(table, mapping, value) for value in values])
+            logs = []
+            for value in values:
+                log, stem = _read(table, mapping.at(value)), table.path.stem
+                names = [name.replace(stem, f"{stem}[{value}]", 1) for name in log.names]
+                logs.append(log.replace(names=tuple(names)))
+            log = torchid.Log.concatenate(logs)
         elif commands is None:
             log = _read(table, mapping)
         else:
@@ -235,12 +240,6 @@ def _wildcards(table: Table, mapping: ColumnMapping) -> list[str] | None:
             available=table.described,
         )
     return sorted(values, key=natural)
-
-
-def _read_part(table: Table, mapping: ColumnMapping, value: str) -> "torchid.Log":
-    log = _read(table, mapping.at(value))
-    names = [name.replace(table.path.stem, f"{table.path.stem}[{value}]", 1) for name in log.names]
-    return log.replace(names=tuple(names))
 
 
 def _with_help(error: LogError, table: Table, joints: Sequence[str]) -> LogError:

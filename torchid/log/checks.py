@@ -13,8 +13,8 @@ import torch
 from torchid.errors import LogError
 from torchid.log.base_motion import COORDINATES, POSITION, QUATERNION
 from torchid.log.columns import PREFIXES, columns_of
-from torchid.log.guess_units import STEPS
 from torchid.log.model import Log
+from torchid.log.units import STEPS
 from torchid.statistics.robust import column_quantile
 from torchid.typing import Float, Tensor
 

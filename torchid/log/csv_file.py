@@ -3,6 +3,7 @@
 import io
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -124,7 +125,13 @@ def _read(path: Path, dialect: _Dialect, wanted: Mapping[str, str]) -> dict[str,
             raise
         # As text, so that the column and the value can be named.
         table = _arrow(path, dialect, list(wanted), pa.string())
-    return {name: from_arrow(_parsed(table[k]), name, path) for k, name in wanted.items()}
+    found = {}
+    for k, name in wanted.items():
+        column = table[k]
+        with suppress(pa.ArrowInvalid):  # as it is where not all of it are numbers
+            column = column.cast(pa.float64())
+        found[name] = from_arrow(column, name, path)
+    return found
 
 
 def _arrow(path: Path, dialect: _Dialect, wanted: list[str], kind: pa.DataType) -> pa.Table:
@@ -149,11 +156,3 @@ def _arrow(path: Path, dialect: _Dialect, wanted: list[str], kind: pa.DataType) 
             decimal_point=dialect.decimal,
         ),
     )
-
-
-def _parsed(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """A column as numbers, or as it is where not all of it are numbers."""
-    try:
-        return column.cast(pa.float64())
-    except pa.ArrowInvalid:
-        return column

@@ -66,7 +66,8 @@ def _row(path: Path, number: int, line: str) -> dict[str, Any]:
 
 def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Names and numbers, or lists, of an object and of those within it."""
-    joints = next((values[key] for key in _NAMES if _are_texts(values.get(key))), None)
+    lists = [values[key] for key in _NAMES if isinstance(values.get(key), list) and values[key]]
+    joints = next((names for names in lists if all(isinstance(x, str) for x in names)), None)
     for key, value in values.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
@@ -80,10 +81,6 @@ def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
                 yield from ((f"{joint}.{key}", x) for joint, x in zip(joints, value, strict=True))
         elif not (isinstance(value, list) and not value):
             yield name, value
-
-
-def _are_texts(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(x, str) for x in value)
 
 
 def _array(path: Path, name: str, rows: Mapping[int, Mapping[str, Any]]) -> np.ndarray:

@@ -17,30 +17,15 @@ from torchid.log.formats import read_parquet_columns
 from torchid.log.joint_names import in_robot_order
 from torchid.log.table import Request, Shape, Table
 from torchid.log.units import unit_factor
+from torchid.log.words import NAMES
 
 _COUNTED = ("episode_index", "frame_index")
 _MOST_ELEMENTS = 10_000  # of a feature: no robot has more joints and sensors
-# Which features, and which of their elements, are what.
-_FEATURES = {
-    "q": ("observation.state", "observation.position", "observation.joint_position"),
-    "dq": ("observation.velocity", "observation.joint_velocity", "observation.state"),
-    "tau": ("observation.effort", "observation.torque", "observation.state"),
-    "i": ("observation.current", "observation.state"),
-    "u": ("action",),
-}
-_BUS_SERVOS = re.compile(r"(bi_)?(so_?10[01]|so|koch|moss|lekiwi|xlerobot|omx)(_.*)?")
-"""LeRobot's names of arms whose drivers record degrees or the calibrated range."""
+_PRESET = NAMES["lerobot"]
 _NORMALISED = 100.5
 """No position is beyond this where -100 .. 100 is the calibrated range; degrees may be."""
 _RADIANS = 6.5
 """No position is beyond this where it is in radians: joints of such arms turn once at most."""
-_ENDINGS = {
-    "q": r"pos|position|qpos|q",
-    "dq": r"vel|velocity|speed|qvel|dq",
-    "tau": r"eff|effort|torque|tau",
-    "i": r"cur|current",
-    "u": r"pos|position|qpos|q",
-}
 
 
 def is_lerobot(path: Path) -> bool:
@@ -59,7 +44,13 @@ def lerobot_table(path: Path, request: Request) -> Table:
         LogError: no data, or the robot's joints cannot be found in the state.
     """
     info = _info(path)
-    features = {n: f for n, f in info["features"].items() if _is_numeric(f)}
+    numeric = re.compile(r"u?int\d+|float\d+|bool")
+    features = {
+        name: feature
+        for name, feature in info["features"].items()
+        if isinstance(feature, dict) and numeric.fullmatch(str(feature.get("dtype")))
+        if _size(feature) > 0
+    }
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise LogError(f"'{path}' has no parquet files in its folder data.")
@@ -116,14 +107,6 @@ def _info(path: Path) -> dict[str, Any]:
     return dict(info)
 
 
-def _is_numeric(feature: Any) -> bool:
-    return (
-        isinstance(feature, dict)
-        and re.fullmatch(r"u?int\d+|float\d+|bool", str(feature.get("dtype"))) is not None
-        and _size(feature) > 0
-    )
-
-
 def _size(feature: dict[str, Any]) -> int:
     """Elements of a feature of one dimension; 0 of any other."""
     shape = feature.get("shape") or [1]
@@ -151,7 +134,7 @@ def _joint_signals(
     found: dict[str, tuple[str, list[int]]] = {}
     joints: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    for key, features in _FEATURES.items():
+    for key, features in _PRESET["features"].items():
         for feature in features:
             named = _elements_of(key, elements.get(feature, []), feature == "observation.state")
             if not named or (key != "q" and not found):
@@ -185,10 +168,17 @@ def _unit(
         return factor, f"'{path}': q is {feature}, in {named}, as meta/info.json says", None
     kind, names = str(info.get("robot_type")), _names(given)
     arm = [k for k in index if "gripper" not in names[k].lower()]
+    # Elements as a mapping names them: 0:6, or [2,0,1].
+    runs = {
+        key: f"{at[0]}:{at[-1] + 1}" if at == list(range(at[0], at[-1] + 1)) else str(at)
+        for key, (_, at) in chosen.items()
+    }
     line = ",".join(
-        f"{key}={name}[:,{_span(at)}] deg" for key, (name, at) in chosen.items() if key in "qu"
+        f"{key}={name}[:,{runs[key].replace(' ', '')}] deg"
+        for key, (name, _) in chosen.items()
+        if key in "qu"
     )
-    if not _BUS_SERVOS.fullmatch(kind):
+    if not re.fullmatch(_PRESET["bus_servos"], kind):
         what = f"'{path}': q is {feature}, and is taken for radians; LeRobot drivers record "
         return 1.0, f'{what}degrees or percent too: `columns="{line}"`', None
     tables = [read_parquet_columns(file, [feature]) for file in files]
@@ -211,18 +201,12 @@ def _unit(
     )
 
 
-def _span(index: Sequence[int]) -> str:
-    """Elements of a feature as a mapping names them: 0:6, or [2,0,1]."""
-    index = list(index)
-    run = index == list(range(index[0], index[-1] + 1))
-    return f"{index[0]}:{index[-1] + 1}" if run else f"[{','.join(map(str, index))}]"
-
-
 def _elements_of(key: str, names: Sequence[str], mixed: bool) -> dict[str, int]:
     """Joint -> position in a feature, of the elements that are positions (or velocities, ..)."""
-    ending = re.compile(rf"(.+)[._/]({_ENDINGS[key]})", re.IGNORECASE)
+    endings = _PRESET["endings"]
+    ending = re.compile(rf"(.+)[._/]({endings[key]})", re.IGNORECASE)
     of_kind = {m[1]: k for k, name in enumerate(names) if (m := ending.fullmatch(name))}
-    other = re.compile(rf".+[._/]({'|'.join(_ENDINGS.values())})", re.IGNORECASE)
+    other = re.compile(rf".+[._/]({'|'.join(endings.values())})", re.IGNORECASE)
     if of_kind or any(other.fullmatch(name) for name in names):
         return of_kind
     # Names that say nothing: the whole of the feature, unless it is the state, which is positions.

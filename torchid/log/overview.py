@@ -133,6 +133,8 @@ def look_at(
         problem = str(error)
     if log.n == n:
         found += beyond_limits(log, position_limits=position_limits, torque_limits=torque_limits)
+    # Of revolute joints or prismatic ones; both where the robot has both or is not known.
+    alike, which = robot_name is not None and len(set(prismatic)) <= 1, -1 if any(prismatic) else 0
     joints = request.joints or next((t.joints for t in tables if t is not None and t.joints), ())
     return Overview(
         log=log,
@@ -140,7 +142,7 @@ def look_at(
         joints=joints if len(joints) == log.n else (),
         sources=_sources(log, tables[0], request),
         timing=tuple(_timing(log, k) for k in range(log.trajectory_count)),
-        units=_units(None if robot_name is None else prismatic),
+        units={name: unit.split(" or ")[which] if alike else unit for name, unit in _UNITS.items()},
         ranges={name: finite_range(signal) for name, signal in log.signals.items()},
         # A bag and a dataset list every joint on its own again.
         unused=()
@@ -179,14 +181,6 @@ def overview_record(seen: Overview) -> dict[str, Any]:
         "problem": seen.problem,
         "warnings": list(seen.warnings),
     }
-
-
-def _units(prismatic: Sequence[bool] | None) -> dict[str, str]:
-    """Of revolute joints or prismatic ones; both where the robot has both or is not known."""
-    if prismatic is None or len(set(prismatic)) > 1:
-        return _UNITS
-    which = -1 if any(prismatic) else 0
-    return {name: unit.split(" or ")[which] for name, unit in _UNITS.items()}
 
 
 def _sources(log: Log, table: Table | None, request: Request) -> dict[str, str]:

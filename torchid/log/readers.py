@@ -35,11 +35,10 @@ from torchid.log.formats import (
     write_parquet,
 )
 from torchid.log.guess import proposal
-from torchid.log.hdf5 import hdf5_table
+from torchid.log.hdf5 import hdf5_table, matlab_table
 from torchid.log.json_lines import json_lines_table
 from torchid.log.lerobot import is_lerobot, lerobot_table
 from torchid.log.mapping import ColumnMapping, read_mapping
-from torchid.log.matlab import matlab_table
 from torchid.log.ros import bag_table, is_bag_folder
 from torchid.log.sage import is_sage, sage_table
 from torchid.log.table import AbsentColumnError, Request, Table
@@ -293,11 +292,6 @@ def write_log(log: LogLike, path: str | Path) -> None:
 def written_suffixes() -> tuple[str, ...]:
     """Suffixes of files that `write_log` writes."""
     return tuple(sorted(_WRITERS))
-
-
-def is_written(suffix: str) -> bool:
-    """Whether `write_log` writes files of a suffix."""
-    return suffix.lower() in _WRITERS
 
 
 def require_log(path: Path) -> Opener | str:

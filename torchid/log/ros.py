@@ -137,16 +137,18 @@ def _topics(bag: Any) -> tuple[Topic, ...]:
     for name, info in bag.topics.items():
         messages = _messages(bag, name) if (info.msgtype == _TYPE) else iter(())
         first = list(islice(messages, _LOOKED_AT))
-        signals = tuple(s for s in _SIGNALS if any(_has_signal(m, s) for m in first))
+        # Those of which a message has numbers, one a joint.
+        signals = tuple(
+            s
+            for s in _SIGNALS
+            if any(
+                len(m.signals[s]) == len(m.names) > 0 and not np.isnan(m.signals[s]).all()
+                for m in first
+            )
+        )
         joints = first[0].names if first else ()
         found.append(Topic(name, info.msgtype or "several types", info.msgcount, joints, signals))
     return tuple(sorted(found, key=lambda topic: (topic.type != _TYPE, topic.name)))
-
-
-def _has_signal(message: JointState, signal: str) -> bool:
-    """Whether a message has numbers, one a joint."""
-    values = message.signals[signal]
-    return len(values) == len(message.names) > 0 and not bool(np.isnan(values).all())
 
 
 def _chosen(bag: Any, path: Path, request: Request) -> Topic:
@@ -186,16 +188,9 @@ def _chosen(bag: Any, path: Path, request: Request) -> Topic:
 
 
 def _messages(bag: Any, topic: str) -> Iterator[JointState]:
-    connections = [c for c in bag.connections if c.topic == topic]
-    for connection, received, raw in bag.messages(connections=connections):
-        message = bag.deserialize(raw, connection.msgtype)
-        stamp = message.header.stamp
-        yield JointState(
-            received,
-            stamp.sec * 1_000_000_000 + stamp.nanosec,
-            tuple(message.name),
-            {s: np.asarray(getattr(message, s), dtype=np.float64) for s in _SIGNALS},
-        )
+    for received, stamp, names, message in _sent(bag, topic):
+        numbers = {s: np.asarray(getattr(message, s), dtype=np.float64) for s in _SIGNALS}
+        yield JointState(received, stamp, names, numbers)
 
 
 def _with_commands(
@@ -239,7 +234,7 @@ def _with_commands(
 
 
 def _sent(bag: Any, topic: str) -> Iterator[tuple[int, int, tuple[str, ...], Any]]:
-    """When messages of commands were received and stamped [ns], their joints, and themselves."""
+    """When messages of a topic were received and stamped [ns], their joints, and themselves."""
     connections = [c for c in bag.connections if c.topic == topic]
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)

@@ -20,6 +20,9 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """Of each kind of column, the first unit is ours (a prismatic joint's are m and N)."""
 
+STEPS = {0.15: "", 150.0: "ms", 150e3: "us", 150e6: "ns"}
+"""Largest usual step of stamps in each unit: between 10 kHz and 7 Hz, they do not overlap."""
+
 _ALIASES = {
     "sec": "s",
     "µs": "us",

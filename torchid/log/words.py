@@ -2,39 +2,27 @@
 
 import re
 from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
 
 from torchid.log.units import unit_factor
+from torchid.yaml_data import parsed_yaml
 
-# Words in the names of what is measured; the first kind that fits is taken.
-_QUANTITIES = {
-    "t": r"t|ts|time|timestamp|stamp|times|secs?|seconds|clock|tout|elapsed|time(s|ms|us|ns|sec)",
-    "ddq": r"ddq|qdd|qddot|qacc|acc|accel|accelerations?",
-    "dq": r"dq|qd|qdot|qvel|dpos|vel|velocity|velocities|speeds?|omega",
-    "tau": r"tau|eff|efforts?|torques?|trq|tq|moments?",
-    "i": r"i|cur|currents?|amps?",
-    "ql": r"ql|qlink|linkside",
-    "q": r"q|qpos|pos|positions?|angles?|theta|jointpos|joints?|state",
-    "u": r"u|actions?|goals?|cmd|commands?|commanded|targets?|setpoints?",
-}
-_MEASURED = re.compile(r"act|actual|meas|measured|msr|observation|obs")
-_PLAIN = re.compile(r"q|pos|positions?|angles?|qd|dq|vel|tau|eff|efforts?|torques?|states?")
-_COMMANDED = (
-    r"cmd|commands?|commanded|des|desired|ref|reference|target|goal|setpoint|set|action|leader"
+NAMES: dict[str, Any] = parsed_yaml(
+    Path(__file__).with_name("names.yaml").read_text(encoding="utf-8")
 )
-_UNWANTED = re.compile(rf"{_COMMANDED}|tcp|tool|cart|ext|error")
-_SOURCE = re.compile(rf"{_MEASURED.pattern}|{_COMMANDED}|error")
-_UNITS = {
-    "t": {"ns": "ns", "nsec": "ns", "nanoseconds": "ns", "us": "us", "usec": "us", "ms": "ms",
-          "msec": "ms", "timens": "ns", "timeus": "us", "timems": "ms", "s": "s", "sec": "s"},
-    "q": {"deg": "deg", "degrees": "deg", "rad": "rad"},
-    "dq": {"deg": "deg/s", "degs": "deg/s", "degrees": "deg/s", "rpm": "rpm", "rad": "rad/s",
-           "rads": "rad/s"},
-    "ddq": {"deg": "deg/s^2", "rad": "rad/s^2"},
-    "tau": {"mnm": "mNm", "ncm": "Ncm", "nm": "Nm"},
-    "i": {"ma": "mA"},
-    "ql": {"deg": "deg", "degrees": "deg", "rad": "rad"},
-    "u": {"deg": "deg", "degrees": "deg", "rad": "rad"},
-}  # fmt: skip
+"""What names say, as names.yaml has it."""
+_COMMANDED: str = NAMES["commanded"]
+_MEASURED, _PLAIN, _UNWANTED, _SOURCE = map(
+    re.compile,
+    (
+        NAMES["measured"],
+        NAMES["plain"],
+        f"{_COMMANDED}|{NAMES['unwanted']}",
+        f"{NAMES['measured']}|{_COMMANDED}|error",
+    ),
+)
+_UNITS: dict[str, dict[str, str]] = NAMES["units"]
 _BRACKETED = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))\s*$")
 
 
@@ -47,10 +35,14 @@ def words_of(name: str) -> list[str]:
 def quantity_of(words: Iterable[str]) -> str | None:
     """The key (`torchid.log.mapping.KEYS`) of what the words name."""
     words = list(words)
-    for key, pattern in _QUANTITIES.items():
-        if any(re.fullmatch(pattern, word) for word in words):
-            return key
-    return None
+    return next(
+        (
+            key
+            for key, pattern in NAMES["quantities"].items()
+            if any(re.fullmatch(pattern, word) for word in words)
+        ),
+        None,
+    )
 
 
 def looks_measured(words: Sequence[str]) -> float:

@@ -16,8 +16,7 @@ from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
 from torchid.identification.values import Prior, nominal_base, plain_effects, prior_of
 from torchid.inputs import RobotLike, as_robot
-from torchid.next_motion.ambiguity import open_questions, refuse_another
-from torchid.next_motion.rivals import rivals
+from torchid.next_motion.ambiguity import open_questions, refuse_another, rivals
 from torchid.next_motion.separating_motion import Separation, design_separation
 from torchid.parallel.workers import Progress, stage
 from torchid.position.next_motion import RATE, NextCommands, next_commands

@@ -1,21 +1,39 @@
-"""Planned motions as one result: what they are, what they ask of the drives, how near they come."""
+"""Motions as settings ask for them: designed, drawn or printed, in the room there is; and the plan
+as one result: what they are, what they ask of the drives, how near they come."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from torchid.excitation.clearance import Clearance, Nearest
-from torchid.excitation.design import Excitation
+from torchid.errors import MissingExtraError, TorchidError
+from torchid.excitation.clearance import Clearance, Nearest, motion_clearance
+from torchid.excitation.design import Excitation, excite
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.informed import InformedDesign
-from torchid.excitation.torque import TorqueLimits, TorqueUse, has_torque_limits
-from torchid.excitation.trajectories import Sinusoid, trajectory_log
+from torchid.excitation.restriction import restricted
+from torchid.excitation.torque import (
+    TorqueLimits,
+    TorqueUse,
+    has_torque_limits,
+    nominal_torque_limits,
+)
+from torchid.excitation.trajectories import (
+    Sinusoid,
+    paper_trajectories_3r,
+    random_trajectory,
+    sinusoid,
+    trajectory_log,
+)
 from torchid.json_data import picked, plain
 from torchid.log.model import Log
+from torchid.next_motion.design import excite_for
 from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.separation import beyond
+from torchid.next_motion.settings import MotionSettings, Room
+from torchid.parallel.workers import Progress, stage
+from torchid.position.next_motion import NextCommands
 from torchid.robot.model import Robot
 
 
@@ -184,3 +202,139 @@ def separation_record(s: Separation) -> dict[str, Any]:
             for r in s.hopeless
         ],
     }  # fmt: skip
+
+
+def plan(
+    robot: Robot,
+    asked: MotionSettings,
+    room: Room | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Planned:
+    """Motions for a robot.
+
+    Args:
+        robot: with limits.
+        asked: which motions, and at which speed.
+        room: what they keep clear of; the usual distance between links if None.
+        progress: called with (stage, done, total).
+
+    Raises:
+        RobotError: the limits are incomplete, or no motion keeps them.
+        MissingExtraError: a floor or a workspace is asked for, and MuJoCo is not installed.
+        TorchidError: a criterion, a device or a result that does not fit.
+    """
+    clearance, unknown = clearance_of(robot, room or Room(), asked.usage)
+    designs = _designs(robot, asked, clearance, progress)
+    made: Motions
+    if designs:
+        made, limits = [design.trajectory for design in designs], designs[0].torque
+    else:
+        seeds = range(asked.seed, asked.seed + asked.count)
+        made, limits = given_motions(robot, asked.kind, seeds, clearance, **asked.series)
+    if asked.speed != 1:
+        made = [x.at_speed(asked.speed) for x in made]
+        # Gravity needs its torque at any speed, and the designed motion may have helped it.
+        kept = None if asked.kind == "paper" else restricted(limits, clearance)
+        made = made if kept is None else [kept.within(x) for x in made]
+    kind, source = (asked.kind, None) if asked.result is None else ("next", asked.result.name)
+    return Planned(
+        robot, kind, made, asked.rate, asked.speed, limits, clearance, unknown, designs, source
+    )
+
+
+def clearance_of(
+    robot: Robot, room: Room, usage: float
+) -> tuple[Clearance | None, tuple[str, ...]]:
+    """What the robot's motions are checked for, None where there is nothing; and what is not
+    checked for want of knowledge, one sentence each."""
+    try:
+        found = motion_clearance(robot, usage=usage, **vars(room))
+    except MissingExtraError as error:
+        if room.floor is not None or room.workspace is not None:
+            raise
+        return None, (f"collisions were not checked: {error.problem} {error.hint}",)
+    return (found if len(found.pairs) else None), found.warnings
+
+
+def _designs(
+    robot: Robot, asked: MotionSettings, clearance: Clearance | None, progress: Progress | None
+) -> Sequence[Excitation | InformedDesign | Separation]:
+    """The designs asked for; none where motions are given."""
+    shared = asked.series | {"restarts": asked.restarts, "clearance": clearance}
+    if asked.result is not None:
+        if asked.criterion == "condition":
+            raise TorchidError(
+                "`result=...` has other criteria.",
+                got=asked.criterion,
+                available=["a_optimal", "d_optimal"],
+            )
+        made = excite_for(
+            asked.result, robot, goal=asked.criterion, seed=asked.seed, progress=progress, **shared
+        )
+        assert not isinstance(made, NextCommands), "commands of servos are no planned motion"
+        return [made]
+    shared |= {
+        "effects": asked.effects,
+        "criterion": asked.criterion or "condition",
+        "basis": asked.basis,
+        "device": asked.device_name,
+    }
+    out = []
+    for k in range(asked.count if asked.kind == "optimised" else 0):
+        told = stage(progress, f"trajectory {k + 1} of {asked.count}")
+        out.append(excite(robot, seed=asked.seed + k, progress=told, **shared))
+    return out
+
+
+Motions = Sequence[FourierTrajectory | Sinusoid]
+
+
+def given_motions(
+    robot: Robot,
+    kind: str,
+    seeds: Iterable[int],
+    clearance: Clearance | None,
+    *,
+    harmonics: int,
+    duration: float,
+    usage: float,
+) -> tuple[Motions, TorqueLimits | None]:
+    """Motions of one kind, and the torque limits that they keep.
+
+    Args:
+        robot: with limits.
+        kind: `random` Fourier series, `sinusoid`, or the report's table 5.1 (3R only), as printed,
+            `paper`.
+        seeds: one a motion.
+        clearance: what they keep clear of.
+        harmonics: of the series.
+        duration: [s].
+        usage: share of the limits that may be used.
+
+    Raises:
+        TorchidError: table 5.1 for another robot, or in less room than it needs.
+    """
+    torque = nominal_torque_limits(robot, usage=usage)
+    if kind == "paper":
+        if not robot.name.startswith("3r"):
+            raise TorchidError(
+                "table 5.1 is for the 3R.", got=robot.name, available=["3r", "3r_friction"]
+            )
+        printed = paper_trajectories_3r()
+        if clearance is not None and not bool(clearance.fits(printed).all()):
+            raise TorchidError(
+                "the motions of table 5.1 leave the room there is; they are not changed.",
+                available=[f'`kind="{other}"`' for other in ("optimised", "random", "sinusoid")],
+            )
+        return [printed.select(k) for k in range(3)], torque
+    made: Motions = [
+        sinusoid(robot, seed, duration=duration, usage=usage)
+        if kind == "sinusoid"
+        else random_trajectory(
+            robot, seed, fill=True, harmonics=harmonics, duration=duration, usage=usage
+        )
+        for seed in seeds
+    ]
+    kept = restricted(torque, clearance)
+    return made if kept is None else [kept.within(x) for x in made], torque

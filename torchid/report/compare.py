@@ -2,19 +2,27 @@
 intervals, and torque per joint."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 from rich.text import Text
 
-from torchid.compare.diagnoses import ALPHA, GapComparison, Shared
-from torchid.compare.identifications import Compared, Comparison
-from torchid.compare.record import Named, Range, TorqueSpread, Verdict
-from torchid.compare.sets import SetComparison
+from torchid.compare.diagnoses import ALPHA
+from torchid.compare.record import (
+    ComparedParameter,
+    Comparison,
+    GapComparison,
+    Named,
+    SetComparison,
+    Shared,
+    TorqueSpread,
+    Verdict,
+)
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
 from torchid.report.panels import Figure, Figures, finish, panel, rows_of
 from torchid.report.table import Cell, Shown, Table, cells, joint_numbers
 from torchid.results.words import count, short, unit_behind
+from torchid.statistics.proportion import HALF_95
 
 ORDER: tuple[Verdict, ...] = ("drift", "differ", "agree", "never_determined", "not_compared")
 WORDS = {
@@ -83,18 +91,19 @@ def verdict(result: Comparison) -> str:
 
 def _scatter(result: Comparison) -> str:
     """How far the standard deviations can be trusted."""
-    whole, typical = result.whole, result.birge
+    whole, pooled, typical = result.whole, result.birge.pooled, result.birge.typical
     assert whole is not None
+    assert pooled is not None
     assert typical is not None
-    low, _, high = whole.pooled_expected
-    if whole.pooled <= high and whole.p >= 0.05:
+    low, _, high = result.birge.pooled_expected or (0.0, 0.0, 0.0)
+    if pooled <= high and whole.p >= 0.05:
         meaning = ": the standard deviations can be trusted from run to run."
         if result.same_motion:
             meaning = (
                 ": no contradiction, but fitted on the same trajectory they say nothing about the "
                 "standard deviations from run to run."
             )
-        elif whole.pooled < low:
+        elif pooled < low:
             meaning = (
                 ": they agree better than chance allows, so they share data, or their standard "
                 "deviations are too large."
@@ -102,10 +111,10 @@ def _scatter(result: Comparison) -> str:
     elif typical > NOTABLE:
         meaning = (
             f". The typical parameter does so {typical:.2g} times: if nothing about the arm "
-            f"changed, its standard deviations are too small by a factor {whole.pooled:.2g}; the "
+            f"changed, its standard deviations are too small by a factor {pooled:.2g}; the "
             "consensus accounts for it."
         )
-    elif whole.pooled <= high:
+    elif pooled <= high:
         meaning = (
             ". What differs shows in combinations of parameters more than in single ones: look at "
             "the torque."
@@ -116,7 +125,7 @@ def _scatter(result: Comparison) -> str:
             "their standard deviations are too small, not those of all."
         )
     return (
-        f"The results scatter {whole.pooled:.2g} times as much as their standard deviations claim "
+        f"The results scatter {pooled:.2g} times as much as their standard deviations claim "
         f"(by chance {low:.2g} to {high:.2g}); all together, correlations included, the "
         f"chi-square is {whole.q:.0f} where {whole.expected[0]:.0f} to {whole.expected[2]:.0f} is "
         f"expected (p = {whole.p:.2g}){meaning}"
@@ -162,9 +171,9 @@ def tables(result: Comparison) -> list[Table | None]:
                 known = sorted((v, c) for (v, s), c in values if not math.isnan(s))
                 texts = [known[0][1], known[-1][1]] if known else ["-", "-"]
             consensus = ["", "", ""]
-            if p.scatter is not None and p.p_holm is not None:
-                mean = f"{p.scatter.consensus:.3g} ± {p.scatter.std:.2g}"
-                consensus = [mean, f"{p.scatter.birge:.2f}", f"{p.p_holm:.2g}"]
+            if p.p_holm is not None:
+                mean = f"{p.consensus:.3g} ± {p.consensus_std:.2g}"
+                consensus = [mean, f"{p.birge:.2f}", f"{p.p_holm:.2g}"]
             rows.append([name, *texts, *consensus])
         rows.append([])
     labels = result.labels if wide else ("lowest", "highest")
@@ -173,7 +182,7 @@ def tables(result: Comparison) -> list[Table | None]:
     return [Table(title, columns, rows, "l"), torque_table(result.torque, result.labels)]
 
 
-def _pairs(p: Compared) -> list[tuple[float, float]]:
+def _pairs(p: ComparedParameter) -> list[tuple[float, float]]:
     return list(zip(p.values.tolist(), p.std.tolist(), strict=True))
 
 
@@ -289,7 +298,7 @@ def gap_tables(result: GapComparison) -> list[Table | None]:
                 "" if value is None else f"{value:.4g} ± {std:.2g} {unit_behind(c.unit)}".rstrip()
                 for value, std in zip(c.values, c.std, strict=True)
             ]
-            rows.append(["", c.name, *texts, f"{c.scatter.birge:.2f}", f"{c.p_holm:.2g}"])
+            rows.append(["", c.name, *texts, f"{c.birge:.2f}", f"{c.p_holm:.2g}"])
         # Coefficients that no other diagnosis gives with a standard deviation, then shapes.
         alike = [c.name for c in s.coefficients]
         named = [n for n in s.named if n is not None]
@@ -327,16 +336,10 @@ CLIP = 10.0
 
 
 def figures(result: Comparison | GapComparison | SetComparison) -> Figures:
-    """What draws each figure that the comparison has, by the names of their files."""
-    out: dict[str, Callable[[], Figure | None]] = {}
+    """The forest of identifications; tables say the rest."""
     if isinstance(result, Comparison) and result.having(*ORDER[:4]):
-        out["parameters"] = partial(forest_figure, result)
-    if isinstance(result, SetComparison):
-        for name, ranges in (("parameters", result.physical), ("base_parameters", result.base)):
-            out[name] = partial(range_figure, ranges, result.labels, result.robot)
-    if result.torque is not None:
-        out["torque"] = partial(torque_figure, result.torque, result.labels, result.robot)
-    return out
+        return {"parameters": partial(forest_figure, result)}
+    return {}
 
 
 def forest_figure(result: Comparison) -> Figure:
@@ -344,19 +347,21 @@ def forest_figure(result: Comparison) -> Figure:
     standard deviations; the consensus' own interval is the grey bar."""
     shown = [p for kind in ORDER[:4] for p in result.having(kind)]
     m = len(result.labels)
+    quantiles = result.quantiles or [HALF_95] * m
     figure, axes = panel(10, 1.6 + (0.2 + 0.05 * m) * len(shown))
     for row, p in enumerate(shown):
-        assert p.scatter is not None
+        assert p.consensus is not None
+        assert isinstance(p.consensus_ci95, tuple)
         known = p.std[~p.std.isnan()]
         unit = max(float(known.clamp(min=1e-300).log().mean().exp()), 1e-300)
-        half = p.scatter.quantile * p.scatter.std / unit
+        half = (p.consensus_ci95[1] - p.consensus) / unit
         axes.barh(row, 2 * half, left=-half, height=0.8, color=GREY, alpha=0.22, linewidth=0)
         for k, (value, std) in enumerate(zip(p.values.tolist(), p.std.tolist(), strict=True)):
             if math.isnan(std):
                 continue
-            x = (value - p.scatter.consensus) / unit
+            x = (value - p.consensus) / unit
             y = row + 0.6 * ((k + 0.5) / m - 0.5)
-            wide = result.quantiles[k] * std / unit
+            wide = quantiles[k] * std / unit
             axes.plot([x - wide, x + wide], [y, y], color=_colour(k), linewidth=1.1)
             marker = "o" if abs(x) <= CLIP else ("<" if x < 0 else ">")
             axes.plot(max(-CLIP, min(CLIP, x)), y, marker, color=_colour(k), markersize=3.2)
@@ -368,73 +373,12 @@ def forest_figure(result: Comparison) -> Figure:
         "red: drifts, orange: differs, black: agrees, grey: never determined; "
         "triangles lie beyond the edge"
     )
-    return _compared(figure, f"{result.robot}: do {m} identifications agree?", shown, result.labels)
-
-
-def range_figure(ranges: Sequence[Range], labels: Sequence[str], robot: str) -> Figure:
-    """Ranges of the sets of every file, each parameter scaled to the widest of all."""
-    shown = [r for kind in ORDER for r in ranges if r.verdict == kind]
-    m = len(labels)
-    figure, axes = panel(9, 1.4 + (0.14 + 0.04 * m) * len(shown))
-    names = []
-    for row, r in enumerate(shown):
-        low, high = float(r.low.min()), float(r.high.max())
-        size = max(high - low, 1e-9 * max(abs(low), abs(high)), 1e-300)
-        for k in range(m):
-            y = row + 0.6 * ((k + 0.5) / m - 0.5)
-            a, b = ((float(x[k]) - (low + high) / 2) / size for x in (r.low, r.high))
-            axes.plot([a, b], [y, y], "|-", color=_colour(k), markersize=4)
-        names.append(f"{short(r.name, 44)}  {low:.3g} .. {high:.3g}")
-    axes.set(xlim=(-0.55, 0.55), xticks=[])
-    rows_of(axes, names, 6)
-    axes.set_xlabel(
-        "range of each file's sets, scaled to the whole range of the parameter (given beside its "
-        f"name)\nred: {WORDS['drift']}, orange: {WORDS['differ']}, grey: open in every file"
-    )
-    return _compared(figure, f"{robot}: sets compared", shown, labels)
-
-
-def torque_figure(t: TorqueSpread, labels: Sequence[str], robot: str) -> Figure:
-    """Per joint: differences between models against what their covariances claim, and, with a log,
-    every model's error."""
-    n, m = len(t.size), len(labels)
-    rows = 1 if t.errors is None else 2
-    figure, grid = panel(9, 0.8 + 2.8 * rows, rows, 1, squeeze=False)
-    claimed = [] if t.claimed is None else [("std that their covariances claim", t.claimed, GREY)]
-    spreads = [("std between models", t.spread, BLUE), *claimed]
-    parts = [(f"differences on {t.source} (in % of the joint's RMS torque)", spreads)]
-    if t.errors is not None:
-        errors = zip(labels, t.errors, map(_colour, range(m)), strict=True)
-        parts.append(("measured torque - model", list(errors)))
-    for axes, (title, bars) in zip(grid[:, 0], parts, strict=True):
-        width = 0.8 / len(bars)
-        for k, (name, values, colour) in enumerate(bars):
-            x = [j + (k - (len(bars) - 1) / 2) * width for j in range(n)]
-            axes.bar(x, values.tolist(), width * 0.94, color=colour, label=name)
-        axes.set_xticks(range(n), [f"joint {j + 1}" for j in range(n)], fontsize=8)
-        axes.set_ylabel("RMS [N m; N]")
-        axes.set_title(title, fontsize=8, color=INK)
-        axes.legend(fontsize=8, frameon=False)
-    for j in range(n):
-        share = 100 * float(t.spread[j] / t.size[j].clamp(min=1e-12))
-        top = max(float(v[j]) for _, v, _ in spreads)
-        grid[0, 0].annotate(
-            f"{share:.2g} %", (j, top), xytext=(0, 2), textcoords="offset points",
-            ha="center", fontsize=7, color=INK,
-        )  # fmt: skip
-    grid[0, 0].margins(y=0.15)
-    return finish(figure, f"{robot}: torque of {m} models")
+    for name, p in zip(axes.get_yticklabels(), shown, strict=True):
+        name.set_color(SHADES.get(p.verdict, INK))
+    styles = ({"color": _colour(k), "marker": "o", "markersize": 4} for k in range(m))
+    keys = dict(zip(result.labels, styles, strict=True))
+    return finish(figure, f"{result.robot}: do {m} identifications agree?", keys=keys)
 
 
 def _colour(k: int) -> str:
     return COLOURS[k % len(COLOURS)]
-
-
-def _compared(
-    figure: Figure, title: str, shown: Sequence[Compared | Range], labels: Sequence[str]
-) -> Figure:
-    """Names of the rows in the colours of their verdicts, and a legend of the results."""
-    for name, row in zip(figure.axes[0].get_yticklabels(), shown, strict=True):
-        name.set_color(SHADES.get(row.verdict, INK))
-    styles = ({"color": _colour(k), "marker": "o", "markersize": 4} for k in range(len(labels)))
-    return finish(figure, title, keys=dict(zip(labels, styles, strict=True)))

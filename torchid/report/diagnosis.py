@@ -1,7 +1,8 @@
-"""A diagnosis for people, the same for every kind of log: the answer, then the evidence for it."""
+"""A diagnosis for people, the same for every kind of log: the answer, then the evidence for it; and
+its page: one screen with the answer, and below it what it rests on, which folds."""
 
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 from torchid.errors import TorchidError
 from torchid.gap.diagnosis import TorqueDiagnosis
@@ -9,20 +10,32 @@ from torchid.gap.record import GapRecord
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.record import PositionRecord
 from torchid.report import gap, gap_figures, position
-from torchid.report.brief import Screen
-from torchid.report.page.diagnosis import page
-from torchid.report.table import Shown, Table
-from torchid.results.answer import (
-    MOST_SIZES,
-    Answer,
-    Diagnosis,
-    DiagnosisRecord,
-    named_size,
-)
-from torchid.results.words import sure
+from torchid.report.brief import Screen, model_words
+from torchid.report.cautions import caution_section
+from torchid.report.exported import simulator_block
+from torchid.report.over_time import NARROW, OverTime, motion_over_time, torque_over_time
+from torchid.report.page.answer import first_steps
+from torchid.report.panels import Figures, Picture
+from torchid.report.repeats import repeats_picture
+from torchid.report.skeleton import PHONE, skeleton_of
+from torchid.report.table import Code, Origin, Page, Section, Shown, Table
+from torchid.results.answer import MOST_SIZES, Answer, Diagnosis, DiagnosisRecord, named_size
+from torchid.results.words import count, percent, span, sure
+from torchid.simulation.two_models import RESTART_S, Horizon
 
-if TYPE_CHECKING:
-    from torchid.report.panels import Figures
+STATUS = {
+    "no_gap": "no gap",
+    "negligible": "too small to matter",
+    "parametric_only": "wrong parameters only",
+    "explained": "explained",
+    "partly_explained": "explained in part",
+    "detected_unexplained": "not fully explained",
+    "not_testable": "cannot tell",
+}
+"""What a status says, in the fewest words."""
+Parts = Sequence[Picture | Table | None]
+USUAL_S = 0.5
+"""Of simulated motion, whose error stands beside the headline [s]."""
 
 
 def suspects_table(answer: Answer) -> Table:
@@ -72,3 +85,204 @@ def shown(result: Diagnosis | DiagnosisRecord, model: str = "") -> Shown:
         figures=figures,
         page=partial(page, result) if isinstance(result, Diagnosis) else None,
     )
+
+
+def page(result: Diagnosis, origin: Origin) -> Page:
+    """The page of a diagnosis."""
+    answer, band = result.answer, None
+    if isinstance(result, TorqueDiagnosis):
+        title, band = f"Sim-to-real gap of {result.robot.name}", result.band
+        sections = _of_torques(result)
+    else:
+        assert isinstance(result, PositionDiagnosis)
+        title = f"Command and position of {result.data.robot.name}"
+        sections = _of_positions(result)
+    return Page(
+        title=title,
+        verdict=answer.headline,
+        facts=facts(result),
+        origin=origin,
+        answer=answer,
+        band=band,
+        picture=_arm_picture(result),
+        advice=(
+            ("What to do first", [step[:1].upper() + step[1:] for step in first_steps(answer)]),
+            ("Which model to use", [which_model(result)]),
+            ("Suspects, not sure enough", _suspects(answer)),
+        ),
+        sections=sections,
+    )
+
+
+def facts(result: TorqueDiagnosis | PositionDiagnosis) -> list[tuple[str, str]]:
+    """The few numbers beside the headline, the same of every kind of log."""
+    answer = result.answer
+    unit = answer.unit
+    out = [
+        ("Verdict", STATUS[answer.status]),
+        ("Error before", f"{answer.before:.3g} {unit}"),
+        ("Error after", f"{answer.after:.3g} {unit}"),
+        ("Removed", percent(answer.less)),
+        ("Noise", f"{span(answer.noise)} {unit}"),
+    ]
+    if isinstance(result, PositionDiagnosis):
+        return [*out, ("Command alone", f"{result.commanded.mean[0]:.3g} {unit}")]
+    row = _usual_horizon(result)
+    if row is not None and row.ratio is not None:
+        out.append((f"Simulated motion, {row.horizon_s:g} s", f"{row.ratio:.2g} of its error"))
+    return out
+
+
+def _suspects(answer: Answer) -> list[str]:
+    """Causes that are not sure enough; without causes, what would settle them is said already."""
+    return [f"{answer.suspect_words(c)}: {c.remedy}." for c in answer.suspects if answer.causes]
+
+
+def _usual_horizon(d: TorqueDiagnosis) -> Horizon | None:
+    """The row of simulated motion after `USUAL_S`, or the one nearest to it."""
+    rows = d.how_far.rollout.horizons if d.how_far.rollout else ()
+    known = [row for row in rows if row.ratio is not None]
+    return min(known, key=lambda row: abs(row.horizon_s - USUAL_S), default=None)
+
+
+def which_model(result: TorqueDiagnosis | PositionDiagnosis) -> str:
+    """The model as given, or the corrected one, and whether its simulated motion is better."""
+    answer = result.answer
+    said = model_words(answer, None, "the model as given", ())
+    row = _usual_horizon(result) if isinstance(result, TorqueDiagnosis) else None
+    if not answer.causes or row is None or row.ratio is None:
+        return said
+    if row.ratio >= 1 or (row.ratio_ci95 is not None and row.ratio_ci95[1] >= 1):
+        return (
+            f"{said} Its simulated motion is no better ({row.ratio:.2g} of the error after "
+            f"{row.horizon_s:g} s): compare both before you simulate."
+        )
+    return (
+        f"{said} Simulated for {row.horizon_s:g} s its positions err {row.ratio:.2g} times as "
+        "much. `torchid correct ROBOT LOG.. --to mjcf` (or urdf) corrects your simulator's file."
+    )
+
+
+def _arm_picture(result: TorqueDiagnosis | PositionDiagnosis) -> Picture | None:
+    """The robot with its errors and causes at its joints."""
+    if isinstance(result, TorqueDiagnosis) and not result.traces:
+        return None
+    errors = ", ".join(
+        f"joint {j.joint + 1} {j.before:.3g} to {j.after:.3g}"
+        for j in result.answer.joints
+        if j.before == j.before
+    )
+    return Picture(
+        "robot",
+        "The robot in a pose of this log. The whole disc of a joint is its error, the solid part "
+        f"what remains with the causes [{result.answer.unit}].",
+        f"The robot by its joints. Errors before and after: {errors}.",
+        partial(skeleton_of, result),
+        narrow=partial(skeleton_of, result, PHONE),
+    )
+
+
+def _over_time(name: str, shown: OverTime | None, caption: str) -> Picture | None:
+    """A figure over time, for desk and phone, which zooms."""
+    if shown is None or not shown.runs:
+        return None
+    first = f"{shown.quantity} of joint {shown.joints[shown.order[0]]}"
+    alt, narrow = (
+        f"Over time: {first}, of the arm and of both models.",
+        partial(shown.draw, None, NARROW),
+    )
+    return Picture(name, caption, alt, shown.draw, narrow=narrow, numbers=shown.numbers)
+
+
+def _of_torques(d: TorqueDiagnosis) -> list[Section]:
+    """What the answer of torques rests on."""
+    record, rollout = d.record, d.how_far.rollout
+    fitted = rollout is not None and rollout.fitted_on_these_data
+    motion = _over_time(
+        "motion",
+        motion_over_time(d),
+        "Joint positions: the arm, and both models simulated with the measured torque, without a "
+        f"controller, anew from the measured state every {RESTART_S:g} s; of each run the stretch "
+        "in which it moves most. A line that ends early has lost the arm by more than 1 rad."
+        + (" These runs were also used for fitting: the numbers are optimistic." if fitted else ""),
+    )
+    torque = _over_time(
+        "torque",
+        torque_over_time(d) if d.traces else None,
+        "Torque of the arm and of both models, on data that was not fitted; below, what the model "
+        "lacks. Grey stretches do not count: there the joint rests or reverses, and friction can "
+        "be anything.",
+    )
+    return _sections(
+        answer=d.answer,
+        motion=motion,
+        torque=torque,
+        where=[gap.where_picture(record)],
+        against=gap.joint_pictures(d),
+        causes=[gap.which_table(record), gap.small_table(record), gap.meaning_table(record)],
+        repeats=repeats_picture(record),
+        numbers=[
+            gap.joint_table(record), gap.rollout_table(record), gap.known_picture(record),
+            gap.known_table(record), gap.open_table(record),
+        ],
+        block=simulator_block(d.corrected, d.nearest_fields) if record.which else "",
+        notes=[*record.warnings, *record.noise_floor.notes, *gap.remarks(record)],
+        unseen=[gap.not_testable_table(record), gap.experiment_table(record)],
+    )  # fmt: skip
+
+
+def _of_positions(d: PositionDiagnosis) -> list[Section]:
+    """What the answer of positions rests on."""
+    record = d.record
+    motion = _over_time(
+        "motion",
+        motion_over_time(d),
+        "Joint positions: the arm, and both models moved by the same commands, in motions that "
+        "were left out of the fit. A plain servo has a gain, friction, inertia, delay and offset.",
+    )
+    return _sections(
+        answer=d.answer,
+        motion=motion,
+        where=[
+            position.where_picture(record), position.where_table(record),
+            position.regime_table(record),
+        ],
+        causes=[position.which_table(record), position.meaning_table(record)],
+        repeats=repeats_picture(record),
+        numbers=[
+            position.motion_table(record), position.nominal_table(record, record.nominal or ())
+        ],
+        notes=[*record.warnings, *position.remarks(record)],
+    )  # fmt: skip
+
+
+def _sections(
+    *,
+    answer: Answer,
+    motion: Picture | None,
+    where: Parts,
+    causes: Parts,
+    repeats: Picture | None,
+    numbers: Parts,
+    notes: Sequence[str],
+    torque: Picture | None = None,
+    against: Parts = (),
+    block: str = "",
+    unseen: Parts = (),
+) -> list[Section]:
+    """The sections of every diagnosis, in their order."""
+    code = (
+        "The corrected joints, to copy into the simulator's file; torchid export writes the file."
+    )
+    return [
+        Section("Motion: the arm and the simulation, before and after", [motion], folded=False),
+        Section("Torque, before and after", [torque], folded=motion is not None),
+        Section("Where the error lies", where),
+        Section("What the error depends on", against),
+        Section(f"The causes in numbers ({count(len(answer.causes), 'cause')})", causes),
+        Section("Is each cause the same in every motion?", [repeats]),
+        Section("Errors in numbers", numbers),
+        Section("For your simulator", [Code(block, code)] if block else []),
+        caution_section(notes),
+        Section("What this log could not show", unseen),
+    ]

@@ -27,15 +27,11 @@ def doctor_table(examination: Examination) -> Table:
     return Table(title, columns, rows, "llpp")
 
 
-def fine(examination: Examination) -> str:
-    """The checks that found nothing, in one line."""
-    names = [c.name for c in examination.checks if c.verdict == "fine"]
-    return "fine: " + ", ".join(names) if names else "nothing is fine"
-
-
 def doctor_shown(examination: Examination) -> Shown:
     """All that there is to see of an examination."""
-    told = [fine(examination), f"\n{conclusion(examination)}", choices(examination)]
+    names = [c.name for c in examination.checks if c.verdict == "fine"]
+    fine = f"fine: {', '.join(names)}" if names else "nothing is fine"
+    told = [fine, f"\n{conclusion(examination)}", choices(examination)]
     drawn = {"doctor": partial(torque_figure, examination)}
     return Shown(parts=[doctor_table(examination), *told], figures=drawn)
 

@@ -2,6 +2,7 @@
 intervals, and as figures."""
 
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -9,13 +10,12 @@ import torch
 
 from torchid.report.colours import BLUE, BROWN, GREEN, GREY, INK, ORANGE, PURPLE, RED
 from torchid.report.panels import Figure, Figures, finish, joint_lines, panel, tiles
-from torchid.report.table import Shown, Table, cells
+from torchid.report.table import Shown, Table, cells, joint_numbers
 from torchid.robot.inertia import InertialParameters
-from torchid.study.equal_torque.statistics import Across
 from torchid.study.equal_torque.study import EqualTorqueStudy
 from torchid.wrenches.classes import KINDS as CLASS_NAMES
-from torchid.wrenches.classes import MIXED
-from torchid.wrenches.compare import EffectSize
+from torchid.wrenches.classes import MIXED, ordered_classes
+from torchid.wrenches.compare import ClassSummary, Comparison, EffectSize
 from torchid.wrenches.regressor import wrench_norms
 from torchid.wrenches.resampling import Estimate
 
@@ -27,11 +27,9 @@ def shown(study: EqualTorqueStudy) -> Shown:
 
 
 def tables(study: EqualTorqueStudy) -> list[Table]:
-    """Errors by kind, their differences, the degree, what any set can do, other assumptions."""
-    makers = (
-        kind_table, joint_table, effect_table, degree_table, third_table, reach_table, truth_table,
-        firm_table, variant_table,
-    )  # fmt: skip
+    """Errors by kind, their differences, the degree, what any set can do, other assumptions; the
+    JSON has more: thirds of the degree, and each feasible set as the true arm."""
+    makers = (kind_table, joint_table, effect_table, degree_table, reach_table, variant_table)
     return [make(study) for make in makers]
 
 
@@ -68,7 +66,7 @@ def joint_table(study: EqualTorqueStudy) -> Table:
     errors = study.errors
     rows = {kind_words(k): errors.force_rms[study.rows(k)].median(0).values for k in study.kinds}
     rows["the force itself"] = errors.reference_force_rms
-    columns = ("kind", *_joints(study))
+    columns = ("kind", *joint_numbers(study.setting.robot.n))
     texts = [(name, *cells(row)) for name, row in rows.items()]
     return Table("median force error per joint [N]", columns, texts, "l")
 
@@ -86,6 +84,25 @@ def effect_table(study: EqualTorqueStudy) -> Table:
     return Table(title, columns, rows, "lplll")
 
 
+def class_table(found: Comparison, title: str, note: str = "") -> Table:
+    """Errors by class, against those of the first, then of all sets that have a reason, alone or
+    among others."""
+    effects = {e.first: e for e in found.effects}
+
+    def row(c: ClassSummary, effect: EffectSize | None) -> list[str]:
+        sizes = cells((c.median, c.lower_quartile, c.upper_quartile))
+        against = ["-"] * 2 if effect is None else [interval(effect.ratio), interval(effect.delta)]
+        return [c.name, str(c.sets), *sizes, *against]
+
+    rows = [row(c, effects.get(c.name)) for c in found.classes]
+    rows += [[], *(row(c, None) for c in found.per_reason)]
+    columns = (
+        "sets that violate", "sets", "median", "lower quartile", "upper quartile",
+        f"ratio to {found.classes[0].name}", "Cliff's delta",
+    )  # fmt: skip
+    return Table(title, columns, rows, "l", note)
+
+
 def degree_table(study: EqualTorqueStudy) -> Table:
     """Rank correlations of the error."""
     rows = [
@@ -95,25 +112,6 @@ def degree_table(study: EqualTorqueStudy) -> Table:
     columns = ("sets", "degree", "coordinates out of box", "carried mass's error")
     title = "Spearman's rho of the force error with ... (95 % intervals)"
     return Table(title, columns, rows, "llll")
-
-
-def third_table(study: EqualTorqueStudy) -> Table:
-    """Slight and gross violations, barely and firmly feasible sets."""
-    rows = []
-    for t in study.statistics.thirds:
-        low, high = t.degree
-        ratio = "1" if (t.kind, t.third[0]) == ("feasible", "n") else interval(t.ratio)
-        median = f"{t.median:.3g}"
-        rows.append((kind_words(t.kind), t.third, f"{low:.2g} .. {high:.2g}", median, ratio))
-    for a in study.statistics.across:
-        if min(a.sets) > 0:
-            sets = f"{a.sets[0]} and {a.sets[1]} sets"
-            medians = f"{a.medians[0]:.3g}, {a.medians[1]:.3g}"
-            who = f"just {kind_words(a.kind)}"
-            rows.append((who, "vs just feasible", sets, medians, interval(a.ratio)))
-    columns = ("sets", "third", "degree", "median [N]", "times the error")
-    title = "by thirds of the degree, against the feasible sets nearest the boundary"
-    return Table(title, columns, rows, "lllll")
 
 
 def reach_table(study: EqualTorqueStudy) -> Table:
@@ -127,30 +125,7 @@ def reach_table(study: EqualTorqueStudy) -> Table:
         )
         rows.append(("nothing (feasible)" if r.kind == "feasible" else kind_words(r.kind), *texts))
     title = "greatest force error of any set with this torque [N] (reached - bound)"
-    return Table(title, ("what may be violated", *_joints(study)), rows, "l")
-
-
-def truth_table(study: EqualTorqueStudy) -> Table:
-    """If another feasible set were the arm."""
-    rows = []
-    for t in study.truths:
-        ratio = f"{t.ratio[0]:.2f} ({t.ratio[1]:.2f} - {t.ratio[2]:.2f})"
-        better, low, high = (100 * b for b in t.better)
-        rows.append((kind_words(t.kind), ratio, f"{better:.0f} % ({low:.0f} - {high:.0f})"))
-    columns = ("kind", "times the feasible sets' error", "nearer to it than a feasible set")
-    title = "each feasible set as the true arm (median and 95 % range over them)"
-    return Table(title, columns, rows, "lll")
-
-
-def firm_table(study: EqualTorqueStudy) -> Table:
-    """Are firmer sets better? That depends on how firm the truth is."""
-    rows = [
-        (f"third {f.third}", f"{f.rho[0]:.2f} ({f.rho[1]:.2f} .. {f.rho[2]:.2f})")
-        for f in study.firm_truths
-    ]
-    columns = ("the true set's degree", "rho: median and 95 % range")
-    title = "rho of degree and error among feasible sets, by how firm the true one is"
-    return Table(title, columns, rows, "ll")
+    return Table(title, ("what may be violated", *joint_numbers(study.setting.robot.n)), rows, "l")
 
 
 def variant_table(study: EqualTorqueStudy) -> Table:
@@ -185,17 +160,17 @@ def interval(found: Estimate) -> str:
     return f"{found.value:.2f} [{found.low:.2f}, {found.high:.2f}]"
 
 
-def _joints(study: EqualTorqueStudy) -> list[str]:
-    return [f"j{joint + 1}" for joint in range(study.setting.robot.n)]
-
-
 _NEARLY_ALL = 0.1
 """Share of the force error that may be missing where it is called the carried mass's weight."""
 _COMPARED = (
     ("inertia only", "feasible"), ("CoM only", "feasible"), ("CoM only", "inertia only"),
 )  # fmt: skip
 """Classes whose difference is told."""
-_WORDS = {"inertia": "inertia", "com": "centres of mass"}
+_WORDS = {
+    "inertia": "inertia", "com": "centres of mass",
+    "inertia only": "inertia", "CoM only": "centres of mass",
+}  # fmt: skip
+"""Of kinds and of classes."""
 
 
 def findings(study: EqualTorqueStudy) -> list[str]:
@@ -205,12 +180,44 @@ def findings(study: EqualTorqueStudy) -> list[str]:
         f"{float(study.torque_relative.max()):.0e} of that joint's torque.",
         weight_sentence(study.static_share),
     ]
-    effects = study.comparison.effects
-    told += [_effect_sentence(e) for e in effects if (e.first, e.second) in _COMPARED]
+    few = "too few independent chains to tell"
+    for e in study.comparison.effects:
+        if (e.first, e.second) in _COMPARED:
+            who = f"Drawn sets that violate {_WORDS[e.first]} only"
+            against = f"those that violate {_WORDS.get(e.second)} only"
+            against = "drawn feasible sets" if e.second == "feasible" else against
+            told.append(
+                _judged(
+                    e.ratio, 1, f"{who}, against {against}: {few}.",
+                    f"{who} are not distinguishable from {against}: HOW.",
+                    f"{who} have HOW of {against}.", "{:.2f} times the force error",
+                )
+            )  # fmt: skip
     for c in study.statistics.correlations:
-        if c.kind in ("feasible", "inertia", "com"):
-            told.append(_degree_sentence(c.kind, c.degree))
-    told += [_across_sentence(a) for a in study.statistics.across if a.kind in ("inertia", "com")]
+        if c.kind in ("feasible", *_WORDS):
+            among = f"sets that violate {_WORDS.get(c.kind)} only"
+            among, which = (
+                ("feasible sets", "firmer") if c.kind == "feasible" else (among, "less violating")
+            )
+            side = "smaller" if c.degree.value < 0 else "larger"
+            told.append(
+                _judged(
+                    c.degree, 0, f"Among {among}: {few} whether the degree matters.",
+                    f"Among {among} no effect of the degree is visible: HOW.",
+                    f"Among {among} {which} ones have {side} errors: HOW.", "rho = {:.2f}",
+                )
+            )  # fmt: skip
+    for a in study.statistics.across:
+        if a.kind in _WORDS:
+            what = f"Just outside and just inside the boundary of {_WORDS[a.kind]}"
+            told.append(
+                _judged(
+                    a.ratio, 1, f"{what}: {few} whether the error jumps.",
+                    f"{what} no jump of the error is visible: HOW.",
+                    f"{what} the errors differ: HOW; their tightest conditions need not be the "
+                    "same ones.",
+                )
+            )  # fmt: skip
     # What any set can do, feasible ones first.
     reach = {r.kind: r for r in study.reach}
     if "feasible" in reach:
@@ -253,44 +260,15 @@ def weight_sentence(share: tuple[float, float, float]) -> str:
     )
 
 
-def _effect_sentence(effect: EffectSize) -> str:
-    ratio = effect.ratio
-    names = {"inertia only": "inertia", "CoM only": "centres of mass"}
-    who = f"Drawn sets that violate {names[effect.first]} only"
-    against = (
-        "drawn feasible sets"
-        if effect.second == "feasible"
-        else f"those that violate {names[effect.second]} only"
-    )
-    if math.isnan(ratio.low):
-        return f"{who}, against {against}: too few independent chains to tell."
-    how = f"{ratio.value:.2f} times the force error (95 %: {ratio.low:.2f} to {ratio.high:.2f})"
-    if ratio.low <= 1 <= ratio.high:
-        return f"{who} are not distinguishable from {against}: {how}."
-    return f"{who} have {how} of {against}."
-
-
-def _degree_sentence(kind: str, rho: Estimate) -> str:
-    among = "feasible sets" if kind == "feasible" else f"sets that violate {_WORDS[kind]} only"
-    if math.isnan(rho.low):
-        return f"Among {among}: too few independent chains to tell whether the degree matters."
-    how = f"rho = {rho.value:.2f} (95 %: {rho.low:.2f} to {rho.high:.2f})"
-    if rho.low <= 0 <= rho.high:
-        return f"Among {among} no effect of the degree is visible: {how}."
-    which = "firmer" if kind == "feasible" else "less violating"
-    side = "smaller" if rho.value < 0 else "larger"
-    return f"Among {among} {which} ones have {side} errors: {how}."
-
-
-def _across_sentence(across: Across) -> str:
-    what = f"Just outside and just inside the boundary of {_WORDS[across.kind]}"
-    low, high = across.ratio.low, across.ratio.high
-    if math.isnan(low):
-        return f"{what}: too few independent chains to tell whether the error jumps."
-    how = f"{across.ratio.value:.2f} times (95 %: {low:.2f} to {high:.2f})"
-    if low <= 1 <= high:
-        return f"{what} no jump of the error is visible: {how}."
-    return f"{what} the errors differ: {how}; their tightest conditions need not be the same ones."
+def _judged(
+    found: Estimate, none: float, few: str, same: str, other: str, how: str = "{:.2f} times"
+) -> str:
+    """What an interval says: too little, that `none` is in it, or that something is; `HOW` in these
+    sentences is the estimate with its interval."""
+    if math.isnan(found.low):
+        return few
+    said = f"{how.format(found.value)} (95 %: {found.low:.2f} to {found.high:.2f})"
+    return (same if found.low <= none <= found.high else other).replace("HOW", said)
 
 
 COLOURS = {
@@ -303,6 +281,8 @@ COLOURS = {
 }
 _LINEAR = 1e-3
 """Degrees smaller than this are drawn on a linear scale."""
+_MANY = 100
+"""Sets from which marks are small."""
 
 
 def figures(study: EqualTorqueStudy) -> Figures:
@@ -317,22 +297,67 @@ def figures(study: EqualTorqueStudy) -> Figures:
 
 def degree_figure(study: EqualTorqueStudy) -> Figure:
     """Force error against the degree, coloured by kind; what any feasible set can reach."""
-    figure, axes = panel(10.5, 5.4)
-    degree, worst = study.degree.numpy(), study.worst.numpy()
-    for kind in study.kinds:
-        rows = study.rows(kind)
-        axes.scatter(
-            degree[rows], worst[rows], s=11, color=_colour(kind), alpha=0.55, linewidths=0,
-            label=f"{kind_words(kind)} ({len(rows)})",
+    rows = {kind: study.rows(kind) for kind in study.kinds}
+    what = "the degree of a violation and the error of the internal forces"
+    figure = error_by_degree(
+        f"{study.setting.robot.name}: {what}",
+        study.degree.numpy(),
+        study.worst.numpy(),
+        {f"{kind_words(k)} ({len(own)})": (own, _colour(k)) for k, own in rows.items()},
+    )
+    (axes,) = figure.axes
+    for value in (float(r.reached.max()) for r in study.reach if r.kind == "feasible"):
+        axes.axhline(value, color=GREEN, linewidth=1.0, linestyle=(0, (5, 3)))
+        axes.annotate(
+            f"greatest of any feasible set: {value:.3g} N", (0.995, value),
+            xycoords=axes.get_yaxis_transform(), xytext=(0, 3), textcoords="offset points",
+            fontsize=8, color=GREEN, va="bottom", ha="right",
         )  # fmt: skip
+    return figure
+
+
+def by_class(classes: Sequence[str]) -> dict[str, tuple[list[int], str]]:
+    """Rows and colour of each class of reasons."""
+    return {
+        name: ([k for k, own in enumerate(classes) if own == name], class_colour(name))
+        for name in ordered_classes(classes)
+    }
+
+
+def error_by_degree(
+    title: str,
+    degree: np.ndarray,
+    error: np.ndarray,
+    groups: Mapping[str, tuple[list[int], str]],
+    named: Iterable[tuple[int, str]] = (),
+) -> Figure:
+    """Force errors of sets against their degrees, a colour a group, with running medians where a
+    group has enough of them.
+
+    Args:
+        title: of the figure.
+        degree, error: of the sets; errors [N], largest joint.
+        groups: rows and colour by name.
+        named: rows with names beside their marks.
+    """
+    figure, axes = panel(10.5, 5.4)
+    shown = np.maximum(error, 1e-12)
+    for name, (rows, colour) in groups.items():
+        look = {"s": 11 if len(error) > _MANY else 22, "alpha": 0.55, "linewidths": 0}
+        axes.scatter(degree[rows], shown[rows], color=colour, label=name, **look)
         # Running median of six groups of neighbours.
-        order = np.argsort(degree[rows])
-        groups = [g for g in np.array_split(order, 6) if len(g) >= 5]
-        x, y = ([float(np.median(v[rows][g])) for g in groups] for v in (degree, worst))
+        neighbours = np.array_split(np.argsort(degree[rows]), 6)
+        parts = [g for g in neighbours if len(g) >= 5]
+        x, y = ([float(np.median(v[rows][g])) for g in parts] for v in (degree, shown))
         axes.plot(x, y, color="white", linewidth=3.6)
-        axes.plot(x, y, color=_colour(kind), linewidth=2.0)
+        axes.plot(x, y, color=colour, linewidth=2.0)
+    for k, name in named:
+        place = (degree[k], shown[k])
+        axes.annotate(name, place, (4, 3), textcoords="offset points", fontsize=7, color=INK)
     axes.set_xscale("symlog", linthresh=_LINEAR, linscale=0.6)
+    axes.margins(x=0.08)
     axes.set(yscale="log", ylabel=_ERROR)
+    axes.tick_params(axis="y", which="minor", labelsize=7, labelcolor=INK)
     axes.set_xlabel("degree (smallest margin over its scale; 0 is the boundary)")
     axes.axvline(0, color=INK, linewidth=0.9)
     for text, side in ((" feasible", "left"), ("infeasible ", "right")):
@@ -340,16 +365,7 @@ def degree_figure(study: EqualTorqueStudy) -> Figure:
             0.0, 1.04, text, transform=axes.get_xaxis_transform(), ha=side, va="top",
             fontsize=8, color=INK,
         )  # fmt: skip
-    greatest = [float(r.reached.max()) for r in study.reach if r.kind == "feasible"]
-    for value in greatest:
-        axes.axhline(value, color=GREEN, linewidth=1.0, linestyle=(0, (5, 3)))
-        axes.annotate(
-            f"greatest of any feasible set: {value:.3g} N", (0.995, value),
-            xycoords=axes.get_yaxis_transform(), xytext=(0, 3), textcoords="offset points",
-            fontsize=8, color=GREEN, va="bottom", ha="right",
-        )  # fmt: skip
-    what = "the degree of a violation and the error of the internal forces"
-    return finish(figure, f"{study.setting.robot.name}: {what}", axes)
+    return finish(figure, title, axes)
 
 
 def kind_figure(study: EqualTorqueStudy) -> Figure:

@@ -11,7 +11,7 @@ from torchid.report.table import Shown, Table
 from torchid.results.answer import Answer
 from torchid.results.files import contents, load, parsed
 from torchid.results.record import Record
-from torchid.results.words import listed
+from torchid.results.words import short, value_words
 
 MOST_ROWS = 60
 """Of a table of entries."""
@@ -74,22 +74,12 @@ def of_record(record: Record) -> Shown:
         return diagnosis.shown(record)
     rows = record.table.plain()
     columns = list(rows[0]) if rows else []
-    cells = [[_cell(row.get(name)) for name in columns] for row in rows[:MOST_ROWS]]
+    cells = [
+        [short(value_words(row.get(name), ".4g"), MOST_CHARACTERS) for name in columns]
+        for row in rows[:MOST_ROWS]
+    ]
     more = f"{len(rows) - MOST_ROWS} more rows are in the file." if len(rows) > MOST_ROWS else ""
     words = [name.replace("_", " ") for name in columns]
     table = Table(record.schema, words, cells, "p" * len(words), more)
     warnings = getattr(record, "warnings", ())
     return Shown(verdict=repr(record), parts=[table], warnings=warnings)
-
-
-def _cell(value: object) -> str:
-    """Short text of an entry."""
-    if isinstance(value, float):
-        text = f"{value:.4g}"
-    elif isinstance(value, list):
-        text = listed(_cell(x) for x in value)
-    elif isinstance(value, dict):
-        text = ", ".join(f"{k} {_cell(v)}" for k, v in value.items())
-    else:
-        text = "-" if value is None else str(value)
-    return text if len(text) <= MOST_CHARACTERS else text[: MOST_CHARACTERS - 1] + "…"

@@ -152,7 +152,7 @@ def _kept(one: Kept, to: str) -> tuple[str, str, str]:
         field = "friction" if to == "urdf" and one.field == "frictionloss" else one.field
         words += f"{field} {one.value:.3g} of joint {one.joint + 1}"
     words += f"; {one.lost:.2g} of {one.made:.2g} lost"
-    return one.effect.name.replace("_", " "), number_list(one.joints, "the arm"), words
+    return one.effect.replace("_", " "), number_list(one.joints, "the arm"), words
 
 
 def _bodies(robot: Robot, nominal: Robot) -> Table:

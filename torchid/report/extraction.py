@@ -1,6 +1,7 @@
 """An extraction for people: verdict, tables, the search's course; and the null-space atlas: which
 parameters the torque determines, and how far."""
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -37,7 +38,7 @@ def atlas_shown(atlas: Atlas, problem: Problem, notes: Sequence[str]) -> Shown:
         parts=[atlas_table(atlas)],
         warnings=notes,
         last=atlas_headline(atlas, problem),
-        figures={"atlas": partial(atlas_figure, atlas.record)},
+        figures={"atlas": partial(atlas_figure, atlas)},
     )
 
 
@@ -141,26 +142,27 @@ def figures(found: Found) -> Figures:
     return {} if search is None else {"search": partial(search_figure, search, found.proof)}
 
 
-def search_figure(search: Extraction, proof: Certificate | None) -> Figure:
+def search_figure(search: Extraction, proof: Certificate | None = None) -> Figure:
     """Loss and penalty of all runs against the stage, and the loss of the sets they end in."""
     figure, (upper, lower) = panel(9, 5.4, 2, 1, sharex=True)
-    stages = range(1, search.settings.stages + 1)
-    for axes, history, what in (
-        (upper, search.history_phi, "loss phi of the best so far"),
-        (lower, search.history_gamma, "penalty gamma"),
-    ):
-        shown = history.clamp(min=1e-34).numpy()
-        axes.plot(stages, shown.T, color=GREY, linewidth=0.7, alpha=0.6)
-        axes.plot(stages, shown[search.best], color=BLUE, linewidth=1.6, label="best run")
-        axes.set_ylabel(what)
+    for axes, history in ((upper, search.history_phi), (lower, search.history_gamma)):
+        shown = history.nan_to_num(nan=math.inf).clamp(min=_LEAST).numpy()
+        stages = range(1, shown.shape[1] + 1)
+        axes.plot(stages, shown.T, color=GREY, linewidth=0.7, alpha=0.6, label="runs")
+        axes.plot(stages, shown[search.best], color=BLUE, linewidth=1.8, label="best run")
     upper.set_yscale("log")
-    lower.set_yscale("symlog", linthresh=1e-8)
-    lower.set_ylim(bottom=-1e-9)
+    least = 0.0 if proof is None else proof.phi_min
+    if 0 < least < math.inf:
+        upper.axhline(least, color=RED, linewidth=1.2, label="least possible, phi_min")
+    gamma = search.history_gamma
+    # Linear below the least penalty that is one.
+    linear = min(gamma[(gamma > 0) & gamma.isfinite()].tolist(), default=1.0)
+    lower.set_yscale("symlog", linthresh=linear)
+    lower.set_ylim(bottom=-0.1 * linear)
     end = [search.settings.stages + 0.6] * len(search.phi)
-    upper.scatter(end, search.phi.clamp(min=1e-34).numpy(), s=10, color=BLUE, label="in the end")
-    if proof is not None and proof.feasible and proof.phi_min > 0:
-        upper.axhline(proof.phi_min, color=RED, linewidth=1.0, label="least possible, phi_min")
-    lower.set_xlabel("stage of Algorithm 1")
+    upper.scatter(end, search.phi.clamp(min=_LEAST).numpy(), s=10, color=BLUE, label="in the end")
+    upper.set_ylabel("loss phi of the best so far")
+    lower.set(xlabel="stage of Algorithm 1", ylabel="penalty gamma")
     title = (
         f"{search.problem.robot.name}: {search.settings.runs} runs within the bounds "
         f"'{search.problem.bounds.name}', {search.settings.penalty} loss"
@@ -168,6 +170,8 @@ def search_figure(search: Extraction, proof: Certificate | None) -> Figure:
     return finish(figure, title, upper)
 
 
+_LEAST = 1e-34
+"""Losses below it are drawn on it."""
 _KNOWN, _NARROWED = 0.01, 0.5
 """Shares of the bounds' range below which a parameter counts as known, and as narrowed."""
 _OUTSIDE = 1e-6
@@ -221,8 +225,10 @@ def atlas_table(atlas: Atlas) -> Table:
     return Table("ranges over feasible sets of equal torque", columns, rows, "lrrl")
 
 
-def atlas_figure(atlas: AtlasRecord) -> Figure:
+def atlas_figure(found: Atlas | AtlasRecord) -> Figure:
     """Each parameter's range inside the range that the bounds alone allow."""
+    atlas = found.record
+    assert isinstance(atlas, AtlasRecord)
     kinds = {"m": "masses", "c": "centres of mass", "J": "inertias about the link frame"}
     columns: dict[str, list[int]] = {title: [] for title in kinds.values()}
     for k, parameter in enumerate(atlas.parameters):

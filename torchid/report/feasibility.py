@@ -39,12 +39,8 @@ def tables(check: Check) -> list[Table]:
     """A table of links a set, or one row a set where there are many."""
     if len(check.sets) > MOST_TABLES:
         return [_set_table(check)]
-    out = []
-    for k in range(len(check.sets)):
-        out.append(_link_table(check, k))
-        if check.sets.effects:
-            out.append(_coefficient_table(check, k))
-    return out
+    makers = (_link_table, _coefficient_table)
+    return [make(check, k) for k in range(len(check.sets)) for make in makers]
 
 
 def headline(check: Check) -> str:

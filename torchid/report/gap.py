@@ -4,24 +4,15 @@ figures of torque over time."""
 import math
 import re
 from functools import partial
-from typing import Any
 
-from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import TorqueDiagnosis
-from torchid.gap.record import GapRecord, Known, NotTestable
+from torchid.gap.record import FoundEffect, GapRecord, Known, KnownCoefficient, NotTestable
 from torchid.report import gap_figures
 from torchid.report.cautions import ranged
-from torchid.report.gap_words import (
-    CLEAR,
-    change_words,
-    clear_regimes,
-    coefficients,
-    corrects,
-    excess_words,
-    shapes,
-)
+from torchid.report.gap_figures import CLEAR, clear_regimes, excess_words
 from torchid.report.panels import Picture
-from torchid.report.table import Table, cells, joint_numbers
+from torchid.report.table import Table
+from torchid.results.answer import named_size
 from torchid.results.record import as_plain
 from torchid.results.replication import times
 from torchid.results.words import (
@@ -33,9 +24,11 @@ from torchid.results.words import (
     number_list,
     percent,
     regime_words,
+    span,
     sure,
     unit_behind,
     unit_words,
+    value_words,
 )
 from torchid.robot.model import Robot, joint_unit, torque_unit
 
@@ -48,8 +41,8 @@ def tables(record: GapRecord) -> list[Table]:
     """What stands below the answer: where, which, how far, what could not be tested, what to record
     next."""
     makers = (
-        where_table, which_table, small_table, known_table, open_table, meaning_table,
-        how_far_table, budget_table, rollout_table, not_testable_table, experiment_table,
+        joint_table, which_table, small_table, known_table, open_table, meaning_table,
+        rollout_table, not_testable_table, experiment_table,
     )  # fmt: skip
     return [make(record) for make in makers]
 
@@ -65,30 +58,55 @@ def stands_out(record: GapRecord) -> bool:
     return any(clear_regimes(record, gap.joint) for gap in record.where.joints)
 
 
-def where_table(record: GapRecord) -> Table:
-    """Joints: size and share of the gap, and regimes that hold more than their share, if any."""
-    rows = []
-    for gap in record.where.joints if stands_out(record) else ():
-        said = []
-        for r in clear_regimes(record, gap.joint)[:_MOST_REGIMES]:
-            text = excess_words(r)
-            if r.times:
-                starts: dict[str, list[str]] = {}
-                for window in r.times[:_MOST_REGIMES]:
-                    starts.setdefault(window.trajectory, []).append(f"{window.from_s:.1f}")
-                places = "; ".join(f"{', '.join(at)} s of {name}" for name, at in starts.items())
-                text += f" at {places}{' ...' if len(r.times) > _MOST_REGIMES else ''}"
-            said.append(text)
-        low, high = gap.noise_floor_rms
-        rows.append(
-            (
-                str(gap.joint + 1), f"{gap.gap_rms:.3g} {joint_unit(model_of(record), gap.joint)}",
-                f"{low:.3g} - {high:.3g}", percent(gap.share), ", ".join(said) or "-",
-            )
-        )  # fmt: skip
+def joint_table(record: GapRecord) -> Table:
+    """Joints: what the model lacks as given and corrected, beside the noise, and the regimes that
+    hold more than their share of it; in the note, what closes the gap."""
+    far, robot, joints = record.how_far.per_joint, model_of(record), record.where.joints
+    levels = [(far[g.joint].before, far[g.joint].after, *g.noise_floor_rms) for g in joints]
+
+    def sizes(unit: str, before: float, after: float, *noise: float) -> tuple[str, str, str]:
+        return f"{before:.3g} {unit}", f"{after:.3g}", span(noise, to=" - ")
+
+    rows = [
+        (
+            str(gap.joint + 1), *sizes(joint_unit(robot, gap.joint), *level), percent(gap.share),
+            _regimes(record, gap.joint),
+        )
+        for gap, level in zip(joints, levels, strict=True)
+    ]  # fmt: skip
+    # Newtons and newton metres have no sum.
+    if unit := torque_unit(robot, ""):
+        rows.append(("all", *sizes(unit, *map(math.hypot, *levels)), "", ""))
     regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"
-    title = f"where: torque the model lacks, below {record.band_hz:g} Hz"
-    return Table(title, ("joint", "gap, RMS", "noise, RMS", "share", regimes), rows, "prrrp")
+    title = f"where, and how far: RMS of the torque the model lacks, below {record.band_hz:g} Hz"
+    columns = ("joint", "as given", "corrected", "noise", "share", regimes)
+    return Table(title, columns, rows, "prrrrp", budget_words(record))
+
+
+def _regimes(record: GapRecord, joint: int) -> str:
+    """What holds more than its share of a joint's gap, and transients with their times."""
+    said = []
+    for r in clear_regimes(record, joint)[:_MOST_REGIMES]:
+        starts: dict[str, list[str]] = {}
+        for window in r.times[:_MOST_REGIMES]:
+            starts.setdefault(window.trajectory, []).append(f"{window.from_s:.1f}")
+        places = "; ".join(f"{', '.join(at)} s of {name}" for name, at in starts.items())
+        more = " ..." if len(r.times) > _MOST_REGIMES else ""
+        said.append(excess_words(r) + (f" at {places}{more}" if places else ""))
+    return ", ".join(said) or "-"
+
+
+def budget_words(record: GapRecord) -> str:
+    """The share of the gap that is closed, with its interval, and by what."""
+    far, budget = record.how_far, record.budget
+    if far.closed is None or far.closed_ci95 is None:
+        quiet = {"no_gap": "the gap may be noise", "negligible": "too little to say"}
+        return f"closed: {quiet.get(record.status, 'none')}"
+    return (
+        f"closed: {percent(far.closed)} {interval(far.closed_ci95)}; base parameters "
+        f"{percent(budget.parametric)}, effects {percent(budget.structural)}, unexplained "
+        f"{percent(budget.unexplained)}"
+    )
 
 
 def which_table(record: GapRecord) -> Table:
@@ -100,12 +118,14 @@ def which_table(record: GapRecord) -> Table:
         elif f.changed:
             values = [change_words(c) for c in f.changed]
         else:
-            values = coefficients(f)
+            values = [named_size(size) for size in f.cause.sizes]
             if corrects(f, model_of(record)):
                 values = [f"change of {value}" for value in values]
         values = [*values[:_MOST_NUMBERS], *(["..."] if len(values) > _MOST_NUMBERS else [])]
         if f.shape:
-            values.append(f"({', '.join(shapes(f))})")
+            sizes = ((name, f.parameters[name], unit_behind(f.unit[name])) for name in f.shape)
+            numbers = [(n, x, u) for n, x, u in sizes if isinstance(x, int | float)]
+            values.append(f"({', '.join(f'{n} = {x:.4g} {u}'.rstrip() for n, x, u in numbers)})")
         links = f.effect == "link_inertia"
         what = f"inertia of link {number_list(f.joints)}" if links else effect_words(f.effect)
         joints = number_list(f.joints, "all")
@@ -132,18 +152,28 @@ def which_table(record: GapRecord) -> Table:
     return Table("which: effects the model lacks (value ± std)", columns, rows, "lllp", note)
 
 
+def change_words(one: KnownCoefficient) -> str:
+    """`9.1 ± 0.3 N m s/rad, was 4.0 ± 0.3`."""
+    before = measure(one.before, one.before_std, "")
+    return f"{measure(one.after, one.after_std, unit_behind(one.unit))}, was {before}"
+
+
+def corrects(found: FoundEffect, robot: Robot) -> bool:
+    """Whether the model has this effect at this place already, so that values are changes of it."""
+    joints = [j + 1 for j in found.located]
+    return any(
+        r.get("effect") == found.effect and (not joints or r.get("joint") in joints)
+        for r in robot.effects
+    )
+
+
 def small_table(record: GapRecord) -> Table:
     """Effects that are there, of a size below what was asked for."""
     rows = []
     for e in record.small:
-        values = [
-            f"{name} = {measure(v, e.std.get(name), unit_behind(unit))}"
-            for name, unit in e.unit.items()
-            if isinstance(v := e.parameters[name], float | int)
-        ]
+        values = "\n".join(map(named_size, e.cause.sizes))
         last = (f"{e.closes_rms:.2g}", sure(e.how_sure), times(e.replication))
-        place = number_list(e.joints, "all")
-        rows.append((effect_words(e.effect), place, "\n".join(values), *last))
+        rows.append((effect_words(e.effect), number_list(e.joints, "all"), values, *last))
     columns = ("effect", "joints", "value", "removes, RMS", "sure", "found in")
     title = "small effects (real, but below `worthwhile=...`)"
     return Table(title, columns, rows, "lll")
@@ -191,41 +221,6 @@ def meaning_table(record: GapRecord) -> Table:
         rows.append((words, "\n".join([first.meaning, *notes]), remedy))
     columns = ("effect", "what it means", "what to do")
     return Table("what it means, and what to do", columns, rows, "lpp")
-
-
-def how_far_table(record: GapRecord) -> Table:
-    """RMS per joint before and after, beside the noise."""
-    far, floor, robot = record.how_far.per_joint, record.noise_floor, model_of(record)
-    units = {joint_unit(robot, j) for j in range(robot.n)}
-    levels = (
-        ("as given", [j.before for j in far]), ("corrected", [j.after for j in far]),
-        ("noise, at least", floor.low.tolist()), ("noise, at most", floor.high.tolist()),
-    )  # fmt: skip
-    rows = [
-        # Newtons and newton metres have no sum.
-        (name, *cells(level), f"{math.hypot(*level):.3g}" if len(units) == 1 else "-")
-        for name, level in levels
-    ]
-    title = f"how far: RMS of what the model lacks [{torque_unit(robot)}]"
-    return Table(title, ("model", *joint_numbers(robot.n), "all"), rows, "p")
-
-
-def budget_table(record: GapRecord) -> Table:
-    """Shares of the gap, and the closed fraction."""
-    far, budget = record.how_far, record.budget
-    parts = (budget.parametric, budget.structural, budget.unexplained)
-    shares = ["-"] * 3 if far.closed is None else [percent(x) for x in parts]
-    columns = ("base parameters", "effects", "unexplained", "closed [95 %]")
-    return Table("budget: what closes the gap", columns, [(*shares, closed_words(record))])
-
-
-def closed_words(record: GapRecord) -> str:
-    """The share of the gap that is closed, with its interval."""
-    far = record.how_far
-    if far.closed is None or far.closed_ci95 is None:
-        quiet = {"no_gap": "the gap may be noise", "negligible": "too little to say"}
-        return quiet.get(record.status, "none")
-    return f"{percent(far.closed)} {interval(far.closed_ci95)}"
 
 
 def rollout_table(record: GapRecord) -> Table:
@@ -282,24 +277,16 @@ def not_testable_table(record: GapRecord) -> Table:
 
 def experiment_table(record: GapRecord) -> Table:
     """What to record next."""
-    entries = as_plain(record.next_experiment) if record.next_experiment else {}
-    texts = {key.replace("_", " "): _value(value) for key, value in entries.items()}
-    rows = [(key, text) for key, text in texts.items() if text]
+    experiment, said = record.next_experiment, {}
+    if experiment is not None:
+        names = [effect_words(name) for name in experiment.separates]
+        said = {**as_plain(experiment), "separates": names}
+    rows = [
+        (key.replace("_", " "), value_words(value, ".4g"))
+        for key, value in said.items()
+        if value is not None
+    ]
     return Table("next experiment", ("", " "), rows, "lp")
-
-
-def _value(value: Any) -> str:
-    """Short text of a value; long arrays are left to the JSON."""
-    if isinstance(value, dict):
-        return "; ".join(f"{k.replace('_', ' ')}: {_value(v)}" for k, v in value.items())
-    if isinstance(value, list | tuple):
-        nested = any(isinstance(v, list | tuple | dict) for v in value)
-        if len(value) > _MOST_NUMBERS or nested:
-            return f"{len(value)} values (see the JSON)"
-        return ", ".join(_value(v) for v in value)
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "" if value is None else effect_words(value) if value in KINDS else str(value)
 
 
 def _others(names: tuple[str, ...]) -> str:

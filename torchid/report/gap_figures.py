@@ -9,10 +9,9 @@ import numpy as np
 import torch
 
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
-from torchid.gap.record import GapRecord, Regime
+from torchid.gap.record import GapRecord, Regime, RegimeGap
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
-from torchid.report.gap_words import CLEAR, clear_regimes
-from torchid.report.over_time import torque_over_time
+from torchid.report.over_time import motion_over_time, torque_over_time
 from torchid.report.panels import (
     SMALL,
     Figure,
@@ -23,13 +22,33 @@ from torchid.report.panels import (
     rows_of,
 )
 from torchid.report.repeats import error_figure, repeats_picture
-from torchid.results.words import percent, regime_words
+from torchid.report.skeleton import skeleton_of
+from torchid.results.words import interval, percent, regime_words
 from torchid.robot.model import joint_unit
 from torchid.statistics.jackknife import student_quantile
 from torchid.statistics.proportion import HALF_95
 
 WORST = 3
 """Joints that get a figure of their own."""
+CLEAR = 0.05
+"""p below which a regime is said to hold more than its share."""
+
+
+def excess_words(one: RegimeGap) -> str:
+    """`low speed 40 % [35, 45]`."""
+    return f"{regime_words(one.regime)} {percent(one.excess)} {interval(one.ci95)}"
+
+
+def clear_regimes(record: GapRecord, joint: int) -> list[RegimeGap]:
+    """What holds more than its share of a joint's gap beyond chance, the most first; nothing on a
+    joint whose gap is below all noise."""
+    gap = next(g for g in record.where.joints if g.joint == joint)
+    if gap.gap_rms <= gap.noise_floor_rms[0]:
+        return []
+    # Against chance, and in other samples of the log's blocks as well.
+    regimes = record.where.regimes
+    found = [r for r in regimes if r.joint == joint and r.p < CLEAR and r.ci95[0] > 0]
+    return sorted(found, key=lambda r: -r.excess)
 
 
 def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
@@ -52,6 +71,19 @@ def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
     if record.knowledge is not None and record.knowledge.coefficients:
         out["known"] = partial(known_figure, record)
     return out
+
+
+def kinds(result: TorqueDiagnosis | GapRecord) -> Figures:
+    """By kind; those of one joint take it as `joint`."""
+    record = result.record
+    assert isinstance(record, GapRecord)
+    drawn: dict[str, Callable[..., Figure | None]] = {"where": partial(map_figure, record)}
+    drawn |= {k: v for k, v in figures(result).items() if not k.startswith("gap_joint")}
+    if isinstance(result, TorqueDiagnosis) and result.traces:
+        drawn |= {"gap": partial(joint_figure, result), "robot": partial(skeleton_of, result)}
+        if (motion := motion_over_time(result)) is not None:
+            drawn["motion"] = motion.draw
+    return drawn
 
 
 def worst_joints(record: GapRecord, most: int = WORST) -> list[int]:

@@ -2,14 +2,10 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
-import numpy as np
-
-from torchid.report.colours import GREY, INK
-from torchid.report.equal_torque import class_colour, interval
-from torchid.report.panels import Figure, Figures, finish, panel
-from torchid.report.table import Shown, Table, cells
+from torchid.report.equal_torque import by_class, class_table, error_by_degree, interval
+from torchid.report.panels import Figure, Figures
+from torchid.report.table import Shown, Table, cells, joint_numbers
 from torchid.study.equal_torque.given_sets import GivenSets
 from torchid.wrenches.classes import class_of
 
@@ -26,7 +22,11 @@ def shown(found: GivenSets, warnings: Sequence[str]) -> Shown:
 
 def tables(found: GivenSets) -> list[Table]:
     """Set by set, then by class and by reason where there are enough of them."""
-    return [set_table(found), *([class_table(found)] if len(found.sets) > 1 else [])]
+    rho = found.comparison.correlation
+    value = interval(rho.rho) if rho.sets else "-"
+    title = f"largest force error by class and reason [N]; Spearman's rho with the degree {value}"
+    several = len(found.sets) > 1
+    return [set_table(found), *([class_table(found.comparison, title)] if several else [])]
 
 
 UNEQUAL = 0.01
@@ -82,86 +82,26 @@ def set_table(found: GivenSets) -> Table:
     ]  # fmt: skip
     moment = f"{float(own.reference_moment_rms.max()):.3g}"
     rows.append(("itself", "", "", moment, *cells(own.reference_force_rms), ""))
-    joints = (f"j{joint + 1}" for joint in range(found.robot.n))
+    joints = joint_numbers(found.robot.n)
     columns = ("set", "degree", "torque [%]", "moment [N m]", *joints, "reasons")
     return Table(title, columns, rows, "l".ljust(len(columns) - 1, "r") + "p")
 
 
-def class_table(found: GivenSets) -> Table:
-    """By class and reason, with the rank correlation of error and degree."""
-    rho = found.comparison.correlation
-    value = interval(rho.rho) if rho.sets else "-"
-    rows = []
-    for summary in (*found.comparison.classes, *found.comparison.per_reason):
-        middle = ("-", "too few")
-        if summary.median is not None:
-            quartiles = f"{summary.lower_quartile:.3g} - {summary.upper_quartile:.3g}"
-            middle = (f"{summary.median:.3g}", quartiles)
-        rows.append((summary.name, str(summary.sets), *middle))
-    title = (
-        f"largest force error by class and by reason [N]; Spearman's rho with the degree {value}"
-    )
-    return Table(title, ("sets that violate", "sets", "median", "quartiles"), rows, "l")
-
-
 def figures(found: GivenSets) -> Figures:
-    """What draws each figure, by the names of their files."""
-    return {
-        "force_errors": partial(error_figure, found),
-        "force_by_degree": partial(degree_figure, found),
-    }
-
-
-def error_figure(found: GivenSets) -> Figure:
-    """Force error per joint, a mark a set."""
-    figure, axes = panel(8.0, 4.6)
-    joints, errors = np.arange(1, found.robot.n + 1), found.errors.force_rms.numpy()
-    floor = max(1e-6 * float(errors.max()), 1e-12)
-    apart = np.linspace(-0.28, 0.28, len(errors)) if len(errors) > 1 else np.zeros(1)
-    for name, rows in _by_class(found).items():
-        place, shown = joints + apart[rows, None], np.maximum(errors[rows], floor)
-        axes.scatter(
-            place, shown, s=22, color=class_colour(name), alpha=0.8, linewidths=0, label=name
-        )
-    own = np.maximum(found.errors.reference_force_rms.numpy(), floor)
-    itself = "the force itself"
-    axes.hlines(own, joints - 0.35, joints + 0.35, color=GREY, label=itself, zorder=0)
-    axes.set(xticks=joints, xlabel="joint", ylabel="force error [N], RMS over the motion")
-    title = f"{found.robot.name}: force error per joint against {_reference(found)}"
-    return _finish(figure, axes, title)
+    """What draws the figure, by the name of its file."""
+    return {"force_by_degree": partial(degree_figure, found)}
 
 
 def degree_figure(found: GivenSets) -> Figure:
     """Largest force error against the degree; ids beside the marks where there are few."""
-    figure, axes = panel(8.0, 4.6)
-    degree = found.checked.degree.numpy()
-    worst = found.errors.force_rms.amax(-1).clamp(min=1e-12).numpy()
-    style = {"s": 22, "alpha": 0.8, "linewidths": 0}
-    for name, rows in _by_class(found).items():
-        axes.scatter(degree[rows], worst[rows], color=class_colour(name), label=name, **style)
-    if len(worst) <= _MOST_NAMED:
-        for place in zip(found.sets.ids, zip(degree, worst, strict=True), strict=True):
-            axes.annotate(*place, (4, 3), textcoords="offset points", fontsize=7, color=INK)
-    axes.axvline(0, color=INK, linewidth=0.9)
-    axes.set_xscale("symlog", linthresh=1e-3, linscale=0.6)
-    axes.margins(x=0.08)
-    axes.set_xlabel("degree (0 is the boundary, negative infeasible)")
-    axes.set_ylabel("force error, largest joint [N], RMS")
-    return _finish(figure, axes, f"{found.robot.name}: degree and force error")
-
-
-def _by_class(found: GivenSets) -> dict[str, list[int]]:
-    """Rows of the sets of every class."""
-    out: dict[str, list[int]] = {}
-    for k in range(len(found.sets)):
-        out.setdefault(class_of(found.checked.reasons(k)), []).append(k)
-    return out
-
-
-def _finish(figure: Figure, axes: Any, title: str) -> Figure:
-    axes.set_yscale("log")
-    axes.tick_params(axis="y", which="minor", labelsize=7, labelcolor=INK)
-    return finish(figure, title, axes)
+    classes = [class_of(found.checked.reasons(k)) for k in range(len(found.sets))]
+    return error_by_degree(
+        f"{found.robot.name}: degree and force error",
+        found.checked.degree.numpy(),
+        found.errors.force_rms.amax(-1).numpy(),
+        by_class(classes),
+        enumerate(found.sets.ids) if len(classes) <= _MOST_NAMED else (),
+    )
 
 
 def _reference(found: GivenSets) -> str:

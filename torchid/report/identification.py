@@ -7,10 +7,12 @@ from functools import partial
 from itertools import count
 
 import numpy as np
+import torch
 
 from torchid.design.motion import MOVING
+from torchid.errors import TorchidError
 from torchid.identification.identify import Identification
-from torchid.identification.payload import Estimate, Payload
+from torchid.identification.payload import Body, Payload
 from torchid.identification.record import Errors, IdentificationRecord
 from torchid.identification.result import UNEXPLAINED
 from torchid.identification.settings import Rows
@@ -40,7 +42,11 @@ def shown(result: Identification) -> Shown:
 
 def tables(result: Identification) -> list[Table]:
     """Base parameters, effects per joint, errors per joint."""
-    return [parameter_table(result), *effect_tables(result), error_table(result)]
+    n, condition = result.base.n_rigid, f"{result.scaled_condition_number:.0f}"
+    what = f"{n} base parameters of {result.robot.name}"
+    title = f"{what} (condition number {condition} with scaled columns)"
+    first = coefficient_table(result, range(n), title)
+    return [first, *effect_tables(result), error_table(result)]
 
 
 def shown_errors(result: Identification) -> tuple[Errors, bool]:
@@ -54,25 +60,6 @@ def poor_names(result: Identification) -> list[str]:
     half = result.uncertainty.quantile() * result.relative_std_percent
     bad = [k for k in range(len(result.base)) if bool(result.free[k]) and float(half[k]) > _ZERO]
     return [result.base.names[k] for k in sorted(bad, key=lambda k: -float(half[k]))]
-
-
-def parameter_table(result: Identification) -> Table:
-    """Names, values, standard deviations."""
-    base, rows = result.base, []
-    for k in range(base.n_rigid):
-        spread = ("-", "held at 0")
-        if bool(result.free[k]):
-            relative = percent_words(float(result.relative_std_percent[k]))
-            spread = (f"{float(result.std[k]):.2g}", relative)
-        rows.append((base.names[k], f"{float(result.values[k]):.5g}", base.units[k], *spread))
-    condition = f"condition number {result.scaled_condition_number:.0f} with scaled columns"
-    title = f"{base.n_rigid} base parameters of {result.robot.name} ({condition})"
-    return Table(title, ("base parameter", "value", "unit", "std", "std %"), rows, "prl")
-
-
-def percent_words(relative: float) -> str:
-    """A standard deviation in percent of its value."""
-    return f"{relative:.1f}" if relative < 1e4 else "> 10⁴"
 
 
 def effect_tables(result: Identification) -> list[Table]:
@@ -198,6 +185,21 @@ def run_figure(result: Identification, run: Prediction, held_out: bool) -> Figur
     return torque_figure(run, units, f"{run.name} ({_data(held_out)})", result.settings.rows)
 
 
+def kinds(result: Identification) -> Figures:
+    """What can be drawn, by kind; torque takes a `trajectory`, from 0, held-out ones first."""
+    runs = (*result.held_out_predictions, *result.fit_predictions)
+
+    def torque(trajectory: int = 0) -> Figure:
+        if not 0 <= trajectory < len(runs):
+            raise TorchidError(
+                "there is no such trajectory.", got=trajectory, expected=f"0..{len(runs) - 1}"
+            )
+        held_out = trajectory < len(result.held_out_predictions)
+        return run_figure(result, runs[trajectory], held_out)
+
+    return {"parameters": partial(parameter_figure, result.record), "torque": torque}
+
+
 def _data(held_out: bool) -> str:
     return "held-out data" if held_out else "fitted data"
 
@@ -308,13 +310,14 @@ def coefficient_table(result: Identification, which: Sequence[int], title: str) 
         spread, std = ("held at 0", "-", "-"), float(result.std[k])
         if bool(result.free[k]):
             low, high = (_to_digits(end, std) for end in ends[k])
-            relative = percent_words(float(result.relative_std_percent[k]))
+            percent = float(result.relative_std_percent[k])
+            relative = f"{percent:.1f}" if percent < 1e4 else "> 10⁴"
             spread = (f"{std:.3g}", f"[{low}, {high}]", relative)
         unit = unit_words(result.base.units[k])
         rows.append((result.base.names[k], f"{float(result.values[k]):.6g}", unit, *spread))
     columns = ("name", "value", "unit", "std", "95 % interval", "std, % of value")
     note = "Standard deviations from a block jackknife: neighbouring residuals are alike."
-    return Table(title, columns, rows, "lrl", note)
+    return Table(title, columns, rows, "prl", note)
 
 
 def _to_digits(value: float, std: float) -> str:
@@ -379,11 +382,7 @@ def payload_shown(payload: Payload) -> Shown:
 def payload_tables(payload: Payload) -> list[Table]:
     """The body in the tool's and in the last link's frame, and what else changed, if anything."""
     tool, link = (
-        [
-            _payload_cells(part, k)
-            for part in (body.mass, body.com, body.inertia_about_com)
-            for k in range(part.value.numel())
-        ]
+        [_payload_cells(*numbers) for _, _, *numbers in quantities(body)]
         for body in (payload.tool, payload.link)
     )
     named = zip(QUANTITIES, tool, link, strict=True)
@@ -423,10 +422,18 @@ def payload_headline(payload: Payload) -> str:
     )
 
 
-def _payload_cells(estimate: Estimate, k: int) -> tuple[str, str]:
-    value, std, low, high = (
-        float(x[k]) for x in (estimate.value, estimate.std, estimate.low, estimate.high)
+def quantities(body: Body) -> list[tuple[str, str, float, float, float, float]]:
+    """Name and unit, value, standard deviation and ends of the 95 % interval of a payload's ten
+    quantities."""
+    parts = (body.mass, body.com, body.inertia_about_com)
+    columns = (
+        torch.cat([getattr(x, name) for x in parts]).tolist()
+        for name in ("value", "std", "low", "high")
     )
+    return [(*named, *numbers) for named, *numbers in zip(QUANTITIES, *columns, strict=True)]
+
+
+def _payload_cells(value: float, std: float, low: float, high: float) -> tuple[str, str]:
     if math.isnan(value):
         return "not known", "-"
     return f"{value:.4g} ± {std:.1g}", f"{low:.4g} .. {high:.4g}"

@@ -23,9 +23,6 @@ _CONSEQUENCES = {
     "dq": "differentiated from q",
     "ddq": "differentiated",
     "tau": "needed to identify, unless there is current and a drive gain",
-    "current": "",
-    "ql": "",
-    "u": "",
 }
 
 
@@ -72,7 +69,7 @@ def log_tables(seen: Overview) -> list[Table]:
     for name in JOINT_SIGNALS:
         if name in seen.log.signals:
             signals.append((name, seen.sources[name], seen.units[name]))
-        elif _CONSEQUENCES[name]:
+        elif name in _CONSEQUENCES:
             signals.append((name, Text("absent", "dim"), Text(_CONSEQUENCES[name], "dim")))
     ranges = []
     for j in range(seen.log.n):

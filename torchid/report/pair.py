@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from torchid.pair.pair import PairDiagnosis
 from torchid.pair.record import Fault, OneSided, ServoDifference, WherePair
-from torchid.report.gap_words import CLEAR, excess_words
+from torchid.report.gap_figures import CLEAR, excess_words
 from torchid.report.table import Shown, Table, cell
 from torchid.results.words import (
     effect_words,

@@ -220,16 +220,6 @@ def finish(
     return figure
 
 
-def ruled(axes: Any, rows: int, columns: int, width: float) -> None:
-    """White lines between the cells of a map, and neither box nor ticks."""
-    axes.set_xticks(np.arange(columns + 1) - 0.5, minor=True)
-    axes.set_yticks(np.arange(rows + 1) - 0.5, minor=True)
-    axes.grid(which="minor", color="white", linewidth=width)
-    axes.tick_params(which="both", length=0)
-    axes.tick_params(which="major", labelsize=8, labelcolor=INK)
-    axes.spines[:].set_visible(False)
-
-
 def shaded_map(
     axes: Any,
     shades: np.ndarray,
@@ -254,7 +244,13 @@ def shaded_map(
     image = axes.imshow(shades, cmap=blue, vmin=0, vmax=most, aspect="auto")
     axes.set_xticks(range(len(columns)), [name.replace(" ", "\n") for name in columns])
     axes.set_yticks(range(len(rows)), rows)
-    ruled(axes, len(rows), len(columns), 2)
+    # White lines between the cells, and neither box nor ticks.
+    axes.set_xticks(np.arange(len(columns) + 1) - 0.5, minor=True)
+    axes.set_yticks(np.arange(len(rows) + 1) - 0.5, minor=True)
+    axes.grid(which="minor", color="white", linewidth=2)
+    axes.tick_params(which="both", length=0)
+    axes.tick_params(which="major", labelsize=8, labelcolor=INK)
+    axes.spines[:].set_visible(False)
     bar = axes.figure.colorbar(image, ax=axes, pad=0.015, aspect=18)
     bar.outline.set_visible(False)
     bar.set_label(label, fontsize=SMALL)

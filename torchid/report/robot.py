@@ -126,10 +126,9 @@ def robot_tables(robot: Robot) -> list[Table]:
     }
     columns = ("", "joint", "type", *(f"{name} [{unit}]" for name, unit in units.items()))
     joints = Table(f"{robot.name}: {count(robot.n, 'joint')}", columns, rows, "p" * 7)
-    p = robot.parameters
-    first = [joints] if robot.is_serial else [joints, _tree_table(robot)]
+    p, tree = robot.parameters, [] if robot.is_serial else [_tree_table(robot)]
     if p is None:
-        return first
+        return [joints, *tree]
     links, margins = [], p.consistency_margin().tolist()
     for i, name in enumerate(robot.link_names):
         fine = margins[i] >= 0
@@ -140,7 +139,7 @@ def robot_tables(robot: Robot) -> list[Table]:
         )
         links.append((str(i + 1), name, f"{float(p.mass[i]):.5g}", *vectors, verdict))
     columns = ("", "link", "mass [kg]", "CoM [m]", "inertia about CoM [kg m^2]", "consistent")
-    return [*first, Table("links (axes of the link frame)", columns, links, "p" * 6)]
+    return [joints, *tree, Table("links (axes of the link frame)", columns, links, "p" * 6)]
 
 
 def _limit(limits: Tensor | None, i: int) -> list[float | None] | None:

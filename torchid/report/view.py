@@ -164,10 +164,8 @@ def _effects(diagnosis: TorqueDiagnosis, trace: Trace) -> dict[str, Float[Tensor
         for effect, values in model.effects:
             torque = sign * _torque(diagnosis, trace, model, (effect, values), loaded)
             added[effect.name] = added.get(effect.name, torch.zeros_like(torque)) + torque
-    rigid = Model(answered.robot, ()).load(motion) - Model(given.robot, ()).load(
-        motion
-    )  # of changed parameters
-    added["parameters"] = rigid
+    bodies, before = (Model(model.robot, ()).load(motion) for model in (answered, given))
+    added["parameters"] = bodies - before
     added = {k: low_passed(x.T, trace.rate, diagnosis.band).T for k, x in added.items()}
     total = torch.stack(list(added.values())).sum(0)
     return {**added, "refit": trace.after - trace.before - total}
@@ -248,23 +246,36 @@ def _topic(view: JointView) -> str:
     return "/".join(re.sub(r"\W+", "_", x).strip("_") for x in (view.trajectory, view.joint))
 
 
-def _signals(view: JointView) -> dict[str, Tensor]:
+def _stream(view: JointView) -> dict[str, Tensor]:
+    """All that a viewer shows of a joint over time, by the path below its topic."""
     names = ("measured", "predicted", "residual", "q", "dq")
-    return {name: getattr(view, name) for name in names}
+    return {
+        **{name: getattr(view, name) for name in names},
+        **{f"effects/{k}": x for k, x in view.effects.items()},
+        **{f"regimes/{k}": x for k, x in view.regimes.items()},
+    }
+
+
+def _nested(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """Entries by path, as the objects that hold them."""
+    groups: dict[str, dict[str, Any]] = {"": {}, "effects": {}, "regimes": {}}
+    for path, entry in entries.items():
+        group, _, name = path.rpartition("/")
+        groups[group][name] = entry
+    return groups.pop("") | groups
 
 
 def _schema(view: JointView) -> dict[str, Any]:
     """JSON schema of a joint's messages."""
-
-    def an_object(**of: Any) -> dict[str, Any]:
-        return {"type": "object", "properties": of}
-
-    number, flag = {"type": "number"}, {"type": "boolean"}
-    torque = {"type": "number", "description": view.unit}
-    fields = {k: number if k in ("q", "dq") else torque for k in _signals(view)}
-    effects = an_object(**dict.fromkeys(view.effects, torque))
-    regimes = an_object(**dict.fromkeys(view.regimes, flag))
-    return {"title": "torchid.gap.Joint", **an_object(**fields, effects=effects, regimes=regimes)}
+    kinds: dict[str, Any] = {}
+    for path, x in _stream(view).items():
+        kinds[path] = {"type": "boolean" if x.dtype == torch.bool else "number"}
+        if path not in ("q", "dq") and x.dtype != torch.bool:
+            kinds[path]["description"] = view.unit
+    fields = _nested(kinds)
+    for group in ("effects", "regimes"):
+        fields[group] = {"type": "object", "properties": fields[group]}
+    return {"title": "torchid.gap.Joint", "type": "object", "properties": fields}
 
 
 def _write_mcap(views: tuple[JointView, ...], path: Path) -> None:
@@ -279,17 +290,11 @@ def _write_mcap(views: tuple[JointView, ...], path: Path) -> None:
                 "torchid.gap.Joint", "jsonschema", json.dumps(_schema(view)).encode()
             )
             channel = writer.register_channel(f"/{_topic(view)}", "json", schema)
-            columns = {k: x.tolist() for k, x in _signals(view).items()}
-            effects = {k: x.tolist() for k, x in view.effects.items()}
-            regimes = {k: x.tolist() for k, x in view.regimes.items()}
+            columns = {name: x.tolist() for name, x in _stream(view).items()}
             for k, t in enumerate(view.t.tolist()):
-                message = {name: x[k] for name, x in columns.items()}
-                message["effects"] = {name: x[k] for name, x in effects.items()}
-                message["regimes"] = {name: x[k] for name, x in regimes.items()}
+                message = json.dumps(_nested({name: x[k] for name, x in columns.items()}))
                 stamp = round(1e9 * (t - start))
-                writer.add_message(
-                    channel, stamp, json.dumps(message).encode(), publish_time=stamp, sequence=k
-                )
+                writer.add_message(channel, stamp, message.encode(), stamp, k)
         writer.finish()
 
 
@@ -301,14 +306,8 @@ def _write_rrd(views: tuple[JointView, ...], path: Path) -> None:
         stored = recording.memory_recording()
         for view in views:
             time = rerun.TimeColumn("log_time", duration=view.t.numpy())
-            every = {
-                **_signals(view),
-                **{f"effects/{k}": x for k, x in view.effects.items()},
-                **{f"regimes/{k}": x.double() for k, x in view.regimes.items()},
-            }
-            for name, x in every.items():
-                recording.send_columns(
-                    f"{_topic(view)}/{name}", [time], rerun.Scalars.columns(scalars=x.numpy())
-                )
+            for name, x in _stream(view).items():
+                numbers = rerun.Scalars.columns(scalars=x.double().numpy())
+                recording.send_columns(f"{_topic(view)}/{name}", [time], numbers)
         recording.flush()
         stream.write(stored.drain_as_bytes())

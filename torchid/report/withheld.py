@@ -1,7 +1,7 @@
 """Scores of withheld cases: lines with targets, tables, Markdown, figures of what was named for
 what and from which size on; and the check on one's own arm."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -9,9 +9,19 @@ from typing import Any
 import numpy as np
 
 from torchid.report.colours import BLUE, GREY, INK, ORANGE
-from torchid.report.panels import SMALL, Figure, Figures, finish, new_figure, panel, ruled, tiles
-from torchid.report.table import Shown, Table, pipe_table
+from torchid.report.panels import (
+    SMALL,
+    Figure,
+    Figures,
+    finish,
+    new_figure,
+    panel,
+    shaded_map,
+    tiles,
+)
+from torchid.report.table import Shown, Table
 from torchid.withheld.own import LEVELS, OwnCheck, Planted
+from torchid.withheld.score_record import ScoreRecord
 
 Summary = Mapping[str, Any]
 
@@ -145,106 +155,6 @@ def headline(summary: Summary) -> str:
     return text + "."
 
 
-def markdown(summary: Summary, drawn: Sequence[str] = ()) -> str:
-    """The whole report.
-
-    Args:
-        summary: from `torchid.withheld.summary`.
-        drawn: files to show, relative to the report's.
-    """
-    scores = summary["scores"]
-    kinds = ", ".join(f"{kind} {count}" for kind, count in sorted(summary["kinds"].items()))
-    parts = [
-        f"# Withheld cases: seed {summary['seed']}",
-        f"{headline(summary)} Kinds: {kinds}. SHA-256 of the keys: `{summary['keys_sha256']}`. "
-        f"torchid {summary['scored_with']}. Intervals: 95 %.",
-        score_table(summary).markdown().rstrip(),
-        *(f"![{name}]({name})" for name in drawn),
-        "## Status by kind",
-        counts_table("kind", scores["status"]),
-        "## One effect, by effect",
-        _by_effect(scores["single"]["by_effect"]),
-        "## What was named first instead of one effect",
-        _confusion(scores["confusion"]),
-        "## Outside the library",
-        counts_table("cause", scores["outside"]["by_cause"]),
-        _confusion(scores["confusion_outside"]) if scores["confusion_outside"] else "",
-        "## Poor excitation",
-        counts_table("cases", {"poor": scores["poor"]["verdicts"]}),
-        "## Detected / named, by size in standard deviations of the noise",
-        _detection(scores["detection"]),
-        "## Cases that went wrong",
-        markdown_table(
-            ["case", "kind", "arm", "planted", "status", "named"],
-            [
-                (a["case"], a["kind"], a["arm"], listed(a["planted"]), a["status"],
-                 listed(a["named"]))
-                for a in summary["answers"] if not a["right"]
-            ],
-        ),
-    ]  # fmt: skip
-    return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def markdown_table(head: Sequence[str], body: Sequence[Sequence[object]]) -> str:
-    """Rows as Markdown; `None.` where there are none."""
-    return pipe_table(head, body) if body else "None."
-
-
-def counts_table(first: str, groups: Mapping[str, Mapping[str, int]]) -> str:
-    """Counts in groups as Markdown; the groups are the rows."""
-    columns = list(dict.fromkeys(name for counts in groups.values() for name in counts))
-    body = [[name, *(counts.get(c, 0) for c in columns)] for name, counts in groups.items()]
-    head = [first, *(c.replace("_", " ") for c in columns)]
-    return markdown_table(head, body if columns else [])
-
-
-def _by_effect(groups: Mapping[str, Mapping[str, Any]]) -> str:
-    keys = ("detected", "top1", "in_set", "family", "exact")
-    body = []
-    for name, found in groups.items():
-        size = found["set_size"]
-        cells = [f"{found[k]['hits']}/{found[k]['total']}" for k in keys]
-        body.append([name, *cells, "-" if size is None else f"{size:.1f}"])
-    head = ["effect", "detected", "first name", "in set", "family", "nothing else", "set size"]
-    return markdown_table(head, body)
-
-
-def _confusion(matrix: Mapping[str, Mapping[str, int]]) -> str:
-    """Off-diagonal entries alone, the most frequent first."""
-    body = [
-        [planted, said, count]
-        for planted, row in matrix.items()
-        for said, count in sorted(row.items(), key=lambda item: -item[1])
-        if said != planted
-    ]
-    return markdown_table(["planted", "named first instead", "cases"], body)
-
-
-def _detection(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
-    levels = sorted({point["level"] for points in curves.values() for point in points})
-    body = []
-    for name, points in curves.items():
-        rates = {
-            p["level"]: f"{p['detected']['hits']} / {p['named']['hits']} of {p['named']['total']}"
-            for p in points
-        }
-        body.append([name, *(rates.get(level, "") for level in levels)])
-    head = ["family", *(f"{level:.2g}" for level in levels)]
-    return markdown_table(head, body if levels else [])
-
-
-def listed(effects: Iterable[Mapping[str, Any]]) -> str:
-    """Names, alternatives and joints."""
-    out = []
-    for effect in effects:
-        names = "/".join([effect["name"], *effect.get("ambiguous_with", ())])
-        joints = ",".join(str(j) for j in effect["joints"])
-        size = f" ({effect['size']:.1f})" if effect.get("size") is not None else ""
-        out.append(f"{names} {joints}{size}".strip())
-    return "; ".join(out) or "-"
-
-
 def own_shown(found: OwnCheck) -> Shown:
     """All that there is to see of the check."""
     half = "untouched data: the second half of every trajectory (--held-out for others)"
@@ -312,8 +222,9 @@ _TICKS = (0.1, 0.3, 1, 3, 10, 30, 100)
 Matrix = Mapping[str, Mapping[str, int]]
 
 
-def figures(summary: Mapping[str, Any]) -> Figures:
+def figures(found: Summary | ScoreRecord) -> Figures:
     """What draws each figure that there are data for, by the names of their files."""
+    summary = found.plain() if isinstance(found, ScoreRecord) else found
     scores, out = summary["scores"], {}
     inside, outside = scores["confusion"], scores["confusion_outside"]
     if inside or outside:
@@ -358,21 +269,15 @@ def confusion_figure(inside: Matrix, outside: Matrix) -> Figure:
     shares = table / np.maximum(table.sum(1, keepdims=True), 1)
     figure = new_figure(3.6 + 0.3 * len(columns), 2.6 + 0.24 * len(rows))
     axes = figure.subplots()
-    axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
-    for y, row in enumerate(rows):
-        for x, column in enumerate(columns):
-            if table[y, x]:
-                axes.text(
-                    x, y, f"{table[y, x]:.0f}", ha="center", va="center", fontsize=SMALL,
-                    color="white" if shares[y, x] > 0.55 else INK,
-                )  # fmt: skip
-            if row == column:
-                corner = (x - 0.5, y - 0.5)
-                axes.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=GREY, linewidth=1.0))
     names = [_words(c) for c in columns]
+    shaded_map(axes, shares, names, [_words(r) for r in rows], "share of the row's cases", 1.0)
     axes.set_xticks(range(len(columns)), names, rotation=60, ha="right", rotation_mode="anchor")
-    axes.set_yticks(range(len(rows)), [_words(r) for r in rows])
-    ruled(axes, len(rows), len(columns), 1.5)
+    for (y, x), cases in np.ndenumerate(table):
+        text = f"{cases:.0f}" if cases else ""
+        axes.text(x, y, text, ha="center", va="center", fontsize=SMALL, color=INK)
+        if rows[y] == columns[x]:
+            corner = (x - 0.5, y - 0.5)
+            axes.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=GREY, linewidth=1.0))
     if inside and outside:
         axes.axhline(len(inside) - 0.5, color=INK, linewidth=1.0)
         axes.text(

@@ -1,7 +1,7 @@
 """Numbers, names and lists as every sentence and table has them."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 
@@ -118,3 +118,17 @@ def listed(
     more = 0 if most is None else len(every) - most
     *first, end = [*every[:most], f"{more} more"] if more > 0 else every
     return f"{', '.join(first)} {last} {end}" if first else end
+
+
+def value_words(value: object, digits: str = ".6g") -> str:
+    """A setting, or an entry of a result, as people write it."""
+    if isinstance(value, Mapping):
+        every = (f"{str(k).replace('_', ' ')} {value_words(v, digits)}" for k, v in value.items())
+        return ", ".join(every) or "none"
+    if isinstance(value, list | tuple):
+        return ", ".join(value_words(v, digits) for v in value) or "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:{digits}}"
+    return "none" if value is None else str(value)

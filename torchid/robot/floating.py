@@ -16,16 +16,13 @@ a measured pose, refuses a base that comes near.
 (Featherstone 2008, Rigid Body Dynamics Algorithms, section 4.1.)
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import torch
-from torch import Tensor
 
 from torchid.errors import RobotError
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
-from torchid.robot.model import FREE, BaseLink, JointType, Limits, Robot
+from torchid.robot.model import FREE, LIMITS, BaseLink, JointType, Limits, Robot
 from torchid.robot.placement import align_z, pose
 
 COORDINATES = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
@@ -55,10 +52,10 @@ def on_moving_base(robot: Robot) -> Robot:
         )
     turns = [pose(align_z(torch.tensor(axis, dtype=torch.float64))) for axis in _AXES]
     turns += turns[::-1]  # yaw about z, pitch about y, roll about x
-    known = robot.limits
+    none = robot.before.new_tensor([-torch.inf, torch.inf]).expand(FREE, 2)
     limits = {
-        name: None if (own := getattr(known, name)) is None else _unlimited(own)
-        for name in ("position", "velocity", "acceleration", "torque")
+        name: None if (own := getattr(robot.limits, name)) is None else torch.cat([none, own])
+        for name in LIMITS
     }
     return replace(
         robot,
@@ -70,7 +67,10 @@ def on_moving_base(robot: Robot) -> Robot:
         gravity=robot.base.gravity,
         limits=Limits(**limits),
         parameters=_with_base(robot.parameters, robot.base),
-        effects=tuple(_shifted(record) for record in robot.effects),
+        effects=tuple(
+            {k: v + FREE if k in ("joint", "source_joint") else v for k, v in record.items()}
+            for record in robot.effects
+        ),
         drive_gain=None
         if robot.drive_gain is None
         else torch.cat([robot.drive_gain.new_ones(FREE), robot.drive_gain]),
@@ -85,12 +85,6 @@ def on_moving_base(robot: Robot) -> Robot:
     )
 
 
-def _unlimited(own: Tensor) -> Tensor:
-    """Limits (n + 6, 2): none for the base."""
-    wide = own.new_tensor([-torch.inf, torch.inf]).expand(FREE, 2)
-    return torch.cat([wide, own])
-
-
 def _with_base(known: InertialParameters | None, base: BaseLink) -> InertialParameters | None:
     """Parameters (L + 6, 10): zeros for the frames, the base's own, and the links'."""
     if known is None:
@@ -98,8 +92,3 @@ def _with_base(known: InertialParameters | None, base: BaseLink) -> InertialPara
     frames = known.pi.new_zeros(FREE - 1, PARAMETERS_PER_LINK)
     own = frames[0] if base.parameters is None else base.parameters.to(known.pi)
     return InertialParameters(torch.cat([frames, own.unsqueeze(0), known.pi]))
-
-
-def _shifted(record: Mapping[str, Any]) -> Mapping[str, Any]:
-    """An effect's record with its joints counted from the base's coordinates on."""
-    return {k: v + FREE if k in ("joint", "source_joint") else v for k, v in record.items()}

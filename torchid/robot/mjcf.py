@@ -83,11 +83,13 @@ def read_mjcf(
     links, joints = read.links_and_joints(choice.tip)
     off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     tree = Tree(links, tuple(joints), str(path))
+    # The first string of the name buffer.
+    name = bytes(model.names).split(b"\0", 1)[0].decode("utf-8", "replace")
     read.refuse_loops(tree, choice)
     return assemble(
         tree,
         choice,
-        name=_model_name(model) or path.stem,
+        name=path.stem if name in ("", _UNNAMED) else name,
         gravity=_NO_GRAVITY if off else model.opt.gravity.tolist(),
         path=path,
         warnings=[*found.warnings, *read.warnings(bool(off))],
@@ -193,12 +195,6 @@ def _gives_mass(geom: Any) -> bool:
         moves, body = bool(body.joints), body.parent
     weighs = geom.mass != 0 and (geom.mass == geom.mass or geom.density != 0)
     return bool(moves and from_geoms and weighs and low <= geom.group <= high)
-
-
-def _model_name(model: Any) -> str | None:
-    """The model's name, the first string of the name buffer; None for MuJoCo's default."""
-    name = bytes(model.names).split(b"\0", 1)[0].decode("utf-8", "replace")
-    return None if name in ("", _UNNAMED) else name
 
 
 class _Reader:

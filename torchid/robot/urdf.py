@@ -4,7 +4,7 @@ What a model holds beyond rigid bodies and joints of one freedom is refused or t
 <visual>, <collision>, <gazebo>, <mujoco> and <transmission> are not looked at.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -120,7 +120,8 @@ def urdf_tree(root: Any, source: str, warnings: list[str]) -> Tree:
         what: [
             f"'{joint.get('name')}'"
             for joint, limit in limited
-            if _zero(limit, keys) and (what, joint.get("type")) != ("position", "continuous")
+            if {optional_number(limit, key, "", finite=False) for key in keys} - {None} == {0.0}
+            and (what, joint.get("type")) != ("position", "continuous")
         ]
         for what, keys in _LIMITS.items()
     }
@@ -221,8 +222,3 @@ def _symmetric(limit: Any, key: str, where: str) -> Interval | None:
     if value < 0:
         raise RobotError(f"{where}: <limit {key}> is negative.", got=value)
     return (-value, value)
-
-
-def _zero(limit: Any, keys: Sequence[str]) -> bool:
-    values = [optional_number(limit, key, "", finite=False) for key in keys]
-    return any(value is not None for value in values) and not any(values)

@@ -16,7 +16,7 @@ from torchid.robot.knowledge import to_mapping as knowledge_mapping
 from torchid.robot.library import as_robot
 from torchid.robot.model import LIMITS, Robot, RobotLike
 from torchid.robot.origin import origin_of
-from torchid.robot.yaml_kinematics import CONVENTIONS, dh_step
+from torchid.robot.yaml_file import CONVENTIONS, dh_step
 from torchid.typing import Float
 
 
@@ -64,7 +64,6 @@ def to_mapping(robot: Robot) -> dict[str, Any]:
     """Content of the robot's yaml as plain Python values; the inverse of `from_mapping`."""
     out: dict[str, Any] = {"name": robot.name}
     out |= _dh(robot) or _placements(robot)
-    out |= _unless_empty("file", dict(origin_of(robot)))
     out |= _unless_empty("file", dict(origin_of(robot)))
     out["gravity"] = robot.gravity.tolist()
     if not _is_identity(robot.tool):
@@ -144,11 +143,12 @@ def _angle(key: str, value: float) -> dict[str, float]:
 
 def _placements(robot: Robot) -> dict[str, Any]:
     rows = [
-        _carrier(robot, i)
+        # The link that carries link i, where it is not the one before.
+        ({} if parent == i - 1 else {"parent": robot.link_names[parent] if parent >= 0 else None})
         | _unless_empty("before", _pose(robot.before[i]))
         | _unless_empty("after", _pose(robot.after[i]))
         | _follows(robot, i)
-        for i in range(robot.n_links)
+        for i, parent in enumerate(robot.parents)
     ]
     tips = [
         {"name": tip.name, "link": robot.link_names[tip.link]}
@@ -156,12 +156,6 @@ def _placements(robot: Robot) -> dict[str, Any]:
         for tip in robot.tips
     ]
     return {"placements": {"joints": _named(robot, rows)} | _unless_empty("tips", tips)}
-
-
-def _carrier(robot: Robot, i: int) -> dict[str, Any]:
-    """The link that carries link i, where it is not the one before."""
-    parent = robot.parents[i]
-    return {} if parent == i - 1 else {"parent": None if parent < 0 else robot.link_names[parent]}
 
 
 def _follows(robot: Robot, i: int) -> dict[str, Any]:

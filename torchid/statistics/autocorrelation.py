@@ -11,6 +11,9 @@ WINDOW = 5.0
 """Correlation times after which the sum over lags ends (Sokal 1997): what is left of an
 exponential correlation is 1 %, and further lags add only their noise."""
 
+FIRST = 200
+"""Lags that are looked at first; most sums end within."""
+
 CORRELATION_TIMES = 4.0
 """Correlation times of the residual in the shortest block whose sum is nearly independent of its
 neighbours'."""
@@ -65,8 +68,11 @@ def autocorrelation(
     zeros of a series of zeros."""
     parts = [slice(0, x.shape[-1])] if bounds is None else bounds
     longest = max(b.stop - b.start for b in parts)
-    size = 2 ** math.ceil(math.log2(2 * max(1, longest)))
-    power = sum(torch.fft.rfft(x[..., b], n=size).abs().square() for b in parts)
+    # Zeros for as long as the series; lengths of few small factors are fast.
+    least = 2 * max(1, longest)
+    size = min(k * 2 ** max(0, math.ceil(math.log2(least / k))) for k in (1, 3, 5))
+    found = (torch.fft.rfft(x[..., b], n=size) for b in parts)
+    power = sum(f.real.square() + f.imag.square() for f in found)
     covariance = torch.fft.irfft(power, n=size)[..., :longest]
     return covariance / covariance[..., :1].clamp(min=1e-300)
 
@@ -82,9 +88,13 @@ def time_of(
     """
     longest = rho.shape[-1]
     constant = rho[..., :1] <= 0
-    sums = 2 * rho.cumsum(-1) - 1  # over lags 0 to M of each M
-    lags = torch.arange(longest, device=rho.device)
-    enough = (lags >= WINDOW * sums) & (2 * lags < longest)
+    # Most sums end early: further lags are looked at where one does not.
+    for count in (min(FIRST, longest), longest):
+        sums = 2 * rho[..., :count].cumsum(-1) - 1  # over lags 0 to M of each M
+        lags = torch.arange(count, device=rho.device)
+        enough = (lags >= WINDOW * sums) & (2 * lags < longest)
+        if bool(enough.any(-1).all()):
+            break
     last = enough.to(torch.int8).argmax(-1, keepdim=True)
     correction = 1 + (2 * last + 1) / centred if centred else 1.0
     windowed = sums.gather(-1, last) * correction

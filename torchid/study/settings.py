@@ -1,18 +1,19 @@
 """What a study is made of: configs/studies/*.yaml."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta, Struct
 
 from torchid.errors import TorchidError
 from torchid.extraction.settings import Penalty, SearchSettings
 from torchid.robot.config_files import config_folder
 from torchid.robot.yaml_values import parsed_yaml
 
-_TEXTS = ("title", "section", "robot", "geometry")
-_MOTIONS = ("excitation", "validation", "sets_motion", "wrench_motion")
+Positive = Annotated[float, Meta(gt=0, lt=1e9)]
 
 
 @dataclass(frozen=True)
@@ -28,30 +29,33 @@ class MotionSettings:
         count: how many trajectories, for excitation.
     """
 
-    duration: float
-    rate: float
+    duration: Positive
+    rate: Positive
     seed: int
     noise_db: float | None = None
     source: str = "random"
     count: int = 1
 
 
-@dataclass(frozen=True)
-class Scenario:
-    """One simulation: which bounds, which loss, and the id of its best set in the report."""
+class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
+    """One simulation: which bounds, which loss, and the id of its best set in the report, which can
+    be the name of a file."""
 
     id: str
     bounds: str
     penalty: Penalty
 
+    def __post_init__(self) -> None:
+        if Path(self.id).name != self.id:
+            raise ValueError(f"the scenario's id {self.id!r} cannot be the name of a file")
 
-@dataclass(frozen=True)
-class PayloadSettings:
+
+class PayloadSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """A body at the tool, in the tool frame; inertia about its centre of mass (6)."""
 
-    mass: float
-    com: tuple[float, ...]
-    inertia_about_com: tuple[float, ...]
+    mass: Positive
+    com: Annotated[tuple[float, ...], Meta(min_length=3, max_length=3)]
+    inertia_about_com: Annotated[tuple[float, ...], Meta(min_length=6, max_length=6)]
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,11 @@ class StudySettings:
     geometry: str
     scenarios: tuple[Scenario, ...]
     payload: PayloadSettings
+
+    def __post_init__(self) -> None:
+        ids = [scenario.id for scenario in self.scenarios]
+        if not ids or len(set(ids)) < len(ids):
+            raise ValueError(f"scenarios need ids of their own, one at least: {ids}")
 
     def quick(self) -> "StudySettings":
         """The same study with a small search: a fifth of the runs, stages and generations."""
@@ -132,39 +141,10 @@ def load_study(name: str) -> StudySettings:
             f"'{path}' is not a study: keys missing or unknown.", got=got, expected=_KEYS
         )
     try:
-        low, high = (float(x) for x in data["total_mass"])
-        values: dict[str, Any] = {key: str(data[key]) for key in _TEXTS}
-        values |= {key: _motion(data, key) for key in _MOTIONS}
-        # At least one scenario, each with an id of its own that can be the name of a file.
-        scenarios = tuple(Scenario(**entry) for entry in data["scenarios"])
-        ids = [scenario.id for scenario in scenarios]
-        if not ids or len(set(ids)) < len(ids):
-            raise ValueError(f"scenarios need ids of their own, one at least: {ids}")
-        for own in ids:
-            if not isinstance(own, str) or Path(own).name != own:
-                raise ValueError(f"the scenario's id {own!r} cannot be the name of a file")
-        body = data["payload"]
-        com, inertia = (tuple(float(x) for x in body[k]) for k in ("com", "inertia_about_com"))
-        payload = PayloadSettings(float(body["mass"]), com, inertia)
-        if not payload.mass > 0 or len(com) != 3 or len(inertia) != 6:
-            raise ValueError(f"payload: mass > 0, three of com, six of inertia_about_com: {body}")
-        return StudySettings(
-            name=path.stem,
-            **values,
-            effects=tuple(data["effects"]),
-            search=SearchSettings(**data["search"]),
-            total_mass=(low, high),
-            scenarios=scenarios,
-            payload=payload,
-        )
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        search = SearchSettings(**data["search"])
+        for motion in ("excitation", "validation", "sets_motion", "wrench_motion"):
+            MotionSettings(**data[motion])  # else keys that it does not know are passed over
+        given = {**data, "name": path.stem, "search": {}}
+        return replace(msgspec.convert(given, StudySettings), search=search)
+    except (TypeError, ValueError) as error:
         raise TorchidError(f"'{path}' is not a study.", got=f"{error!r}") from error
-
-
-def _motion(data: Mapping[str, Any], key: str) -> MotionSettings:
-    """A motion of positive duration and rate."""
-    found = MotionSettings(**data[key])
-    for name, value in (("duration", found.duration), ("rate", found.rate)):
-        if not isinstance(value, int | float) or not 0 < value < math.inf:
-            raise ValueError(f"{key}: {name} {value!r} is not a positive number")
-    return found

@@ -28,7 +28,7 @@ from torchid.files import atomic_write
 from torchid.json_data import picked, read_json, write_json
 from torchid.parallel.workers import Progress, each
 from torchid.robot.sidecar import sidecar_path, sidecar_yaml
-from torchid.withheld.plant.trees import ROBOTS
+from torchid.withheld.plant.arms import ROBOTS
 
 SCHEMA = "torchid.withheld/1"
 KEYS_SCHEMA = "torchid.withheld.keys/1"

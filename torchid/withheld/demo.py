@@ -28,8 +28,7 @@ from torchid.parallel.workers import Progress
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.withheld.case_set import sha256
-from torchid.withheld.plant.arms import Arm, urdf
-from torchid.withheld.plant.trees import arm_named
+from torchid.withheld.plant.arms import Arm, arm_named, urdf
 
 SECONDS, RATE = 5.0, 100.0
 """Length and rate of each of the three logs."""
@@ -122,17 +121,16 @@ class Demo:
             "status": self.diagnosis.status,
             "headline": self.diagnosis.answer.headline,
             "opened": [
-                {"planted": one.planted, "withheld": one.withheld, **_values(one.finding)}
+                {
+                    **{"planted": one.planted, "withheld": one.withheld},
+                    "named": one.finding is not None,
+                    "value": None if one.finding is None else one.finding.values[0],
+                    "std": None if one.finding is None else one.finding.std[0],
+                }
                 for one in self.opened
             ],
             "not_planted": [f.effect.name for f in self.others],
         }
-
-
-def _values(finding: Finding | None) -> dict[str, Any]:
-    if finding is None:
-        return {"named": False, "value": None, "std": None}
-    return {"named": True, "value": finding.values[0], "std": finding.std[0]}
 
 
 def withheld_cause(arm: Arm, seed: int) -> dict[str, Any]:

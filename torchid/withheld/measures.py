@@ -198,14 +198,16 @@ def coefficient_coverage(row: Row) -> list[bool]:
 def believed(row: Row) -> list[tuple[float, bool]]:
     """Of every name that was given with a probability, this and whether the effect is there."""
     return [
-        (c.how_sure, any(p.name == c.name and _meets(p, c) for p in row.planted))
+        (
+            c.how_sure,
+            any(
+                p.name == c.name and (not p.place or bool(set(p.place) & set(c.place or c.joints)))
+                for p in row.planted
+            ),
+        )
         for c in row.claims
         if c.how_sure is not None
     ]
-
-
-def _meets(planted: Planted, claim: Claim) -> bool:
-    return not planted.place or bool(set(planted.place) & set(claim.place or claim.joints))
 
 
 SURENESS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)

@@ -189,7 +189,7 @@ class ScoredAnswer(Part, frozen=True, kw_only=True):
 
 
 class ScoreRecord(Record, frozen=True, kw_only=True, tag="torchid.withheld.score/1"):
-    """A scored set; see torchid.withheld.summary."""
+    """A scored set; see torchid.withheld.score."""
 
     seed: int
     keys_sha256: str

@@ -15,19 +15,17 @@ from torchid.errors import TorchidError
 from torchid.typing import Float, Int, Tensor
 from torchid.wrenches.classes import FEASIBLE, class_of, ordered_classes
 from torchid.wrenches.resampling import (
+    LEAST_CLUSTERS,
+    LEAST_SETS,
     NO_ESTIMATE,
     Array,
     Estimate,
+    Sample,
     cliffs_delta,
-    estimate,
     hodges_lehmann_ratio,
     spearman,
 )
 
-LEAST_SETS = 5
-"""Sets with a usable value that a class or a correlation needs."""
-LEAST_CLUSTERS = 5
-"""Clusters that an interval needs: with fewer, resampling shows little of the spread."""
 RESAMPLES = 1000
 
 
@@ -152,7 +150,7 @@ def compare(
     values, degrees = (x.detach().double().cpu().numpy() for x in (errors, degree))
     clusters = np.arange(k) if cluster is None else cluster.cpu().numpy()
     names = [class_of(r) for r in reasons]
-    members = {name: _where([n == name for n in names]) for name in ordered_classes(names)}
+    members = {name: np.flatnonzero([n == name for n in names]) for name in ordered_classes(names)}
     every_reason = sorted({reason for r in reasons for reason in r})
     present = list(members)
     wanted = [(name, present[0]) for name in present[1:]] if pairs is None else pairs
@@ -162,11 +160,11 @@ def compare(
                 "these are not two of the classes here.", got=pair, available=present
             )
     sample = _Sample(values, clusters, resamples, np.random.default_rng(seed))
-    infeasible = _where([name != FEASIBLE for name in names])
+    infeasible = np.flatnonzero([name != FEASIBLE for name in names])
     return Comparison(
         classes=tuple(sample.summary(name, own) for name, own in members.items()),
         per_reason=tuple(
-            sample.summary(reason, _where([reason in r for r in reasons]))
+            sample.summary(reason, np.flatnonzero([reason in r for r in reasons]))
             for reason in every_reason
         ),
         correlation=sample.correlation(degrees, np.arange(k)),
@@ -176,13 +174,7 @@ def compare(
     )
 
 
-@dataclass(frozen=True)
-class _Sample:
-    errors: Array
-    cluster: Array
-    resamples: int
-    rng: np.random.Generator
-
+class _Sample(Sample):
     def summary(self, name: str, own: Array) -> ClassSummary:
         usable = own[np.isfinite(self.errors[own])]
         clusters = len(np.unique(self.cluster[usable]))
@@ -197,7 +189,7 @@ class _Sample:
         if len(usable) < LEAST_SETS:
             note = f"{len(usable)} usable sets, at least {LEAST_SETS} are needed"
             return DegreeCorrelation(NO_ESTIMATE, len(usable), note)
-        rho = self._estimate(lambda s: spearman(degree[s], self.errors[s]), [usable])
+        rho = self.estimate(lambda s: spearman(degree[s], self.errors[s]), [usable])
         note = "degree or error is the same in all sets" if np.isnan(rho.value) else _note(rho)
         return DegreeCorrelation(rho, len(usable), note)
 
@@ -206,30 +198,9 @@ class _Sample:
         if min(len(a), len(b)) < LEAST_SETS:
             note = f"{len(a)} and {len(b)} usable sets, at least {LEAST_SETS} of each are needed"
             return EffectSize(first, second, NO_ESTIMATE, NO_ESTIMATE, (len(a), len(b)), note)
-        in_first = np.zeros(len(self.errors), dtype=bool)
-        in_first[a] = True
-
-        def of(function):  # type: ignore[no-untyped-def]
-            def statistic(s: Array) -> float:
-                return function(self.errors[s[in_first[s]]], self.errors[s[~in_first[s]]])
-
-            return self._estimate(statistic, [a, b])
-
-        delta, ratio = of(cliffs_delta), of(hodges_lehmann_ratio)
+        delta, ratio = (self.against(f, a, b) for f in (cliffs_delta, hodges_lehmann_ratio))
         note = "no ratio: an error is zero" if np.isnan(ratio.value) else _note(delta)
         return EffectSize(first, second, delta, ratio, (len(a), len(b)), note)
-
-    def _estimate(self, statistic, members: Sequence[Array]) -> Estimate:  # type: ignore[no-untyped-def]
-        # Without enough clusters on each side, an interval would rest on one or two of them.
-        scarce = min(len(np.unique(self.cluster[m])) for m in members) < LEAST_CLUSTERS
-        return estimate(
-            statistic,
-            members,
-            self.cluster,
-            resamples=0 if scarce else self.resamples,
-            rng=self.rng,
-            least_clusters=LEAST_CLUSTERS,
-        )
 
 
 def _note(found: Estimate) -> str:
@@ -239,10 +210,6 @@ def _note(found: Estimate) -> str:
         f"no interval: too few clusters ({found.clusters} together), "
         f"at least {LEAST_CLUSTERS} of each class are needed"
     )
-
-
-def _where(mask: list[bool]) -> Array:
-    return np.flatnonzero(mask)
 
 
 def _check(

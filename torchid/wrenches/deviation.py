@@ -8,14 +8,11 @@ from dataclasses import dataclass
 
 import torch
 
+from torchid.errors import TorchidError
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float, Int, Samples, Tensor
-from torchid.wrenches import tiles as sizes
-from torchid.wrenches.blocks import WrenchBlock, block_chunks
-from torchid.wrenches.grouping import lumped_parameters, wrench_chain
-from torchid.wrenches.request import MEMORY_LIMIT, check, check_reference, chunk_size
-from torchid.wrenches.tiles import Columns, Parameters, Tile, Tiles, columns_of, spans
+from torchid.wrenches.regressor import check_sets, square_norms, wrench_tiles
 
 
 @dataclass(frozen=True)
@@ -54,8 +51,6 @@ def wrench_errors(
     ddq: Samples,
     parameters: InertialParameters,
     reference: InertialParameters,
-    *,
-    memory_limit: int = MEMORY_LIMIT,
 ) -> WrenchErrors:
     """Errors of the wrenches of K sets against a reference set's, never storing the wrenches.
 
@@ -65,99 +60,40 @@ def wrench_errors(
     Args:
         robot, q, dq, ddq, parameters: as for `internal_wrenches`, with T >= 1.
         reference: (n, 10), finite.
-        memory_limit: bytes for the work, which is done in smaller chunks of instants if needed.
 
     Raises:
         TorchidError: motion, parameters or reference do not fit the robot or each other, or are
-            not finite where they have to be, or the work does not fit into the memory limit.
+            not finite where they have to be.
     """
-    check(robot, (q, dq, ddq), parameters)
-    check_reference(robot, reference)
-    chain = wrench_chain(robot)
-    lumped = lumped_parameters(chain, parameters.pi - reference.pi)
-    lumped_reference = lumped_parameters(chain, reference.pi.unsqueeze(0))
-    sums = [
-        _JointSums(*joint, q)
-        for joint in zip(robot.joint_types, lumped, lumped_reference, strict=True)
-    ]
-    tiles, reference_tiles = Tiles(q), Tiles(q)
-    for _, blocks in block_chunks(chain, q, dq, ddq, size=chunk_size(chain, q, memory_limit)):
-        for joint, block in zip(sums, blocks, strict=True):
-            joint.add(block, tiles, reference_tiles)
-    fields = zip(*(joint.means(q.shape[0]) for joint in sums), strict=True)
-    return WrenchErrors(*(torch.stack(x, -1) for x in fields))
-
-
-class _JointSums:
-    """Running sums and maxima of all sets at one joint."""
-
-    def __init__(
-        self, kind: JointType, parameters: Parameters, reference: Parameters, like: Tensor
-    ):
-        k = parameters[0].shape[0]
-        self._squares, self._largest, self._of_norms = (like.new_zeros(2, k) for _ in range(3))
-        self._torque, self._of_reference = like.new_zeros(k), like.new_zeros(2)
-        self._reference = reference
-        self._parts = [
-            _PartSums(
-                kind,
-                (parameters[0][sets], parameters[1][sets]),
-                self._squares[:, sets],
-                self._largest[:, sets],
-                self._of_norms[:, sets],
-                self._torque[sets],
-            )
-            for sets in spans(k, sizes.SETS)
-        ]
-
-    def add(self, block: WrenchBlock, tiles: Tiles, reference_tiles: Tiles) -> None:
-        """Take in more instants."""
-        for instants in spans(block.force.shape[-1], sizes.INSTANTS):
-            columns = columns_of(block, instants)
-            reference = reference_tiles.of(1, columns)
-            reference.fill(self._reference, columns)
-            self._of_reference += reference.square_norms().sum((1, 2))
-            reference.norms()
-            for part in self._parts:
-                part.add(tiles.of(len(part.torque), columns), columns, reference)
-
-    def means(self, instants: int) -> list[Tensor]:
-        """The fields of WrenchErrors at this joint, in their order."""
-        return [
-            *(self._squares / instants).sqrt(),
-            *self._largest.sqrt(),
-            *(self._of_norms / instants).sqrt(),
-            (self._torque / instants).sqrt(),
-            *(self._of_reference / instants).sqrt(),
-        ]
-
-
-@dataclass(frozen=True)
-class _PartSums:
-    """Views of the sums for the sets of one tile, added to in place."""
-
-    kind: JointType
-    parameters: Parameters
-    squares: Float[Tensor, "2 k"]
-    largest: Float[Tensor, "2 k"]
-    of_norms: Float[Tensor, "2 k"]
-    torque: Float[Tensor, " k"]
-
-    def add(self, tile: Tile, columns: Columns, reference: Tile) -> None:
-        """Take in a tile of instants, given the reference's norms there."""
-        tile.fill(self.parameters, columns)
-        squares = tile.square_norms()
-        self.squares.add_(squares.sum(-1))
-        torch.maximum(self.largest, squares.amax(-1), out=self.largest)
-        # The axis is z in these frames.
-        torque = torch.linalg.vector_norm(
-            tile.component(self.kind is JointType.REVOLUTE, 2), dim=-1
+    check_sets(robot, (q, dq, ddq), parameters)
+    if reference.pi.shape != parameters.pi.shape[1:]:
+        raise TorchidError(
+            f"the reference does not fit robot '{robot.name}'.",
+            got=f"shape {tuple(reference.pi.shape)}",
+            expected=f"one set ({robot.n_links} links, 10)",
         )
-        self.torque.addcmul_(torque, torque)
-        for vector, of_reference in zip(tile.vectors, reference.vectors, strict=True):
-            vector.add_(of_reference)
-        apart = torch.linalg.vector_norm(tile.norms().sub_(reference.squares), dim=-1)
-        self.of_norms.addcmul_(apart, apart)
+    if not torch.isfinite(reference.pi).all():
+        raise TorchidError("the reference has parameters that are not finite.", expected="numbers")
+    motion, count, axes = (q, dq, ddq), len(parameters.pi), robot.axes.to(q)
+    drives = [int(drive.joint_type is JointType.REVOLUTE) for drive in robot.drives]
+    squares, largest, of_norms = (q.new_zeros(2, count, robot.n_links) for _ in range(3))
+    torque, of_reference = q.new_zeros(count, robot.n_links), q.new_zeros(2, robot.n_links)
+    own = {
+        (t.joint, t.instants.start): t.wrench
+        for t in wrench_tiles(robot, motion, reference.pi.unsqueeze(0))
+    }
+    for (joint, _), wrench in own.items():
+        of_reference[:, joint] += square_norms(wrench)[:, 0].sum(-1)
+    for sets, joint, instants, apart in wrench_tiles(robot, motion, parameters.pi - reference.pi):
+        square = square_norms(apart)
+        squares[:, sets, joint] += square.sum(-1)
+        largest[:, sets, joint] = torch.maximum(largest[:, sets, joint], square.amax(-1))
+        torque[sets, joint] += (axes[joint] @ apart[drives[joint]]).square().sum(-1)
+        beside = own[joint, instants.start]
+        norms = square_norms(apart.add_(beside)).sqrt_().sub_(square_norms(beside).sqrt())
+        of_norms[:, sets, joint] += norms.square().sum(-1)
+    means = [(x / len(q)).sqrt() for x in (*squares, *of_norms, torque, *of_reference)]
+    return WrenchErrors(*means[:2], *largest.sqrt(), *means[2:])
 
 
 def alike(force: Float[Tensor, "K n"], group: Int[Tensor, " K"] | None = None) -> Int[Tensor, " K"]:

@@ -1,23 +1,73 @@
 """Internal wrenches of many parameter sets on one motion (eq. 2.32).
 
-The kinematics is computed once. The wrench at a joint is then a block of the wrench regressor
-(torchid.wrenches.blocks) times the sets' lumped parameters (torchid.wrenches.grouping): matrix
-products of all sets and many instants at once.
+A wrench is linear in the parameters of the links that its joint carries: the wrench regressor is
+the recursion's answer for sets of one parameter each, and the wrenches of all sets at many instants
+are matrix products with it. Products are made and worked on tile by tile, while they are in the
+cache.
 
 A set with a nan parameter has nan wrenches; the other sets do not notice. No gradients are kept.
 """
 
+from collections.abc import Iterator
+from math import prod
+from typing import NamedTuple
+
 import numpy as np
 import torch
 
+from torchid.dynamics.newton_euler import joint_wrenches, keep_freed_memory
 from torchid.errors import TorchidError
-from torchid.robot.inertia import InertialParameters
+from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Samples, Tensor
-from torchid.wrenches.blocks import block_chunks
-from torchid.wrenches.grouping import lumped_parameters, wrench_chain
-from torchid.wrenches.request import MEMORY_LIMIT, check, chunk_size, memory_after
-from torchid.wrenches.tiles import Tiles, joint_tiles
+
+MEMORY_LIMIT = 4 * 2**30
+"""Bytes that a result may take by default."""
+
+SETS, INSTANTS = 128, 200
+"""Most sets and instants in a tile: 128 x 200 x 6 numbers are 1.2 MB (benchmarks/wrenches.py)."""
+
+FORCE_KINDS = 4
+"""Parameters of a link that make force: mass and first moment; the others are couples alone."""
+
+
+class Tile(NamedTuple):
+    """Wrenches of k sets at one joint over t instants.
+
+    Attributes:
+        sets, joint, instants: which they are.
+        wrench: (2, k, 3, t) force [N] and moment [N m].
+    """
+
+    sets: slice
+    joint: int
+    instants: slice
+    wrench: Float[Tensor, "2 k 3 t"]
+
+
+def wrench_tiles(
+    robot: Robot, motion: tuple[Samples, Samples, Samples], pi: Float[Tensor, "K n 10"]
+) -> Iterator[Tile]:
+    """Wrenches of all sets as `internal_wrenches` has them, a tile at a time."""
+    keep_freed_memory()
+    links = robot.n_links
+    unit = torch.eye(PARAMETERS_PER_LINK * links, dtype=pi.dtype, device=pi.device)
+    units = InertialParameters(unit.reshape(-1, 1, links, PARAMETERS_PER_LINK))
+    for instants in _spans(len(motion[0]), INSTANTS):
+        q, dq, ddq = (x[instants] for x in motion)
+        columns = joint_wrenches(robot, q, dq, ddq, units)
+        # (joints, links, parameters of a link, 6, instants), of which a joint feels its own part.
+        columns = columns.permute(2, 0, 3, 1).unflatten(1, (links, -1))
+        for joint in range(links):
+            carried = list(robot.descendants(joint))
+            own = columns[joint, carried]
+            parts = [
+                (pi[:, carried, :kinds].flatten(1), part.flatten(2).flatten(0, 1))
+                for kinds, part in ((FORCE_KINDS, own[:, :FORCE_KINDS, :3]), (None, own[:, :, 3:]))
+            ]
+            for sets in _spans(len(pi), SETS):
+                made = torch.stack([felt[sets] @ block for felt, block in parts])
+                yield Tile(sets, joint, instants, made.unflatten(-1, (3, -1)))
 
 
 @torch.no_grad()
@@ -29,7 +79,6 @@ def internal_wrenches(
     parameters: InertialParameters,
     *,
     memory_limit: int = MEMORY_LIMIT,
-    out: Float[Tensor, "K T n 6"] | None = None,
 ) -> Float[Tensor, "K T n 6"]:
     """Wrenches of K sets at every joint and instant, all stored (eqs. 2.13, 2.32).
 
@@ -37,9 +86,7 @@ def internal_wrenches(
         robot: kinematics and gravity.
         q, dq, ddq: (T, n) [rad, rad/s, rad/s^2; m for prismatic joints].
         parameters: (K, n, 10), of the device and dtype of the motion.
-        memory_limit: bytes for the result and the work.
-        out: the result of an earlier call for as many sets and instants, to be overwritten and
-            returned. The first write to new memory can take longer than the arithmetic.
+        memory_limit: bytes for the result.
 
     Returns:
         (K, T, n, 6) force [N], then moment [N m] about the origin of joint frame i, that link i-1
@@ -48,20 +95,13 @@ def internal_wrenches(
 
     Raises:
         TorchidError: motion or parameters do not fit the robot or each other, the motion is not
-            finite, the result exceeds the memory limit, or `out` is no earlier result.
+            finite, or the result exceeds the memory limit.
     """
-    check(robot, (q, dq, ddq), parameters)
-    chain = wrench_chain(robot)
-    shape = (parameters.pi.shape[0], robot.n_links, 6, q.shape[0])
-    left = memory_after(shape, q, memory_limit)
-    stored = _empty(shape, q) if out is None else _earlier(out, shape, q)
-    lumped = lumped_parameters(chain, parameters.pi)
-    axes = chain.link_axes.to(q)
-    for instants, blocks in block_chunks(chain, q, dq, ddq, size=chunk_size(chain, q, left)):
-        for i, (block, (for_force, for_moment)) in enumerate(zip(blocks, lumped, strict=True)):
-            _products(for_force, _rotated(axes[i], block.force), stored[:, i, :3, instants])
-            _products(for_moment, _rotated(axes[i], block.moment), stored[:, i, 3:, instants])
-    return stored.permute(0, 3, 1, 2)
+    check_sets(robot, (q, dq, ddq), parameters)
+    out = _empty((len(parameters.pi), robot.n_links, 6, len(q)), q, memory_limit)
+    for sets, joint, instants, wrench in wrench_tiles(robot, (q, dq, ddq), parameters.pi):
+        out[sets, joint, :3, instants], out[sets, joint, 3:, instants] = wrench
+    return out.permute(0, 3, 1, 2)
 
 
 @torch.no_grad()
@@ -86,52 +126,63 @@ def wrench_norms(
     Raises:
         TorchidError: as for `internal_wrenches`.
     """
-    check(robot, (q, dq, ddq), parameters)
-    chain = wrench_chain(robot)
-    shape = (2, parameters.pi.shape[0], robot.n_links, q.shape[0])
-    left = memory_after(shape, q, memory_limit)
-    out = _empty(shape, q)
-    lumped, tiles = lumped_parameters(chain, parameters.pi), Tiles(q)
-    for span, blocks in block_chunks(chain, q, dq, ddq, size=chunk_size(chain, q, left)):
-        for i, block in enumerate(blocks):
-            for sets, part, tile in joint_tiles(tiles, lumped[i], block):
-                where = slice(span.start + part.start, span.start + part.stop)
-                out[:, sets, i, where] = tile.norms()
+    check_sets(robot, (q, dq, ddq), parameters)
+    out = _empty((2, len(parameters.pi), robot.n_links, len(q)), q, memory_limit)
+    for sets, joint, instants, wrench in wrench_tiles(robot, (q, dq, ddq), parameters.pi):
+        out[:, sets, joint, instants] = square_norms(wrench).sqrt_()
     force, moment = out.transpose(-1, -2)
     return force, moment
 
 
-def _products(
-    parameters: Float[Tensor, "K C"], block: Float[Tensor, "3 C T"], out: Float[Tensor, "K 3 T"]
+def square_norms(wrench: Float[Tensor, "2 k 3 t"]) -> Float[Tensor, "2 k t"]:
+    """Squares of the norms of forces and moments."""
+    x, y, z = wrench.unbind(2)
+    return (x * x).addcmul_(y, y).addcmul_(z, z)
+
+
+def _spans(total: int, size: int) -> list[slice]:
+    return [slice(start, min(start + size, total)) for start in range(0, total, size)]
+
+
+def check_sets(
+    robot: Robot, motion: tuple[Tensor, Tensor, Tensor], parameters: InertialParameters
 ) -> None:
-    for axis in range(3):
-        torch.mm(parameters, block[axis], out=out[:, axis])
-
-
-def _rotated(
-    rotation: Float[Tensor, "3 3"], block: Float[Tensor, "3 C T"]
-) -> Float[Tensor, "3 C T"]:
-    return (rotation @ block.flatten(1)).reshape(block.shape)
-
-
-def _earlier(
-    out: Float[Tensor, "K T n 6"], shape: tuple[int, ...], like: Tensor
-) -> Float[Tensor, "K n 6 T"]:
-    stored = out.permute(0, 2, 3, 1)
-    same_kind = (out.dtype, out.device) == (like.dtype, like.device)
-    if stored.shape != shape or not same_kind or not stored.is_contiguous():
+    """Raise TorchidError unless motion and sets fit the robot, and the motion is finite."""
+    instants = motion[0].shape[0] if motion[0].ndim else 0
+    for name, x in zip(("q", "dq", "ddq"), motion, strict=True):
+        if x.shape != (instants, robot.n):
+            raise TorchidError(
+                f"{name} does not fit robot '{robot.name}'.",
+                got=f"shape {tuple(x.shape)}",
+                expected=f"({instants} instants, {robot.n} joints)",
+            )
+        if not torch.isfinite(x).all():
+            bad = torch.nonzero(~torch.isfinite(x))[0].tolist()
+            raise TorchidError(
+                f"{name} is not finite at instant {bad[0]} (from 0), joint {bad[1] + 1}.",
+                got=x[bad[0], bad[1]].item(),
+                expected="finite positions, velocities and accelerations",
+            )
+    if instants == 0:
+        raise TorchidError("the motion has no instants.", expected="at least one")
+    shape = parameters.pi.shape
+    if len(shape) != 3 or shape[1:] != (robot.n_links, PARAMETERS_PER_LINK):
         raise TorchidError(
-            "`out` is not an earlier result for as many sets and instants.",
-            got=f"shape {tuple(out.shape)}, strides {out.stride()}, {out.dtype}, {out.device}",
-            expected=f"(sets, instants, joints, 6) of {(shape[0], shape[3], shape[1], 6)}, as "
-            f"internal_wrenches returns it, {like.dtype}, {like.device}",
+            f"the parameter sets do not fit robot '{robot.name}'.",
+            got=f"shape {tuple(shape)}",
+            expected=f"(sets, {robot.n_links} links, {PARAMETERS_PER_LINK})",
         )
-    return stored
 
 
-def _empty(shape: tuple[int, ...], like: Tensor) -> Tensor:
-    """As torch.empty. On a CPU the memory comes from NumPy, which asks Linux for huge pages: with
-    small ones the first write takes longer than the wrenches themselves."""
-    if like.device.type != "cpu":
-        return like.new_empty(shape)
-    return torch.from_numpy(np.empty(shape, dtype=like.new_empty(0).numpy().dtype))
+def _empty(shape: tuple[int, ...], like: Tensor, memory_limit: int) -> Tensor:
+    needed = prod(shape) * like.element_size()
+    if needed > memory_limit:
+        raise TorchidError(
+            f"the result alone takes {needed / 2**20:,.1f} MiB.",
+            got=f"{' x '.join(str(s) for s in shape)} numbers of {like.element_size()} bytes",
+            expected=f"at most the memory limit, {memory_limit / 2**20:,.1f} MiB",
+            hint="wrench_errors compares with a reference without storing wrenches; else take "
+            "fewer sets or instants at a time, or raise memory_limit",
+        )
+    # NumPy asks Linux for huge pages: with small ones the first write takes longer than a product.
+    return torch.from_numpy(np.empty(shape, like.cpu().numpy().dtype)).to(like.device)

@@ -16,6 +16,11 @@ from torchid.statistics.resampling import Array, bootstrap, percentile_interval
 Statistic = Callable[[Array], float]
 """Of the chosen samples' indices, repeats included; nan where it is not defined."""
 
+LEAST_SETS = 5
+"""Sets with a usable value that a class or a correlation needs."""
+LEAST_CLUSTERS = 5
+"""Clusters that an interval needs: with fewer, resampling shows little of the spread."""
+
 _PAIRS_AT_ONCE = 20_000
 
 
@@ -38,42 +43,54 @@ class Estimate:
 NO_ESTIMATE = Estimate(float("nan"), float("nan"), float("nan"), 0)
 
 
-def estimate(
-    statistic: Statistic,
-    members: Sequence[Array],
-    cluster: Array,
-    *,
-    resamples: int,
-    rng: np.random.Generator,
-    least_clusters: int,
-) -> Estimate:
-    """A statistic of several groups of samples together, and its cluster-bootstrap interval.
+@dataclass(frozen=True)
+class Sample:
+    """Errors of K sets, and which of them are independent.
 
-    Args:
-        statistic: of indices into the whole sample.
-        members: the groups' indices. Clusters are drawn from all those that have a member in any
-            group, so a cluster with members in two groups stays together.
+    Attributes:
+        errors: (K,).
         cluster: (K,) whole numbers.
-        resamples: how many.
+        resamples: of the bootstrap.
         rng: source of randomness.
-        least_clusters: fewer give no interval.
     """
-    chosen = np.concatenate(list(members)) if members else np.zeros(0, dtype=int)
-    value = statistic(chosen)
-    names, which = np.unique(cluster[chosen], return_inverse=True)
-    count = len(names)
-    if count < least_clusters or not np.isfinite(value):
-        return Estimate(value, float("nan"), float("nan"), count)
-    order = np.argsort(which, kind="stable")
-    by_cluster = np.split(chosen[order], np.cumsum(np.bincount(which))[:-1])
-    drawn = np.array(
-        [
-            statistic(np.concatenate([by_cluster[c] for c in draw]))
-            for draw in bootstrap(count, resamples, rng)
-        ]
-    )
-    low, high = percentile_interval(drawn)
-    return Estimate(value, low, high, count)
+
+    errors: Array
+    cluster: Array
+    resamples: int
+    rng: np.random.Generator
+
+    def estimate(self, statistic: Statistic, members: Sequence[Array]) -> Estimate:
+        """A statistic of several groups of sets together, and its cluster-bootstrap interval.
+
+        Args:
+            statistic: of indices into the whole sample.
+            members: the groups' indices. Clusters are drawn from all those that have a member in
+                any group, so a cluster with members in two groups stays together. A group of fewer
+                than `LEAST_SETS` gives no estimate, one of fewer than `LEAST_CLUSTERS` clusters no
+                interval, which would rest on one or two of them.
+        """
+        if min(len(m) for m in members) < LEAST_SETS:
+            return NO_ESTIMATE
+        chosen = np.concatenate(list(members))
+        scarce = min(len(np.unique(self.cluster[m])) for m in members) < LEAST_CLUSTERS
+        names, which = np.unique(self.cluster[chosen], return_inverse=True)
+        low = high = float("nan")
+        with np.errstate(invalid="ignore"):
+            value = statistic(chosen)
+            if not scarce and np.isfinite(value):
+                order = np.argsort(which, kind="stable")
+                by_cluster = np.split(chosen[order], np.cumsum(np.bincount(which))[:-1])
+                draws = bootstrap(len(names), self.resamples, self.rng)
+                drawn = [statistic(np.concatenate([by_cluster[c] for c in d])) for d in draws]
+                low, high = percentile_interval(np.array(drawn))
+        return Estimate(value, low, high, len(names))
+
+    def against(self, function: Callable[[Array, Array], float], a: Array, b: Array) -> Estimate:
+        """A statistic of the errors of two groups, the first against the second."""
+        inside = np.isin(np.arange(len(self.errors)), a)
+        return self.estimate(
+            lambda k: function(self.errors[k[inside[k]]], self.errors[k[~inside[k]]]), [a, b]
+        )
 
 
 def spearman(x: Array, y: Array) -> float:

@@ -8,12 +8,12 @@ pytest.importorskip("mujoco")
 
 import numpy as np
 
+from torchid.withheld.plant.arms import arm_named
 from torchid.withheld.plant.draw import TorqueSpec, draw_case
 from torchid.withheld.plant.model import plant_of
 from torchid.withheld.plant.motion import MotionPlan
 from torchid.withheld.plant.plan import Plan, Scene
 from torchid.withheld.plant.scene import Nominal, friction_known, nominal_of, scene_of
-from torchid.withheld.plant.trees import arm_named
 
 SHORT = MotionPlan(
     seed=3,

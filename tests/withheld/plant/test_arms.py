@@ -8,9 +8,8 @@ import torch
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.errors import TorchidError
 from torchid.robot.library import load_robot
-from torchid.withheld.plant.arms import ARMS, urdf
+from torchid.withheld.plant.arms import ARMS, arm_named, urdf
 from torchid.withheld.plant.scene import nominal_of
-from torchid.withheld.plant.trees import arm_named
 
 
 @pytest.fixture(params=list(ARMS))

@@ -7,10 +7,10 @@ from dataclasses import asdict
 import pytest
 
 from torchid.errors import TorchidError
+from torchid.withheld.plant.arms import arm_named
 from torchid.withheld.plant.catalogue import FOREIGN, LIBRARY, REDRAWN
 from torchid.withheld.plant.draw import EXCLUSIVE, MIXES, draw_case
 from torchid.withheld.plant.settings import DRAWS
-from torchid.withheld.plant.trees import arm_named
 
 
 def test_a_case_depends_on_seed_and_number_alone():

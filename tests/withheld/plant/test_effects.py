@@ -8,14 +8,13 @@ import pytest
 
 from tests.withheld.plant.conftest import SHORT
 from torchid.effects.registry import FAMILIES
+from torchid.withheld.plant.arms import arm_named
 from torchid.withheld.plant.catalogue import FOREIGN, KINDS, LIBRARY, drawn_effect
 from torchid.withheld.plant.laws import bristles
 from torchid.withheld.plant.model import Drive, compiled, plant_of
 from torchid.withheld.plant.plan import EffectSpec, Live, Plan
 from torchid.withheld.plant.scene import nominal_of, scene_of
-from torchid.withheld.plant.simulate import simulated
-from torchid.withheld.plant.sizes import gaps, planted, readings, size_of, sized
-from torchid.withheld.plant.trees import arm_named
+from torchid.withheld.plant.simulate import gaps, planted, readings, simulated, size_of, sized
 
 STEP = 5e-4
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from tests.withheld.plant.conftest import quiet
+from torchid.withheld.plant.arms import arm_named
 from torchid.withheld.plant.logger import Logger, logged, noise
 from torchid.withheld.plant.model import plant_of
 from torchid.withheld.plant.plan import Plan, Signals
 from torchid.withheld.plant.sensing import Windows, hold
-from torchid.withheld.plant.trees import arm_named
 
 LOGGER = Logger(500, 17, None, 0.03, False, 1e-3, 100.0, 5)
 

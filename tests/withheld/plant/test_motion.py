@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from tests.withheld.plant.conftest import SHORT
-from torchid.withheld.plant.arms import ARMS
+from torchid.withheld.plant.arms import ARMS, arm_named
 from torchid.withheld.plant.draw import draw_case
 from torchid.withheld.plant.motion import sums
-from torchid.withheld.plant.trees import arm_named
 
 
 @pytest.fixture(scope="module")

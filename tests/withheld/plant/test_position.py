@@ -9,6 +9,7 @@ pytest.importorskip("mujoco")
 import numpy as np
 
 from torchid.errors import TorchidError
+from torchid.withheld.plant.arms import arm_named
 from torchid.withheld.plant.case import simulate_case
 from torchid.withheld.plant.catalogue import OUTSIDE
 from torchid.withheld.plant.draw import MIXES, draw_case
@@ -17,7 +18,6 @@ from torchid.withheld.plant.plan import EffectSpec, Plan
 from torchid.withheld.plant.servo import NEUTRAL, Servos, moved, set_points
 from torchid.withheld.plant.servo_catalogue import SERVO_KINDS, ServoScene
 from torchid.withheld.plant.servo_scene import led, motions
-from torchid.withheld.plant.trees import arm_named
 
 RATE = 50.0
 

@@ -10,8 +10,7 @@ from torchid.effects.registry import model_torque, nominal_effects
 from torchid.robot.library import load_robot
 from torchid.withheld.plant.case import simulate_case
 from torchid.withheld.plant.plan import Plan
-from torchid.withheld.plant.simulate import simulated
-from torchid.withheld.plant.sizes import gaps
+from torchid.withheld.plant.simulate import gaps, simulated
 
 STEP = 2.5e-4
 

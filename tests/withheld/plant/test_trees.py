@@ -12,11 +12,10 @@ from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
 from torchid.robot.library import load_robot
 from torchid.withheld.case_set import make, read_cases, write_shown
-from torchid.withheld.plant.arms import CORNER, urdf
+from torchid.withheld.plant.arms import CORNER, ROBOTS, TREES, urdf
 from torchid.withheld.plant.case import draw_case, simulate_case
 from torchid.withheld.plant.catalogue import drawn_effect
 from torchid.withheld.plant.scene import nominal_of, scene_of
-from torchid.withheld.plant.trees import BUS, ROBOTS, TREES
 
 
 @pytest.fixture(params=list(TREES))
@@ -88,7 +87,7 @@ def test_a_late_bus_moves_the_robot_later():
     nominal, plan = nominal_of(arm, zeros, zeros), Plan(plant_of(arm, zeros, zeros), zeros, zeros)
     motion = replace(spec.motion, shapes=(0,), pauses=(0.0,))
     step, found = 1e-3, []
-    for bus in (0.0, 20 * BUS):
+    for bus in (0.0, 20 * arm.bus):
         scene = scene_of(replace(arm, bus=bus), nominal, motion, 0.01, 8.0, 1.0)
         found.append(simulated(scene, plan, nominal, step)[0].truth.tau[:, 0])
     # The command is 40 ms late: so is the torque, nearly, for it is most of it.

@@ -104,65 +104,57 @@ class _Runs:
     best_value: Tensor
 
 
-class BatchedCmaEs:
-    """The engine `batched`: all runs advance together, on the device of the state.
+@torch.no_grad()
+def minimise(
+    objective: Objective,
+    state: SearchState,
+    *,
+    generations: int,
+    seed: int,
+    population: int | None = None,
+    first: int = 0,
+) -> SearchState:
+    """Continue R searches for a number of generations.
 
-    Noise is drawn on that device: a GPU gives other samples than a CPU does.
+    Args:
+        objective: (R, L, n) points -> (R, L) values. It may differ from the last call's:
+            `state.best` is evaluated again first. nan and infinite values rank last.
+        state: where to continue.
+        generations: how many, for every run.
+        seed: with the state's count of generations and `first` it decides all samples: the
+            same arguments give the same bits on a CPU.
+        population: L samples per run and generation; `default_population` if None.
+        first: number of the first of these searches, where they are some of many: no others
+            sample as they do.
+
+    Returns:
+        The state afterwards: its best is inside [0, 1]^n and never worse than `state.best`.
+
+    Raises:
+        TorchidError: an argument out of range, or values of another shape than (R, L).
     """
-
-    @torch.no_grad()
-    def minimise(
-        self,
-        objective: Objective,
-        state: SearchState,
-        *,
-        generations: int,
-        seed: int,
-        population: int | None = None,
-        first: int = 0,
-    ) -> SearchState:
-        """Continue R searches (see `torchid.extraction.cma.search.Engine`).
-
-        All of the state is carried on: with the same seed and objective, 10 generations and then
-        10 more are the 20 of one call.
-        """
-        size = population_of(state, generations, seed, population)
-        n_runs, n = state.mean.shape
-        rates = strategy(n, size)
-        weights = state.mean.new_tensor(rates.weights)
-        covariance = state.covariance.clone()
-        runs = _Runs(
-            mean=state.mean.clone(),
-            sigma=state.sigma.clone(),
-            covariance=covariance,
-            factor=_factor(covariance),
-            path_sigma=state.path_sigma.clone(),
-            path_covariance=state.path_covariance.clone(),
-            adapts=torch.ones_like(state.sigma, dtype=torch.bool),
-            best=state.best.clamp(0.0, 1.0),
-            best_value=state.best_value,
-        )
+    size = population_of(state, generations, seed, population)
+    n_runs, n = state.mean.shape
+    rates = strategy(n, size)
+    weights = state.mean.new_tensor(rates.weights)
+    own = {name: x.clone() for name, x in state.tensors().items()}
+    adapts = torch.ones_like(state.sigma, dtype=torch.bool)
+    runs = _Runs(**own, factor=_factor(own["covariance"]), adapts=adapts)
+    runs.best = runs.best.clamp(0.0, 1.0)
+    _limit(runs)
+    runs.best_value = evaluate(objective, runs.best.unsqueeze(1)).squeeze(1)
+    for generation in range(state.generation, state.generation + generations):
+        generator = generator_for(seed, generation, first, runs.mean.device)
+        noise = runs.mean.new_empty(n_runs, size, n).normal_(generator=generator)
+        steps = torch.bmm(noise, runs.factor.mT)
+        by_sample = _select(objective, runs, steps, weights)
+        _adapt(runs, rates, noise, steps, by_sample, generation)
+        _fold(runs)
         _limit(runs)
-        runs.best_value = evaluate(objective, runs.best.unsqueeze(1)).squeeze(1)
-        for generation in range(state.generation, state.generation + generations):
-            generator = generator_for(seed, generation, first, runs.mean.device)
-            noise = runs.mean.new_empty(n_runs, size, n).normal_(generator=generator)
-            steps = torch.bmm(noise, runs.factor.mT)
-            by_sample = _select(objective, runs, steps, weights)
-            _adapt(runs, rates, noise, steps, by_sample, generation)
-            _fold(runs)
-            _limit(runs)
-        lower = runs.covariance.tril()
-        return SearchState(
-            mean=runs.mean,
-            sigma=runs.sigma,
-            covariance=lower + lower.tril(-1).mT,
-            path_sigma=runs.path_sigma,
-            path_covariance=runs.path_covariance,
-            generation=state.generation + generations,
-            best=runs.best,
-            best_value=runs.best_value,
-        )
+    lower = runs.covariance.tril()
+    found = {name: getattr(runs, name) for name in own}
+    found["covariance"] = lower + lower.tril(-1).mT
+    return SearchState(**found, generation=state.generation + generations)
 
 
 def _select(

@@ -1,6 +1,6 @@
-"""What the search engines share: the state of many independent searches, and the box [0, 1]^n.
+"""The state of many independent searches, and the box [0, 1]^n.
 
-The engines search without bounds. Search coordinates are folded into the box by a smooth periodic
+They search without bounds. Search coordinates are folded into the box by a smooth periodic
 map: the identity in the interior, quadratic near a bound, so that an optimum on a bound is the
 bottom of a smooth valley and not a kink. The idea is pycma's BoundTransform (Hansen); here the
 margin is the same at both ends.
@@ -8,7 +8,6 @@ margin is the same at both ends.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -57,7 +56,7 @@ class SearchState:
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """All of it as arrays on the CPU, by attribute name: for npz. Nothing is rounded."""
-        arrays = {k: x.detach().cpu().numpy().copy() for k, x in self._tensors().items()}
+        arrays = {k: x.detach().cpu().numpy().copy() for k, x in self.tensors().items()}
         return arrays | {"generation": np.asarray(self.generation, dtype=np.int64)}
 
     @classmethod
@@ -80,58 +79,23 @@ class SearchState:
 
     def part(self, runs: slice) -> "SearchState":
         """Some of the searches."""
-        own = {name: t[runs] for name, t in self._tensors().items()}
+        own = {name: t[runs] for name, t in self.tensors().items()}
         return SearchState(**own, generation=self.generation)
 
     @staticmethod
     def joined(parts: Sequence["SearchState"]) -> "SearchState":
         """Searches of as many generations, one after another."""
-        rows = {name: torch.cat([getattr(p, name) for p in parts]) for name in parts[0]._tensors()}
+        rows = {name: torch.cat([getattr(p, name) for p in parts]) for name in parts[0].tensors()}
         return SearchState(**rows, generation=parts[0].generation)
 
     def to(self, device: torch.device | str) -> "SearchState":
         """The same state on another device."""
-        moved = {name: t.to(device) for name, t in self._tensors().items()}
+        moved = {name: t.to(device) for name, t in self.tensors().items()}
         return SearchState(**moved, generation=self.generation)
 
-    def _tensors(self) -> dict[str, Tensor]:
+    def tensors(self) -> dict[str, Tensor]:
+        """All but the count of generations, by name."""
         return {name: x for name, x in vars(self).items() if name != "generation"}
-
-
-@runtime_checkable
-class Engine(Protocol):
-    """A way to minimise R functions of n variables over [0, 1]^n at once."""
-
-    def minimise(
-        self,
-        objective: Objective,
-        state: SearchState,
-        *,
-        generations: int,
-        seed: int,
-        population: int | None = None,
-        first: int = 0,
-    ) -> SearchState:
-        """Continue R searches for a number of generations.
-
-        Args:
-            objective: (R, L, n) points -> (R, L) values. It may differ from the last call's:
-                `state.best` is evaluated again first. nan and infinite values rank last.
-            state: where to continue.
-            generations: how many, for every run.
-            seed: with the state's count of generations and `first` it decides all samples: the
-                same arguments give the same bits on a CPU.
-            population: L samples per run and generation; `default_population` if None.
-            first: number of the first of these searches, where they are some of many: no others
-                sample as they do.
-
-        Returns:
-            The state afterwards: its best is inside [0, 1]^n and never worse than `state.best`.
-
-        Raises:
-            TorchidError: an argument out of range, or values of another shape than (R, L).
-        """
-        ...
 
 
 def start(mean: Float[Tensor, "R n"], sigma: float) -> SearchState:

@@ -30,8 +30,7 @@ from scipy import stats
 from torchid.errors import TorchidError
 from torchid.extraction.convex.certificate import loss_matrix
 from torchid.extraction.convex.conic import Rows, Status
-from torchid.extraction.convex.rows import AXES
-from torchid.extraction.convex.sets import ConvexSets, com_box, convex_sets
+from torchid.extraction.convex.sets import AXES, AskedSets, ConvexSets
 from torchid.extraction.problem import Problem
 from torchid.extraction.record import AtlasRange, AtlasRecord, problem_fields
 from torchid.identification.result import Identification
@@ -236,9 +235,8 @@ def atlas(
         covariance = covariance.uncertainty
     if not 0 < level < 1 or not slack > 0:
         raise TorchidError("level lies in (0, 1), slack is positive.", got=f"{level}, {slack}")
-    conditions = problem.conditions if with_conditions else None
-    box = com_box(problem.n, conditions, problem.bounds if com_bounds else None)
-    quantities = _quantities(problem, box)
+    asked = AskedSets(problem, with_conditions, com_bounds, inertia_bounds)
+    quantities = _quantities(problem, asked.box)
     if only is not None:
         named = {q.name: q for q in quantities}
         unknown = [name for name in only if name not in named]
@@ -247,15 +245,7 @@ def atlas(
                 "no such parameters.", got=unknown or list(only), available=list(named)
             )
         quantities = [named[name] for name in only]
-    body = convex_sets(
-        problem.robot,
-        problem.target.effects,
-        conditions,
-        problem.bounds,
-        com_bounds=com_bounds,
-        inertia_bounds=inertia_bounds,
-        reach=True,
-    )
+    body = asked.body()
     region = (
         least_loss_region(problem, body, slack)
         if covariance is None

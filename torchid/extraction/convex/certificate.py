@@ -14,8 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from torchid.extraction.convex.conic import Solution, minimise
-from torchid.extraction.convex.rows import AXES, ENTRIES, link_columns
-from torchid.extraction.convex.sets import ConvexSets, Nearest, com_box, convex_sets, sets_of
+from torchid.extraction.convex.sets import (
+    AXES,
+    ENTRIES,
+    AskedSets,
+    ConvexSets,
+    Nearest,
+    link_columns,
+    sets_of,
+)
 from torchid.extraction.problem import Problem
 from torchid.feasibility.conditions import physics_only
 from torchid.feasibility.margins import feasibility
@@ -118,7 +125,7 @@ class Certificate:
         feasible: whether there is a strictly feasible set at all.
         phi_min: lower bound of the loss of all feasible sets, proven by the dual problem to its
             rounding; infinite if there are none, nan if the solver failed. Without bounds of
-            inertias they are still taken to be below `convex_rows.REACH`: the largest mass a
+            inertias they are still taken to be below `sets.REACH`: the largest mass a
             hundred times, at a third of the arm's longest step.
         phi_strict: loss of `sets`; nan if there are none.
         sets: one strictly feasible set that nearly reaches phi_min, with no violation by
@@ -243,36 +250,10 @@ class _Inner(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Question:
-    """A problem, and which of its conditions count (see `certificate`)."""
+class _Question(AskedSets):
+    """Feasible sets with a margin (see `certificate`)."""
 
-    problem: Problem
-    with_conditions: bool
-    com_bounds: bool
-    inertia_bounds: bool
-    margin: float
-
-    @property
-    def box(self) -> np.ndarray:
-        """(n, 3, 2) of the centres of mass."""
-        return com_box(
-            self.problem.n,
-            self.problem.conditions if self.with_conditions else None,
-            self.problem.bounds if self.com_bounds else None,
-        )
-
-    def body(self, margin: float, inside: np.ndarray | None = None) -> ConvexSets:
-        return convex_sets(
-            self.problem.robot,
-            self.problem.target.effects,
-            self.problem.conditions if self.with_conditions else None,
-            self.problem.bounds,
-            com_bounds=self.com_bounds,
-            inertia_bounds=self.inertia_bounds,
-            margin=margin,
-            reach=True,
-            inside=inside,
-        )
+    margin: float = 0.0
 
     def crossed(self) -> tuple[str, ...]:
         """Centres of mass, and the total mass, for which no value is left."""
@@ -329,7 +310,7 @@ class _Question:
         low = np.where(self.problem.non_negative.cpu().numpy(), np.maximum(low, 0.0), low)
         x[10 * self.problem.n :] = np.clip(x[10 * self.problem.n :], low, high)
         sets = sets_of(x[None], self.problem.n, self.problem.target.effects, ["certificate"])
-        asked = self.problem.conditions if self.with_conditions else physics_only(self.problem.n)
+        asked = self.conditions or physics_only(self.problem.n)
         phi = float(np.sum((matrix @ x + offset) ** 2))
         return (sets, phi) if bool(feasibility(sets, asked).feasible[0]) else None
 

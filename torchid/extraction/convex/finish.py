@@ -14,7 +14,7 @@ from torchid.design.bodies import triangle
 from torchid.extraction.convex.atlas import least_loss_region
 from torchid.extraction.convex.certificate import INSIDE, STRICT
 from torchid.extraction.convex.conic import Rows, minimise
-from torchid.extraction.convex.sets import ConvexSets, convex_sets, sets_of
+from torchid.extraction.convex.sets import AskedSets, sets_of
 from torchid.extraction.problem import Problem
 from torchid.feasibility.sets import coefficient_reasons
 from torchid.robot.inertia import second_moment
@@ -73,8 +73,9 @@ def _end(
     span[n : 4 * n] *= np.repeat(problem.box[:n, 1].abs().double().cpu().numpy(), 3)
     nearness = np.diag(1 / np.maximum(span, 1e-9 * span.max()))
     com: np.ndarray | None = problem.split(p)[1].numpy()
+    asked, margin = AskedSets(problem, conditions), STRICT if conditions else 0.0
     for _ in range(_STEPS):
-        body = _body(problem, conditions, without, com)
+        body = asked.body(margin, com).without(without).tightened(INSIDE)
         region = least_loss_region(problem, body, _SLACK)
         found = region.sets.least_norm(nearness, -nearness @ start)
         if not found.solution.usable and com is not None and least == np.inf:
@@ -88,26 +89,11 @@ def _end(
         if phi >= (1 - _WORTH) * least:
             break
         if com is not None:
-            best, least = problem.search_vector(sets)[0], phi
+            best, least = sets.search_vector[0], phi
         if com is not None and region.kind == "exact":
             break
         com = sets.parameters.com[0].numpy()
     return best
-
-
-def _body(
-    problem: Problem, conditions: bool, without: list[str], com: np.ndarray | None
-) -> ConvexSets:
-    body = convex_sets(
-        problem.robot,
-        problem.target.effects,
-        problem.conditions if conditions else None,
-        problem.bounds,
-        margin=STRICT if conditions else 0.0,
-        reach=True,
-        inside=com,
-    )
-    return body.without(without).tightened(INSIDE)
 
 
 def attainable(problem: Problem) -> tuple[Problem, tuple[str, ...]]:

@@ -19,8 +19,7 @@ import torch
 
 from torchid.effects.base import Motion
 from torchid.errors import TorchidError
-from torchid.extraction.convex.rows import link_columns
-from torchid.extraction.convex.sets import Nearest, convex_sets, sets_of
+from torchid.extraction.convex.sets import Nearest, convex_sets, link_columns, sets_of
 from torchid.feasibility.conditions import Conditions, physics_only
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import ParameterSets

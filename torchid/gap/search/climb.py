@@ -29,14 +29,14 @@ from torchid.gap.search.evidence import (
     fit_terms,
     in_turn,
     leading,
-    offers,
+    offers_of_each,
     prior_of,
     refused,
     relief,
     risen,
     subset_of,
 )
-from torchid.gap.search.terms import BASE, Term
+from torchid.gap.search.terms import Term
 from torchid.typing import Float, Tensor
 
 TRIED = 10
@@ -106,11 +106,26 @@ def moves(question: Question, fit: Fitted, instead: Term | None = None) -> list[
     """What may be added, with the rise of the evidence to first order: terms one by one, dry and
     viscous friction of a joint together, and what most joints have at once, priced as one cause.
     In the place of a term of one joint only what that joint feels is looked at, one by one."""
+    return moves_of_each(question, [fit], [instead])[0]
+
+
+def moves_of_each(
+    question: Question, fits: Sequence[Fitted], instead: Sequence[Term | None]
+) -> list[list[tuple[float, Move]]]:
+    """The same beside each of several fits."""
+    places = [None if t is None or t.place is None else (None, t.place) for t in instead]
+    found = offers_of_each(question, fits, places)
+    return [
+        _moves(question, fit, some, groups=term is None)
+        for fit, some, term in zip(fits, found, instead, strict=True)
+    ]
+
+
+def _moves(
+    question: Question, fit: Fitted, found: Sequence[Offer], *, groups: bool
+) -> list[tuple[float, Move]]:
     n = question.candidates.gram.n
     own = _own(question, fit)
-    groups = instead is None
-    places = None if instead is None or instead.place is None else (None, instead.place)
-    found = offers(question, fit, places)
     # One by one.
     # A further joint of what most joints have is no further cause.
     free = common_names(own, question.joints)
@@ -150,7 +165,7 @@ def _joint_net(question: Question, fit: Fitted, terms: Sequence[Term]) -> float:
     rows = question.normal.rows
     weight = rows / fit.losses.clamp(min=1e-300)
     more = fit_terms(question, (*_own(question, fit), *terms), rows, weight)
-    paid = sum(len(t.at) * math.log(max(float(rows[t.place]), 2.0)) for t in terms)
+    paid = sum(t.count * math.log(max(float(rows[t.place]), 2.0)) for t in terms)
     return float(risen(rows, fit.losses, more.losses).sum()) - paid
 
 
@@ -160,9 +175,9 @@ def _lighter(question: Question, fit: Fitted) -> Fitted | None:
     own = _own(question, fit)
     spread = fit.root @ fit.root.T
     held: list[tuple[float, int]] = []
-    first = len(fit.x) - sum(len(t.at) for t in own)
+    first = len(fit.x) - sum(t.count for t in own)
     for k, term in enumerate(own):
-        rows = slice(first, first + len(term.at))
+        rows = slice(first, first + term.count)
         first = rows.stop
         inner = torch.linalg.pinv(spread[rows, rows], rtol=1e-9, hermitian=True)
         held.append(
@@ -185,12 +200,12 @@ def swapped(question: Question, fit: Fitted, *, every: bool = False) -> Fitted |
     without = [tuple(t for t in own if t is not term) for term in own]
     tried: list[Move] = []
     fits = fit_each(question, without, fit.effective, fit.weight)
-    for term, rest, other in zip(own, without, fits, strict=True):
-        for _, move in moves(question, other, term)[: TRIED if every else CLOSELY]:
+    found = moves_of_each(question, fits, own)
+    for term, rest, offered in zip(own, without, found, strict=True):
+        for _, move in offered[: TRIED if every else CLOSELY]:
             if move[0] is term and not every:
                 break
-            if move[0].name != BASE:
-                tried.append((*rest, *move))
+            tried.append((*rest, *move))
     if not tried:
         return None
     ((_, best),) = leading(question, tried, fit.effective, fit.weight)
@@ -204,7 +219,7 @@ def _added(question: Question, fit: Fitted) -> Fitted | None:
     own = _own(question, fit)
     if len(cause_groups(own, question.joints)) >= question.settings.max_effects:
         return None
-    options = [m for _, m in moves(question, fit) if not any(t.name == BASE for t in m)][:TRIED]
+    options = [m for _, m in moves(question, fit)][:TRIED]
     # Ranked with all samples.
     rows = question.normal.rows
     weight = rows / fit.losses.clamp(min=1e-300)
@@ -264,7 +279,7 @@ def _energies(equations: Equations, every: Sequence[Sequence[Term]]) -> Float[Te
     """Squares of the terms' columns, each term's largest for all of its columns."""
     squares = equations.a.diagonal(dim1=-2, dim2=-1).sum(-2)
     for k, terms in enumerate(every):
-        sizes = [len(t.at) for t in terms]
+        sizes = [t.count for t in terms]
         for own in squares[k].split([*sizes, squares.shape[-1] - sum(sizes)], -1):
             if own.shape[-1] > 1:
                 own.copy_(own.amax(-1, keepdim=True))

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from weakref import WeakKeyDictionary
 
+import numpy as np
 import torch
 
 from torchid.design.bodies import Prior, Priors, together
@@ -34,7 +35,7 @@ from torchid.design.gram import (
 )
 from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
-from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
+from torchid.gap.search.terms import BASE, Batch, Candidates, Term, term_columns
 from torchid.gap.settings import GapSettings
 from torchid.statistics.autocorrelation import autocorrelation, time_of
 from torchid.statistics.criteria import FORBIDDEN_STD
@@ -46,6 +47,9 @@ there."""
 
 TOGETHER = 32
 """Explanations that are fitted at once: of a hundred columns and seven joints 18 MB."""
+
+CLOSE = 3
+"""Explanations beyond the best that are fitted at once: one more costs less than one by itself."""
 
 TAIL = 0.01
 """Share of a cause's largest torque that the fit's filter may leave where it does not act [1]."""
@@ -81,7 +85,7 @@ class Fitted:
 
     def values(self) -> list[Float[Tensor, " _"]]:
         """Coefficients, term by term."""
-        return list(self.x.split([len(t.at) for t in self.terms]))
+        return list(self.x.split([t.count for t in self.terms]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,16 +132,18 @@ class Question:
         return float(max(1, len({t.key for t in self.candidates.terms})))
 
     @cached_property
-    def products(self) -> tuple[Float[Tensor, "..."], ...]:
-        """Of each batch of candidates the products of every term's own columns: (M, C, C) on its
-        joint, or (n, M, C, C) on all."""
+    def offered(self) -> tuple[tuple[Batch, np.ndarray], ...]:
+        """Batches of candidates, but for all base parameters, with the products of every term's own
+        columns: (M, C, C) on its joint, or (n, M, C, C) on all."""
         out = []
         for batch in self.candidates.batches:
+            if all(t.name == BASE for t in batch.terms):
+                continue
             at = batch.at.unsqueeze(2), batch.at.unsqueeze(1)
             if batch.place is None:
-                out.append(torch.stack([g[at] for g in self.normal.g]))
+                out.append((batch, torch.stack([g[at] for g in self.normal.g]).numpy()))
             else:
-                out.append(self.normal.g[batch.place][at])
+                out.append((batch, self.normal.g[batch.place][at].numpy()))
         return tuple(out)
 
     @cached_property
@@ -185,30 +191,31 @@ class Question:
 
 def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
     """Where the columns of terms are in each joint's matrix."""
-    n = len(normal.g)
-    if not terms:
-        return Subset(torch.zeros(n, 0, dtype=torch.long))
-    at = torch.cat([t.at for t in terms])
-    places = torch.cat([t.places for t in terms])
-    felt = (places < 0) | (places == torch.arange(n).unsqueeze(1))
+    at = np.full((len(normal.g), sum(t.count for t in terms)), -1)
+    first = 0
+    for term in terms:
+        felt = slice(None) if term.place is None else term.place
+        at[felt, first : first + term.count] = term.at.numpy()
+        first += term.count
     # What is explained: the gap, and the model's own effect where a term replaces it.
     instead = [(j, own.at, values) for t in terms for j, own, values in t.instead]
-    return Subset(torch.where(felt, at, -1), tuple(instead))
+    return Subset(torch.from_numpy(at), tuple(instead))
 
 
 def prior_of(terms: Sequence[Term]) -> Prior:
     """What is known of the coefficients of terms beforehand."""
-    ridge, bodies, first = [torch.zeros(0, dtype=torch.float64)], [], 0
+    none = torch.zeros(0, dtype=torch.float64)
+    ridge, bodies, first = [none], [], 0
     information = [t.information for t in terms if t.information is not None]
-    centre = [torch.zeros(0, dtype=torch.float64), *(t.centre for t in terms)]
+    centre = torch.cat([none, *(t.centre for t in terms)]) if any(t.seen for t in terms) else None
     for term in terms:
         ridge.append(term.ridge if term.bodies is None else torch.zeros_like(term.ridge))
         if term.bodies is not None:
             bodies.append(term.bodies.shifted(first))
-        first += len(term.at)
+        first += term.count
     # What a model knows of itself stands first.
     known = torch.cat(information) if information else None
-    return Prior(torch.cat(ridge), together(bodies), torch.cat(centre), known)
+    return Prior(torch.cat(ridge), together(bodies), centre, known)
 
 
 def rows_of(question: Question, term: Term) -> Float[Tensor, "C m N"]:
@@ -226,13 +233,16 @@ def residual(
 ) -> Float[Tensor, "n N"]:
     """Samples that terms with these coefficients leave; zero where none counts."""
     # The gap less the columns; a term that stands for the model's own takes that out, too.
-    left = question.candidates.gap.clone()
-    for term, own in zip(terms, x.split([len(t.at) for t in terms]), strict=True):
-        joints = slice(None) if term.place is None else slice(term.place, term.place + 1)
-        left[joints] -= torch.tensordot(own, rows_of(question, term), 1)
+    left = question.candidates.gap.clone().numpy()
+    for term, own in zip(terms, x.split([t.count for t in terms]), strict=True):
+        rows = rows_of(question, term).numpy()
+        if term.place is None:
+            left -= np.tensordot(own.numpy(), rows, 1)
+        else:
+            left[term.place] -= own.numpy() @ rows[:, 0]
         for joint, effect, values in term.instead:
-            left[joint] += values @ rows_of(question, effect)[:, 0]
-    return left * question.candidates.keep
+            left[joint] += values.numpy() @ rows_of(question, effect).numpy()[:, 0]
+    return torch.from_numpy(left) * question.candidates.keep
 
 
 def acting(question: Question, terms: Sequence[Term]) -> float:
@@ -256,7 +266,7 @@ def slack_torque(question: Question, fit: Fitted) -> Float[Tensor, "n N"]:
     """Samples of the torque of what the model as given leaves open of itself, as a fit takes it."""
     fixed = question.fixed
     taken = fit.terms[: len(fixed)]
-    x = fit.x[: sum(len(t.at) for t in taken)]
+    x = fit.x[: sum(t.count for t in taken)]
     return -residual(question, taken, x) + question.candidates.gap * question.candidates.keep
 
 
@@ -394,13 +404,14 @@ def leading(
         bounds += zip(*_fit_each(question, some, effective, weight, 2, conic=False), strict=True)
     order = sorted(range(len(bounds)), key=lambda k: -worth(bounds[k][0]))
     best: list[tuple[int, Fitted]] = []
-    for k in order:
-        fit, complete = bounds[k]
-        if len(best) == count and worth(fit) <= worth(best[-1][1]):
+    for first in range(0, len(order), count + CLOSE):
+        near = order[first : first + count + CLOSE]
+        if len(best) == count and worth(bounds[near[0]][0]) <= worth(best[-1][1]):
             break
-        if not complete:
-            (fit,) = fit_each(question, [explanations[k]], effective, weight)
-        best = sorted([*best, (k, fit)], key=lambda pair: -worth(pair[1]))[:count]
+        incomplete = [k for k in near if not bounds[k][1]]
+        again = fit_each(question, [explanations[k] for k in incomplete], effective, weight)
+        fits = {k: bounds[k][0] for k in near} | dict(zip(incomplete, again, strict=True))
+        best = sorted([*best, *fits.items()], key=lambda pair: -worth(pair[1]))[:count]
     return best
 
 
@@ -429,18 +440,25 @@ def _fit_each(
         weight = effective / losses.clamp(min=1e-300)
     known = priors.value(solved.x).tolist()
     complete = [True] * len(every) if conic else priors.leave_bodies(solved.x)
+    # Bounds of all at once, none of the coefficients that the smaller ones lack.
+    inside = torch.arange(solved.x.shape[1]) < torch.tensor([[s.count] for s in subsets])
+    limits = torch.tensor([0.0, -math.inf, math.inf]).double().repeat(*inside.shape, 1)
+    limits[inside] = limits_of([t for terms in every for t in terms])
+    refusals = forbidden(limits, solved)
+    refusal = refusals.any(1).tolist()
     out = []
     for k, (terms, subset) in enumerate(zip(every, subsets, strict=True)):
         own = subset.count
         x, root = solved.x[k, :own], solved.root[k, :own, :own]
         fit = Fitted(terms, subset, x, root, losses[k], known[k], -math.inf, effective)
-        wrong = forbidden(terms, Solved(x, root))
-        while complete[k] and bool(wrong.any()):
+        wrong, any_wrong = refusals[k, :own], refusal[k]
+        while complete[k] and any_wrong:
             # At its bound of zero a coefficient is none; the others are fitted without it.
             if bool((wrong & ~torch.cat([t.optional for t in terms])).any()):
                 break
             fit = _without(question, fit, wrong, priors.each[k], rounds)
-            wrong = forbidden(terms, Solved(fit.x, fit.root))
+            wrong = forbidden(limits[k, :own], Solved(fit.x, fit.root))
+            any_wrong = bool(wrong.any())
         else:
             gain = float(risen(effective, question.squares, fit.losses).sum())
             evidence = gain - fit.known - cost(question, explanations[k], effective)
@@ -473,20 +491,23 @@ def risen(
     return effective * (before.clamp(min=1e-300) / after.clamp(min=1e-300)).log()
 
 
-def forbidden(terms: Sequence[Term], solved: Solved) -> Bool[Tensor, " K"]:
+def limits_of(terms: Sequence[Term]) -> Float[Tensor, "K 3"]:
+    """The limits of all coefficients of terms, see `Term.limits`."""
+    return torch.cat([torch.zeros(0, 3, dtype=torch.float64), *(t.limits for t in terms)])
+
+
+def forbidden(limits: Float[Tensor, "*batch K 3"], solved: Solved) -> Bool[Tensor, "*batch K"]:
     """Which coefficients have a sign that physics forbids, or are larger than on any arm, beyond
     what their own uncertainty explains: a friction that drives, a load of negative mass."""
-    if not terms:
-        return torch.zeros(0, dtype=torch.bool)
     # The whole coefficient, with what the model has of it, is what physics bounds.
-    known, least, largest = torch.cat([t.limits for t in terms]).unbind(1)
-    slack = FORBIDDEN_STD * solved.root.norm(dim=1) + 1e-12
+    known, least, largest = limits.unbind(-1)
+    slack = FORBIDDEN_STD * solved.root.norm(dim=-1) + 1e-12
     return (solved.x + known < least - slack) | (solved.x.abs() > largest + slack)
 
 
 def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
     """Terms of which physics forbids a coefficient."""
-    parts = forbidden(terms, solved).split([len(t.at) for t in terms])
+    parts = forbidden(limits_of(terms), solved).split([t.count for t in terms])
     return [t for t, own in zip(terms, parts, strict=True) if bool(own.any())]
 
 
@@ -497,7 +518,8 @@ def cost(
     alpha: float | None = None,
 ) -> float:
     """Of the coefficients and shapes of terms, and of their causes at a level (see `price`)."""
-    total = question.price(alpha) * len(cause_groups(terms, question.joints))
+    common = common_names(terms, question.joints)
+    total = question.price(alpha) * (len(common) + sum(t.name not in common for t in terms))
     counts = effective.tolist()
     logs = [math.log(max(n, 2.0)) for n in (*counts, sum(counts))]
     for term in terms:
@@ -508,17 +530,16 @@ def cost(
 
 def directions(question: Question, term: Term) -> int:
     """Directions of a term's columns that the samples tell apart."""
-    if len(term.at) == 1:
-        return 1
-    if id(term) not in question.seen:
+    found = question.seen.get(id(term), 1 if term.count == 1 else 0)
+    if not found:
         joints = range(len(question.normal.g)) if term.place is None else (term.place,)
         own = [question.normal.g[j][term.at.unsqueeze(1), term.at] for j in joints]
         gram = torch.stack(own).sum(0)
         # Eigenvalues of the columns' correlation: as many as are visible count.
         size = gram.diagonal().clamp(min=1e-300).sqrt()
         values = torch.linalg.eigvalsh(gram / size / size.unsqueeze(1))
-        question.seen[id(term)] = max(1, int((values > VISIBLE).sum()))
-    return question.seen[id(term)]
+        found = question.seen[id(term)] = max(1, int((values > VISIBLE).sum()))
+    return found
 
 
 def common_names(terms: Iterable[Term], n: int) -> set[str]:
@@ -588,85 +609,108 @@ class Offer:
 
 
 def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = None) -> list[Offer]:
-    """Every candidate's gain beside a fit, those that physics refuses left out; of these places
-    alone where some are given.
+    """Every candidate's gain beside a fit, all base parameters and those that physics refuses left
+    out; of these places alone where some are given.
 
     Gains are those of independent samples, for what a candidate leaves may be as independent: what
     is dependent now may be the very effect that is missing.
     """
-    normal = question.normal
-    weight = normal.rows / fit.losses.clamp(min=1e-300)
-    prior = prior_of(fit.terms)
-    equations = normal.of(fit.subset)
-    solved = prior.solve_of(equations, weight)
-    common = question.candidates.gram.common
+    return offers_of_each(question, [fit], [places])[0]
+
+
+def offers_of_each(
+    question: Question, fits: Sequence[Fitted], places: Sequence[Sequence[Place] | None]
+) -> list[list[Offer]]:
+    """The same beside each of several fits."""
+    if not fits:
+        return []
+    priors = Priors([prior_of(fit.terms) for fit in fits])
+    equations = question.normal.of_each([fit.subset for fit in fits])
+    losses = torch.stack([fit.losses for fit in fits])
+    weight = question.normal.rows / losses.clamp(min=1e-300)
+    solved = priors.solve_of(equations, weight)
     # Beside the root, that of a model of which nothing is known, where something is.
+    free: Tensor | None = None
+    if any(p.known is not None for p in priors.each):
+        unknown = Priors([p.unknown for p in priors.each]).squares
+        free = inverse_root(equations.weighted(weight)[0] + unknown, known=unknown)
+    out = []
+    for k, (fit, some) in enumerate(zip(fits, places, strict=True)):
+        own = slice(fit.subset.count)
+        roots = solved.root[k, own, own], None if free is None else free[k, own, own]
+        out.append(
+            _offers(question, fit, weight[k], Solved(solved.x[k, own], roots[0]), roots[1], some)
+        )
+    return out
+
+
+def _offers(
+    question: Question,
+    fit: Fitted,
+    weights: Float[Tensor, " n"],
+    solved: Solved,
+    free_root: Float[Tensor, "K K"] | None,
+    places: Sequence[Place] | None,
+) -> list[Offer]:
+    """The same beside a fit with these weights, and root where nothing is known of the model."""
+    normal, weight, common = question.normal, weights.numpy(), question.candidates.gram.common
     root, k = solved.root, solved.root.shape[1]
-    if prior.known is not None:
-        matrix = equations.weighted(weight)[0] + prior.unknown.squares
-        root = torch.cat([root, inverse_root(matrix, known=prior.unknown.squares)], 1)
-    # What the fit leaves, and what it holds, of every row of the joints' matrices; rows of
-    # effects that all joints feel are summed.
-    across = torch.zeros(fit.subset.count, common, dtype=torch.float64)
-    pull_common = torch.zeros(common, dtype=torch.float64)
-    held: dict[int, Tensor] = {}
-    pulls: dict[int, Tensor] = {}
-    for j, (w, g) in enumerate(zip(weight.tolist(), normal.g, strict=True)):
-        # Rows are columns, for the matrix is symmetric; of a joint that is not asked of, only those
-        # that all joints feel.
-        whole = places is None or j in places
-        asked = slice(None) if whole else slice(common)
-        at = fit.subset.at[j]
-        rows = g[:, asked].index_select(0, at.clamp(min=0)) * (w * (at >= 0)).unsqueeze(1)
-        target = w * g[-1, asked]
+    inner = (root if free_root is None else torch.cat([root, free_root], 1)).numpy()
+    x = solved.x.numpy()
+    # Weighted rows of what the fit holds, in every joint's matrix, and of what it explains; rows
+    # are columns, for the matrix is symmetric. Of a joint that is not asked of, only what all
+    # joints feel.
+    parts: list[tuple[np.ndarray, np.ndarray]] = []
+    for j, (w, own, at) in enumerate(zip(weight, normal.g, fit.subset.at.numpy(), strict=True)):
+        g = own.numpy()
+        asked = slice(None) if places is None or j in places else slice(common)
+        target = g[-1, asked]
         for joint, of_model, values in fit.subset.instead:
             if joint == j:
-                target = target + w * (values @ g[:, asked].index_select(0, of_model))
-        b = target - solved.x @ rows
-        across += rows[:, :common]
-        pull_common += b[:common]
-        if whole:
-            held[j], pulls[j] = rows.T @ root, b
-    held_common = across.T @ root
+                target = target + values.numpy() @ g[of_model.numpy(), asked]
+        parts.append((g[at, asked] * (w * (at >= 0))[:, None], w * target))
+    # What the fit leaves and what it holds; of effects that all joints feel, the sum.
+    pulls = [target - x @ rows for rows, target in parts]
+    pull_common = np.sum([b[:common] for b in pulls], 0)
+    held_common = np.sum([rows[:, :common] for rows, _ in parts], 0).T @ inner
+    held = {j: parts[j][0].T @ inner for j in range(len(parts)) if places is None or j in places}
     # Each batch at once: squares, pulls and what is held of the candidates' columns.
     # What the model leaves open of its own effects is no change of these.
     present = {t.key for t in fit.terms if t.effects and t.information is None} | question.barred
     out: list[Offer] = []
-    for batch, products in zip(question.candidates.batches, question.products, strict=True):
+    for batch, products in question.offered:
         if places is not None and batch.place not in places:
             continue
+        at = batch.at.numpy()
         # Candidates that all joints feel sum over joints; those of one joint see its matrix alone.
         if batch.place is None:
-            h, b = held_common[batch.at], pull_common[batch.at]
-            gram = torch.tensordot(weight, products, 1)
+            h, b = held_common[at], pull_common[at]
+            gram, extra = np.tensordot(weight, products, 1), np.zeros(len(at))
         else:
-            h, b = held[batch.place][batch.at], pulls[batch.place][batch.at]
-            g = normal.g[batch.place]
-            gram = float(weight[batch.place]) * products
-            extra = torch.zeros(len(batch.terms), dtype=torch.float64)
+            h, b = held[batch.place][at], pulls[batch.place][at]
+            g, w = normal.g[batch.place].numpy(), weight[batch.place]
+            gram, extra = w * products, np.zeros(len(at))
             for m, term in batch.standing_in:
-                for _, own, values in term.instead:
+                for _, model, values in term.instead:
                     # The target grows by the effect that is replaced: so does what is left of it.
-                    w = float(weight[batch.place])
-                    rest = held[batch.place][own.at, :k].T @ values
-                    grown = w * (values @ g[own.at.unsqueeze(1), own.at] @ values) - rest @ rest
-                    extra[m] += grown + 2 * values @ pulls[batch.place][own.at]
-                    b[m] += w * (g[term.at.unsqueeze(1), own.at] @ values) - h[m, :, :k] @ rest
+                    rows, v = model.at.numpy(), values.numpy()
+                    rest = held[batch.place][rows, :k].T @ v
+                    grown = w * (v @ g[rows[:, None], rows] @ v) - rest @ rest
+                    extra[m] += grown + 2 * v @ pulls[batch.place][rows]
+                    b[m] += w * (g[term.at.numpy()[:, None], rows] @ v) - h[m, :, :k] @ rest
         # Gain of each candidate, less what is lost with the effect in whose place it stands.
-        free = h[..., k:] if prior.known is not None else None
+        free = None if free_root is None else h[..., k:]
         gains, counts = _gains(batch, gram, h[..., :k], b, free)
-        if batch.place is not None:
-            gains = gains - extra
+        gains = gains - extra
         n = float(normal.rows.sum() if batch.place is None else normal.rows[batch.place])
         # What is gained on one joint cannot exceed what is there: n log(1 / (1 - share)).
-        rise = -n * torch.log1p(-(gains / max(n, 1e-9)).clamp(0, 1 - 1e-9))
-        paid = (counts + batch.shapes) * math.log(max(n, 2.0))
-        best = (rise - paid).argsort(descending=True)[:LOOKED_AT]
-        chosen = torch.stack([gains, rise, paid], 1)[best].tolist()
-        for m, (gain, rising, price) in zip(best.tolist(), chosen, strict=True):
+        rise = -n * np.log1p(-(gains / max(n, 1e-9)).clip(0, 1 - 1e-9))
+        paid = (counts + batch.shapes.numpy()) * math.log(max(n, 2.0))
+        for m in np.argsort(paid - rise, kind="stable")[:LOOKED_AT].tolist():
             term = batch.terms[m]
-            if gain > 0 and term.key not in present and not _beside(term, fit.terms):
-                out.append(Offer(term, rising, price))
+            refused = gains[m] <= 0 or term.key in present or term.name == BASE
+            if not (refused or _beside(term, fit.terms)):
+                out.append(Offer(term, float(rise[m]), float(paid[m])))
     return sorted(out, key=lambda o: -o.net)
 
 
@@ -691,35 +735,40 @@ def _beside(term: Term, others: Sequence[Term]) -> bool:
 
 
 def _gains(
-    batch: Batch,
-    gram: Float[Tensor, "M C C"],
-    held: Float[Tensor, "M C k"],
-    b: Float[Tensor, "M C"],
-    free: Float[Tensor, "M C f"] | None,
-) -> tuple[Tensor, Tensor]:
-    """Gains (M,) and directions (M,) of terms beside a model that holds part of
-    their columns; 0 where physics forbids a coefficient. `free` is what it would hold if nothing
-    were known of it."""
+    batch: Batch, gram: np.ndarray, held: np.ndarray, b: np.ndarray, free: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gains (M,) and directions (M,) of terms beside a model that holds part of their columns; 0
+    where physics forbids a coefficient.
+
+    Args:
+        batch: the terms.
+        gram, b: (M, C, C), (M, C) products of their columns, and those with what is left.
+        held: (M, C, k) what the model holds of the columns.
+        free: (M, C, f) what it would hold if nothing were known of it.
+    """
     # What the model leaves of the columns, in units of the columns themselves.
-    square = gram.diagonal(dim1=1, dim2=2)
-    whole = gram + torch.diag_embed(batch.ridge)
-    left = whole - held @ held.transpose(1, 2)
-    rest = None if free is None else whole - free @ free.transpose(1, 2)
+    ridge, known, largest = (x.numpy() for x in (batch.ridge, batch.known, batch.largest))
+    signed, optional = batch.signed.numpy(), batch.optional.numpy()
+    square = gram.diagonal(0, 1, 2)
+    whole = gram + ridge[:, None] * np.eye(ridge.shape[1])
+    left = whole - held @ held.transpose(0, 2, 1)
+    rest = None if free is None else whole - free @ free.transpose(0, 2, 1)
+    pull = (b + ridge * batch.centre.numpy())[:, None]
     # Least squares along the directions that are seen; the rest is noise of the columns.
-    size = torch.where(square > 1e-300, square + batch.ridge, 0.0)
+    size = np.where(square > 1e-300, square + ridge, 0.0)
     while True:
         root = visible_root(left, size, rest)
-        along = root.transpose(1, 2) @ (b + batch.ridge * batch.centre).unsqueeze(-1)
-        gain = along.square().sum((1, 2))
-        x, std = (root @ along).squeeze(-1), root.norm(dim=-1)
+        along = (pull @ root)[:, 0]
+        gain = np.square(along).sum(1)
+        x, std = (root * along[:, None]).sum(-1), np.sqrt(np.square(root).sum(-1))
         # A sign counts only where the coefficient is determined, and is no noise.
-        sure = (root @ (root.transpose(1, 2) @ left)).diagonal(dim1=1, dim2=2) > 0.99
-        low = sure & (x + batch.known < -FORBIDDEN_STD * std) & batch.signed
-        high = sure & (x.abs() > batch.largest + FORBIDDEN_STD * std)
+        sure = (root * (left @ root)).sum(-1) > 0.99
+        low = sure & (x + known < -FORBIDDEN_STD * std) & signed
+        high = sure & (np.abs(x) > largest + FORBIDDEN_STD * std)
         # A friction that drives, or a coefficient larger than on any arm, is no gain.
-        wrong = (high | (low & ~batch.optional)).any(-1)
-        held = low & ~wrong.unsqueeze(-1) & (size > 0)
-        if not bool(held.any()):
-            return torch.where(wrong, torch.zeros_like(gain), gain), root.any(-2).sum(-1)
+        wrong = (high | (low & ~optional)).any(-1)
+        zero = low & ~wrong[:, None] & (size > 0)
+        if not zero.any():
+            return np.where(wrong, 0.0, gain), root.any(-2).sum(-1)
         # What may be zero is held there, and the term is asked what it gains without it.
-        size = torch.where(held, 0.0, size)
+        size = np.where(zero, 0.0, size)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 
 from torchid.design.columns import Columns, Model, Place, on_joint
@@ -23,6 +24,7 @@ from torchid.gap.search.climb import (
     fitted,
     held_out_losses,
     moves,
+    moves_of_each,
     swapped,
     worthy,
 )
@@ -33,6 +35,7 @@ from torchid.gap.search.evidence import (
     acting,
     apart,
     common_names,
+    fit_each,
     fit_terms,
     residual,
     rows_of,
@@ -160,11 +163,13 @@ def explained(
         if attempt + 1 == PASSES or not _changed(at, latest, data):
             break
         at = latest
-        # Secants at the estimate stand beside those at the usual place.
+        # Secants at the estimate stand beside those at the usual place, and all of them are there
+        # again, whatever of their grid is.
         pairs = zip(fit.terms, fit.values(), strict=True)
         moved = [at_estimate(t, v) for t, v in pairs]
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
-        extra += [e for t in start for e in t.effects if e.linearised and len(t.effects) == 1]
+        alone = [t.effects[0] for t in start if len(t.effects) == 1]
+        extra += [e for e in alone if hasattr(e, "at")]
     while True:
         fit = fit_to_convergence(question, fit.terms, fit)
         solution = solve(problem, fit)
@@ -428,7 +433,8 @@ def _torques_at_size(
 ) -> Float[Tensor, "B n N"]:
     """Torques of B effects of one class, each of its own size `at`, on the samples."""
     kind = type(effects[0])
-    found = [torch.cat(list(kind.columns_of(effects, m, robot)), -1) for m in motions]
+    every = kind.columns_along(effects, motions, robot)
+    found = [torch.cat(x, -1) for x in zip(*every, strict=True)]
     sizes = torch.tensor([e.at for e in effects]).reshape(-1, 1, 1)  # type: ignore[attr-defined]
     return sizes * samples.of([x.permute(2, 1, 0) for x in found])
 
@@ -438,10 +444,10 @@ def at_their_size(question: Question, fit: Fitted) -> list[Effect]:
     other place a large true cause leaves more than rivals that are linear."""
     moved: dict[object, Effect] = {}
     own = fit.terms[len(question.fixed) :]
-    for term in own:
-        rest = [t for t in own if t is not term]
-        without = fit_terms(question, rest, fit.effective, fit.weight)
-        for net, (rival, *_) in moves(question, without, term)[:CLOSELY]:
+    rests = [[t for t in own if t is not term] for term in own]
+    without = fit_each(question, rests, fit.effective, fit.weight)
+    for rest, offered in zip(rests, moves_of_each(question, without, own), strict=True):
+        for net, (rival, *_) in offered[:CLOSELY]:
             effect = rival.effects[0] if len(rival.effects) == 1 else None
             if net > 0 and effect and effect.linearised and effect.identity not in moved:
                 there = fit_terms(question, (*rest, rival), fit.effective, fit.weight)
@@ -474,8 +480,8 @@ def _closest(
         """What columns (C, m, N) explain of it beside the other terms, which are fitted anew."""
         flat = (x * weight).flatten(1)
         gram, held = flat @ flat.T, flat @ others_hold.T
-        root = visible_root(gram - held @ held.T, gram.diagonal())
-        return float((root.T @ (flat @ y)).square().sum())
+        root = visible_root((gram - held @ held.T).numpy(), gram.diagonal().numpy())
+        return float(np.square((flat @ y).numpy() @ root).sum())
 
     # Each time the shapes around the best one are tried, three times more closely.
     best, most = effect, gained(columns.on_all_joints(effect)[:, joints])

@@ -214,8 +214,7 @@ def likely(
     """Terms in the place of one, with the rise of the evidence, the best first: in order of what
     they promise, until ten are beyond the odds."""
     others = without.terms[len(question.fixed) :]
-    found = [m for _, m in moves(question, without, term)]
-    found = [m for m in found if m[0].name != BASE and m[0].key != term.key]
+    found = [m for _, m in moves(question, without, term) if m[0].key != term.key]
     tried: list[tuple[float, Term]] = []
     failed = 0
     while found and failed < TRIED:

@@ -17,7 +17,7 @@ from torchid.design.bodies import (
 )
 from torchid.design.columns import Columns, Model, Place
 from torchid.design.deflection import Compliance, compliance
-from torchid.design.gram import Gram
+from torchid.design.gram import Gram, inverse_root
 from torchid.design.resonance import Swing
 from torchid.effects.base import Coefficient, Effect, JointEffect, ModelEffect
 from torchid.effects.file_mistakes import FileMistake
@@ -31,6 +31,11 @@ from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot
 from torchid.statistics.criteria import BODY_STD, WRONG_BODY
 from torchid.typing import Bool, Float, Int, Tensor
+
+EXPLAINS = 3.0
+"""Standard deviations of a coefficient beside the laws of its joint from which a coarse grid
+explains something: what is worth a name has more, and a column of the fine grid has most of it in
+common with a neighbour's."""
 
 LINK = "link_inertia"
 PAYLOAD = "payload"
@@ -135,7 +140,12 @@ class Term:
         """Whether it changes links' parameters, as a body or as a mistake of the file."""
         return self.inertial or self.change is not None
 
-    @property
+    @cached_property
+    def count(self) -> int:
+        """C."""
+        return len(self.at)
+
+    @cached_property
     def shapes(self) -> int:
         """Number of its parameters that are searched beside the coefficients, how wrong a body may
         be among them; none of the model's own effect, whose shape is given."""
@@ -257,14 +267,19 @@ def candidates_of(
         )  # fmt: skip
 
     # Effects of the whole arm, and those that all joints share.
-    for some in _model_effects(wanted, data, columns, extra):
-        for effect, (place, x) in zip(some, columns.of_several(some), strict=True):
+    there: set[Effect] = set()
+    for every in _model_effects(wanted, data, columns, extra):
+        some = [e for e in every if e not in there]
+        starts = list(zip(some, columns.of_several(some), strict=True))
+        finer = [e for e in _between(columns, gap, data.keep, starts) if e not in there]
+        for effect, (place, x) in (*starts, *zip(finer, columns.of_several(finer), strict=True)):
             terms.append(put((effect,), place, x))
+        there |= {*some, *finer}
     for made, change in _file_mistakes(wanted, given.robot):
         x = torch.tensordot(change, columns.regressor, 2).unsqueeze(0)
         terms.append(replace(put(made, None, x), change=change))
     # The model's own, which are corrected within what is known of them, candidates or not.
-    there = {e for t in terms for e in t.effects}
+    there |= {e for t in terms for e in t.effects}
     own_effects = [e for e, _ in given.effects if wanted.knowledge is not None and not e.event]
     beside: list[Term] = []
     for e in own_effects:
@@ -272,8 +287,8 @@ def candidates_of(
             beside.append(put((e,), *columns.of(e)))
     for name in wanted.names:
         if KINDS[name].shared and not issubclass(KINDS[name], FileMistake):
-            every = tuple(KINDS[name].candidates(robot))  # type: ignore[attr-defined]
-            terms.append(put(every, None, sum(columns.on_all_joints(e) for e in every)))  # type: ignore[arg-type]
+            shared = tuple(KINDS[name].candidates(robot))  # type: ignore[attr-defined]
+            terms.append(put(shared, None, sum(columns.on_all_joints(e) for e in shared)))  # type: ignore[arg-type]
     # Effects of one joint: all shapes of the grid, and some that no grid holds. Once they are in
     # the joint's matrix, its columns are not needed any more.
     gram = Gram(filled, n, int(parts.max()) + 1)
@@ -407,6 +422,31 @@ def _model_effects(
             found = [_swinging(e, data) for e in kind.starts(columns.model.robot)]
             yield [e for e in found if not e.joints or not silent.issuperset(e.joints)]
     yield from ([e] for e in extra if isinstance(e, ModelEffect))
+
+
+def _between(
+    columns: Columns,
+    gap: Float[Tensor, "n N"],
+    keep: Bool[Tensor, "n N"],
+    starts: Sequence[tuple[ModelEffect, tuple[Place, Tensor]]],
+) -> list[ModelEffect]:
+    """What stands between starts of a kind, on the joints where one of them explains something of
+    what the laws of the joint leave of its gap."""
+    out: list[ModelEffect] = []
+    for joint in sorted({j for effect, _ in starts for j in effect.joints[:1]}):
+        own = [(e, place, x) for e, (place, x) in starts if e.joints[:1] == (joint,)]
+        finer = [f for e, *_ in own for f in e.between()]
+        if not finer:
+            continue
+        counts = keep[joint]
+        laws = columns.laws(joint)[:, counts]
+        laws = inverse_root(laws @ laws.T).T @ laws
+        felt = [x[:, joint] if place is None else x * (place == joint) for _, place, x in own]
+        y, x = (z - (z @ laws.T) @ laws for z in (gap[joint, counts], torch.cat(felt)[:, counts]))
+        power = x.square().sum(1) * y.square().sum() / max(1, len(y))
+        if bool(((x @ y).square() > EXPLAINS**2 * power).any()):
+            out += finer
+    return out
 
 
 def _file_mistakes(

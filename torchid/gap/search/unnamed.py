@@ -18,7 +18,7 @@ from torchid.gap.search.explain import Explanation, solve
 from torchid.gap.search.odds import Misfit, odds
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.solve import solved
-from torchid.gap.search.terms import BASE, Term
+from torchid.gap.search.terms import Term
 from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
 from torchid.robot.model import Robot
@@ -152,7 +152,7 @@ def _likely_places(
 
     places: dict[Place, dict[object, Term]] = {}
     for _, (term, *more) in moves(question, found.fit):
-        if more or term.name == BASE or term.key in listed or is_another(term):
+        if more or term.key in listed or is_another(term):
             continue
         own = places.setdefault(term.place, {})
         if is_moved(term) or (len(places) <= PLACES and len(own) < EACH):

@@ -61,5 +61,5 @@ def decide(found: Explanation, problem: Problem) -> Decision:
             break
         found = search_again_without(found, refused, problem)
     if problem.judged is not None:
-        checked = check(found, problem, problem.judged, checked.measured)
+        checked = check(found, problem, problem.judged, checked)
     return Decision(found, checked, tuple(judged), misfit, least, taken_back)

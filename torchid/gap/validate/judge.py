@@ -34,6 +34,7 @@ class Checked:
     Attributes:
         shown: torque before and after.
         refitted: torque before, and of the model with base parameters refitted.
+        base: that model.
         noise: beside the answered model.
         measured: the same, as it was before what is left bounded it.
         far: closed share.
@@ -42,6 +43,7 @@ class Checked:
 
     shown: list[Trace]
     refitted: list[Trace]
+    base: Solution
     noise: Noise
     measured: Noise
     far: Closing
@@ -66,7 +68,10 @@ def blocks_of(data: Data, columns: Columns | None) -> Int[Tensor, " N"]:
 
 
 def check(
-    found: Explanation, problem: Problem, judged: Data | None = None, noise: Noise | None = None
+    found: Explanation,
+    problem: Problem,
+    judged: Data | None = None,
+    before: Checked | None = None,
 ) -> Checked:
     """Models fitted without each fold, or on all data where a log was held out, and what they do.
 
@@ -74,36 +79,39 @@ def check(
         found: the explanation.
         problem: of which it is one.
         judged: the log that is held out; None to leave out each fold.
-        noise: beside this explanation, where it has been measured.
+        before: of this explanation on the folds, where that is known.
     """
     data, folds, settings = problem.data, problem.folds, problem.settings
     repeats, fitted_first = problem.repeats, problem.fitted_first
     solution = found.solution
     columns = found.question.candidates.columns.at(solution.model)
-    base = refitted(columns.at(solution.start), data, solution.wanted)
     band = data.band
-    if noise is None:
+    if before is None:
+        base = refitted(columns.at(solution.start), data, solution.wanted)
         noise = noise_of(columns, solution.start, solution.left, data, repeats, settings.seed)
+    else:
+        base, noise = before.base, before.measured
     if judged is None:
         # Each fold is shown by models that were fitted on the others.
         fits = [folds.fitted(k) for k in range(folds.count)]
         after = [solution.without(f) for f in fits]
         again = [base.without(f) for f in fits]
-        before = again if fitted_first else [solution.start]
-        shown = traces(data.samples, folds, before, after, band, reach=noise.reach)
-        again_shown = traces(data.samples, folds, before, again, band, reach=noise.reach)
+        start = again if fitted_first else [solution.start]
+        shown = traces(data.samples, folds, start, after, band, reach=noise.reach)
+        again_shown = traces(data.samples, folds, start, again, band, reach=noise.reach)
         motions = repeats.groups(len(data.segments)) if folds.whole else None
     else:
         # The held-out log is shown by models that were fitted on all of the other log.
-        before = [base.model] if fitted_first else [solution.start]
-        shown = traces(judged.samples, None, before, [solution.model], band, reach=noise.reach)
-        again_shown = traces(judged.samples, None, before, [base.model], band, reach=noise.reach)
+        start = [base.model] if fitted_first else [solution.start]
+        shown = traces(judged.samples, None, start, [solution.model], band, reach=noise.reach)
+        again_shown = traces(judged.samples, None, start, [base.model], band, reach=noise.reach)
         motions = tuple(range(len(shown))) if len(shown) >= FEW else None
     # Whatever is noise is part of what is left: the same instants, the same band.
     measured, noise = noise, noise.at_most(torch.minimum(*levels(shown)))
     return Checked(
         shown,
         again_shown,
+        base,
         noise,
         measured,
         closing(shown, noise.floor, settings.seed, noise.unpredicted, motions),

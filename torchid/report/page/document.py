@@ -38,7 +38,7 @@ from torchid.report.colours import AFTER, BEFORE, BLUE, GREEN, GREY, GRID, INK, 
 from torchid.report.page.answer import cause_line
 from torchid.report.panels import Picture, literal, printable
 from torchid.report.table import Code, InputFile, Origin, Page, Table
-from torchid.results.words import span
+from torchid.results.words import span, value_words
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -189,8 +189,8 @@ def origin(
         finished=datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
         seconds=time.monotonic() - started,
         versions=versions(),
-        seeds=tuple((name, setting_words(value)) for name, value in seeds.items()),
-        settings=tuple((_label(name), setting_words(value)) for name, value in settings.items()),
+        seeds=tuple((name, value_words(value)) for name, value in seeds.items()),
+        settings=tuple((k.replace("_", " "), value_words(v)) for k, v in settings.items()),
         files=tuple(files),
     )
 
@@ -233,23 +233,6 @@ def versions() -> tuple[tuple[str, str], ...]:
         except PackageNotFoundError:
             continue
     return (*found, ("system", f"{platform.system()} {platform.machine()}"))
-
-
-def setting_words(value: object) -> str:
-    """A setting as people write it."""
-    if isinstance(value, Mapping):
-        return ", ".join(f"{_label(k)} {setting_words(v)}" for k, v in value.items()) or "none"
-    if isinstance(value, list | tuple):
-        return ", ".join(setting_words(v) for v in value) or "none"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    return "none" if value is None else str(value)
-
-
-def _label(name: Any) -> str:
-    return str(name).replace("_", " ")
 
 
 THEME = {

@@ -2,15 +2,14 @@
 sentences: nothing here is drawn."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import NamedTuple
 
 import torch
 
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
-from torchid.report.identification import QUANTITIES
+from torchid.report.identification import quantities
 from torchid.results.words import count, listed
 from torchid.robot.inertia import InertialParameters
 from torchid.study.result import ScenarioResult, SetsOnMotion, Study
@@ -79,16 +78,6 @@ def distinct_errors(study: Study, name: str) -> int:
     return different(study.errors.force_rms[rows].amax(-1))
 
 
-def all_degrees(study: Study) -> Float[Tensor, " K"]:
-    """Degree of every run of every scenario."""
-    return torch.cat([s.feasibility.degree for s in study.scenarios])
-
-
-def kept(gamma: Float[Tensor, " R"]) -> int:
-    """Runs that meet all conditions: those whose penalty is zero."""
-    return int((gamma == 0).sum())
-
-
 def endings(result: ScenarioResult) -> Int[Tensor, " R"]:
     """(R,) which runs ended in the same set: the number of the first of them."""
     x = result.extraction.sets.vector
@@ -141,45 +130,13 @@ def row_of(sets: SetsOnMotion, name: str) -> int:
     return sets.labels.index(name)
 
 
-def at_joint(values: Sequence[float], unit: str = "") -> str:
-    """The largest of one value a joint, and where: `3.2 N at joint 2`."""
-    joint = max(range(len(values)), key=lambda k: values[k])
-    return f"{number(values[joint])}{unit and ' '}{unit} at joint {joint + 1}"
-
-
-class Quantity(NamedTuple):
-    """One quantity of the payload: its true value, estimate and 95 % interval."""
-
-    name: str
-    unit: str
-    true: float
-    value: float
-    low: float
-    high: float
-
-    @property
-    def known(self) -> bool:
-        """Whether it has an estimate with an interval."""
-        return math.isfinite(self.value) and math.isfinite(self.low)
-
-    @property
-    def held(self) -> bool:
-        """Whether the interval holds the true value."""
-        return self.low <= self.true <= self.high
-
-
-def payload_quantities(study: Study) -> list[Quantity]:
-    """The ten quantities of the payload, in the tool frame."""
-    body, tool = InertialParameters(study.payload.true), study.payload.estimate.tool
-    true = torch.cat([body.mass.reshape(1), body.com, body.inertia_about_com])
-    parts = (tool.mass, tool.com, tool.inertia_about_com)
-    columns = (torch.cat([getattr(x, name) for x in parts]) for name in ("value", "low", "high"))
-    return [
-        Quantity(*named, *numbers)
-        for named, *numbers in zip(
-            QUANTITIES, true.tolist(), *(x.tolist() for x in columns), strict=True
-        )
-    ]
+def payload_quantities(study: Study) -> list[tuple[str, str, float, float, float, float]]:
+    """Name and unit, true value, estimate and ends of its 95 % interval of the ten quantities of
+    the payload, in the tool frame."""
+    body = InertialParameters(study.payload.true)
+    true = torch.cat([body.mass.reshape(1), body.com, body.inertia_about_com]).tolist()
+    estimated = zip(quantities(study.payload.estimate.tool), true, strict=True)
+    return [(name, unit, t, value, low, high) for (name, unit, value, _, low, high), t in estimated]
 
 
 def verdict(study: Study) -> list[str]:
@@ -200,22 +157,17 @@ def verdict(study: Study) -> list[str]:
         if why
         else "Truth: the simulated arm's own parameters are feasible."
     )
-    said += _possible(study)
-    good, bad = by_feasibility(study, True), by_feasibility(study, False)
-    feasible, runs = feasible_runs(study)
-    failing = [f"{s.scenario.id} ({', '.join(s.reasons)})" for s in bad]
-    said.append(
-        f"Feasible: {len(good)} of the {len(study.scenarios)} best sets"
-        f"{f' ({listed(ids(good))})' if good else ''}, and {feasible} of "
-        f"{count(runs, 'run')}.{f' Not feasible: {listed(failing)}.' if failing else ''}"
-    )
+    for bounds in proofs(study).get("", ()):
+        said.append(f"Open: whether a set of '{bounds}' has exactly the identified coefficients.")
+    if not study.certificates:
+        said.append(
+            "Open: there is no certificate, so how small the loss of a feasible set can be is not "
+            "known."
+        )
     off, real = torque_errors(study.sets_motion)
-    exact, others = [], []
-    for name, row in zip(study.sets_motion.labels[1:], off / real, strict=True):
-        if float(row.max()) < ROUNDING:
-            exact.append(name)
-        else:
-            others.append(f"{name} {at_joint((100 * row).tolist(), '%')}")
+    worst = dict(zip(study.sets_motion.labels[1:], (off / real).amax(1).tolist(), strict=True))
+    exact = [name for name, size in worst.items() if size < ROUNDING]
+    others = [f"{n} {number(100 * size)} %" for n, size in worst.items() if n not in exact]
     largest = f"; largest error relative to a joint's torque: {listed(others)}" if others else ""
     said.append(
         "Torque on a new motion: equal to the real one to rounding with "
@@ -230,40 +182,21 @@ def verdict(study: Study) -> list[str]:
     return said + [f"Noticed: {warning}" for warning in study.warnings]
 
 
-def _possible(study: Study) -> list[str]:
-    """What the certificates say: the least loss of a feasible set, and what forces it."""
-    if not study.certificates:
-        return [
-            "Unknown: there is no certificate, so how small the loss of a feasible set can be is "
-            "not known."
-        ]
-    free = [b for b, c in study.certificates.items() if c.exact and c.with_conditions]
-    out = []
-    if free:
-        out.append(
-            f"Possible: within the bounds {listed(free)} there are feasible sets with exactly the "
-            "identified coefficients (phi_min = 0)."
-        )
+def proofs(study: Study) -> dict[str, list[str]]:
+    """What the certificates prove, and of which bounds; under an empty text those of which it is
+    open whether a set has exactly the identified coefficients."""
+    out: dict[str, list[str]] = {}
     for bounds, c in study.certificates.items():
+        text = ""
         if math.isinf(c.phi_min):
-            out.append(f"Impossible: within the bounds {bounds} there is no physical set.")
-            continue
-        if math.isnan(c.phi_min):
-            out.append(f"Unknown: within the bounds {bounds} the solver failed.")
-            continue
-        whose = "feasible" if c.with_conditions else "physical"
-        if c.phi_min > 0:
-            why = f" Forced by {listed(c.forcing)}." if c.forcing else ""
-            out.append(
-                f"Impossible: within the bounds {bounds} no {whose} set has a loss below phi_min = "
-                f"{number(c.phi_min, 4)} (a set with {number(c.phi_strict, 4)} was found), so "
-                f"none has exactly the identified coefficients.{why}"
-            )
-        elif not c.exact:
-            out.append(
-                f"Open: within the bounds {bounds} the least loss of a {whose} set lies between 0 "
-                f"and {number(c.phi_strict, 4)}."
-            )
+            text = "there is no physical set at all"
+        elif c.exact and c.with_conditions and not math.isnan(c.phi_min):
+            text = "feasible sets with exactly the identified coefficients exist"
+        elif c.phi_min > 0:
+            whose = "feasible" if c.with_conditions else "physical"
+            forced = f", forced by {listed(c.forcing)}" if c.forcing else ""
+            text = f"no {whose} set has exactly the identified coefficients{forced}"
+        out.setdefault(text, []).append(bounds)
     return out
 
 
@@ -290,12 +223,12 @@ def _class(study: Study, e: EffectSize) -> str:
 
 
 def _payload(study: Study) -> str:
-    mass, *_ = quantities = payload_quantities(study)
-    known = [q for q in quantities if q.known]
-    if not mass.known:
+    (_, _, true, mass, low, high), *_ = every = payload_quantities(study)
+    if math.isnan(low):
         return "Payload: its mass is not determined."
+    held = [start <= value <= end for _, _, value, _, start, end in every if start == start]
     return (
-        f"Payload: {number(mass.value, 6)} ± {number((mass.high - mass.low) / 2, 2)} kg against "
-        f"the true {number(mass.true, 6)} kg; the intervals hold the truth for "
-        f"{sum(q.held for q in known)} of {count(len(known), 'quantity', 'quantities')}."
+        f"Payload: {number(mass, 6)} ± {number((high - low) / 2, 2)} kg against the true "
+        f"{number(true, 6)} kg; the intervals hold the truth for {sum(held)} of "
+        f"{count(len(held), 'quantity', 'quantities')}."
     )

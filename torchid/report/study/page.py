@@ -2,8 +2,9 @@
 folder with all of it, and the HTML page."""
 
 import math
+import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -13,18 +14,15 @@ from torchid.extraction.cma.search import default_population
 from torchid.feasibility.sets import joined, sets_record
 from torchid.files import make_folder, write_text
 from torchid.report.cautions import caution_section
-from torchid.report.page.document import Origin, Page, setting_words, versions
-from torchid.report.panels import Picture, save_small
+from torchid.report.equal_torque import class_table, interval
+from torchid.report.page.document import Origin, Page, origin
+from torchid.report.panels import save_small
 from torchid.report.study import facts
-from torchid.report.study.facts import by_feasibility, ids, kept, number, verdict
-from torchid.report.study.figures import motion_drawings, search_drawings, torque_drawings
-from torchid.report.study.wrench_figures import payload_drawings, wrench_drawings
-from torchid.report.table import Section, Shown, Table, cell, joint_numbers
+from torchid.report.study.facts import by_feasibility, ids, number, verdict
+from torchid.report.study.figures import drawings
+from torchid.report.table import Section, Shown, Table, joint_numbers
 from torchid.results.words import count, listed
-from torchid.robot.model import torque_unit
 from torchid.study.result import Study
-from torchid.wrenches.compare import ClassSummary
-from torchid.wrenches.resampling import Estimate
 
 
 def shown(study: Study) -> Shown:
@@ -84,18 +82,20 @@ def search_table(study: Study) -> Table:
     for s in study.scenarios:
         e = s.extraction
         losses = (e.history_phi[:, -1].median(), e.phi.min(), e.phi.median(), e.phi.max())
+        every = Counter(r for k in range(len(e.sets)) for r in s.feasibility.reasons(k))
+        often = [f"{name} {k}" for name, k in every.most_common(_FREQUENT)]
         rows.append(
             (
                 s.scenario.id, str(len(e.sets)), *(number(float(x)) for x in losses),
-                str(kept(e.gamma)), str(int(s.feasibility.feasible.sum())),
-                str(len(facts.endings(s).unique())), f"{e.seconds:.1f}",
+                str(int((e.gamma == 0).sum())), str(int(s.feasibility.feasible.sum())),
+                str(len(facts.endings(s).unique())), ", ".join(often) or "-", f"{e.seconds:.1f}",
             )
         )  # fmt: skip
     return Table(
         "runs of each scenario: loss phi",
         ("set", "runs", "median after the last stage", "best", "median", "worst", "gamma = 0",
-         "feasible", "different", "time [s]"),
-        rows, "l",
+         "feasible", "different", "why not, most frequent", "time [s]"),
+        rows, "lrrrrrrrrp",
         note="each run ends in the set of nearly the least loss that is nearest to where its last "
         "stage left it; gamma = 0: runs without any penalty; different: runs that ended in the "
         "same set count once.",
@@ -128,39 +128,6 @@ def certificate_table(study: Study) -> Table:
     )  # fmt: skip
 
 
-def reason_table(study: Study) -> Table:
-    """Reasons of the best set beside how often they occur: what is chance of the search."""
-    rows = []
-    for s in study.scenarios:
-        runs = len(s.extraction.sets)
-        every = Counter(reason for k in range(runs) for reason in s.feasibility.reasons(k))
-        found = sorted(every.items(), key=lambda item: (-item[1], item[0]))
-        often = ", ".join(f"{name} {k}" for name, k in found[:_FREQUENT])
-        if len(found) > _FREQUENT:
-            often += f", {count(len(found) - _FREQUENT, 'other')}"
-        feasible = f"{int(s.feasibility.feasible.sum())} of {runs}"
-        rows.append((s.scenario.id, ", ".join(s.reasons) or "-", feasible, often or "-"))
-    columns = ("set", "best set: why not", "runs feasible", "reasons over all runs")
-    note = (
-        "The best set is the run of least loss: where many runs have losses that differ by "
-        "rounding only, which of them is best, and hence its reasons, is chance of the search."
-    )
-    title = "reasons of the best set, and in how many runs each reason occurs"
-    return Table(title, columns, rows, "lprp", note)
-
-
-def torque_table(study: Study) -> Table:
-    """Torque errors of the best sets per joint."""
-    error, real = facts.torque_errors(study.sets_motion)
-    rows = [("real torque", *(number(v) for v in real.tolist()), "-")]
-    for name, row in zip(study.sets_motion.labels[1:], error, strict=True):
-        largest = number(float((row / real).max()))
-        rows.append((name, *(number(v) for v in row.tolist()), largest))
-    unit = torque_unit(study.robot, "N m; N")
-    title = f"torque of the best sets on a new motion: root mean square error per joint [{unit}]"
-    return Table(title, ("set", *joint_numbers(study.robot.n), "largest share"), rows, "l")
-
-
 def set_wrench_table(study: Study) -> Table:
     """Errors of the internal forces of the best sets per joint, moments beside the largest."""
     e = study.errors
@@ -182,80 +149,43 @@ def set_wrench_table(study: Study) -> Table:
     )  # fmt: skip
 
 
-def class_table(study: Study) -> Table:
+def run_table(study: Study) -> Table:
     """Force errors of all runs by class, against feasible ones, then by each reason."""
     found = study.comparison
-    effects = {e.first: e for e in found.effects}
-    rows: list[tuple[str, ...]] = []
-    for c in found.classes:
-        effect, distinct = effects.get(c.name), str(facts.distinct_errors(study, c.name))
-        against = ("-", "-")
-        if effect is not None:
-            against = (_interval(effect.ratio), _interval(effect.delta))
-        rows.append((c.name, str(c.sets), distinct, *_quartiles(c), *against))
-    rows += [()] + [(c.name, str(c.sets), "-", *_quartiles(c), "-", "-") for c in found.per_reason]
-    infeasible = found.correlation_infeasible
+    ranked = {
+        count(found.correlation.sets, "set"): found.correlation,
+        f"the {found.correlation_infeasible.sets} infeasible ones": found.correlation_infeasible,
+    }
     rho = [
-        f"{_interval(correlation.rho)} over {what}"
-        for what, correlation in (
-            (count(found.correlation.sets, "set"), found.correlation),
-            (f"the {infeasible.sets} infeasible ones", infeasible),
-        )
-        if not math.isnan(correlation.rho.value)
+        f"{interval(c.rho)} over {what}" for what, c in ranked.items() if c.rho.value == c.rho.value
     ]
-    said = "No rank correlation of degree and error: too few sets."
-    if rho:
-        said = f"Rank correlation of degree and error: {listed(rho)}."
-    return Table(
-        "force error of all runs by the kind of their reasons, and of those that have a reason, "
-        "alone or among others: largest joint [N]",
-        ("class", "sets", "different", "median", "lower quartile", "upper quartile",
-         f"ratio to {found.classes[0].name}", "Cliff's delta"),
-        rows, "l",
-        note=f"{said} A ratio of 1 and a delta of 0 are no difference; in brackets 95 % "
-        "bootstrap intervals that take every run for its own unit: they are too narrow where many "
-        "runs have the same error (`different` counts errors that differ by 0.1 % or more).",
-    )  # fmt: skip
+    said = f"Rank correlation of degree and error: {listed(rho)}. " if rho else ""
+    return class_table(
+        found,
+        "force error of all runs by the kind of their reasons, largest joint [N]",
+        f"{said}A ratio of 1 and a delta of 0 are no difference; in brackets 95 % bootstrap "
+        "intervals that take every run for its own unit: they are too narrow where many runs have "
+        "the same error.",
+    )
 
 
 def payload_table(study: Study) -> Table:
     """True and estimated payload in the tool frame, with intervals."""
     rows = []
-    for q in facts.payload_quantities(study):
-        value = number(q.value, 4) if math.isfinite(q.value) else "not known"
-        ends = ("-", "-")
-        if math.isfinite(q.low):
-            ends = (f"{number(q.low, 4)} .. {number(q.high, 4)}", "yes" if q.held else "no")
-        rows.append((q.name, q.unit, number(q.true, 4), value, *ends))
+    for name, unit, true, value, low, high in facts.payload_quantities(study):
+        cells = ["not known" if math.isnan(value) else number(value, 4), "-", "-"]
+        if math.isfinite(low):
+            held = "yes" if low <= true <= high else "no"
+            cells[1:] = [f"{number(low, 4)} .. {number(high, 4)}", held]
+        rows.append((name, unit, number(true, 4), *cells))
     columns = ("quantity", "unit", "true", "estimated", "95 % interval", "true inside")
     title = "payload in the tool frame, inertia about its centre of mass"
     return Table(title, columns, rows, "pprrrp")
 
 
 def all_tables(study: Study) -> list[Table]:
-    """Every table, in the page's order."""
+    """Every table, in the pages' order."""
     return [table for _, _, makers in _SECTIONS for make in makers if (table := make(study))]
-
-
-def _quartiles(c: ClassSummary) -> list[str]:
-    return [cell(value) for value in (c.median, c.lower_quartile, c.upper_quartile)]
-
-
-def _interval(e: Estimate) -> str:
-    if math.isnan(e.value) or math.isnan(e.low):
-        return number(e.value)
-    return f"{number(e.value)} [{number(e.low)}, {number(e.high)}]"
-
-
-def drawings(study: Study) -> list[Picture]:
-    """Figures with captions, none of them drawn yet (figures 5.1 to 5.19, and more)."""
-    return [
-        *motion_drawings(study),
-        *torque_drawings(study),
-        *search_drawings(study),
-        *wrench_drawings(study),
-        *payload_drawings(study),
-    ]
 
 
 def write_study(study: Study, folder: Path) -> list[Path]:
@@ -273,78 +203,40 @@ def write_study(study: Study, folder: Path) -> list[Path]:
         TorchidError: the folder cannot be written.
     """
     make_folder(folder)
-    figures = drawings(study)
     every = [
         replace(s.extraction.sets, ids=tuple(f"{s.scenario.id}/{k}" for k in s.extraction.sets.ids))
         for s in study.scenarios
     ]
     sets = {"sets.json": [s.best for s in study.scenarios], "all_sets.json": every}
-    written = [save_small(d.draw(), folder / d.file) for d in figures]
+    about = origin(arguments=(), started=time.monotonic(), files=(), **seeds_and_settings(study))
+    page = study_page(study, about)
+    written = [save_small(picture.draw(), folder / picture.file) for picture in page.pictures]
     for name, parts in sets.items():
         sets_record(joined(parts), study.robot).save(folder / name)
     # The page comes last: where it is, all that it shows is there too.
-    write_text(folder / "study.md", page(study, figures, list(sets)))
+    write_text(folder / "study.md", page.markdown())
     return [folder / "study.md", *(folder / name for name in sets), *written]
 
 
 _SECTIONS: tuple[tuple[str, str, tuple[Callable[[Study], Table], ...]], ...] = (
-    ("Identification", "identification", (identification_table,)),
+    ("Classification", "classification", (scenario_table,)),
     ("Extraction", "extraction", (certificate_table, search_table)),
-    ("Classification", "classification", (scenario_table, reason_table)),
-    ("Validation of the sets", "validation", (torque_table,)),
-    ("Internal wrenches", "wrenches", (set_wrench_table, class_table)),
+    ("Internal wrenches", "wrenches", (set_wrench_table, run_table)),
+    ("Validation of the sets", "validation", ()),
     ("Payload", "payload", (payload_table,)),
+    ("Identification", "identification", (identification_table,)),
 )  # fmt: skip
-
-
-def page(study: Study, drawings: Sequence[Picture], files: Sequence[str]) -> str:
-    """The whole page.
-
-    Args:
-        study: what to show.
-        drawings: its figures, which lie beside the page.
-        files: names of the other files beside it.
-    """
-    parts = [
-        f"# {study.settings.title} (section {study.settings.section})\n",
-        "\n".join(f"- {sentence}" for sentence in verdict(study)) + "\n",
-    ]
-    for heading, section, makers in _SECTIONS:
-        parts.append(f"## {heading}\n")
-        parts += [table.markdown() for make in makers if (table := make(study))]
-        parts += [
-            f"![{d.name.replace('_', ' ')}]({d.file})\n\n*{d.caption}*\n"
-            for d in drawings
-            if d.section == section
-        ]
-    parts += ["## How it was obtained\n", _origin(study, files)]
-    return "\n".join(parts)
-
-
-def _origin(study: Study, files: Sequence[str]) -> str:
-    """Seeds, settings, times, versions."""
-    said = {
-        name: value for part in seeds_and_settings(study).values() for name, value in part.items()
-    }
-    said["versions"] = dict(versions())
-    if files:
-        said["beside this page"] = [f"`{name}`" for name in files]
-    return "".join(f"- {name}: {setting_words(value)}\n" for name, value in said.items())
-
-
-_ORDER = (
-    "classification", "extraction", "wrenches", "validation", "payload", "identification",
-)  # fmt: skip
-"""Of the pictures: what the verdict is about comes first."""
+"""Titles, the section of their pictures, and tables: what the verdict is about comes first."""
 _MOST_NAMED = 4
 
 
 def study_page(study: Study, origin: Origin) -> Page:
-    """The page of a study."""
+    """The page of a study: the same as HTML and as Markdown."""
     error, real = facts.torque_errors(study.sets_motion)
-    pictures = sorted(drawings(study), key=lambda d: _ORDER.index(d.section))
+    pictures = drawings(study)
     good = len(by_feasibility(study, True))
     feasible, runs = facts.feasible_runs(study)
+    told = [s for s in verdict(study) if not s.startswith("Noticed:")]
     return Page(
         f"{study.settings.title} (section {study.settings.section})",
         page_verdict(study),
@@ -356,12 +248,15 @@ def study_page(study: Study, origin: Origin) -> Page:
         ),
         origin,
         sections=[
-            Section(
-                "Findings", [[s for s in verdict(study) if not s.startswith("Noticed:")]],
-                folded=False,
+            Section("Findings", [told], folded=False),
+            *(
+                Section(
+                    title,
+                    [*(m(study) for m in makers), *(p for p in pictures if p.section == section)],
+                    folded=section != "classification",
+                )
+                for title, section, makers in _SECTIONS
             ),
-            Section("Pictures", pictures),
-            Section("Numbers", all_tables(study)),
             caution_section(study.warnings),
         ],
     )  # fmt: skip
@@ -407,19 +302,9 @@ def page_verdict(study: Study) -> str:
             f"Feasible in part: {len(good)} of {total} ({listed(ids(good))}), while the others "
             f"{failing}"
         )
-    # What is proven to be possible, groups of bounds of which the same holds together.
-    same: dict[str, list[str]] = {}
-    for bounds, c in study.certificates.items():
-        text = ""
-        if math.isinf(c.phi_min):
-            text = "there is no physical set at all"
-        elif c.exact and c.with_conditions and not math.isnan(c.phi_min):
-            text = "feasible sets with exactly the identified coefficients exist"
-        elif c.phi_min > 0:
-            whose = "feasible" if c.with_conditions else "physical"
-            forced = f", forced by {listed(c.forcing)}" if c.forcing else ""
-            text = f"no {whose} set has exactly the identified coefficients{forced}"
-        if text:
-            same.setdefault(text, []).append(bounds)
-    proofs = [f"within the bounds {listed(bounds)} {text}" for text, bounds in same.items()]
-    return "; ".join([said, *proofs]) + "."
+    proven = [
+        f"within the bounds {listed(bounds)} {text}"
+        for text, bounds in facts.proofs(study).items()
+        if text
+    ]
+    return "; ".join([said, *proven]) + "."

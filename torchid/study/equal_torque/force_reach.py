@@ -21,7 +21,7 @@ from torchid.design.bodies import triangle
 from torchid.effects.base import Motion
 from torchid.extraction.convex.conic import Rows, minimise
 from torchid.extraction.equal_torque.hit_and_run import Region, analytic_centre, interior_point
-from torchid.extraction.equal_torque.space import EqualTorqueSpace
+from torchid.extraction.equal_torque.sample import EqualTorqueSpace
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor

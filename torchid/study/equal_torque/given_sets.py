@@ -16,12 +16,12 @@ from torchid.log.model import Log
 from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
-from torchid.study.equal_torque.record import GivenReference, GivenSetsRecord, set_errors
 from torchid.study.equal_torque.setting import (
     corrected_group,
     logged_motion,
     reference_motion,
 )
+from torchid.study.equal_torque.study import GivenReference, GivenSetsRecord, set_errors
 from torchid.typing import Float, Tensor
 from torchid.wrenches.compare import RESAMPLES, Comparison, compare
 from torchid.wrenches.deviation import WrenchErrors, alike, wrench_errors

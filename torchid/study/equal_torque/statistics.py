@@ -9,19 +9,18 @@ only as far as it goes with a difference of the carried masses; `matched` asks w
 left beside that.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from torchid.results.record import Real
-from torchid.wrenches.compare import LEAST_CLUSTERS, LEAST_SETS
 from torchid.wrenches.resampling import (
+    LEAST_SETS,
     NO_ESTIMATE,
     Array,
     Estimate,
+    Sample,
     cliffs_delta,
-    estimate,
     hodges_lehmann_ratio,
     spearman,
 )
@@ -164,7 +163,7 @@ def statistics(samples: Samples, *, resamples: int = 1000, seed: int = 0) -> Sta
         resamples: of the bootstrap.
         seed: of the bootstrap.
     """
-    ask = _Asker(samples, resamples, np.random.default_rng(seed))
+    ask = _Asker(samples.error, samples.cluster, resamples, np.random.default_rng(seed), samples)
     kinds = list(dict.fromkeys(samples.kind.tolist()))
     large = [kind for kind in kinds if len(samples.of(kind)) >= 3 * LEAST_SETS]
     return Statistics(
@@ -189,10 +188,8 @@ def stratified_delta(a: Array, b: Array, by_a: Array, by_b: Array) -> float:
 
 
 @dataclass(frozen=True)
-class _Asker:
+class _Asker(Sample):
     samples: Samples
-    resamples: int
-    rng: np.random.Generator
 
     def third(self, kind: str, third: int) -> ThirdSummary:
         s = self.samples
@@ -203,8 +200,7 @@ class _Asker:
             THIRDS[third],
             (float(degree.min()), float(degree.max())),
             float(np.median(s.error[own])),
-            self._against(hodges_lehmann_ratio, own, base),
-            self._against(cliffs_delta, own, base),
+            *self._both(own, base),
         )
 
     def correlations(self, kind: str) -> KindCorrelations:
@@ -212,7 +208,7 @@ class _Asker:
         own = np.arange(len(s.kind)) if kind == "all" else s.of(kind)
 
         def rho(x: Array) -> Estimate:
-            return self._estimate(lambda k: spearman(x[k], s.error[k]), [own])
+            return self.estimate(lambda k: spearman(x[k], s.error[k]), [own])
 
         return KindCorrelations(
             kind,
@@ -233,9 +229,9 @@ class _Asker:
 
         return Matched(
             kind,
-            self._estimate(delta, [own, base]),
+            self.estimate(delta, [own, base]),
             float(np.isin(*_strata(s.carried[own], s.carried[base])).mean()),
-            self._against(cliffs_delta, own, base),
+            self.against(cliffs_delta, own, base),
         )
 
     def across(self, kind: str) -> Across:
@@ -248,32 +244,15 @@ class _Asker:
             kind,
             (len(own), len(base)),
             (middle[0], middle[1]),
-            self._against(hodges_lehmann_ratio, own, base),
-            self._against(cliffs_delta, own, base),
+            *self._both(own, base),
         )
 
-    def _against(self, function: Callable[[Array, Array], float], a: Array, b: Array) -> Estimate:
-        """Errors of some sets against those of others; there is none of sets against themselves."""
-        if np.array_equal(a, b):
-            return NO_ESTIMATE
-        inside = np.isin(np.arange(len(self.samples.kind)), a)
-        error = self.samples.error
-        return self._estimate(lambda k: function(error[k[inside[k]]], error[k[~inside[k]]]), [a, b])
-
-    def _estimate(self, statistic: Callable[[Array], float], members: Sequence[Array]) -> Estimate:
-        if min(len(m) for m in members) < LEAST_SETS:
-            return NO_ESTIMATE
-        clusters = self.samples.cluster
-        scarce = min(len(np.unique(clusters[m])) for m in members) < LEAST_CLUSTERS
-        with np.errstate(invalid="ignore"):
-            return estimate(
-                statistic,
-                members,
-                clusters,
-                resamples=0 if scarce else self.resamples,
-                rng=self.rng,
-                least_clusters=LEAST_CLUSTERS,
-            )
+    def _both(self, own: Array, base: Array) -> tuple[Estimate, Estimate]:
+        """Ratio and delta of the errors of one group against another's; none against itself."""
+        if np.array_equal(own, base):
+            return NO_ESTIMATE, NO_ESTIMATE
+        ratio, delta = (self.against(f, own, base) for f in (hodges_lehmann_ratio, cliffs_delta))
+        return ratio, delta
 
 
 def _strata(by_a: Array, by_b: Array) -> tuple[Array, Array]:

@@ -1,7 +1,9 @@
-"""Three arms of our own making: joints, solids and limits, and the URDF of what is known of them.
+"""Arms, and robots that branch, of our own making: joints, solids and limits, and the URDF of what
+is known of them.
 
-`3r` turns about the vertical and moves in a vertical plane; `6r` has the offsets of light
-collaborative arms; `7r` has alternating axes and the size of a human arm.
+Of arms.yaml `3r` turns about the vertical and moves in a vertical plane; `6r` has the offsets of
+light collaborative arms; `7r` has alternating axes and the size of a human arm. Those of trees.yaml
+branch.
 """
 
 from collections.abc import Sequence
@@ -13,6 +15,7 @@ import numpy as np
 from lxml import etree
 from lxml.builder import E
 
+from torchid.errors import TorchidError
 from torchid.withheld.plant.bodies import Array, Box, Cylinder, Inertial, combined
 from torchid.yaml_data import parsed_yaml
 
@@ -58,7 +61,7 @@ class Arm:
     """An arm as its maker describes it.
 
     Attributes:
-        name: 3r, 6r or 7r; of `trees.py` quadruped, two_arms or torso.
+        name: 3r, 6r or 7r; of those that branch quadruped, two_arms or torso.
         joints: from the base, branch by branch: each behind the one that carries it.
         tool: point of the last link where tools are, and of the last of every branch [m].
         bus: how late a command reaches the motors [s].
@@ -104,12 +107,13 @@ _SOLIDS: dict[str, type[Solid]] = {"box": Box, "cylinder": Cylinder}
 
 
 def _joint(
-    xyz: Triple, axis: str, reach: float, velocity: float, effort: float,
-    solids: Sequence[dict[str, Any]], rpy: Triple = (0.0, 0.0, 0.0),
-) -> Joint:  # fmt: skip
-    """A joint of arms.yaml."""
-    made = (_SOLIDS[kind](*own) for solid in solids for kind, own in solid.items())
-    return Joint(xyz, rpy, _AXES[axis], -reach, reach, velocity, effort, tuple(made))
+    axis: str, reach: float | tuple[float, float], solids: Sequence[dict[str, Any]], **known: Any
+) -> Joint:
+    """A joint as the files have it, which turns as far either way where one reach is given."""
+    lower, upper = reach if isinstance(reach, tuple) else (-reach, reach)
+    made = tuple(_SOLIDS[kind](*own) for solid in solids for kind, own in solid.items())
+    known = {"rpy": (0.0, 0.0, 0.0)} | known
+    return Joint(axis=_AXES[axis], lower=lower, upper=upper, solids=made, **known)
 
 
 def _fixed(value: Any) -> Any:
@@ -119,11 +123,33 @@ def _fixed(value: Any) -> Any:
     return tuple(map(_fixed, value)) if isinstance(value, list) else value
 
 
-_ALL = _fixed(parsed_yaml(Path(__file__).with_name("arms.yaml").read_text(encoding="utf-8")))
-ARMS = {
-    name: Arm(name, tuple(_joint(**joint) for joint in own["joints"]), own["tool"])
-    for name, own in _ALL.items()
-}
+def _read(file: str) -> dict[str, Arm]:
+    """The arms of a file beside this one."""
+    found = _fixed(parsed_yaml(Path(__file__).with_name(file).read_text(encoding="utf-8")))
+    return {
+        name: Arm(name, tuple(_joint(**joint) for joint in own.pop("joints")), **own)
+        for name, own in found.items()
+    }
+
+
+ARMS = _read("arms.yaml")
+TREES = _read("trees.yaml")
+"""Robots that branch, their base held in the air."""
+
+ROBOTS = {"arms": tuple(ARMS), "tree": tuple(TREES)} | {name: (name,) for name in TREES}
+"""What a set's robots are, by what is asked for: arms, robots that branch, or one of these."""
+
+
+def arm_named(name: str) -> Arm:
+    """One of the arms, or of the robots that branch.
+
+    Raises:
+        TorchidError: there is none of that name.
+    """
+    known = ARMS | TREES
+    if name not in known:
+        raise TorchidError(f"unknown withheld robot '{name}'.", available=list(known))
+    return known[name]
 
 
 def urdf(arm: Arm, damping: Array, friction: Array) -> str:

@@ -63,7 +63,10 @@ def combined(bodies: Sequence[Inertial]) -> Inertial:
     """Several bodies of one frame as one."""
     mass = sum(b.mass for b in bodies)
     com = sum((b.mass * b.com for b in bodies), np.zeros(3)) / mass
-    inertia = sum((b.inertia + b.mass * _about(b.com - com) for b in bodies), np.zeros((3, 3)))
+    inertia = np.zeros((3, 3))
+    for b in bodies:
+        r = b.com - com
+        inertia = inertia + (b.inertia + b.mass * (np.eye(3) * (r @ r) - np.outer(r, r)))
     return Inertial(mass, com, inertia)
 
 
@@ -84,7 +87,3 @@ def deformed(body: Inertial, mass_factor: float, shift: Array, stretch: Array) -
     moved = mass_factor * map_ @ moments @ map_.T
     inertia = np.eye(3) * np.trace(moved) - moved
     return Inertial(body.mass * mass_factor, body.com + shift, inertia)
-
-
-def _about(r: Array) -> Array:
-    return np.eye(3) * (r @ r) - np.outer(r, r)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from torchid.json_data import picked
-from torchid.withheld.plant.arms import urdf
+from torchid.withheld.plant.arms import arm_named, urdf
 from torchid.withheld.plant.bodies import Array
 from torchid.withheld.plant.catalogue import KINDS, Kind
 from torchid.withheld.plant.draw import CaseSpec, ServoSpec, TorqueSpec, draw_case
@@ -18,9 +18,7 @@ from torchid.withheld.plant.scene import friction_known, moved_otherwise, nomina
 from torchid.withheld.plant.servo_catalogue import SERVO_KINDS
 from torchid.withheld.plant.servo_scene import led, placed, servo_scene, visible
 from torchid.withheld.plant.settings import DRAWS
-from torchid.withheld.plant.simulate import simulated
-from torchid.withheld.plant.sizes import gaps, planted, readings, size_of, sized
-from torchid.withheld.plant.trees import arm_named
+from torchid.withheld.plant.simulate import gaps, planted, readings, simulated, size_of, sized
 
 __all__ = ["CaseSpec", "SimulatedCase", "draw_case", "simulate_case"]
 

@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 
 from torchid.errors import TorchidError
-from torchid.withheld.plant.arms import ARMS, Arm
+from torchid.withheld.plant.arms import ARMS, ROBOTS, Arm, arm_named
 from torchid.withheld.plant.catalogue import (
     FOREIGN,
     KINDS,
@@ -23,7 +23,6 @@ from torchid.withheld.plant.motion import MotionPlan
 from torchid.withheld.plant.plan import EffectSpec
 from torchid.withheld.plant.servo_catalogue import SERVO_KINDS
 from torchid.withheld.plant.settings import DRAWS
-from torchid.withheld.plant.trees import ROBOTS, arm_named
 
 Item = TypeVar("Item")
 Rng = np.random.Generator
@@ -262,7 +261,7 @@ def _torque_case(
     wanted = level or DRAWS.level if planted else None
     if planted and not level and kind == "severity":
         wanted = in_turn(seed, turn, DRAWS.levels, 102)
-    motion = _motion(numbers(3), n) if name in ARMS else _long_motion(numbers(3), n)
+    motion = _motion(numbers(3), n, branches=name not in ARMS)
     poor, excitation = _poor(numbers(4), motion, n) if kind == "poor" else (None, "rich")
     quiet = numbers(5)
     # In a release several effects stand on friction that is known.
@@ -368,34 +367,24 @@ def _apart(
     return None
 
 
-def _motion(rng: np.random.Generator, n: int) -> MotionPlan:
-    """Four trajectories of 12 to 15 s at three or four levels of speed; mostly one is repeated."""
-    repeats = rng.random() < DRAWS.repeated
-    count = 3 if repeats else 4
-    levels = rng.permutation(DRAWS.speeds[:count]) * rng.uniform(0.85, 1.1)
-    shapes = list(range(count))
-    if repeats:
-        shapes.append(int(np.argmax(levels)) if rng.random() < 0.5 else int(rng.integers(count)))
-    return MotionPlan(
-        seed=int(rng.integers(2**31)),
-        shapes=tuple(shapes),
-        levels=tuple(levels.tolist()),
-        seconds=tuple(rng.uniform(*DRAWS.seconds, count).round(2).tolist()),
-        pauses=(0.0, *rng.uniform(*DRAWS.pauses, 3).round(2).tolist()),
-        moving=tuple(range(n)),
-    )
+def _motion(rng: np.random.Generator, n: int, *, branches: bool) -> MotionPlan:
+    """Four trajectories of 12 to 15 s at three or four levels of speed, mostly one repeated.
 
-
-def _long_motion(rng: np.random.Generator, n: int) -> MotionPlan:
-    """Six trajectories of 10 s, five motions and the fastest again: what hangs in the air is soon
-    brought there, and branches move at the same time."""
-    levels = rng.permutation(DRAWS.tree_speeds) * rng.uniform(0.85, 1.1)
-    count = len(levels)
+    Of a robot with branches six of 10 s, five motions and the fastest again: what hangs in the air
+    is soon brought there, and branches move at the same time.
+    """
+    repeats = branches or rng.random() < DRAWS.repeated
+    speeds = DRAWS.tree_speeds if branches else DRAWS.speeds[: 3 if repeats else 4]
+    levels, count = rng.permutation(speeds) * rng.uniform(0.85, 1.1), len(speeds)
+    again = [int(np.argmax(levels))] * repeats
+    if repeats and not branches:
+        again = [int(np.argmax(levels)) if rng.random() < 0.5 else int(rng.integers(count))]
+    seed, even = int(rng.integers(2**31)), (DRAWS.tree_seconds,) * count
     return MotionPlan(
-        seed=int(rng.integers(2**31)),
-        shapes=(*range(count), int(np.argmax(levels))),
+        seed=seed,
+        shapes=(*range(count), *again),
         levels=tuple(levels.tolist()),
-        seconds=(DRAWS.tree_seconds,) * count,
-        pauses=(0.0, *rng.uniform(*DRAWS.pauses, count).round(2).tolist()),
+        seconds=even if branches else tuple(rng.uniform(*DRAWS.seconds, count).round(2).tolist()),
+        pauses=(0.0, *rng.uniform(*DRAWS.pauses, count if branches else 3).round(2).tolist()),
         moving=tuple(range(n)),
     )

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from torchid.withheld.plant.arms import Arm
+from torchid.withheld.plant.arms import Arm, arm_named
 from torchid.withheld.plant.bodies import Array
 from torchid.withheld.plant.draw import ServoSpec
 from torchid.withheld.plant.model import plant_of
@@ -13,7 +13,6 @@ from torchid.withheld.plant.scene import nominal_of
 from torchid.withheld.plant.servo import Moved, Servos, moved
 from torchid.withheld.plant.servo_catalogue import SERVO_KINDS, ServoScene
 from torchid.withheld.plant.settings import DRAWS
-from torchid.withheld.plant.trees import arm_named
 
 Rng = np.random.Generator
 

@@ -25,61 +25,57 @@ from torchid.extraction.cma.search import (
 SMALLEST_SIGMA = 1e-12
 
 
-class PycmaEngine:
-    """The engine `cma`: Hansen's pycma, in NumPy on the CPU; objectives on the state's device."""
+@torch.no_grad()
+def minimise(
+    objective: Objective,
+    state: SearchState,
+    *,
+    generations: int,
+    seed: int,
+    population: int | None = None,
+    first: int = 0,
+) -> SearchState:
+    """Continue R searches (see `torchid.extraction.cma.batched.minimise`), for n >= 2.
 
-    @torch.no_grad()
-    def minimise(
-        self,
-        objective: Objective,
-        state: SearchState,
-        *,
-        generations: int,
-        seed: int,
-        population: int | None = None,
-        first: int = 0,
-    ) -> SearchState:
-        """Continue R searches (see `torchid.extraction.cma.search.Engine`), for n >= 2.
+    A run in which pycma fails (a degenerate covariance) stays where it is for the rest of the
+    call. The returned covariance is the identity, the paths are zero, and sigma is the root
+    mean square of pycma's standard deviations.
 
-        A run in which pycma fails (a degenerate covariance) stays where it is for the rest of the
-        call. The returned covariance is the identity, the paths are zero, and sigma is the root
-        mean square of pycma's standard deviations.
-
-        Raises:
-            TorchidError: n = 1, which pycma does not do, or as Engine says.
-        """
-        size = population_of(state, generations, seed, population)
-        if state.mean.shape[1] < 2:
-            raise TorchidError(
-                "pycma does not search in one dimension.", got="n = 1", hint="use engine 'batched'"
-            )
-        best = state.best.clamp(0.0, 1.0)
-        best_value = evaluate(objective, best.unsqueeze(1)).squeeze(1)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            runs = _strategies(state, seed, size, first)
-            for _ in range(generations):
-                asked = np.stack([run.ask() for run in runs]).clip(0.0, 1.0)
-                points = torch.as_tensor(asked).to(state.mean)
-                values = evaluate(objective, points)
-                value, index = values.min(dim=1)
-                better = value < best_value
-                chosen = points[torch.arange(len(points), device=points.device), index]
-                best = torch.where(better.unsqueeze(1), chosen, best)
-                best_value = torch.where(better, value, best_value)
-                for run, told in zip(runs, values.cpu().numpy(), strict=True):
-                    run.tell(told)
-        centres = [run.centre() for run in runs]
-        mean = torch.as_tensor(np.stack([point for point, _ in centres])).to(state.mean)
-        fresh = start(mean, 1.0)
-        sigma = torch.tensor([sigma for _, sigma in centres], dtype=torch.float64)
-        return replace(
-            fresh,
-            sigma=sigma.to(state.sigma),
-            generation=state.generation + generations,
-            best=best,
-            best_value=best_value,
+    Raises:
+        TorchidError: n = 1, which pycma does not do, or as Engine says.
+    """
+    size = population_of(state, generations, seed, population)
+    if state.mean.shape[1] < 2:
+        raise TorchidError(
+            "pycma does not search in one dimension.", got="n = 1", hint="use engine 'batched'"
         )
+    best = state.best.clamp(0.0, 1.0)
+    best_value = evaluate(objective, best.unsqueeze(1)).squeeze(1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        runs = _strategies(state, seed, size, first)
+        for _ in range(generations):
+            asked = np.stack([run.ask() for run in runs]).clip(0.0, 1.0)
+            points = torch.as_tensor(asked).to(state.mean)
+            values = evaluate(objective, points)
+            value, index = values.min(dim=1)
+            better = value < best_value
+            chosen = points[torch.arange(len(points), device=points.device), index]
+            best = torch.where(better.unsqueeze(1), chosen, best)
+            best_value = torch.where(better, value, best_value)
+            for run, told in zip(runs, values.cpu().numpy(), strict=True):
+                run.tell(told)
+    centres = [run.centre() for run in runs]
+    mean = torch.as_tensor(np.stack([point for point, _ in centres])).to(state.mean)
+    fresh = start(mean, 1.0)
+    sigma = torch.tensor([sigma for _, sigma in centres], dtype=torch.float64)
+    return replace(
+        fresh,
+        sigma=sigma.to(state.sigma),
+        generation=state.generation + generations,
+        best=best,
+        best_value=best_value,
+    )
 
 
 class _Run:

@@ -1,0 +1,61 @@
+"""Whole numbers of registers, as drivers read them."""
+
+import numpy as np
+
+from torchid.doctor.check import Check
+from torchid.doctor.repair import PLACES, Signed
+from torchid.log.columns import PREFIXES
+from torchid.log.model import Log
+from torchid.robot.model import joint_list
+
+_SIGNS = {False: (2.0**7, 2.0**15, 2.0**31), True: (2.0**10, 2.0**15)}
+"""First negative number as a complement of two (8, 16, 32 bits), and bits that are a sign (servos'
+registers of load and speed)."""
+_WHOLE = 1e-3
+"""Deviation from whole numbers of the smallest difference."""
+_SMOOTHER = 0.5
+"""Share of a column's largest step that is left once its numbers have their signs."""
+
+
+def check_number_format(log: Log) -> Check:
+    """Negative whole numbers that were read without their sign."""
+    repairs = []
+    for name, signal in log.signals.items():
+        columns = [signal[:, k].numpy() for k in range(log.n)]
+        read = next((r for x in columns if (r := _read_unsigned(x, name in PLACES))), None)
+        if read is not None:
+            zero, magnitude = read
+            # A column may be negative throughout.
+            joints = tuple(k for k, x in enumerate(columns) if x.max() >= zero)
+            repairs.append(Signed(name, joints, zero, magnitude))
+    if not repairs:
+        return Check("number format", "fine", "no numbers were read without their sign")
+    evidence = "; ".join(
+        f"no {PREFIXES[r.signal]} is negative, and in {joint_list(r.joints)} many are "
+        f"{r.zero:.10g} or more: "
+        + ("a bit is the sign" if r.magnitude else "signed numbers read as unsigned")
+        for r in repairs
+    )
+    joints = tuple(sorted({k for r in repairs for k in r.joints}))
+    return Check("number format", "wrong", evidence, joints).mended_by(*repairs)
+
+
+def _read_unsigned(x: np.ndarray, position: bool) -> tuple[float, bool] | None:
+    """What stands for the first negative number of a column (T,), in its unit, and whether it is a
+    bit for the sign; None where the numbers are what they seem to be."""
+    levels = np.unique(x)
+    if len(levels) < 2 or levels[0] < 0.0:
+        return None
+    unit = 1.0 if (levels == np.round(levels)).all() else float(np.diff(levels).min())
+    if np.abs(levels / unit - np.round(levels / unit)).max() > _WHOLE:
+        return None
+    step = np.abs(np.diff(x)).max()
+    # The complement of a position is a whole turn.
+    for magnitude in (True,) if position else (False, True):
+        for zero in (unit * z for z in _SIGNS[magnitude]):
+            negative = x >= zero
+            if x.max() < 2.0 * zero and 0 < negative.sum() < len(x):
+                mended = np.where(negative, zero - x if magnitude else x - 2.0 * zero, x)
+                if np.abs(np.diff(mended)).max() < _SMOOTHER * step:
+                    return zero, magnitude
+    return None
