@@ -68,7 +68,10 @@ def gravity_torque(
     robot: Robot, q: BroadcastJoints, parameters: InertialParameters | None = None
 ) -> Joints:
     """g(q) (..., n) [N m]."""
-    return _posture(robot, q, parameters, SMALL_BATCH_BIAS).torque(torch.zeros_like(q))
+    posture = _posture(robot, q, parameters, SMALL_BATCH_BIAS)
+    if isinstance(posture, ComponentsAt):
+        return posture.torque(None)
+    return posture.torque(torch.zeros_like(q))
 
 
 def forward_dynamics(
@@ -103,8 +106,9 @@ def forward_dynamics(
     """
     robot = as_robot(robot)
     q, dq, tau = joint_signals(robot.n, q=q, dq=dq, tau=tau)
-    mass = _posture(robot, q, parameters, SMALL_BATCH).mass_matrix()
-    return solve_mass(mass, tau - bias_torque(robot, q, dq, parameters))
+    whole = torch.broadcast_tensors(q, dq, tau)[0]
+    posture = _posture(robot, whole, parameters, SMALL_BATCH)
+    return solve_mass(posture.mass_matrix(), tau - posture.torque(dq))
 
 
 def solve_mass(mass: JointMatrix, torque: BroadcastJoints) -> Joints:
@@ -154,9 +158,11 @@ class ComponentsAt:
         rows = [[columns[min(i, j)][max(i, j)] for j in range(n)] for i in range(n)]
         return torch.stack([torch.stack(row, -1) for row in rows], -2)
 
-    def torque(self, dq: BroadcastJoints) -> Joints:
-        """S(q, dq) dq + g(q) [N m; N]."""
-        return torch.stack(self._torques(self._geometry, dq.unbind(-1), [0.0] * len(self._q)), -1)
+    def torque(self, dq: BroadcastJoints | None) -> Joints:
+        """S(q, dq) dq + g(q) [N m; N]; gravity alone without speeds."""
+        still = [0.0] * len(self._q)
+        rates = still if dq is None else dq.unbind(-1)
+        return torch.stack(self._torques(self._geometry, rates, still), -1)
 
     def _torques(
         self, geometry: ChainGeometry, dq: Sequence[Scalar], ddq: Sequence[Scalar]

@@ -215,8 +215,8 @@ class Posture:
         if ddq is not None:
             ddq = ddq if tree is None else tree.rates(ddq)
             change = torch.addcmul(change, s, ddq[..., None, None])
-        falling = torch.nn.functional.pad(arms.gravity[..., None, :, None], (3, 0))
-        a = self._from_the_base(change) + turning @ v - falling
+        a = self._from_the_base(change) + turning @ v
+        a[..., 3] -= arms.gravity.unsqueeze(-2)
         force = self._towards_the_base(a @ self._inertia)
         torque = (self._flat * force.flatten(-2)).sum(-1)
         return torque if tree is None else tree.torque(torque)

@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 
 import torch
-from scipy.interpolate import CubicHermiteSpline
 from torch import Tensor
 
 from torchid.dynamics.world_frame import arms_of
@@ -15,9 +14,9 @@ from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
 from torchid.robot.model import Robot
 from torchid.simulation.controller import Controller
-from torchid.simulation.integrate import LONGEST_STEP, Drive, Plant, State
+from torchid.simulation.course import Course, course
+from torchid.simulation.integrate import LONGEST_STEP, Drive, Plant
 from torchid.simulation.loads import BatchEffects
-from torchid.simulation.one_arm import stepped
 from torchid.typing import Float
 
 MOST_SAMPLES = 1e7
@@ -76,17 +75,16 @@ def closed_loop(
     targets = [_on_grid(log, steps * rate) for log in references]
     each = [controller.gains(robot, m.q) for m in targets]
     feed = _padded([controller.feed(robot, m, g) for m, g in zip(targets, each, strict=True)])
-    gains = torch.stack([stiffness for stiffness, _ in each]), torch.stack([d for _, d in each])
+    stiffness, damping = (torch.stack(gains) for gains in zip(*each, strict=True))
+    drive = Drive(feed[:, 0], damping, controller.limit(robot.n), stiffness)
     firsts = zip(*([x[0] for x in m.state] for m in targets), strict=True)
     begin = Motion(*(torch.stack(first) for first in firsts))
     plant = plant_of(robot, effects, begin.q)
     _check_inertia(plant, _padded([m.q for m in targets]), references)
     h = 1 / (steps * rate)
     lengths = [-(-len(m.q) // steps) for m in targets]
-    signals, state = _run(plant, begin, feed, gains, controller.limit(robot.n), h, steps)
-    lost = [
-        log.names[0] for log, ok in zip(references, state.alive.tolist(), strict=True) if not ok
-    ]
+    run = _run(plant, begin, feed, drive, h, steps)
+    lost = [log.names[0] for log, ok in zip(references, run.alive[-1], strict=True) if not ok]
     if lost:
         raise TorchidError(
             "the arm runs away: no controller holds these effects, or the step is too long.",
@@ -94,7 +92,7 @@ def closed_loop(
             hint="smaller effects, another controller, or a shorter `longest_step`",
         )
     return [
-        _log(robot, log, signals[:, :length, k], rate)
+        _log(robot, log, run.signals[:, :length, k], rate)
         for k, (log, length) in enumerate(zip(references, lengths, strict=True))
     ]
 
@@ -110,10 +108,9 @@ def plant_of(robot: Robot, effects: Sequence[Sequence[Valued]], like: Tensor) ->
     nominal = nominal_effects(robot)
     every = [[*nominal, *own] for own in effects]
     bodies = [_body(robot, own) for own in every]
-    if all(body is robot for body in bodies):
-        bodies = [robot]
-    body = bodies[0] if len(bodies) == 1 else None
-    return Plant(arms_of(bodies, like), BatchEffects(every, robot, like), body)
+    same = all(body is robot for body in bodies)
+    robots = (robot,) if same else tuple(bodies)
+    return Plant(arms_of(robots, like), BatchEffects(every, robot, like), robots)
 
 
 def _body(robot: Robot, effects: Sequence[Valued]) -> Robot:
@@ -125,46 +122,19 @@ def _body(robot: Robot, effects: Sequence[Valued]) -> Robot:
 
 @torch.inference_mode()
 def _run(
-    plant: Plant,
-    begin: Motion,
-    feed: Tensor,
-    gains: tuple[Tensor, Tensor],
-    limit: Tensor | None,
-    h: float,
-    every: int,
-) -> tuple[Float[Tensor, "4 T B n"], State]:
-    """q, dq, ddq, tau of every k-th step's middle, where the reference's samples are."""
-    arms, total, n = feed.shape
+    plant: Plant, begin: Motion, feed: Float[Tensor, "B T n"], drive: Drive, h: float, every: int
+) -> Course:
+    """q, dq, ddq, torque of every k-th step's middle, where the reference's samples are."""
     # The state from which the middle of the first step, the first sample, is as it shall begin.
     now = torch.zeros_like(begin.q[:, 0])
+    feeds = feed.transpose(0, 1)
     ddq = begin.ddq
     for trial in range(3):
         dq = begin.dq - h / 2 * ddq
         state = plant.start(begin.q - h / 2 * dq, dq, ddq, now - h / 2)
         if trial < 2:
-            torque_of = _drive(state, feed[:, 0], gains, limit, h)
-            ddq = plant.step(state, h, now, torque_of)[1].ddq
-
-    def drive_of(state: State, feed: Tensor) -> Drive:
-        return _drive(state, feed, gains, limit, h)
-
-    if arms == 1 and (found := stepped(plant, state, h, drive_of, feed[0], every)):
-        return found[0].unsqueeze(2), found[1]
-    out = feed.new_empty(4, -(-total // every), arms, n)
-    for k in range(total):
-        drive = drive_of(state, feed[:, k])
-        state, instant = plant.step(state, h, feed.new_full((arms,), k * h), drive)
-        if k % every == 0:
-            torch.stack(list(instant), out=out[:, k // every])
-    return out, state
-
-
-def _drive(
-    state: State, feed: Tensor, gains: tuple[Tensor, Tensor], limit: Tensor | None, h: float
-) -> Drive:
-    """The controller in the middle of the step from a state."""
-    stiffness, damping = gains
-    return Drive(feed - stiffness * (state.q + h / 2 * state.dq), damping, limit)
+            ddq = plant.step(state, h, now, drive._replace(feed=feeds[0]))[1].ddq
+    return course(plant, state, drive, feeds, now, h, keep="instants", every=every)
 
 
 def _on_grid(log: Log, rate: float) -> Motion:
@@ -176,13 +146,26 @@ def _on_grid(log: Log, rate: float) -> Motion:
     grid = torch.arange(count, dtype=torch.float64) / rate
     if count == len(t) and bool(((t - grid).abs() < 1e-9).all()):
         return Motion(log.q, log.dq, log.ddq, t=grid)
-    at = grid.clamp(max=float(t[-1])).numpy()
-    q, dq = (
-        torch.from_numpy(CubicHermiteSpline(t.numpy(), x.numpy(), rate_of.numpy())(at))
-        for x, rate_of in ((log.q, log.dq), (log.dq, log.ddq))
-    )
-    slope = CubicHermiteSpline(t.numpy(), log.dq.numpy(), log.ddq.numpy()).derivative()
-    return Motion(q, dq, torch.from_numpy(slope(at)), t=grid)
+    at = grid.clamp(max=float(t[-1]))
+    q, _ = _cubic(t, log.q, log.dq, at)
+    return Motion(q, *_cubic(t, log.dq, log.ddq, at), t=grid)
+
+
+def _cubic(
+    t: Float[Tensor, " T"],
+    x: Float[Tensor, "T n"],
+    rate: Float[Tensor, "T n"],
+    at: Float[Tensor, " M"],
+) -> tuple[Float[Tensor, "M n"], Float[Tensor, "M n"]]:
+    """Values and slopes of the cubic through x with these rates (Hermite; not SciPy's, whose import
+    takes as long as a simulation)."""
+    k = (torch.searchsorted(t, at, right=True) - 1).clamp(0, len(t) - 2)
+    step = (t[k + 1] - t[k]).unsqueeze(1)
+    s = (at - t[k]).unsqueeze(1) / step
+    rise, before, after = (x[k + 1] - x[k]) / step, rate[k], rate[k + 1]
+    bend, twist = 3 * rise - 2 * before - after, before + after - 2 * rise
+    value = x[k] + step * s * (before + s * (bend + s * twist))
+    return value, before + s * (2 * bend + 3 * s * twist)
 
 
 def _padded(feeds: Sequence[Tensor]) -> Float[Tensor, "B T n"]:

@@ -16,14 +16,18 @@ Moreau 1988; Stewart and Trinkle 1996; Alart and Curnier 1991. Steps are first o
 starts, stops or turns within them.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchid.dynamics.forward import ComponentsAt
-from torchid.dynamics.world_frame import Arms, Posture
+from torchid.dynamics.forward import Components, ComponentsAt
+from torchid.dynamics.straight_line import Opaque, straight_line
+from torchid.dynamics.world_frame import Arms, Posture, arms_of
 from torchid.effects.base import Motion
 from torchid.robot.model import Robot
 from torchid.simulation.loads import BatchEffects
@@ -34,8 +38,9 @@ LONGEST_STEP = 2e-3
 RUNAWAY_SPEED = 1e3
 """Speed at which an arm has diverged [rad/s or m/s]."""
 
-PASSES = 2
-MOST_CHANGES = 12  # of the set of joints that stick; three suffice but for pathological couplings
+_PASSES = 2
+_LEAST_PIVOT = 1e-6  # share of a diagonal entry that elimination may leave of it
+_MOST_CHANGES = 12  # of the set of joints that stick; three suffice but for pathological couplings
 
 
 class State(NamedTuple):
@@ -56,22 +61,25 @@ class State(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """Torque of the drives, feed - damping dq, clipped to the limit.
+    """Torque of the drives, feed - stiffness q - damping dq, clipped to the limit.
 
     Attributes:
         feed: (B, n) [N m; N].
-        damping: (B, n), or None.
+        damping, stiffness: (B, n), or None.
         limit: (n,) largest absolute torque, or None.
     """
 
     feed: Tensor
     damping: Tensor | None = None
     limit: Tensor | None = None
+    stiffness: Tensor | None = None
 
-    def at(self, dq: Tensor) -> tuple[Tensor, Tensor]:
+    def at(self, q: Tensor, dq: Tensor) -> tuple[Tensor, Tensor]:
         """Torque, and what it loses per unit of speed."""
         slope = torch.zeros_like(dq) if self.damping is None else self.damping
         torque = self.feed - slope * dq
+        if self.stiffness is not None:
+            torque = torque - self.stiffness * q
         if self.limit is None:
             return torque, slope
         clipped = torque.clamp(-self.limit, self.limit)
@@ -94,12 +102,25 @@ class Plant:
     Attributes:
         arms: bodies and kinematics, one for all or one an arm.
         effects: torques beyond the rigid body's.
-        body: the robot that all arms are; None where their bodies differ.
+        robots: the arms as robots, one for all or one an arm.
     """
 
-    arms: Arms
+    arms: Arms | Components
     effects: BatchEffects
-    body: Robot | None = None
+    robots: tuple[Robot, ...]
+
+    @property
+    def alike(self) -> bool:
+        """Whether all arms are one."""
+        return len(self.robots) == 1 and len(self.effects.inertia) == 1
+
+    def alone(self, arm: int) -> "Plant":
+        """One of the arms."""
+        if self.alike:
+            return self
+        robot = self.robots[min(arm, len(self.robots) - 1)]
+        effects = self.effects.alone(arm)
+        return Plant(arms_of([robot], effects.inertia), effects, (robot,))
 
     def start(self, q: Tensor, dq: Tensor, ddq: Tensor, t: Tensor) -> State:
         """At positions and velocities (B, n) at times t (B,), effects at their beginning."""
@@ -112,12 +133,17 @@ class Plant:
 
         An arm that diverges stays where it was and is no longer alive.
         """
+        after, instant = self.unguarded(state, h, t, drive)
+        return kept(state, after), instant
+
+    def unguarded(self, state: State, h: float, t: Tensor, drive: Drive) -> tuple[State, Instant]:
+        """The step of arms whether they diverge or not."""
         q = state.q + h / 2 * state.dq
         posture = self.arms.at(q)
         mass = posture.mass_matrix() + self.effects.inertia
         instant = Instant(q, state.dq + h / 2 * state.ddq, state.ddq, state.dq)
         change = torch.zeros_like(q)
-        for _ in range(PASSES):
+        for _ in range(_PASSES):
             instant, change = self._pass(state, h, t, drive, posture, mass, instant)
         dq = state.dq + change
         motion = Motion(q, (state.dq + dq) / 2, instant.ddq, t=t, torque=instant.torque)
@@ -128,27 +154,9 @@ class Plant:
             self.effects.advance(motion, h, state.memory),
             state.alive,
         )
-        return _kept(state, after), instant
+        return after, instant
 
     def _pass(
-        self,
-        state: State,
-        h: float,
-        t: Tensor,
-        drive: Drive,
-        posture: Posture,
-        mass: Tensor,
-        guess: Instant,
-    ) -> tuple[Instant, Tensor]:
-        """The step with bias and loads linearised about a guess of its middle, and its change of
-        speed (B, n), which takes joints that stick to 0 exactly."""
-        step = self.linearised(state, h, t, drive, posture, mass, guess)
-        change = _with_dry_friction(step.matrix, step.impulse, step.dry, state.dq)
-        dq = state.dq + step.weight * change
-        torque = step.torque - step.loss * (dq - guess.dq)
-        return Instant(guess.q, dq, change / h, torque), change
-
-    def linearised(
         self,
         state: State,
         h: float,
@@ -157,40 +165,25 @@ class Plant:
         posture: Posture | ComponentsAt,
         mass: Tensor,
         guess: Instant,
-    ) -> "Linearised":
-        """The equations of motion about a guess of a step's middle."""
+    ) -> tuple[Instant, Tensor]:
+        """The step with bias and loads linearised about a guess of its middle, and its change of
+        speed (B, n), which takes joints that stick to 0 exactly."""
         bias = posture.torque(guess.dq)
         motion = Motion(guess.q, guess.dq, torch.zeros_like(guess.dq), t=t)
         if self.effects.needs_torque:
             transmitted = bias + (mass @ guess.ddq.unsqueeze(-1)).squeeze(-1)
             motion = motion._replace(torque=transmitted)
         loads = self.effects.at(motion, h / 2, state.memory)
-        torque, loss = drive.at(guess.dq)
+        torque, loss = drive.at(guess.q, guess.dq)
         own = mass.diagonal(dim1=-2, dim2=-1).abs()
         # A falling friction curve is followed, but must not outweigh the inertia.
         slope = torch.maximum(loads.slope + loss, -own / (4 * h))
-        weight = (1 - own / (h * slope).clamp(min=1e-300)).clamp(min=0.5)
-        matrix = mass + torch.diag_embed(h * weight * slope)
+        w = (1 - own / (h * slope).clamp(min=1e-300)).clamp(min=0.5)
+        matrix = mass + torch.diag_embed(h * w * slope)
         rest = torque - bias - loads.smooth - slope * (state.dq - guess.dq)
-        return Linearised(matrix, h * rest, h * loads.dry, weight, torque, loss)
-
-
-class Linearised(NamedTuple):
-    """matrix (dq' - dq) + f = impulse, f in dry sign(dq').
-
-    Attributes:
-        matrix: (B, n, n) symmetric.
-        impulse, dry: (B, n).
-        weight: (B, n) where in the step the speed counts.
-        torque, loss: (B, n) of the drives, and per unit of speed.
-    """
-
-    matrix: Tensor
-    impulse: Tensor
-    dry: Tensor
-    weight: Tensor
-    torque: Tensor
-    loss: Tensor
+        change = _change_of_speed(matrix, h * rest, h * loads.dry, state.dq)
+        dq = state.dq + w * change
+        return Instant(guess.q, dq, change / h, torque - loss * (dq - guess.dq)), change
 
 
 def _with_dry_friction(matrix: Tensor, impulse: Tensor, dry: Tensor, dq: Tensor) -> Tensor:
@@ -199,36 +192,128 @@ def _with_dry_friction(matrix: Tensor, impulse: Tensor, dry: Tensor, dq: Tensor)
     A joint sticks (dq + x = 0) or slides in a known direction; a stuck one that would need more
     than `dry` starts to slide, and one that would slide backwards sticks.
     """
+    solved: Tensor = _active_set(torch, _solved, matrix.movedim(0, -1), impulse.T, dry.T, dq.T)
+    return solved.T
+
+
+def _solved(matrix: Tensor, right: Tensor) -> Tensor:
+    """Without an error where a matrix is singular: that arm diverges, the others go on."""
+    rows = torch.linalg.solve_ex(matrix.movedim(-1, 0), right.T.unsqueeze(-1))[0]
+    return rows.squeeze(-1).T
+
+
+def _active_set(xp: Any, solved: Any, matrix: Any, impulse: Any, dry: Any, dq: Any) -> Any:
+    """The same with arms on the last axis, for the tensors of `torch` or the arrays of `numpy`."""
     has_dry = dry > 0
     if not bool(has_dry.any()):
-        return _solved(matrix, impulse)
-    way = torch.sign(dq)
-    identity = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
-    change = torch.zeros_like(dq)
-    for _ in range(MOST_CHANGES):
+        return solved(matrix, impulse)
+    n = len(impulse)
+    identity = xp.zeros_like(matrix[:, :, :1])
+    identity[range(n), range(n)] = 1.0
+    change, way, places = xp.zeros_like(dq), xp.sign(dq), xp.arange(dq.shape[1])
+    for _ in range(_MOST_CHANGES):
         stuck = has_dry & (way == 0)
-        rows = torch.where(stuck.unsqueeze(-1), identity, matrix)
-        free = _solved(rows, torch.where(stuck, -dq, impulse - dry * way))
-        change = torch.where(stuck, -dq, free)
-        needed = impulse - (matrix @ change.unsqueeze(-1)).squeeze(-1)
-        starts = torch.where(needed.abs() > dry, torch.sign(needed), torch.zeros_like(needed))
-        turned = has_dry & ((dq + change) * way < 0)
-        new = torch.where(stuck, starts, torch.where(turned, torch.zeros_like(way), way))
-        if torch.equal(new, way):
+        sticks = bool(stuck.any())
+        rows = xp.where(stuck[:, None], identity, matrix) if sticks else matrix
+        right = impulse - dry * way
+        own = solved(rows, xp.where(stuck, -dq, right) if sticks else right)
+        change[:, places] = own
+        new = xp.where(has_dry & ((dq + own) * way < 0), 0.0, way)
+        if sticks:
+            needed = impulse - (matrix * own).sum(1)
+            new = xp.where(stuck, xp.where(abs(needed) > dry, xp.sign(needed), 0.0), new)
+        again = (new != way).any(0)
+        if not bool(again.any()):
+            break
+        # Most arms are done; the others go on without them.
+        places, way = places[again], new[:, again]
+        matrix, has_dry = matrix[:, :, again], has_dry[:, again]
+        impulse, dry, dq = impulse[:, again], dry[:, again], dq[:, again]
+    return change
+
+
+def _of_one(
+    matrix: Sequence[float], impulse: Sequence[float], dry: Sequence[float], dq: Sequence[float]
+) -> Sequence[float]:
+    """`_with_dry_friction` of one arm, on floats."""
+    n = len(impulse)
+    solve, joints = _elimination(n), range(n)
+    if not any(dry):
+        return _checked(solve(*matrix, *impulse))
+    way = [(v > 0) - (v < 0) for v in dq]
+    change: Sequence[float] = ()
+    for _ in range(_MOST_CHANGES):
+        right = [b - f * w for b, f, w in zip(impulse, dry, way, strict=True)]
+        stuck = [i for i in joints if not way[i] and dry[i] > 0]
+        rows = matrix
+        if stuck:
+            rows = list(matrix)
+            for i in stuck:
+                rows[i * n : i * n + n] = [float(i == j) for j in joints]
+                right[i] = -dq[i]
+        change = _checked(solve(*rows, *right))
+        new = [
+            0 if (v + x) * w < 0 and f > 0 else w
+            for v, x, w, f in zip(dq, change, way, dry, strict=True)
+        ]
+        for i in stuck:
+            needed = impulse[i] - sum(matrix[i * n + j] * change[j] for j in joints)
+            new[i] = ((needed > 0) - (needed < 0)) * (abs(needed) > dry[i])
+        if new == way:
             break
         way = new
     return change
 
 
-def _solved(matrix: Tensor, right: Tensor) -> Tensor:
-    """Without an error where a matrix is singular: that arm diverges, the others go on."""
-    return torch.linalg.solve_ex(matrix, right.unsqueeze(-1))[0].squeeze(-1)
+def _checked(solved: tuple[float, ...]) -> tuple[float, ...]:
+    """The solution, where elimination without exchanges of rows lost no digits."""
+    if solved[-1] < _LEAST_PIVOT:
+        raise ArithmeticError
+    return solved[:-1]
 
 
-def _kept(before: State, after: State) -> State:
+@lru_cache(maxsize=32)
+def _elimination(n: int) -> Callable[..., tuple[float, ...]]:
+    """Solution of a system of n equations, and the least pivot in its diagonal entry."""
+
+    def solution(matrix: Tensor, right: Tensor) -> list[Tensor]:
+        rows, out = [list(row.unbind()) for row in matrix], list(right.unbind())
+        least = torch.ones_like(out[0])
+        for k in range(n):
+            least = torch.minimum(least, rows[k][k].abs() / matrix[k, k].abs())
+            for i in range(k + 1, n):
+                share = rows[i][k] / rows[k][k]
+                out[i] = out[i] - share * out[k]
+                rows[i] = [a - share * b for a, b in zip(rows[i], rows[k], strict=True)]
+        for k in reversed(range(n)):
+            known = sum((rows[k][j] * out[j] for j in range(k + 1, n)), torch.zeros_like(out[0]))
+            out[k] = (out[k] - known) / rows[k][k]
+        return [*out, least]
+
+    eye = torch.eye(n, dtype=torch.float64)
+    return straight_line(solution, [eye, eye[0]]).on_floats
+
+
+def _of_many(*arguments: Sequence[np.ndarray | float]) -> Sequence[np.ndarray]:
+    """`_with_dry_friction` of arrays (B,)."""
+    n, many = len(arguments[1]), max(np.size(x) for x in arguments[1])
+    matrix, *others = (
+        np.array([x if np.ndim(x) else np.full(many, x) for x in argument])
+        for argument in arguments
+    )
+    return list(_active_set(np, _solved_arrays, matrix.reshape(n, n, many), *others))
+
+
+def _solved_arrays(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    return _solved(torch.from_numpy(matrix), torch.from_numpy(right)).numpy()
+
+
+_change_of_speed = Opaque(_with_dry_friction, _of_one, _of_many)
+
+
+def kept(before: State, after: State) -> State:
     """The new state, but for arms that diverge."""
-    speed = after.dq.abs().amax(-1)
-    good = before.alive & (speed < RUNAWAY_SPEED) & after.q.isfinite().all(-1)
+    good = before.alive & held(after)
     if bool(good.all()):
         return after
     rows = good.unsqueeze(-1)
@@ -243,3 +328,8 @@ def _kept(before: State, after: State) -> State:
         memory,
         good,
     )
+
+
+def held(state: State) -> Tensor:
+    """Whether arms (B,) have not diverged in a step."""
+    return (state.dq.abs().amax(-1) < RUNAWAY_SPEED) & state.q.isfinite().all(-1)

@@ -4,8 +4,9 @@ Arms of a batch have different effects. Those of one kind are evaluated together
 kind's formula for all arms and joints, with coefficients that are zero where an arm lacks it.
 """
 
+import copy
 from collections.abc import Iterator, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from typing import NamedTuple
 
 import torch
@@ -59,6 +60,11 @@ class Kind:
         """Whether it needs the torque that the joints transmit."""
         return "torque" in self.kind.needs
 
+    def alone(self, arm: int) -> "Kind":
+        """That of one arm."""
+        shapes = tuple(shape[arm : arm + 1] for shape in self.shapes)
+        return replace(self, coefficients=self.coefficients[arm : arm + 1], shapes=shapes)
+
     def torque(self, motion: Motion) -> Tensor:
         """(..., B, n)."""
         return (self.kind.formula(motion, *self.shapes) * self.coefficients).sum(-1)
@@ -94,6 +100,10 @@ class Single:
     def loaded(self) -> bool:
         """Whether it needs the torque that the joints transmit."""
         return "torque" in self.effect.needs
+
+    def alone(self, arm: int) -> "Single":
+        """That of one arm."""
+        return replace(self, coefficients=self.coefficients[arm : arm + 1])
 
     def torque(self, motion: Motion) -> Tensor:
         """(..., B, n)."""
@@ -155,6 +165,14 @@ class BatchEffects:
             g for g in self._plain if not (isinstance(g, Kind) and g.kind is RotorInertia)
         ]
         self.needs_torque = any(group.loaded for group in [*self._plain, *self._memory])
+
+    def alone(self, arm: int) -> "BatchEffects":
+        """Those of one of the arms."""
+        own = copy.copy(self)
+        own.inertia = self.inertia[arm : arm + 1]
+        own._plain = [group.alone(arm) for group in self._plain]
+        own._memory = [group.alone(arm) for group in self._memory]
+        return own
 
     def initial(self, motion: Motion) -> list[Tensor | None]:
         """States of the effects with a memory."""

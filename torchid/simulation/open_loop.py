@@ -12,6 +12,7 @@ from torchid.effects.registry import Valued
 from torchid.errors import TorchidError
 from torchid.robot.model import Robot
 from torchid.simulation.closed_loop import plant_of
+from torchid.simulation.course import course
 from torchid.simulation.integrate import LONGEST_STEP, Drive
 from torchid.simulation.loads import adds_torque, changes_measurement
 from torchid.typing import Bool, Float
@@ -77,21 +78,21 @@ def rollout(
     plant = plant_of(robot, [list(effects)], q0)
     true, shift, ignored = undone(robot, effects, tau)
     begin = Motion(q0 - shift, dq0, torch.zeros_like(q0))
-    arms, total, _ = true.shape
+    arms = len(true)
     steps = max(1, math.ceil(dt / longest_step - 1e-9))
     h = dt / steps
     t = torch.as_tensor(t0).to(q0).expand(arms)
     state = plant.start(begin.q, begin.dq, begin.ddq, t)
-    q, dq = torch.full_like(true, math.nan), torch.full_like(true, math.nan)
-    for k in range(total):
-        q[state.alive, k], dq[state.alive, k] = state.q[state.alive], state.dq[state.alive]
-        if k + 1 == total:
-            break
-        for j in range(steps):
-            share = (j + 0.5) / steps if hold == "linear" else 0.0
-            torque = torch.lerp(true[:, k], true[:, k + 1], share)
-            state, _ = plant.step(state, h, t + k * dt + (j + 0.5) * h, Drive(torque))
-    return Rollout(q + shift, dq, ~state.alive, ignored)
+    share = (torch.arange(steps).to(true) + 0.5) / steps if hold == "linear" else torch.zeros(steps)
+    between = torch.lerp(true[:, :-1, None], true[:, 1:, None], share.to(true)[:, None])
+    feeds = between.flatten(1, 2).transpose(0, 1)
+    run = course(
+        plant, state, Drive(true[:, 0]), feeds, t + h / 2, h,
+        keep="states", every=steps, first=steps - 1,
+    )  # fmt: skip
+    moved = run.signals.masked_fill(~run.alive.unsqueeze(-1), math.nan).transpose(1, 2)
+    q, dq = (torch.cat([x[:, None], y], 1) for x, y in zip(state[:2], moved, strict=True))
+    return Rollout(q + shift, dq, ~run.alive[-1:].all(0), ignored)
 
 
 def undone(
