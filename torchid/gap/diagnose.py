@@ -15,17 +15,13 @@ from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
-from torchid.position.data import WINDOW_S
 from torchid.position.diagnose import diagnose_positions
 from torchid.position.diagnosis import PositionDiagnosis
-from torchid.position.model import ServoArm, replay
-from torchid.position.nominal import ACTUATOR, nominal_servos, types_of
+from torchid.position.nominal import nominal_servos, servos_as_given, types_of
 from torchid.results.answer import Diagnosis
 from torchid.robot.model import Robot
 
 Progress = Callable[[str, int, int], None]
-SAME_GAIN = 1e-6
-"""Difference of a command gain from 1 that is rounding [1]."""
 
 
 def diagnose(
@@ -125,26 +121,7 @@ def _of_positions(
     nominal = nominal_servos(robot, servo)
     found = diagnose_positions(
         robot, log, held_out=held_out, trusted=settings.parameters == "trusted",
-        types=types_of(nominal), progress=progress, watch=watch,
+        types=types_of(nominal), start=servos_as_given(robot, nominal), progress=progress,
+        watch=watch,
     )  # fmt: skip
-    geared = [
-        f"{j} ({servo.values['scale']:.4g})"
-        for j, servo in enumerate(nominal, start=1)
-        if servo.name == ACTUATOR and abs(servo.values.get("scale", 1.0) - 1) > SAME_GAIN
-    ]
-    if geared:
-        said = (
-            f"'{robot.source}' has a command gain itself, the gear of its actuator, on joint "
-            f"{', '.join(geared)}: where it is found here, it is no gap."
-        )
-        found = replace(found, warnings=(said, *found.warnings))
-    saved = ServoArm.of_file(robot.source)
-    if saved is None:
-        return replace(found, nominal=nominal)
-    far = float(replay(saved, log, windows=WINDOW_S).error[:, ~found.still].mean())
-    said = (
-        f"the servos saved in '{robot.source}' leave {far:.3g} mrad of this log in windows of "
-        f"{WINDOW_S:g} s, and the answer {found.answered.mean[1]:.3g}: all servos are fitted anew, "
-        "nothing of the saved ones is kept."
-    )
-    return replace(found, nominal=nominal, warnings=(said, *found.warnings))
+    return replace(found, nominal=nominal)
