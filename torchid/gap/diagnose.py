@@ -22,6 +22,8 @@ from torchid.results.answer import Diagnosis
 from torchid.robot.model import Robot
 
 Progress = Callable[[str, int, int], None]
+OF_POSITIONS = ("parameters", "worthwhile", "seed")
+"""Settings that logs of commands and positions have a use for."""
 
 
 def diagnose(
@@ -44,7 +46,8 @@ def diagnose(
         log: trajectories of the real arm: torques or currents; or commanded and measured positions.
         held_out: trajectories that take part in no choice. If None, every trajectory (or stretch)
             is left out in turn.
-        settings: how; defaults if None. Of logs of positions none but the seed has a meaning.
+        settings: how; defaults if None. Of logs of positions whether
+            `parameters` are `trusted`, `worthwhile` and the seed have a meaning.
         servo: what the servos are said to be, for logs of positions: `STS3215`, `kp=12`; shown
             beside what is found.
         force: diagnose a log that the doctor's decisive checks say is wrong (order or sign of
@@ -108,20 +111,22 @@ def _of_positions(
 ) -> PositionDiagnosis:
     """Of logs of commands and positions."""
     settings = settings or GapSettings()
-    default = GapSettings(seed=settings.seed, parameters=settings.parameters)
+    default = GapSettings()
     changed = [
-        f.name for f in fields(settings) if getattr(settings, f.name) != getattr(default, f.name)
+        f.name
+        for f in fields(settings)
+        if f.name not in OF_POSITIONS and getattr(settings, f.name) != getattr(default, f.name)
     ]
     if changed:
         raise TorchidError(
             "these logs have commands and positions and no torques.",
             got=", ".join(f"`{name}=...`" for name in changed),
-            expected="none of the options on how to search, but whether `parameters` are `trusted`",
+            expected=f"of the options on how to search {', '.join(OF_POSITIONS)} alone",
         )
     nominal = nominal_servos(robot, servo)
     found = diagnose_positions(
         robot, log, held_out=held_out, trusted=settings.parameters == "trusted",
-        types=types_of(nominal), start=servos_as_given(robot, nominal), progress=progress,
-        watch=watch,
+        types=types_of(nominal), start=servos_as_given(robot, nominal),
+        worthwhile=settings.worthwhile, progress=progress, watch=watch,
     )  # fmt: skip
     return replace(found, nominal=nominal)

@@ -58,8 +58,6 @@ STAGES = 16
 """That are told as progress."""
 MOST = 250
 """Windows that a search looks at [1]: more do not change what it finds, only how long it takes."""
-SQUARES = 1.0 - (1.0 - WORTHWHILE) ** 2
-"""Share of the squared error by which an effect must lower it to be worth a name."""
 WORSE = 0.1
 """Rise of a joint's squared error from which it is not of the type of the others [1]."""
 OPEN = 0.5
@@ -77,6 +75,7 @@ def diagnose_positions(
     trusted: bool = False,
     types: Sequence[str] = (),
     start: ServoArm | None = None,
+    worthwhile: float = WORTHWHILE,
     progress: Callable[[str, int, int], None] | None = None,
     watch: Callable[[Answer], None] | None = None,
 ) -> PositionDiagnosis:
@@ -92,6 +91,7 @@ def diagnose_positions(
         start: the arm that the robot's own file describes. Where its servos follow all joints
             nothing is sought; else what is found is held against them.
         types: of the joints' servos: those of one name are units of one type.
+        worthwhile: least share of a joint's error by which a cause must lower it to be named.
         progress: called with the stage, steps done and steps in all.
         watch: called with an `Answer` of status `searching` whenever more is known.
 
@@ -122,17 +122,18 @@ def diagnose_positions(
         else EarlyAnswer(watch, data, losses_of(data, simple.servos, few).sum(0), few)
     )
     given, still, as_given = data, _still(data), None
+    squares = 1.0 - (1.0 - worthwhile) ** 2
     answered = None
     if start is not None:
         own = _as_file(data, start.servos, simple.free, few)
         # What windows leave alone is their starts'.
-        ways = few, windows_of(data.tracks, None)
+        both = few, windows_of(data.tracks, None)
         as_given = torch.stack(
-            [losses_of(data, own.servos, w).sum(0) <= GAP * slight(data, w) for w in ways]
+            [losses_of(data, own.servos, w).sum(0) <= GAP * slight(data, w) for w in both]
         ).any(0)
         if bool((as_given | still).all()):
             answered = _Answer(data, own, {}, {}, None)
-    answered = answered or _answer(data, simple, few, more, say, early)
+    answered = answered or _answer(data, simple, few, more, say, early, squares)
     data, found = answered.data, answered.found
     say("how far it goes")
     known = equations(data, found.servos, found.free, more, trusted=trusted)
@@ -372,8 +373,11 @@ def _answer(
     more: Windows,
     say: Callable[[str], None],
     early: EarlyAnswer | None = None,
+    squares: float = 1.0 - (1.0 - WORTHWHILE) ** 2,
 ) -> _Answer:
-    """What the search finds in few windows and each effect is worth there, fitted to more."""
+    """What the search finds in few windows and each effect is worth there, fitted to more.
+
+    `squares` is the share of the squared error by which an effect must lower it to be named."""
     say("one effect at a time")
     found, explained, alike = alone(data, simple, few, early)
     say("a load")
@@ -408,11 +412,11 @@ def _answer(
         before = losses_of(data, found.servos, few)
         after = losses_of(load.data, load.found.servos, few)
         total = (before - after).sum(1, keepdim=True)
-        needed = float(total.sum()) > SQUARES * float(before.sum()) and bool(_sure(total))
+        needed = float(total.sum()) > squares * float(before.sum()) and bool(_sure(total))
         gain = (load, before.sum(0), after.sum(0), others) if needed else None
     if gain is not None:
         data, found = gain[0].data, settled(gain[0].data, gain[0].found, few)
-    worth, rivals, found = _needed(data, found, few)
+    worth, rivals, found = _needed(data, found, few, squares)
     rivals = {at: names for at, names in alike.items() if bool(explained[at[1]])} | rivals
     # More windows move what has settled in few by little: one round, over three times as many.
     found = refit(data, found, more, iterations=2)
@@ -525,7 +529,9 @@ def losses_of(data: PositionData, servos: Servos, windows: Windows) -> Tensor:
     return motion_losses(errors_of_one(data, servos, windows), windows)
 
 
-def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, Rivals, Found]:
+def _needed(
+    data: PositionData, found: Found, windows: Windows, squares: float
+) -> tuple[Worth, Rivals, Found]:
     """The effects without which motion after motion is followed worse, all others refitted."""
     whole, n = losses_of(data, found.servos, windows), found.servos.n
     least = slight(data, windows)
@@ -544,7 +550,7 @@ def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, 
         often = _mostly(gain) if effect.family == "world" else _sure(gain)
         # A plane is there for all joints or for none.
         call = least if effect.parameters else least.sum()
-        keep = on & (gain.sum(0) > SQUARES * total) & (gain.sum(0) > call) & often
+        keep = on & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
         if effect.name == "command_delay":
             keep &= found.servos.of("delay") > data.tracks.dt
         worth[effect.name] = without.sum(0), whole.sum(0)
@@ -556,7 +562,7 @@ def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, 
             now = _without(now, BY_NAME[name], joints, data.tracks.dt)
     servos = fit(data, now.servos, now.free, windows, iterations=2)
     now = replace(now, servos=servos)
-    return _returned(data, found, now, worth, removed, whole, least, windows)
+    return _returned(data, found, now, worth, removed, whole, least, windows, squares)
 
 
 def _sure(gain: Tensor) -> Tensor:
@@ -581,10 +587,11 @@ def _returned(
     whole: Tensor,
     least: Tensor,
     windows: Windows,
+    squares: float,
 ) -> tuple[Worth, Rivals, Found]:
     """Effects that stood for each other: one of them returns, with the others' names."""
     lean = losses_of(data, now.servos, windows).sum(0)
-    lost = ((1.0 - SQUARES) * lean > whole.sum(0)) & (lean - whole.sum(0) > least)
+    lost = ((1.0 - squares) * lean > whole.sum(0)) & (lean - whole.sum(0) > least)
     candidates = {
         name: joints & lost
         for name, joints in removed.items()
