@@ -1,21 +1,20 @@
 """Logs of commands and positions that cannot be what they should be, each in a clear sentence."""
 
 import math
-import re
-from importlib import import_module
 from pathlib import Path
 
 import pytest
 import torch
 
 import torchid
-from tests.position.diagnosed import diagnosis
 from tests.position.planted import COUNT, planted, robot, true_servos
 from torchid.errors import LogError, TorchidError
 from torchid.export.correct_positions import correct_positions
 from torchid.log.model import Log
 from torchid.position.data import missing_commands, prepare, tracks_of
 from torchid.position.model import ServoArm
+from torchid.report.position import tables
+from torchid.results.files import load
 
 DEGREES = 180 / math.pi
 ONE = torch.ones(3, dtype=torch.float64)
@@ -140,14 +139,27 @@ def test_a_log_in_another_unit_than_the_servos_is_refused(log: Log, tmp_path: Pa
         correct_positions(robot(), arm, other, tmp_path)
 
 
-def test_saved_servos_are_compared_with_the_answer(
-    log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    module = import_module("torchid.gap.diagnose")
-    monkeypatch.setattr(module, "diagnose_positions", lambda *_, **__: diagnosis())
-    ServoArm(robot(), true_servos(3), ONE).write(tmp_path / "corrected.yaml")
-    said = torchid.diagnose(tmp_path / "corrected.yaml", log, force=True).warnings[0]
-    assert "fitted anew" in said
-    far = float(re.search(r"leave (\S+) mrad", said)[1])  # type: ignore[index]
-    assert far < 2.0  # these servos made the log, in encoder counts of 1.5 mrad
-    assert not any("fitted anew" in w for w in torchid.diagnose(robot(), log, force=True).warnings)
+def test_servos_of_the_file_that_are_right_leave_no_gap(log: Log, tmp_path: Path) -> None:
+    """A second session of an arm that is as it was: nothing is sought, and nothing has changed."""
+    std = torch.full_like(true_servos(3).joint, torch.nan)
+    std[:, 0] = 0.1
+    ServoArm(robot(), true_servos(3), ONE, std).write(tmp_path / "corrected.yaml")
+    found = torchid.diagnose(tmp_path / "corrected.yaml", log, force=True)
+    assert found.status == "no_gap"
+    assert found.answer.error == "the error of the file's servos"
+    assert found.answer.after < 2.0  # encoder counts of 1.5 mrad
+    states = {c.parameter: c.state for c in found.changes if c.joint == 1}
+    assert states["delay"] == "as known"
+    assert "changed" not in states.values()
+    again = load_result(found, tmp_path)
+    assert again.changes == found.changes
+    (table,) = [t for t in tables(found.record) if t.title.startswith("Servos of the robot's file")]
+    assert "as known" in [row[-1] for row in table.rows]
+    kept = ServoArm.read(tmp_path / "corrected.yaml")
+    assert kept.std is not None
+    assert torch.equal(kept.std.isfinite(), std.isfinite())
+
+
+def load_result(found, folder: Path):
+    found.save(folder / "gap.json")
+    return load(folder / "gap.json")

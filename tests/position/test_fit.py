@@ -9,9 +9,11 @@ from tests.position.planted import DT, planted, robot, true_servos
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.position.data import prepare
+from torchid.position.diagnose import _changes
 from torchid.position.equal import pooled
 from torchid.position.fit import errors, fit, loss, moved, searched, sensitivities
 from torchid.position.judge import equations, motion_losses, value_interval
+from torchid.position.model import ServoArm
 from torchid.position.search import plain
 from torchid.simulation.servo import INDEX, Servos
 from torchid.simulation.servo_loop import windows_of
@@ -102,6 +104,24 @@ def test_servos_of_one_type_tell_each_other(found):
     for types, moves in ((["", "M1", "M2"], [1, 1, 1]), (["M1"] * 3, [0, 1, 0])):
         same = pooled(known, types, torch.tensor(moves, dtype=torch.bool)).servos
         assert torch.allclose(same.joint, model.servos.joint)
+
+
+def test_what_is_new_changed_and_as_known(found):
+    """Servos of a file with another gain on joint 2, a clip that is not found, and no delay."""
+    servos, data, windows, model = found
+    known = equations(data, model.servos, model.free, windows)
+    joint = servos.joint.clone()
+    joint[1, INDEX["kp"]], joint[1, INDEX["clip"]], joint[1, INDEX["delay"]] = 130.0, 40.0, 0.0
+    start = ServoArm(robot(), Servos(joint, servos.plane), torch.ones(3).double())
+    shares = torch.tensor([True, False, False])
+    changes = _changes(start, known, shares, torch.tensor([False, False, True]))
+    states = {(c.joint, c.parameter): c.state for c in changes}
+    assert states[1, "kp"] == "changed"
+    assert states[1, "clip"] == "open"  # a limit that the log may not have reached
+    assert states[1, "delay"] == "new"
+    assert states[1, "armature"] == states[0, "damping/kp"] == "as known"
+    assert (0, "kp") not in states
+    assert {j for j, _ in states} == {0, 1}
 
 
 def test_torques_are_as_sure_as_the_masses(found):

@@ -23,7 +23,7 @@ from torchid.export.write_xml import xml_of
 from torchid.log.checks import own_units
 from torchid.log.model import Log
 from torchid.position.data import PositionData, prepare
-from torchid.position.diagnose import refitted
+from torchid.position.diagnose import RATIO, refitted
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import ServoArm, replay
 from torchid.robot.model import Robot
@@ -122,6 +122,10 @@ def correct_positions(
     )
     words = f"'{robot.name}' with servos, corrected and refitted to mjcf"
     others = [f"{name}{of_joints(joints)}" for name, joints in no_field.items()]
+    gain = torch.zeros(robot.n) if arm.std is None else arm.std[:, INDEX["kp"]]
+    open_ = (gain > RATIO).nonzero().flatten().tolist()
+    if open_:
+        words += f"; torques{of_joints(open_)} in their ratios to kp alone, which no load anchors"
     title = words + (f"; no field for {', '.join(others)}" if others else "")
     files = [write(replace(own[0], title=title), "mjcf", name=stem)]
     if with_effects:

@@ -15,17 +15,15 @@ from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
-from torchid.position.data import WINDOW_S
 from torchid.position.diagnose import diagnose_positions
 from torchid.position.diagnosis import PositionDiagnosis
-from torchid.position.model import ServoArm, replay
-from torchid.position.nominal import ACTUATOR, nominal_servos, types_of
+from torchid.position.nominal import nominal_servos, servos_as_given, types_of
 from torchid.results.answer import Diagnosis
 from torchid.robot.model import Robot
 
 Progress = Callable[[str, int, int], None]
-SAME_GAIN = 1e-6
-"""Difference of a command gain from 1 that is rounding [1]."""
+OF_POSITIONS = ("parameters", "worthwhile", "seed")
+"""Settings that logs of commands and positions have a use for."""
 
 
 def diagnose(
@@ -48,7 +46,8 @@ def diagnose(
         log: trajectories of the real arm: torques or currents; or commanded and measured positions.
         held_out: trajectories that take part in no choice. If None, every trajectory (or stretch)
             is left out in turn.
-        settings: how; defaults if None. Of logs of positions none but the seed has a meaning.
+        settings: how; defaults if None. Of logs of positions whether
+            `parameters` are `trusted`, `worthwhile` and the seed have a meaning.
         servo: what the servos are said to be, for logs of positions: `STS3215`, `kp=12`; shown
             beside what is found.
         force: diagnose a log that the doctor's decisive checks say is wrong (order or sign of
@@ -112,39 +111,22 @@ def _of_positions(
 ) -> PositionDiagnosis:
     """Of logs of commands and positions."""
     settings = settings or GapSettings()
-    default = GapSettings(seed=settings.seed, parameters=settings.parameters)
+    default = GapSettings()
     changed = [
-        f.name for f in fields(settings) if getattr(settings, f.name) != getattr(default, f.name)
+        f.name
+        for f in fields(settings)
+        if f.name not in OF_POSITIONS and getattr(settings, f.name) != getattr(default, f.name)
     ]
     if changed:
         raise TorchidError(
             "these logs have commands and positions and no torques.",
             got=", ".join(f"`{name}=...`" for name in changed),
-            expected="none of the options on how to search, but whether `parameters` are `trusted`",
+            expected=f"of the options on how to search {', '.join(OF_POSITIONS)} alone",
         )
     nominal = nominal_servos(robot, servo)
     found = diagnose_positions(
         robot, log, held_out=held_out, trusted=settings.parameters == "trusted",
-        types=types_of(nominal), progress=progress, watch=watch,
+        types=types_of(nominal), start=servos_as_given(robot, nominal),
+        worthwhile=settings.worthwhile, progress=progress, watch=watch,
     )  # fmt: skip
-    geared = [
-        f"{j} ({servo.values['scale']:.4g})"
-        for j, servo in enumerate(nominal, start=1)
-        if servo.name == ACTUATOR and abs(servo.values.get("scale", 1.0) - 1) > SAME_GAIN
-    ]
-    if geared:
-        said = (
-            f"'{robot.source}' has a command gain itself, the gear of its actuator, on joint "
-            f"{', '.join(geared)}: where it is found here, it is no gap."
-        )
-        found = replace(found, warnings=(said, *found.warnings))
-    saved = ServoArm.of_file(robot.source)
-    if saved is None:
-        return replace(found, nominal=nominal)
-    far = float(replay(saved, log, windows=WINDOW_S).error[:, ~found.still].mean())
-    said = (
-        f"the servos saved in '{robot.source}' leave {far:.3g} mrad of this log in windows of "
-        f"{WINDOW_S:g} s, and the answer {found.answered.mean[1]:.3g}: all servos are fitted anew, "
-        "nothing of the saved ones is kept."
-    )
-    return replace(found, nominal=nominal, warnings=(said, *found.warnings))
+    return replace(found, nominal=nominal)

@@ -23,7 +23,7 @@ from torchid.robot.model import JointType, Robot
 from torchid.simulation.servo import INDEX, PARAMETERS
 from torchid.simulation.servo_loop import Body, Tracks, Windows, body_near
 from torchid.statistics.criteria import BODY_STD
-from torchid.typing import Float, Tensor
+from torchid.typing import Bool, Float, Tensor
 
 UNEVEN_RATE = 0.02
 """Share by which a rate may miss a multiple of `RATE` and count as one [1]."""
@@ -288,12 +288,22 @@ def scale_of(log: Log) -> Float[Tensor, " n"]:
     return scale
 
 
-def rates(q: Float[Tensor, "T n"], tracks: Tracks) -> Float[Tensor, "T n"]:
-    """Velocity from a while before to as long after, 0 for a joint at rest [rad/s]."""
+def rates(
+    q: Float[Tensor, "T n"], tracks: Tracks, follows: Bool[Tensor, " m"]
+) -> Float[Tensor, "T n"]:
+    """Velocity from a while before to as long after, 0 for a joint at rest, and where a recording
+    begins or ends [rad/s].
+
+    Args:
+        q: positions.
+        tracks: motions.
+        follows: (m,) motions that go on where the one before ends.
+    """
     dq, k = torch.zeros_like(q), max(1, round(RATE_S / 2 / tracks.dt))
     dq[k:-k] = (q[2 * k :] - q[: -2 * k]) / (2 * k * tracks.dt)
+    first, last = tracks.first[~follows], tracks.last[~follows.roll(-1)]
     for i in range(k):
-        dq[torch.cat([tracks.first + i, tracks.last - i]).clamp(0, len(q) - 1)] = 0.0
+        dq[torch.cat([first + i, last - i]).clamp(0, len(q) - 1)] = 0.0
     return torch.where(dq.abs() < STILL, 0.0, dq)
 
 
@@ -365,7 +375,9 @@ def prepare(
             got=f"positions vary by {float((q.amax(0) - q.amin(0)).max()):.3g} rad at most",
             expected="motions",
         )
-    dq = rates(q, tracks)
+    # Parts of one motion have one clock.
+    gone = log.t[tracks.first] - log.t[tracks.last.roll(1)]
+    dq = rates(q, tracks, (gone - tracks.dt).abs() < UNEVEN * tracks.dt)
     weighed = robot.parameters is not None
     robot = robot if weighed else with_rods(robot)
     link = _outermost(robot)

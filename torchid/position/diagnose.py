@@ -6,7 +6,7 @@ Read from top to bottom: `diagnose_positions` is the pipeline.
 import itertools
 import math
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -16,7 +16,7 @@ from torchid.effects.servo import ServoEffect
 from torchid.log.checks import STILL
 from torchid.log.model import Log
 from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare
-from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
+from torchid.position.diagnosis import GAP, Accuracy, PositionDiagnosis, PositionFinding, Size
 from torchid.position.early import EarlyAnswer
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, neutral
 from torchid.position.equal import pooled
@@ -32,6 +32,7 @@ from torchid.position.judge import (
 from torchid.position.model import ServoArm, accuracy
 from torchid.position.odds import effect_sure
 from torchid.position.payload import Loaded, with_load
+from torchid.position.record import ChangeRecord
 from torchid.position.rods import PER_METRE
 from torchid.position.search import (
     ALIKE,
@@ -50,17 +51,17 @@ from torchid.results.replication import Replication
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, PLANE, TORQUES, Servos, as_share
 from torchid.simulation.servo_loop import Windows, windows_of
-from torchid.statistics.criteria import WORTHWHILE
+from torchid.statistics.criteria import MOVED_STD, WORTHWHILE
 from torchid.statistics.proportion import HALF_95
 
 STAGES = 16
 """That are told as progress."""
 MOST = 250
 """Windows that a search looks at [1]: more do not change what it finds, only how long it takes."""
-SQUARES = 1.0 - (1.0 - WORTHWHILE) ** 2
-"""Share of the squared error by which an effect must lower it to be worth a name."""
 WORSE = 0.1
 """Rise of a joint's squared error from which it is not of the type of the others [1]."""
+OPEN = 0.5
+"""Standard deviation of a value, as a share of it, from which the log does not say it [1]."""
 RATIO = 0.2
 """Standard deviation of a torque's scale from which only ratios are told, by the load that noise
 leaves to be seen, or by the log as it is [1]."""
@@ -73,6 +74,8 @@ def diagnose_positions(
     held_out: Log | None = None,
     trusted: bool = False,
     types: Sequence[str] = (),
+    start: ServoArm | None = None,
+    worthwhile: float = WORTHWHILE,
     progress: Callable[[str, int, int], None] | None = None,
     watch: Callable[[Answer], None] | None = None,
 ) -> PositionDiagnosis:
@@ -85,7 +88,10 @@ def diagnose_positions(
         held_out: motions that take part in nothing but the judgement.
         trusted: whether the masses of the robot's file are right; else they are known as files are,
             and all torques with them.
+        start: the arm that the robot's own file describes. Where its servos follow all joints
+            nothing is sought; else what is found is held against them.
         types: of the joints' servos: those of one name are units of one type.
+        worthwhile: least share of a joint's error by which a cause must lower it to be named.
         progress: called with the stage, steps done and steps in all.
         watch: called with an `Answer` of status `searching` whenever more is known.
 
@@ -103,7 +109,8 @@ def diagnose_positions(
             progress(stage, next(stages), STAGES)
 
     log, warnings = _parted(log)
-    data = prepare(robot, log)
+    scaled = start is not None and bool((start.scale != 1).any())
+    data = prepare(robot, log, start.scale if start is not None and scaled else None)
     windows = windows_of(data.tracks, WINDOW_S)
     say("a plain servo")
     simple = plain(data, some_of(windows, MOST))
@@ -114,10 +121,22 @@ def diagnose_positions(
         if watch is None
         else EarlyAnswer(watch, data, losses_of(data, simple.servos, few).sum(0), few)
     )
-    given, answered = data, _answer(data, simple, few, more, say, early)
+    given, still, as_given = data, _still(data), None
+    squares = 1.0 - (1.0 - worthwhile) ** 2
+    answered = None
+    if start is not None:
+        own = _as_file(data, start.servos, simple.free, few)
+        # What windows leave alone is their starts'.
+        both = few, windows_of(data.tracks, None)
+        as_given = torch.stack(
+            [losses_of(data, own.servos, w).sum(0) <= GAP * slight(data, w) for w in both]
+        ).any(0)
+        if bool((as_given | still).all()):
+            answered = _Answer(data, own, {}, {}, None)
+    answered = answered or _answer(data, simple, few, more, say, early, squares)
     data, found = answered.data, answered.found
     say("how far it goes")
-    known, still = equations(data, found.servos, found.free, more, trusted=trusted), _still(data)
+    known = equations(data, found.servos, found.free, more, trusted=trusted)
     odd: tuple[str, ...] = ()
     if len(set(types) - {""}) and data.weighed:
         known, odd = _of_one_type(data, known, found, types, ~still, few)
@@ -175,9 +194,76 @@ def diagnose_positions(
             for covariance, on in zip(known.expected(), known.mask & ~still[:, None], strict=True)
         ),
     )
+    if start is not None:
+        result = replace(
+            result, as_given=as_given, changes=_changes(start, known, ratio_only, still)
+        )
     if held_out is None:
         return result
     return replace(result, held_out=accuracy(result.corrected, held_out, ~still))
+
+
+def _as_file(
+    data: PositionData, servos: Servos, core: Mapping[str, Tensor], windows: Windows
+) -> Found:
+    """Servos of a robot's file, each as it is nearest to the log: as said, later by what commands
+    are held by, or without a limit of torque, which files have behind the damping and servos
+    before it."""
+    ways = servos.joint.repeat(4, 1, 1)
+    ways[1::2, :, INDEX["delay"]] += 0.5 * data.held
+    ways[2:, :, INDEX["clip"]] = math.inf
+    cost = [losses_of(data, replace(servos, joint=way), windows).sum(0) for way in ways]
+    joint = ways[torch.stack(cost).argmin(0), torch.arange(servos.n)]
+    used = {p.name: servos.of(p.name) != p.neutral for p in PARAMETERS if p.name not in core}
+    free = {**core, **{name: on for name, on in used.items() if bool(on.any())}}
+    return Found(replace(servos, joint=joint), free, bool(servos.plane[4] > 0))
+
+
+def _changes(
+    start: ServoArm, known: Equations, shares: Tensor, still: Tensor
+) -> tuple[ChangeRecord, ...]:
+    """What was found of each number beside what the robot's file says of it."""
+    every = (~still).nonzero().flatten().tolist()
+    deviation = torch.full_like(known.servos.joint, torch.nan)
+    deviation[:, [INDEX[name] for name in known.names]] = known.deviations(shares)
+    free = torch.zeros_like(deviation, dtype=torch.bool)
+    free[:, [INDEX[name] for name in known.names]] = known.mask
+    out = []
+    for j, (k, p) in itertools.product(every, enumerate(PARAMETERS)):
+        share, on = bool(shares[j]) and p.name in TORQUES, bool(free[j, k])
+        was, now = (float(servos.joint[j, k]) for servos in (start.servos, known.servos))
+        if (was == p.neutral and not on) or (share and p.name == "kp"):
+            continue
+        new, std = was == p.neutral, float(deviation[j, k]) if on else math.nan
+        before = 0.0 if start.std is None or share else float(start.std[j, k].nan_to_num(0.0))
+        if share:
+            was, now = (
+                x / float(one.of("kp")[j]) for x, one in ((was, start.servos), (now, known.servos))
+            )
+        log = p.kind == "log" and min(now, was) > 0
+        apart = abs(math.log(now / was)) if log else abs(now - was)
+        if new and not (std < OPEN if p.kind == "log" else abs(now - was) > MOVED_STD * std):
+            continue  # nothing, as far as the log says
+        if new:
+            state = "new"
+        elif now == p.neutral:  # a limit may not have been reached
+            state = "open" if math.isinf(now) else "gone"
+        elif apart > MOVED_STD * math.hypot(std, before):
+            state = "changed"
+        else:
+            state = "open" if std > OPEN * (1.0 if log else max(abs(now), abs(was))) else "as known"
+        out.append(
+            ChangeRecord(
+                joint=j,
+                parameter=as_share(p.name) if share else p.name,
+                unit=PER_KP[p.unit] if share else p.unit,
+                was=math.nan if new else was,
+                now=math.nan if now == p.neutral else now,
+                std=std,
+                state=state,
+            )
+        )
+    return tuple(out)
 
 
 def _of_one_type(
@@ -287,8 +373,11 @@ def _answer(
     more: Windows,
     say: Callable[[str], None],
     early: EarlyAnswer | None = None,
+    squares: float = 1.0 - (1.0 - WORTHWHILE) ** 2,
 ) -> _Answer:
-    """What the search finds in few windows and each effect is worth there, fitted to more."""
+    """What the search finds in few windows and each effect is worth there, fitted to more.
+
+    `squares` is the share of the squared error by which an effect must lower it to be named."""
     say("one effect at a time")
     found, explained, alike = alone(data, simple, few, early)
     say("a load")
@@ -323,11 +412,11 @@ def _answer(
         before = losses_of(data, found.servos, few)
         after = losses_of(load.data, load.found.servos, few)
         total = (before - after).sum(1, keepdim=True)
-        needed = float(total.sum()) > SQUARES * float(before.sum()) and bool(_sure(total))
+        needed = float(total.sum()) > squares * float(before.sum()) and bool(_sure(total))
         gain = (load, before.sum(0), after.sum(0), others) if needed else None
     if gain is not None:
         data, found = gain[0].data, settled(gain[0].data, gain[0].found, few)
-    worth, rivals, found = _needed(data, found, few)
+    worth, rivals, found = _needed(data, found, few, squares)
     rivals = {at: names for at, names in alike.items() if bool(explained[at[1]])} | rivals
     # More windows move what has settled in few by little: one round, over three times as many.
     found = refit(data, found, more, iterations=2)
@@ -440,7 +529,9 @@ def losses_of(data: PositionData, servos: Servos, windows: Windows) -> Tensor:
     return motion_losses(errors_of_one(data, servos, windows), windows)
 
 
-def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, Rivals, Found]:
+def _needed(
+    data: PositionData, found: Found, windows: Windows, squares: float
+) -> tuple[Worth, Rivals, Found]:
     """The effects without which motion after motion is followed worse, all others refitted."""
     whole, n = losses_of(data, found.servos, windows), found.servos.n
     least = slight(data, windows)
@@ -459,7 +550,7 @@ def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, 
         often = _mostly(gain) if effect.family == "world" else _sure(gain)
         # A plane is there for all joints or for none.
         call = least if effect.parameters else least.sum()
-        keep = on & (gain.sum(0) > SQUARES * total) & (gain.sum(0) > call) & often
+        keep = on & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
         if effect.name == "command_delay":
             keep &= found.servos.of("delay") > data.tracks.dt
         worth[effect.name] = without.sum(0), whole.sum(0)
@@ -471,7 +562,7 @@ def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, 
             now = _without(now, BY_NAME[name], joints, data.tracks.dt)
     servos = fit(data, now.servos, now.free, windows, iterations=2)
     now = replace(now, servos=servos)
-    return _returned(data, found, now, worth, removed, whole, least, windows)
+    return _returned(data, found, now, worth, removed, whole, least, windows, squares)
 
 
 def _sure(gain: Tensor) -> Tensor:
@@ -496,10 +587,11 @@ def _returned(
     whole: Tensor,
     least: Tensor,
     windows: Windows,
+    squares: float,
 ) -> tuple[Worth, Rivals, Found]:
     """Effects that stood for each other: one of them returns, with the others' names."""
     lean = losses_of(data, now.servos, windows).sum(0)
-    lost = ((1.0 - SQUARES) * lean > whole.sum(0)) & (lean - whole.sum(0) > least)
+    lost = ((1.0 - squares) * lean > whole.sum(0)) & (lean - whole.sum(0) > least)
     candidates = {
         name: joints & lost
         for name, joints in removed.items()
@@ -515,6 +607,10 @@ def _returned(
         if not rivals:
             continue
         first = max(rivals, key=lambda name: float(worth[name][0][j]))
+        if not BY_NAME[first].parameters:  # a plane, which is there for all joints
+            plane = replace(now.servos, plane=found.servos.plane.clone())
+            now = Found(plane, now.free, found.plane)
+            kept[first][:], worth[first][0][:] = True, lean
         joint, free = now.servos.joint.clone(), dict(now.free)
         for name in BY_NAME[first].parameters:
             joint[j, INDEX[name]] = found.servos.joint[j, INDEX[name]]

@@ -14,6 +14,7 @@ from torchid.position.model import ServoArm
 from torchid.position.nominal import NominalServo
 from torchid.position.record import (
     AccuracyRecord,
+    ChangeRecord,
     EffectRecord,
     HeldOutRecord,
     HowFarRecord,
@@ -30,7 +31,7 @@ from torchid.results.answer import Answer, Cause, Diagnosis, JointError
 from torchid.results.answer import Size as AnswerSize
 from torchid.results.record import Rows
 from torchid.results.replication import Replication
-from torchid.simulation.servo import Servos
+from torchid.simulation.servo import INDEX, Servos
 from torchid.statistics.criteria import LIKELY
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
@@ -159,6 +160,8 @@ class PositionDiagnosis(Diagnosis):
         held_out: errors of a log that took part in nothing, mean of the joints that move: whole
             motions and windows of 2 s [mrad]; None without one.
         nominal: what the joints' servos are said to be; empty where nothing says it.
+        as_given: joints that the servos of the robot's file follow; None without such servos.
+        changes: the servos beside those of that file.
         doubt: what speaks against the log, which the headline says first.
     """
 
@@ -179,13 +182,20 @@ class PositionDiagnosis(Diagnosis):
     known: tuple[tuple[tuple[str, ...], Float[Tensor, "_ _"]], ...] = ()
     held_out: tuple[float, float] | None = None
     nominal: tuple[NominalServo, ...] = ()
+    as_given: Bool[Tensor, " n"] | None = None
+    changes: tuple[ChangeRecord, ...] = ()
     doubt: str = ""
+
+    @property
+    def right_as_given(self) -> bool:
+        """Whether the servos of the robot's file follow on all joints."""
+        return self.as_given is not None and bool((self.as_given | self.still).all())
 
     @property
     def closed(self) -> float:
         """Share of the plain servos' error of whole motions that the answered model takes away; NaN
         where they leave nothing that calls for a cause."""
-        if math.isnan(self._closed_in_windows):
+        if math.isnan(self._closed_in_windows) or self.right_as_given:
             return math.nan
         return 1.0 - self.answered.mean[0] / self.plain_servo.mean[0]
 
@@ -219,7 +229,8 @@ class PositionDiagnosis(Diagnosis):
         """What each joint's error is, which causes close it, and what to do: errors of whole
         motions that were left out, before them those of a plain servo."""
         unseen, moves = self.unseen, ~self.still
-        before, after = self.plain_servo.whole, self.answered.whole
+        given = self.answered if self.right_as_given else self.plain_servo
+        before, after = given.whole, self.answered.whole
         names = self.data.robot.joint_names
         every = sorted((f.cause for f in self.findings), key=lambda c: -c.closes)
         sure = [c for c in every if c.how_sure is None or c.how_sure >= LIKELY]
@@ -227,9 +238,11 @@ class PositionDiagnosis(Diagnosis):
         small = f"What moves a joint by less than {low:.1f} to {high:.1f} mrad could not be seen."
         return Answer(
             status=self.status,
-            error="a plain servo's error",
+            error="the error of the file's servos"
+            if self.right_as_given
+            else "a plain servo's error",
             unit="mrad",
-            before=self.plain_servo.mean[0],
+            before=given.mean[0],
             after=self.answered.mean[0],
             noise=(0.0, float(unseen[moves].mean()) if bool(moves.any()) else 0.0),
             closed=None if math.isnan(self.closed) else self.closed,
@@ -261,7 +274,10 @@ class PositionDiagnosis(Diagnosis):
     @property
     def corrected(self) -> ServoArm:
         """The answered model: what `replay` moves, and `write` keeps."""
-        return ServoArm(self.data.robot, self.servos, self.data.scale)
+        std = torch.full_like(self.servos.joint, torch.nan)
+        for j, (names, covariance) in enumerate(self.known):
+            std[j, [INDEX[name] for name in names]] = covariance.diagonal().sqrt()
+        return ServoArm(self.data.robot, self.servos, self.data.scale, std)
 
     def write_corrected(self, path: str | Path) -> None:
         """Write the robot with its servos as a .yaml.
@@ -329,6 +345,7 @@ def position_record(result: PositionDiagnosis) -> PositionRecord:
         warnings=result.warnings,
         seconds=result.seconds,
         known=known or UNSET,
+        changes=result.changes or UNSET,
         held_out=(
             UNSET
             if result.held_out is None

@@ -1,5 +1,6 @@
 """A robot with its servos, as one file too, and what it says about a log."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,6 +43,8 @@ class ServoArm:
         servos: one set.
         scale: (n,) radians (m) of the model per unit of the logs, 1 but where a log has a joint in
             another unit.
+        std: (n, K) standard deviations of the servos' values, of logarithms where they are searched
+            so; NaN of what is not known; None where nothing is.
 
     >>> import torchid
     >>> arm = ServoArm.of(torchid.load_robot("3r"), kp=260.0, damping=22.0, armature=0.8)
@@ -52,6 +55,7 @@ class ServoArm:
     robot: Robot
     servos: Servos
     scale: Float[Tensor, " n"]
+    std: Float[Tensor, "n K"] | None = None
 
     def __repr__(self) -> str:
         return f"ServoArm('{self.robot.name}')"
@@ -105,14 +109,15 @@ class ServoArm:
                 expected=f"a block `{KEY}`, as `torchid gap --save-model` writes it",
             )
         scale = data.get("log_scale", [1.0] * robot.n)
-        servos = Servos.from_record(
-            {key: value for key, value in data.items() if key != "log_scale"}, robot.n, str(path)
-        )
+        servos, std = Servos.from_record(data, robot.n, str(path)), None
+        if isinstance(data.get("std"), list) and len(data["std"]) == robot.n:
+            rows = [[float(one.get(name, math.nan)) for name in NAMES] for one in data["std"]]
+            std = torch.tensor(rows, dtype=torch.float64)
         if not isinstance(scale, list) or len(scale) != robot.n or not all(s > 0 for s in scale):
             raise TorchidError(
                 f"'{path}': log_scale is wrong.", got=scale, expected=f"{robot.n} > 0"
             )
-        return cls(robot, servos, torch.tensor(scale, dtype=torch.float64))
+        return cls(robot, servos, torch.tensor(scale, dtype=torch.float64), std)
 
     @classmethod
     def of_file(cls, name: str | Path) -> "ServoArm | None":
@@ -125,8 +130,11 @@ class ServoArm:
     @property
     def yaml(self) -> str:
         """What `write` writes."""
-        block = {KEY: {**self.servos.record(), "log_scale": self.scale.tolist()}}
-        return robot_yaml(self.robot) + yaml.safe_dump(block, sort_keys=False, width=200)
+        block = {**self.servos.record(), "log_scale": self.scale.tolist()}
+        if self.std is not None:
+            rows = (zip(NAMES, row, strict=True) for row in self.std.tolist())
+            block["std"] = [{k: v for k, v in row if math.isfinite(v)} for row in rows]
+        return robot_yaml(self.robot) + yaml.safe_dump({KEY: block}, sort_keys=False, width=200)
 
     def write(self, path: str | Path) -> None:
         """The robot's yaml with its servos, whole or not at all.

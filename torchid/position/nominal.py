@@ -10,13 +10,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+import torch
+
 from torchid.errors import TorchidError
 from torchid.position.model import ServoArm
 from torchid.results.words import unit_behind
 from torchid.robot.mjcf import mjcf_servos
 from torchid.robot.model import Robot
 from torchid.robot.yaml_values import parsed_yaml
-from torchid.simulation.servo import INDEX, NAMES, PARAMETERS
+from torchid.simulation.servo import INDEX, NAMES, PARAMETERS, Servos
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -198,6 +200,21 @@ def nominal_servos(robot: Robot, text: str | None) -> tuple[NominalServo, ...]:
         )
     listed = given if isinstance(given, list) else [given]
     return read_servos(",".join(map(str, listed)), robot.n)
+
+
+def servos_as_given(robot: Robot, servos: "Sequence[NominalServo]") -> ServoArm | None:
+    """The arm that its own file describes: servos of an earlier fit, with how well they are known,
+    or those of an MJCF's actuators; None where no file says them of all joints."""
+    names = {servo.name for servo in servos if servo.values}
+    if not servos or not all(servo.values for servo in servos) or not names <= {FITTED, ACTUATOR}:
+        return None
+    if names == {FITTED}:
+        return ServoArm.of_file(robot.source)
+    out = Servos.neutral(robot.n)
+    for j, servo in enumerate(servos):
+        for name, value in servo.values.items():
+            out.joint[j, INDEX[name]] = value
+    return ServoArm(robot, out, torch.ones(robot.n, dtype=torch.float64))
 
 
 def types_of(servos: "Sequence[NominalServo]") -> tuple[str, ...]:

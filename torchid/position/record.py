@@ -117,6 +117,25 @@ class NominalRecord(Part, frozen=True, kw_only=True):
     register_units: dict[str, Real]
 
 
+class ChangeRecord(Part, frozen=True, kw_only=True):
+    """One number of a joint's servo beside what the robot's file says of it.
+
+    Attributes:
+        joint, parameter, unit: which; torques as shares of kp where they are known so.
+        was, now: values; null where it had or has no effect.
+        std: standard deviation of now, of a logarithm where it is searched so.
+        state: `as known`, `changed`, `open` (the log does not say), `new`, or `gone`.
+    """
+
+    joint: Joint
+    parameter: str
+    unit: str
+    was: Real
+    now: Real
+    std: Real
+    state: str
+
+
 class KnownRecord(Part, frozen=True, kw_only=True):
     """What the log told of one joint's servo: names of K parameters, and the covariance of their
     values, or of the values' logarithms where they are searched so (`PARAMETERS`)."""
@@ -141,6 +160,7 @@ class PositionRecord(
         seconds: that it took.
         held_out: errors of a log that took part in nothing.
         nominal: what the servos are said to be.
+        changes: the servos beside those of the robot's file; missing where that has none.
         known: how well the servos are, joint by joint, of those that move; missing in files of
             older versions.
         seed: from a command.
@@ -160,6 +180,7 @@ class PositionRecord(
     held_out: HeldOutRecord | UnsetType = UNSET
     nominal: tuple[NominalRecord, ...] | UnsetType = UNSET
     known: tuple[KnownRecord, ...] | UnsetType = UNSET
+    changes: tuple[ChangeRecord, ...] | UnsetType = UNSET
 
     @property
     def table(self) -> Rows[EffectRecord]:

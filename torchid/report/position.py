@@ -92,6 +92,7 @@ def tables(record: PositionRecord) -> list[Table]:
     """What stands below the answer: where, which and how far."""
     return [
         where_table(record), regime_table(record), which_table(record), meaning_table(record),
+        change_table(record),
         nominal_table(record, () if record.nominal is UNSET else record.nominal),
     ]  # fmt: skip
 
@@ -194,6 +195,24 @@ def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> T
     )
     title = "Servos: nominal values, and what was found (95 %)"
     return Table(title, ("joint", "servo", "value", "nominal", "found"), rows, "rllpp", note)
+
+
+def change_table(record: PositionRecord) -> Table:
+    """The servos beside those of the robot's file: what is new, changed, open and as known."""
+    rows = [
+        (
+            label(record, c.joint), c.parameter, *(_known(x, c.unit) for x in (c.was, c.now)),
+            c.state,
+        )
+        for c in (() if record.changes is UNSET else record.changes)
+    ]  # fmt: skip
+    note = "open: this log does not say it; /kp: as a share of the gain, where no load anchors it"
+    columns = ("joint", "value", "in the file", "found", "state")
+    return Table("Servos of the robot's file, and what was found", columns, rows, "llrrl", note)
+
+
+def _known(value: float, unit: str) -> str:
+    return "-" if math.isnan(value) else f"{value:.3g} {unit_behind(unit)}".rstrip()
 
 
 def motion_table(record: PositionRecord) -> Table:
