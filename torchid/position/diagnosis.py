@@ -187,7 +187,7 @@ class PositionDiagnosis(Diagnosis):
     doubt: str = ""
 
     @property
-    def right_as_given(self) -> bool:
+    def _right_as_given(self) -> bool:
         """Whether the servos of the robot's file follow on all joints."""
         return self.as_given is not None and bool((self.as_given | self.still).all())
 
@@ -195,7 +195,7 @@ class PositionDiagnosis(Diagnosis):
     def closed(self) -> float:
         """Share of the plain servos' error of whole motions that the answered model takes away; NaN
         where they leave nothing that calls for a cause."""
-        if math.isnan(self._closed_in_windows) or self.right_as_given:
+        if math.isnan(self._closed_in_windows) or self._right_as_given:
             return math.nan
         return 1.0 - self.answered.mean[0] / self.plain_servo.mean[0]
 
@@ -229,7 +229,7 @@ class PositionDiagnosis(Diagnosis):
         """What each joint's error is, which causes close it, and what to do: errors of whole
         motions that were left out, before them those of a plain servo."""
         unseen, moves = self.unseen, ~self.still
-        given = self.answered if self.right_as_given else self.plain_servo
+        given = self.answered if self._right_as_given else self.plain_servo
         before, after = given.whole, self.answered.whole
         names = self.data.robot.joint_names
         every = sorted((f.cause for f in self.findings), key=lambda c: -c.closes)
@@ -239,7 +239,7 @@ class PositionDiagnosis(Diagnosis):
         return Answer(
             status=self.status,
             error="the error of the file's servos"
-            if self.right_as_given
+            if self._right_as_given
             else "a plain servo's error",
             unit="mrad",
             before=given.mean[0],
