@@ -28,7 +28,7 @@ CANNOT = {
     # Robots, simulators and logs that files are written from, or replayed, are not in the file.
     "Correction": {"files"},
     "Randomisation": {"one", "write"},
-    "PositionDiagnosis": {"closed", "corrected", "right_as_given", "unseen", "write_corrected"},
+    "PositionDiagnosis": {"closed", "corrected", "unseen", "write_corrected"},
     "Replay": {"error"},
 }  # fmt: skip
 """What a loaded result cannot do, and why."""
