@@ -181,8 +181,8 @@ def evolution() -> Iterator[Line]:
         return
     import cma
 
+    from torchid.extraction.cma.batched import minimise
     from torchid.extraction.cma.search import default_population, start
-    from torchid.extraction.extract import engine
 
     def sphere(x: torch.Tensor) -> torch.Tensor:
         return (x - 0.4).square_().sum(-1)
@@ -204,7 +204,7 @@ def evolution() -> Iterator[Line]:
 
     def ours(generations: int) -> None:
         nonlocal state
-        state = engine("batched").minimise(sphere, state, generations=generations, seed=0)
+        state = minimise(sphere, state, generations=generations, seed=0)
 
     yield "CMA-ES, 30 runs / pycma", lambda: peer(5), 5, lambda: ours(50), 50
 

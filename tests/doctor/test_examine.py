@@ -5,9 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-import yaml
 
-from tests.doctor.synthetic import clean, log_faults
+from tests.doctor.synthetic import clean, log_faults, mounted, settled
 from tests.doctor.test_signals import NOT_MENDED
 from tests.marks import quick_first, some
 from torchid.app.options import numbers
@@ -136,12 +135,6 @@ def test_every_fault_on_a_small_arm(fault, nominal):
         check(fault, "3r", seed, nominal)
 
 
-def settled(result):
-    """The examination once every choice has been made for the first that is offered."""
-    names = [c.choices[0].name for c in result.undecided]
-    return examine(result.robot, result.log, names) if names else result
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize("fault", [f for f in log_faults.FAULTS if f not in NOT_MENDED])
 def test_once_mended_written_and_read_again_the_doctor_is_silent(fault, tmp_path):
@@ -152,11 +145,7 @@ def test_once_mended_written_and_read_again_the_doctor_is_silent(fault, tmp_path
     result = settled(examine(case.robot, case.log))
     path = tmp_path / "mended.parquet"
     write_log(result.mended(), path)
-    robot = case.robot
-    for found in (c for c in alarms(result) if c.name == "gravity"):
-        gravity = yaml.safe_load(found.fix.partition(" in ")[0])["gravity"]
-        robot = dataclasses.replace(robot, gravity=torch.tensor(gravity).double())
-    again = examine(robot, read_log(path))
+    again = examine(mounted(result), read_log(path))
     assert again.silent, alarms(again)
 
 

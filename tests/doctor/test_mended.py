@@ -1,17 +1,13 @@
 """What the doctor mends, other commands take: after each fault, and after two at once."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import torch
-import yaml
 
-from tests.doctor.synthetic import clean, log_faults
+from tests.doctor.synthetic import clean, log_faults, mounted, settled
 from tests.doctor.test_signals import NOT_MENDED
 from torchid.doctor.examine import examine
 from torchid.doctor.first import ask_first
-from torchid.doctor.kind import holds_no_gravity
 from torchid.identification.identify import identify
 from torchid.log.checks import check_log
 
@@ -34,18 +30,9 @@ def planted(*faults, name="3r"):
 
 
 def mended(robot, log):
-    """The examination once the first of all choices is made, and the arm with its gravity."""
-    result = examine(robot, log)
-    if names := [c.choices[0].name for c in result.undecided]:
-        result = examine(robot, log, names)
-    for check in result.checks:
-        if check.name == "gravity" and check.verdict == "wrong":
-            if holds_no_gravity(check):
-                gravity = [0.0, 0.0, 0.0]
-            else:
-                gravity = yaml.safe_load(check.fix.partition(" in ")[0])["gravity"]
-            robot = dataclasses.replace(robot, gravity=torch.tensor(gravity).double())
-    return robot, result
+    """The arm with its gravity, and the examination once the first of all choices is made."""
+    result = settled(examine(robot, log))
+    return mounted(result), result
 
 
 def taken(robot, log):

@@ -43,8 +43,10 @@ def check_number_format(log: Log) -> Check:
 def _read_unsigned(x: np.ndarray, position: bool) -> tuple[float, bool] | None:
     """What stands for the first negative number of a column (T,), in its unit, and whether it is a
     bit for the sign; None where the numbers are what they seem to be."""
+    if x.min() < 0.0:  # of most columns, before they are sorted
+        return None
     levels = np.unique(x)
-    if len(levels) < 2 or levels[0] < 0.0:
+    if len(levels) < 2:
         return None
     unit = 1.0 if (levels == np.round(levels)).all() else float(np.diff(levels).min())
     if np.abs(levels / unit - np.round(levels / unit)).max() > _WHOLE:

@@ -277,11 +277,7 @@ class LoadedInMujoco:
     """
 
     def __init__(self, path: Path, robot: Robot, *off: str):
-        try:
-            self.mujoco = import_module("mujoco")
-        except ImportError as error:
-            purpose = f"Checking a file of '{robot.name}' on the log"
-            raise MissingExtraError("mujoco", "mjcf", purpose) from error
+        self.mujoco = _imported("mujoco", "mjcf", robot)
         self.name = f"MuJoCo {self.mujoco.__version__}"
         try:
             self.model = mujoco_model(self.mujoco, path)
@@ -348,6 +344,14 @@ class InMujoco(LoadedInMujoco):
         return torch.from_numpy(out)
 
 
+def _imported(package: str, extra: str, robot: Robot) -> Any:
+    try:
+        return import_module(package)
+    except ImportError as error:
+        purpose = f"Checking a file of '{robot.name}' on the log"
+        raise MissingExtraError(package, extra, purpose) from error
+
+
 def _refused(reader: str, robot: Robot, error: Exception) -> TorchidError:
     return TorchidError(
         f"{reader} cannot load the corrected file of '{robot.name}', so it cannot be judged.",
@@ -380,11 +384,7 @@ class InPinocchio:
     """
 
     def __init__(self, path: Path, robot: Robot):
-        try:
-            self.pin = import_module("pinocchio")
-        except ImportError as error:
-            purpose = f"Checking a file of '{robot.name}' on the log"
-            raise MissingExtraError("pinocchio", "bench", purpose) from error
+        self.pin = _imported("pinocchio", "bench", robot)
         self.name = f"Pinocchio {self.pin.__version__}"
         try:
             self.model = self.pin.buildModelFromUrdf(str(path))

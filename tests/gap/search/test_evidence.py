@@ -8,6 +8,7 @@ import torch
 
 from tests.gap.motions import ROBOT
 from tests.gap.problems import SIMPLE, measured, motions, question_of, term
+from tests.gap.search.beside import offers
 from torchid.effects.base import Effect
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import StribeckFriction
@@ -25,7 +26,6 @@ from torchid.gap.search.evidence import (
     fit_each,
     fit_terms,
     leading,
-    offers,
     prior_of,
     residual,
     rows_of,

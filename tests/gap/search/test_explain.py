@@ -16,12 +16,13 @@ from tests.gap.problems import (
     two_folds,
     wanted_of,
 )
+from tests.gap.search.beside import offers
 from torchid.design.columns import Columns, Model
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.periodic import Cogging
 from torchid.effects.transient import Saturation
 from torchid.gap.search.climb import climbed, fitted, moves, worthy
-from torchid.gap.search.evidence import apart, offers
+from torchid.gap.search.evidence import apart
 from torchid.gap.search.explain import (
     Explanation,
     refined,

@@ -608,20 +608,15 @@ class Offer:
         return self.gain - self.paid
 
 
-def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = None) -> list[Offer]:
-    """Every candidate's gain beside a fit, all base parameters and those that physics refuses left
-    out; of these places alone where some are given.
+def offers_of_each(
+    question: Question, fits: Sequence[Fitted], places: Sequence[Sequence[Place] | None]
+) -> list[list[Offer]]:
+    """Every candidate's gain beside each of several fits, all base parameters and those that
+    physics refuses left out; of these places alone where some are given.
 
     Gains are those of independent samples, for what a candidate leaves may be as independent: what
     is dependent now may be the very effect that is missing.
     """
-    return offers_of_each(question, [fit], [places])[0]
-
-
-def offers_of_each(
-    question: Question, fits: Sequence[Fitted], places: Sequence[Sequence[Place] | None]
-) -> list[list[Offer]]:
-    """The same beside each of several fits."""
     if not fits:
         return []
     priors = Priors([prior_of(fit.terms) for fit in fits])
