@@ -167,7 +167,6 @@ def _reduced(model: FleetModel, path: Path, name: str) -> tuple[dict[str, Any], 
 
     try:
         found = reduce_log(model, watched())
-        fit = solved(found.whole, model.layout)
     except TorchidError as error:
         text = " ".join(str(error).replace(str(path), name).split())
         return {"verdict": "refused", "evidence": [*evidence, text]}, {}
@@ -175,7 +174,7 @@ def _reduced(model: FleetModel, path: Path, name: str) -> tuple[dict[str, Any], 
         "verdict": "doubtful" if evidence else "good",
         "evidence": [*evidence, *found.warnings],
         "seconds": found.seconds,
-        "noise": fit.noise,
+        "noise": found.fit.noise,
         "correlation": found.correlation,
         "blocks": len(found.factors.rows),
         "temperature": temperature_of(path),

@@ -3,10 +3,10 @@
 The regressor's columns and the torque pass through the same zero-phase filter and are decimated
 with it. Each torque row keeps only its own non-zero columns: joint i does not feel links
 that it does not move.
-Rigid columns are smooth functions of a motion that the same filter has smoothed, so they are worked
-out at `SMOOTH` times the cut-off only: what then folds into the filter's band is less than what its
-tail leaves out, 1e-8 of them. Friction has edges, and torque is measured: theirs are taken at all
-samples.
+Rigid columns, viscous friction, rotor inertia and offsets are smooth functions of a motion that the
+same filter has smoothed, so they are worked out at `SMOOTH` times the cut-off only: what then folds
+into the filter's band is less than what its tail leaves out, 1e-8 of them. Other friction has
+edges, and torque is measured: theirs are taken at all samples.
 Pieces are made again for each pass over a long log, and kept for a short one, so memory does not
 grow without end with the log.
 """
@@ -21,6 +21,8 @@ import torch
 from torchid.design.motion import Measurement, moves
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.effects.base import Effect, JointEffect, Motion
+from torchid.effects.friction import TorqueOffset, ViscousFriction
+from torchid.effects.inertia import RotorInertia
 from torchid.identification.base_parameters import BaseParameters, non_negative
 from torchid.log.filtering import ZeroPhaseFilter, extended
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
@@ -31,7 +33,10 @@ PIECE = 16384
 """Samples filtered at a time, besides the filter's tails."""
 
 SMOOTH = 20.0
-"""Sampling rate of rigid columns at least, in cut-offs."""
+"""Sampling rate of smooth columns at least, in cut-offs."""
+
+LINEAR = (ViscousFriction, RotorInertia, TorqueOffset)
+"""Effects whose columns are as smooth as the motion."""
 
 MEMORY = 1e9
 """Bytes of rows that are kept rather than made again."""
@@ -227,7 +232,7 @@ def _step(m: Measurement) -> int:
 
 
 def _every(m: Measurement) -> int:
-    """Samples between those at which rigid columns are worked out, a divisor of the step."""
+    """Samples between those at which smooth columns are worked out, a divisor of the step."""
     step = _step(m)
     enough = [
         d
@@ -245,7 +250,7 @@ def _tail(m: Measurement) -> int:
 
 def _pieces(m: Measurement) -> list[tuple[int, int, int]]:
     """Sample ranges between the trajectory's edges, each a whole number of steps long, and every
-    how many of their samples rigid columns are worked out: all of those whose filter reaches past
+    how many of their samples smooth columns are worked out: all of those whose filter reaches past
     the trajectory's ends, where their reflection has a kink."""
     step, every, tail = _step(m), _every(m), _tail(m)
     first, last = m.edge, m.samples - m.edge
@@ -254,8 +259,28 @@ def _pieces(m: Measurement) -> list[tuple[int, int, int]]:
     parts = [(first, last, 1)]
     if every > 1 and inner < outer:
         parts = [(first, inner, 1), (inner, outer, every), (outer, last, 1)]
-    length = max(1, PIECE // step) * step
-    return [(k, min(k + length, b), d) for a, b, d in parts for k in range(a, b, length)]
+    lengths = [max(1, PIECE * d // step) * step for _, _, d in parts]
+    return [
+        (k, min(k + length, b), d)
+        for (a, b, d), length in zip(parts, lengths, strict=True)
+        for k in range(a, b, length)
+    ]
+
+
+def _groups(m: Measurement) -> Iterator[list[tuple[int, int, int]]]:
+    """Pieces one after another whose regressor is worked out at once: the short ones at the ends
+    would cost as many calls as a long one."""
+    group: list[tuple[int, int, int]] = []
+    size = 0
+    for start, stop, every in _pieces(m):
+        own = (stop - start + 2 * _tail(m)) // every
+        if group and size + own > 2 * PIECE:
+            yield group
+            group, size = [], 0
+        group.append((start, stop, every))
+        size += own
+    if group:
+        yield group
 
 
 def _blocks(
@@ -266,38 +291,46 @@ def _blocks(
     whole: dict[Effect, Tensor] = {
         e: e.columns(m.whole) for e in layout.effects if isinstance(e, JointEffect) and e.memory
     }
-    for start, stop, every in _pieces(m):
-        lo, hi = max(0, start - tail), min(m.samples, stop + tail)
-        before, after = tail - (start - lo), tail - (hi - stop)
-        motion = m.motion.part(slice(lo, hi))
-        keep = moves(motion.part(slice(start - lo, stop - lo, step))).cpu()
-        # Nothing rubs on a base that nothing holds: its rows count at rest, too.
-        keep[:, list(layout.robot.free)] = True
-        augmented = []
+    for group in _groups(m):
+        reach = [slice(max(0, a - tail), min(m.samples, b + tail)) for a, b, _ in group]
+        motions = [m.motion.part(own) for own in reach]
+        thin = [motion.every(d) for motion, (_, _, d) in zip(motions, group, strict=True)]
+        sharp = [
+            _sharp_columns(motion, m.tau[own], layout, {e: x[own] for e, x in whole.items()})
+            for motion, own in zip(motions, reach, strict=True)
+        ]
         # Row by row: of many joints the columns of all rows would not all fit, with their spectra.
-        for parts in _columns(motion, m.tau[lo:hi], layout, chunks, whole, lo, every):
-            made = []
-            for signals, apart in zip(parts, (every, 1), strict=True):
-                if not len(signals):
-                    continue
-                if low_pass is None:
+        rows = []
+        for i, smooth in enumerate(_smooth_columns(thin, layout, chunks)):
+            order = _order(layout, i)
+            pieces = []
+            for columns, others, (start, stop, every), own in zip(
+                smooth, sharp, group, reach, strict=True
+            ):
+                before, after = tail - (start - own.start), tail - (own.stop - stop)
+                made = []
+                for signals, apart in ((columns, every), (next(others), 1)):
+                    if low_pass is not None:
+                        # At the ends of the trajectory nothing is thinned, and all is extended.
+                        ends = before or after
+                        padded = extended(signals, before, after) if ends else signals
+                        signals = replace(low_pass, every=apart).decimated(
+                            padded, step // apart, tail // apart, (tail + stop - start) // apart
+                        )
                     made.append(signals)
-                    continue
-                # At the ends of the trajectory nothing is thinned, and all is extended.
-                padded = extended(signals, before, after) if apart == 1 else signals
-                thin = replace(low_pass, every=apart)
-                made.append(
-                    thin.decimated(
-                        padded, step // apart, tail // apart, (tail + stop - start) // apart
-                    )
-                )
-            # Whatever the device of the log: what follows is small, and sequential.
-            augmented.append(torch.cat(made).cpu())
-        count = len(keep)
-        keep = keep if moving_only else torch.ones_like(keep)
-        instant = torch.arange(count) + first_instant
-        first_instant += count
-        yield RowBlock(tuple(x.T for x in augmented), keep, instant)
+                # Whatever the device of the log: what follows is small, and sequential.
+                pieces.append(torch.cat(made)[order].cpu())
+            rows.append(pieces)
+        for (start, stop, _), own, motion, *augmented in zip(
+            group, reach, motions, *rows, strict=True
+        ):
+            keep = moves(motion.part(slice(start - own.start, stop - own.start, step))).cpu()
+            # Nothing rubs on a base that nothing holds: its rows count at rest, too.
+            keep[:, list(layout.robot.free)] = True
+            keep = keep if moving_only else torch.ones_like(keep)
+            instant = torch.arange(len(keep)) + first_instant
+            first_instant += len(keep)
+            yield RowBlock(tuple(x.T for x in augmented), keep, instant)
 
 
 def sampled(
@@ -326,40 +359,62 @@ def own_columns(effect: Effect, motion: Motion) -> list[Float[Tensor, "T C"]]:
     return [columns[:, j] for j in effect.joints]
 
 
-def _columns(
-    motion: Motion,
-    tau: Float[Tensor, "M n"],
-    layout: Layout,
-    chunks: Chunks,
-    whole: Mapping[Effect, Tensor],
-    lo: int,
-    every: int,
-) -> Iterator[tuple[Tensor, Tensor]]:
-    """Unfiltered columns of each torque row: rigid ones (C, M / every), and those of effects, its
-    torque behind them (E + 1, M).
+def _smooth_columns(
+    motions: Sequence[Motion], layout: Layout, chunks: Chunks
+) -> Iterator[tuple[Float[Tensor, "C _"], ...]]:
+    """Smooth columns of each torque row, rigid ones first, along several motions, made in one go
+    and split again."""
+    joined = Motion(*(None if x[0] is None else torch.cat(x) for x in zip(*motions, strict=True)))
+    effects = {
+        e: own_columns(effect, joined)
+        for e, effect in enumerate(layout.effects)
+        if isinstance(effect, LINEAR)
+    }
+    rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
+    start = 0
+    for chunk in chunks(*joined.state):
+        here = slice(start, start := start + len(chunk.like))
+        for i, (pairs, own) in enumerate(zip(layout.rigid, layout.own, strict=True)):
+            columns = [chunk.entry(i, link, k) for link, k in pairs]
+            # Of one joint each.
+            columns += [effects[e][0][here, c] for e, c in own if e in effects]
+            empty = chunk.like.new_empty(0, len(chunk.like))
+            rows[i].append(torch.stack(columns) if columns else empty)
+    lengths = [len(motion.q) for motion in motions]
+    for parts in rows:
+        yield (parts[0] if len(parts) == 1 else torch.cat(parts, -1)).split(lengths, -1)
+        parts.clear()
+
+
+def _sharp_columns(
+    motion: Motion, tau: Float[Tensor, "M n"], layout: Layout, whole: Mapping[Effect, Tensor]
+) -> Iterator[Float[Tensor, "C M"]]:
+    """Unfiltered columns of the other effects on each torque row, the torque behind them.
 
     Args:
         motion, tau: of the samples.
         layout: the columns.
-        chunks: of the regressor.
-        whole: columns of effects along the whole trajectory.
-        lo: the first of the samples there.
-        every: how many samples apart rigid columns are worked out.
+        whole: columns of effects that remember, at the samples.
     """
-    effect_columns = [
-        [whole[e][lo : lo + len(tau)]] if e in whole else own_columns(e, motion)
-        for e in layout.effects
-    ]
-    rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
-    for chunk in chunks(*(x[::every] for x in motion.state)):
-        for i, pairs in enumerate(layout.rigid):
-            if pairs:
-                rows[i].append(chunk.row(i, pairs))
+    if motion.direction is not None:
+        # Once for all joints.
+        motion = motion._replace(direction=motion.sign)
+    made = {
+        e: [whole[effect]] if effect in whole else own_columns(effect, motion)
+        for e, effect in enumerate(layout.effects)
+        if not isinstance(effect, LINEAR)
+    }
     for i, own in enumerate(layout.own):
-        rigid = torch.cat(rows[i], -1) if rows[i] else tau.new_empty(0, 0)
-        rows[i].clear()
-        parts = [tau[:, i : i + 1].T]
-        if own:
-            on_joint = [effect_columns[e][layout.effects[e].joints.index(i)][:, c] for e, c in own]
-            parts.insert(0, torch.stack(on_joint))
-        yield rigid, torch.cat(parts)
+        columns = [
+            made[e][layout.effects[e].joints.index(i)][:, c] for e, c in own if e in made
+        ]
+        yield torch.stack([*columns, tau[:, i]])
+
+
+def _order(layout: Layout, i: int) -> list[int]:
+    """Where each column of a torque row is, and its torque, with the smooth ones before the sharp
+    ones."""
+    sharp = [not isinstance(layout.effects[e], LINEAR) for e, _ in layout.own[i]]
+    first = [*[False] * len(layout.rigid[i]), *sharp, True]
+    made = sorted(range(len(first)), key=first.__getitem__)
+    return sorted(range(len(made)), key=made.__getitem__)
