@@ -10,6 +10,7 @@ other as rows are not, tell how far the answer can be trusted.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import TypeVar
 
 import numpy as np
@@ -75,7 +76,7 @@ class Factors:
             return self
         groups = (torch.arange(count) * most // count).unique_consecutive(return_counts=True)[1]
         parts = [r.split(groups.tolist()) for r in self.blocks]
-        blocks = [torch.stack([tree(list(p), _stacked) for p in own]) for own in parts]
+        blocks = [torch.stack([stacked_factor([*p]) for p in own]) for own in parts]
         rows = torch.stack([own.sum(0) for own in self.rows.split(groups.tolist())])
         return Factors(tuple(blocks), rows)
 
@@ -121,14 +122,10 @@ def tree(parts: Iterable[_T], combine: Callable[[_T, _T], _T]) -> _T:
     return held[0][1]
 
 
-def _stacked(a: Tensor, b: Tensor) -> Tensor:
-    return stacked_factor([a, b])
-
-
 def combined(a: Factors, b: Factors) -> Factors:
     """Two factors of one block each as one."""
     pairs = zip(a.blocks, b.blocks, strict=True)
-    blocks = tuple(_stacked(x[0], y[0]).unsqueeze(0) for x, y in pairs)
+    blocks = tuple(stacked_factor([x[0], y[0]]).unsqueeze(0) for x, y in pairs)
     return Factors(blocks, a.rows + b.rows)
 
 
@@ -189,9 +186,7 @@ def reduce_log(model: FleetModel, stretches: Iterator[Log]) -> Reduced:
         slowest = max(slowest, correlation * max(source.interval))
         said = (*noticed, *(w for m in measured for w in m.warnings))
         warnings |= dict.fromkeys(said)
-    every = found[0]
-    for more in found[1:]:
-        every = every.beside(more)
+    every = reduce(Factors.beside, found)
     whole = fits[0] if len(fits) == 1 else solved(every, model.layout)
     return Reduced(every, whole, seconds, slowest, tuple(warnings))
 

@@ -60,7 +60,7 @@ class Layout:
         robot, base, effects: what is identified.
         order: (B,) position in `base.independent` of each column.
         rigid: per torque row the (link, parameter) pairs of its rigid columns.
-        own: per torque row the (effect, coefficient) pairs of its effect columns.
+        own: per torque row the (effect, coefficient) pairs of its effects, smooth ones first.
         columns: per torque row the column numbers, rigid ones first.
     """
 
@@ -110,6 +110,7 @@ def layout(robot: Robot, base: BaseParameters, effects: Sequence[Effect]) -> Lay
         r = [(j, d[3]) for j, d in enumerate(described) if d[1] == 0 and d[0] in moved]
         o = [(j, pair) for j, pair in of_effects if i in effects[pair[0]].joints]
         rigid.append(tuple(pair for _, pair in r))
+        o.sort(key=lambda column: not isinstance(effects[column[1][0]], LINEAR))
         own.append(tuple(pair for _, pair in o))
         columns.append(tuple(j for j, _ in r + o))
     return Layout(
@@ -233,13 +234,9 @@ def _step(m: Measurement) -> int:
 
 def _every(m: Measurement) -> int:
     """Samples between those at which smooth columns are worked out, a divisor of the step."""
-    step = _step(m)
-    enough = [
-        d
-        for d in range(1, step + 1)
-        if step % d == 0 and m.cutoff is not None and m.rate / d >= SMOOTH * m.cutoff * (1 - 1e-6)
-    ]
-    return max(enough, default=1)
+    step, least = _step(m), SMOOTH * (m.cutoff or 0.0) * (1 - 1e-6)
+    divisors = [d for d in range(1, step + 1) if step % d == 0]
+    return max((d for d in divisors if m.rate / d >= least), default=1)
 
 
 def _tail(m: Measurement) -> int:
@@ -259,39 +256,39 @@ def _pieces(m: Measurement) -> list[tuple[int, int, int]]:
     parts = [(first, last, 1)]
     if every > 1 and inner < outer:
         parts = [(first, inner, 1), (inner, outer, every), (outer, last, 1)]
-    lengths = [max(1, PIECE * d // step) * step for _, _, d in parts]
     return [
         (k, min(k + length, b), d)
-        for (a, b, d), length in zip(parts, lengths, strict=True)
+        for a, b, d in parts
+        for length in [max(1, PIECE * d // step) * step]
         for k in range(a, b, length)
     ]
 
 
-def _groups(m: Measurement) -> Iterator[list[tuple[int, int, int]]]:
-    """Pieces one after another whose regressor is worked out at once: the short ones at the ends
-    would cost as many calls as a long one."""
-    group: list[tuple[int, int, int]] = []
-    size = 0
-    for start, stop, every in _pieces(m):
-        own = (stop - start + 2 * _tail(m)) // every
-        if group and size + own > 2 * PIECE:
-            yield group
-            group, size = [], 0
-        group.append((start, stop, every))
-        size += own
-    if group:
-        yield group
+def _filtered(
+    m: Measurement, signals: Float[Tensor, "C _"], apart: int, start: int, stop: int
+) -> Float[Tensor, "C _"]:
+    """Signals of a piece, tails and all, as many samples apart, at the instants of its rows."""
+    low_pass, step, tail = _filter(m), _step(m), _tail(m)
+    if low_pass is None:
+        return signals
+    # At the ends of the trajectory nothing is thinned, and all is extended.
+    before, after = max(0, tail - start), max(0, stop + tail - m.samples)
+    padded = extended(signals, before, after) if before or after else signals
+    thin = replace(low_pass, every=apart)
+    return thin.decimated(padded, step // apart, tail // apart, (tail + stop - start) // apart)
 
 
 def _blocks(
     m: Measurement, layout: Layout, chunks: Chunks, moving_only: bool, first_instant: int
 ) -> Iterator[RowBlock]:
-    low_pass, step, tail = _filter(m), _step(m), _tail(m)
+    step, tail, pieces = _step(m), _tail(m), _pieces(m)
     # What remembers the past is evaluated from the trajectory's beginning, once a pass.
     whole: dict[Effect, Tensor] = {
         e: e.columns(m.whole) for e in layout.effects if isinstance(e, JointEffect) and e.memory
     }
-    for group in _groups(m):
+    # The regressor of a short log at once: a piece at its end would take as many calls as all.
+    short = sum((b - a + 2 * tail) // d for a, b, d in pieces) <= 2 * PIECE
+    for group in [pieces] if short else [[piece] for piece in pieces]:
         reach = [slice(max(0, a - tail), min(m.samples, b + tail)) for a, b, _ in group]
         motions = [m.motion.part(own) for own in reach]
         thin = [motion.every(d) for motion, (_, _, d) in zip(motions, group, strict=True)]
@@ -300,31 +297,16 @@ def _blocks(
             for motion, own in zip(motions, reach, strict=True)
         ]
         # Row by row: of many joints the columns of all rows would not all fit, with their spectra.
-        rows = []
-        for i, smooth in enumerate(_smooth_columns(thin, layout, chunks)):
-            order = _order(layout, i)
-            pieces = []
-            for columns, others, (start, stop, every), own in zip(
-                smooth, sharp, group, reach, strict=True
-            ):
-                before, after = tail - (start - own.start), tail - (own.stop - stop)
-                made = []
-                for signals, apart in ((columns, every), (next(others), 1)):
-                    if low_pass is not None:
-                        # At the ends of the trajectory nothing is thinned, and all is extended.
-                        ends = before or after
-                        padded = extended(signals, before, after) if ends else signals
-                        signals = replace(low_pass, every=apart).decimated(
-                            padded, step // apart, tail // apart, (tail + stop - start) // apart
-                        )
-                    made.append(signals)
-                # Whatever the device of the log: what follows is small, and sequential.
-                pieces.append(torch.cat(made)[order].cpu())
-            rows.append(pieces)
-        for (start, stop, _), own, motion, *augmented in zip(
-            group, reach, motions, *rows, strict=True
-        ):
-            keep = moves(motion.part(slice(start - own.start, stop - own.start, step))).cpu()
+        # Whatever the device of the log: what follows is small, and sequential.
+        rows = [
+            [
+                torch.cat([_filtered(m, x, d, a, b), _filtered(m, next(y), 1, a, b)]).cpu()
+                for x, y, (a, b, d) in zip(smooth, sharp, group, strict=True)
+            ]
+            for smooth in _smooth_columns(thin, layout, chunks)
+        ]
+        for (a, b, _), own, motion, *augmented in zip(group, reach, motions, *rows, strict=True):
+            keep = moves(motion.part(slice(a - own.start, b - own.start, step))).cpu()
             # Nothing rubs on a base that nothing holds: its rows count at rest, too.
             keep[:, list(layout.robot.free)] = True
             keep = keep if moving_only else torch.ones_like(keep)
@@ -339,15 +321,8 @@ def sampled(
     """Signals along whole trajectories at the instants of the rows, filtered like them."""
     out = []
     for m, x in zip(measured, signals, strict=True):
-        low_pass, first, last = _filter(m), m.edge, m.samples - m.edge
-        if low_pass is None:
-            out.append(x[:, first:last])
-            continue
-        tail = low_pass.tail
-        before, after = max(0, tail - first), max(0, tail - first)
-        padded = extended(x, before, after)
-        start = before + first
-        out.append(low_pass.decimated(padded, _step(m), start, start + last - first))
+        start, stop, tail = m.edge, m.samples - m.edge, _tail(m)
+        out.append(_filtered(m, x[:, max(0, start - tail) : stop + tail], 1, start, stop))
     return torch.cat(out, -1)
 
 
@@ -362,59 +337,41 @@ def own_columns(effect: Effect, motion: Motion) -> list[Float[Tensor, "T C"]]:
 def _smooth_columns(
     motions: Sequence[Motion], layout: Layout, chunks: Chunks
 ) -> Iterator[tuple[Float[Tensor, "C _"], ...]]:
-    """Smooth columns of each torque row, rigid ones first, along several motions, made in one go
-    and split again."""
-    joined = Motion(*(None if x[0] is None else torch.cat(x) for x in zip(*motions, strict=True)))
-    effects = {
-        e: own_columns(effect, joined)
-        for e, effect in enumerate(layout.effects)
-        if isinstance(effect, LINEAR)
-    }
+    """Smooth columns of each torque row along several motions, made in one go and split again."""
+    joined = Motion(*(torch.cat(x) for x in zip(*(m.state for m in motions), strict=True)))
+    smooth = {e: e.columns(joined) for e in layout.effects if isinstance(e, LINEAR)}
     rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
     start = 0
     for chunk in chunks(*joined.state):
         here = slice(start, start := start + len(chunk.like))
         for i, (pairs, own) in enumerate(zip(layout.rigid, layout.own, strict=True)):
+            effects = [(layout.effects[e], c) for e, c in own]
             columns = [chunk.entry(i, link, k) for link, k in pairs]
-            # Of one joint each.
-            columns += [effects[e][0][here, c] for e, c in own if e in effects]
+            columns += [smooth[e][here, c] for e, c in effects if isinstance(e, LINEAR)]
             empty = chunk.like.new_empty(0, len(chunk.like))
             rows[i].append(torch.stack(columns) if columns else empty)
-    lengths = [len(motion.q) for motion in motions]
     for parts in rows:
-        yield (parts[0] if len(parts) == 1 else torch.cat(parts, -1)).split(lengths, -1)
+        made = parts[0] if len(parts) == 1 else torch.cat(parts, -1)
         parts.clear()
+        yield made.split([len(motion.q) for motion in motions], -1)
 
 
 def _sharp_columns(
     motion: Motion, tau: Float[Tensor, "M n"], layout: Layout, whole: Mapping[Effect, Tensor]
 ) -> Iterator[Float[Tensor, "C M"]]:
-    """Unfiltered columns of the other effects on each torque row, the torque behind them.
+    """Columns of the other effects on each torque row, and the torque behind them.
 
     Args:
         motion, tau: of the samples.
         layout: the columns.
         whole: columns of effects that remember, at the samples.
     """
-    if motion.direction is not None:
-        # Once for all joints.
-        motion = motion._replace(direction=motion.sign)
-    made = {
-        e: [whole[effect]] if effect in whole else own_columns(effect, motion)
-        for e, effect in enumerate(layout.effects)
-        if not isinstance(effect, LINEAR)
-    }
+    # Once for all joints.
+    motion = motion._replace(direction=None if motion.direction is None else motion.sign)
+    made = [
+        [] if isinstance(e, LINEAR) else [whole[e]] if e in whole else own_columns(e, motion)
+        for e in layout.effects
+    ]
     for i, own in enumerate(layout.own):
-        columns = [
-            made[e][layout.effects[e].joints.index(i)][:, c] for e, c in own if e in made
-        ]
+        columns = [made[e][layout.effects[e].joints.index(i)][:, c] for e, c in own if made[e]]
         yield torch.stack([*columns, tau[:, i]])
-
-
-def _order(layout: Layout, i: int) -> list[int]:
-    """Where each column of a torque row is, and its torque, with the smooth ones before the sharp
-    ones."""
-    sharp = [not isinstance(layout.effects[e], LINEAR) for e, _ in layout.own[i]]
-    first = [*[False] * len(layout.rigid[i]), *sharp, True]
-    made = sorted(range(len(first)), key=first.__getitem__)
-    return sorted(range(len(made)), key=made.__getitem__)

@@ -11,6 +11,7 @@ both sides of a chunk, so that chunks of a long log agree with the whole.
 import math
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -79,7 +80,7 @@ class ZeroPhaseFilter:
         length = 2 * step * fast_length(math.ceil(x.shape[-1] / (2 * step)))
         spectrum = torch.fft.rfft(x, n=length)
         kept = length // step
-        weights = _weights(self, length, step, start % step, x.dtype, x.device)
+        weights = _weights(self, length, step, start % step, dtype=x.dtype, device=x.device)
         out = torch.fft.irfft(spectrum[..., : kept // 2 + 1] * weights, n=kept)
         first = start // step
         count = max(0, math.ceil((stop - start) / step))
@@ -93,22 +94,14 @@ class ZeroPhaseFilter:
 
 
 @lru_cache(maxsize=16)
-def _weights(
-    low_pass: ZeroPhaseFilter,
-    length: int,
-    step: int,
-    offset: int,
-    dtype: torch.dtype,
-    device: torch.device,
-) -> Tensor:
+def _weights(low_pass: ZeroPhaseFilter, length: int, step: int, offset: int, **like: Any) -> Tensor:
     """Of the frequencies that a decimation keeps. Logs of a fleet are alike: made once for many."""
     rate = low_pass.rate / low_pass.every
-    frequency = torch.arange(length // step // 2 + 1, dtype=dtype, device=device) * (rate / length)
+    frequency = torch.arange(length // step // 2 + 1, **like) * (rate / length)
     response = low_pass.response(frequency) / step
-    if not offset:
-        return response
     # The phase shift moves the first sample onto the decimated grid.
-    return torch.polar(response, 2 * math.pi * frequency * (offset / rate))
+    phase = 2 * math.pi * frequency * (offset / rate)
+    return torch.polar(response, phase) if offset else response
 
 
 @cache
@@ -168,11 +161,10 @@ def extended(x: Signals, before: int, after: int) -> Float[Tensor, "*batch T+{be
 def central_difference(x: Signals, rate: float) -> Signals:
     """Time derivative of signals (..., T): five-point central differences, whose error is
     (2 pi f / rate)^4 / 30 at frequency f; three-point ones next to the ends, one-sided at them."""
-    inner = x[..., 2:] - x[..., :-2]
+    inner = (x[..., 2:] - x[..., :-2]) * (rate / 2)
     if x.shape[-1] >= 5:
-        wide = x[..., 4:] - x[..., :-4]
-        inner[..., 1:-1] += (inner[..., 1:-1] - wide / 2) / 3
-    inner *= rate / 2
+        wide = (x[..., 4:] - x[..., :-4]) * (rate / 4)
+        inner[..., 1:-1] += (inner[..., 1:-1] - wide) / 3
     first = (x[..., 1:2] - x[..., :1]) * rate
     last = (x[..., -1:] - x[..., -2:-1]) * rate
     return torch.cat([first, inner, last], -1)

@@ -96,9 +96,8 @@ class Effects:
             _Together([getattr(d, name) for d in datas], rows)
             for name in ("qfrc_smooth", "qfrc_bias", "qfrc_constraint")
         ]
-        self._damping = _Together([m.dof_damping for m in models], rows)
-        self._friction = _Together([m.dof_frictionloss for m in models], rows)
-        self._applied = _Together([d.qfrc_applied for d in datas], rows)
+        fields = (models, "dof_damping"), (models, "dof_frictionloss"), (datas, "qfrc_applied")
+        self._written = [_Together([getattr(x, name) for x in of], rows) for of, name in fields]
         pairs = nominal_effects(robot)
         late = [(e, v) for e, v in pairs if isinstance(e, TimeDelay | FilterLag)]
         geared = [(e, v) for e, v in pairs if isinstance(e, JointElasticity | Backlash)]
@@ -171,20 +170,15 @@ class Effects:
 
     def motion(self) -> Motion:
         """Where the simulations are: q, dq and the last ddq (B, n), t (B,)."""
-        t = np.array([data.time for _, data in self.simulations])
-        return self._motion_at(torch.from_numpy(t))
-
-    def _motion_at(self, t: Float[Tensor, " B"]) -> Motion:
-        """The same, where the time is known."""
         q, dq, ddq = (torch.from_numpy(x.read()) for x in self._state)
-        return Motion(q, dq, ddq, t=t)
+        t = np.array([data.time for _, data in self.simulations])
+        return Motion(q, dq, ddq, t=torch.from_numpy(t))
 
     def _transmitted(self, ddq: Float[Tensor, "B n"]) -> Float[Tensor, "B n"]:
         """Torque that the joints transmitted in the last step: mass matrix times acceleration and
         the bias forces of that instant, as the sum of what MuJoCo let act; rotors that are no
         armature are beside it."""
-        smooth, bias, constraint = (x.read() for x in self._acting)
-        moved = torch.from_numpy(smooth + bias + constraint)
+        moved = torch.from_numpy(np.sum([x.read() for x in self._acting], 0))
         return moved + ddq @ self._beside if self._coupled else moved
 
     @torch.no_grad()
@@ -259,14 +253,13 @@ class Effects:
             law = self._gears.law(now.q, now.dq, drives, h)
             applied[:, self._gears.joints] += law.force - law.torque
             slope[:, self._gears.joints] += law.damping
-        self._damping.write(slope.numpy())
-        self._friction.write(loads.dry.numpy())
-        self._applied.write(applied.numpy())
+        for written, values in zip(self._written, (slope, loads.dry, applied), strict=True):
+            written.write(values.numpy())
         step = self._mujoco.mj_step
         for model, data in self.simulations:
             step(model, data)
-        t = now.require("t", "a step") + h
-        after = self._motion_at(t)
+        after = self.motion()
+        t = after.require("t", "a step")
         if self._plant.effects.needs_torque:
             self._carried = self._transmitted(after.ddq)
         if self._memory:
@@ -296,7 +289,7 @@ class _Together:
         first = int(start.min())
         count = (int(start.max()) - first) // 8 + len(arrays[0])
         # All memory between them, of which nothing but these elements is ever touched.
-        self._memory = np.frombuffer((ctypes.c_double * count).from_address(first))
+        self._memory = np.ctypeslib.as_array((ctypes.c_double * count).from_address(first))
         self._index = (start[:, None] - first) // 8 + np.array(at)
 
     def read(self) -> np.ndarray:
