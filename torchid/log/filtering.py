@@ -81,7 +81,7 @@ class ZeroPhaseFilter:
         spectrum = torch.fft.rfft(x, n=length)
         kept = length // step
         weights = _weights(self, length, step, start % step, dtype=x.dtype, device=x.device)
-        out = torch.fft.irfft(spectrum[..., : kept // 2 + 1] * weights, n=kept)
+        out = torch.fft.irfft(spectrum[..., : kept // 2 + 1] * weights, n=kept) / step
         first = start // step
         count = max(0, math.ceil((stop - start) / step))
         return out[..., first : first + count]
@@ -98,7 +98,7 @@ def _weights(low_pass: ZeroPhaseFilter, length: int, step: int, offset: int, **l
     """Of the frequencies that a decimation keeps. Logs of a fleet are alike: made once for many."""
     rate = low_pass.rate / low_pass.every
     frequency = torch.arange(length // step // 2 + 1, **like) * (rate / length)
-    response = low_pass.response(frequency) / step
+    response = low_pass.response(frequency)
     # The phase shift moves the first sample onto the decimated grid.
     phase = 2 * math.pi * frequency * (offset / rate)
     return torch.polar(response, phase) if offset else response
