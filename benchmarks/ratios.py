@@ -17,15 +17,18 @@ for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import argparse
 import copy
+import io
 import json
 import statistics
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import redirect_stdout
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -42,6 +45,8 @@ from torchid.excitation.design import excite
 from torchid.excitation.synthetic import simulate
 from torchid.export.export import export_dynamics
 from torchid.identification.identify import identify
+from torchid.identification.settings import Settings
+from torchid.log.model import Log
 from torchid.robot.library import load_robot
 from torchid.simulation.sensors import HonestNoise
 
@@ -49,6 +54,8 @@ COMMITTED = Path(__file__).with_name("ratios.json")
 SLOWER = 0.8
 """Share of the committed ratio below which a line is printed: the machines that this runs on differ
 from one hour to the next by some ten per cent."""
+LONGEST = 5.0
+"""Processor time after which a line has no more rounds, but for three [s]."""
 SAMPLES = 12327
 """As the report's log of the LWR; whole batches of torchid, a Python loop of a peer."""
 LOOPED = 2000
@@ -57,6 +64,9 @@ SIMULATIONS = 128
 """That are stepped together in MuJoCo."""
 STEPS = 20
 """Of each simulation in a round."""
+
+SAME = ("viscous_friction", "coulomb_friction", "torque_offset")
+"""Effects that FIGAROH has columns of, too."""
 
 Call = Callable[[], object]
 
@@ -83,7 +93,9 @@ def ratio(line: Line, rounds: int) -> tuple[float, float, float]:
     ratio."""
     _, peer, of_peer, ours, of_ours = line
     peer(), ours()
-    pairs = [(seconds(peer) / of_peer * 1e6, seconds(ours) / of_ours * 1e6) for _ in range(rounds)]
+    pairs, begin = list[tuple[float, float]](), time.process_time()
+    while len(pairs) < 3 or (len(pairs) < rounds and time.process_time() - begin < LONGEST):
+        pairs.append((seconds(peer) / of_peer * 1e6, seconds(ours) / of_ours * 1e6))
     middle = (statistics.median(x) for x in zip(*pairs, strict=True))
     return (*middle, statistics.median(p / o for p, o in pairs))  # type: ignore[return-value]
 
@@ -209,28 +221,107 @@ def evolution() -> Iterator[Line]:
     yield "CMA-ES, 30 runs / pycma", lambda: peer(5), 5, lambda: ours(50), 50
 
 
-def prediction() -> Iterator[Line]:
-    """Base parameters and friction from a log against boosted trees of each joint's torque."""
-    if not find_spec("sklearn"):
-        return
-    from sklearn.ensemble import HistGradientBoostingRegressor
-
+def identification() -> Iterator[Line]:
+    """Base parameters and friction from a log against boosted trees of each joint's torque, and
+    against FIGAROH's regressor, elimination and double QR of the same motion."""
     robot = load_robot("kuka_lwr4_friction")
     motion = excite(robot, duration=20.0, seed=0, restarts=1, iterations=0).log(250.0)
     log = simulate(robot, motion, noise=HonestNoise(), seed=0)
     assert motion.dq is not None
     assert motion.ddq is not None
     assert log.tau is not None
-    features, torques = torch.cat([motion.q, motion.dq, motion.ddq], 1).numpy(), log.tau.T.numpy()
+    state = [x.numpy() for x in (motion.q, motion.dq, motion.ddq)]
+    torques = log.tau.T.numpy()
+    if find_spec("sklearn"):
+        from sklearn.ensemble import HistGradientBoostingRegressor
 
-    def boosted() -> None:
-        for torque in torques:
-            HistGradientBoostingRegressor(random_state=0).fit(features, torque)
+        features = np.concatenate(state, 1)
 
-    def identified() -> None:
-        identify(robot, log)
+        def boosted() -> None:
+            for torque in torques:
+                HistGradientBoostingRegressor(random_state=0).fit(features, torque)
 
-    yield "identify, 20 s / scikit-learn's boosting", boosted, 1, identified, 1
+        name = "identify, 20 s / scikit-learn's boosting"
+        yield name, boosted, 1, lambda: identify(robot, log), 1
+    try:
+        from figaroh.tools.qrdecomposition import QRDecomposer
+        from figaroh.tools.regressor import (
+            build_regressor_basic,
+            build_regressor_reduced,
+            get_index_eliminate,
+        )
+    except ImportError:
+        return
+    from tests.oracles import PinocchioOracle
+
+    oracle = PinocchioOracle(replace(robot, effects=()))
+    asked = {"act_idxv": range(robot.n), "has_friction": True, "has_joint_offset": True}
+    names = {f"{k}": 0.0 for k in range(13 * robot.n)}
+    measured = torques.reshape(-1)
+
+    def figaroh() -> None:
+        columns = build_regressor_basic(oracle, *state, asked)
+        left_out, kept = get_index_eliminate(columns, names)
+        reduced = build_regressor_reduced(columns, left_out)
+        QRDecomposer().double_decomposition(measured, reduced, kept)
+
+    given = log.replace(dq=motion.dq, ddq=motion.ddq)
+    plain = Settings(effects=SAME, cutoff=None, reversal=0.0, rows="all", method="ols")
+    name = "identify by plain least squares / FIGAROH"
+    yield name, figaroh, 1, lambda: identify(robot, given, settings=plain), 1
+
+
+def toolbox(folder: Path) -> Iterator[Line]:
+    """Armature of each joint, which mujoco.sysid fits to rollouts, against all parameters of the
+    same log."""
+    if not find_spec("mujoco"):
+        return
+    import mujoco
+    from mujoco import rollout, sysid
+
+    if not hasattr(sysid, "optimize"):  # its own extras are missing
+        return
+    robot = replace(arm("panda"), effects=())
+    file = export_dynamics(robot, "mjcf", folder, nominal=robot, geometry="none").files[0]
+    spec = mujoco.MjSpec.from_file(str(file))
+    spec.option.timestep = 0.002
+    for name in robot.joint_names:
+        joint = spec.joint(name)
+        joint.armature, joint.damping = 0.2, np.array([2.0, 0.0, 0.0])
+        for kind in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
+            of_joint = mujoco.mjtObj.mjOBJ_JOINT
+            spec.add_sensor(name=f"{name}_{int(kind)}", type=kind, objtype=of_joint, objname=name)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    t = np.arange(1500) * model.opt.timestep
+    waves = [8 * np.sin(2 * np.pi * (0.5 + 0.13 * j) * t + j) for j in range(robot.n)]
+    start = sysid.create_initial_state(model, data.qpos, data.qvel, data.act)
+    state, sensed = (x[0] for x in rollout.rollout(model, data, start, np.stack(waves, 1)[:-1]))
+    control = sysid.TimeSeries(t, np.stack(waves, 1))
+    seen = sysid.TimeSeries.from_names(state[:, 0], sensed, model)
+    sequences = sysid.ModelSequences("arm", spec, "waves", start, control, seen)
+    residual = sysid.build_residual_fn(models_sequences=[sequences])
+
+    def fitted() -> None:
+        guess = sysid.ParameterDict()
+        for name in robot.joint_names:
+
+            def change(s: Any, p: Any, name: str = name) -> None:
+                s.joint(name).armature = p.value[0]
+
+            guess.add(sysid.Parameter(name, 0.2, 1e-3, 1.0, modifier=change))
+            guess[name].value[:] = 0.1
+        with redirect_stdout(io.StringIO()):
+            sysid.optimize(guess, residual, verbose=False)
+
+    # After each step; the torque is that of the step before.
+    q, dq = (torch.from_numpy(state[:-1, 1 + k * robot.n :][:, : robot.n].copy()) for k in (0, 1))
+    log = Log(
+        torch.from_numpy(t[1:-1]), q, dq=dq, tau=torch.from_numpy(np.stack(waves, 1)[1:-1].copy())
+    )
+    settings = Settings(effects=SAME, cutoff=20.0, reversal=0.0, method="ols")
+    name = "identify, 3 s / mujoco.sysid, 7 armatures"
+    yield name, fitted, 1, lambda: identify(robot, log, settings=settings), 1
 
 
 def slower(found: dict[str, float], committed: dict[str, float]) -> list[str]:
@@ -251,11 +342,15 @@ def main() -> None:
     torch.set_num_threads(1)
     committed = json.loads(COMMITTED.read_text()) if COMMITTED.exists() else {}
     print(machine())
-    print(f"microseconds of processor time, medians of {args.rounds} alternated rounds")
+    print(f"microseconds of processor time, medians of up to {args.rounds} alternated rounds")
     print(f"{'':44}{'peer':>10}{'torchid':>10}{'ratio':>8}{'before':>8}")
     found = {}
     with tempfile.TemporaryDirectory() as folder:
-        every = (dynamics(args.compile), effects_in_mujoco(Path(folder)), evolution(), prediction())
+        place = Path(folder)
+        every = (
+            dynamics(args.compile), effects_in_mujoco(place), evolution(), identification(),
+            toolbox(place / "toolbox"),
+        )  # fmt: skip
         for line in (line for some in every for line in some):
             peer, ours, times = ratio(line, args.rounds)
             found[line[0]] = round(times, 3)

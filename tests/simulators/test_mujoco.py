@@ -90,6 +90,24 @@ def test_torque_is_torchids(name, tmp_path):
         assert float((found - expected[k]).abs().max()) < 1e-9 * float(expected.abs().max())
 
 
+def test_transmitted_torque_is_that_of_mujocos_mass_matrix(tmp_path):
+    """With friction at work and a force from outside, of several arms in other states."""
+    _, effects = in_mujoco(robot_with("load", "coupling"), tmp_path, count=3)
+    for k, (_, data) in enumerate(effects.simulations):
+        data.qpos[:], data.qvel[:] = 0.3 * k, [0.5 - 0.4 * k, 0.1, -0.2]
+        data.xfrc_applied[-1, :3] = [3.0 * k, -1.0, 2.0]
+    effects.restart()
+    effects.step(torch.tensor([[5.0, -3.0, 1.0]]).double().expand(3, 3))
+    ddq = effects.motion().ddq
+    assert float(ddq.abs().min()) > 0
+    found = effects._transmitted(ddq) - ddq @ effects.across
+    for k, (model, data) in enumerate(effects.simulations):
+        expected = np.empty(model.nv)
+        mujoco.mj_mulM(model, data, expected, data.qacc)
+        expected += data.qfrc_bias
+        assert np.abs(found[k].numpy() - expected).max() < 1e-7 * np.abs(expected).max()
+
+
 @pytest.mark.parametrize(
     "names",
     quick_first(

@@ -121,7 +121,7 @@ class MotionInParts:
         if self.log.ql is not None:
             rows = slice(here.lo, here.hi)
             signals.append((self.log.q[rows] - self.log.ql[rows]).T)
-        q, dq, ddq, *lag = (here.through(x, chosen).T.contiguous() for x in signals)
+        q, dq, ddq, *lag = (here.through(x, chosen).contiguous().T for x in signals)
         return Motion(q, dq, ddq, lag=lag[0] if lag else None)
 
     def _unfiltered(self, lo: int, hi: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -149,7 +149,7 @@ class MotionInParts:
         if "direction" not in self._made:
             limits = self.threshold.to(self.log.q).unbind()
             columns = [held_sign(self._sharp(j, size), limit) for j, limit in enumerate(limits)]
-            self._made["direction"] = torch.stack(columns, -1)
+            self._made["direction"] = torch.stack(columns).T
         found: Tensor = self._made["direction"]
         return found
 

@@ -10,6 +10,7 @@ other as rows are not, tell how far the answer can be trusted.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import TypeVar
 
 import numpy as np
@@ -66,7 +67,7 @@ class Factors:
     def whole(self) -> "Factors":
         """The same rows as one block."""
         total = self.rows.sum(0, keepdim=True)
-        return Factors(tuple(tree(list(r), _stacked).unsqueeze(0) for r in self.blocks), total)
+        return Factors(tuple(stacked_factor([*r]).unsqueeze(0) for r in self.blocks), total)
 
     def fewer(self, most: int) -> "Factors":
         """No more than `most` blocks, neighbours put together."""
@@ -75,7 +76,7 @@ class Factors:
             return self
         groups = (torch.arange(count) * most // count).unique_consecutive(return_counts=True)[1]
         parts = [r.split(groups.tolist()) for r in self.blocks]
-        blocks = [torch.stack([tree(list(p), _stacked) for p in own]) for own in parts]
+        blocks = [torch.stack([stacked_factor([*p]) for p in own]) for own in parts]
         rows = torch.stack([own.sum(0) for own in self.rows.split(groups.tolist())])
         return Factors(tuple(blocks), rows)
 
@@ -121,101 +122,11 @@ def tree(parts: Iterable[_T], combine: Callable[[_T, _T], _T]) -> _T:
     return held[0][1]
 
 
-def _stacked(a: Tensor, b: Tensor) -> Tensor:
-    return stacked_factor([a, b])
-
-
 def combined(a: Factors, b: Factors) -> Factors:
     """Two factors of one block each as one."""
     pairs = zip(a.blocks, b.blocks, strict=True)
-    blocks = tuple(_stacked(x[0], y[0]).unsqueeze(0) for x, y in pairs)
+    blocks = tuple(stacked_factor([x[0], y[0]]).unsqueeze(0) for x, y in pairs)
     return Factors(blocks, a.rows + b.rows)
-
-
-@dataclass(frozen=True, eq=False)
-class Reduced:
-    """A log, reduced.
-
-    Attributes:
-        factors: of its blocks.
-        whole: of all its rows.
-        seconds: of motion that they hold.
-        correlation: integrated autocorrelation time of the residual, the longest [s].
-        warnings: sentences for the user.
-    """
-
-    factors: Factors
-    whole: Factors
-    seconds: float
-    correlation: float
-    warnings: tuple[str, ...]
-
-
-def reduce_log(model: FleetModel, stretches: Iterator[Log]) -> Reduced:
-    """The factors of a log that comes in stretches, each of which is reduced on its own; memory
-    does not grow with the log.
-
-    Raises:
-        LogError: a log that cannot be used with this robot.
-    """
-    found, wholes = list[Factors](), list[Factors]()
-    seconds, slowest, warnings = 0.0, 0.0, dict[str, None]()
-    for stretch in stretches:
-        even, noticed = prepared(with_gain(stretch, model), model.robot)
-        speed = torch.full((model.robot.n,), model.settings.reversal, dtype=torch.float64)
-        measured = measurements(even, model.settings.cutoff, speed)
-        source = RowSource(measured, model.layout, moving_only=model.settings.rows == "moving")
-        factors, whole, correlation = _blocks(source, model.layout)
-        found.append(factors)
-        wholes.append(whole)
-        seconds += sum(m.samples / m.rate for m in measured)
-        slowest = max(slowest, correlation * max(source.interval))
-        said = (*noticed, *(w for m in measured for w in m.warnings))
-        warnings |= dict.fromkeys(said)
-    every = found[0]
-    for more in found[1:]:
-        every = every.beside(more)
-    return Reduced(every, tree(wholes, combined), seconds, slowest, tuple(warnings))
-
-
-def with_gain(log: Log, model: FleetModel) -> Log:
-    """A log of currents with the torques that the gains make of them, where they are given."""
-    if model.gain is None or log.current is None:
-        return log
-    return log.with_torque(model.gain)
-
-
-def _blocks(source: RowSource, layout: Layout) -> tuple[Factors, Factors, float]:
-    """Factors of blocks as long as the residual asks for, those of all rows at once, and the
-    residual's correlation time [instants]."""
-    pieces = list(source)
-    augmented = [torch.cat(parts) for parts in zip(*(p.augmented for p in pieces), strict=True)]
-    keep = torch.cat([p.keep for p in pieces])
-    # What rows leave beside their own fit tells how long they remember.
-    bounds = [slice(a, b) for a, b in zip(source.boundaries, source.boundaries[1:], strict=False)]
-    every = torch.zeros(source.instants, dtype=torch.long)
-    whole = _reduced(augmented, keep, every)
-    x = solved(whole, layout).x
-    parts = zip(augmented, layout.columns, strict=True)
-    residual = torch.stack([a[:, -1] - a[:, :-1] @ x[list(c)] for a, c in parts], -1) * keep
-    correlation = correlation_instants(residual, bounds)
-    fewest = -(-source.instants // MOST_BLOCKS)
-    length = max(block_length(source.instants, correlation), fewest)
-    return _reduced(augmented, keep, block_numbers(bounds, length)), whole, correlation
-
-
-def _reduced(
-    augmented: Sequence[Float[Tensor, "I _"]],
-    keep: Bool[Tensor, "I n"],
-    block: Int[Tensor, " I"],
-) -> Factors:
-    """Factors of the kept rows of each block."""
-    count = int(block.max()) + 1
-    rows = torch.stack([torch.bincount(block[k], minlength=count) for k in keep.T], -1)
-    out = []
-    for own, kept, held in zip(augmented, keep.T, rows.T, strict=True):
-        out.append(block_factors(own[kept].split(held.tolist())))
-    return Factors(tuple(out), rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,6 +144,91 @@ class Solved:
     held: Bool[Tensor, " B"]
     noise: Float[Tensor, " n"]
     factor: Float[Tensor, "C C"]
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """A log, reduced.
+
+    Attributes:
+        factors: of its blocks.
+        fit: of all its rows.
+        seconds: of motion that they hold.
+        correlation: integrated autocorrelation time of the residual, the longest [s].
+        warnings: sentences for the user.
+    """
+
+    factors: Factors
+    fit: Solved
+    seconds: float
+    correlation: float
+    warnings: tuple[str, ...]
+
+
+def reduce_log(model: FleetModel, stretches: Iterator[Log]) -> Reduced:
+    """The factors of a log that comes in stretches, each of which is reduced on its own; memory
+    does not grow with the log.
+
+    Raises:
+        LogError: a log that cannot be used with this robot.
+    """
+    found, fits = list[Factors](), list[Solved]()
+    seconds, slowest, warnings = 0.0, 0.0, dict[str, None]()
+    for stretch in stretches:
+        even, noticed = prepared(with_gain(stretch, model), model.robot)
+        speed = torch.full((model.robot.n,), model.settings.reversal, dtype=torch.float64)
+        measured = measurements(even, model.settings.cutoff, speed)
+        source = RowSource(measured, model.layout, moving_only=model.settings.rows == "moving")
+        factors, fit, correlation = _blocks(source, model.layout)
+        found.append(factors)
+        fits.append(fit)
+        seconds += sum(m.samples / m.rate for m in measured)
+        slowest = max(slowest, correlation * max(source.interval))
+        said = (*noticed, *(w for m in measured for w in m.warnings))
+        warnings |= dict.fromkeys(said)
+    every = reduce(Factors.beside, found)
+    whole = fits[0] if len(fits) == 1 else solved(every, model.layout)
+    return Reduced(every, whole, seconds, slowest, tuple(warnings))
+
+
+def with_gain(log: Log, model: FleetModel) -> Log:
+    """A log of currents with the torques that the gains make of them, where they are given."""
+    if model.gain is None or log.current is None:
+        return log
+    return log.with_torque(model.gain)
+
+
+def _blocks(source: RowSource, layout: Layout) -> tuple[Factors, Solved, float]:
+    """Factors of blocks as long as the residual asks for, the fit of all rows, and the residual's
+    correlation time [instants]."""
+    pieces = list(source)
+    augmented = [torch.cat(parts) for parts in zip(*(p.augmented for p in pieces), strict=True)]
+    keep = torch.cat([p.keep for p in pieces])
+    # What rows leave beside their own fit tells how long they remember.
+    bounds = [slice(a, b) for a, b in zip(source.boundaries, source.boundaries[1:], strict=False)]
+    least = -(-source.instants // MOST_BLOCKS)
+    blocks = _reduced(augmented, keep, block_numbers(bounds, least))
+    fit = solved(blocks, layout)
+    parts = zip(augmented, layout.columns, strict=True)
+    residual = torch.stack([a[:, -1] - a[:, :-1] @ fit.x[list(c)] for a, c in parts], -1) * keep
+    correlation = correlation_instants(residual, bounds)
+    if (length := block_length(source.instants, correlation)) > least:
+        blocks = _reduced(augmented, keep, block_numbers(bounds, length))
+    return blocks, fit, correlation
+
+
+def _reduced(
+    augmented: Sequence[Float[Tensor, "I _"]],
+    keep: Bool[Tensor, "I n"],
+    block: Int[Tensor, " I"],
+) -> Factors:
+    """Factors of the kept rows of each block."""
+    count = int(block.max()) + 1
+    rows = torch.stack([torch.bincount(block[k], minlength=count) for k in keep.T], -1)
+    out = []
+    for own, kept, held in zip(augmented, keep.T, rows.T, strict=True):
+        out.append(block_factors(own[kept].split(held.tolist())))
+    return Factors(tuple(out), rows)
 
 
 def solved(factors: Factors, layout: Layout) -> Solved:

@@ -6,6 +6,7 @@ all. What crosses the wire is the row of a log or the estimate of a session.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -167,7 +168,6 @@ def _reduced(model: FleetModel, path: Path, name: str) -> tuple[dict[str, Any], 
 
     try:
         found = reduce_log(model, watched())
-        fit = solved(found.whole, model.layout)
     except TorchidError as error:
         text = " ".join(str(error).replace(str(path), name).split())
         return {"verdict": "refused", "evidence": [*evidence, text]}, {}
@@ -175,7 +175,7 @@ def _reduced(model: FleetModel, path: Path, name: str) -> tuple[dict[str, Any], 
         "verdict": "doubtful" if evidence else "good",
         "evidence": [*evidence, *found.warnings],
         "seconds": found.seconds,
-        "noise": fit.noise,
+        "noise": found.fit.noise,
         "correlation": found.correlation,
         "blocks": len(found.factors.rows),
         "temperature": temperature_of(path),
@@ -230,10 +230,7 @@ def answer_unit(task: UnitTask) -> UnitAnswer:
         entry = store.read(key)
         if entry is None:
             logs = [factors_in(store, k, task.model) for k in keys]
-            every = logs[0]
-            for more in logs[1:]:
-                every = every.beside(more)
-            fitted = estimate(every, task.model)
+            fitted = estimate(reduce(Factors.beside, logs), task.model)
             whole = tree([f.whole for f in logs], both)
             kept = {f"estimate_{k}": getattr(fitted, k).numpy() for k in ESTIMATED}
             kept |= whole.arrays()

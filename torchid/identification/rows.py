@@ -3,10 +3,10 @@
 The regressor's columns and the torque pass through the same zero-phase filter and are decimated
 with it. Each torque row keeps only its own non-zero columns: joint i does not feel links
 that it does not move.
-Rigid columns are smooth functions of a motion that the same filter has smoothed, so they are worked
-out at `SMOOTH` times the cut-off only: what then folds into the filter's band is less than what its
-tail leaves out, 1e-8 of them. Friction has edges, and torque is measured: theirs are taken at all
-samples.
+Rigid columns, viscous friction, rotor inertia and offsets are smooth functions of a motion that the
+same filter has smoothed, so they are worked out at `SMOOTH` times the cut-off only: what then folds
+into the filter's band is less than what its tail leaves out, 1e-8 of them. Other friction has
+edges, and torque is measured: theirs are taken at all samples.
 Pieces are made again for each pass over a long log, and kept for a short one, so memory does not
 grow without end with the log.
 """
@@ -21,6 +21,8 @@ import torch
 from torchid.design.motion import Measurement, moves
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.effects.base import Effect, JointEffect, Motion
+from torchid.effects.friction import TorqueOffset, ViscousFriction
+from torchid.effects.inertia import RotorInertia
 from torchid.identification.base_parameters import BaseParameters, non_negative
 from torchid.log.filtering import ZeroPhaseFilter, extended
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
@@ -31,7 +33,10 @@ PIECE = 16384
 """Samples filtered at a time, besides the filter's tails."""
 
 SMOOTH = 20.0
-"""Sampling rate of rigid columns at least, in cut-offs."""
+"""Sampling rate of smooth columns at least, in cut-offs."""
+
+LINEAR = (ViscousFriction, RotorInertia, TorqueOffset)
+"""Effects whose columns are as smooth as the motion."""
 
 MEMORY = 1e9
 """Bytes of rows that are kept rather than made again."""
@@ -55,7 +60,7 @@ class Layout:
         robot, base, effects: what is identified.
         order: (B,) position in `base.independent` of each column.
         rigid: per torque row the (link, parameter) pairs of its rigid columns.
-        own: per torque row the (effect, coefficient) pairs of its effect columns.
+        own: per torque row the (effect, coefficient) pairs of its effects, smooth ones first.
         columns: per torque row the column numbers, rigid ones first.
     """
 
@@ -105,6 +110,7 @@ def layout(robot: Robot, base: BaseParameters, effects: Sequence[Effect]) -> Lay
         r = [(j, d[3]) for j, d in enumerate(described) if d[1] == 0 and d[0] in moved]
         o = [(j, pair) for j, pair in of_effects if i in effects[pair[0]].joints]
         rigid.append(tuple(pair for _, pair in r))
+        o.sort(key=lambda column: not isinstance(effects[column[1][0]], LINEAR))
         own.append(tuple(pair for _, pair in o))
         columns.append(tuple(j for j, _ in r + o))
     return Layout(
@@ -227,14 +233,10 @@ def _step(m: Measurement) -> int:
 
 
 def _every(m: Measurement) -> int:
-    """Samples between those at which rigid columns are worked out, a divisor of the step."""
-    step = _step(m)
-    enough = [
-        d
-        for d in range(1, step + 1)
-        if step % d == 0 and m.cutoff is not None and m.rate / d >= SMOOTH * m.cutoff * (1 - 1e-6)
-    ]
-    return max(enough, default=1)
+    """Samples between those at which smooth columns are worked out, a divisor of the step."""
+    step, least = _step(m), SMOOTH * (m.cutoff or 0.0) * (1 - 1e-6)
+    divisors = [d for d in range(1, step + 1) if step % d == 0]
+    return max((d for d in divisors if m.rate / d >= least), default=1)
 
 
 def _tail(m: Measurement) -> int:
@@ -245,7 +247,7 @@ def _tail(m: Measurement) -> int:
 
 def _pieces(m: Measurement) -> list[tuple[int, int, int]]:
     """Sample ranges between the trajectory's edges, each a whole number of steps long, and every
-    how many of their samples rigid columns are worked out: all of those whose filter reaches past
+    how many of their samples smooth columns are worked out: all of those whose filter reaches past
     the trajectory's ends, where their reflection has a kink."""
     step, every, tail = _step(m), _every(m), _tail(m)
     first, last = m.edge, m.samples - m.edge
@@ -254,50 +256,63 @@ def _pieces(m: Measurement) -> list[tuple[int, int, int]]:
     parts = [(first, last, 1)]
     if every > 1 and inner < outer:
         parts = [(first, inner, 1), (inner, outer, every), (outer, last, 1)]
-    length = max(1, PIECE // step) * step
-    return [(k, min(k + length, b), d) for a, b, d in parts for k in range(a, b, length)]
+    return [
+        (k, min(k + length, b), d)
+        for a, b, d in parts
+        for length in [max(1, PIECE * d // step) * step]
+        for k in range(a, b, length)
+    ]
+
+
+def _filtered(
+    m: Measurement, signals: Float[Tensor, "C _"], apart: int, start: int, stop: int
+) -> Float[Tensor, "C _"]:
+    """Signals of a piece, tails and all, as many samples apart, at the instants of its rows."""
+    low_pass, step, tail = _filter(m), _step(m), _tail(m)
+    if low_pass is None:
+        return signals
+    # At the ends of the trajectory nothing is thinned, and all is extended.
+    before, after = max(0, tail - start), max(0, stop + tail - m.samples)
+    padded = extended(signals, before, after) if before or after else signals
+    thin = replace(low_pass, every=apart)
+    return thin.decimated(padded, step // apart, tail // apart, (tail + stop - start) // apart)
 
 
 def _blocks(
     m: Measurement, layout: Layout, chunks: Chunks, moving_only: bool, first_instant: int
 ) -> Iterator[RowBlock]:
-    low_pass, step, tail = _filter(m), _step(m), _tail(m)
+    step, tail, pieces = _step(m), _tail(m), _pieces(m)
     # What remembers the past is evaluated from the trajectory's beginning, once a pass.
     whole: dict[Effect, Tensor] = {
         e: e.columns(m.whole) for e in layout.effects if isinstance(e, JointEffect) and e.memory
     }
-    for start, stop, every in _pieces(m):
-        lo, hi = max(0, start - tail), min(m.samples, stop + tail)
-        before, after = tail - (start - lo), tail - (hi - stop)
-        motion = m.motion.part(slice(lo, hi))
-        keep = moves(motion.part(slice(start - lo, stop - lo, step))).cpu()
-        # Nothing rubs on a base that nothing holds: its rows count at rest, too.
-        keep[:, list(layout.robot.free)] = True
-        augmented = []
+    # The regressor of a short log at once: a piece at its end would take as many calls as all.
+    short = sum((b - a + 2 * tail) // d for a, b, d in pieces) <= 2 * PIECE
+    for group in [pieces] if short else [[piece] for piece in pieces]:
+        reach = [slice(max(0, a - tail), min(m.samples, b + tail)) for a, b, _ in group]
+        motions = [m.motion.part(own) for own in reach]
+        thin = [motion.every(d) for motion, (_, _, d) in zip(motions, group, strict=True)]
+        sharp = [
+            _sharp_columns(motion, m.tau[own], layout, {e: x[own] for e, x in whole.items()})
+            for motion, own in zip(motions, reach, strict=True)
+        ]
         # Row by row: of many joints the columns of all rows would not all fit, with their spectra.
-        for parts in _columns(motion, m.tau[lo:hi], layout, chunks, whole, lo, every):
-            made = []
-            for signals, apart in zip(parts, (every, 1), strict=True):
-                if not len(signals):
-                    continue
-                if low_pass is None:
-                    made.append(signals)
-                    continue
-                # At the ends of the trajectory nothing is thinned, and all is extended.
-                padded = extended(signals, before, after) if apart == 1 else signals
-                thin = replace(low_pass, every=apart)
-                made.append(
-                    thin.decimated(
-                        padded, step // apart, tail // apart, (tail + stop - start) // apart
-                    )
-                )
-            # Whatever the device of the log: what follows is small, and sequential.
-            augmented.append(torch.cat(made).cpu())
-        count = len(keep)
-        keep = keep if moving_only else torch.ones_like(keep)
-        instant = torch.arange(count) + first_instant
-        first_instant += count
-        yield RowBlock(tuple(x.T for x in augmented), keep, instant)
+        # Whatever the device of the log: what follows is small, and sequential.
+        rows = [
+            [
+                torch.cat([_filtered(m, x, d, a, b), _filtered(m, next(y), 1, a, b)]).cpu()
+                for x, y, (a, b, d) in zip(smooth, sharp, group, strict=True)
+            ]
+            for smooth in _smooth_columns(thin, layout, chunks)
+        ]
+        for (a, b, _), own, motion, *augmented in zip(group, reach, motions, *rows, strict=True):
+            keep = moves(motion.part(slice(a - own.start, b - own.start, step))).cpu()
+            # Nothing rubs on a base that nothing holds: its rows count at rest, too.
+            keep[:, list(layout.robot.free)] = True
+            keep = keep if moving_only else torch.ones_like(keep)
+            instant = torch.arange(len(keep)) + first_instant
+            first_instant += len(keep)
+            yield RowBlock(tuple(x.T for x in augmented), keep, instant)
 
 
 def sampled(
@@ -306,15 +321,8 @@ def sampled(
     """Signals along whole trajectories at the instants of the rows, filtered like them."""
     out = []
     for m, x in zip(measured, signals, strict=True):
-        low_pass, first, last = _filter(m), m.edge, m.samples - m.edge
-        if low_pass is None:
-            out.append(x[:, first:last])
-            continue
-        tail = low_pass.tail
-        before, after = max(0, tail - first), max(0, tail - first)
-        padded = extended(x, before, after)
-        start = before + first
-        out.append(low_pass.decimated(padded, _step(m), start, start + last - first))
+        start, stop, tail = m.edge, m.samples - m.edge, _tail(m)
+        out.append(_filtered(m, x[:, max(0, start - tail) : stop + tail], 1, start, stop))
     return torch.cat(out, -1)
 
 
@@ -326,40 +334,44 @@ def own_columns(effect: Effect, motion: Motion) -> list[Float[Tensor, "T C"]]:
     return [columns[:, j] for j in effect.joints]
 
 
-def _columns(
-    motion: Motion,
-    tau: Float[Tensor, "M n"],
-    layout: Layout,
-    chunks: Chunks,
-    whole: Mapping[Effect, Tensor],
-    lo: int,
-    every: int,
-) -> Iterator[tuple[Tensor, Tensor]]:
-    """Unfiltered columns of each torque row: rigid ones (C, M / every), and those of effects, its
-    torque behind them (E + 1, M).
+def _smooth_columns(
+    motions: Sequence[Motion], layout: Layout, chunks: Chunks
+) -> Iterator[tuple[Float[Tensor, "C _"], ...]]:
+    """Smooth columns of each torque row along several motions, made in one go and split again."""
+    joined = Motion(*(torch.cat(x) for x in zip(*(m.state for m in motions), strict=True)))
+    smooth = {e: e.columns(joined) for e in layout.effects if isinstance(e, LINEAR)}
+    rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
+    start = 0
+    for chunk in chunks(*joined.state):
+        here = slice(start, start := start + len(chunk.like))
+        for i, (pairs, own) in enumerate(zip(layout.rigid, layout.own, strict=True)):
+            effects = [(layout.effects[e], c) for e, c in own]
+            columns = [chunk.entry(i, link, k) for link, k in pairs]
+            columns += [smooth[e][here, c] for e, c in effects if isinstance(e, LINEAR)]
+            empty = chunk.like.new_empty(0, len(chunk.like))
+            rows[i].append(torch.stack(columns) if columns else empty)
+    for parts in rows:
+        made = parts[0] if len(parts) == 1 else torch.cat(parts, -1)
+        parts.clear()
+        yield made.split([len(motion.q) for motion in motions], -1)
+
+
+def _sharp_columns(
+    motion: Motion, tau: Float[Tensor, "M n"], layout: Layout, whole: Mapping[Effect, Tensor]
+) -> Iterator[Float[Tensor, "C M"]]:
+    """Columns of the other effects on each torque row, and the torque behind them.
 
     Args:
         motion, tau: of the samples.
         layout: the columns.
-        chunks: of the regressor.
-        whole: columns of effects along the whole trajectory.
-        lo: the first of the samples there.
-        every: how many samples apart rigid columns are worked out.
+        whole: columns of effects that remember, at the samples.
     """
-    effect_columns = [
-        [whole[e][lo : lo + len(tau)]] if e in whole else own_columns(e, motion)
+    # Once for all joints.
+    motion = motion._replace(direction=None if motion.direction is None else motion.sign)
+    made = [
+        [] if isinstance(e, LINEAR) else [whole[e]] if e in whole else own_columns(e, motion)
         for e in layout.effects
     ]
-    rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
-    for chunk in chunks(*(x[::every] for x in motion.state)):
-        for i, pairs in enumerate(layout.rigid):
-            if pairs:
-                rows[i].append(chunk.row(i, pairs))
     for i, own in enumerate(layout.own):
-        rigid = torch.cat(rows[i], -1) if rows[i] else tau.new_empty(0, 0)
-        rows[i].clear()
-        parts = [tau[:, i : i + 1].T]
-        if own:
-            on_joint = [effect_columns[e][layout.effects[e].joints.index(i)][:, c] for e, c in own]
-            parts.insert(0, torch.stack(on_joint))
-        yield rigid, torch.cat(parts)
+        columns = [made[e][layout.effects[e].joints.index(i)][:, c] for e, c in own if made[e]]
+        yield torch.stack([*columns, tau[:, i]])

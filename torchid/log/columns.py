@@ -49,7 +49,7 @@ def log_from_columns(columns: Columns, path: str | Path) -> "torchid.Log":
     # Each column goes to its place alone: a second copy of all of them is a second log in memory.
     signals: dict[str, Any] = {}
     for signal, group in joints.items():
-        values = np.empty((samples, len(group)))
+        values = np.empty((samples, len(group)), order="F")
         for k, name in enumerate(group):
             column = _numeric(columns[name], name, path)
             _same_length(column, name, samples, path)

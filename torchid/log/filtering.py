@@ -10,7 +10,8 @@ both sides of a chunk, so that chunks of a long log agree with the whole.
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -79,16 +80,8 @@ class ZeroPhaseFilter:
         length = 2 * step * fast_length(math.ceil(x.shape[-1] / (2 * step)))
         spectrum = torch.fft.rfft(x, n=length)
         kept = length // step
-        bins = kept // 2 + 1
-        rate = self.rate / self.every
-        frequency = torch.arange(bins, dtype=x.dtype, device=x.device) * (rate / length)
-        spectrum = spectrum[..., :bins] * self.response(frequency)
-        # The phase shift moves sample `start` onto the decimated grid.
-        offset = start % step
-        if offset:
-            angle = 2 * math.pi * frequency * (offset / rate)
-            spectrum = spectrum * torch.polar(torch.ones_like(angle), angle)
-        out = torch.fft.irfft(spectrum, n=kept) / step
+        weights = _weights(self, length, step, start % step, dtype=x.dtype, device=x.device)
+        out = torch.fft.irfft(spectrum[..., : kept // 2 + 1] * weights, n=kept) / step
         first = start // step
         count = max(0, math.ceil((stop - start) / step))
         return out[..., first : first + count]
@@ -98,6 +91,17 @@ class ZeroPhaseFilter:
         """Decimation that keeps the sampling rate at ten times the cut-off or above, where the
         amplitude has fallen below 3e-6; the same for rates that differ by rounding."""
         return max(1, int(self.rate / (10 * self.cutoff) * (1 + 1e-6)))
+
+
+@lru_cache(maxsize=16)
+def _weights(low_pass: ZeroPhaseFilter, length: int, step: int, offset: int, **like: Any) -> Tensor:
+    """Of the frequencies that a decimation keeps. Logs of a fleet are alike: made once for many."""
+    rate = low_pass.rate / low_pass.every
+    frequency = torch.arange(length // step // 2 + 1, **like) * (rate / length)
+    response = low_pass.response(frequency)
+    # The phase shift moves the first sample onto the decimated grid.
+    phase = 2 * math.pi * frequency * (offset / rate)
+    return torch.polar(response, phase) if offset else response
 
 
 @cache

@@ -197,8 +197,10 @@ class BatchEffects:
         for loaded in (False, True) if self.needs_torque else (False,):
             if loaded:
                 assert motion.torque is not None
-                first = _loads(sharp, smooth, way)
-                carried = motion.torque + first.smooth + first.dry * way
+                # In the direction in which each joint moves, or between both at rest.
+                forwards, backwards = (sharp[0] + smooth[0]).unbind()
+                own = forwards + backwards + (forwards - backwards) * way
+                carried = motion.torque + own / 2
                 both = both._replace(torque=carried.expand(both.dq.shape))
             for group, torque in self._torques(both, dt, states, loaded):
                 if group.jumps:

@@ -18,6 +18,7 @@ inertia was the joint's armature, is a state of the gear (`gears`). What a contr
 delays and lags make it and on the motor's side of a gear, is `sensed()`.
 """
 
+import ctypes
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
@@ -84,20 +85,19 @@ class Effects:
                 available=["Euler", "implicit", "implicitfast"],
             )
         self.simulations = tuple(simulations)
-        self._rows, self._places = (_in_one_piece(at) for at in self._joints(robot))
-        # Where MuJoCo keeps what is read and written at every step.
-        datas = [d for _, d in self.simulations]
-        self._positions, self._speeds = [d.qpos for d in datas], [d.qvel for d in datas]
-        self._accelerations, self._biases = [d.qacc for d in datas], [d.qfrc_bias for d in datas]
-        # Where joints follow each other their places are views, made once; else they are indexed
-        # at every step.
-        listed = isinstance(self._rows, list)
-        rows = slice(None) if listed else self._rows
-        self._own = self._rows if listed else slice(None)
-        self._written = [
-            (m.dof_damping[rows], m.dof_frictionloss[rows], d.qfrc_applied[rows])
-            for m, d in self.simulations
+        self._rows, self._places = rows, places = self._joints(robot)
+        models, datas = zip(*self.simulations, strict=True)
+        # What is read and written at every step.
+        self._state = [
+            _Together([getattr(d, name) for d in datas], at)
+            for name, at in (("qpos", places), ("qvel", rows), ("qacc", rows))
         ]
+        self._acting = [
+            _Together([getattr(d, name) for d in datas], rows)
+            for name in ("qfrc_smooth", "qfrc_bias", "qfrc_constraint")
+        ]
+        fields = (models, "dof_damping"), (models, "dof_frictionloss"), (datas, "qfrc_applied")
+        self._written = [_Together([getattr(x, name) for x in of], rows) for of, name in fields]
         pairs = nominal_effects(robot)
         late = [(e, v) for e, v in pairs if isinstance(e, TimeDelay | FilterLag)]
         geared = [(e, v) for e, v in pairs if isinstance(e, JointElasticity | Backlash)]
@@ -112,9 +112,11 @@ class Effects:
                 self._torque_late[effect.joint] += values[0]
             else:
                 self._speed_late += values[0]
+        self._latest = max(self._speed_late, float(self._torque_late.max()))
         zero = torch.zeros(len(simulations), robot.n, dtype=torch.float64)
         # True torque of a command in the units in which torque was logged: gains undone.
         sensed = [pair for pair in pairs if changes_measurement(pair[0])]
+        self._sensed = bool(sensed)
         self._gain, self._offset = true_torque(robot, sensed)
         own = [pair for pair in pairs if not changes_measurement(pair[0])]
         bare = replace(robot, effects=())
@@ -128,6 +130,7 @@ class Effects:
         if self._gears is not None:
             armature[self._gears.joints] = 0.0
         self._beside = inertia - torch.diag(armature)
+        self._coupled = bool(self._beside.any())
         self.restart()
         for model, _ in self.simulations:
             model.jnt_stiffness[model.dof_jntid[self._rows]] = 0.0
@@ -167,25 +170,16 @@ class Effects:
 
     def motion(self) -> Motion:
         """Where the simulations are: q, dq and the last ddq (B, n), t (B,)."""
-        q = self._gathered(self._positions, self._places)
-        dq, ddq = (self._gathered(x, self._rows) for x in (self._speeds, self._accelerations))
-        t = torch.tensor([data.time for _, data in self.simulations], dtype=torch.float64)
-        return Motion(q, dq, ddq, t=t)
-
-    def _gathered(self, own: list[Any], at: list[int] | slice) -> Float[Tensor, "B n"]:
-        """Some elements of every simulation's array."""
-        return torch.from_numpy(np.concatenate(own).reshape(len(own), -1)[:, at])
+        q, dq, ddq = (torch.from_numpy(x.read()) for x in self._state)
+        t = np.array([data.time for _, data in self.simulations])
+        return Motion(q, dq, ddq, t=torch.from_numpy(t))
 
     def _transmitted(self, ddq: Float[Tensor, "B n"]) -> Float[Tensor, "B n"]:
-        """Torque that the joints transmitted in the last step, by MuJoCo's own mass matrix and bias
-        forces of that instant; rotors that are no armature are beside them."""
-        inertial = np.empty((len(self.simulations), len(self._speeds[0])))
-        multiply = self._mujoco.mj_mulM
-        pairs = zip(self.simulations, inertial, self._accelerations, strict=True)
-        for (model, data), row, acceleration in pairs:
-            multiply(model, data, row, acceleration)
-        moved = torch.from_numpy(inertial[:, self._rows])
-        return moved + self._gathered(self._biases, self._rows) + ddq @ self._beside
+        """Torque that the joints transmitted in the last step: mass matrix times acceleration and
+        the bias forces of that instant, as the sum of what MuJoCo let act; rotors that are no
+        armature are beside it."""
+        moved = torch.from_numpy(np.sum([x.read() for x in self._acting], 0))
+        return moved + ddq @ self._beside if self._coupled else moved
 
     @torch.no_grad()
     def loads(self, motion: Motion, dt: float = 0.0) -> Loads:
@@ -207,7 +201,7 @@ class Effects:
     def true_torque(self, torque: Float[Tensor, "B n"]) -> Float[Tensor, "B n"]:
         """What acts on the joints where this would be logged: gains and offsets of the sensors
         undone."""
-        return torque @ self._gain.T + self._offset
+        return torque @ self._gain.T + self._offset if self._sensed else torque
 
     def _motors(self, now: Motion) -> Motion:
         """The same motion where the encoders are: on the motors' side of gears."""
@@ -250,35 +244,58 @@ class Effects:
         drives = self.true_torque(torque)
         # A falling friction curve is met explicitly: negative damping has no implicit step.
         slope = loads.slope.clamp(min=0)
-        applied = drives - loads.smooth + slope * now.dq - now.ddq @ self.across
+        applied = drives - loads.smooth + slope * now.dq
+        if self._coupled:
+            applied = applied - now.ddq @ self.across
         law = None
         if self._gears is not None:
             # In the place of the drives' torque what the gears transmit.
             law = self._gears.law(now.q, now.dq, drives, h)
             applied[:, self._gears.joints] += law.force - law.torque
             slope[:, self._gears.joints] += law.damping
-        parts = (x.numpy() for x in (slope, loads.dry, applied))
-        step, own = self._mujoco.mj_step, self._own
-        each = zip(self.simulations, self._written, *parts, strict=True)
-        for (model, data), (damping, friction, force), mine, dry, rest in each:
-            damping[own], friction[own], force[own] = mine, dry, rest
+        for written, values in zip(self._written, (slope, loads.dry, applied), strict=True):
+            written.write(values.numpy())
+        step = self._mujoco.mj_step
+        for model, data in self.simulations:
             step(model, data)
         after = self.motion()
+        t = after.require("t", "a step")
         if self._plant.effects.needs_torque:
             self._carried = self._transmitted(after.ddq)
-        middle = after._replace(dq=(now.dq + after.dq) / 2, t=now.t)
-        self._memory = self._plant.effects.advance(middle, h, self._memory)
+        if self._memory:
+            middle = after._replace(dq=(now.dq + after.dq) / 2, t=now.t)
+            self._memory = self._plant.effects.advance(middle, h, self._memory)
         if self._gears is not None and law is not None:
             self._gears.advance(law, after.dq, h)
         # The oldest entries that no sensor reads any more go.
-        t = after.require("t", "a step")
-        oldest = float((t - max(self._speed_late, float(self._torque_late.max()))).min()) - h
+        oldest = float(t.min()) - self._latest - h
         self._seen.append((t, torque, self._motors(after).dq))
-        while len(self._seen) > 2 and bool((self._seen[1][0] < oldest).all()):
+        while len(self._seen) > 2 and float(self._seen[1][0].max()) < oldest:
             self._seen.popleft()
 
 
-def _in_one_piece(at: list[int]) -> list[int] | slice:
-    """Places that follow each other as a slice, which numpy reads ten times faster."""
-    piece = slice(at[0], at[0] + len(at))
-    return piece if at == list(range(piece.start, piece.stop)) else at
+class _Together:
+    """Elements of one array in each of many simulations, read and written as one (B, n), by their
+    addresses: without a call for each simulation.
+
+    Args:
+        arrays: of MuJoCo, which stay where they are as long as the simulations live.
+        at: elements.
+    """
+
+    def __init__(self, arrays: Sequence[Any], at: Sequence[int]):
+        self._arrays = arrays  # kept alive
+        start = np.array([x.ctypes.data for x in arrays])
+        first = int(start.min())
+        count = (int(start.max()) - first) // 8 + len(arrays[0])
+        # All memory between them, of which nothing but these elements is ever touched.
+        self._memory = np.ctypeslib.as_array((ctypes.c_double * count).from_address(first))
+        self._index = (start[:, None] - first) // 8 + np.array(at)
+
+    def read(self) -> np.ndarray:
+        """A copy of the elements (B, n)."""
+        return self._memory[self._index]
+
+    def write(self, values: np.ndarray) -> None:
+        """Set the elements (B, n)."""
+        self._memory[self._index] = values
