@@ -19,8 +19,8 @@ from torchid.position.data import WINDOW_S, PositionData, missing_commands, prep
 from torchid.position.diagnosis import GAP, Accuracy, PositionDiagnosis, PositionFinding, Size
 from torchid.position.early import EarlyAnswer
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, neutral
-from torchid.position.equal import pooled
-from torchid.position.fit import NOISE, errors, errors_of_one, fit
+from torchid.position.equal import OF_TYPE, pooled
+from torchid.position.fit import NOISE, VALLEYS, errors, errors_of_one, fit
 from torchid.position.judge import (
     Equations,
     each_window,
@@ -30,7 +30,7 @@ from torchid.position.judge import (
     value_interval,
 )
 from torchid.position.model import ServoArm, accuracy
-from torchid.position.odds import effect_sure
+from torchid.position.odds import alike_rises, effect_sure
 from torchid.position.payload import Loaded, with_load
 from torchid.position.record import ChangeRecord
 from torchid.position.rods import PER_METRE
@@ -645,13 +645,14 @@ def _findings(
         numbers: int,
         again: Replication | None = None,
         joint: int | slice = slice(None),
+        alike: float = 0.0,
     ) -> float:
         """Of an effect, from losses without it and with it, and the least that calls for one."""
         without, with_it, slightest = (float(x[joint].sum()) for x in losses)
         looks = len(EFFECTS) * data.robot.n
         independent = float(rows[joint].mean())
         return effect_sure(
-            without, with_it, slightest, numbers, again, rows=independent, looks=looks
+            without, with_it, slightest, numbers, again, rows=independent, looks=looks, alike=alike
         )
 
     deviation = known.deviations(shares)
@@ -701,7 +702,9 @@ def _findings(
                 )
             )
             continue
-        for j in torch.nonzero(without.isfinite() & ~_still(data)).flatten().tolist():
+        joints = torch.nonzero(without.isfinite() & ~_still(data)).flatten().tolist()
+        alike = dict(zip(joints, _alike(known, effect.parameters[0], joints), strict=True))
+        for j in joints:
             sizes = []
             for key in effect.parameters:
                 if key not in known.names or not bool(found.free[key][j]):
@@ -721,7 +724,7 @@ def _findings(
             others = rivals.get((name, j), ())
             neutral = PARAMETERS[INDEX[effect.parameters[0]]].neutral
             again = None
-            if sizes and effect.family != "world":
+            if sizes and effect.family != "world" and effect.parameters[0] not in VALLEYS:
                 again = known.replication(sizes[0].name.removesuffix(as_share("")), j, motions)
             if effect.twin and (not effect.twin_below or (sizes and sizes[0].value < neutral)):
                 others += (effect.twin,)
@@ -729,10 +732,24 @@ def _findings(
                 PositionFinding(
                     name, effect.family, j + 1, tuple(sizes), *ends, others,
                     effect.meaning, effect.remedy, again,
-                    sure((*losses, least), len(sizes), again, j),
+                    sure((*losses, least), len(sizes), again, j, alike[j]),
                 )
             )  # fmt: skip
     return tuple(sorted(out, key=lambda f: f.error_with - f.error_without))
+
+
+def _alike(known: Equations, name: str, joints: Sequence[int]) -> list[float]:
+    """Rises of an effect on joints that have it, by a parameter that all servos of a type share."""
+    if name not in OF_TYPE or name not in known.names or not joints:
+        return [0.0] * len(joints)
+    # Torques of servos of one type are alike beside their gain.
+    share, k = torch.ones(known.servos.n, dtype=torch.bool), known.names.index(name)
+    value, std = known.servos.of(name), known.deviations(share)[:, k]
+    if name in TORQUES:
+        value = value / known.servos.of("kp")
+    if PARAMETERS[INDEX[name]].kind == "log":
+        std = std * value
+    return alike_rises(value[joints], std[joints]).tolist()
 
 
 def _ratio_only(known: Equations) -> Tensor:
