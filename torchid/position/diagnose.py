@@ -23,6 +23,7 @@ from torchid.position.equal import OF_TYPE, pooled
 from torchid.position.fit import NOISE, VALLEYS, errors, errors_of_one, fit
 from torchid.position.judge import (
     Equations,
+    closed_interval,
     each_window,
     equations,
     folds_of,
@@ -46,6 +47,7 @@ from torchid.position.search import (
     shared,
     slight,
 )
+from torchid.position.untestable import not_testable
 from torchid.results.answer import Answer
 from torchid.results.replication import Replication
 from torchid.robot.model import Robot
@@ -188,6 +190,8 @@ def diagnose_positions(
         errors=errors_of,
         still=still,
         warnings=warnings,
+        not_testable=not_testable(data, known, few, ~still),
+        closed_ci95=closed_interval(data, *errors_of, ~still),
         seconds=time.perf_counter() - begun,
         known=tuple(
             (tuple(itertools.compress(known.names, on)), covariance[on][:, on])

@@ -11,10 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchid.position.data import SMALL, PositionData
+from torchid.position.data import SMALL, WINDOW_S, PositionData
 from torchid.position.fit import (
     huber,
     mean_square,
@@ -30,6 +31,7 @@ from torchid.simulation.servo_loop import Windows
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.jackknife import jackknife, student_quantile
 from torchid.statistics.proportion import HALF_95
+from torchid.statistics.resampling import DRAWS, nested_weights, percentile_interval
 from torchid.typing import Bool, Float, Int
 
 FOLDS = 5
@@ -244,6 +246,32 @@ def motion_losses(error: Float[Tensor, "L W n"], windows: Windows) -> Float[Tens
     own = huber(error) * windows.weight[:, None]
     out = torch.zeros(int(windows.motion.max()) + 1, own.shape[1], dtype=own.dtype)
     return out.index_add_(0, windows.motion, own)
+
+
+def closed_interval(
+    data: PositionData, before: Float[Tensor, "T n"], after: Float[Tensor, "T n"], moves: Tensor
+) -> tuple[float, float]:
+    """95 % interval of the share of whole motions' errors that is closed, on other motions: motions
+    are drawn again, and blocks of each; nan where too little is defined.
+
+    Args:
+        data: motions.
+        before, after: errors of their rows.
+        moves: (n,) joints that count.
+    """
+    blocks, owner = list[Tensor](), list[int]()
+    size = max(1, round(WINDOW_S / data.tracks.dt))
+    ends = zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True)
+    for motion, (a, b) in enumerate(ends):
+        squares = torch.stack([before, after])[:, a : b + 1, moves].square()
+        # Of every block the sums of squares, and how many they are.
+        for x in squares.split(size, 1):
+            blocks.append(torch.stack([x.sum(1), torch.full_like(x[:, 0], x.shape[1])]))
+            owner.append(motion)
+    weights = torch.from_numpy(nested_weights(np.array(owner), DRAWS, np.random.default_rng(0)))
+    total, count = torch.einsum("db,bkwj->kwdj", weights, torch.stack(blocks))
+    error = (total / count.clamp(min=1)).sqrt().mean(-1)
+    return percentile_interval((1 - error[1] / error[0]).numpy())
 
 
 def each_window(servos: Mapping[int, Servos], owner: Tensor) -> Servos:
