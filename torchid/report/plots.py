@@ -27,8 +27,6 @@ DRAWN = {
     "GivenSets": "given_sets:figures",
     "Study": "study.figures:kinds",
     "Comparison": "compare:figures",
-    "GapComparison": "compare:figures",
-    "SetComparison": "compare:figures",
     "ScoreRecord": "withheld:figures",
 }
 """By the name of a result's class what gives its figures by kind, or draws the only one, whose

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
-from scipy.special import chdtri
+from scipy.special import chdtri, fdtrc
 
 from torchid.statistics.jackknife import student_quantile
 from torchid.statistics.multiple import benjamini_hochberg, two_sided
@@ -377,6 +377,31 @@ def pooled(data: Sessions, level: float = 0.05) -> Pooled:
         units=units,
         sessions=counts.sum(1),
     )
+
+
+def heterogeneity(data: Sessions, freedom: Float[Tensor, " S"]) -> Float[Tensor, " P"]:
+    """p-values of the hypothesis that the sessions measure one value: Welch's test (1951), which
+    for two is Welch's t test.
+
+    It is Cochran's Q with the degrees of freedom of an F distribution that account for the
+    variances' being estimates.
+
+    Args:
+        data: of sessions, each its own unit.
+        freedom: degrees of freedom of their variances.
+
+    Returns:
+        nan where fewer than two count.
+    """
+    counts = data.counts
+    m = counts.sum(1).double()
+    w = torch.where(counts, 1 / data.variances, 0.0)
+    whole, y = w.sum(1, keepdim=True), torch.where(counts, data.values, 0.0)
+    q = (w * (y - (w * y).sum(1, keepdim=True) / whole).square()).sum(1) / (m - 1)
+    loss = torch.where(counts, (1 - w / whole).square() / freedom, 0.0).sum(1)
+    statistic = q / (1 + 2 * (m - 2) / (m.square() - 1) * loss)
+    p = fdtrc((m - 1).numpy(), ((m.square() - 1) / (3 * loss)).numpy(), statistic.numpy())
+    return torch.where(m > 1, torch.from_numpy(p), torch.nan)
 
 
 def _far(data: Sessions) -> Bool[Tensor, "P U"]:
