@@ -69,7 +69,7 @@ def test_what_could_not_be_tested_is_not_missing(tmp_path):
     )
     assert found.causes[0].states == ("named", "not_testable")
     assert found.causes[0].smallest == (None, 0.9)
-    assert "could not test it" in verdict(found)
+    assert "of joint 2 (not testable in all)" in verdict(found)
     assert "not testable below 0.9" in printed(found)
 
 

@@ -18,8 +18,6 @@ from torchid.fleet.comparison import ComparedParameter, Comparison, Kind, Verdic
 from torchid.fleet.estimates import Estimates, of_diagnoses, of_identifications, of_sets
 from torchid.fleet.torque import common_motion, torque_spread
 from torchid.gap.diagnosis import TorqueDiagnosis
-from torchid.gap.record import GapRecord
-from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
@@ -46,6 +44,13 @@ ROUNDING = 1e-9
 """Standard deviation that a value has at least, as a share of the largest."""
 
 
+KINDS: dict[str, Kind] = {
+    "torchid.identification/1": "identifications",
+    "torchid.gap/1": "gap diagnoses",
+    "torchid.parameter_sets/1": "parameter sets",
+}
+
+
 @dataclass(frozen=True)
 class Given:
     """A result that is compared.
@@ -63,9 +68,7 @@ class Given:
     @property
     def kind(self) -> Kind:
         """Of the result."""
-        if isinstance(self.record, IdentificationRecord):
-            return "identifications"
-        return "gap diagnoses" if isinstance(self.record, GapRecord) else "parameter sets"
+        return KINDS[self.record.schema]
 
 
 def compare_results(
@@ -124,16 +127,14 @@ def read_results(given: Sequence[str | Path | Identification | TorqueDiagnosis])
     parts = [(*p.parent.parts, p.stem) for p in whole]
     if len(paths) > 1 and len({p.stem for p in paths}) == 1:
         parts = [p[:-1] for p in parts]
-    ends = (
-        ["/".join(p[-k:]) for p in parts] for k in range(1, max(map(len, parts), default=0) + 1)
-    )
-    labels = iter(next((e for e in ends if len(set(e)) == len(e)), [str(p) for p in paths]))
-    kinds = "torchid.identification/1", "torchid.gap/1", "torchid.parameter_sets/1"
+    lengths = range(1, 1 + max(map(len, parts), default=0))
+    ends = (["/".join(p[-k:]) for p in parts] for k in lengths)
+    labels = iter(next((e for e in ends if len(set(e)) == len(e)), map(str, paths)))
     hint = "of an extraction, the file of its sets: sets.json"
     results = []
     for k, one in enumerate(given, start=1):
         if isinstance(one, str | Path):
-            found = read(one, kinds, "a result that can be compared", hint)
+            found = read(one, tuple(KINDS), "a result that can be compared", hint)
             results.append(Given(next(labels), Path(one), found))
         else:
             results.append(Given(f"result {k}", Path(f"result {k}"), one.record))
@@ -188,11 +189,9 @@ def compared(
             "no torque: the models were not recorded; `robot=...` names the robot of "
             "identifications, and torchid gap records a corrected model"
         )
-    named = (
-        [robot.name] if robot and kind == "parameter sets" else [r.record.robot for r in results]
-    )
+    arm = "" if robot is None else robot.name
     return Comparison(
-        robot=" and ".join(dict.fromkeys(named)),
+        robot=" and ".join(dict.fromkeys(r.record.robot or arm for r in results)),
         kind=kind,
         labels=tuple(r.label for r in results),
         about=tuple(found.about),
@@ -220,10 +219,8 @@ def _random_effects(found: Estimates) -> tuple[ComparedParameter, ...]:
     out = []
     for k, (name, unit, cause) in enumerate(found.named):
         verdict: Verdict = "never_determined" if bool(unknown[k]) else "agree"
-        if not tested[k]:
-            verdict = "not_compared"
-        elif p[k] < LEVEL:
-            verdict = "differ"
+        if not (tested[k] and p[k] >= LEVEL):
+            verdict = "differ" if tested[k] else "not_compared"
         low, high = ends[k].tolist()
         out.append(
             ComparedParameter(

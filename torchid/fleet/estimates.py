@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from torchid.effects.base import JointEffect, Motion
+from torchid.effects.base import Motion
 from torchid.effects.registry import COLUMN_KINDS, KINDS, on_every_joint
 from torchid.errors import TorchidError
 from torchid.excitation.design import base_regressor
@@ -108,33 +108,30 @@ def of_identifications(
     cutoffs = [r.cutoff for r in records.values()]
     if len(set(cutoffs)) > 1:
         notes.append("cut-offs differ: part of a difference may come from the filter")
-    models: list[Model] = []
-    claims: list[Model] = []
-    if robot is not None:
-        for r in records.values():
-            effects = on_every_joint(r.settings.effects, robot.n)
-            models.append(partial(model_torque, robot, r.base, effects, r.values))
-            claims.append(partial(_claimed, robot, r, effects))
+    pairs = [_models(robot, r) for r in records.values()] if robot is not None else []
     return Estimates(
         [(name, unit, "") for name, unit in zip(common.names, common.units, strict=True)],
         common.values,
         common.std,
         torch.tensor([max(1.0, r.statistics.blocks - 1.0) for r in records.values()]).double(),
         ["no cut-off" if c is None else f"cut-off {c:g} Hz" for c in cutoffs],
-        models,
-        claims,
+        [model for model, _ in pairs],
+        [claim for _, claim in pairs],
         min((c for c in cutoffs if c is not None), default=None),
         torch.stack([r.reversal for r in records.values()]).mean(0),
         notes=notes,
     )
 
 
-def _claimed(
-    robot: Robot, found: IdentificationRecord, effects: Sequence[JointEffect], motion: Motion
-) -> Float[Tensor, "T n"]:
-    """Variance of torque that the covariance of an identification claims."""
-    rows = base_regressor(robot, found.base, motion, effects=effects)
-    return ((rows @ found.covariance) * rows).sum(1).clamp(min=0).reshape(-1, robot.n)
+def _models(robot: Robot, found: IdentificationRecord) -> tuple[Model, Model]:
+    """Torque of an identification, and the variance of it that its covariance claims."""
+    base, effects = found.base, on_every_joint(found.settings.effects, robot.n)
+
+    def claimed(motion: Motion) -> Float[Tensor, "T n"]:
+        rows = base_regressor(robot, base, motion, effects=effects)
+        return ((rows @ found.covariance) * rows).sum(1).clamp(min=0).reshape(-1, robot.n)
+
+    return partial(model_torque, robot, base, effects, found.values), claimed
 
 
 def of_sets(files: Mapping[str, Path], robot: Robot) -> Estimates:
@@ -187,27 +184,22 @@ def of_diagnoses(records: Mapping[str, GapRecord]) -> Estimates:
         TorchidError: of other kinematics.
     """
     refuse_other_kinematics({label: r.model for label, r in records.items()})
-    own = list(records.values())
+    own, numbers = list(records.values()), range(len(records))
     causes, named, sizes = [], [], []
     for members in _causes([r.which for r in own]):
         place = max((_place(e) for e in members.values()), key=len)
         effects = [e for e, _ in Counter(e.effect for e in members.values()).most_common()]
         label = effect_label(" or ".join(effects), place)
-        hidden = [
-            [
-                e.smallest_detectable
-                for e in r.not_testable
-                if k not in members
-                and e.effect in effects
-                and tuple(j + 1 for j in e.joints[:1]) == place
-            ]
+        hidden = {
+            k: e.smallest_detectable
             for k, r in enumerate(own)
-        ]
-        states: list[State] = ["not_testable" if unseen else "not_found" for unseen in hidden]
-        for k in members:
-            states[k] = "named"
-        smallest = tuple(unseen[0] if unseen else None for unseen in hidden)
-        causes.append(ComparedCause(label=label, states=tuple(states), smallest=smallest))
+            for e in r.not_testable
+            if e.effect in effects and tuple(j + 1 for j in e.joints[:1]) == place
+        }
+        unseen: list[State] = ["not_testable" if k in hidden else "not_found" for k in numbers]
+        states = tuple("named" if k in members else unseen[k] for k in numbers)
+        smallest = tuple(None if k in members else hidden.get(k) for k in numbers)
+        causes.append(ComparedCause(label=label, states=states, smallest=smallest))
         coefficients = dict.fromkeys(
             (e.effect, name, e.unit.get(name, ""))
             for e in members.values()

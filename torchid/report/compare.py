@@ -45,24 +45,15 @@ def shown(found: Comparison) -> Shown:
 def verdict(found: Comparison) -> str:
     """What agrees, in sentences."""
     said = [f"{len(found.labels)} {found.kind} of {found.robot}."]
-    if found.causes:
-        every = [c.label for c in found.causes if "not_found" not in c.states
-                 and "not_testable" not in c.states]  # fmt: skip
+    every = [c.label for c in found.causes if set(c.states) == {"named"}]
+    some = [
+        f"{c.label}{' (not testable in all)' if 'not_testable' in c.states else ''}"
+        for c in found.causes
+        if c.label not in every
+    ]
+    if found.kind == "gap diagnoses":
         said.append(f"All name {listed(every)}." if every else "No effect is named in all.")
-        some = [
-            f"{c.label} ({', '.join(missing)})"
-            for c in found.causes
-            if (missing := [
-                f"{c.states.count(state)} {word}"
-                for state, word in (
-                    ("not_found", "did not find it"), ("not_testable", "could not test it")
-                )
-                if state in c.states
-            ])
-        ]  # fmt: skip
         said += [f"Only some name {listed(some)}."] if some else []
-    elif found.kind == "gap diagnoses":
-        said.append("None names an effect.")
     differ = sorted(found.having("differ"), key=lambda p: p.p)
     agree, open_ = (len(found.having(v)) for v in ("agree", "never_determined"))
     if differ or agree or open_:
