@@ -179,11 +179,8 @@ def between_of(files: Sequence[Path | str], robot: Robot) -> tuple[dict[str, Spr
             own = carriers.get(name, name)
             if std and std > found.get(own, Spread(0.0, "")).std:
                 found[own] = Spread(float(std), Path(file).name)
-        unknown += (
-            []
-            if any(std for _, std in rows)
-            else [f"{Path(file).name} tells of no spread: its sessions or units agree"]
-        )
+        if not any(std for _, std in rows):
+            unknown.append(f"{Path(file).name} tells of no spread: its sessions or units agree")
     return found, unknown
 
 

@@ -8,7 +8,6 @@ identity, its value is w_I' base, w_I being w's entries at the independent param
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import torch
 
@@ -28,27 +27,18 @@ POSITION, GRAVITY = 5e-3, 0.05
 as none."""
 
 
-@dataclass(frozen=True, eq=False)
-class Common:
-    """Estimates of the same D combinations by m results.
-
-    Attributes:
-        names, units: (D,) of the combinations, readable.
-        values, std: (D, m); nan where not estimated. What a fit held at zero is 0 without std.
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: Float[Tensor, "D m"]
-    std: Float[Tensor, "D m"]
-
-
-def common_basis(results: Mapping[str, IdentificationRecord]) -> Common:
+def common_basis(
+    results: Mapping[str, IdentificationRecord],
+) -> tuple[list[tuple[str, str]], Float[Tensor, "D m"], Float[Tensor, "D m"]]:
     """The results' estimates in one basis: the rigid body's of the result with the fewest, and
     every result's own effects.
 
     Args:
         results: by what to call them.
+
+    Returns:
+        Names and units of D combinations, values (D, m) and standard deviations (D, m) of the
+        results; nan where not estimated. What a fit held at zero is 0 without standard deviation.
 
     Raises:
         TorchidError: results of arms with different kinematics, or one that contradicts itself.
@@ -93,31 +83,30 @@ def common_basis(results: Mapping[str, IdentificationRecord]) -> Common:
         variance = ((turn @ record.covariance) * turn).sum(1).clamp(min=0)
         values.append(torch.where(known, turn @ record.values, torch.nan))
         std.append(torch.where(estimated, variance.sqrt(), torch.nan))
-    names, units = (tuple(getattr(bases[k], n)[b] for k, b in picked) for n in ("names", "units"))
-    return Common(names, units, torch.stack(values, 1), torch.stack(std, 1))
+    named = [(bases[k].names[b], bases[k].units[b]) for k, b in picked]
+    return named, torch.stack(values, 1), torch.stack(std, 1)
 
 
 def refuse_other_kinematics(robots: Mapping[str, Robot | None]) -> None:
     """Raise if kinematics, as far as they are known, differ."""
     known = [(label, robot) for label, robot in robots.items() if robot is not None]
     for label, two in known[1:]:
-        one, said = known[0][1], []
-        if one.joint_types != two.joint_types:
-            kinds = ("".join(t.value for t in r.joint_types) for r in (one, two))
-            said.append("joints " + " and ".join(kinds))
+        first, one = known[0]
+        said, kinds = "", ["".join(t.value for t in r.joint_types) for r in (one, two)]
+        if kinds[0] != kinds[1]:
+            said = f"joints {kinds[0]} and {kinds[1]}"
         else:
-            for what, a, b in (("before", one.before, two.before), ("after", one.after, two.after)):
-                apart = (a - b).abs().amax((1, 2))
-                if float(apart.max()) > POSITION:
-                    k = int(apart.argmax())
-                    said.append(f"the pose {what} joint {k + 1} differs by {float(apart[k]):.3g}")
-        if float((one.gravity - two.gravity).abs().max()) > GRAVITY:
-            said.append(f"gravity {one.gravity.tolist()} and {two.gravity.tolist()}")
+            apart = torch.maximum((one.before - two.before).abs(), (one.after - two.after).abs())
+            if float((most := apart.amax((1, 2))).max()) > POSITION:
+                k = int(most.argmax())
+                said = f"the pose of joint {k + 1} differs by {float(most[k]):.3g}"
+            elif float((one.gravity - two.gravity).abs().max()) > GRAVITY:
+                said = f"gravity {one.gravity.tolist()} and {two.gravity.tolist()}"
         if said:
             raise TorchidError(
                 "the results are of arms with different kinematics: their parameters are "
                 "different quantities.",
-                got=f"{known[0][0]} and {label}: {said[0]}",
+                got=f"{first} and {label}: {said}",
                 hint="identify all logs with the same robot file",
             )
 

@@ -26,13 +26,7 @@ from torchid.robot.library import named_robot
 from torchid.robot.model import Robot
 from torchid.robot.tree import Choice
 from torchid.statistics.multiple import benjamini_hochberg
-from torchid.statistics.random_effects import (
-    Sessions,
-    heterogeneity,
-    intervals,
-    means,
-    spreads,
-)
+from torchid.statistics.random_effects import Sessions, heterogeneity, intervals, means, spreads
 
 LEVEL = 0.05
 """Share of false ones among the coefficients that are said to differ."""
@@ -175,11 +169,10 @@ def compared(
         raise TorchidError("torque needs the robot.", expected="`robot=...`")
     if kind == "identifications":
         found = of_identifications({r.label: r.record for r in results}, robot)
-    elif kind == "gap diagnoses":
-        found = of_diagnoses({r.label: r.record for r in results})
-    else:
-        assert robot is not None
+    elif kind == "parameter sets" and robot is not None:
         found = of_sets({r.label: r.path for r in results}, robot)
+    else:
+        found = of_diagnoses({r.label: r.record for r in results})
     torque, notes = None, list(found.notes)
     if robot is not None and found.models:
         motion = common_motion(robot, on, seed, found.cutoff, found.reversal)
@@ -221,7 +214,6 @@ def _random_effects(found: Estimates) -> tuple[ComparedParameter, ...]:
         verdict: Verdict = "never_determined" if bool(unknown[k]) else "agree"
         if not (tested[k] and p[k] >= LEVEL):
             verdict = "differ" if tested[k] else "not_compared"
-        low, high = ends[k].tolist()
         out.append(
             ComparedParameter(
                 name=name,
@@ -233,7 +225,7 @@ def _random_effects(found: Estimates) -> tuple[ComparedParameter, ...]:
                 mean=float(population.centre[k]),
                 std=float(population.centre_variance[k].sqrt()),
                 between=float(between[k]) if tested[k] else math.nan,
-                between_ci95=(low, high),
+                between_ci95=tuple(ends[k].tolist()),
                 p=float(p[k]),
             )
         )

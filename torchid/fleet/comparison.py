@@ -106,10 +106,3 @@ class Comparison(Record, frozen=True, kw_only=True, tag="torchid.compare/2"):
     def having(self, *verdicts: Verdict) -> list[ComparedParameter]:
         """Coefficients of these verdicts."""
         return [p for p in self.parameters if p.verdict in verdicts]
-
-    def __repr__(self) -> str:
-        agree = len(self.having("agree"))
-        return (
-            f"Comparison('{self.robot}', {len(self.labels)} {self.kind}, {agree} of "
-            f"{len(self.parameters)} coefficients agree)"
-        )

@@ -84,7 +84,7 @@ def of_identifications(
             available=list(COLUMN_KINDS),
         )
     refuse_other_kinematics({label: r.model for label, r in records.items()})
-    common = common_basis(records)
+    named, values, std = common_basis(records)
     notes = []
     every = dict.fromkeys(e for r in records.values() for e in r.settings.effects)
     seen: dict[str, str] = {}
@@ -110,9 +110,9 @@ def of_identifications(
         notes.append("cut-offs differ: part of a difference may come from the filter")
     pairs = [_models(robot, r) for r in records.values()] if robot is not None else []
     return Estimates(
-        [(name, unit, "") for name, unit in zip(common.names, common.units, strict=True)],
-        common.values,
-        common.std,
+        [(*both, "") for both in named],
+        values,
+        std,
         torch.tensor([max(1.0, r.statistics.blocks - 1.0) for r in records.values()]).double(),
         ["no cut-off" if c is None else f"cut-off {c:g} Hz" for c in cutoffs],
         [model for model, _ in pairs],
@@ -173,10 +173,6 @@ def of_sets(files: Mapping[str, Path], robot: Robot) -> Estimates:
     )
 
 
-Place = tuple[int, ...]
-"""Joints from 1, and other places; none of the whole arm."""
-
-
 def of_diagnoses(records: Mapping[str, GapRecord]) -> Estimates:
     """Of gap diagnoses: the coefficients of the causes that they name.
 
@@ -210,7 +206,7 @@ def of_diagnoses(records: Mapping[str, GapRecord]) -> Estimates:
             for k, e in members.items():
                 value = e.parameters.get(name)
                 if e.effect == effect and isinstance(value, int | float):
-                    size[k] = torch.tensor([value, e.std.get(name) or torch.nan])
+                    size[k, 0], size[k, 1] = value, e.std.get(name) or torch.nan
             named.append((f"{name}{'_'.join(map(str, place))}", unit, label))
             sizes.append(size)
     notes = []
@@ -264,7 +260,8 @@ def _same(a: FoundEffect, b: FoundEffect) -> bool:
     return alike and (one == two or not (one and two))
 
 
-def _place(entry: FoundEffect) -> Place:
+def _place(entry: FoundEffect) -> tuple[int, ...]:
+    """Joints from 1, and other places; none of the whole arm."""
     kind = KINDS.get(entry.effect)
     fields = ("joint",) if kind is None else kind.__dataclass_fields__
     if entry.common or ("joint" not in fields and entry.effect != "link_inertia"):

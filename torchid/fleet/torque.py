@@ -19,7 +19,7 @@ from torchid.typing import Float, Tensor
 RANDOM, SECONDS, RATE = 5, 20.0, 25.0
 """Random trajectories of the common motion, their length [s] and sampling [Hz]."""
 
-SPEED, ACCELERATION = 2.0, 5.0
+ORDINARY = {"velocity": 2.0, "acceleration": 5.0}
 """Limits in place of those that a robot does not have [rad/s, rad/s^2; m]."""
 
 MEASURED = frozenset({"age", "velocity"})
@@ -64,22 +64,21 @@ def common_motion(
         motions = [p.motion._replace(t=p.t).part(slice(p.edge, p.samples - p.edge)) for p in parts]
         said = f"the motion of {', '.join(on.names)}"
         return CommonMotion(tuple(motions), said, tuple(parts) if measured else ())
-    limits, missing = robot.limits, []
-    for name, value in (("velocity", SPEED), ("acceleration", ACCELERATION)):
+    limits, missing = robot.limits, dict[str, float]()
+    for name, value in ORDINARY.items():
         given = getattr(limits, name)
         if given is None or not bool(torch.isfinite(given).all()):
-            bounds = torch.tensor([[-value, value]] * robot.n, dtype=torch.float64)
-            limits = replace(limits, **{name: bounds})
-            missing.append(f"{name} up to {value:g}")
+            missing[name] = value
+    bounded = robot.with_limits(**missing)
     if limits.position is not None and not bool(torch.isfinite(limits.position).all()):
-        limits = replace(limits, position=None)
-    bounded = replace(robot, limits=limits)
+        bounded = replace(bounded, limits=replace(bounded.limits, position=None))
     trajectories = random_trajectory(bounded, seed, count=RANDOM, fill=True, duration=SECONDS)
     random = trajectory_log(trajectories, RATE).trajectories()
     said = f"{RANDOM} random trajectories of {SECONDS:g} s within the limits"
+    up_to = ", ".join(f"{name} up to {value:g}" for name, value in missing.items())
     return CommonMotion(
         tuple(Motion(p.q, p.dq, p.ddq, t=p.t) for p in random),  # type: ignore[arg-type]
-        said + (f" ({', '.join(missing)})" if missing else ""),
+        f"{said} ({up_to})" if up_to else said,
     )
 
 

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from torchid.fleet.comparison import ComparedParameter, Comparison, TorqueSpread, Verdict
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
-from torchid.report.panels import Figure, Figures, finish, panel, rows_of
+from torchid.report.panels import Figure, finish, panel, rows_of
 from torchid.report.table import Cell, Shown, Table, cell, cells, joint_numbers
 from torchid.results.words import count, listed, short, unit_behind
 from torchid.statistics.proportion import HALF_95
@@ -32,14 +32,13 @@ MOST_COLUMNS = 3
 LONGEST = 20
 """Characters of a coefficient's name in the table; the JSON has all of it."""
 
-MOST_NAMED = 3
-"""Coefficients that differ, of which the verdict tells the values."""
-
 
 def shown(found: Comparison) -> Shown:
     """All that there is to see of a comparison."""
-    parts = [parameter_table(found), torque_table(found)]
-    return Shown(verdict=verdict(found), parts=parts, warnings=found.notes, figures=figures(found))
+    parts, drawn = [parameter_table(found), torque_table(found)], partial(forest_figure, found)
+    return Shown(
+        verdict=verdict(found), parts=parts, warnings=found.notes, figures={"parameters": drawn}
+    )
 
 
 def verdict(found: Comparison) -> str:
@@ -65,7 +64,7 @@ def verdict(found: Comparison) -> str:
     if differ:
         named = [
             f"{p.name} {' -> '.join(cells(p.own))} {unit_behind(p.unit)}".rstrip()
-            for p in differ[:MOST_NAMED]
+            for p in differ[:3]
         ]
         said.append(f"Most significant: {'; '.join(named)}.")
     if len(differ) > agree + open_:
@@ -102,7 +101,7 @@ def torque_sentence(t: TorqueSpread, found: Comparison) -> str:
 def parameter_table(found: Comparison) -> Table:
     """Every coefficient: under its cause, or with those of its verdict."""
     wide = len(found.labels) <= MOST_COLUMNS
-    groups: list[tuple[list[Cell], list[ComparedParameter]]] = []
+    rows: list[list[Cell]] = []
     for cause in found.causes:
         states = [
             state.replace("_", " ") + ("" if least is None else f" below {least:.2g}")
@@ -110,13 +109,10 @@ def parameter_table(found: Comparison) -> Table:
         ]
         states = states if wide else [f"{cause.states.count('named')} name it", ""]
         own = [p for p in found.parameters if p.cause == cause.label]
-        groups.append(([Text(cause.label, "bold"), *states], own))
-    if not found.causes:
-        groups = [([Text(word, "bold")], found.having(v)) for v, word in WORDS.items()]
-    rows: list[list[Cell]] = []
-    for head, own in groups:
-        if found.causes or own:
-            rows += [head, *([*_row(p, wide)] for p in own), []]
+        rows += [[Text(cause.label, "bold"), *states], *(_row(p, wide) for p in own), []]
+    for kind, word in WORDS.items() if not found.causes else ():
+        if own := found.having(kind):
+            rows += [[Text(word, "bold")], *(_row(p, wide) for p in own), []]
     labels = [f"{name}\n{said}" for name, said in zip(found.labels, found.about, strict=True)]
     columns = ("", *(labels if wide else ("lowest", "highest")), "mean", "spread", "p")
     empty = [""] * len(columns)
@@ -169,16 +165,12 @@ CLIP = 10.0
 """Standard deviations beyond which a value is drawn at the edge."""
 
 
-def figures(found: Comparison) -> Figures:
-    """The forest of coefficients; tables say the rest."""
-    tested = found.having("differ", "agree", "never_determined")
-    return {"parameters": partial(forest_figure, found)} if tested else {}
-
-
-def forest_figure(found: Comparison) -> Figure:
+def forest_figure(found: Comparison) -> Figure | None:
     """95 % intervals of every result about the mean, in the geometric mean of the standard
     deviations; the spread between results is the grey bar."""
     drawn = [p for v in ("differ", "agree", "never_determined") for p in found.having(v)]
+    if not drawn:
+        return None
     m = len(found.labels)
     figure, axes = panel(10, 1.6 + (0.2 + 0.05 * m) * len(drawn))
     for row, p in enumerate(drawn):
@@ -196,8 +188,7 @@ def forest_figure(found: Comparison) -> Figure:
             axes.plot(max(-CLIP, min(CLIP, x)), y, marker, color=colour, markersize=3.2)
     axes.axvline(0, color=GREY, linewidth=0.8)
     axes.set_xlim(-CLIP - 0.5, CLIP + 0.5)
-    names = [f"{p.name}, {p.cause}" if p.cause else p.name for p in drawn]
-    rows_of(axes, [short(name, 44) for name in names])
+    rows_of(axes, [short(", ".join(filter(None, (p.name, p.cause))), 44) for p in drawn])
     axes.set_xlabel(
         "value - mean, in the geometric mean of the standard deviations (lines: 95 %; grey: spread "
         "of the results)\nred: differs, black: agrees, grey: never determined; triangles lie "
@@ -205,8 +196,8 @@ def forest_figure(found: Comparison) -> Figure:
     )
     for name, p in zip(axes.get_yticklabels(), drawn, strict=True):
         name.set_color(SHADES.get(p.verdict, INK))
-    keys = {
-        label: {"color": COLOURS[k % len(COLOURS)], "marker": "o", "markersize": 4}
-        for k, label in enumerate(found.labels)
-    }
+    styles = (
+        {"color": COLOURS[k % len(COLOURS)], "marker": "o", "markersize": 4} for k in range(m)
+    )
+    keys = dict(zip(found.labels, styles, strict=True))
     return finish(figure, f"{found.robot}: do {count(m, 'result')} agree?", keys=keys)
