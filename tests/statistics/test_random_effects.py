@@ -175,3 +175,13 @@ def test_heterogeneity_keeps_its_level_with_few_degrees_of_freedom() -> None:
     data = Sessions(x, true.square() * drawn, torch.arange(3))
     p = heterogeneity(data, torch.full((3,), float(nu), dtype=torch.float64))
     assert 0.04 < (p < 0.05).double().mean() < 0.06
+
+
+def test_few_units_of_unequal_noise_are_not_odd_by_chance() -> None:
+    """The tail of the distances from the others, which decides among many quantities."""
+    g = torch.Generator().manual_seed(1)
+    v = 0.01 * 10 ** (2 * torch.rand(600, 4, generator=g, dtype=torch.float64) - 1)
+    y = 5 + v.sqrt() * torch.randn(600, 4, generator=g, dtype=torch.float64)
+    found = pooled(Sessions(y, v, torch.arange(4)))
+    assert (found.p < 1e-3).double().mean() < 2e-3
+    assert found.deviation.abs().max() < 5

@@ -439,8 +439,9 @@ def _deviations(
     # For a counted unit, against a mean with it: var(m_u - mu) = V_u - 1 / whole.
     size = (spread - 1 / whole).clamp(min=1e-300).sqrt()
     inner = (every.mean - others.centre.unsqueeze(1)) / size
-    square = inner.square().clamp(max=(units - 1).double() * (1 - 1e-12))
-    outer = inner * ((units - 2) / (units - 1 - square)).clamp(min=0).sqrt()
+    # Without the unit the spread shrinks, at most to what its own sessions leave open.
+    shrinks = (units - 1 - inner.square()) / (units - 2).clamp(min=1)
+    outer = inner / shrinks.maximum(every.variance / spread).clamp(min=1e-12).sqrt()
     apart = (every.mean - mean) / (spread + 1 / left).sqrt()
     t = torch.where(counted, outer, apart)
     freedom = torch.where(counted, units - 2, units - 1).double()
