@@ -85,6 +85,15 @@ def test_without_the_robot_there_is_no_torque(tmp_path):
         compare_results(paths, on=torchid.Log([0.0, 0.1], [[0.1] * 3, [0.2] * 3]))
 
 
+def test_a_base_parameter_of_no_parameter_is_refused(tmp_path):
+    paths = several(tmp_path, 2)
+    data = json.loads(paths[1].read_text())
+    data["base_names"][0] = ""
+    paths[1].write_text(json.dumps(data))
+    with pytest.raises(TorchidError, match="not a complete identification"):
+        compare_results(paths)
+
+
 def test_the_record_is_json_and_is_read_back(tmp_path):
     found = compare_results(several(tmp_path, 3))
     found.save(tmp_path / "compare.json")
