@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from tests.arms import mixed_arm
-from tests.compare.records import identification
 from tests.excitation.usage import limit_usage
+from tests.fleet.records import identification
 from tests.marks import some
 from tests.oracles import PinocchioOracle
 from torchid.effects.friction import CoulombFriction, ViscousFriction

@@ -14,9 +14,10 @@ import pytest
 import torch
 
 import torchid
+from tests.fleet.records import several
 from tests.gap.small_logs import ONCE, ROBOT, Recording, arm, carrying, friction, logged
 from torchid.errors import TorchidError
-from torchid.export.randomise import randomise
+from torchid.export.randomise import between_of, randomise
 from torchid.gap.record import GapRecord
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
@@ -169,6 +170,18 @@ def test_the_spread_of_units_widens_the_ranges(found: GapRecord, tmp_path: Path)
     expected = (float(own[:, 0].var()) + 0.05**2) ** 0.5
     assert float(drawn[:, 0].std()) == pytest.approx(expected, rel=0.1)
     assert any("Fv9" in sentence for sentence in wide.warnings)
+
+
+def test_the_spread_of_compared_results_is_read(tmp_path: Path) -> None:
+    paths = several(tmp_path, 2)
+    data = json.loads(paths[1].read_text())
+    data["base_values"][data["base_names"].index("Fv2")] += 1.0
+    paths[1].write_text(json.dumps(data))
+    found = torchid.compare_results(paths)
+    found.save(tmp_path / "compare.json")
+    between, unknown = between_of([tmp_path / "compare.json"], torchid.load_robot("3r_friction"))
+    assert between["Fv2"].std == pytest.approx(1 / 2**0.5, rel=0.2)
+    assert not unknown
 
 
 def test_files_hold_what_was_drawn_and_run_in_their_packages(

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from tests.arms import arm, consistent_parameters, relative
-from tests.compare.records import identification as identified
 from tests.export.arms import FRICTION, exported, with_other
+from tests.fleet.records import identification as identified
 from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_others, on_every_joint
 from torchid.errors import TorchidError

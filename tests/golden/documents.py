@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from typer.testing import CliRunner
 
-from tests.compare.test_diagnoses import diagnosis, named
 from tests.fleet.simulated import Plan, make
+from tests.gap_files import diagnosis, named
 from tests.gap_files import hidden as untested
 from tests.withheld.fakes import answer, entry
 from torchid.app.commands import app

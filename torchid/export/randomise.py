@@ -62,11 +62,7 @@ CANDIDATES = 8
 NEARLY = 1e-3
 """Share of what is left of the log's torque that the centre's bodies may add to it."""
 
-SPREADS = (
-    "torchid.compare/1 identifications",
-    "torchid.compare/1 gap diagnoses",
-    "torchid.fleet/1",
-)
+SPREADS = "torchid.compare/2", "torchid.fleet/1"
 
 
 @dataclass(frozen=True)
@@ -174,23 +170,17 @@ def between_of(files: Sequence[Path | str], robot: Robot) -> tuple[dict[str, Spr
     for file in files:
         kinds = "a comparison of identifications or diagnoses, or a fleet"
         data = read(file, SPREADS, kinds, "`torchid compare`, `torchid fleet identify`").plain()
-        rows: list[tuple[str, float | None]] = []
-        for one in data.get("parameters", ()):
-            # Units differ, and so do days of one unit.
-            parts = [one[k] for k in ("between_std", "unit_std", "day_std") if one.get(k)]
-            rows.append((one["name"], math.hypot(*parts) if parts else None))
-        for cause in data.get("effects", ()):
-            place = "_".join(map(str, cause["joints"]))
-            rows += [(f"{c['name']}{place}", c["between_std"]) for c in cause["coefficients"]]
+        # Units differ, and so do days of one unit.
+        rows = [
+            (one["name"], math.hypot(*(one.get(key) or 0.0 for key in ("unit_std", "day_std"))))
+            for one in data["parameters"]
+        ]
         for name, std in rows:
             own = carriers.get(name, name)
             if std and std > found.get(own, Spread(0.0, "")).std:
                 found[own] = Spread(float(std), Path(file).name)
-        unknown += (
-            []
-            if any(std for _, std in rows)
-            else [f"{Path(file).name} tells of no spread: its sessions or units agree"]
-        )
+        if not any(std for _, std in rows):
+            unknown.append(f"{Path(file).name} tells of no spread: its sessions or units agree")
     return found, unknown
 
 
