@@ -7,13 +7,11 @@ from functools import cached_property
 import numpy as np
 
 from torchid.doctor import clock, motion, torque, velocity
-from torchid.doctor.branches import check_branches
 from torchid.doctor.check import Check
 from torchid.doctor.estimates import check_excitation, check_gravity, check_lag, check_side
 from torchid.doctor.faults import fault_checks, unseen
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
-from torchid.doctor.limits import check_limits
 from torchid.doctor.number_format import check_number_format
 from torchid.doctor.record import CheckRecord, DoctorRecord, Examined
 from torchid.doctor.repair import Repair, Scale, repaired
@@ -245,8 +243,6 @@ def _with_model(
     if not first:
         more += [
             *check_nominal(judge, now, end),
-            *check_branches(judge, end),
-            *(check_limits(judge, end) if found.explained else ()),
             check_side(judge, found),
             check_excitation(judge, end, now),
             *unseen(judge, found),
