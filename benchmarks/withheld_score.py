@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from withheld_figures import figures
 from withheld_page import markdown
 
 from torchid.design.columns import Columns, Model
@@ -38,6 +39,7 @@ from torchid.json_data import read_json, write_json
 from torchid.log.columns import log_from_columns
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress, cores
+from torchid.report.panels import save
 from torchid.report.withheld import headline, score_table
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
@@ -200,7 +202,7 @@ def true_share(
 
 
 def main() -> None:
-    """Score a set, and write score.json and score.md."""
+    """Score a set, and write score.json, score.md and its figures."""
     parser = argparse.ArgumentParser(description="Score a set beside its references.")
     parser.add_argument("folder", type=Path, help="a set of cases, from `torchid withheld make`")
     parser.add_argument("--keys", type=Path, help="what was planted (default: DIR.keys.json)")
@@ -224,7 +226,8 @@ def main() -> None:
     result = summary(cases, keys, answers, oracle=oracle, truly_closed=truth)
     given.out.mkdir(parents=True, exist_ok=True)
     write_json(result, given.out / "score.json")
-    (given.out / "score.md").write_text(markdown(result), encoding="utf-8")
+    drawn = [save(draw(), given.out / f"{name}.png").name for name, draw in figures(result).items()]
+    (given.out / "score.md").write_text(markdown(result, drawn), encoding="utf-8")
     print(headline(result), score_table(result).markdown(), sep="\n\n")
 
 

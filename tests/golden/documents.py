@@ -186,9 +186,8 @@ def _own(bench: Bench) -> dict[str, Any]:
     ]
     settings = GapSettings(effects=("coulomb_friction", "torque_offset"), rollout=False)
     found = withheld_own(
-        load_robot("3r"), logs[0], untouched=logs[1], settings=settings,
-        plant=["torque_offset"], joints=[0],
-    )  # fmt: skip
+        load_robot("3r"), logs[0], untouched=logs[1], settings=settings
+    )
     return json.loads(json.dumps({**found.plain(), "seed": 0}))
 
 

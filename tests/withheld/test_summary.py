@@ -7,12 +7,13 @@ import pytest
 from tests.benchmarks import loaded
 from tests.withheld.fakes import answer, draw_case, entry, key_of
 from torchid.errors import TorchidError
-from torchid.report.withheld import LINES, figures, headline, score_table
+from torchid.report.withheld import LINES, headline, score_table
 from torchid.withheld.case_set import CaseSet
 from torchid.withheld.score import require_answers, summary
 
 references = loaded("withheld_score")
 markdown = loaded("withheld_page").markdown
+figures = loaded("withheld_figures").figures
 
 RIGHT = answer("explained", entry("coulomb_friction", "sign", 2))
 WRONG = answer("explained", entry("viscous_friction", "speed", 1))
