@@ -28,7 +28,7 @@ def run(*arguments: object) -> str:
     return done.output
 
 
-@pytest.mark.parametrize("to", ["urdf", "mjcf", "yaml", "csv", "c"])
+@pytest.mark.parametrize("to", ["urdf", "mjcf", "yaml", "c"])
 def test_every_format(tmp_path, to):
     record = tmp_path / "r.json"
     out = tmp_path / "out"

@@ -19,7 +19,7 @@ from torchid.robot.config_files import names_robot
 
 Simulated = Literal["mjcf", "urdf", "mujoco", "mjlab", "isaaclab", "gazebo"]
 """What a corrected file can be for; the last four read one of the first two."""
-Format = Literal["urdf", "mjcf", "yaml", "csv", "c", "isaaclab", "mjlab"]
+Format = Literal["urdf", "mjcf", "yaml", "c", "isaaclab", "mjlab"]
 
 
 @command
@@ -42,7 +42,7 @@ def export_command(
     seed: opt.Seed = 0,
     output: Annotated[Computed, "export_{to}.json", "randomisation.json"],
 ) -> None:
-    """Write identified dynamics into a copy of your URDF or MJCF, as yaml, as a table, or as C.
+    """Write identified dynamics into a copy of your URDF or MJCF, as yaml, or as C.
 
     Every file is reloaded, also by Pinocchio and MuJoCo where they are installed, and its torque
     compared with the result's; what does not agree is not kept. Without --out, it is written to
