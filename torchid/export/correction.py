@@ -122,8 +122,8 @@ def correction_record(done: Correction) -> CorrectionRecord:
         "servos_without": tuple(UnsaidRow(parameter=k, joints=j) for k, j in done.no_field.items())
     }
     if projection is not None:
-        bodies = projection.robot.require_parameters("a correction")
-        bodies = BodiesRecord.of(projection, bodies, fields=projection.robot.effects)
+        given = projection.robot.require_parameters("a correction")
+        bodies = BodiesRecord.of(projection, given, fields=projection.robot.effects)
         own = {"no_field": projection.kept, "bodies": bodies}
     return CorrectionRecord(
         robot=done.nominal.name,
