@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from torchid.report.withheld import LINES, Line
-from torchid.withheld.measures import median, named, rate
+from torchid.statistics.resampling import percentile_interval
+from torchid.withheld.measures import drawn_cases, named, rate
 from torchid.withheld.score import Scored
 
 CLOSES = 0.1
@@ -80,6 +81,15 @@ def _closed_coverage(cases: Sequence[Scored], truly_closed: Mapping[str, float])
         for c in cases
         if c.closed_ci95 is not None and c.case in truly_closed
     )
+
+
+def median(values: Sequence[float]) -> dict[str, Any]:
+    """A median with an interval over cases; None of nothing."""
+    if not values:
+        return {"median": None, "ci95": None, "cases": 0}
+    drawn = np.median(np.array(values)[drawn_cases(len(values))], axis=1)
+    interval = list(percentile_interval(drawn))
+    return {"median": float(np.median(values)), "ci95": interval, "cases": len(values)}
 
 
 def confusion(cases: Iterable[Scored]) -> dict[str, dict[str, int]]:

@@ -6,11 +6,13 @@ import pytest
 
 from tests.benchmarks import loaded
 from tests.withheld.fakes import answer, entry
-from torchid.withheld.measures import median, micro_f1, rate
+from torchid.withheld.measures import micro_f1, rate
 from torchid.withheld.score import Scored, scored, scores
 
 extra = loaded("withheld_beside")
-beside, confusion, detection = extra.beside, extra.confusion, extra.detection
+beside, confusion, detection, median = (
+    getattr(extra, name) for name in ("beside", "confusion", "detection", "median")
+)
 
 RIGHT = entry("coulomb_friction", "sign", 2)
 WRONG = entry("viscous_friction", "speed", 1)
