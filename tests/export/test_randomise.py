@@ -14,10 +14,9 @@ import pytest
 import torch
 
 import torchid
-from tests.fleet.records import several
 from tests.gap.small_logs import ONCE, ROBOT, Recording, arm, carrying, friction, logged
 from torchid.errors import TorchidError
-from torchid.export.randomise import between_of, randomise
+from torchid.export.randomise import randomise
 from torchid.gap.record import GapRecord
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
@@ -133,55 +132,6 @@ def test_explanations_that_are_as_good_are_drawn_by_their_odds(found: GapRecord)
     assert row.low < 2.01
     assert row.high > 2.49
     assert "25 % of the draws" in row.why
-
-
-def test_the_spread_of_units_widens_the_ranges(found: GapRecord, tmp_path: Path) -> None:
-    base = base_parameters(ROBOT)
-    of_a_fleet = {
-        "schema": "torchid.fleet/1",
-        "robot": "3r",
-        "version": "0",
-        "base_names": list(base.names),
-        "parameters": [
-            {
-                "name": name, "unit": "", "mean": 0.0, "std": 0.0, "ci95": [0.0, 0.0],
-                "unit_std": std, "unit_std_ci95": [0.0, 0.0], "day_std": day,
-                "day_std_ci95": [0.0, 0.0], "noise_std": 0.0, "units": 5, "sessions": 9,
-                "sessions_needed": None,
-            }
-            for name, std, day in (("Fc2", 0.3, 0.4), (base.names[0], 0.05, 0.0), ("Fv9", 1.0, 0.0))
-        ],
-        "odd": [], "units": [], "sessions": [], "logs": [], "one_fit": [], "one_fit_noise": [],
-        "settings": {
-            "effects": [], "cutoff_hz": 10.0, "reversal": 0.1, "rows": "all", "basis": None,
-            "level": 0.01,
-        },
-        "notes": [],
-    }  # fmt: skip
-    file = tmp_path / "fleet.json"
-    file.write_text(json.dumps(of_a_fleet))
-    wide = randomise(found, spread=[file])
-    (row,) = (r for r in wide.ranges if (r.field, r.name) == ("friction", "joint_2"))
-    # Units and days of a unit add up: 0.5 N m.
-    assert (row.high - row.low) / (2 * 1.96) == pytest.approx(0.5, rel=0.05)
-    assert "0.5 in fleet.json" in row.why
-    drawn = base.project(InertialParameters(wide.draws.pi).to_paper_order())
-    own = base.project(InertialParameters(randomise(found).draws.pi).to_paper_order())
-    expected = (float(own[:, 0].var()) + 0.05**2) ** 0.5
-    assert float(drawn[:, 0].std()) == pytest.approx(expected, rel=0.1)
-    assert any("Fv9" in sentence for sentence in wide.warnings)
-
-
-def test_the_spread_of_compared_results_is_read(tmp_path: Path) -> None:
-    paths = several(tmp_path, 2)
-    data = json.loads(paths[1].read_text())
-    data["base_values"][data["base_names"].index("Fv2")] += 1.0
-    paths[1].write_text(json.dumps(data))
-    found = torchid.compare_results(paths)
-    found.save(tmp_path / "compare.json")
-    between, unknown = between_of([tmp_path / "compare.json"], torchid.load_robot("3r_friction"))
-    assert between["Fv2"].std == pytest.approx(1 / 2**0.5, rel=0.2)
-    assert not unknown
 
 
 def test_files_hold_what_was_drawn_and_run_in_their_packages(

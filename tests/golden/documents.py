@@ -185,10 +185,7 @@ def _own(bench: Bench) -> dict[str, Any]:
         for part, runs in enumerate(((0, 1, 0), (3, 4, 3)))
     ]
     settings = GapSettings(effects=("coulomb_friction", "torque_offset"), rollout=False)
-    found = withheld_own(
-        load_robot("3r"), logs[0], untouched=logs[1], settings=settings,
-        plant=["torque_offset"], joints=[0],
-    )  # fmt: skip
+    found = withheld_own(load_robot("3r"), logs[0], untouched=logs[1], settings=settings)
     return json.loads(json.dumps({**found.plain(), "seed": 0}))
 
 

@@ -30,7 +30,6 @@ RECORDS = {
     "torchid.position_motion/1": "torchid.position.next_motion:NextCommandsRecord",
     "torchid.replay/1": "torchid.position.model:ReplayRecord",
     "torchid.correction/1": "torchid.export.record:CorrectionRecord",
-    "torchid.position_correction/1": "torchid.export.record:PositionCorrectionRecord",
     "torchid.randomisation/1": "torchid.export.record:RandomisationRecord",
     "torchid.export/1": "torchid.export.record:ExportRecord",
     "torchid.doctor/1": "torchid.doctor.record:DoctorRecord",
