@@ -19,7 +19,7 @@ from torchid.position.data import WINDOW_S, PositionData, missing_commands, prep
 from torchid.position.diagnosis import GAP, Accuracy, PositionDiagnosis, PositionFinding, Size
 from torchid.position.early import EarlyAnswer
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, neutral
-from torchid.position.equal import OF_TYPE, pooled
+from torchid.position.equal import OF_TYPE, pooled, with_data_sheets
 from torchid.position.fit import NOISE, VALLEYS, errors, errors_of_one, fit
 from torchid.position.judge import (
     Equations,
@@ -76,6 +76,7 @@ def diagnose_positions(
     held_out: Log | None = None,
     trusted: bool = False,
     types: Sequence[str] = (),
+    sheets: Sequence[Mapping[str, float]] = (),
     start: ServoArm | None = None,
     worthwhile: float = WORTHWHILE,
     progress: Callable[[str, int, int], None] | None = None,
@@ -93,6 +94,7 @@ def diagnose_positions(
         start: the arm that the robot's own file describes. Where its servos follow all joints
             nothing is sought; else what is found is held against them.
         types: of the joints' servos: those of one name are units of one type.
+        sheets: what their makers say of them, values by parameter.
         worthwhile: least share of a joint's error by which a cause must lower it to be named.
         progress: called with the stage, steps done and steps in all.
         watch: called with an `Answer` of status `searching` whenever more is known.
@@ -140,6 +142,10 @@ def diagnose_positions(
     say("how far it goes")
     known = equations(data, found.servos, found.free, more, trusted=trusted)
     odd: tuple[str, ...] = ()
+    if any(sheets):
+        known = with_data_sheets(known, sheets, ~still)
+        found = replace(found, servos=known.servos)
+        answered = replace(answered, found=found)
     if len(set(types) - {""}) and data.weighed:
         known, odd = _of_one_type(data, known, found, types, ~still, few)
         found = replace(found, servos=known.servos)
@@ -149,6 +155,7 @@ def diagnose_positions(
     deviation = known.deviations()[:, known.names.index("kp")]
     # A joint at rest tells no torque either.
     anchored = torch.tensor([t != "" for t in types or [""] * servos.n])
+    anchored |= torch.tensor(["kp" in sheet for sheet in sheets or [{}] * servos.n])
     ratio_only = (_ratio_only(known) & ~anchored) | (deviation > RATIO) | (not data.weighed)
     findings = _findings(answered, known, few, ratio_only)
     unknown = still | ratio_only
