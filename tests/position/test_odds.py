@@ -1,8 +1,9 @@
 """How sure an effect of a servo is."""
 
 import pytest
+import torch
 
-from torchid.position.odds import effect_sure
+from torchid.position.odds import alike_rises, effect_sure
 from torchid.results.replication import MotionScale, replication_of
 
 
@@ -37,3 +38,34 @@ def test_motions_that_want_another_factor_make_it_less_sure(factors):
 
 def test_more_numbers_need_more():
     assert sure(1.3, 1.0, numbers=4) < sure(1.3, 1.0, numbers=1)
+
+
+def test_motions_that_can_hardly_tell_say_nothing():
+    telling = again(1.0, 1.02, 0.97, 1.01)
+    wild = [MotionScale("far", 0.0, 10.0, -4e5, 3e5), MotionScale("near", 0.0, 10.0, 12.0, 4.0)]
+    more = replication_of([*telling.motions, *wild])
+    assert sure(10.0, 1.0, replication=more) == pytest.approx(sure(10.0, 1.0, replication=telling))
+
+
+def test_joints_that_agree_on_a_size_make_it_surer():
+    alike = alike_rises(torch.tensor([40.1, 39.6, 40.3, 39.9]), torch.full((4,), 0.4))
+    apart = alike_rises(torch.tensor([40.1, 15.0, 90.0, 39.9]), torch.full((4,), 0.4))
+    unknown = alike_rises(torch.tensor([40.1, 15.0, 90.0, 39.9]), torch.full((4,), 400.0))
+    assert bool((alike > 2).all())
+    # They may be servos of several types: at most half of the odds go.
+    assert bool(((apart < 0.5) & (apart > -1.4)).all())
+    assert float(apart.min()) < -1.3
+    assert bool((unknown.abs() < 0.02).all())
+    assert alike_rises(torch.tensor([40.1]), torch.tensor([0.4])).tolist() == [0.0]
+
+
+def test_a_law_and_a_stand_in_are_told_apart_by_their_joints():
+    """Sizes of a law are drawn with the spread of one type, those of stand-ins with another's."""
+    g = torch.Generator().manual_seed(5)
+    std = torch.full((6,), 0.05, dtype=torch.float64)
+
+    def mean_rise(spread: float) -> float:
+        draws = 1 + spread * torch.randn(200, 6, generator=g, dtype=torch.float64)
+        return float(torch.stack([alike_rises(x.clamp(min=0.05), std) for x in draws]).mean())
+
+    assert mean_rise(0.05) > 1.0 > 0.0 > mean_rise(0.6)

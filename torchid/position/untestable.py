@@ -15,7 +15,7 @@ from torchid.simulation.servo_loop import Windows
 from torchid.typing import Bool, Tensor
 
 USUAL = {
-    "kd": 0.01, "integral": 0.5, "stiction": 0.01, "dead_zone": 0.005, "scale": 0.05, "lag": 0.02,
+    "kd": 0.03, "integral": 0.5, "stiction": 0.01, "dead_zone": 0.005, "scale": 0.05, "lag": 0.02,
     "motor_share": 0.1, "load_share": 0.1,
 }  # fmt: skip
 """Sizes that servos have, torques as shares of kp. What acts only beyond a limit is none of them: a
