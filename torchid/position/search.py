@@ -286,6 +286,8 @@ def _scanned(data: PositionData, now: Found, windows: Windows) -> Found:
         column *= torch.tensor(factors, dtype=torch.float64)[:, None]
         best = _tried(data, sets, windows).argmin(1)
         rows = torch.where(joints, best, torch.full_like(best, factors.index(1.0)))
+        if bool((rows == factors.index(1.0)).all()):
+            continue
         joint = sets.joint[rows, torch.arange(data.robot.n)]
         servos = fit(data, replace(now.servos, joint=joint), now.free, windows, iterations=2)
         now = replace(now, servos=servos)

@@ -57,7 +57,7 @@ def verdict(found: Comparison) -> str:
     agree, open_ = (len(found.having(v)) for v in ("agree", "never_determined"))
     if differ or agree or open_:
         parts = [f"{agree} agree", f"{len(differ)} differ{'s' * (len(differ) == 1)}"]
-        parts += [f"{open_} cannot be told from zero in any"] if open_ else []
+        parts += [f"{open_} may be zero in all"] if open_ else []
         said.append(f"Of the coefficients in common {listed(parts)}.")
     elif found.kind != "gap diagnoses":
         said.append("No coefficient has a standard deviation in two results: none is tested.")
