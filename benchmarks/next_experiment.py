@@ -26,7 +26,7 @@ import torch
 
 from torchid.effects.base import Motion
 from torchid.effects.registry import KINDS, Valued, effect_from_record, nominal_effects
-from torchid.excitation.design import optimise_trajectory
+from torchid.excitation.design import excite
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory
@@ -135,8 +135,8 @@ def members(robot: Robot, log: Log, found: Diagnosis, names: tuple[str, ...]) ->
 def next_motion(robot: Robot, found: Diagnosis, usage: float, seed: int) -> Separation:
     """As `torchid excite --for` designs it."""
     left = open_questions(found.record, robot, "gap.json")
-    plain = optimise_trajectory(
-        robot, seed=seed, restarts=RESTARTS, usage=usage, duration=DURATION
+    plain = excite(
+        robot, effects=(), seed=seed, restarts=RESTARTS, usage=usage, duration=DURATION
     ).trajectory
     return design_separation(
         left.setting, rivals(left, plain), plain, seed=seed, evaluations=EVALUATIONS, usage=usage

@@ -36,6 +36,7 @@ SETUP = (
     "gain_units", "gravity_compensation", "friction_never_applied", "armature_zero", "clipped_torque",
     "held_control", "joint_order", "sign", "time_step",
 )  # fmt: skip
+"""Faults of the set-up; those of all joints' friction and rotors are said as effects."""
 EFFECTS = (
     "coulomb_friction", "viscous_friction", "stribeck_friction", "torque_offset", "rotor_inertia",
     "joint_spring", "payload",
@@ -238,8 +239,10 @@ def _drawn(rng: np.random.Generator, equal: bool) -> Pair:
         words = ("simulator weightless", "arm compensated beside its log", "feed-forward")[which]
     elif kind == "friction_never_applied":
         simulated.plant = replace(plain, damping=0 * damping, friction=0 * friction)
+        answers, only = {"coulomb_friction", "viscous_friction"}, "arm"
     elif kind == "armature_zero":
         simulated.plant = replace(plain, armature=0 * armature)
+        answers, only = {"rotor_inertia"}, "arm"
     elif kind == "held_control":
         simulated.hold, real.hold = int(rng.choice([20, 33, 50])), 1
         simulated.hold_torque = bool(rng.integers(2)) and simulated.hold <= 20

@@ -4,6 +4,8 @@ cases that went wrong. `withheld_score.py` and `withheld_left_out.py` write it."
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from withheld_beside import ALL_LINES
+
 from torchid.report.table import pipe_table
 from torchid.report.withheld import Summary, headline, score_table
 
@@ -19,9 +21,9 @@ def markdown(summary: Summary, drawn: Sequence[str] = ()) -> str:
     kinds = ", ".join(f"{kind} {count}" for kind, count in sorted(summary["kinds"].items()))
     parts = [
         f"# Withheld cases: seed {summary['seed']}",
-        f"{headline(summary)} Kinds: {kinds}. SHA-256 of the keys: `{summary['keys_sha256']}`. "
+        f"{headline(summary, ALL_LINES)} Kinds: {kinds}. SHA-256 of the keys: `{summary['keys_sha256']}`. "
         f"torchid {summary['scored_with']}. Intervals: 95 %.",
-        score_table(summary).markdown().rstrip(),
+        score_table(summary, ALL_LINES).markdown().rstrip(),
         *(f"![{name}]({name})" for name in drawn),
         "## Status by kind",
         counts_table("kind", scores["status"]),

@@ -24,6 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from withheld_beside import ALL_LINES, beside, closed_by
+from withheld_figures import figures
 from withheld_page import markdown
 
 from torchid.design.columns import Columns, Model
@@ -34,17 +36,18 @@ from torchid.gap.noise.floor import stuck
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import closed_share, levels
 from torchid.gap.validate.traces import traces
-from torchid.json_data import read_json, write_json
+from torchid.json_data import plain, read_json, write_json
 from torchid.log.columns import log_from_columns
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress, cores
+from torchid.report.panels import save
 from torchid.report.withheld import headline, score_table
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.withheld.case_set import CaseSet, keys_beside, read_answers, read_cases, read_keys
 from torchid.withheld.run import Job, default_settings, job_of, run, written
-from torchid.withheld.score import require_answers, summary
+from torchid.withheld.score import require_answers, scored, summary
 
 LEVEL = 0.5
 """At which the oracle accepts what it is told."""
@@ -200,7 +203,7 @@ def true_share(
 
 
 def main() -> None:
-    """Score a set, and write score.json and score.md."""
+    """Score a set, and write score.json, score.md and its figures."""
     parser = argparse.ArgumentParser(description="Score a set beside its references.")
     parser.add_argument("folder", type=Path, help="a set of cases, from `torchid withheld make`")
     parser.add_argument("--keys", type=Path, help="what was planted (default: DIR.keys.json)")
@@ -221,11 +224,15 @@ def main() -> None:
         oracle = oracle_answers(cases, keys, wanted, jobs, None)
     if torque and not given.no_truth:
         truth = true_shares(cases, keys, answers, jobs, None)
-    result = summary(cases, keys, answers, oracle=oracle, truly_closed=truth)
+    result = summary(cases, keys, answers)
+    ours = [scored(key, answers[key["id"]]) for key in keys if key["id"] in answers]
+    closed = None if oracle is None else closed_by(oracle)
+    result["scores"] |= plain(beside(ours, closed, truth))
     given.out.mkdir(parents=True, exist_ok=True)
     write_json(result, given.out / "score.json")
-    (given.out / "score.md").write_text(markdown(result), encoding="utf-8")
-    print(headline(result), score_table(result).markdown(), sep="\n\n")
+    drawn = [save(draw(), given.out / f"{name}.png").name for name, draw in figures(result).items()]
+    (given.out / "score.md").write_text(markdown(result, drawn), encoding="utf-8")
+    print(headline(result, ALL_LINES), score_table(result, ALL_LINES).markdown(), sep="\n\n")
 
 
 if __name__ == "__main__":

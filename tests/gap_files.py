@@ -1,8 +1,12 @@
 """Diagnoses by hand, as their JSON has them."""
 
+import json
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from torchid.results.record import robot_record
+from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 
 
@@ -51,3 +55,29 @@ STRIBECK = found(
 def open_gap(robot: Robot, **changes: Any) -> dict[str, Any]:
     """A diagnosis that cannot tell two laws of friction apart, with changes."""
     return gap(robot, **{"which": [STRIBECK], **changes})
+
+
+def named(
+    effect: str = "coulomb_friction", joint: int = 2, also: Sequence[str] = (), **values: float
+) -> dict[str, Any]:
+    """An accepted effect with its coefficients, each to 0.02 of its unit."""
+    values = values or {"Fc": 0.5}
+    return found(
+        effect, joint, ambiguous_with=list(also), parameters={**values, "smoothing": 0.0},
+        std=dict.fromkeys(values, 0.02), unit=dict.fromkeys(values, "N m"),
+    )  # fmt: skip
+
+
+def diagnosis(
+    path: Path,
+    *which: dict[str, Any],
+    hidden: Sequence[dict[str, Any]] = (),
+    robot: str = "3r",
+    effects: Sequence[dict[str, Any]] = (),
+) -> Path:
+    """A file of a diagnosis that names effects, whose corrected model has others."""
+    arm = load_robot(robot)
+    corrected = {**robot_record(arm), "effects": list(effects)}
+    data = gap(arm, which=list(which), not_testable=list(hidden), corrected=corrected)
+    path.write_text(json.dumps(data))
+    return path

@@ -6,12 +6,12 @@ import pytest
 import torch
 
 import torchid
-from torchid.compare.scatter import typical_birge
 from torchid.effects.base import JointEffect, Motion
 from torchid.effects.instants import shifted
 from torchid.effects.registry import KINDS
 from torchid.export.dynamics import states
 from torchid.robot.chain import tool_jacobian
+from torchid.statistics.random_effects import Sessions, heterogeneity
 
 ROBOT = torchid.load_robot("3r")
 SHAPED = [n for n, kind in KINDS.items() if issubclass(kind, JointEffect) and kind.shapes]
@@ -50,9 +50,9 @@ def columns_of(name: str) -> torch.Tensor:
 CASES: dict[str, Callable[[], torch.Tensor]] = {
     "delay": lambda: shifted(motion().q, motion().require("t", "a test"), 0.0123),
     "tool": lambda: tool_jacobian(torchid.load_robot("panda"), torch.ones(7).double()),
-    "birge": lambda: torch.tensor(
-        typical_birge(*torch.tensor([[1.1, 1.3], [3.0, 4.0]], dtype=torch.float64)),
-        dtype=torch.float64,
+    "heterogeneity": lambda: heterogeneity(
+        Sessions(motion().q[:9], 1 + motion().q[:9].square(), torch.arange(3)),
+        torch.full((3,), 4.0, dtype=torch.float64),
     ),
     "random states": lambda: torch.cat(states(ROBOT, 0, 20).state),
     "lists": lambda: torchid.inverse_dynamics(ROBOT, [0.1, 0.2, 0.3], [0.1] * 3, [0.1] * 3),

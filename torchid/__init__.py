@@ -52,7 +52,7 @@ _PUBLIC = {
     "replay": "torchid.position.model",
     "compare_pair": "torchid.pair.pair",
     "withheld_own": "torchid.withheld.own",
-    "compare_results": "torchid.compare.results",
+    "compare_results": "torchid.fleet.compare",
     "excite_for": "torchid.next_motion.design",
     "load": "torchid.results.files",
     "draw": "torchid.report.plots",

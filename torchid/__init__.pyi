@@ -1,4 +1,3 @@
-from torchid.compare.results import compare_results as compare_results
 from torchid.doctor.examine import examine as examine
 from torchid.dynamics.forward import forward_dynamics as forward_dynamics
 from torchid.dynamics.forward import mass_matrix as mass_matrix
@@ -21,6 +20,7 @@ from torchid.extraction.settings import SearchSettings as SearchSettings
 from torchid.feasibility.record import check as check
 from torchid.feasibility.sets import ParameterSets as ParameterSets
 from torchid.feasibility.sets import read_sets as read_sets
+from torchid.fleet.compare import compare_results as compare_results
 from torchid.gap.diagnose import diagnose as diagnose
 from torchid.gap.settings import GapSettings as GapSettings
 from torchid.identification.estimator import DynamicsRegressor as DynamicsRegressor

@@ -1,7 +1,5 @@
-"""`torchid init`: what it guesses, what it asks, and that the other commands then work."""
+"""`torchid init`: what it guesses, and that the other commands then work."""
 
-import io
-import sys
 from pathlib import Path
 
 import pytest
@@ -47,21 +45,6 @@ def place(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-@pytest.fixture
-def answers(monkeypatch):
-    """answers(*lines) types them on a terminal."""
-
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    def type_in(*lines: str) -> None:
-        monkeypatch.setattr(sys, "stdin", Terminal("".join(f"{line}\n" for line in lines)))
-        monkeypatch.setattr(type(sys.stdout), "isatty", lambda self: True, raising=False)
-
-    return type_in
-
-
 def test_it_guesses_what_the_folder_tells(command, place) -> None:
     done = command("init")
     assert done.code == 0, done.err
@@ -97,16 +80,6 @@ def test_a_file_that_is_there_stays(command, place) -> None:
     assert Path("torchid.toml").read_text() == "# mine\n"
     assert command("init", "--force").code == 0
     assert read_project(Path("torchid.toml")).robot == "arm.yaml"
-
-
-def test_it_asks_on_a_terminal(command, place, answers) -> None:
-    Path("two.urdf").write_text(BRANCHING)
-    answers("third.yaml", "arm.yaml", "2,4,5")
-    done = command("init")
-    assert done.code == 0, done.err
-    assert "not one of them: third.yaml" in done.out
-    found = read_project(Path("torchid.toml"))
-    assert (found.robot, found.gain) == ("arm.yaml", "2.0,4.0,5.0")
 
 
 @pytest.mark.parametrize(

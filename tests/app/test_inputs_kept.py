@@ -115,7 +115,7 @@ def test_the_robot_of_a_result_is_an_input(command, tmp_path, monkeypatch) -> No
     done = command("identify", "arm.yaml", "log.csv", "--cutoff", 8, "--json", "result.json")
     assert done.code == 0, done.err
     before = Path("arm.yaml").read_bytes()
-    done = command("export", "result.json", "--to", "csv", "--json", "arm.yaml")
+    done = command("export", "result.json", "--to", "c", "--json", "arm.yaml")
     assert (done.code, Path("arm.yaml").read_bytes()) == (1, before)
     assert "would overwrite the input 'arm.yaml'" in done.err
 

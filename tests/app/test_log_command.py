@@ -77,19 +77,6 @@ def test_a_proposed_mapping_works(command, foreign):
     assert "looks like degrees" in result.out
 
 
-def test_torques_far_beyond_the_robots_limits(command, folder, tmp_path):
-    log = read_log(folder / "check.csv")
-    write_log(log.replace(tau=1e3 * log.signals["tau"]), tmp_path / "a.parquet")
-    text = (CONFIGS / "3r_friction.yaml").read_text()
-    robot, target = tmp_path / "limited.yaml", tmp_path / "log.json"
-    robot.write_text(text.replace("limits:\n", "limits:\n  torque: [20, 20, 20]\n", 1))
-    for path, told in ((folder / "check.csv", False), (tmp_path / "a.parquet", True)):
-        result = command("log", "show", path, "--robot", robot, "--json", target)
-        assert result.code == 0
-        warnings = json.loads(target.read_text())["warnings"]
-        assert any("3 times the robot's limits" in w for w in warnings) == told
-
-
 def test_one_mapping_for_logs_of_several_kinds(command, foreign, folder):
     path, columns = foreign
     way_out = "torchid log show LOG --columns .. --save run.parquet"

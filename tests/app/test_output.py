@@ -34,7 +34,7 @@ def test_what_is_no_option_stays(text: str) -> None:
 
 def test_options_are_those_of_all_commands() -> None:
     assert option_names()["compiled"] == "--compile"  # identify
-    assert option_names()["plant"] == "--plant"  # withheld own
+    assert option_names()["background"] == "--background"  # gap
     assert "logs" not in option_names()  # an argument without a name
 
 

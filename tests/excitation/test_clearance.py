@@ -11,11 +11,10 @@ import pytest
 import torch
 
 from tests.excitation.shaped import loaded
-from tests.excitation.usage import limit_usage
+from tests.excitation.usage import full_design, limit_usage
 from tests.marks import quick_first
 from torchid.errors import RobotError, TorchidError
 from torchid.excitation.clearance import FAR, motion_clearance
-from torchid.excitation.design import optimise_trajectory
 from torchid.excitation.distances import Distances
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import motion_limits
@@ -234,9 +233,9 @@ def test_a_design_uses_the_room_there_is(tmp_path):
     """With clearance in the search the motion keeps it, and excites more than one drawn back."""
     robot, clearance = made("6r", tmp_path, floor=-0.4, usage=0.7)
     settings = {"seed": 0, "restarts": 2, "iterations": 80, "usage": 0.7}
-    free = optimise_trajectory(robot, **settings)
+    free = full_design(robot, **settings)
     assert not bool(clearance.fits(free.trajectory))
-    design = optimise_trajectory(robot, clearance=clearance, **settings)
+    design = full_design(robot, clearance=clearance, **settings)
     assert bool(clearance.fits(design.trajectory))
     kept = restricted(nominal_torque_limits(robot, usage=0.7), clearance)
     assert kept is not None

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from tests.excitation.usage import full_design
 from torchid.excitation.descent import HARDLY, LONGER, descend
-from torchid.excitation.design import optimise_trajectory
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.trajectories import random_trajectory
 from torchid.robot.library import load_robot
@@ -32,12 +32,12 @@ def test_a_search_that_gains_nothing_stops_half_way(iterations):
 
 def test_a_tenth_more_driving_time_is_that_much_standard_deviation():
     assert math.exp(HARDLY) == pytest.approx(math.sqrt(LONGER))
-    design = optimise_trajectory(load_robot("3r"), seed=0, restarts=3, iterations=40)
+    design = full_design(load_robot("3r"), seed=0, restarts=3, iterations=40)
     assert not design.hardly
     # The cost is the logarithm of the condition number, along 100 instants instead of 1000.
     gained = math.log(design.start_condition / design.condition_after)
     assert design.gain == pytest.approx(gained, abs=0.02)
     assert replace(design, gain=0.99 * HARDLY).hardly
-    unsearched = optimise_trajectory(load_robot("3r"), seed=0, restarts=1, iterations=0)
+    unsearched = full_design(load_robot("3r"), seed=0, restarts=1, iterations=0)
     assert unsearched.hardly
     assert unsearched.gain == 0

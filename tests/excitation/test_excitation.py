@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tests.excitation.usage import limit_usage
+from tests.excitation.usage import full_design, limit_usage
 from tests.marks import quick_first, some
 from torchid.effects.base import Motion
 from torchid.effects.registry import on_every_joint
@@ -12,7 +12,6 @@ from torchid.errors import IdentificationError, RobotError, TorchidError
 from torchid.excitation.design import (
     base_regressor,
     condition_number,
-    optimise_trajectory,
     row_weights,
 )
 from torchid.excitation.fourier import FourierTrajectory, sample_times
@@ -230,7 +229,7 @@ def test_a_joint_that_does_not_move_has_no_scale():
 def test_a_prismatic_joint():
     robot = random_arm(5, "PRP")
     assert inside(random_trajectory(robot, 0, fill=True).sample(2000).motion, robot.limits)
-    designed = optimise_trajectory(robot, seed=0, restarts=3, iterations=40)
+    designed = full_design(robot, seed=0, restarts=3, iterations=40)
     assert inside(designed.trajectory.sample(2000).motion, robot.limits)
     assert designed.condition_after < designed.start_condition
 
@@ -271,9 +270,9 @@ def test_wrong_arguments_are_named():
     with pytest.raises(TorchidError, match="sampling rate is too low"):
         paper_trajectories_3r().sample(0.0)
     with pytest.raises(TorchidError, match="unknown criterion"):
-        optimise_trajectory(robot, seed=0, criterion="a_optimal")
+        full_design(robot, seed=0, criterion="a_optimal")
     with pytest.raises(TorchidError, match="at least one start"):
-        optimise_trajectory(robot, seed=0, restarts=0)
+        full_design(robot, seed=0, restarts=0)
 
 
 # --- sinusoids
@@ -309,7 +308,7 @@ def test_a_sinusoid_is_eq_5_2():
 def test_the_design_improves_the_condition_number(name):
     robot = load_robot(name)
     calls = []
-    designed = optimise_trajectory(
+    designed = full_design(
         robot, seed=0, restarts=4, iterations=60, progress=lambda k, n: calls.append((k, n))
     )
     assert designed.condition_after < designed.start_condition / 2
@@ -325,7 +324,7 @@ def test_the_design_improves_the_condition_number(name):
 @pytest.mark.parametrize(("name", "highest"), [("3r", 175.0), ("kuka_lwr4", 55.0)])
 @pytest.mark.parametrize("seed", some(range(5), 1))
 def test_the_whole_design(name, highest, seed):
-    designed = optimise_trajectory(load_robot(name), seed=seed)
+    designed = full_design(load_robot(name), seed=seed)
     assert designed.condition_after < highest
     assert designed.condition_after < designed.start_condition / 3
 
@@ -334,9 +333,7 @@ def test_the_whole_design(name, highest, seed):
 def test_the_determinant_grows_too():
     robot = load_robot("3r")
     effects = on_every_joint(["viscous_friction", "coulomb_friction", "torque_offset"], 3)
-    designed = optimise_trajectory(
-        robot, effects, seed=1, restarts=3, iterations=60, criterion="d_optimal"
-    )
+    designed = full_design(robot, effects, seed=1, restarts=3, iterations=60, criterion="d_optimal")
     assert len(designed.base) == 24
 
     def log_volume(trajectory: FourierTrajectory) -> float:
@@ -351,7 +348,7 @@ def test_the_determinant_grows_too():
 def test_the_design_is_that_of_the_seed():
     robot = load_robot("3r")
     first, again, other = (
-        optimise_trajectory(robot, seed=seed, restarts=2, iterations=5) for seed in (0, 0, 1)
+        full_design(robot, seed=seed, restarts=2, iterations=5) for seed in (0, 0, 1)
     )
     assert torch.equal(first.trajectory.a, again.trajectory.a)
     assert torch.equal(first.trajectory.q0, again.trajectory.q0)
@@ -362,7 +359,7 @@ def test_the_design_is_that_of_the_seed():
 def test_a_design_is_for_the_condition_number_of_the_basis():
     robot = load_robot("ur10e")
     made = {
-        basis: optimise_trajectory(robot, seed=0, restarts=2, iterations=5, basis=basis)
+        basis: full_design(robot, seed=0, restarts=2, iterations=5, basis=basis)
         for basis in (None, "report", "conditioned")
     }
     assert [d.base.basis for d in made.values()] == ["conditioned", "report", "conditioned"]

@@ -5,8 +5,8 @@ import json
 import pytest
 import torch
 
-from tests.compare.records import identification
 from tests.excitation.usage import limit_usage
+from tests.fleet.records import identification
 from torchid.errors import TorchidError
 from torchid.excitation.design import base_regressor
 from torchid.excitation.informed import design_for, information, least_known, predicted_std

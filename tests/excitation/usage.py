@@ -1,10 +1,16 @@
-"""How much of its limits a motion uses."""
+"""Designs that use all of the limits, and how much of its limits a motion uses."""
+
+from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from torchid.effects.base import JointEffect
+from torchid.excitation.design import Excitation, excite
 from torchid.excitation.fourier import Extremes
 from torchid.excitation.limits import MotionLimits
+from torchid.robot.model import Robot
 from torchid.typing import Float
 
 
@@ -23,3 +29,8 @@ def limit_usage(extremes: Extremes, limits: MotionLimits) -> Float[Tensor, "3 *b
         for value, bound, centre in zip(extremes, bounds, middle, strict=True)
     ]
     return torch.stack(shares)
+
+
+def full_design(robot: Robot, effects: Sequence[JointEffect] = (), **settings: Any) -> Excitation:
+    """A design for a robot without effects, unless given, by all of its limits."""
+    return excite(robot, effects=effects, **({"usage": 1.0} | settings))

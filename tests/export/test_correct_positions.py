@@ -8,6 +8,7 @@ import torch
 from lxml import etree
 from typer.testing import CliRunner
 
+import torchid
 from tests.marks import some
 from tests.position.planted import planted, robot, true_servos
 from torchid.app.commands import app
@@ -66,7 +67,12 @@ def test_the_file_moves_as_the_arm_did(name, tmp_path):
     ]  # fmt: skip
     for file in done.files[3:]:
         assert float(replay(ServoArm.read(file), other).error.max()) < 1.5
-    assert done.record.position_error_mrad[1].engine == pytest.approx(float(found.engine[1]))
+    errors = done.record.judged.position_error_mrad
+    assert float(errors.engine[1]) == pytest.approx(float(found.engine[1]))
+    done.save(tmp_path / "correction.json")
+    assert torchid.load(tmp_path / "correction.json").plain() == done.plain()
+    said = [(row["parameter"], row["joints"]) for row in done.plain()["servos_without"]]
+    assert said == [(name, [j + 1 for j in on]) for name, on in done.no_field.items()]
 
 
 ACTUATED = """<mujoco>

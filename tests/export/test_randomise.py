@@ -134,43 +134,6 @@ def test_explanations_that_are_as_good_are_drawn_by_their_odds(found: GapRecord)
     assert "25 % of the draws" in row.why
 
 
-def test_the_spread_of_units_widens_the_ranges(found: GapRecord, tmp_path: Path) -> None:
-    base = base_parameters(ROBOT)
-    of_a_fleet = {
-        "schema": "torchid.fleet/1",
-        "robot": "3r",
-        "version": "0",
-        "base_names": list(base.names),
-        "parameters": [
-            {
-                "name": name, "unit": "", "mean": 0.0, "std": 0.0, "ci95": [0.0, 0.0],
-                "unit_std": std, "unit_std_ci95": [0.0, 0.0], "day_std": day,
-                "day_std_ci95": [0.0, 0.0], "noise_std": 0.0, "units": 5, "sessions": 9,
-                "sessions_needed": None,
-            }
-            for name, std, day in (("Fc2", 0.3, 0.4), (base.names[0], 0.05, 0.0), ("Fv9", 1.0, 0.0))
-        ],
-        "odd": [], "units": [], "sessions": [], "logs": [], "one_fit": [], "one_fit_noise": [],
-        "settings": {
-            "effects": [], "cutoff_hz": 10.0, "reversal": 0.1, "rows": "all", "basis": None,
-            "level": 0.01,
-        },
-        "notes": [],
-    }  # fmt: skip
-    file = tmp_path / "fleet.json"
-    file.write_text(json.dumps(of_a_fleet))
-    wide = randomise(found, spread=[file])
-    (row,) = (r for r in wide.ranges if (r.field, r.name) == ("friction", "joint_2"))
-    # Units and days of a unit add up: 0.5 N m.
-    assert (row.high - row.low) / (2 * 1.96) == pytest.approx(0.5, rel=0.05)
-    assert "0.5 in fleet.json" in row.why
-    drawn = base.project(InertialParameters(wide.draws.pi).to_paper_order())
-    own = base.project(InertialParameters(randomise(found).draws.pi).to_paper_order())
-    expected = (float(own[:, 0].var()) + 0.05**2) ** 0.5
-    assert float(drawn[:, 0].std()) == pytest.approx(expected, rel=0.1)
-    assert any("Fv9" in sentence for sentence in wide.warnings)
-
-
 def test_files_hold_what_was_drawn_and_run_in_their_packages(
     found: GapRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

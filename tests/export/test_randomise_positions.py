@@ -75,9 +75,6 @@ def test_by_command(found, tmp_path):
     rows = (tmp_path / "arm_ranges.csv").read_text().splitlines()
     assert rows[1].startswith('"actuator_gainprm[0] / scale, -actuator_biasprm[1]",kp,joint_1,')
     assert rows[2].startswith("dof_armature,armature,joint_1,")
-    more = ["--spread", str(tmp_path / "gap.json"), "--overwrite"]
-    refused = CliRunner().invoke(app, [*asked, "--out", str(tmp_path), *more])
-    assert "is of logs with torques" in str(refused.exception)
 
 
 @pytest.mark.parametrize(

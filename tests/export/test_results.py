@@ -8,15 +8,14 @@ import pytest
 import torch
 
 from tests.arms import arm, consistent_parameters, relative
-from tests.compare.records import identification as identified
 from tests.export.arms import FRICTION, exported, with_other
+from tests.fleet.records import identification as identified
 from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_others, on_every_joint
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, folded, nearest_representative, robot_torque, states
 from torchid.export.export import export_dynamics, require_feasible
 from torchid.export.results import base_dynamics, carried, load, robot_dynamics, set_dynamics
-from torchid.export.write_plain import read_values
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, nominal_set, sets_record
 from torchid.identification.base_parameters import base_parameters, nominal_values
@@ -77,17 +76,12 @@ def test_base_parameters_have_the_identifications_torque(tmp_path):
     assert torch.allclose(near.parameters.pi, robot.parameters.pi, atol=1e-9)
 
 
-@pytest.mark.parametrize("to", ["csv", "c"])
-def test_base_parameters_as_table_and_as_code(tmp_path, to):
+def test_base_parameters_as_code(tmp_path):
     robot = arm("kuka_lwr4")
-    path, base, _, values = identification(tmp_path, robot)
-    done = export_dynamics(base_dynamics(path, robot), to, tmp_path, "out", nominal=robot)
+    path, *_ = identification(tmp_path, robot)
+    done = export_dynamics(base_dynamics(path, robot), "c", tmp_path, "out", nominal=robot)
     assert all(c.ok for c in done.comparisons)
     assert done.check is None
-    if to == "csv":
-        text = done.files[0].read_text()
-        assert read_values(text) == dict(zip(base.names, values.tolist(), strict=True))
-        assert text.splitlines()[1].split(",")[2:4] == ["0.2", base.units[0]]
 
 
 @pytest.mark.nightly
@@ -179,7 +173,7 @@ def test_infeasible_sets_are_refused_with_labels_and_evidence(tmp_path):
     robot = arm("3r")
     path = sets_file(tmp_path, robot)
     found = set_dynamics(path, load(path), robot, "c", "none")
-    for to in ("urdf", "mjcf", "yaml", "csv", "c"):
+    for to in ("urdf", "mjcf", "yaml", "c"):
         with pytest.raises(TorchidError, match="infeasible") as raised:
             export_dynamics(found, to, tmp_path, "out", nominal=robot, geometry="none")
         assert "mass_1 (-" in raised.value.got
@@ -252,19 +246,6 @@ def test_a_payload_becomes_part_of_the_last_link(tmp_path):
     both = with_other(arm("3r"), effects=(payload, tilt))
     assert folded(both) is both
     assert all(c.ok for c in exported(both, "urdf", tmp_path).comparisons)
-
-
-def test_a_table_of_physical_parameters(tmp_path):
-    robot = with_other(arm("panda"))
-    done = exported(robot, "csv", tmp_path)
-    values = read_values(done.files[0].read_text())
-    pi = robot.parameters.pi
-    assert values["m3"] == float(pi[2, 0])
-    assert values["J7yz"] == float(pi[6, 8])
-    assert values["c5y"] == float(pi[4, 2] / pi[4, 0])
-    assert values["viscous_friction[1].Fv"] == 0.123456789012345
-    assert values["stribeck_friction[1].vs"] == 0.13
-    assert len(done.comparisons) == 2
 
 
 @pytest.mark.parametrize("name", ["3r", "panda", "ur10e", "mixed"])

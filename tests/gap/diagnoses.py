@@ -17,7 +17,6 @@ from torchid.gap.record import (
     Informative,
     JointGap,
     NoiseFloor,
-    NotTestable,
     Parametric,
     RegimeGap,
     Status,
@@ -25,6 +24,7 @@ from torchid.gap.record import (
 )
 from torchid.gap.settings import GapSettings
 from torchid.log.filtering import ZeroPhaseFilter
+from torchid.results.answer import NotTestable
 
 BAND = 20.0
 NOISE = 0.05

@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from typer.testing import CliRunner
 
-from tests.compare.test_diagnoses import diagnosis, named
 from tests.fleet.simulated import Plan, make
+from tests.gap_files import diagnosis, named
 from tests.gap_files import hidden as untested
 from tests.withheld.fakes import answer, entry
 from torchid.app.commands import app
@@ -185,10 +185,7 @@ def _own(bench: Bench) -> dict[str, Any]:
         for part, runs in enumerate(((0, 1, 0), (3, 4, 3)))
     ]
     settings = GapSettings(effects=("coulomb_friction", "torque_offset"), rollout=False)
-    found = withheld_own(
-        load_robot("3r"), logs[0], untouched=logs[1], settings=settings,
-        plant=["torque_offset"], joints=[0],
-    )  # fmt: skip
+    found = withheld_own(load_robot("3r"), logs[0], untouched=logs[1], settings=settings)
     return json.loads(json.dumps({**found.plain(), "seed": 0}))
 
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from tests.arms import arm
-from tests.compare.records import identification
+from tests.fleet.records import identification
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import base_parameters, nominal_values
 from torchid.identification.values import read_base

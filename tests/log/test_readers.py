@@ -1,6 +1,5 @@
 import os
 import pickle
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from torchid.errors import LogError, TorchidError
 from torchid.log import readers
 from torchid.log.model import Log
-from torchid.log.readers import log_from_columns, read_log, register_reader, write_log
+from torchid.log.readers import read_log, write_log
 
 from .examples import same, snapshot, uniform
 
@@ -347,29 +346,6 @@ def test_files_that_do_not_go_together(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="different numbers of joints") as info:
         read_log([tmp_path / "a.csv", tmp_path / "b.csv"])
     assert "b.csv" in str(info.value)
-
-
-@pytest.fixture
-def registry() -> Iterator[None]:
-    kept = dict(readers._READERS)
-    yield
-    readers._READERS.clear()
-    readers._READERS.update(kept)
-
-
-@pytest.mark.usefixtures("registry")
-def test_register_reader(tmp_path: Path) -> None:
-    def read(path: Path) -> Log:
-        t = np.array(path.read_text().split(), dtype=float)
-        return log_from_columns({"t": t, "q1": t}, path)
-
-    register_reader(".Times", read)
-    (tmp_path / "a.times").write_text("0 1 2")
-    log = read_log(tmp_path / "a.times")
-    assert log.t.tolist() == [0, 1, 2]
-    assert log.names == ("a",)
-    with pytest.raises(ValueError, match="dot"):
-        register_reader("times", read)
 
 
 def test_write_refuses_suffix_and_missing_folder(tmp_path: Path) -> None:

@@ -15,10 +15,10 @@ from scipy.io import savemat
 
 from torchid.errors import LogError, MissingExtraError
 from torchid.log.model import Log
-from torchid.log.readers import read_log, register_reader
+from torchid.log.readers import read_log
 
-from .examples import same, snapshot, uniform
-from .test_readers import registry, save  # noqa: F401 (a fixture)
+from .examples import uniform
+from .test_readers import save
 
 T = 0.1 * np.arange(5)
 ARRAYS = {"q": "pos", "dq": "vel", "tau": "trq"}
@@ -364,12 +364,3 @@ def test_a_mapped_column_that_is_there_twice(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t,p,p\n0,1,2\n1,2,3\n")
     with pytest.raises(LogError, match="two columns p"):
         read_log(tmp_path / "a.csv", columns="q=p")
-
-
-@pytest.mark.usefixtures("registry")
-def test_registered_readers_take_no_mapping(tmp_path: Path) -> None:
-    register_reader(".own", lambda path: uniform())
-    (tmp_path / "a.own").write_text("x")
-    assert same(read_log(tmp_path / "a.own"), snapshot(uniform()))
-    with pytest.raises(LogError, match="no column mapping"):
-        read_log(tmp_path / "a.own", columns="q=p")

@@ -6,10 +6,10 @@ import pytest
 import torch
 from msgspec import structs
 
+from tests.excitation.usage import full_design
 from torchid.effects.base import Motion
 from torchid.effects.registry import effect_torque
 from torchid.errors import TorchidError
-from torchid.excitation.design import optimise_trajectory
 from torchid.excitation.informed import InformedDesign
 from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
@@ -56,7 +56,7 @@ def test_what_a_log_could_not_show_is_found_after_the_designed_motion():
 
     left = open_questions(found.record, robot, "gap.json")
     assert left.kind == "not_testable"
-    plain = optimise_trajectory(robot, seed=0, restarts=2, iterations=50, duration=10.0).trajectory
+    plain = full_design(robot, seed=0, restarts=2, iterations=50, duration=10.0).trajectory
     made = design_separation(left.setting, rivals(left, plain), plain, seed=0, evaluations=200)
     assert all(told.reached >= 1 for told in made.after)
     sizes = {(r.truth.effect.name, r.truth.effect.joint): r.truth for r in made.rivals}

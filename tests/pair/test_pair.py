@@ -112,22 +112,31 @@ def test_faults_of_the_set_up_without_a_model(simulated, answer):
     assert any("mend" in w for w in found.record.warnings)
 
 
-@pytest.mark.slow
-def test_gravity_friction_and_rotors_that_the_simulator_lacks():
-    robot = load_robot("3r")
-    arm = log(("all", "rotors"))
-    zero = torch.zeros_like(arm.q)
-    clean = log(("all", "rotors"), noise=1e-4)
+def test_gravity_that_the_simulator_lacks():
+    robot, arm = load_robot("3r"), log(("all", "rotors"))
+    clean, zero = log(("all", "rotors"), noise=1e-4), torch.zeros_like(arm.q)
     floating = clean.replace(tau=clean.tau - torchid.inverse_dynamics(robot, clean.q, zero, zero))
-    for simulated, name in (
-        (floating, "gravity_compensation"),
-        (log(("rotors",), noise=1e-4), "friction_never_applied"),
-        (log(("all",), noise=1e-4), "armature_zero"),
-    ):
-        # The servo's law is another question.
-        found = compare_pair(simulated.replace(u=None), arm.replace(u=None), robot)
-        assert [f.fault for f in found.faults] == [name]
-        assert found.faults[0].side == "simulator"
+    # The servo's law is another question.
+    found = compare_pair(floating.replace(u=None), arm.replace(u=None), robot)
+    assert names(found) == [("gravity_compensation", (0, 1, 2))]
+    assert found.faults[0].side == "simulator"
+    assert not compare_pair(floating.replace(u=None), floating.replace(u=None), robot).faults
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("applied", "lacking"), [("rotors", "coulomb_friction"), ("all", "rotor_inertia")]
+)
+def test_friction_or_rotors_that_the_simulator_never_has(applied, lacking):
+    """They are effects that only the arm has, of every joint."""
+    settings = replace(FEW, effects=(*FEW.effects, "rotor_inertia"))
+    simulated, arm = log((applied,), noise=1e-4), log(("all", "rotors"))
+    found = compare_pair(
+        simulated.replace(u=None), arm.replace(u=None), load_robot("3r"), settings=settings
+    )
+    assert not found.faults
+    assert {(w.effect, w.more, w.only) for w in found.which} == {(lacking, "arm", True)}
+    assert sorted(j for w in found.which for j in w.joints) == [0, 1, 2]
 
 
 @pytest.mark.nightly

@@ -14,10 +14,10 @@ from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import HowFar
-from torchid.gap.record import NotTestable, Parametric, Status
+from torchid.gap.record import Parametric, Status
 from torchid.report import gap
 from torchid.report.diagnosis import shown
-from torchid.results.answer import COLUMNS, Answer, Cause, JointError, Size, named_size
+from torchid.results.answer import COLUMNS, Answer, Cause, JointError, NotTestable, Size, named_size
 from torchid.results.words import effect_words, listed, measure, percent
 from torchid.simulation.two_models import Horizon, Rollout, TorqueGap
 

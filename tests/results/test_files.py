@@ -9,7 +9,7 @@ import pytest
 
 import torchid
 from tests.arms import arm
-from tests.compare.records import identification
+from tests.fleet.records import identification
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.gap.record import GapRecord, GapSettingsRecord
 from torchid.gap.settings import GapSettings

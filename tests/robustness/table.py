@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from tests.app.test_inputs_kept import COMMANDS, _shown
-from tests.compare.test_diagnoses import diagnosis, named
+from tests.gap_files import diagnosis, named
 from tests.robustness import bad_logs, bad_results, bad_robots
 from tests.robustness.bad_logs import DEEP, ESCAPE, LONG, MARKUP
 from tests.robustness.bench import Outcome, outcome

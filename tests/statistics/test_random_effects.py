@@ -4,10 +4,18 @@ simulation."""
 import numpy as np
 import pytest
 import torch
+from scipy import stats
 from scipy.optimize import minimize
 
 from torchid.statistics.multiple import benjamini_hochberg
-from torchid.statistics.random_effects import Sessions, deviance, means, pooled, spreads
+from torchid.statistics.random_effects import (
+    Sessions,
+    deviance,
+    heterogeneity,
+    means,
+    pooled,
+    spreads,
+)
 
 
 def drawn(seed, p, units, sessions, between, daily, noise) -> Sessions:
@@ -132,3 +140,48 @@ def test_benjamini_hochberg_as_in_their_paper() -> None:
          0.5719, 0.6528, 0.7590, 1.0]  # fmt: skip
     adjusted = benjamini_hochberg(torch.tensor(p, dtype=torch.float64))
     assert int((adjusted <= 0.05).sum()) == 4  # section 3 of Benjamini and Hochberg (1995)
+
+
+def one_each(values, std) -> Sessions:
+    x, s = (torch.tensor(v, dtype=torch.float64).reshape(-1, len(v[0])) for v in (values, std))
+    return Sessions(x, s.square(), torch.arange(x.shape[1]))
+
+
+def test_heterogeneity_of_two_is_welchs_t_test() -> None:
+    a, b = np.array([1.0, 2.0, 4.0, 3.5, 2.5]), np.array([2.0, 6.0, 4.5, 7.0, 5.0, 3.0])
+    std = [[x.std(ddof=1) / len(x) ** 0.5 for x in (a, b)]]
+    data = one_each([[a.mean(), b.mean()]], std)
+    p = heterogeneity(data, torch.tensor([4.0, 5.0]).double())
+    assert float(p) == pytest.approx(stats.ttest_ind(a, b, equal_var=False).pvalue, rel=1e-9)
+
+
+def test_heterogeneity_of_known_variances_is_cochrans_q_of_what_counts() -> None:
+    nan = torch.nan
+    data = one_each(
+        [[1.0, 1.4, 0.2, 9.0], [1.0, nan, nan, 2.0]], [[0.3, 0.4, 0.5, nan], [0.3, 0.1, 0.1, nan]]
+    )
+    x, w = np.array([1.0, 1.4, 0.2]), 1 / np.array([0.3, 0.4, 0.5]) ** 2
+    q = (w * (x - (w * x).sum() / w.sum()) ** 2).sum()
+    p = heterogeneity(data, torch.full((4,), 1e9, dtype=torch.float64))
+    assert float(p[0]) == pytest.approx(stats.chi2.sf(q, 2), rel=1e-6)
+    assert bool(p[1].isnan())
+
+
+def test_heterogeneity_keeps_its_level_with_few_degrees_of_freedom() -> None:
+    g, nu = torch.Generator().manual_seed(0), 15
+    true = torch.tensor([1.0, 0.5, 2.0], dtype=torch.float64)
+    x = true * torch.randn(4000, 3, generator=g, dtype=torch.float64)
+    drawn = torch.randn(4000, 3, nu, generator=g, dtype=torch.float64).square().mean(-1)
+    data = Sessions(x, true.square() * drawn, torch.arange(3))
+    p = heterogeneity(data, torch.full((3,), float(nu), dtype=torch.float64))
+    assert 0.04 < (p < 0.05).double().mean() < 0.06
+
+
+def test_few_units_of_unequal_noise_are_not_odd_by_chance() -> None:
+    """The tail of the distances from the others, which decides among many quantities."""
+    g = torch.Generator().manual_seed(1)
+    v = 0.01 * 10 ** (2 * torch.rand(600, 4, generator=g, dtype=torch.float64) - 1)
+    y = 5 + v.sqrt() * torch.randn(600, 4, generator=g, dtype=torch.float64)
+    found = pooled(Sessions(y, v, torch.arange(4)))
+    assert (found.p < 1e-3).double().mean() < 2e-3
+    assert found.deviation.abs().max() < 5

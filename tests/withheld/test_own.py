@@ -1,15 +1,14 @@
-"""An accepted effect is found again; a planted one from some size on."""
+"""An accepted effect is found again."""
 
 import json
 from dataclasses import replace
 
 import pytest
 
-from tests.gap.test_diagnose import FC, NOISE, QUICK, REAL, ROBOT, logged
-from torchid.errors import TorchidError
+from tests.gap.test_diagnose import FC, QUICK, REAL, ROBOT, logged
 from torchid.json_data import plain
 from torchid.withheld import own
-from torchid.withheld.own import LEVELS, withheld_own
+from torchid.withheld.own import withheld_own
 
 pytestmark = pytest.mark.usefixtures("types_unchecked")
 
@@ -50,34 +49,6 @@ def test_without_the_right_name_nothing_is_found_again(found):
 
 
 @pytest.mark.nightly
-def test_a_planted_effect_has_the_size_that_is_told(found):
-    log = logged(REAL, (3, 4, 3), 5)
-    kind = own.plantable("coulomb_friction")
-    bed = own.Bed(found.first.corrected, log, QUICK)
-    values, planted = own._on_top(bed, kind(2), 5 * NOISE)
-    change = planted.tau - log.tau
-    assert bool((change[:, :2] == 0).all())
-    # Below 20 Hz little of a step in torque is lost.
-    assert float(change[:, 2].square().mean().sqrt()) == pytest.approx(5 * NOISE, rel=0.1)
-    assert float(change[:, 2].abs().max()) == pytest.approx(values[0], rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("from_level", "tried"), [(0.5, (1, 2)), (2.0, (1, 2)), (4.0, (2, 5)), (99, (2, 5, 10))]
-)
-def test_the_smallest_size_is_sought_from_both_sides(from_level, tried, monkeypatch):
-    """The search stops at the first size whose answer differs."""
-
-    def quick(bed, effect, noise, level):
-        seen = level >= from_level
-        return own.Planted("coulomb_friction", 0, level, {}, seen, seen, "explained")
-
-    monkeypatch.setattr(own, "_one_level", quick)
-    assert tuple(p.level for p in own.smallest_found(None, (None, 1.0))) == tried
-    assert set(tried) <= set(LEVELS)
-
-
-@pytest.mark.nightly
 def test_the_record_is_json_with_joints_from_one(found):
     data = found.plain()
     assert json.loads(json.dumps(data)) == data
@@ -85,10 +56,3 @@ def test_the_record_is_json_with_joints_from_one(found):
     assert data["diagnosis"]["schema"] == "torchid.gap/1"
     value = data["diagnosis"]["which"][0]["parameters"]
     assert plain(value)["Fc"] == pytest.approx(FC, rel=0.1)
-
-
-def test_what_cannot_be_planted_is_refused():
-    with pytest.raises(TorchidError, match="one joint"):
-        withheld_own(ROBOT, logged(REAL), plant=("payload",))
-    with pytest.raises(TorchidError, match="no such joint"):
-        withheld_own(ROBOT, logged(REAL), plant=("cogging",), joints=(3,))

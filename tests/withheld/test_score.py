@@ -4,9 +4,15 @@ from typing import Any
 
 import pytest
 
+from tests.benchmarks import loaded
 from tests.withheld.fakes import answer, entry
-from torchid.withheld.measures import median, micro_f1, rate
-from torchid.withheld.score import Scored, confusion, detection, scored, scores
+from torchid.withheld.measures import micro_f1, rate
+from torchid.withheld.score import Scored, scored, scores
+
+extra = loaded("withheld_beside")
+beside, confusion, detection, median = (
+    getattr(extra, name) for name in ("beside", "confusion", "detection", "median")
+)
 
 RIGHT = entry("coulomb_friction", "sign", 2)
 WRONG = entry("viscous_friction", "speed", 1)
@@ -161,13 +167,13 @@ def test_closing_is_measured_by_the_oracle():
         case("single", FOUND, COULOMB, name="c"),
         case("single", FOUND, COULOMB, name="d"),
     ]
-    found = scores(cases, oracle={"a": 0.9, "b": 0.8, "c": 1.0, "d": 0.01})["closing"]
+    found = beside(cases, oracle={"a": 0.9, "b": 0.8, "c": 1.0, "d": 0.01})["closing"]
     assert found["ratio"]["median"] == pytest.approx(0.9)
     assert found["ratio"]["cases"] == 3
     assert found["oracle_closes_nothing"] == 1
     assert found["oracle"]["median"] == pytest.approx(0.85)
     assert found["closed"]["median"] == pytest.approx(0.9)
-    assert scores(cases)["closing"]["ratio"]["median"] is None
+    assert beside(cases)["closing"]["ratio"]["median"] is None
 
 
 def test_coverage_of_the_closed_share_and_of_coefficients():
@@ -181,9 +187,10 @@ def test_coverage_of_the_closed_share_and_of_coefficients():
         case("single", found(1.5), COULOMB, name="b", **truth),
         case("severity", found(0.9), COULOMB, name="c", level=5.0, **truth),
     ]
-    covered = scores(cases, truly_closed={"a": 0.9, "b": 0.97})["coverage"]
-    assert (covered["closed"]["hits"], covered["closed"]["total"]) == (1, 2)
-    assert (covered["coefficients"]["hits"], covered["coefficients"]["total"]) == (2, 3)
+    closed = beside(cases, truly_closed={"a": 0.9, "b": 0.97})["closed_coverage"]
+    assert (closed["hits"], closed["total"]) == (1, 2)
+    coefficients = scores(cases)["coverage"]
+    assert (coefficients["hits"], coefficients["total"]) == (2, 3)
 
 
 def test_confusion_says_what_was_named_first_or_why_nothing():

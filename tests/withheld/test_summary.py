@@ -7,15 +7,26 @@ import pytest
 from tests.benchmarks import loaded
 from tests.withheld.fakes import answer, draw_case, entry, key_of
 from torchid.errors import TorchidError
-from torchid.report.withheld import LINES, figures, headline, score_table
+from torchid.report.withheld import LINES, headline, score_table
 from torchid.withheld.case_set import CaseSet
-from torchid.withheld.score import require_answers, summary
+from torchid.withheld.score import require_answers, scored
+from torchid.withheld.score import summary as summary_of
 
 references = loaded("withheld_score")
 markdown = loaded("withheld_page").markdown
+figures = loaded("withheld_figures").figures
+extra = loaded("withheld_beside")
 
 RIGHT = answer("explained", entry("coulomb_friction", "sign", 2))
 WRONG = answer("explained", entry("viscous_friction", "speed", 1))
+
+
+def summary(cases, keys, answers, oracle=None):
+    """With what the benchmark puts beside it."""
+    found = summary_of(cases, keys, answers)
+    ours = [scored(key, answers[key["id"]]) for key in keys if key["id"] in answers]
+    found["scores"] |= extra.beside(ours, None if oracle is None else extra.closed_by(oracle))
+    return found
 
 
 @pytest.fixture
@@ -66,14 +77,14 @@ def test_the_oracle_is_what_closing_is_compared_with(cases, keys, answers):
 def test_every_line_has_a_value_and_targets_can_be_missed(cases, keys, answers):
     good = summary(cases, keys, answers)["scores"]
     bad = summary(cases, keys, dict.fromkeys(cases.ids, WRONG))["scores"]
-    met = {line.label: (line.met(good), line.met(bad)) for line in LINES}
+    met = {line.label: (line.met(good), line.met(bad)) for line in extra.ALL_LINES}
     assert met["false alarms, white noise"] == (True, False)
     assert met["one effect: first name right"] == (True, False)
     assert met["one effect: family right"] == (True, False)
     assert met["joints, F1"] == (True, False)
     assert met["outside: wrong family for sure"] == (False, False)
     assert met["gap closed, of the oracle's"] == (None, None)
-    for line in LINES:
+    for line in extra.ALL_LINES:
         assert line.label
         assert line.path
         assert line.target or line.met(good) is None

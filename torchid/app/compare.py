@@ -22,19 +22,18 @@ def compare_command(
     seed: opt.Seed = 0,
     output: Annotated[Computed, "compare.json"],
 ) -> None:
-    """Which parameters agree between results within their intervals, which drift, which are never
-    determined; whether standard deviations hold from run to run; how far apart the torques are.
+    """Which coefficients agree between results, which differ and by what spread, which are never
+    determined; how far apart the torques are.
 
     Example: `torchid compare monday/identification.json tuesday/identification.json
     friday/identification.json --on test.parquet --out compared`
 
     Args:
-        results: Two or more identification.json, gap.json or sets.json, in the order of time.
+        results: Two or more identification.json, gap.json or sets.json.
         on: Compare torque along this log, in place of random motion. May be given several times.
         robot: Where the results do not record it.
     """
-    from torchid.compare.reading import read_results
-    from torchid.compare.results import common_robot, compared
+    from torchid.fleet.compare import common_robot, compared, read_results
     from torchid.report.compare import shown
 
     read = read_results(results)

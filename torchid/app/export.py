@@ -19,7 +19,7 @@ from torchid.robot.config_files import names_robot
 
 Simulated = Literal["mjcf", "urdf", "mujoco", "mjlab", "isaaclab", "gazebo"]
 """What a corrected file can be for; the last four read one of the first two."""
-Format = Literal["urdf", "mjcf", "yaml", "csv", "c", "isaaclab", "mjlab"]
+Format = Literal["urdf", "mjcf", "yaml", "c", "isaaclab", "mjlab"]
 
 
 @command
@@ -35,14 +35,13 @@ def export_command(
     log: opt.LogFiles = None,
     held_out: opt.LogFiles = None,
     randomise: Annotated[float | None, typer.Option(metavar="LEVEL")] = None,
-    spread: Annotated[list[Path] | None, typer.Option(metavar="FILE")] = None,
     draws: opt.Count = 256,
     reading: opt.Reading,
     part: opt.Part,
     seed: opt.Seed = 0,
     output: Annotated[Computed, "export_{to}.json", "randomisation.json"],
 ) -> None:
-    """Write identified dynamics into a copy of your URDF or MJCF, as yaml, as a table, or as C.
+    """Write identified dynamics into a copy of your URDF or MJCF, as yaml, or as C.
 
     Every file is reloaded, also by Pinocchio and MuJoCo where they are installed, and its torque
     compared with the result's; what does not agree is not kept. Without --out, it is written to
@@ -68,8 +67,6 @@ def export_command(
             `torchid gap` or a model that says how sure it is. The ranges hold this share, e.g.
             0.95, of what the logs leave open; written for MuJoCo, mjlab and Isaac Lab, with draws
             that are all bodies.
-        spread: JSON of `torchid compare` or `torchid fleet identify`: how far sessions or units of
-            the type are apart, for --randomise. May be given several times.
         draws: How many robots --randomise draws.
         geometry: Bounds of the centres of mass that count in the check, as for `torchid check`.
     """
@@ -90,9 +87,7 @@ def export_command(
         assert randomise is not None
         given = None if robot is None else torchid.load_robot(robot, **part.choice.options)
         diagnosed = opt.load(result, part) if names_robot(result) else any_diagnosis(Path(result))
-        ranges = torchid.randomise(
-            diagnosed, randomise, robot=given, spread=spread or [], draws=draws, seed=seed
-        )
+        ranges = torchid.randomise(diagnosed, randomise, robot=given, draws=draws, seed=seed)
         files = [str(file) for file in ranges.write(output.out or Path(), name)]
         plain = {**ranges.plain(), "files": files}
         told = randomisation_shown(ranges, files)

@@ -1,7 +1,5 @@
-"""`torchid init`: a project file, guessed from what lies in the folder, and asked for."""
+"""`torchid init`: a project file, guessed from what lies in the folder."""
 
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -26,14 +24,13 @@ def init(
     held_out: opt.LogFiles = None,
     out: Annotated[str, typer.Option(metavar="DIR")] = "results",
     save: Annotated[Path, typer.Option("--save", "--to", metavar="FILE"), WRITTEN] = Path(NAME),
-    ask: bool = True,
     force: Switch = False,
     output: Annotated[Output, Fields("quiet")],
 ) -> None:
     """Write a project file, so that every other command needs only what differs.
 
-    What is not given is guessed from the robots and logs in the working directory and from the
-    columns of the logs, or asked for on a terminal.
+    What is not given is guessed from the robot and the logs in the working directory and from the
+    columns of the logs.
 
     Example: `torchid init run1.csv run2.csv --held-out run3.csv --robot my_arm.urdf`
 
@@ -43,7 +40,6 @@ def init(
         held_out: Logs to hold out; those whose names say so (test, val, check) if absent.
         out: Folder for results.
         save: The project file.
-        ask: Ask for what cannot be guessed, on a terminal.
         force: Replace the project file that is there.
     """
     if save.exists() and not force:
@@ -51,14 +47,8 @@ def init(
     from torchid.project.guess import guess
     from torchid.results.words import count
 
-    people = all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout))
-    asking = ask and people and not output.silent
-    choose = _choose if asking else None
-    found = guess(robot, part.choice, logs or (), held_out or (), reading.request(None), choose)
+    found = guess(robot, part.choice, logs or (), held_out or (), reading.request(None))
     said, given, n = "the logs hold currents and no torque", reading.gain, found.robot.n
-    if given is None and found.needs_gains and asking:
-        question = f"{said}: drive gains [N m/A] of {n} joints, or Enter"
-        given = typer.prompt(question, default="", show_default=False) or None
     gains = None if given is None else opt.numbers("--gain", given, n)
     output.put(save, lambda path: write_text(path, found.text(path, out, gains)))
     read(save)
@@ -71,14 +61,6 @@ def init(
     if gains is None and found.needs_gains:
         output.warn((f"{said}: give the drive gains [N m/A] as `gain` in the file",))
     output.say("next: torchid log show, torchid log doctor, torchid identify, torchid gap")
-
-
-def _choose(question: str, choices: Sequence[str]) -> str:
-    """One of several, which the user types."""
-    typer.echo(f"{question}: {', '.join(choices)}")
-    while (answer := typer.prompt("which").strip()) not in choices:
-        typer.echo(f"not one of them: {answer}")
-    return answer
 
 
 init_command = command(init, project=False)

@@ -91,7 +91,6 @@ def show_command(
         checked = {
             "robot_name": found.name,
             "position_limits": found.limits.position,
-            "torque_limits": found.limits.torque,
             "prismatic": [kind is JointType.PRISMATIC for kind in found.joint_types],
             "moving_base": found.floating,
         }

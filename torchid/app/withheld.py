@@ -12,10 +12,8 @@ from torchid.app import options as opt
 from torchid.app.inputs import PLACE
 from torchid.app.output import Kept, Printed
 from torchid.app.project import group
-from torchid.app.signature import Parsed, Switch, command
-from torchid.errors import TorchidError
+from torchid.app.signature import Switch, command
 from torchid.gap.settings import GapSettings
-from torchid.withheld.settings import PLANTED
 
 SetArgument = Annotated[
     Path,
@@ -40,16 +38,6 @@ class Workers:
         from torchid.parallel.workers import cores
 
         return self.jobs or cores()
-
-
-def _joints(text: str) -> list[int] | None:
-    """Joints from 0, of `1,3`; None for `all`."""
-    if text.strip() == "all":
-        return None
-    parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdigit() for part in parts):
-        raise TorchidError("--joints takes numbers, separated by commas.", got=text)
-    return [int(part) - 1 for part in parts]
 
 
 @command
@@ -157,31 +145,22 @@ def own_command(
     *,
     trials: opt.Trials,
     settings: Annotated[GapSettings, opt.GAP.only("background parameters seed")],
-    plant: opt.Names = PLANTED,
-    joints: Annotated[
-        list[int] | None, typer.Option(metavar="J1,J2,..|all"), Parsed(_joints, "all")
-    ] = None,
     workers: Workers,
     output: Annotated[Kept, "own.json"],
 ) -> None:
-    """Check the diagnosis on your own arm: withhold what it accepted, plant what is known.
+    """Check the diagnosis on your own arm: withhold what it accepted.
 
     Every effect accepted on LOG... is taken out of the corrected model and sought again on logs
-    that took no part (--held-out; else the second half of every trajectory). Then known effects are
-    added to the measured torque, to see from which size on they are found.
+    that took no part (--held-out; else the second half of every trajectory).
 
     Example: `torchid withheld own panda.urdf run1.parquet run2.parquet --held-out run3.parquet`
-
-    Args:
-        plant: Effects of one joint to plant in the log; `none` for none.
-        joints: Joints where they are planted.
     """
     from torchid.report.withheld import own_shown
 
     found, log, apart, _ = trials.open(output)
     with output.progress() as progress:
         result = torchid.withheld_own(
-            found, log, untouched=apart, settings=settings, plant=plant, joints=joints,
+            found, log, untouched=apart, settings=settings,
             jobs=workers.count, progress=progress,
         )  # fmt: skip
     output.give(result, "own.json", own_shown, seed=settings.seed)

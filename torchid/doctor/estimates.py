@@ -133,10 +133,6 @@ CONDITION = 300.0
 """Of a joint's own columns, each scaled to one, from which they cannot be told apart."""
 SMALL = 0.1
 """Range of a position that excites too little [rad or m]."""
-MOTOR_FRICTION, LINK_FRICTION = 0.4, 0.15
-"""Coulomb friction over the torque's spread (median of the joints): above the first there is a gear
-in the torque, below the second, with no rotor's inertia either, there is none. Motor currents of UR
-arms and the EMPS have 0.42 to 0.63, joint torque sensors of a Panda and an xMate 0.09 to 0.13."""
 
 
 def check_excitation(judge: Judge, hypothesis: Hypothesis, log: Log) -> Check:
@@ -179,32 +175,3 @@ def _condition(judge: Judge, hypothesis: Hypothesis, joint: int) -> float:
         return float("inf")
     values = np.linalg.eigvalsh(gram / np.outer(size, size))
     return float(np.sqrt(values[-1] / max(values[0], 1e-300)))
-
-
-def check_side(judge: Judge, result: Search) -> Check:
-    """Motor side or link side, by the friction and the rotor inertia that torque contains."""
-    end = result.final.hypothesis
-    normal = judge.normal(end)
-    live = judge.live(end)
-    if not live:
-        return Check("torque side", "cannot tell", "nothing moves with a torque")
-    n = judge.robot.n
-    own = result.final.fit.x[10 * n :].reshape(n, OWN)
-    spread = np.sqrt(np.where(normal.spread > 0, normal.spread, 1.0))
-    friction = (np.abs(own[:, 1]) / spread)[live]
-    rotor = own[live, 2]
-    middle = float(np.median(friction))
-    share = int((rotor > 0).sum())
-    some = share > len(live) / 4
-    text = (
-        f"Coulomb friction is {100 * middle:.2g} % of the torque's spread (median of the joints), "
-        f"{share} of {len(live)} joints show a rotor's inertia"
-    )
-    sizes = tuple(friction.tolist())
-    base = said("torque side", "cannot tell", joints=live, estimate=sizes, text=text)
-    if middle > MOTOR_FRICTION:
-        text = f"{text}: motor side, gear friction included"
-        return replace(base, verdict="fine", evidence=text)
-    if middle < LINK_FRICTION and not some:
-        return replace(base, verdict="fine", evidence=f"{text}: link side, behind the gear")
-    return base

@@ -7,13 +7,11 @@ from functools import cached_property
 import numpy as np
 
 from torchid.doctor import clock, motion, torque, velocity
-from torchid.doctor.branches import check_branches
 from torchid.doctor.check import Check
-from torchid.doctor.estimates import check_excitation, check_gravity, check_lag, check_side
+from torchid.doctor.estimates import check_excitation, check_gravity, check_lag
 from torchid.doctor.faults import fault_checks, unseen
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
-from torchid.doctor.limits import check_limits
 from torchid.doctor.number_format import check_number_format
 from torchid.doctor.record import CheckRecord, DoctorRecord, Examined
 from torchid.doctor.repair import Repair, Scale, repaired
@@ -33,10 +31,10 @@ LEAST_SAMPLES = 10
 """Of the longest trajectory: fewer have no usual step, nor a usual change."""
 MODEL_CHECKS = (
     "torque explained", "joint order", "torque sign", "position sign", "gain of a joint", "gravity",
-    "lag", "torque unit", "torque side", "excitation",
+    "lag", "torque unit", "excitation",
 )  # fmt: skip
-_MINOR = ("torque side", "unseen joint sign")
-"""No fault is hidden where these cannot be told: a mirrored arm has the same torques."""
+_MINOR = "unseen joint sign"
+"""No fault is hidden where it cannot be told: a mirrored arm has the same torques."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,9 +243,6 @@ def _with_model(
     if not first:
         more += [
             *check_nominal(judge, now, end),
-            *check_branches(judge, end),
-            *(check_limits(judge, end) if found.explained else ()),
-            check_side(judge, found),
             check_excitation(judge, end, now),
             *unseen(judge, found),
         ]
@@ -328,4 +323,4 @@ def untold(examination: Examination) -> tuple[str, ...]:
 
 
 def _hidden(examination: Examination) -> list[Check]:
-    return [c for c in examination.checks if c.verdict == "cannot tell" and c.name not in _MINOR]
+    return [c for c in examination.checks if c.verdict == "cannot tell" and c.name != _MINOR]

@@ -125,7 +125,12 @@ class Judge:
     def held_out(self, hypothesis: Hypothesis) -> np.ndarray:
         """(B, n) errors of each block under the fit to the others, as shares of the spread; NaN
         where a joint does not move."""
-        return errors_left_out(self.normal(hypothesis), self.cone)
+        normal, rows = self.normal(hypothesis), []
+        for b in range(BLOCKS):
+            found = fit(normal.without(b), self.cone)
+            error = shares(normal.mean_square(found.x)[b], normal.spread)
+            rows.append(np.where(normal.count[b] >= FEWEST, error, np.nan))
+        return np.stack(rows)
 
     def normal(self, hypothesis: Hypothesis, members: Sequence[np.ndarray] = ()) -> Normal:
         """Normal equations of the rows under a hypothesis, in blocks of time or the given ones."""
@@ -202,22 +207,6 @@ def _products(a: np.ndarray, members: Sequence[np.ndarray]) -> np.ndarray:
     """(B, n, P, P) products of the columns (T, n, P), a block of rows apart."""
     joints = [np.ascontiguousarray(a[m].transpose(1, 0, 2)) for m in members]
     return np.stack([x.transpose(0, 2, 1) @ x for x in joints])
-
-
-def errors_left_out(normal: Normal, bodies: np.ndarray) -> np.ndarray:
-    """(B, n) errors of each block under the fit to the others, as shares of the spread; NaN where a
-    joint does not move.
-
-    Args:
-        normal: rows.
-        bodies: (P, U) what may be.
-    """
-    rows = []
-    for b in range(BLOCKS):
-        found = fit(normal.without(b), bodies)
-        error = shares(normal.mean_square(found.x)[b], normal.spread)
-        rows.append(np.where(normal.count[b] >= FEWEST, error, np.nan))
-    return np.stack(rows)
 
 
 Family = Callable[[float], Hypothesis]

@@ -20,7 +20,7 @@ from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError, TorchidError
 from torchid.excitation.clearance import Clearance
 from torchid.excitation.descent import HARDLY, Progress, best_of, descend
-from torchid.excitation.fourier import BASE_PULSATION, FourierTrajectory
+from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.restriction import restricted
 from torchid.excitation.settings import DURATION, EXCITED_EFFECTS, HARMONICS, RESTARTS, USAGE
@@ -97,7 +97,7 @@ class Excitation:
 def excite(
     robot: RobotLike,
     *,
-    effects: Sequence[str] = EXCITED_EFFECTS,
+    effects: Sequence[str | JointEffect] = EXCITED_EFFECTS,
     criterion: Criterion = "condition",
     basis: Basis | None = None,
     duration: float = DURATION,
@@ -105,6 +105,7 @@ def excite(
     restarts: int = RESTARTS,
     iterations: int = 250,
     usage: float = USAGE,
+    torque: TorqueLimits | None = None,
     clearance: Clearance | None = None,
     seed: int = 0,
     device: torch.device | str = "cpu",
@@ -113,12 +114,13 @@ def excite(
     """A motion that makes the base parameters visible, within the robot's limits, at rest at both
     ends.
 
-    Torque limits are kept too, where the robot has them and nominal parameters.
+    Of several random starts, improved in one batch, the best is taken; rows of torque count by the
+    joints' limits, where all are known.
 
     Args:
         robot: kinematics, gravity and limits of position, velocity and acceleration; a URDF has
             none of the last: `robot.with_limits(acceleration=5.0)`.
-        effects: names of effects to be identified with it, on every joint.
+        effects: to be identified with it: names, on every joint, or effects.
         criterion: `condition`, the condition number of the regressor, or `d_optimal`, the
             determinant of the information matrix.
         basis: of the base parameters whose condition number it is; the robot's own if None.
@@ -127,6 +129,7 @@ def excite(
         restarts: random starts of the design.
         iterations: of the search from each.
         usage: share of the limits that may be used.
+        torque: limits to keep too; by default the robot's, by its nominal parameters, if any.
         clearance: distances that the motion keeps, from
             `torchid.excitation.clearance.motion_clearance`; none if None.
         seed: of the random starts; the result is a function of it.
@@ -148,20 +151,60 @@ def excite(
     """
     robot = as_robot(robot)
     robot.require_fixed_base("the design of motions")
-    return optimise_trajectory(
+    known = [e for e in effects if not isinstance(e, str)]
+    known += on_every_joint([e for e in effects if isinstance(e, str)], robot.n)
+    if criterion not in ("condition", "d_optimal"):
+        raise TorchidError(
+            "unknown criterion.", got=criterion, available=["condition", "d_optimal"]
+        )
+    if restarts < 1 or iterations < 0:
+        raise TorchidError(
+            "a design needs at least one start.",
+            got=f"{restarts} restarts, {iterations} iterations",
+        )
+    limits = motion_limits(robot, usage=usage)
+    torque = torque or nominal_torque_limits(robot, usage=usage)
+    kept = restricted(torque, clearance)
+    base = base_parameters(robot, known, basis=basis)
+    weights = row_weights(robot)
+    start = random_trajectory(
         robot,
-        on_every_joint(effects, robot.n),
-        seed=seed,
-        restarts=restarts,
-        criterion=criterion,
-        basis=basis,
-        iterations=iterations,
+        seed,
+        count=restarts,
+        fill=True,
         usage=usage,
-        clearance=clearance,
         harmonics=harmonics,
         duration=duration,
-        device=device,
-        progress=progress,
+    )
+    given = start if kept is None else kept.within(start)
+
+    def information(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
+        motion = trajectory.at(t).to(device)
+        y = base_regressor(robot, base, motion, weights, effects=known)
+        y = y.reshape(restarts, -1, len(base))
+        return (y.transpose(1, 2) @ y / t.shape[0]).cpu()
+
+    def cost(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
+        return _cost(information(trajectory, t), criterion)
+
+    def condition(trajectory: FourierTrajectory) -> float:
+        motion = trajectory.sample(_RATE).motion
+        return condition_number(robot, base, motion, weights, effects=known)
+
+    found = descend(start, limits, cost, iterations, progress, kept)
+    before = [condition(given.select(k)) for k in range(restarts)]
+    t = torch.arange(0, duration, 1 / _RATE, dtype=torch.float64)
+    # Starts compete too: a search that found nothing better returns the best of them.
+    best, costs = best_of((given, found), cost, t)
+    return Excitation(
+        best,
+        tuple(before),
+        condition(best),
+        criterion,
+        base,
+        tuple(dict.fromkeys([*limits.warnings, *base.warnings])),
+        float(costs[:restarts].quantile(0.5) - costs.min()),
+        torque,
     )
 
 
@@ -233,108 +276,6 @@ def row_weights(robot: Robot) -> Float[Tensor, " n"] | None:
         return None
     size = limits.abs().amax(-1)
     return size.max() / size if bool((size > 0).all()) else None
-
-
-def optimise_trajectory(
-    robot: Robot,
-    effects: Sequence[JointEffect] = (),
-    *,
-    seed: int,
-    restarts: int = RESTARTS,
-    criterion: Criterion = "condition",
-    basis: Basis | None = None,
-    iterations: int = 250,
-    weights: Float[Tensor, " n"] | None = None,
-    usage: float = 1.0,
-    torque: TorqueLimits | None = None,
-    clearance: Clearance | None = None,
-    harmonics: int = HARMONICS,
-    w_f: float = BASE_PULSATION,
-    duration: float = DURATION,
-    ramp: float = 1.0,
-    device: torch.device | str = "cpu",
-    progress: Progress | None = None,
-) -> Excitation:
-    """The trajectory that determines the base parameters best, within the robot's limits.
-
-    Args:
-        robot: kinematics, gravity and limits.
-        effects: whose coefficients are to be identified too.
-        seed: of the random starts; the result is a function of it.
-        restarts: random starts, optimised in one batch.
-        criterion: `condition`, the condition number, or `d_optimal`, the determinant of the
-            information matrix (the volume of the confidence ellipsoid).
-        basis: of the base parameters whose condition number it is; the robot's own if None.
-        iterations: of Adam.
-        weights: (n,) of the torque rows; by default 1 / torque limits where they are known.
-        usage: share of the limits that may be used.
-        torque: limits to keep too; by default the robot's, by its nominal parameters, if any.
-        clearance: distances to keep too.
-        harmonics, w_f, duration, ramp: see FourierTrajectory.
-        device: where regressors are evaluated; the trajectories stay on the CPU.
-        progress: called with (iterations done, all iterations).
-
-    Raises:
-        RobotError: the limits are incomplete, see `motion_limits`, or no motion keeps the torque
-            limits and the clearance.
-        TorchidError: unknown criterion, or no restarts.
-        IdentificationError: the trajectories have fewer torques than base parameters.
-    """
-    if criterion not in ("condition", "d_optimal"):
-        raise TorchidError(
-            "unknown criterion.", got=criterion, available=["condition", "d_optimal"]
-        )
-    if restarts < 1 or iterations < 0:
-        raise TorchidError(
-            "a design needs at least one start.",
-            got=f"{restarts} restarts, {iterations} iterations",
-        )
-    limits = motion_limits(robot, usage=usage)
-    torque = torque or nominal_torque_limits(robot, usage=usage)
-    kept = restricted(torque, clearance)
-    base = base_parameters(robot, effects, basis=basis)
-    weights = row_weights(robot) if weights is None else weights
-    start = random_trajectory(
-        robot,
-        seed,
-        count=restarts,
-        fill=True,
-        usage=usage,
-        harmonics=harmonics,
-        w_f=w_f,
-        duration=duration,
-        ramp=ramp,
-    )
-    given = start if kept is None else kept.within(start)
-
-    def information(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
-        motion = trajectory.at(t).to(device)
-        y = base_regressor(robot, base, motion, weights, effects=effects)
-        y = y.reshape(restarts, -1, len(base))
-        return (y.transpose(1, 2) @ y / t.shape[0]).cpu()
-
-    def cost(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
-        return _cost(information(trajectory, t), criterion)
-
-    def condition(trajectory: FourierTrajectory) -> float:
-        motion = trajectory.sample(_RATE).motion
-        return condition_number(robot, base, motion, weights, effects=effects)
-
-    found = descend(start, limits, cost, iterations, progress, kept)
-    before = [condition(given.select(k)) for k in range(restarts)]
-    t = torch.arange(0, duration, 1 / _RATE, dtype=torch.float64)
-    # Starts compete too: a search that found nothing better returns the best of them.
-    best, costs = best_of((given, found), cost, t)
-    return Excitation(
-        best,
-        tuple(before),
-        condition(best),
-        criterion,
-        base,
-        tuple(dict.fromkeys([*limits.warnings, *base.warnings])),
-        float(costs[:restarts].quantile(0.5) - costs.min()),
-        torque,
-    )
 
 
 def _cost(information: Float[Tensor, "K B B"], criterion: Criterion) -> Float[Tensor, " K"]:

@@ -22,7 +22,7 @@ import torch
 from torchid.errors import TorchidError
 from torchid.excitation.clearance import Clearance
 from torchid.excitation.descent import HARDLY, Progress, best_of, descend
-from torchid.excitation.design import base_regressor, optimise_trajectory
+from torchid.excitation.design import base_regressor, excite
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.restriction import restricted
@@ -109,7 +109,7 @@ def design_for(
         prior: from `read_prior`.
         seed: of the random starts.
         goal: `a_optimal` for the least known parameters, `d_optimal` for all.
-        restarts, iterations, usage, harmonics, duration, clearance: as for `optimise_trajectory`.
+        restarts, iterations, usage, harmonics, duration, clearance: as for `excite`.
         progress: called with (iterations done, all iterations).
 
     Raises:
@@ -122,9 +122,9 @@ def design_for(
     settings: dict[str, Any] = {"usage": usage, "harmonics": harmonics, "duration": duration}
     limits = motion_limits(robot, usage=usage)
     torque = identified_torque_limits(robot, prior, usage=usage)
-    plain = optimise_trajectory(
-        robot, prior.effects, seed=seed, restarts=restarts, iterations=iterations, torque=torque,
-        basis=prior.base.basis, clearance=clearance, **settings,
+    plain = excite(
+        robot, effects=prior.effects, seed=seed, restarts=restarts, iterations=iterations,
+        torque=torque, basis=prior.base.basis, clearance=clearance, **settings,
     )  # fmt: skip
     # The plain design is a start too: the result is never worse than it.
     random = random_trajectory(robot, seed, count=restarts, fill=True, **settings)

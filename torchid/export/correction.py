@@ -4,18 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from torchid.export.export import Export
 from torchid.export.projection import Projection
 from torchid.export.record import (
     BodiesRecord,
     CorrectionRecord,
-    FollowedRow,
+    Errors,
     Forward,
     JudgedRecord,
-    PositionCorrectionRecord,
-    TorqueErrors,
     UnsaidRow,
 )
 from torchid.position.model import ServoArm
@@ -104,9 +102,9 @@ class Correction(Result):
         return (*(file for one in self.exports for file in one.files), *self.beside)
 
     @cached_property
-    def record(self) -> CorrectionRecord | PositionCorrectionRecord:
+    def record(self) -> CorrectionRecord:
         """As the JSON has it."""
-        return position_correction_record(self) if self.servos else correction_record(self)
+        return correction_record(self)
 
 
 def of_joints(joints: Sequence[int]) -> str:
@@ -117,43 +115,21 @@ def of_joints(joints: Sequence[int]) -> str:
 def correction_record(done: Correction) -> CorrectionRecord:
     """A correction as its JSON has it."""
     judged, projection = done.judged, done.projection
-    assert projection is not None
+    errors: dict[str, Any] = {
+        "torque_error_percent" if judged.unit == "%" else "position_error_mrad": Errors.of(judged)
+    }
+    own: dict[str, Any] = {
+        "servos_without": tuple(UnsaidRow(parameter=k, joints=j) for k, j in done.no_field.items())
+    }
+    if projection is not None:
+        given = projection.robot.require_parameters("a correction")
+        bodies = BodiesRecord.of(projection, given, fields=projection.robot.effects)
+        own = {"no_field": projection.kept, "bodies": bodies}
     return CorrectionRecord(
         robot=done.nominal.name,
-        to=projection.to,
-        judged=JudgedRecord.of(
-            judged,
-            torque_error_percent=TorqueErrors.of(judged),
-            forward=judged.forward,
-        ),
-        no_field=projection.kept,
-        bodies=BodiesRecord.of(
-            projection,
-            projection.robot.require_parameters("a correction"),
-            fields=projection.robot.effects,
-        ),
-        exports=tuple(one.record for one in done.exports),
-        warnings=done.warnings,
-    )
-
-
-def position_correction_record(done: Correction) -> PositionCorrectionRecord:
-    """A correction of servos as its JSON has it."""
-    judged = done.judged
-    names = ("nominal", "full", "claim", "engine", "run_time")
-    columns = [getattr(judged, name).tolist() for name in names]
-    return PositionCorrectionRecord(
-        robot=done.nominal.name,
         to=done.exports[0].format,
-        on=judged.held_out,
-        engine=judged.by,
-        position_error_mrad=tuple(
-            FollowedRow(joint=j, **dict(zip(("command", *names[1:]), row, strict=True)))
-            for j, row in enumerate(zip(*columns, strict=True))
-        ),
-        no_field=tuple(
-            UnsaidRow(parameter=name, joints=joints) for name, joints in done.no_field.items()
-        ),
+        judged=JudgedRecord.of(judged, **errors, forward=judged.forward),
+        **own,
         exports=tuple(one.record for one in done.exports),
         warnings=done.warnings,
     )

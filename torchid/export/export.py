@@ -14,7 +14,7 @@ from torchid.export.record import ExportRecord, Places, Reader
 from torchid.export.results import Exportable, dynamics_of
 from torchid.export.servo_mjcf import JOINTS, SAID, unsaid
 from torchid.export.write_actuator import Package, write_actuator
-from torchid.export.write_plain import write_c, write_table, write_yaml
+from torchid.export.write_plain import write_c, write_yaml
 from torchid.export.write_xml import write_xml
 from torchid.feasibility.plausibility import LEAD, by_percent
 from torchid.feasibility.record import Check, check_sets
@@ -28,9 +28,9 @@ from torchid.robot.origin import of_own_file
 from torchid.simulators.joint_dynamics import Target
 from torchid.simulators.servo import AS_EFFORT
 
-Format = Literal["urdf", "mjcf", "yaml", "csv", "c", "isaaclab", "mjlab"]
+Format = Literal["urdf", "mjcf", "yaml", "c", "isaaclab", "mjlab"]
 SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml"}
-SUFFIXES |= {"yaml": ".yaml", "csv": ".csv", "c": ".c"}
+SUFFIXES |= {"yaml": ".yaml", "c": ".c"}
 SUFFIXES |= {to: f"_actuator_{to}.py" for to in get_args(Package)}
 
 
@@ -114,7 +114,7 @@ def export_dynamics(
     Args:
         result: what to write: an identification, one set of parameters, a robot, or what the
             functions of `torchid.export.results` read from files.
-        to: format. All but csv, c and actuators need
+        to: format. All but c and actuators need
             physical parameters: of base parameters those nearest to the robot's own that have
             exactly them, or, where no bodies do, the nearest bodies that nearly do. isaaclab and
             mjlab are actuator classes that add the effects at run time.
@@ -160,7 +160,7 @@ def export_dynamics(
     xml = to in get_args(Target)
     edited = edited_of(model, to) if xml else None
     actuator = to == "isaaclab" or to == "mjlab"
-    physical = not actuator and (dynamics.base is None or to not in ("csv", "c"))
+    physical = not actuator and (dynamics.base is None or to != "c")
     written = dynamics.robot
     if dynamics.base is not None and physical:
         written = nearest_representative(nominal, dynamics.base)
@@ -177,8 +177,6 @@ def export_dynamics(
     motion = states(dynamics.robot, seed)
     if to == "yaml":
         draft, comparisons = write_yaml(dynamics, written, path, motion)
-    elif to == "csv":
-        draft, comparisons = write_table(dynamics, path, motion)
     elif to == "c":
         draft, comparisons = write_c(dynamics, path, motion)
     elif to == "isaaclab" or to == "mjlab":
@@ -232,7 +230,7 @@ def require_feasible(dynamics: Dynamics, found: Check) -> None:
     if dynamics.kind == "base parameters":
         hint = (
             "the bodies nearest to the robot's own keep not all conditions: `torchid extract` with "
-            "other bounds may; the formats csv and c need none"
+            "other bounds may; C needs none"
         )
     else:
         hint = (

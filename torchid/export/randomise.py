@@ -1,9 +1,9 @@
 """How wide to randomise a simulator: draws of the robot from what is known of it, and their ranges.
 
 What a diagnosis fitted has a covariance (block jackknife, all coefficients together); explanations
-that it cannot tell apart have odds; units and days of one type have a spread. A draw takes one of
-the explanations by its odds, and its coefficients from the sum of the covariances. Quasi-random
-normal points (Sobol, scipy) make a few hundred draws tell the ends of a range.
+that it cannot tell apart have odds. A draw takes one of the explanations by its odds, and its
+coefficients from their covariance; a model of a type has the spread of its units in its own.
+Quasi-random normal points (Sobol, scipy) make a few hundred draws tell the ends of a range.
 
 Bodies: torque knows base parameters only. Each draw's change of them is carried by the smallest
 relative change of the bodies (the entropic metric's second derivative at the centre, see
@@ -12,11 +12,8 @@ that the log leaves, given that the arm exists. Where hardly any draw is a body,
 that are nearest in torque and to the robot as given.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import get_args
 
 import torch
 
@@ -41,10 +38,9 @@ from torchid.export.randomise_positions import randomise_positions
 from torchid.export.record import RangeRow, Share
 from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, room_of
 from torchid.gap.record import GapRecord, JointFit
-from torchid.identification.base_parameters import Basis, base_parameters
+from torchid.identification.base_parameters import base_parameters
 from torchid.inputs import RobotLike, as_robot
 from torchid.position.record import PositionRecord
-from torchid.results.files import read
 from torchid.robot.inertia import (
     PARAMETERS_PER_LINK,
     InertialParameters,
@@ -62,32 +58,12 @@ CANDIDATES = 8
 NEARLY = 1e-3
 """Share of what is left of the log's torque that the centre's bodies may add to it."""
 
-SPREADS = (
-    "torchid.compare/1 identifications",
-    "torchid.compare/1 gap diagnoses",
-    "torchid.fleet/1",
-)
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Spread of one parameter over sessions or units.
-
-    Attributes:
-        std: one standard deviation.
-        source: file.
-    """
-
-    std: float
-    source: str
-
 
 def randomise(
     found: GapRecord | PositionRecord | Robot,
     level: float = 0.95,
     *,
     robot: RobotLike | None = None,
-    spread: Sequence[Path | str] = (),
     draws: int = 256,
     seed: int = 0,
 ) -> Randomisation:
@@ -99,14 +75,12 @@ def randomise(
         level: share of the draws in each range.
         robot: whose bodies the drawn ones are near to: as given to the diagnosis; what that
             records, or the model's own, if None.
-        spread: files of `torchid compare` (identifications, diagnoses) or `torchid fleet`: how far
-            sessions or units of the type are apart is added to what is not known of this one.
         draws: how many.
         seed: of the draws.
 
     Raises:
         TorchidError: a diagnosis of an older version, which has no covariance, or a model without;
-            a level outside 0 to 1; another robot; a file of another kind.
+            a level outside 0 to 1; another robot.
 
     >>> import torch, torchid
     >>> robot = torchid.load_robot("3r")
@@ -125,83 +99,32 @@ def randomise(
     if draws < 2:
         raise TorchidError("too few draws for a range.", got=draws, expected="2 or more")
     if isinstance(found, PositionRecord):
-        if spread:
-            raise TorchidError("`spread=...` is of logs with torques, and these have commands.")
         return randomise_positions(found, level, robot, draws, seed)
     if isinstance(found, Robot):
         source = of_model(found, robot, level)
     else:
         source = of_diagnosis(found, robot, level)
-    between, warnings = between_of(spread, source.given)
-    centre, every, more = _drawn(source, between, draws, seed)
-    warnings = [*source.warnings, *warnings, *more]
+    centre, every, more = _drawn(source, draws, seed)
+    warnings = [*source.warnings, *more]
     fields, beside = drawn_values(every, centre)
-    missing = set(between) - {n for f in source.fits for c in f.coefficients for n in c.names}
-    missing -= {name for name, _, _ in beside} | set(_known_names(centre))
-    if missing:
-        warnings.append(
-            f"differs between sessions or units, and is nothing that this robot has: "
-            f"{', '.join(sorted(missing))}"
-        )
     used = [int((every.which == k).sum()) for k in range(len(source.fits))]
     explanations = tuple(
         Share(words=f.words or source.words, weight=f.weight, draws=n)
         for f, n in zip(source.fits, used, strict=True)
     )
-    ranges = _ranges(fields, beside, every, centre, between, level)
+    ranges = _ranges(fields, beside, every, centre, level)
     return Randomisation(
         centre.name, level, every, ranges, centre, centre.joint_names, source.bands, explanations,
         tuple(warnings),
     )  # fmt: skip
 
 
-def between_of(files: Sequence[Path | str], robot: Robot) -> tuple[dict[str, Spread], list[str]]:
-    """Standard deviation between sessions or units by the name of a parameter, base parameters by
-    that of the link parameter which carries them; and what could not be used, in sentences.
-
-    Of several files the largest counts, for a fleet's spread and that of its sessions overlap.
-    """
-    found: dict[str, Spread] = {}
-    unknown: list[str] = []
-    carriers: dict[str, str] = {}
-    if files:
-        order = paper_order(robot.n_links).tolist()
-        for basis in get_args(Basis):
-            base = base_parameters(robot, basis=basis)
-            for name, k in zip(base.names, base.independent, strict=True):
-                link, entry = divmod(order[k], PARAMETERS_PER_LINK)
-                carriers.setdefault(name, LinkInertia(link).coefficient_names()[entry])
-    for file in files:
-        kinds = "a comparison of identifications or diagnoses, or a fleet"
-        data = read(file, SPREADS, kinds, "`torchid compare`, `torchid fleet identify`").plain()
-        rows: list[tuple[str, float | None]] = []
-        for one in data.get("parameters", ()):
-            # Units differ, and so do days of one unit.
-            parts = [one[k] for k in ("between_std", "unit_std", "day_std") if one.get(k)]
-            rows.append((one["name"], math.hypot(*parts) if parts else None))
-        for cause in data.get("effects", ()):
-            place = "_".join(map(str, cause["joints"]))
-            rows += [(f"{c['name']}{place}", c["between_std"]) for c in cause["coefficients"]]
-        for name, std in rows:
-            own = carriers.get(name, name)
-            if std and std > found.get(own, Spread(0.0, "")).std:
-                found[own] = Spread(float(std), Path(file).name)
-        unknown += (
-            []
-            if any(std for _, std in rows)
-            else [f"{Path(file).name} tells of no spread: its sessions or units agree"]
-        )
-    return found, unknown
-
-
-def _drawn(
-    source: DrawnFrom, between: Mapping[str, Spread], draws: int, seed: int
-) -> tuple[Robot, Draws, list[str]]:
+def _drawn(source: DrawnFrom, draws: int, seed: int) -> tuple[Robot, Draws, list[str]]:
     """The centre, draws, and what is to be said of them."""
     fits, given, n = source.fits, source.given, source.given.n
     models = [f.corrected or source.corrected for f in fits]
     weights = torch.tensor([f.weight for f in fits], dtype=torch.float64)
-    parts = [_Explained.of(m, f, between) for m, f in zip(models, fits, strict=True)]
+    parts = [_Explained.of(m, f) for m, f in zip(models, fits, strict=True)]
     bodies = _Bodies.of(source, [p.pi for p in parts])
     # Points of a low-discrepancy sequence: one number says which explanation, the others how far.
     wide = max(p.root.shape[1] for p in parts)
@@ -271,8 +194,8 @@ class _Explained:
     places: tuple[tuple[tuple[int, int], ...], ...]
 
     @staticmethod
-    def of(model: Robot, fit: JointFit, between: Mapping[str, Spread]) -> "_Explained":
-        """Of a corrected model, its fit, and the spread between sessions or units."""
+    def of(model: Robot, fit: JointFit) -> "_Explained":
+        """Of a corrected model, and its fit."""
         pairs, others = nominal_effects(model), list[Valued]()
         robot, known = model, dict[tuple[str, str], tuple[int, int | None]]()
         for link in range(model.n_links):
@@ -287,18 +210,8 @@ class _Explained:
             else:
                 known |= {key: (len(others), k) for k, key in enumerate(own)}
                 others.append((effect, list(values)))
-        # Coefficients of the fit, then what differs between units and was not fitted here.
         keys = [[(c.effect, name) for name in c.names] for c in fit.coefficients]
-        named = {name for key in keys for _, name in key}
-        extra = [key for key in known if key[1] in between and key[1] not in named]
-        covariance = torch.zeros(len(keys) + len(extra), len(keys) + len(extra)).double()
-        covariance[: len(keys), : len(keys)] = fit.covariance
-        keys += [[key] for key in extra]
-        own_spread = [
-            max((between[n].std for _, n in k if n in between), default=0.0) for k in keys
-        ]
-        covariance += torch.diag(torch.tensor(own_spread, dtype=torch.float64).square())
-        sizes, axes = torch.linalg.eigh(covariance)
+        sizes, axes = torch.linalg.eigh(fit.covariance.double())
         root = axes * sizes.clamp(min=0).sqrt()
         at = [[known[key] for key in own if key in known] for own in keys]
         body = [bool(own) and own[0][1] is None for own in at]
@@ -443,18 +356,11 @@ class _Near:
         ] * int(off[worst] > PRICE)
 
 
-def _known_names(robot: Robot) -> list[str]:
-    """Names of everything that a robot has."""
-    links = [x for k in range(robot.n_links) for x in LinkInertia(k).coefficient_names()]
-    return links + [x for e, _ in nominal_effects(robot) for x in e.coefficient_names()]
-
-
 def _ranges(
     fields: Mapping[str, Float[Tensor, "D n"]],
     beside: Sequence[tuple[str, str, Float[Tensor, " D"]]],
     every: Draws,
     centre: Robot,
-    between: Mapping[str, Spread],
     level: float,
 ) -> tuple[RangeRow, ...]:
     """Of everything in which draws differ."""
@@ -462,14 +368,12 @@ def _ranges(
     first = every.which == 0
     mixed = not bool(first.all())
 
-    def row(field: str, name: str, unit: str, x: Float[Tensor, " D"], key: str | None) -> None:
+    def row(field: str, name: str, unit: str, x: Float[Tensor, " D"]) -> None:
         spread = float(x.max() - x.min())
         if spread <= 1e-9 * float(x.abs().max()):
             return
         own = x[first] if int(first.sum()) > 1 else x
         parts = [f"one standard deviation is {float(own.std()):.2g} {unit} by the log"]
-        if key is not None and key in between:
-            parts[0] += f" and the spread of {between[key].std:.2g} in {between[key].source}"
         if mixed and float((x[~first].mean() - own.mean()).abs()) > float(own.std()):
             share = 100 * float((~first).double().mean())
             parts.append(f"{share:.0f} % of the draws are of explanations that say it otherwise")
@@ -481,13 +385,12 @@ def _ranges(
         for j, name in enumerate(centre.joint_names):
             coefficient = kind.coefficients[c]
             unit = coefficient.unit_for(centre.joint_types[j] is JointType.PRISMATIC)
-            row(field, name, unit, x[:, j], f"{coefficient.name}{j + 1}")
+            row(field, name, unit, x[:, j])
     bodies = InertialParameters(every.pi)
     values = torch.cat([bodies.mass.unsqueeze(-1), bodies.com], -1)
     for k, (field, unit) in enumerate(BODY_FIELDS.items()):
         for j, name in enumerate(centre.link_names):
-            key = LinkInertia(j).coefficient_names()[k]
-            row(field, name, unit, values[:, j, k], key)
+            row(field, name, unit, values[:, j, k])
     for name, unit, x in beside:
-        row(name.rpartition(" ")[0], name, unit, x, name.rpartition(" ")[2])
+        row(name.rpartition(" ")[0], name, unit, x)
     return tuple(out)

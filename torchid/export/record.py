@@ -64,8 +64,8 @@ class ExportRecord(Record, frozen=True, kw_only=True, tag="torchid.export/1"):
 _ERRORS = {"claim": "file_claimed", "engine": "file_in_engine", "run_time": "with_effects"}
 
 
-class TorqueErrors(Part, frozen=True, kw_only=True, rename=_ERRORS):
-    """Errors of the torque (n,) [%]; see `export.correction.Judged`."""
+class Errors(Part, frozen=True, kw_only=True, rename=_ERRORS):
+    """Errors of the torque [%], or of positions [mrad], (n,); see `export.correction.Judged`."""
 
     nominal: Float[Tensor, " n"]
     full: Float[Tensor, " n"]
@@ -99,8 +99,9 @@ class JudgedRecord(
 
     held_out: str
     by: str
-    band: float
-    torque_error_percent: TorqueErrors
+    band: float | None
+    torque_error_percent: Errors | UnsetType = UNSET
+    position_error_mrad: Errors | UnsetType = UNSET
     forward: tuple[Forward, ...]
 
 
@@ -139,43 +140,6 @@ class BodiesRecord(Part, frozen=True, kw_only=True):
     fields: tuple[Values, ...]
 
 
-class CorrectionRecord(Record, frozen=True, kw_only=True, tag="torchid.correction/1"):
-    """A corrected file.
-
-    Attributes:
-        robot: name of the robot as given. to: format of the file.
-        judged: what it is worth.
-        no_field: what it keeps of effects that it has no field for.
-        bodies: that are in it.
-        exports: what was written.
-        warnings: sentences for the user.
-    """
-
-    robot: str
-    to: str
-    judged: JudgedRecord
-    no_field: tuple[Kept, ...]
-    bodies: BodiesRecord
-    exports: tuple[ExportRecord, ...]
-    warnings: tuple[str, ...]
-
-    @property
-    def table(self) -> Rows[Kept]:
-        """Effects that the file has no field for."""
-        return Rows(self.no_field)
-
-
-class FollowedRow(Part, frozen=True, kw_only=True, rename=_ERRORS):
-    """Position errors of one joint [mrad]; see `export.correction.Judged`."""
-
-    joint: Joint
-    command: Real
-    full: Real
-    claim: Real
-    engine: Real
-    run_time: Real
-
-
 class UnsaidRow(Part, frozen=True, kw_only=True):
     """A parameter of servos that the file has no field for."""
 
@@ -183,16 +147,15 @@ class UnsaidRow(Part, frozen=True, kw_only=True):
     joints: tuple[Joint, ...]
 
 
-class PositionCorrectionRecord(
-    Record, frozen=True, kw_only=True, tag="torchid.position_correction/1"
-):
-    """An MJCF with servos.
+class CorrectionRecord(Record, frozen=True, kw_only=True, tag="torchid.correction/1"):
+    """A corrected file, by torques or by positions.
 
     Attributes:
         robot: name of the robot as given. to: format of the file.
-        on: what the errors are on. engine: which moved the file.
-        position_error_mrad: by joint.
-        no_field: what the file does not say of the servos.
+        judged: what it is worth.
+        no_field: what it keeps of effects that it has no field for.
+        bodies: that are in it; None by positions.
+        servos_without: parameters of servos that it does not say.
         exports: what was written.
         warnings: sentences for the user.
         seed: of the states at which it was compared, from a command.
@@ -200,18 +163,18 @@ class PositionCorrectionRecord(
 
     robot: str
     to: str
-    on: str
-    engine: str
-    position_error_mrad: tuple[FollowedRow, ...]
-    no_field: tuple[UnsaidRow, ...]
+    judged: JudgedRecord
+    no_field: tuple[Kept, ...] = ()
+    bodies: BodiesRecord | None = None
+    servos_without: tuple[UnsaidRow, ...] | UnsetType = UNSET
     exports: tuple[ExportRecord, ...]
     warnings: tuple[str, ...]
     seed: int | UnsetType = UNSET
 
     @property
-    def table(self) -> Rows[FollowedRow]:
-        """Errors by joint."""
-        return Rows(self.position_error_mrad)
+    def table(self) -> Rows[Kept]:
+        """Effects that the file has no field for."""
+        return Rows(self.no_field)
 
 
 class RangeRow(Part, frozen=True, kw_only=True):

@@ -125,7 +125,7 @@ class FleetEffect(Part, frozen=True, kw_only=True):
     @property
     def label(self) -> str:
         """Name and place."""
-        return _label(self.effect, [j + 1 for j in self.joints])
+        return effect_label(self.effect, [j + 1 for j in self.joints])
 
 
 class FleetGapRecord(RobotRecord, frozen=True, kw_only=True, tag="torchid.fleet_gap/1"):
@@ -153,7 +153,7 @@ class FleetGapRecord(RobotRecord, frozen=True, kw_only=True, tag="torchid.fleet_
         return Rows(self.effects)
 
 
-def _label(effect: str, joints: Sequence[int]) -> str:
+def effect_label(effect: str, joints: Sequence[int]) -> str:
     """`backlash of joint 2`; joints from 1."""
     if not joints:
         return effect
@@ -234,7 +234,7 @@ def _row(answer: LogAnswer, gap: dict[str, Any]) -> DiagnosedLog:
         key=answer.key,
         gap=tuple(_ratio(j["gap_rms"], j["noise_floor_rms"][1]) for j in joints),
         closed=gap["how_far"]["closed"] if gap else None,
-        effects=tuple(_label(e["effect"], e["joints"]) for e in gap.get("which", ())),
+        effects=tuple(effect_label(e["effect"], e["joints"]) for e in gap.get("which", ())),
     )
 
 

@@ -17,7 +17,7 @@ from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
 from torchid.position.diagnose import diagnose_positions
 from torchid.position.diagnosis import PositionDiagnosis
-from torchid.position.nominal import nominal_servos, servos_as_given, types_of
+from torchid.position.nominal import nominal_servos, servos_as_given, sheets_of, types_of
 from torchid.results.answer import Diagnosis
 from torchid.robot.model import Robot
 
@@ -126,7 +126,7 @@ def _of_positions(
     nominal = nominal_servos(robot, servo)
     found = diagnose_positions(
         robot, log, held_out=held_out, trusted=settings.parameters == "trusted",
-        types=types_of(nominal), start=servos_as_given(robot, nominal),
+        types=types_of(nominal), sheets=sheets_of(nominal), start=servos_as_given(robot, nominal),
         worthwhile=settings.worthwhile, progress=progress, watch=watch,
     )  # fmt: skip
     return replace(found, nominal=nominal)

@@ -26,7 +26,6 @@ from torchid.gap.record import (
     Known,
     KnownCoefficient,
     NoiseFloor,
-    NotTestable,
     Parametric,
     RegimeGap,
     Residual,
@@ -36,7 +35,7 @@ from torchid.gap.record import (
 )
 from torchid.gap.settings import GapSettings
 from torchid.json_data import plain
-from torchid.results.answer import Answer, Diagnosis, JointError
+from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
 from torchid.results.record import Rows
 from torchid.results.replication import Replication
 from torchid.results.words import count, effect_words, joints_words, listed

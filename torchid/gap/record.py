@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 
 from torchid.errors import TorchidError
-from torchid.results.answer import Cause, DiagnosisRecord, Size
+from torchid.results.answer import Cause, DiagnosisRecord, NotTestable, Size
 from torchid.results.record import (
     FINITE,
     Ends,
@@ -317,31 +317,6 @@ class Budget(Part, frozen=True):
     parametric: Real
     structural: Real
     unexplained: Real
-
-
-class NotTestable(Part, frozen=True):
-    """An effect these data could not show.
-
-    Attributes:
-        effect: name.
-        joints: none for a global effect.
-        smallest_detectable: coefficient that would have been detected, in `unit`; None where no
-            size would: its columns vanish or are exactly those of base parameters.
-        unit: of the first coefficient.
-        reason: one sentence.
-        joint: the first of them.
-    """
-
-    effect: str
-    joints: tuple[Joint, ...]
-    smallest_detectable: float | None
-    unit: str
-    reason: str
-    joint: Joint | None = None
-
-    def __post_init__(self) -> None:
-        msgspec.structs.force_setattr(self, "joint", self.joints[0] if self.joints else None)
-        super().__post_init__()
 
 
 class Fitted(Part, frozen=True, kw_only=True):

@@ -17,7 +17,7 @@ from torchid.gap.diagnosis import HowFar, TorqueDiagnosis
 from torchid.gap.early import Watch, first_answer, so_far
 from torchid.gap.localise.where import where
 from torchid.gap.problem import Problem
-from torchid.gap.record import Budget, Known, NotTestable, Parametric, UnnamedEffect
+from torchid.gap.record import Budget, Known, Parametric, UnnamedEffect
 from torchid.gap.search.explain import explained
 from torchid.gap.search.findings import (
     Findings,
@@ -35,7 +35,7 @@ from torchid.gap.validate.judge import status_of, warnings_of
 from torchid.gap.validate.pose import pose
 from torchid.identification.knowledge import known_names
 from torchid.log.model import Log
-from torchid.results.answer import ordered
+from torchid.results.answer import NotTestable, ordered
 from torchid.robot.model import Robot
 from torchid.simulation.two_models import rollouts
 from torchid.statistics.criteria import LIKELY, SHORTEST_LOG

@@ -262,7 +262,10 @@ class IdentificationRecord(
         if list(names) != parameter_names(links) + coefficient_names(effects):
             raise _incomplete("the parameters' names do not fit the effects")
         matrix = self.grouping.grouping
-        independent = [names.index(text.split()[0]) for text in self.base_names]
+        leading = [text.partition(" ")[0] for text in self.base_names]
+        if strange := set(leading) - set(names):
+            raise _incomplete(f"there is no parameter '{min(strange)}'")
+        independent = [names.index(name) for name in leading]
         if not torch.equal(matrix[:, independent], torch.eye(len(matrix), dtype=matrix.dtype)):
             raise _incomplete("a base parameter of the grouping has no column of its own")
         types = [JointType.REVOLUTE] * n if self.model is None else self.model.joint_types

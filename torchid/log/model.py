@@ -167,8 +167,6 @@ class Log:
 
     def _repr_html_(self) -> str:
         """In a notebook: a row a trajectory, and the range of each signal of each joint."""
-        from torchid.log.limits import finite_range
-
         joints = range(1, self.n + 1)
         runs = [
             (name, rows.stop - rows.start, f"{seconds:.4g}", f"{self._rate(k):.4g}")
@@ -383,3 +381,11 @@ class Log:
             source=", ".join(dict.fromkeys(log.source for log in logs if log.source)),
             warnings=tuple(dict.fromkeys(warnings)),
         )
+
+
+def finite_range(signal: Float[Tensor, "T n"]) -> Float[Tensor, "n 2"]:
+    """Smallest and largest finite value of each joint (n, 2); nan where there is none."""
+    # Joint by joint: a copy of the whole signal may be half a gigabyte.
+    columns = [column[column.isfinite()] for column in signal.unbind(1)]
+    none = signal.new_tensor([torch.nan, torch.nan])
+    return torch.stack([torch.stack(c.aminmax()) if len(c) else none for c in columns])

@@ -13,8 +13,7 @@ from torchid.log.assemble import fitting, unused_columns
 from torchid.log.base_motion import COORDINATES
 from torchid.log.checks import check_log
 from torchid.log.columns import JOINT_SIGNALS, PREFIXES
-from torchid.log.limits import beyond_limits, finite_range
-from torchid.log.model import Log
+from torchid.log.model import Log, finite_range
 from torchid.log.readers import open_logs
 from torchid.log.sampling import ROUNDING, SMALL_GAP
 from torchid.log.table import Request, Table
@@ -66,7 +65,7 @@ class Overview:
 
     Attributes:
         log: as read, nothing changed.
-        tables: one a file; None from a registered reader.
+        tables: one a file.
         joints: their names, "" where no file and no robot tells.
         sources: where each signal is from, in the file's words.
         timing: one a trajectory.
@@ -74,7 +73,7 @@ class Overview:
         ranges: (n, 2) smallest and largest finite value by signal; NaN where there is none.
         unused: columns of the first file that were not taken.
         problem: why the identification would refuse the log, or None.
-        warnings: of reading, of `check_log`, and of `beyond_limits`.
+        warnings: of reading, and of `check_log`.
     """
 
     log: Log
@@ -95,7 +94,6 @@ def look_at(
     *,
     robot_name: str | None = None,
     position_limits: Float[Tensor, "n 2"] | None = None,
-    torque_limits: Float[Tensor, "n 2"] | None = None,
     prismatic: Sequence[bool] = (),
     moving_base: bool = False,
 ) -> Overview:
@@ -107,7 +105,6 @@ def look_at(
         robot_name: of the robot they are checked for; without it they are checked as far as that
             goes.
         position_limits, prismatic, moving_base: as for `check_log`.
-        torque_limits: as for `beyond_limits`.
 
     Raises:
         LogError: the files cannot be read.
@@ -131,8 +128,6 @@ def look_at(
         )
     except LogError as error:
         problem = str(error)
-    if log.n == n:
-        found += beyond_limits(log, position_limits=position_limits, torque_limits=torque_limits)
     # Of revolute joints or prismatic ones; both where the robot has both or is not known.
     alike, which = robot_name is not None and len(set(prismatic)) <= 1, -1 if any(prismatic) else 0
     joints = request.joints or next((t.joints for t in tables if t is not None and t.joints), ())

@@ -1,7 +1,6 @@
 """Logs from files, folders and tables in memory, and to files.
 
-Read: .parquet, .csv, .npz, .jsonl, .mat, .h5; ROS bags; LeRobot datasets; motions of SAGE; whatever
-`register_reader` adds.
+Read: .parquet, .csv, .npz, .jsonl, .mat, .h5; ROS bags; LeRobot datasets; motions of SAGE.
 Columns that have the names of `torchid.log.columns` are found by themselves; others by a mapping
 (`torchid.log.mapping`). Written: .parquet, .csv and .npz.
 """
@@ -43,7 +42,6 @@ from torchid.log.ros import bag_table, is_bag_folder
 from torchid.log.sage import is_sage, sage_table
 from torchid.log.table import AbsentColumnError, Request, Table
 
-Reader = Callable[[Path], "torchid.Log"]
 Opener = Callable[[Path, Request], Table]
 
 
@@ -68,7 +66,7 @@ else:  # a Log loads torch, which files and their headers are looked at without
     OneLog = LogLike = Any
 """A log, or what `read_log` makes one of."""
 
-__all__ = ["log_from_columns", "open_log", "read_log", "register_reader", "write_log"]
+__all__ = ["log_from_columns", "open_log", "read_log", "write_log"]
 
 
 def read_log(
@@ -187,7 +185,7 @@ def open_logs(
 def open_log(
     path: "Path | Table | torchid.Log", request: Request
 ) -> "tuple[Table | None, torchid.Log]":
-    """One log as a Log, and as the table it was; None from a registered reader, or of a Log.
+    """One log as a Log, and as the table it was; None of a Log.
 
     Raises:
         As `read_log`.
@@ -198,10 +196,6 @@ def open_log(
         return None, path
     found = require_log(path)
     try:
-        if isinstance(found, str):
-            if request.columns is not None and not request.spare:
-                raise LogError(f"{found} files take no column mapping.", got=str(path))
-            return None, _READERS[found](path)
         table = _table(found, path, request)
         request = fitting(table, request)
         if request.topic is not None and table.topic is None:
@@ -236,25 +230,11 @@ def proposed_columns(path: Path, request: Request) -> tuple[str, str] | None:
         LogError: no log.
     """
     found = require_log(path)
-    if isinstance(found, str):
-        return None
     try:
         log_from_table(_table(found, path, request), None, request.joints)
     except LogError:
         return proposal(_table(found, path, request), request.joints)
     return None
-
-
-def register_reader(suffix: str, function: Reader) -> None:
-    """Let `function` read files that end in `suffix`, such as ".mcap"; replaces an earlier one.
-
-    Args:
-        suffix: with the dot; upper and lower case are the same.
-        function: takes the path of an existing file and returns a Log (`log_from_columns` helps).
-    """
-    if not suffix.startswith(".") or len(suffix) < 2:
-        raise ValueError(f"a suffix starts with a dot, got {suffix!r}")
-    _READERS[suffix.lower()] = function
 
 
 def write_log(log: LogLike, path: str | Path) -> None:
@@ -294,8 +274,8 @@ def written_suffixes() -> tuple[str, ...]:
     return tuple(sorted(_WRITERS))
 
 
-def require_log(path: Path) -> Opener | str:
-    """What opens a file or folder; the suffix, where it is a registered reader.
+def require_log(path: Path) -> Opener:
+    """What opens a file or folder.
 
     Raises:
         LogError: it is not there, or no log by its name; logs beside it with a similar name are
@@ -312,16 +292,16 @@ def require_log(path: Path) -> Opener | str:
             available=_inside(path),
         )
     if not path.exists():
-        near = similar_files(path, {*_READERS, *_TABLES})
+        near = similar_files(path, _TABLES)
         raise LogError(
             f"log '{path}' does not exist.",
             available=_inside(path.parent) if path.parent.is_dir() else None,
             hint=f"did you mean {near[0]}?" if near else None,
         )
     suffix = path.suffix.lower()
-    if suffix not in _READERS and suffix not in _TABLES:
+    if suffix not in _TABLES:
         raise LogError(
-            f"'{path}' has a suffix that no reader is registered for.",
+            f"'{path}' has a suffix that no reader is for.",
             got=path.suffix or "no suffix",
             available=_suffixes(),
             hint=_CONVERT.get(suffix),
@@ -330,7 +310,7 @@ def require_log(path: Path) -> Opener | str:
         raise LogError(f"'{path}' is no file, but a device or a pipe.")
     if path.stat().st_size == 0:
         raise LogError(f"'{path}' is empty.", expected="t, q1.. and tau1.., row by row")
-    return suffix if suffix in _READERS else _TABLES[suffix]
+    return _TABLES[suffix]
 
 
 def _table(opener: Opener, path: Path, request: Request) -> Table:
@@ -366,7 +346,7 @@ def guarded(path: Path) -> Iterator[None]:
 
 
 def _suffixes() -> list[str]:
-    return sorted({*_READERS, *_TABLES})
+    return sorted(_TABLES)
 
 
 def _inside(folder: Path) -> list[str] | None:
@@ -382,7 +362,7 @@ def is_log(path: Path) -> bool:
     """Whether it looks like a log by its name; most texts are none."""
     if path.is_dir():
         return any(fits(path) for fits, _ in _FOLDERS)
-    return path.suffix.lower() in {*_READERS, *_TABLES} - {".txt", ".dat"}
+    return path.suffix.lower() in set(_TABLES) - {".txt", ".dat"}
 
 
 _CONVERT = dict.fromkeys(
@@ -390,7 +370,6 @@ _CONVERT = dict.fromkeys(
     "write it as columns t, q1.., tau1..; in Python: DataFrame(..).to_csv('run.csv', index=False)",
 )
 """What to do with files that people have their logs in, and that no reader is for."""
-_READERS: dict[str, Reader] = {}
 _FOLDERS: tuple[tuple[Callable[[Path], bool], Opener], ...] = (
     (is_lerobot, lerobot_table),
     (is_bag_folder, bag_table),

@@ -7,7 +7,7 @@ import torch
 
 from torchid.errors import TorchidError
 from torchid.excitation.clearance import Clearance
-from torchid.excitation.design import optimise_trajectory
+from torchid.excitation.design import excite
 from torchid.excitation.informed import Goal, InformedDesign, design_for
 from torchid.excitation.settings import DURATION, HARMONICS, RESTARTS, USAGE
 from torchid.excitation.torque import corrected_torque_limits
@@ -164,9 +164,9 @@ def excite_for(
         )  # fmt: skip
     found = open_questions(record, robot, source)
     limits = corrected_torque_limits(found.setting.robot, found.setting.given, usage=usage)
-    plain = optimise_trajectory(
-        robot, seed=seed, restarts=restarts, torque=limits, usage=usage, harmonics=harmonics,
-        duration=duration, clearance=clearance,
+    plain = excite(
+        robot, effects=(), seed=seed, restarts=restarts, torque=limits, usage=usage,
+        harmonics=harmonics, duration=duration, clearance=clearance,
         progress=stage(progress, "a plain motion to compare with"),
     ).trajectory  # fmt: skip
     made = design_separation(

@@ -13,17 +13,16 @@ import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 
+from torchid.doctor.hypothesis import Hypothesis, Judge
+from torchid.doctor.kind import check_kind, holds_no_gravity
+from torchid.doctor.samples import samples
 from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.gap.data import Data, prepare
 from torchid.log.filtering import central_difference, low_passed
 from torchid.log.model import Log
 from torchid.log.sampling import resample, sampling_rate
 from torchid.pair.align import SAME_CLOCK, Both, correlations
 from torchid.pair.record import Fault, Side
 from torchid.robot.model import Robot, joint_list
-from torchid.statistics.autocorrelation import integrated_time
-from torchid.statistics.blocks import block_length, block_numbers
-from torchid.statistics.jackknife import fit_statistics
 from torchid.typing import Tensor
 
 ALIKE = 0.9
@@ -68,17 +67,8 @@ GAINS = 1.5
 SOME, NONE = 0.7, 0.3
 """Coefficients of the model's gravity torque that mean that it is there, or is not."""
 
-LITTLE = 0.15
-"""Share of the arm's friction (rotors) below which the simulator has none."""
-
-MOST = 0.6
-"""Share of the joints on which one side has something that must lack it on the other."""
-
 SURE = 5.0
 """Standard deviations from which a coefficient is there."""
-
-SEEN = 0.02
-"""Share of a joint's torque from which friction is looked at."""
 
 
 @dataclass(frozen=True)
@@ -437,151 +427,26 @@ def servo_faults(simulated: Sequence[Law], real: Sequence[Law]) -> list[Fault]:
     return found
 
 
-@dataclass(frozen=True)
-class Share:
-    """Coefficients of a joint's torque beside the rigid body's, and their standard deviations.
-
-    Attributes:
-        gravity: of the model's gravity torque [1].
-        dry, viscous, rotor: [N m], [N m s/rad], [kg m^2].
-        std: of these four.
-        size: RMS torque of gravity about its mean, of friction, of the rotor.
-        torque: RMS of the measured torque about its mean.
-    """
-
-    gravity: float
-    dry: float
-    viscous: float
-    rotor: float
-    std: tuple[float, float, float, float]
-    size: tuple[float, float, float]
-    torque: float
-
-
-def shares(robot: Robot, log: Log) -> list[Share]:
-    """Gravity, friction and rotors in the torque of every joint, by least squares on the log's own
-    motion, beside the rigid body of the model.
-
-    Raises:
-        LogError: a log that cannot be used.
-    """
-    bare = replace(robot, effects=())
-    data: Data = prepare(bare, log, None)
-    samples = data.samples
-    parts: list[list[Tensor]] = []
-    for segment in data.segments:
-        m = segment.motion
-        zero = torch.zeros_like(m.q)
-        gravity = inverse_dynamics(bare, m.q, zero, zero)
-        moving = inverse_dynamics(bare, *m.state) - gravity
-        parts.append(
-            [x.T for x in (segment.tau - moving, gravity, m.sign, m.dq, m.ddq, segment.tau)]
+def gravity_faults(robot: Robot, simulated: Log, real: Log) -> list[Fault]:
+    """Gravity that one side's torque holds and the other's does not, by the doctor's judgement of
+    each log alone."""
+    light = {"simulator": _weightless(robot, simulated), "arm": _weightless(robot, real)}
+    return [
+        Fault(
+            "gravity_compensation", joints, side, 0.0, "1",  # type: ignore[arg-type]
+            f"the {side}'s torque holds no gravity on {joint_list(joints)}, the other one's does: "
+            "it is compensated beside the logged torque, or switched off",
+            "Switch gravity (or its compensation) on in both, or off in both.",
         )
-    y, gravity, sign, dq, ddq, tau = (samples.of(list(x)) for x in zip(*parts, strict=True))
-    out = []
-    for j in range(robot.n):
-        keep = data.keep[j]
-        a = torch.stack(
-            [gravity[j], sign[j], dq[j], ddq[j], torch.ones_like(y[j])], 1
-        ) * keep.unsqueeze(1)
-        used = a.norm(dim=0) > 1e-9 * max(1e-12, float(y[j].norm()))
-        x = torch.zeros(5, dtype=torch.float64)
-        std = torch.full((5,), math.inf, dtype=torch.float64)
-        own, target = a[:, used], y[j] * keep
-        scale = own.norm(dim=0)
-        solution = torch.linalg.lstsq(own / scale, target.unsqueeze(1), driver="gelsd").solution[
-            :, 0
-        ]
-        x[used] = solution / scale
-        left = target - own @ x[used]
-        time = float(integrated_time(left.unsqueeze(0), samples.bounds)[0])
-        block = block_numbers(samples.bounds, block_length(len(left), time))
-        std[used] = fit_statistics(own / scale, left, block).std / scale
-
-        def spread(z: Tensor, keep: Tensor = keep) -> float:
-            return float(z[keep].std()) if int(keep.sum()) > 2 else 0.0
-
-        friction = x[1] * sign[j] + x[2] * dq[j]
-        out.append(
-            Share(
-                float(x[0]), float(x[1]), float(x[2]), float(x[3]),
-                tuple(std[:4].tolist()),
-                (spread(gravity[j]), spread(friction), abs(float(x[3])) * spread(ddq[j])),
-                max(spread(tau[j]), 1e-300),
-            )
-        )  # fmt: skip
-    return out
+        for side, joints in light.items()
+        if joints and not all(light.values())
+    ]  # fmt: skip
 
 
-def body_faults(simulated: Sequence[Share], real: Sequence[Share]) -> list[Fault]:
-    """Gravity, friction and rotors that one side's torque holds and the other's does not."""
-    found: list[Fault] = []
-    pairs = list(zip(simulated, real, strict=True))
-    # Gravity, where the model has enough of it for its coefficient to be known.
-    heavy = [
-        j
-        for j, (s, r) in enumerate(pairs)
-        if max(s.size[0] / s.torque, r.size[0] / r.torque) > 0.3 and max(s.std[0], r.std[0]) < 0.1
-    ]
-    for side, own, other in (("simulator", simulated, real), ("arm", real, simulated)):
-        lacks = [j for j in heavy if abs(own[j].gravity) < NONE and other[j].gravity > SOME]
-        if lacks and len(lacks) > 0.5 * len(heavy):
-            found.append(
-                Fault(
-                    "gravity_compensation", tuple(lacks), side,  # type: ignore[arg-type]
-                    float(np.median([own[j].gravity for j in lacks])), "1",
-                    f"the {side}'s torque holds no gravity on {joint_list(lacks)}, the other "
-                    "one's does: it is compensated beside the logged torque, or switched off",
-                    "Switch gravity (or its compensation) on in both, or off in both.",
-                )
-            )  # fmt: skip
-    # Friction: of joints on which one side surely has some.
-    for side, own, other in (("simulator", simulated, real), ("arm", real, simulated)):
-        rubs = [
-            j
-            for j in range(len(pairs))
-            if other[j].size[1] > SEEN * other[j].torque
-            and max(other[j].dry / other[j].std[1], other[j].viscous / other[j].std[2]) > SURE
-        ]
-        none = [j for j in rubs if own[j].size[1] < LITTLE * other[j].size[1]]
-        if len(none) > 1 and len(none) > MOST * len(rubs):
-            if side == "simulator":
-                words = "the simulator has no friction"
-                remedy = (
-                    "Set frictionloss and damping where the simulator reads them (friction of a "
-                    "material is another one), and see that they are not overwritten."
-                )
-            else:
-                words = "the arm's torque holds no friction, and the simulator's does,"
-                remedy = (
-                    "Torque of a sensor behind the gear holds no friction of the drive: compare it "
-                    "with the simulator's torque less its joint friction."
-                )
-            found.append(
-                Fault(
-                    "friction_never_applied", tuple(none), side, 0.0, "N m",  # type: ignore[arg-type]
-                    f"{words} on {joint_list(none)}, where the other one has "
-                    + listed_sizes([other[j].size[1] for j in none]) + " N m",
-                    remedy,
-                )
-            )  # fmt: skip
-    # Rotors, which a simulator has only if its file says so.
-    turns = [j for j in range(len(pairs)) if real[j].rotor > SURE * real[j].std[3]]
-    none = [
-        j for j in turns if simulated[j].rotor + simulated[j].std[3] < 2 * LITTLE * real[j].rotor
-    ]
-    if len(none) > 1 and len(none) > MOST * len(turns):
-        found.append(
-            Fault(
-                "armature_zero", tuple(none), "simulator", 0.0, "kg m^2",
-                f"the simulator's rotors have no inertia on {joint_list(none)}, where the "
-                "arm's have " + listed_sizes([real[j].rotor for j in none]) + " kg m^2",
-                "Set armature, rotor inertia times the square of the gear's ratio.",
-            )
-        )  # fmt: skip
-    return found
-
-
-def listed_sizes(values: Sequence[float]) -> str:
-    """Numbers separated by commas."""
-    return ", ".join(f"{v:.3g}" for v in values)
+def _weightless(robot: Robot, log: Log) -> tuple[int, ...]:
+    """Joints that gravity would show in, of a torque that holds none; none of any other."""
+    rows = samples(log)
+    if isinstance(rows, str):
+        return ()
+    found = check_kind(Judge(robot, rows), Hypothesis.literal(robot))
+    return found.joints if found is not None and holds_no_gravity(found) else ()

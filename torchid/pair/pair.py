@@ -31,14 +31,13 @@ from torchid.log.filtering import central_difference, low_passed
 from torchid.pair.align import Both, aligned
 from torchid.pair.effects import Progress, effects_of
 from torchid.pair.faults import (
-    body_faults,
     clipped,
     clock_faults,
+    gravity_faults,
     held_control,
     in_order,
     laws,
     servo_faults,
-    shares,
 )
 from torchid.pair.record import (
     ClockRecord,
@@ -176,7 +175,7 @@ def compare_pair(
     modelled = robot is not None and robot.parameters is not None and torque is not None
     if modelled and not clock:
         assert robot is not None
-        faults += body_faults(shares(robot, mended.log), shares(robot, real))
+        faults += gravity_faults(robot, mended.log, real)
     # One name once: the servo's law and the torque may both tell of gravity.
     faults = list({f.fault: f for f in reversed(faults)}.values())[::-1]
     which: tuple[OneSided, ...] | None = None

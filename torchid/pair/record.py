@@ -18,8 +18,6 @@ FaultName = Literal[
     "gain_units",
     "servo_gain",
     "gravity_compensation",
-    "friction_never_applied",
-    "armature_zero",
 ]
 """In the order in which they are to be mended: what stands later cannot be judged before."""
 

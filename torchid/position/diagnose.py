@@ -19,10 +19,11 @@ from torchid.position.data import WINDOW_S, PositionData, missing_commands, prep
 from torchid.position.diagnosis import GAP, Accuracy, PositionDiagnosis, PositionFinding, Size
 from torchid.position.early import EarlyAnswer
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, neutral
-from torchid.position.equal import pooled
-from torchid.position.fit import NOISE, errors, errors_of_one, fit
+from torchid.position.equal import OF_TYPE, pooled, with_data_sheets
+from torchid.position.fit import NOISE, VALLEYS, errors, errors_of_one, fit
 from torchid.position.judge import (
     Equations,
+    closed_interval,
     each_window,
     equations,
     folds_of,
@@ -30,7 +31,7 @@ from torchid.position.judge import (
     value_interval,
 )
 from torchid.position.model import ServoArm, accuracy
-from torchid.position.odds import effect_sure
+from torchid.position.odds import alike_rises, effect_sure
 from torchid.position.payload import Loaded, with_load
 from torchid.position.record import ChangeRecord
 from torchid.position.rods import PER_METRE
@@ -46,6 +47,7 @@ from torchid.position.search import (
     shared,
     slight,
 )
+from torchid.position.untestable import not_testable
 from torchid.results.answer import Answer
 from torchid.results.replication import Replication
 from torchid.robot.model import Robot
@@ -74,6 +76,7 @@ def diagnose_positions(
     held_out: Log | None = None,
     trusted: bool = False,
     types: Sequence[str] = (),
+    sheets: Sequence[Mapping[str, float]] = (),
     start: ServoArm | None = None,
     worthwhile: float = WORTHWHILE,
     progress: Callable[[str, int, int], None] | None = None,
@@ -91,6 +94,7 @@ def diagnose_positions(
         start: the arm that the robot's own file describes. Where its servos follow all joints
             nothing is sought; else what is found is held against them.
         types: of the joints' servos: those of one name are units of one type.
+        sheets: what their makers say of them, values by parameter.
         worthwhile: least share of a joint's error by which a cause must lower it to be named.
         progress: called with the stage, steps done and steps in all.
         watch: called with an `Answer` of status `searching` whenever more is known.
@@ -138,6 +142,10 @@ def diagnose_positions(
     say("how far it goes")
     known = equations(data, found.servos, found.free, more, trusted=trusted)
     odd: tuple[str, ...] = ()
+    if any(sheets):
+        known = with_data_sheets(known, sheets, ~still)
+        found = replace(found, servos=known.servos)
+        answered = replace(answered, found=found)
     if len(set(types) - {""}) and data.weighed:
         known, odd = _of_one_type(data, known, found, types, ~still, few)
         found = replace(found, servos=known.servos)
@@ -147,6 +155,7 @@ def diagnose_positions(
     deviation = known.deviations()[:, known.names.index("kp")]
     # A joint at rest tells no torque either.
     anchored = torch.tensor([t != "" for t in types or [""] * servos.n])
+    anchored |= torch.tensor(["kp" in sheet for sheet in sheets or [{}] * servos.n])
     ratio_only = (_ratio_only(known) & ~anchored) | (deviation > RATIO) | (not data.weighed)
     findings = _findings(answered, known, few, ratio_only)
     unknown = still | ratio_only
@@ -188,6 +197,8 @@ def diagnose_positions(
         errors=errors_of,
         still=still,
         warnings=warnings,
+        not_testable=not_testable(data, known, few, ~still),
+        closed_ci95=closed_interval(data, *errors_of, ~still),
         seconds=time.perf_counter() - begun,
         known=tuple(
             (tuple(itertools.compress(known.names, on)), covariance[on][:, on])
@@ -645,13 +656,14 @@ def _findings(
         numbers: int,
         again: Replication | None = None,
         joint: int | slice = slice(None),
+        alike: float = 0.0,
     ) -> float:
         """Of an effect, from losses without it and with it, and the least that calls for one."""
         without, with_it, slightest = (float(x[joint].sum()) for x in losses)
         looks = len(EFFECTS) * data.robot.n
         independent = float(rows[joint].mean())
         return effect_sure(
-            without, with_it, slightest, numbers, again, rows=independent, looks=looks
+            without, with_it, slightest, numbers, again, rows=independent, looks=looks, alike=alike
         )
 
     deviation = known.deviations(shares)
@@ -701,7 +713,9 @@ def _findings(
                 )
             )
             continue
-        for j in torch.nonzero(without.isfinite() & ~_still(data)).flatten().tolist():
+        joints = torch.nonzero(without.isfinite() & ~_still(data)).flatten().tolist()
+        alike = dict(zip(joints, _alike(known, effect.parameters[0], joints), strict=True))
+        for j in joints:
             sizes = []
             for key in effect.parameters:
                 if key not in known.names or not bool(found.free[key][j]):
@@ -721,7 +735,7 @@ def _findings(
             others = rivals.get((name, j), ())
             neutral = PARAMETERS[INDEX[effect.parameters[0]]].neutral
             again = None
-            if sizes and effect.family != "world":
+            if sizes and effect.family != "world" and effect.parameters[0] not in VALLEYS:
                 again = known.replication(sizes[0].name.removesuffix(as_share("")), j, motions)
             if effect.twin and (not effect.twin_below or (sizes and sizes[0].value < neutral)):
                 others += (effect.twin,)
@@ -729,10 +743,24 @@ def _findings(
                 PositionFinding(
                     name, effect.family, j + 1, tuple(sizes), *ends, others,
                     effect.meaning, effect.remedy, again,
-                    sure((*losses, least), len(sizes), again, j),
+                    sure((*losses, least), len(sizes), again, j, alike[j]),
                 )
             )  # fmt: skip
     return tuple(sorted(out, key=lambda f: f.error_with - f.error_without))
+
+
+def _alike(known: Equations, name: str, joints: Sequence[int]) -> list[float]:
+    """Rises of an effect on joints that have it, by a parameter that all servos of a type share."""
+    if name not in OF_TYPE or name not in known.names or not joints:
+        return [0.0] * len(joints)
+    # Torques of servos of one type are alike beside their gain.
+    share, k = torch.ones(known.servos.n, dtype=torch.bool), known.names.index(name)
+    value, std = known.servos.of(name), known.deviations(share)[:, k]
+    if name in TORQUES:
+        value = value / known.servos.of("kp")
+    if PARAMETERS[INDEX[name]].kind == "log":
+        std = std * value
+    return alike_rises(value[joints], std[joints]).tolist()
 
 
 def _ratio_only(known: Equations) -> Tensor:

@@ -27,7 +27,7 @@ from torchid.position.record import (
     ServosRecord,
     WhereRecord,
 )
-from torchid.results.answer import Answer, Cause, Diagnosis, JointError
+from torchid.results.answer import Answer, Cause, Diagnosis, JointError, NotTestable
 from torchid.results.answer import Size as AnswerSize
 from torchid.results.record import Rows
 from torchid.results.replication import Replication
@@ -162,6 +162,9 @@ class PositionDiagnosis(Diagnosis):
         nominal: what the joints' servos are said to be; empty where nothing says it.
         as_given: joints that the servos of the robot's file follow; None without such servos.
         changes: the servos beside those of that file.
+        not_testable: effects that the motions would not have shown.
+        closed_ci95: of `closed`, by motions drawn again and blocks of 2 s of each; None where it is
+            none.
         doubt: what speaks against the log, which the headline says first.
     """
 
@@ -184,6 +187,8 @@ class PositionDiagnosis(Diagnosis):
     nominal: tuple[NominalServo, ...] = ()
     as_given: Bool[Tensor, " n"] | None = None
     changes: tuple[ChangeRecord, ...] = ()
+    not_testable: tuple[NotTestable, ...] = ()
+    closed_ci95: tuple[float, float] | None = None
     doubt: str = ""
 
     @property
@@ -246,6 +251,7 @@ class PositionDiagnosis(Diagnosis):
             after=self.answered.mean[0],
             noise=(0.0, float(unseen[moves].mean()) if bool(moves.any()) else 0.0),
             closed=None if math.isnan(self.closed) else self.closed,
+            closed_ci95=None if math.isnan(self.closed) else self.closed_ci95,
             joints=tuple(
                 JointError(
                     joint=j,
@@ -346,6 +352,7 @@ def position_record(result: PositionDiagnosis) -> PositionRecord:
         seconds=result.seconds,
         known=known or UNSET,
         changes=result.changes or UNSET,
+        not_testable=result.not_testable,
         held_out=(
             UNSET
             if result.held_out is None

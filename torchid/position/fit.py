@@ -39,6 +39,9 @@ FINEST = 1e-6
 """Least one [rad], of the finest encoders: a joint at rest may have no error at all."""
 HARDLY = 2e-3
 """Share of a joint's loss below which another iteration is not worth its time [1]."""
+VALLEYS = ("acceleration", "speed", "lag")
+"""Numbers of set-points: the loss of motions that chase their commands has many small valleys, over
+which no slope leads."""
 _PRIOR = {
     "kp": 0.5, "armature": 0.5, "delay": 0.02, "offset": 0.2, "stiction": 0.1, "motor_share": 0.3,
     "load_share": 0.3, "lag": 0.05, "dead_zone": 0.003, "stop_low": 0.05, "stop_high": 0.05,
@@ -127,12 +130,13 @@ def errors(data: PositionData, servos: Servos, windows: Windows) -> Float[Tensor
         known = profiles, needed, found
         data.set_points[servos.repeated] = known
     each = servos.joint.ndim == 4
+    # Single precision errs by less than a thousandth of a count, in half of the time.
     q = rollout(
         servos,
-        data.body,
+        data.body.single,
         data.tracks,
         windows,
-        *data.start(windows),
+        *(x.float() for x in data.start(windows)),
         points=known[2],
         measured=data.q,
         owner=owner.reshape(-1, 1, 1) if each else owner,

@@ -9,11 +9,13 @@ correlation says, times what is usual on the arm's other numbers (Smyth 2004).
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchid.position.data import SMALL, PositionData
+from torchid.position.data import SMALL, WINDOW_S, PositionData
 from torchid.position.fit import (
     huber,
     mean_square,
@@ -29,6 +31,7 @@ from torchid.simulation.servo_loop import Windows
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.jackknife import jackknife, student_quantile
 from torchid.statistics.proportion import HALF_95
+from torchid.statistics.resampling import DRAWS, nested_weights, percentile_interval
 from torchid.typing import Bool, Float, Int
 
 FOLDS = 5
@@ -93,7 +96,8 @@ class Equations:
         p = PARAMETERS[INDEX[name]]
         found = float(searched(self.servos)[joint, INDEX[name]]) - p.neutral
         size = 1.0 if p.kind == "log" else found
-        noise = float(self.noise[joint])
+        # Motions disagree by what is usual on the arm before they disagree on a parameter.
+        noise = float(self.noise[joint]) * self.beyond_noise
         scales = []
         for (motion, end), gram, pull in zip(motions, grams, pulls, strict=True):
             # How far the parameter must go in this motion until nothing pulls along it.
@@ -118,39 +122,48 @@ class Equations:
         if self.given is not None:
             way = self.to_values(shares) @ torch.linalg.inv(self.to_values())
             return way @ self.given @ way.mT
-        to, own = self.to_values(shares), self.mask.nonzero()[:, 0].unique().tolist()
-        out, both, freedom = torch.zeros_like(to), {}, self.noise.new_zeros(self.mask.shape)
-        for j in own:
+        to = self.to_values(shares)
+        out, (white, spread, freedom) = torch.zeros_like(to), self._by_noise_and_motions(to)
+        by_noise, by_motions = (x.diagonal(dim1=1, dim2=2) for x in (white, spread))
+        usual = by_noise * self.beyond_noise
+        sure = USUAL + freedom
+        variance = (USUAL * usual + freedom * by_motions) / sure
+        wide = student_quantile(0.95, sure.flatten()).view_as(sure) / HALF_95
+        std = torch.maximum(variance.sqrt() * wide, by_noise.clamp(min=0).sqrt()) * self.mask
+        for j in self.mask.any(1).nonzero().flatten().tolist():
+            # How numbers vary together, as motions and noise say it, at those sizes.
+            together = white[j] + spread[j]
+            unit = std[j] / together.diagonal().clamp(min=1e-300).sqrt()
+            out[j] = together * unit * unit[:, None]
+        # With other masses all torques would be others.
+        scale = to[:, :, self.names.index("kp")] * self.torque_std[:, None] * self.mask
+        return out + scale[:, :, None] * scale[:, None]
+
+    @cached_property
+    def beyond_noise(self) -> float:
+        """Times by which the arm's motions disagree on its numbers more than noise makes them, in
+        squares; no less than 1. Few motions tell little of one number alone."""
+        white, spread, freedom = self._by_noise_and_motions(self.to_values())
+        by_noise, by_motions = (x.diagonal(dim1=1, dim2=2) for x in (white, spread))
+        ratio = (freedom * by_motions / by_noise.clamp(min=1e-300)).sum() / freedom.sum()
+        return float(ratio.nan_to_num(1.0).clamp(min=1.0))
+
+    def _by_noise_and_motions(self, to: Float[Tensor, "n K K"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Covariances (n, K, K) of combinations of the searched coordinates, by noise alone and by
+        how motions disagree, and the latter's degrees of freedom (n, K)."""
+        white, spread = torch.zeros_like(to), torch.zeros_like(to)
+        freedom = self.noise.new_zeros(self.mask.shape)
+        for j in self.mask.any(1).nonzero().flatten().tolist():
             # In units of the noise, where what was expected is given.
             on, noise, way = self.mask[j], self.noise[j].clamp(min=1e-300), to[j][:, self.mask[j]]
             grams = self.gram[:, j][:, on][:, :, on] / noise
             pulls = (self.pull[:, j, on] - self.pull[:, j, on].mean(0)) / noise
             prior = (self.prior[j, on] / noise).diag()
             found = jackknife(grams, pulls, variance=1.0, combinations=way, known=prior)
-            white = way @ torch.linalg.inv(grams.sum(0) + prior) @ way.T
-            both[j] = white, found.covariance
+            white[j] = way @ torch.linalg.inv(grams.sum(0) + prior) @ way.T
+            spread[j] = found.covariance
             freedom[j, on] = torch.where(found.by_one_block, 0.0, found.freedom)[on]
-        by_noise, by_motions = (
-            torch.stack(
-                [both[j][k].diagonal() if j in both else out[j, 0] for j in range(len(out))]
-            )
-            for k in (0, 1)
-        )
-        # How far the arm's motions disagree beyond noise: few motions tell little of one number.
-        ratio = (freedom * by_motions / by_noise.clamp(min=1e-300)).sum() / freedom.sum()
-        usual = by_noise * float(ratio.nan_to_num(1.0).clamp(min=1.0))
-        sure = USUAL + freedom
-        variance = (USUAL * usual + freedom * by_motions) / sure
-        wide = student_quantile(0.95, sure.flatten()).view_as(sure) / HALF_95
-        std = torch.maximum(variance.sqrt() * wide, by_noise.clamp(min=0).sqrt()) * self.mask
-        for j in own:
-            # How numbers vary together, as motions and noise say it, at those sizes.
-            together = both[j][0] + both[j][1]
-            unit = std[j] / together.diagonal().clamp(min=1e-300).sqrt()
-            out[j] = together * unit * unit[:, None]
-        # With other masses all torques would be others.
-        scale = to[:, :, self.names.index("kp")] * self.torque_std[:, None] * self.mask
-        return out + scale[:, :, None] * scale[:, None]
+        return white, spread, freedom
 
     def expected(self) -> Float[Tensor, "n K K"]:
         """The same of what is left open where values were expected near to these before any motion
@@ -233,6 +246,32 @@ def motion_losses(error: Float[Tensor, "L W n"], windows: Windows) -> Float[Tens
     own = huber(error) * windows.weight[:, None]
     out = torch.zeros(int(windows.motion.max()) + 1, own.shape[1], dtype=own.dtype)
     return out.index_add_(0, windows.motion, own)
+
+
+def closed_interval(
+    data: PositionData, before: Float[Tensor, "T n"], after: Float[Tensor, "T n"], moves: Tensor
+) -> tuple[float, float]:
+    """95 % interval of the share of whole motions' errors that is closed, on other motions: motions
+    are drawn again, and blocks of each; nan where too little is defined.
+
+    Args:
+        data: motions.
+        before, after: errors of their rows.
+        moves: (n,) joints that count.
+    """
+    blocks, owner = list[Tensor](), list[int]()
+    size = max(1, round(WINDOW_S / data.tracks.dt))
+    ends = zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True)
+    for motion, (a, b) in enumerate(ends):
+        squares = torch.stack([before, after])[:, a : b + 1, moves].square()
+        # Of every block the sums of squares, and how many they are.
+        for x in squares.split(size, 1):
+            blocks.append(torch.stack([x.sum(1), torch.full_like(x[:, 0], x.shape[1])]))
+            owner.append(motion)
+    weights = torch.from_numpy(nested_weights(np.array(owner), DRAWS, np.random.default_rng(0)))
+    total, count = torch.einsum("db,bkwj->kwdj", weights, torch.stack(blocks))
+    error = (total / count.clamp(min=1)).sqrt().mean(-1)
+    return percentile_interval((1 - error[1] / error[0]).numpy())
 
 
 def each_window(servos: Mapping[int, Servos], owner: Tensor) -> Servos:

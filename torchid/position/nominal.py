@@ -223,6 +223,11 @@ def types_of(servos: "Sequence[NominalServo]") -> tuple[str, ...]:
     return tuple("" if servo.name in own else servo.name for servo in servos)
 
 
+def sheets_of(servos: "Sequence[NominalServo]") -> tuple["Mapping[str, float]", ...]:
+    """What makers or users say of servos; what a robot's file has is compared instead."""
+    return tuple({} if servo.name in (FITTED, ACTUATOR) else servo.values for servo in servos)
+
+
 def unit_of(name: str) -> str:
     """The unit of a servo's value, for people."""
     return unit_behind(PARAMETERS[INDEX[name]].unit)

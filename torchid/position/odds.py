@@ -2,9 +2,15 @@
 
 import math
 
+import torch
+
 from torchid.results.replication import Replication
-from torchid.statistics.criteria import EXPECTED
-from torchid.statistics.odds import probability, unknown_rise
+from torchid.statistics.criteria import EXPECTED, TELLING_STD
+from torchid.statistics.odds import probability, stands_in, unknown_rise
+from torchid.typing import Float, Tensor
+
+ONE_TYPE = 0.5
+"""Probability that the servos of an arm are of one type, where nobody says so [1]."""
 
 
 def effect_sure(
@@ -16,6 +22,7 @@ def effect_sure(
     *,
     rows: float,
     looks: int,
+    alike: float = 0.0,
 ) -> float:
     """Probability of an effect, or of the set with what does as well in its place.
 
@@ -26,14 +33,38 @@ def effect_sure(
         replication: by which factor motions want it; None where that is not asked.
         rows: as many independent errors as the motions have [1].
         looks: effects that were looked at, at all joints.
+        alike: rise of the effect by what other joints say of it (`alike_rises`).
     """
     risen = rows * math.log(max(without, 1e-300) / max(with_it, 1e-300))
     ways = []
-    if replication is not None and replication.repeats < replication.asked:
-        # A servo's effect is not linear: factors count where they differ by more than that makes.
-        ways.append([(m.scale, m.std) for m in replication.motions])
+    if replication is not None:
+        # A servo's effect is not linear: motions that can hardly tell have any factor. The one that
+        # tells most has the size that was fitted.
+        telling = ((m.std, m.scale) for m in replication.motions if m.std <= TELLING_STD)
+        ways.append([(scale, std) for std, scale in sorted(telling)[1:]])
     paid = 2 * math.log(looks / EXPECTED) + numbers * math.log(max(rows, 2.0))
     misfit = max(with_it - least, 1e-12 * with_it + 1e-300)
     ratio = (without - with_it) / misfit
-    beyond = unknown_rise(ratio, misfit / max(without, misfit), ways)
+    beyond = unknown_rise(ratio + alike, misfit / max(without, misfit), ways)
     return probability([paid - risen, beyond])
+
+
+def alike_rises(values: Float[Tensor, " J"], std: Float[Tensor, " J"]) -> Float[Tensor, " J"]:
+    """Rises of an effect by the size that it has on other joints: servos of one type have one size
+    each, what stands in for something else has another on every joint.
+
+    Args:
+        values: sizes on the J joints that have it, of one sign.
+        std: their standard deviations.
+    """
+    rises = torch.zeros_like(values)
+    if len(values) < 2:
+        return rises
+    for j in range(len(values)):
+        others = torch.arange(len(values)) != j
+        weight = 1 / std[others].square().clamp(min=1e-300)
+        mean = float((weight * values[others]).sum() / weight.sum())
+        wide = math.hypot(float(std[j]), float(weight.sum()) ** -0.5)
+        law = math.exp(-stands_in([(float(values[j]) / mean, wide / abs(mean))]))
+        rises[j] = 2 * math.log(ONE_TYPE * law + 1 - ONE_TYPE)
+    return rises

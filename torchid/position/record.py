@@ -6,7 +6,7 @@ from typing import Annotated
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from torchid.results.answer import DiagnosisRecord
+from torchid.results.answer import DiagnosisRecord, NotTestable
 from torchid.results.record import FINITE, Ends, Joint, Part, Real, Rows, Values
 from torchid.results.replication import Replication
 from torchid.typing import Float, Tensor
@@ -161,6 +161,7 @@ class PositionRecord(
         held_out: errors of a log that took part in nothing.
         nominal: what the servos are said to be.
         changes: the servos beside those of the robot's file; missing where that has none.
+        not_testable: effects that the motions would not have shown.
         known: how well the servos are, joint by joint, of those that move; missing in files of
             older versions.
         seed: from a command.
@@ -181,6 +182,7 @@ class PositionRecord(
     nominal: tuple[NominalRecord, ...] | UnsetType = UNSET
     known: tuple[KnownRecord, ...] | UnsetType = UNSET
     changes: tuple[ChangeRecord, ...] | UnsetType = UNSET
+    not_testable: tuple[NotTestable, ...] = ()
 
     @property
     def table(self) -> Rows[EffectRecord]:

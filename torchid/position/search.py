@@ -17,10 +17,10 @@ from torch import Tensor
 from torchid.effects.servo import ServoEffect
 from torchid.position.data import PositionData
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT
-from torchid.position.fit import errors, fit, huber, loss
+from torchid.position.fit import VALLEYS, errors, fit, huber, loss
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import PROFILE, Windows
-from torchid.typing import Bool
+from torchid.typing import Bool, Float
 
 SMOOTH = ("kd", "stiction", "stribeck_speed", "motor_share", "load_share")
 """What has a slope everywhere, beside the core."""
@@ -47,6 +47,7 @@ _SCANS = (
 )
 _QUANTILES = (5e-4, 5e-3, 2e-2)
 _STOP_INSIDE = (0.0, 0.004, 0.01)
+_FAR, _AT_STOP = 0.9, (0.1, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,9 +276,8 @@ def _with_filter(data: PositionData, now: Found, windows: Windows) -> Found:
 
 def _scanned(data: PositionData, now: Found, windows: Windows) -> Found:
     """With profiles and filters where simulations are best, farther and nearer about where they
-    are: motions that chase their commands have a loss with many small valleys, over
-    which no slope leads."""
-    for name, factors in itertools.product(("acceleration", "speed", "lag"), _SCANS):
+    are: their losses have valleys."""
+    for name, factors in itertools.product(VALLEYS, _SCANS):
         if name not in now.free:
             continue
         joints = now.free[name]
@@ -314,14 +314,27 @@ def _with_plane(data: PositionData, now: Found, windows: Windows) -> Found:
     return Found(servos, now.free, True)
 
 
+def _held(q: Float[Tensor, "T n"], u: Float[Tensor, "T n"]) -> Float[Tensor, "V n"]:
+    """Positions of joints while their commands are farthest beyond them: of a soft stop a little
+    more than where it begins."""
+    beyond = u - q
+    far = beyond >= beyond.quantile(_FAR, 0)
+    return q.masked_fill(~far, torch.nan).nanquantile(torch.tensor(_AT_STOP, dtype=q.dtype), 0)
+
+
 def _shares(*shares: float) -> Tensor:
     return torch.tensor(shares, dtype=torch.float64)[:, None]
 
 
 _SIZES: dict[str, Callable[[PositionData, Servos], Tensor]] = {
-    # End stops about where the joints came to their lowest and highest positions.
-    "stop_low": lambda data, servos: data.q.amin(0) + _shares(*_STOP_INSIDE),
-    "stop_high": lambda data, servos: data.q.amax(0) - _shares(*_STOP_INSIDE),
+    # End stops about where the joints came to their lowest and highest positions, or are while
+    # their commands are far beyond.
+    "stop_low": lambda data, servos: torch.cat(
+        [data.q.amin(0) + _shares(*_STOP_INSIDE), -_held(-data.q, -data.tracks.u)]
+    ),
+    "stop_high": lambda data, servos: torch.cat(
+        [data.q.amax(0) - _shares(*_STOP_INSIDE), _held(data.q, data.tracks.u)]
+    ),
     # Of the torque that the largest position errors would make.
     "clip": lambda data, servos: (
         _shares(0.4, 0.6, 0.8) * (data.tracks.u - data.q).abs().quantile(0.999, 0) * servos.of("kp")

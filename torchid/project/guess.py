@@ -3,7 +3,7 @@
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,9 +16,6 @@ from torchid.robot.config_files import ROBOT_FILES, URDF_FILES, built_in_robots,
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.robot.tree import Choice
-
-Choose = Callable[[str, Sequence[str]], str]
-"""Asks which one of several things is meant."""
 
 APART = re.compile(r"(?:^|[^a-z])(?:held|hold.?out|test|val|check|eval)", re.IGNORECASE)
 """Names of logs that are meant to be held out."""
@@ -103,7 +100,6 @@ def guess(
     logs: Sequence[Path],
     held_out: Sequence[Path],
     request: Request,
-    choose: Choose | None = None,
 ) -> Guess:
     """What a project file in the working directory may say.
 
@@ -113,13 +109,12 @@ def guess(
         logs: those in the folder if there are none.
         held_out: those whose names say so if there are none.
         request: how the logs are read.
-        choose: for what is one of several; an error is raised if None.
 
     Raises:
         TorchidError: no robot, or one of several; a log that was given cannot be read, or is of
             another robot.
     """
-    name, arm = _robot(robot, choice, choose)
+    name, arm = _robot(robot, choice)
     given = [*logs, *held_out]
     paths = given if logs else [p for p in sorted(Path().iterdir()) if is_log(p)] + given
     asked = replace(request, joints=arm.joint_names, spare=True)
@@ -140,11 +135,11 @@ def guess(
     return Guess(name, arm, fitted, apart, columns, needs_gains, tuple(warnings))
 
 
-def _robot(asked: str | None, choice: Choice, choose: Choose | None) -> tuple[str, Robot]:
+def _robot(asked: str | None, choice: Choice) -> tuple[str, Robot]:
     """The robot that is asked for, or the one in the folder.
 
     Raises:
-        TorchidError: there is none, or there are several and nobody to choose.
+        TorchidError: there is none, or there are several.
     """
 
     def loaded(name: str) -> Robot | RobotError:
@@ -157,13 +152,13 @@ def _robot(asked: str | None, choice: Choice, choose: Choose | None) -> tuple[st
     files = [path.name for path in sorted(Path().iterdir()) if path.suffix.lower() in ROBOT_FILES]
     robots = {name: loaded(name) for name in ([asked] if asked else files)}
     fit = [name for name, robot in robots.items() if not isinstance(robot, RobotError)]
-    if asked is None and (not fit or (len(fit) > 1 and choose is None)):
+    if asked is None and len(fit) != 1:
         raise TorchidError(
             "which robot? There are several here." if fit else "there is no robot here.",
             expected="`robot=...`",
             available=fit or built_in_robots(),
         )
-    name = asked or (choose("robots", fit) if choose and len(fit) > 1 else fit[0])
+    name = asked or fit[0]
     found = robots[name]
     if isinstance(found, RobotError):
         raise found

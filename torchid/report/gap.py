@@ -6,13 +6,14 @@ import re
 from functools import partial
 
 from torchid.gap.diagnosis import TorqueDiagnosis
-from torchid.gap.record import FoundEffect, GapRecord, Known, KnownCoefficient, NotTestable
+from torchid.gap.record import FoundEffect, GapRecord, Known, KnownCoefficient
+from torchid.position.record import PositionRecord
 from torchid.report import gap_figures
 from torchid.report.cautions import ranged
 from torchid.report.gap_figures import CLEAR, clear_regimes, excess_words
 from torchid.report.panels import Picture
 from torchid.report.table import Table
-from torchid.results.answer import named_size
+from torchid.results.answer import NotTestable, named_size
 from torchid.results.record import as_plain
 from torchid.results.replication import times
 from torchid.results.words import (
@@ -253,7 +254,7 @@ def remarks(record: GapRecord) -> list[str]:
     return out if rollout is None else [*out, *rollout.sentences]
 
 
-def not_testable_table(record: GapRecord) -> Table:
+def not_testable_table(record: GapRecord | PositionRecord) -> Table:
     """Effects these data could not show, joints of one reason on one line."""
     groups: dict[tuple[str, str], list[NotTestable]] = {}
     for x in record.not_testable:

@@ -26,9 +26,7 @@ DRAWN = {
     "EqualTorqueStudy": "equal_torque:figures",
     "GivenSets": "given_sets:figures",
     "Study": "study.figures:kinds",
-    "Comparison": "compare:figures",
-    "GapComparison": "compare:figures",
-    "SetComparison": "compare:figures",
+    "Comparison": "compare:forest_figure parameters",
     "ScoreRecord": "withheld:figures",
 }
 """By the name of a result's class what gives its figures by kind, or draws the only one, whose

@@ -17,6 +17,7 @@ from torchid.position.next_motion import NextCommands
 from torchid.position.nominal import unit_of
 from torchid.position.record import EffectRecord, NominalRecord, PositionRecord, RegimeRecord
 from torchid.report.colours import AFTER, GREY, INK
+from torchid.report.gap import not_testable_table
 from torchid.report.over_time import motion_over_time
 from torchid.report.panels import (
     Figure,
@@ -92,7 +93,7 @@ def tables(record: PositionRecord) -> list[Table]:
     """What stands below the answer: where, which and how far."""
     return [
         where_table(record), regime_table(record), which_table(record), meaning_table(record),
-        change_table(record),
+        change_table(record), not_testable_table(record),
         nominal_table(record, () if record.nominal is UNSET else record.nominal),
     ]  # fmt: skip
 

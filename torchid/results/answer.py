@@ -138,6 +138,31 @@ class Cause(Part, frozen=True, kw_only=True):
         return "" if named else f"on {joints_words(self.joints)}"
 
 
+class NotTestable(Part, frozen=True):
+    """An effect these data could not show.
+
+    Attributes:
+        effect: name.
+        joints: none for a global effect.
+        smallest_detectable: coefficient that would have been detected, in `unit`; None where no
+            size would: its columns vanish or are exactly those of base parameters.
+        unit: of the first coefficient.
+        reason: one sentence.
+        joint: the first of them.
+    """
+
+    effect: str
+    joints: tuple[Joint, ...]
+    smallest_detectable: float | None
+    unit: str
+    reason: str
+    joint: Joint | None = None
+
+    def __post_init__(self) -> None:
+        msgspec.structs.force_setattr(self, "joint", self.joints[0] if self.joints else None)
+        super().__post_init__()
+
+
 class JointError(Part, frozen=True, kw_only=True):
     """The error of one joint, on data that took part in no fit [the answer's unit].
 

@@ -30,13 +30,10 @@ RECORDS = {
     "torchid.position_motion/1": "torchid.position.next_motion:NextCommandsRecord",
     "torchid.replay/1": "torchid.position.model:ReplayRecord",
     "torchid.correction/1": "torchid.export.record:CorrectionRecord",
-    "torchid.position_correction/1": "torchid.export.record:PositionCorrectionRecord",
     "torchid.randomisation/1": "torchid.export.record:RandomisationRecord",
     "torchid.export/1": "torchid.export.record:ExportRecord",
     "torchid.doctor/1": "torchid.doctor.record:DoctorRecord",
-    "torchid.compare/1 identifications": "torchid.compare.record:Comparison",
-    "torchid.compare/1 gap diagnoses": "torchid.compare.record:GapComparison",
-    "torchid.compare/1 parameter sets": "torchid.compare.record:SetComparison",
+    "torchid.compare/2": "torchid.fleet.comparison:Comparison",
     "torchid.fleet/1": "torchid.fleet.record:FleetRecord",
     "torchid.fleet_gap/1": "torchid.fleet.gap:FleetGapRecord",
     "torchid.fleet_watch/1": "torchid.fleet.watch:WatchRecord",
@@ -52,11 +49,10 @@ class _Head(msgspec.Struct):
 
     schema: str
     mode: str | None = None
-    compared: str | None = None
 
     @property
     def kind(self) -> str:
-        return " ".join(filter(None, (self.schema, self.mode, self.compared)))
+        return " ".join(filter(None, (self.schema, self.mode)))
 
 
 def load(path: str | Path) -> "Record":

@@ -37,6 +37,8 @@ THETA = 0.55
 """Share of a step at which forces are taken [1]: 1/2 is of second order, more is damped."""
 STEP = 0.005
 """Longest step, and longest time for which the rigid body is what it is in its middle [s]."""
+NEARLY = 0.05
+"""Share of a step by which steps may be longer: clocks of logs are not exact [1]."""
 SWEEPS = 30
 """Most solutions of a step where one set is run."""
 COUPLED = 3
@@ -89,18 +91,25 @@ class Body:
         fields = (self.coupling.mT, self.stiffness.mT, self.q, self.bias, self.inertia)
         return torch.cat([x.flatten(1) for x in (*fields, self.dominance)], 1)
 
+    @cached_property
+    def single(self) -> "Body":
+        """It in single precision."""
+        return self._each(lambda x: x.float())
+
     def at(self, rows: Int[Tensor, " W"]) -> "Body":
         """It at some of the instants."""
-        fields = (getattr(self, field.name) for field in dataclasses.fields(self))
-        return Body(*(None if x is None else x[rows] for x in fields))  # type: ignore[arg-type]
+        return self._each(lambda x: x[rows])
 
     def midway(self, last: Int[Tensor, " m"]) -> "Body":
         """It between each instant and the next one, for steps from one to the other; at the last
         instants of motions as it is there."""
         after = torch.arange(1, len(self.q) + 1)
         after[last] = last
-        fields = [getattr(self, field.name) for field in dataclasses.fields(self)]
-        return Body(*(None if x is None else (x + x[after]) / 2 for x in fields))  # type: ignore[arg-type]
+        return self._each(lambda x: (x + x[after]) / 2)
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> "Body":
+        fields = (getattr(self, field.name) for field in dataclasses.fields(self))
+        return Body(*(None if x is None else change(x) for x in fields))  # type: ignore[arg-type]
 
 
 def body_near(
@@ -410,7 +419,8 @@ def rollout(
             positions and velocities, where P is 1.
         tracks: the commands.
         windows: W stretches of them.
-        q, dq: state at the first row of each window [rad, rad/s].
+        q, dq: state at the first row of each window [rad, rad/s]; the rollout has their precision,
+            which is the body's.
         points: set-points, if known.
         owner: (P,) or (W, 1, 1): which row of them each set has (default: 0, 1, ...).
         measured: positions, whose errors until a window begins are what an integrating servo has
@@ -423,8 +433,9 @@ def rollout(
     each = servos.joint.ndim == 4
     # (n, P, W or 1, K), and (5, P, W or 1): windows, of which there are most, are side by side in
     # memory, so that what differs between windows or sets alone is a row or a number.
-    table = servos.joint.permute(2, 1, 0, 3) if each else servos.joint.transpose(0, 1)[:, :, None]
-    plane = servos.plane.permute(2, 1, 0) if each else servos.plane.T[:, :, None]
+    joint, plane = servos.joint.to(q), servos.plane.to(q)
+    table = joint.permute(2, 1, 0, 3) if each else joint.transpose(0, 1)[:, :, None]
+    plane = plane.permute(2, 1, 0) if each else plane.T[:, :, None]
     sets = table.shape[1]
     if points is None:
         profiles, owner = profiles_of(servos).unique(dim=0, return_inverse=True)
@@ -451,7 +462,7 @@ def rollout(
             longest_step,
             # A body that is not known beforehand is evaluated in each part of a sample, and the
             # steps are solved for their own accelerations.
-            1 if known else math.ceil(tracks.dt / STEP - 1e-9),
+            1 if known else math.ceil(tracks.dt / STEP - NEARLY),
             (COUPLED, 1) if known else (SWEEPS, SWEEPS),
         )
         shape = (servos.n, sets, len(some))
@@ -508,7 +519,7 @@ class _Run:
         self.table, self.plane, self.points, self.owner = table, plane, points, owner
         self.begin, self.dt, self.longest_step = begin, dt, longest_step
         self.parts, self.sweeps, self.least = parts, *sweeps
-        each = math.ceil(dt / parts / longest_step - 1e-9)
+        each = math.ceil(dt / parts / longest_step - NEARLY)
         steps = parts * each
         self.h = dt / steps
         self.last: tuple[tuple[Tensor, Tensor], Body] | None = None
@@ -521,7 +532,7 @@ class _Run:
         self.rows = (
             torch.arange(points.shape[0])[:, None, None] * points.shape[1] + owner
         ) * points.shape[2]
-        self.flat = points.reshape(-1)
+        self.flat = points.reshape(-1).to(table)
         self.ahead: tuple[Tensor, Tensor] | None = None
         # Most sets have set-points and delays as another has: theirs are looked up once.
         self.apart: Sequence[Tensor] = (self.whole, self.rows)
@@ -615,14 +626,16 @@ class _Run:
             middle = (series[..., 1:] + series[..., :-1]) / 2
             return torch.nn.functional.pad(middle.cumsum(-1), (1, 0))
 
-        behind = torch.minimum(p["delay"] / self.dt, (rows - first).to(q))
+        behind = torch.minimum(p["delay"].double() / self.dt, (rows - first).double())
         late = rows - behind
         before = late.floor().to(torch.int64)
         sums = until(self.points).reshape(-1)
         low, high = (sums.take(self.rows + torch.maximum(k, first)) for k in (before, before + 1))
-        goals = torch.lerp(low, high, late - before) - sums.take(self.rows + first) + behind * x
+        goals = torch.lerp(low, high, late - before)
+        goals = goals - sums.take(self.rows + first) + behind * x
         way = until(measured.T).T
-        return held + p["integral"] * self.dt * (goals - (way[rows] - way[first]).T[:, None])
+        summed = goals - (way[rows] - way[first]).T[:, None]
+        return held + p["integral"] * self.dt * summed.to(held)
 
     def sample(self, state: _State, body: Body | BodyAt, rows: Tensor) -> None:
         """Step a state from one sample to the next."""

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
-from scipy.special import chdtri
+from scipy.special import chdtri, fdtrc
 
 from torchid.statistics.jackknife import student_quantile
 from torchid.statistics.multiple import benjamini_hochberg, two_sided
@@ -379,6 +379,31 @@ def pooled(data: Sessions, level: float = 0.05) -> Pooled:
     )
 
 
+def heterogeneity(data: Sessions, freedom: Float[Tensor, " S"]) -> Float[Tensor, " P"]:
+    """p-values of the hypothesis that the sessions measure one value: Welch's test (1951), which
+    for two is Welch's t test.
+
+    It is Cochran's Q with the degrees of freedom of an F distribution that account for the
+    variances' being estimates.
+
+    Args:
+        data: of sessions, each its own unit.
+        freedom: degrees of freedom of their variances.
+
+    Returns:
+        nan where fewer than two count.
+    """
+    counts = data.counts
+    m = counts.sum(1).double()
+    w = torch.where(counts, 1 / data.variances, 0.0)
+    whole, y = w.sum(1, keepdim=True), torch.where(counts, data.values, 0.0)
+    q = (w * (y - (w * y).sum(1, keepdim=True) / whole).square()).sum(1) / (m - 1)
+    loss = torch.where(counts, (1 - w / whole).square() / freedom, 0.0).sum(1)
+    statistic = q / (1 + 2 * (m - 2) / (m.square() - 1) * loss)
+    p = fdtrc((m - 1).numpy(), ((m.square() - 1) / (3 * loss)).numpy(), statistic.numpy())
+    return torch.where(m > 1, torch.from_numpy(p), torch.nan)
+
+
 def _far(data: Sessions) -> Bool[Tensor, "P U"]:
     """Units (P, U) far from the median of all, were their spread that of most of them."""
     nothing = torch.zeros(len(data.values), dtype=torch.float64)
@@ -414,8 +439,9 @@ def _deviations(
     # For a counted unit, against a mean with it: var(m_u - mu) = V_u - 1 / whole.
     size = (spread - 1 / whole).clamp(min=1e-300).sqrt()
     inner = (every.mean - others.centre.unsqueeze(1)) / size
-    square = inner.square().clamp(max=(units - 1).double() * (1 - 1e-12))
-    outer = inner * ((units - 2) / (units - 1 - square)).clamp(min=0).sqrt()
+    # Without the unit the spread shrinks, at most to what its own sessions leave open.
+    shrinks = (units - 1 - inner.square()) / (units - 2).clamp(min=1)
+    outer = inner / shrinks.maximum(every.variance / spread).clamp(min=1e-12).sqrt()
     apart = (every.mean - mean) / (spread + 1 / left).sqrt()
     t = torch.where(counted, outer, apart)
     freedom = torch.where(counted, units - 2, units - 1).double()

@@ -243,22 +243,13 @@ def micro_f1(counts: Sequence[Counts]) -> dict[str, Any]:
     """F1 of all cases together, with an interval over cases; None of nothing."""
     total, value, interval = added(counts), None, None
     if counts:
-        draws = np.array(counts)[_draws(len(counts))].sum(1).tolist()
+        draws = np.array(counts)[drawn_cases(len(counts))].sum(1).tolist()
         interval = list(percentile_interval(np.array([f1((h, e, m)) for h, e, m in draws])))
         value = f1(total)
     numbers = dict(zip(("hits", "extra", "missed"), total, strict=True))
     return {"f1": value, "ci95": interval, **numbers, "cases": len(counts)}
 
 
-def median(values: Sequence[float]) -> dict[str, Any]:
-    """A median with an interval over cases; None of nothing."""
-    if not values:
-        return {"median": None, "ci95": None, "cases": 0}
-    drawn = np.median(np.array(values)[_draws(len(values))], axis=1)
-    interval = list(percentile_interval(drawn))
-    return {"median": float(np.median(values)), "ci95": interval, "cases": len(values)}
-
-
-def _draws(count: int) -> np.ndarray:
+def drawn_cases(count: int) -> np.ndarray:
     """Cases of each draw, the same in every score of as many cases."""
     return bootstrap(count, DRAWS, np.random.default_rng(0))

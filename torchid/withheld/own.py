@@ -1,13 +1,10 @@
-"""The diagnosis checked on one's own arm: accepted effects withheld, known ones planted.
+"""The diagnosis checked on one's own arm: accepted effects withheld.
 
 Nobody knows what a real arm hides. But an effect that was accepted on a part of its logs can be
 taken out of the corrected model again: on logs that took no part so far, the diagnosis should find
-it once more and close with it what it is known to close. And a known effect added to the real
-torque, with its real noise and its real other gaps, tells what would be seen on this robot, in this
-log.
+it once more and close with it what it is known to close.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -16,16 +13,11 @@ from msgspec import UNSET, UnsetType, field, structs
 
 from torchid import __version__
 from torchid.design.columns import Columns, Model
-from torchid.design.motion import measurements
-from torchid.effects.base import JointEffect, Motion
 from torchid.effects.registry import (
     EVENTS,
-    KINDS,
-    effect_kind,
-    model_torque,
     nominal_effects,
 )
-from torchid.errors import LogError, TorchidError
+from torchid.errors import LogError
 from torchid.gap.data import prepare
 from torchid.gap.diagnosis import Finding, TorqueDiagnosis
 from torchid.gap.noise.floor import stuck
@@ -36,42 +28,10 @@ from torchid.gap.validate.closing import closing
 from torchid.gap.validate.traces import traces
 from torchid.identification.identify import prepared
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
-from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
-from torchid.log.sampling import resample
 from torchid.parallel.workers import Progress, each
 from torchid.results.record import Joint, Part, Record, Result, Rows
 from torchid.robot.model import Robot
-from torchid.withheld.settings import PLANTED
-
-LEVELS = (1.0, 2.0, 5.0, 10.0)
-"""Sizes planted, in units of the noise of the joint's torque."""
-
-FIRST_LEVEL = 1
-"""Number of the level tried first; the search goes down where it is named, else up."""
-
-BAND = 20.0
-"""Of the motion along which effects are planted [Hz]."""
-
-
-class Planted(Part, frozen=True):
-    """A known effect on top of a real log.
-
-    Attributes:
-        effect: its name.
-        joint: from 0.
-        level: its RMS below BAND, in units of the joint's noise.
-        coefficients: by name.
-        named, in_set, status: as Withheld's.
-    """
-
-    effect: str
-    joint: Joint
-    level: float = field(name="size_over_noise")
-    coefficients: dict[str, float]
-    named: bool
-    in_set: bool
-    status: str
 
 
 @dataclass(frozen=True)
@@ -81,22 +41,6 @@ class Bed:
     robot: Robot
     log: Log
     settings: GapSettings
-
-
-def plantable(name: str) -> type[JointEffect]:
-    """The effect of this name, which must be one of a joint's own motion.
-
-    Raises:
-        TorchidError: it is not.
-    """
-    kind = effect_kind(name)
-    if not issubclass(kind, JointEffect):
-        raise TorchidError(
-            "only effects of one joint's motion can be planted in a log.",
-            got=name,
-            available=[n for n, k in KINDS.items() if issubclass(k, JointEffect)],
-        )
-    return kind
 
 
 def named(found: TorqueDiagnosis, name: str, place: tuple[int, ...]) -> bool:
@@ -109,60 +53,6 @@ def in_set(found: TorqueDiagnosis, name: str, place: tuple[int, ...]) -> bool:
     said = [({f.effect.name, *f.ambiguous_with}, f.located) for f in found.findings]
     said += [(set(p.ambiguous_with), p.links) for p in found.parametric]
     return any(name in names and (not place or not at or at == place) for names, at in said)
-
-
-def smallest_found(bed: Bed, planted: tuple[JointEffect, float]) -> list[Planted]:
-    """The smallest level that is named, and what was tried on the way to it.
-
-    Args:
-        bed: where.
-        planted: the effect, and the noise of its joint's torque.
-    """
-    torch.set_num_threads(1)
-    tried: list[Planted] = []
-    k = FIRST_LEVEL
-    while 0 <= k < len(LEVELS):
-        tried.append(_one_level(bed, *planted, LEVELS[k]))
-        down = tried[0].in_set
-        if tried[-1].in_set is not down:
-            break
-        k += -1 if down else 1
-    return sorted(tried, key=lambda p: p.level)
-
-
-def _one_level(bed: Bed, effect: JointEffect, noise: float, level: float) -> Planted:
-    values, log = _on_top(bed, effect, level * noise)
-    found = diagnose_torque(bed.robot, log, settings=bed.settings)
-    at = effect.name, (effect.joint,)
-    coefficients = {c.name: v for c, v in zip(effect.coefficients, values, strict=True)}
-    said = named(found, *at), in_set(found, *at), found.status
-    return Planted(effect.name, effect.joint, level, coefficients, *said)
-
-
-def _on_top(bed: Bed, effect: JointEffect, size: float) -> tuple[list[float], Log]:
-    """The log with an effect's torque added, of an RMS below BAND to which each coefficient's part
-    adds the same."""
-    parts = list(resample(bed.log).trajectories())
-    effects = nominal_effects(bed.robot)
-    # The effect's columns on its own joint along each trajectory, and the same below BAND.
-    columns, low = [], []
-    for part in parts:
-        (m,) = measurements(part, BAND)
-        motion: Motion = m.whole._replace(t=part.t - part.t[0])
-        motion = motion._replace(torque=model_torque(bed.robot, effects, motion))
-        columns.append(effect.torque_columns(motion, bed.robot)[:, effect.joint])
-        low.append(ZeroPhaseFilter(m.rate, BAND).apply(columns[-1].T).T)
-    rms = torch.cat(low).square().mean(0).sqrt()
-    values = torch.where(rms > 0, 1 / rms.clamp(min=1e-300), torch.zeros_like(rms))
-    together = torch.cat(low) @ values
-    values = values * (size / together.square().mean().sqrt().clamp(min=1e-300))
-    grown = []
-    for part, full in zip(parts, columns, strict=True):
-        assert part.tau is not None
-        tau = part.tau.clone()
-        tau[:, effect.joint] += full @ values
-        grown.append(part.replace(tau=tau))
-    return values.tolist(), Log.concatenate(grown)
 
 
 AS_MUCH = 0.9
@@ -217,7 +107,6 @@ class OwnRecord(Record, frozen=True, kw_only=True, tag="torchid.withheld.own/1")
     untouched: tuple[str, ...]
     whole: bool = field(name="untouched_are_whole_trajectories")
     withheld: tuple[Withheld, ...]
-    planted: tuple[Planted, ...]
     first: GapRecord = field(name="diagnosis")
     seed: int | UnsetType = UNSET
 
@@ -235,14 +124,13 @@ class OwnCheck(Result):
         first: the diagnosis on the first part of the logs.
         untouched: names of the trajectories that took no part in it.
         whole: whether these are trajectories of their own, not the ends of the same ones.
-        withheld, planted: what became of both.
+        withheld: what became of every accepted effect.
     """
 
     first: TorqueDiagnosis
     untouched: tuple[str, ...]
     whole: bool
     withheld: tuple[Withheld, ...]
-    planted: tuple[Planted, ...]
 
     def __repr__(self) -> str:
         named = sum(w.named for w in self.withheld)
@@ -266,31 +154,22 @@ def withheld_own(
     *,
     untouched: LogLike | None = None,
     settings: GapSettings | None = None,
-    plant: Sequence[str] = PLANTED,
-    joints: Sequence[int] | None = None,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> OwnCheck:
-    """The diagnosis checked on one's own arm: every accepted effect withheld once, and known ones
-    planted.
-
-    Every effect that is accepted on the log is taken out of the corrected model and sought again on
-    untouched data. Then known effects are added to the measured torque there, to see from which
-    size on they are found.
+    """The diagnosis checked on one's own arm: every accepted effect is taken out of the corrected
+    model once, and sought again on untouched data.
 
     Args:
         robot: as for `diagnose`.
         log: trajectories of the real arm.
         untouched: other ones; if None the second half of every trajectory is kept apart.
         settings: of all diagnoses; rollouts are left out.
-        plant: names of effects of one joint.
-        joints: where they are planted, from 0; everywhere if None.
         jobs: processes.
         progress: called with (stage, done, total).
 
     Raises:
         LogError: logs that cannot be used.
-        TorchidError: an effect that does not act on one joint, or a joint that is not there.
 
     >>> import torchid
     >>> robot = torchid.load_robot("3r")
@@ -299,21 +178,14 @@ def withheld_own(
     >>> friction = {"effect": "viscous_friction", "joint": 2, "Fv": 0.5}
     >>> first, other = (torchid.simulate(robot, m, effects=[friction]) for m in motions)
     >>> settings = GapSettings(effects=("viscous_friction", "coulomb_friction"))
-    >>> found = withheld_own(robot, first, untouched=other, settings=settings, plant=())
+    >>> found = withheld_own(robot, first, untouched=other, settings=settings)
     >>> [(w.effect, w.joints, w.named, w.as_much) for w in found.withheld]
     [('viscous_friction', (1,), True, True)]
     """
     robot = as_robot(robot)
     log = as_log(log, robot)
     untouched = None if untouched is None else as_log(untouched, robot)
-    robot.require_fixed_base("the check by planted effects")
-    kinds = [plantable(name) for name in plant]
-    places = list(range(robot.n) if joints is None else joints)
-    wrong = [j + 1 for j in places if not 0 <= j < robot.n]
-    if wrong:
-        raise TorchidError(
-            f"robot '{robot.name}' has no such joint.", got=wrong, expected=f"1..{robot.n}"
-        )
+    robot.require_fixed_base("the check by withheld effects")
     settings = replace(settings or GapSettings(), rollout=False, held_out_fraction=0.0)
     whole = untouched is not None
     if untouched is None:
@@ -326,15 +198,10 @@ def withheld_own(
     first = diagnose_torque(robot, log, settings=settings)
     # From here on the corrected model is the simulator, and its parameters are given.
     again = replace(settings, background=(), parameters="auto")
-    bed = Bed(first.corrected, untouched, again)
     lasting = [f for f in first.findings if f.effect.name not in EVENTS]
-    noise = (first.floor.low * first.floor.high).sqrt().tolist()
-    known = [(kind(j), noise[j]) for kind in kinds for j in places]
-    hide, plant_one = partial(_withheld, bed), partial(smallest_found, bed)
+    hide = partial(_withheld, Bed(first.corrected, untouched, again))
     withheld = each(hide, lasting, jobs, "withholding what was accepted", progress)
-    planted = each(plant_one, known, jobs, "planting known effects", progress)
-    flat = tuple(one for several in planted for one in several)
-    return OwnCheck(first, tuple(untouched.names), whole, tuple(withheld), flat)
+    return OwnCheck(first, tuple(untouched.names), whole, tuple(withheld))
 
 
 def _without(corrected: Robot, finding: Finding) -> Robot:

@@ -20,7 +20,6 @@ from torchid.withheld.measures import (
     coefficient_coverage,
     joint_counts,
     matched,
-    median,
     micro_f1,
     named,
     poor_verdict,
@@ -31,20 +30,9 @@ from torchid.withheld.measures import (
 from torchid.withheld.rows import Row, named_record, row_of
 from torchid.withheld.run import ERROR
 
-CLOSES = 0.1
-"""Share that the oracle closes, below which a ratio to it says nothing."""
-
 CLEAR = 2.5
 """Size of an effect, in standard deviations of the noise, from which it should be named: half of
 what is asked for. Some arms cannot have more of one: a spring softer than the controller bears."""
-
-NOTHING = {
-    "no_gap": "(no gap)",
-    "detected_unexplained": "(unexplained)",
-    "not_testable": "(not testable)",
-    "error": "(error)",
-}
-"""What the confusion matrix says where nothing was named."""
 
 
 @dataclass(frozen=True)
@@ -72,10 +60,10 @@ class Scored:
     closed_ci95: tuple[float, float] | None
     seconds: float | None
 
-
-def closed_by(answers: Mapping[str, Mapping[str, Any]]) -> dict[str, float | None]:
-    """Closed shares, by case."""
-    return {case: (a.get("how_far") or {}).get("closed") for case, a in answers.items()}
+    @property
+    def cause(self) -> str:
+        """Names of what was planted."""
+        return " + ".join(p.name for p in self.row.planted)
 
 
 def scored(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
@@ -96,18 +84,8 @@ def scored(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
     )
 
 
-def scores(
-    cases: Sequence[Scored],
-    oracle: Mapping[str, float | None] | None = None,
-    truly_closed: Mapping[str, float] | None = None,
-) -> dict[str, Any]:
-    """All scores of one method.
-
-    Args:
-        cases: its answers.
-        oracle: per case the closed share of the diagnosis that was told the effect and the joint.
-        truly_closed: per case the closed share of the corrected model without any noise.
-    """
+def scores(cases: Sequence[Scored]) -> dict[str, Any]:
+    """All scores of one method's answers."""
     kinds = _by(cases, lambda c: c.kind)
     single, several, severity = (kinds.get(k, []) for k in ("single", "several", "severity"))
     quiet = [c for c in kinds.get("none", []) if c.row.status != "error"]
@@ -140,12 +118,9 @@ def scores(
         "several": _several(several),
         "outside": _outside(outside),
         "poor": _poor(kinds.get("poor", [])),
-        "closing": _closing(single, oracle or {}),
-        "coverage": _coverage(cases, truly_closed or {}),
+        # Whether 95 % intervals hold the true coefficients.
+        "coverage": rate(flag for c in single + severity for flag in coefficient_coverage(c.row)),
         "status": {k: dict(Counter(c.row.status for c in some)) for k, some in kinds.items()},
-        "confusion": confusion(single),
-        "confusion_outside": confusion(outside),
-        "detection": detection(severity),
         "errors": [c.case for c in cases if c.row.status == "error"],
         "seconds_median": _median([c.seconds for c in cases if c.seconds is not None]),
     }
@@ -191,7 +166,7 @@ def _outside(cases: Sequence[Scored]) -> dict[str, Any]:
     for case in cases:
         found = verdict(case.row, every=True)
         said[found] += 1
-        by_cause[_cause(case)][found] += 1
+        by_cause[case.cause][found] += 1
     return {
         "confident_wrong": rate(v == "confident_wrong" for v in said.elements()),
         "verdicts": dict(said),
@@ -207,70 +182,6 @@ def _poor(cases: Sequence[Scored]) -> dict[str, Any]:
         "not_testable_or_hedged": rate(v in ("not_testable", "hedged") for v in said),
         "verdicts": dict(Counter(said)),
     }
-
-
-def _closing(cases: Sequence[Scored], oracle: Mapping[str, float | None]) -> dict[str, Any]:
-    """How much of what could be closed is; cases in which the oracle closes next to nothing are
-    left out, and counted."""
-    told = [(c, oracle[c.case]) for c in cases if c.case in oracle]
-    ratios = [c.closed / best for c, best in told if best is not None and best >= CLOSES]
-    return {
-        "closed": median([c.closed for c in cases]),
-        "oracle": median([best or 0.0 for _, best in told]),
-        "ratio": median(ratios),
-        "oracle_closes_nothing": len(told) - len(ratios),
-    }
-
-
-def _coverage(cases: Sequence[Scored], truly_closed: Mapping[str, float]) -> dict[str, Any]:
-    """Whether 95 % intervals hold the truth: the closed share without noise, and coefficients."""
-    held = [
-        c.closed_ci95[0] <= truly_closed[c.case] <= c.closed_ci95[1]
-        for c in cases
-        if c.closed_ci95 is not None and c.case in truly_closed
-    ]
-    graded = [c for c in cases if c.kind in ("single", "severity")]
-    return {
-        "closed": rate(held),
-        "coefficients": rate(flag for c in graded for flag in coefficient_coverage(c.row)),
-    }
-
-
-def confusion(cases: Iterable[Scored]) -> dict[str, dict[str, int]]:
-    """Planted -> first named -> cases."""
-    out: dict[str, Counter[str]] = defaultdict(Counter)
-    for case in cases:
-        top = case.row.top
-        said = NOTHING.get(case.row.status, "(nothing)") if top is None else top.name
-        out[_cause(case)][said] += 1
-    return {name: dict(out[name]) for name in sorted(out)}
-
-
-def detection(cases: Sequence[Scored]) -> dict[str, list[dict[str, Any]]]:
-    """Shares detected and named over the size asked for: of all effects, and by family."""
-    groups = {"all effects": list(cases)} if cases else {}
-    families = _by(cases, lambda c: c.row.planted[0].family)
-    groups |= {name: families[name] for name in sorted(families)}
-    return {name: _curve(some) for name, some in groups.items()}
-
-
-def _curve(cases: Sequence[Scored]) -> list[dict[str, Any]]:
-    out = []
-    for level in sorted({c.level for c in cases if c.level is not None}):
-        own = [c for c in cases if c.level == level]
-        out.append(
-            {
-                "level": level,
-                "size": _median([c.row.planted[0].size for c in own]),
-                "detected": rate(c.row.alarm for c in own),
-                "named": rate(named(c.row).in_set for c in own),
-            }
-        )
-    return out
-
-
-def _cause(case: Scored) -> str:
-    return " + ".join(p.name for p in case.row.planted)
 
 
 def _by_noise(cases: Iterable[Scored]) -> dict[str, list[Scored]]:
@@ -318,9 +229,6 @@ def summary(
     cases: CaseSet,
     keys: Sequence[Mapping[str, Any]],
     answers: Answers,
-    *,
-    oracle: Answers | None = None,
-    truly_closed: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
     """Scores of a set's answers, and every case.
 
@@ -328,12 +236,9 @@ def summary(
         cases: the set; cases without an answer are left out, and counted.
         keys: opened, in order.
         answers: by case.
-        oracle: by case, answers of the diagnosis that was told.
-        truly_closed: as `score.scores`.
     """
     by_id = {key["id"]: key for key in keys}
     ours = [scored(k, answers[k["id"]]) for k in keys if k["id"] in answers]
-    closed = None if oracle is None else closed_by(oracle)
     own = [answers[c.case] for c in ours]
     return plain(
         {
@@ -347,7 +252,7 @@ def summary(
             "answered_with": dict(Counter(str(a.get("version")) for a in own)),
             "code": dict(Counter(str(a.get("code")) for a in own)),
             "kinds": dict(Counter(c.kind for c in ours)),
-            "scores": scores(ours, closed, truly_closed),
+            "scores": scores(ours),
             "answers": [_listed(c, by_id[c.case]) for c in ours],
         }
     )

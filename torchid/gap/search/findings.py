@@ -15,7 +15,7 @@ from torchid.effects.spring import JointSpring
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
 from torchid.gap.diagnosis import Finding
-from torchid.gap.record import Experiment, Informative, NotTestable, Parametric
+from torchid.gap.record import Experiment, Informative, Parametric
 from torchid.gap.search.climb import TRIED, moves
 from torchid.gap.search.evidence import (
     Fitted,
@@ -33,6 +33,7 @@ from torchid.gap.search.explain import Explanation
 from torchid.gap.search.odds import Misfit, Odds, odds
 from torchid.gap.search.replication import OwnTorque, own_torque, replication
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies
+from torchid.results.answer import NotTestable
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType
 from torchid.statistics.criteria import LIKELY, SET_ODDS

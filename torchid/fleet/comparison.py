@@ -1,0 +1,108 @@
+"""Results compared, as their JSON has them: the schema torchid.compare/2."""
+
+from typing import Literal
+
+from msgspec import UNSET, UnsetType, field
+
+from torchid.results.record import Ends, Part, Real, Record, Rows
+from torchid.typing import Float, Tensor
+
+Kind = Literal["identifications", "gap diagnoses", "parameter sets"]
+Verdict = Literal["agree", "differ", "never_determined", "not_compared"]
+State = Literal["named", "not_testable", "not_found"]
+
+
+class TorqueSpread(Part, frozen=True):
+    """Torque of m models on one motion [N m; N].
+
+    Attributes:
+        source: of the motion, in words.
+        size: (n,) RMS of the models' mean.
+        spread: (n,) standard deviation between models, RMS over the motion.
+        claimed: (n,) RMS of the standard deviation that the parameters' covariances claim for a
+            model's torque; None where there are none.
+        errors: (m, n) RMS of the measured torque minus each model's; None without a log.
+    """
+
+    source: str = field(name="on")
+    size: Float[Tensor, " n"] = field(name="rms")
+    spread: Float[Tensor, " n"]
+    claimed: Float[Tensor, " n"] | None = field(name="claimed_std", default=None)
+    errors: Float[Tensor, "m n"] | None = None
+
+
+class ComparedParameter(Part, frozen=True, kw_only=True):
+    """One coefficient in m results.
+
+    Attributes:
+        name, unit: of it.
+        cause: of a coefficient of a diagnosis, e.g. `coulomb_friction of joint 2`; else empty.
+        verdict: `differ`: the test of equal values rejects them; `never_determined`: relative
+            standard deviation above 50 % in every result that has it; `not_compared`: fewer than
+            two results give it with a standard deviation; else `agree`.
+        own, own_std: (m,) of each result; nan where it has none. A value that a fit held, e.g. at
+            zero, has no standard deviation.
+        mean, std: of the units that the results are of, and how well it is known.
+        between, between_ci95: spread from result to result, one standard deviation.
+        p: of Welch's test that all values are equal, adjusted for the number of coefficients.
+    """
+
+    name: str
+    unit: str
+    cause: str
+    verdict: Verdict
+    own: Float[Tensor, " m"]
+    own_std: Float[Tensor, " m"]
+    mean: Real
+    std: Real
+    between: Real = field(name="unit_std")
+    between_ci95: Ends = field(name="unit_std_ci95")
+    p: Real = field(name="p_adjusted")
+
+
+class ComparedCause(Part, frozen=True, kw_only=True):
+    """One cause in m diagnoses: effects at one place that name each other as alternatives.
+
+    Attributes:
+        label: their names and place, e.g. `coulomb_friction of joint 2`.
+        states: (m,) what each diagnosis says.
+        smallest: (m,) smallest detectable size, where it was not testable.
+    """
+
+    label: str
+    states: tuple[State, ...]
+    smallest: tuple[float | None, ...] = field(name="smallest_detectable")
+
+
+class Comparison(Record, frozen=True, kw_only=True, tag="torchid.compare/2"):
+    """Results of one kind, compared.
+
+    Attributes:
+        robot: its name, or names.
+        kind: of the results.
+        labels, about: (m,) of the results, in the order given: names, and a few words.
+        parameters: every coefficient that any result has.
+        causes: of diagnoses, those that most name first.
+        torque: None where the models are not known.
+        notes: sentences for the user.
+        seed: from a command.
+    """
+
+    robot: str
+    kind: Kind
+    labels: tuple[str, ...] = field(name="results")
+    about: tuple[str, ...]
+    parameters: tuple[ComparedParameter, ...]
+    causes: tuple[ComparedCause, ...]
+    torque: TorqueSpread | None
+    notes: tuple[str, ...]
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[ComparedParameter]:
+        """The coefficients."""
+        return Rows(self.parameters)
+
+    def having(self, *verdicts: Verdict) -> list[ComparedParameter]:
+        """Coefficients of these verdicts."""
+        return [p for p in self.parameters if p.verdict in verdicts]

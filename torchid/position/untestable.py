@@ -1,0 +1,77 @@
+"""Effects that the motions of a log would not have shown, by what nothing else could have done."""
+
+from dataclasses import replace
+
+import torch
+
+from torchid.position.data import PositionData
+from torchid.position.effects import EFFECTS
+from torchid.position.fit import errors, sensitivities, weights
+from torchid.position.judge import Equations
+from torchid.position.search import slight
+from torchid.results.answer import NotTestable
+from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, TORQUES, as_share
+from torchid.simulation.servo_loop import Windows
+from torchid.typing import Bool, Tensor
+
+USUAL = {
+    "kd": 0.01, "integral": 0.5, "stiction": 0.01, "dead_zone": 0.005, "scale": 0.05, "lag": 0.02,
+    "motor_share": 0.1, "load_share": 0.1,
+}  # fmt: skip
+"""Sizes that servos have, torques as shares of kp. What acts only beyond a limit is none of them: a
+log that does not come there says nothing of it."""
+
+
+def not_testable(
+    data: PositionData, known: Equations, windows: Windows, moves: Bool[Tensor, " n"]
+) -> tuple[NotTestable, ...]:
+    """Effects that no joint's answer has and that, at a usual size, would move it by less than what
+    calls for a cause, beside what all that is fitted could make up for.
+
+    Args:
+        data: motions.
+        known: the answer.
+        windows: of the motions.
+        moves: joints that do.
+    """
+    servos, names = known.servos, known.names
+    asked = [e for e in EFFECTS if e.parameters and e.parameters[0] in USUAL]
+    joint = servos.joint.repeat(1 + len(asked), 1, 1)
+    for row, effect in zip(joint[1:], asked, strict=True):
+        name = effect.parameters[0]
+        size = USUAL[name] * (servos.of("kp") if name in TORQUES else 1.0)
+        column = row[:, INDEX[name]]
+        column += size
+        if name == "stiction":  # fades with a speed, where it has none yet
+            speed = row[:, INDEX["stribeck_speed"]]
+            start = PARAMETERS[INDEX["stribeck_speed"]].start
+            speed.copy_(torch.where(column > size, speed, start))
+    sets = replace(servos, joint=joint, plane=servos.plane.repeat(len(joint), 1))
+    error = errors(data, sets, windows)
+    change = error[..., 1:] - error[..., :1]
+    s = sensitivities(data, servos, names, windows)
+    root = weights(s.residual, windows).sqrt()[..., None]
+    least = slight(data, windows).sqrt()
+    out = []
+    for j in moves.nonzero().flatten().tolist():
+        on = known.mask[j]
+        fitted, wanted = ((x[:, :, j] * root[:, :, j]).flatten(0, 1) for x in (s.slope, change))
+        fitted = fitted[:, on]
+        gram = fitted.T @ fitted + known.prior[j, on].diag()
+        left = wanted - fitted @ torch.linalg.solve(gram, fitted.T @ wanted)
+        shares = left.square().sum(0).sqrt() / least[j]
+        for effect, share in zip(asked, shares.tolist(), strict=True):
+            name = effect.parameters[0]
+            if (name in names and bool(on[names.index(name)])) or share >= 1:
+                continue
+            unit = PARAMETERS[INDEX[name]].unit
+            if name in TORQUES:
+                name, unit = as_share(name), PER_KP[unit]
+            size = USUAL[effect.parameters[0]]
+            seen = 1e3 * share * float(data.slight[j] / data.scale[j])
+            reason = (
+                f"{name} of {size:g} moves it by {seen:.2g} mrad that nothing else could have done"
+            )
+            smallest = size / share if share > 1e-3 else None
+            out.append(NotTestable(effect.name, (j,), smallest, unit, reason))
+    return tuple(out)
