@@ -149,10 +149,18 @@ def check_mujoco(
 
 
 def mujoco_model(mujoco: Any, path: Path) -> Any:
-    """The compiled model of an MJCF or URDF. Of a URDF the shapes are left out: MuJoCo looks for
-    their meshes itself."""
+    """The compiled model of an MJCF or URDF. Of a URDF the shapes are left out, since MuJoCo looks
+    for their meshes itself, and of an MJCF its meshes where one is missing."""
     if path.suffix.lower() != ".urdf":
-        return mujoco.MjModel.from_xml_path(str(path))
+        try:
+            return mujoco.MjModel.from_xml_path(str(path))
+        except ValueError:
+            spec = mujoco.MjSpec.from_file(str(path))
+            for geom in [g for g in spec.geoms if g.type == mujoco.mjtGeom.mjGEOM_MESH]:
+                spec.delete(geom)
+            for mesh in list(spec.meshes):
+                spec.delete(mesh)
+            return spec.compile()
     root = read_xml(path).root
     for node in [n for n in root.iter() if local(n) in ("visual", "collision")]:
         node.getparent().remove(node)

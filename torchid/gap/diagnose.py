@@ -127,8 +127,8 @@ def _of_positions(
     if not nominal and log.servos:
         nominal = nominal_servos(robot, log.servos)
         notes = (
-            f"{log.label} was recorded from servos {log.servos}, as `servo=...` says; for servos of "
-            "no known type `servo=kp=unknown`",
+            f"{log.label} was recorded from servos {log.servos}, as `servo=...` says it; "
+            "`servo=kp=unknown` is for servos of no known type",
         )
     found = diagnose_positions(
         robot, log, held_out=held_out, trusted=settings.parameters == "trusted",
