@@ -14,11 +14,15 @@ from tests.position.planted import planted, robot, true_servos
 from torchid.app.commands import app
 from torchid.errors import TorchidError
 from torchid.export.correct_positions import correct_positions
-from torchid.export.servo_mjcf import SAID, unsaid
+from torchid.export.export import export_dynamics
+from torchid.export.results import servo_dynamics
+from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid
 from torchid.log.readers import write_log
+from torchid.position.data import tracks_of
 from torchid.position.model import ServoArm, replay
 from torchid.robot.library import load_robot
 from torchid.simulation.servo import INDEX, Servos
+from torchid.simulation.servo_loop import windows_of
 
 CASES = {
     "plain": {},
@@ -92,8 +96,6 @@ ACTUATED = """<mujoco>
 
 def with_actuators(folder):
     """The 3R as an MJCF with actuators of its own, and defaults of them."""
-    from torchid.export.export import export_dynamics
-
     one = export_dynamics(load_robot("3r"), "mjcf", folder, "plain", nominal=load_robot("3r"))
     root = etree.parse(str(one.files[0])).getroot()
     for node in root.iter("joint"):
@@ -102,6 +104,43 @@ def with_actuators(folder):
     path = folder / "own.xml"
     path.write_text(ACTUATED.format(world=world))
     return path
+
+
+def test_servos_take_the_place_of_a_files_friction_and_say_what_is_lost(tmp_path):
+    """They were fitted without it, but with its springs; meshes may be missing."""
+    own = with_actuators(tmp_path)
+    text = own.read_text().replace(
+        "<joint ", '<joint damping="50" frictionloss="9" armature="2" ', 1
+    )
+    mesh = '<asset><mesh name="m" file="none.stl"/></asset><worldbody><geom type="mesh" mesh="m"/>'
+    own.write_text(text.replace("<worldbody>", mesh, 1))
+    servos = true_servos(3, acceleration=(2, 4.0))
+    arm = replace(arm_with(servos), robot=load_robot(own))
+    done = export_dynamics(servo_dynamics(arm), "mjcf", tmp_path / "out", nominal=arm.robot)
+    model = ServosInMujoco(done.files[0], arm.robot).model
+    for name, field in (("damping", model.dof_damping), ("armature", model.dof_armature)):
+        assert field == pytest.approx(servos.of(name).numpy())
+    assert model.dof_frictionloss == pytest.approx(servos.of("coulomb").numpy())
+    assert "of the servos acceleration are not in it" in done.files[0].read_text()
+
+
+def test_a_base_that_a_file_lets_go_is_held(tmp_path):
+    own = with_actuators(tmp_path)
+    one = '<body><freejoint/><inertial pos="0 0 0" mass="5" diaginertia="1 1 1"/><body '
+    text = (
+        own.read_text().replace("<body ", one, 1).replace("</worldbody>", "</body></worldbody>", 1)
+    )
+    own.write_text(text)
+    arm = replace(arm_with(true_servos(3)), robot=load_robot(own))
+    log = planted(arm.servos, motions=1, seconds=3.0)
+    file = export_dynamics(servo_dynamics(arm), "mjcf", tmp_path / "out", nominal=arm.robot).files[
+        0
+    ]
+    tracks = tracks_of(log, arm.scale)
+    windows = windows_of(tracks, None)
+    begun = (log.q[:1].numpy(), torch.zeros(1, 3).double().numpy())
+    q = ServosInMujoco(file, arm.robot).moved(arm.servos, tracks, windows, *begun)
+    assert float((q - log.q).abs().max()) < 0.03
 
 
 @pytest.mark.nightly

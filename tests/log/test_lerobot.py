@@ -219,3 +219,24 @@ def test_a_unit_that_nothing_tells_is_asked_for(tmp_path: Path, log: Log) -> Non
     assert ASKED in str(refused.value)
     read = read_log(path, columns=ASKED.split('"')[1])
     assert float(read.q[:, :3].abs().max()) == pytest.approx(90.0 * DEG)
+
+
+@pytest.mark.parametrize(
+    ("kind", "servos"),
+    [
+        ("so101_follower", "STS3215"),
+        ("bi_so100_follower", "STS3215"),
+        ("koch_follower", "XL430-W250,XL430-W250,XL330-M288,XL330-M288"),
+        ("another_arm", ""),
+    ],
+)
+def test_servos_are_those_of_the_driver(tmp_path: Path, log: Log, kind: str, servos: str) -> None:
+    path = bus_servos(tmp_path / "set", log, 1.5, kind, ".pos")
+    read = read_log(path)
+    assert read.servos == servos
+    assert read.trajectories()[0].servos == servos
+    assert Log.concatenate([read, read]).servos == servos
+    assert Log.concatenate([read, read.replace(servos="XM430")]).servos == ""
+    # Columns that are said have no names: one type is known all the same.
+    said = read_log(path, columns="q=observation.state[:,0:4],u=action[:,0:4]")
+    assert said.servos == ("" if "," in servos else servos)

@@ -5,7 +5,10 @@ from pathlib import Path
 
 import pytest
 
+import torchid
+from tests.position.diagnosed import diagnosis
 from torchid.errors import TorchidError
+from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import ServoArm
 from torchid.position.nominal import PRESETS, nominal_servos, read_servos, types_of
 from torchid.robot.library import load_robot
@@ -87,3 +90,24 @@ def test_servos_of_an_earlier_fit_are_not_forgotten(tmp_path: Path) -> None:
     assert [servo.values["kp"] for servo in found] == [30.0, 20.0, 10.0]
     assert {servo.values["delay"] for servo in found} == {0.02}
     assert nominal_servos(load_robot(file), "XL430")[0].name == "XL430-W250"
+
+
+def test_servos_that_the_recorder_names_are_of_one_type(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `servo=...` says it, unless the user or the robot's file says something else."""
+    made, asked = diagnosis(), []
+
+    def search(*_: object, types: tuple[str, ...], **__: object) -> PositionDiagnosis:
+        asked.append(types)
+        return made
+
+    monkeypatch.setattr("torchid.gap.diagnose.diagnose_positions", search)
+    log = made.data.log.replace(servos="STS3215", source="set")
+    found = torchid.diagnose(made.data.robot, log)
+    assert isinstance(found, PositionDiagnosis)
+    assert [s.name for s in found.nominal] == ["STS3215"] * 3
+    assert "recorded from servos STS3215" in found.warnings[0]
+    assert found.warnings[1:] == made.warnings
+    denied = torchid.diagnose(made.data.robot, log, servo="kp=unknown")
+    assert denied.warnings == made.warnings
+    torchid.diagnose(made.data.robot, log.replace(servos=""))
+    assert asked == [("STS3215",) * 3, ("",) * 3, ()]

@@ -121,6 +121,7 @@ LATE = {"kd": 0.5, "delay": 0.043}
             (LATE | {"clip": 60.0, "dead_zone": 0.01}, 1e-3),
             (LATE | {"integral": 200.0}, 1e-3),
             (LATE | {"stiction": 5.0, "stribeck_speed": 0.1, "motor_share": 0.1}, 4e-3),
+            (LATE | {"acceleration": 8.0, "stiction": 5.0, "stribeck_speed": 0.1}, 4e-3),
             # Steps of held commands against lines through them.
             ({"delay": 0.02}, 2e-3),
             (LATE, 1e-3),

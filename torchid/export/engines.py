@@ -7,7 +7,7 @@ than the state; so its coefficients are compared, and constraints are turned off
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from lxml import etree
 
 from torchid.design.columns import Model
 from torchid.design.segments import Samples, Segment
@@ -24,7 +23,6 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.checks import EXACT, Comparison, compared, missing, relative_difference
-from torchid.export.xml_tree import local, read_xml
 from torchid.robot.model import Robot
 from torchid.simulation.loads import changes_measurement
 from torchid.simulation.open_loop import true_torque
@@ -149,14 +147,18 @@ def check_mujoco(
 
 
 def mujoco_model(mujoco: Any, path: Path) -> Any:
-    """The compiled model of an MJCF or URDF. Of a URDF the shapes are left out: MuJoCo looks for
-    their meshes itself."""
-    if path.suffix.lower() != ".urdf":
-        return mujoco.MjModel.from_xml_path(str(path))
-    root = read_xml(path).root
-    for node in [n for n in root.iter() if local(n) in ("visual", "collision")]:
-        node.getparent().remove(node)
-    return mujoco.MjModel.from_xml_string(etree.tostring(root, encoding="unicode"))
+    """The compiled model of an MJCF or URDF. Of a URDF the shapes are left out, since MuJoCo looks
+    for their meshes itself, and of an MJCF its meshes where one is missing."""
+    urdf = path.suffix.lower() == ".urdf"
+    with suppress(ValueError):
+        if not urdf:
+            return mujoco.MjModel.from_xml_path(str(path))
+    spec = mujoco.MjSpec.from_file(str(path))
+    for geom in [g for g in spec.geoms if urdf or g.type == mujoco.mjtGeom.mjGEOM_MESH]:
+        spec.delete(geom)
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+    return spec.compile()
 
 
 def mujoco_places(mujoco: Any, model: Any, robot: Robot) -> tuple[list[int], list[int]]:

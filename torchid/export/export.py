@@ -1,7 +1,7 @@
 """Write a result's dynamics in another format, reload them, and compare before they are kept."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal, get_args
@@ -182,7 +182,8 @@ def export_dynamics(
     elif to == "isaaclab" or to == "mjlab":
         draft, comparisons = write_actuator(dynamics, to, folder, name, motion)
     else:
-        draft, comparisons = write_xml(dynamics, written, path, edited, motion, to)
+        titled = replace(dynamics, title="; ".join((dynamics.title, *_of_servos(dynamics, to))))
+        draft, comparisons = write_xml(titled, written, path, edited, motion, to)
     in_file, beside, left_out = (
         tuple(described(effect, values, dynamics.robot) for effect, values in pairs)
         for pairs in (draft.in_file, draft.beside, draft.left_out)
@@ -211,7 +212,7 @@ def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
         return ()
     hint = ""
     if to == "mjcf":
-        hint = "; `log=...` refits the remainder to a log, and moves it there in MuJoCo"
+        hint = "; torchid.simulators.servo makes them at run time, and `log=...` refits the others"
     elif said == JOINTS:
         hint = '; `to="mjcf"` says gains, delays, clips and stops, too'
     return (f"of the servos {', '.join(names)} are not in it{hint}",)

@@ -14,6 +14,7 @@ from typing import Any
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.inertia import RotorInertia
 from torchid.effects.registry import Valued, nominal_effects, nominal_others
+from torchid.effects.spring import JointSpring
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, described, of_base, records
 from torchid.extraction.problem import FAR
@@ -272,7 +273,8 @@ def robot_dynamics(robot: Robot) -> Dynamics:
 
 
 def servo_dynamics(arm: ServoArm, late: Float[Tensor, " n"] | None = None) -> Dynamics:
-    """A robot with its servos, whose damping, dry friction and armature are its joints'.
+    """A robot with its servos, whose damping, dry friction and armature are its joints', in the
+    place of those that its file has: of these, servos are fitted beside springs alone.
 
     Args:
         arm: robot and servos.
@@ -289,7 +291,8 @@ def servo_dynamics(arm: ServoArm, late: Float[Tensor, " n"] | None = None) -> Dy
         for j, value in enumerate(arm.servos.of(name).tolist())
         if value > 0
     ]
-    robot = replace(arm.robot, effects=(*arm.robot.effects, *records(pairs)))
+    springs = [e for e in arm.robot.effects if e["effect"] == JointSpring.name]
+    robot = replace(arm.robot, effects=(*springs, *records(pairs)))
     return replace(own, robot=robot, arm=arm, late=late)
 
 

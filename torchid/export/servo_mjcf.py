@@ -41,6 +41,8 @@ STOPS = ("stop_low", "stop_high")
 SAID = ("kp", *JOINTS, "offset", "delay", "scale", "lag", "clip", *STOPS)
 """Parameters of servos that an MJCF says. It says kd of the joint's rate, and not of the command's,
 which `AT_RUN_TIME` adds."""
+_HELD = 1e9
+"""Armature of joints that the robot does not have [kg m^2; kg]: gravity does not move them."""
 STEP = 0.002
 """MuJoCo's own where a file says none [s]."""
 _STIFF = {"solreflimit": "0.004 1", "solimplimit": "0.9999 0.9999 0.001"}
@@ -170,6 +172,8 @@ class ServosInMujoco(LoadedInMujoco):
         if not set(joints) <= set(driven):
             raise TorchidError(f"a joint of '{robot.name}' has no actuator in '{path.name}'.")
         self.servos = [driven.index(joint) for joint in joints]
+        # A base that the file lets go was held.
+        self.model.dof_armature[np.setdiff1d(np.arange(self.model.nv), self.rows)] = _HELD
 
     def force(self, u: np.ndarray, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
         """(T, n) forces at q, dq [N m; N] with commands u that have stood for long."""

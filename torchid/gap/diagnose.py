@@ -123,10 +123,16 @@ def _of_positions(
             got=", ".join(f"`{name}=...`" for name in changed),
             expected=f"of the options on how to search {', '.join(OF_POSITIONS)} alone",
         )
-    nominal = nominal_servos(robot, servo)
+    nominal, notes = nominal_servos(robot, servo), tuple[str, ...]()
+    if not nominal and log.servos:
+        nominal = nominal_servos(robot, log.servos)
+        notes = (
+            f"{log.label} was recorded from servos {log.servos}, as `servo=...` says it; "
+            "`servo=kp=unknown` is for servos of no known type",
+        )
     found = diagnose_positions(
         robot, log, held_out=held_out, trusted=settings.parameters == "trusted",
         types=types_of(nominal), sheets=sheets_of(nominal), start=servos_as_given(robot, nominal),
         worthwhile=settings.worthwhile, progress=progress, watch=watch,
     )  # fmt: skip
-    return replace(found, nominal=nominal)
+    return replace(found, nominal=nominal, warnings=(*notes, *found.warnings))

@@ -66,9 +66,8 @@ def log_from_table(
                 log = _read(table, mapping)
     except LogError as error:
         raise _with_help(error, table, joints) if error.available is not None else error from None
-    return log.replace(
-        source=str(table.path), warnings=tuple(dict.fromkeys((*log.warnings, *notes)))
-    )
+    warnings = tuple(dict.fromkeys((*log.warnings, *notes)))
+    return log.replace(source=str(table.path), warnings=warnings, servos=table.servos)
 
 
 def require_columns(table: Table, mapping: ColumnMapping | None = None) -> None:

@@ -91,7 +91,19 @@ def lerobot_table(path: Path, request: Request) -> Table:
         joints=joints,
         origins={"t": "frame_index / fps", **{key: chosen[key][0] for key in chosen}},
         warnings=warnings,
+        servos=_servos(str(info.get("robot_type")), joints),
     )
+
+
+def _servos(kind: str, joints: Sequence[str]) -> str:
+    """The servos that LeRobot's driver of an arm drives: one name, or one a joint; none where it
+    has several types and the joints go by no names."""
+    for arms, types in _PRESET["servos"].items():
+        if re.fullmatch(arms, kind):
+            named = [next(t for j, t in types.items() if re.fullmatch(j, name)) for name in joints]
+            every = set(named or types.values())
+            return ",".join(every if len(every) == 1 else named)
+    return ""
 
 
 def _info(path: Path) -> dict[str, Any]:

@@ -46,6 +46,8 @@ class Log:
         names: one name a trajectory.
         source: where the log came from.
         warnings: what the readers and the resampling noticed, one sentence each.
+        servos: what the recorder says that its servos are, as `diagnose(servo=...)` takes it; empty
+            where it says nothing.
 
     Raises:
         LogError: the sizes of the signals do not agree, or trajectories are not consecutive runs,
@@ -70,6 +72,7 @@ class Log:
     names: tuple[str, ...] = ()
     source: str = ""
     warnings: tuple[str, ...] = ()
+    servos: str = ""
 
     def __post_init__(self) -> None:
         for name in ("t", *JOINT_SIGNALS):
@@ -380,6 +383,7 @@ class Log:
             names=tuple(name for log in logs for name in log.names),
             source=", ".join(dict.fromkeys(log.source for log in logs if log.source)),
             warnings=tuple(dict.fromkeys(warnings)),
+            servos=first.servos if {log.servos for log in logs} == {first.servos} else "",
         )
 
 

@@ -58,6 +58,7 @@ class Table:
         topic: of a bag, the one that was read.
         origins: what t, q, dq, .. are in the file's words, where the format itself says so.
         warnings: what was noticed, one sentence each.
+        servos: as in `Log`.
     """
 
     path: Path
@@ -71,6 +72,7 @@ class Table:
     topic: str | None = None
     origins: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    servos: str = ""
 
     @classmethod
     def in_memory(
