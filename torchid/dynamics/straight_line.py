@@ -405,7 +405,20 @@ def _executed(source: str, names: dict[str, Any]) -> Callable[..., tuple[Any, ..
 
 
 # The names in the source.
-_FUNCTIONS = ("sin", "cos", "tan", "tanh", "exp", "expm1", "log", "sqrt", "floor", "isfinite")
+_FUNCTIONS = (
+    "sin",
+    "cos",
+    "tan",
+    "sinh",
+    "cosh",
+    "tanh",
+    "exp",
+    "expm1",
+    "log",
+    "sqrt",
+    "floor",
+    "isfinite",
+)
 _COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
 _ON_FLOATS: dict[str, Callable[..., Any]] = {
     **{name: getattr(math, name) for name in (*_FUNCTIONS, "asin", "atan", "atan2")},
