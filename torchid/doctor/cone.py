@@ -63,11 +63,7 @@ class Normal:
 
     def mean_square(self, x: np.ndarray) -> np.ndarray:
         """(B, n) mean squared error of parameters x (P,)."""
-        error = (
-            np.einsum("p,bnpq,q->bn", x, self.gram, x, optimize=True)
-            - 2 * self.cross @ x
-            + self.square
-        )
+        error = self.gram @ x @ x - 2 * self.cross @ x + self.square
         return np.maximum(error, 0.0) / np.maximum(self.count, 1)
 
 
@@ -140,7 +136,7 @@ def fit(normal: Normal, bodies: np.ndarray, *, weights: np.ndarray | None = None
     variance = spread.copy()
     for _ in range(rounds):
         x = _solve(np.tensordot(w, gram, 1), w @ cross, bodies)
-        square = normal.square.sum(0) - 2 * cross @ x + np.einsum("p,npq,q->n", x, gram, x)
+        square = normal.square.sum(0) - 2 * cross @ x + gram @ x @ x
         variance = np.maximum(square, 0.0) / total
         if given is None:
             w = live / (variance + _MODEL**2 * spread)
