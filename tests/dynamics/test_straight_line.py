@@ -37,7 +37,15 @@ def _chooses(x: Tensor, y: Tensor) -> list[Tensor]:
     """Comparisons, signs and functions."""
     chosen = torch.where((x > y) & (y < 0.5), x.sin(), torch.expm1(-x.abs()))
     bounded = torch.maximum(x, y).clamp(-0.3, 0.4) + torch.sign(x) * x.abs() ** 1.5
-    return [chosen, bounded, (x > 0).to(x), torch.linalg.vector_norm(x, dim=-1), x / (1 + y * y)]
+    grown = x.sinh() - y.cosh() + x.tanh()
+    return [
+        chosen,
+        bounded,
+        grown,
+        (x > 0).to(x),
+        torch.linalg.vector_norm(x, dim=-1),
+        x / (1 + y * y),
+    ]
 
 
 @pytest.mark.parametrize("function", [_moves, _chooses])

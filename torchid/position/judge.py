@@ -35,6 +35,8 @@ from torchid.statistics.resampling import DRAWS, nested_weights, percentile_inte
 from torchid.typing import Bool, Float, Int
 
 FOLDS = 5
+ALONG = 1 / 3
+"""Share of what is left of a joint's error that may be as a change of its torques is [1]."""
 USUAL = 2.0
 """Motions that what is usual on an arm counts as, beside a number's own [1]."""
 
@@ -49,6 +51,7 @@ class Equations:
         mask: (n, K) where each is free.
         gram: (m, n, K, K), pull: (m, n, K) of motions.
         square: (n,) mean square error [rad^2].
+        rows: of the motions [1].
         alike: (n,) rows, one after the other, whose errors are as good as one [1].
         torque_std: (n,) of the scale of all torques of a joint, which the robot's masses have [1].
         given: (n, K, K) covariances that are known already; None: as the equations tell.
@@ -60,6 +63,7 @@ class Equations:
     gram: Tensor
     pull: Tensor
     square: Tensor
+    rows: float
     alike: Tensor
     torque_std: Tensor
     given: Tensor | None = None
@@ -148,6 +152,15 @@ class Equations:
         ratio = (freedom * by_motions / by_noise.clamp(min=1e-300)).sum() / freedom.sum()
         return float(ratio.nan_to_num(1.0).clamp(min=1.0))
 
+    def misfit_along(self, name: str) -> Float[Tensor, " n"]:
+        """Change (n,) of a searched coordinate that a third of what is left would make, if it were
+        no noise: the joint's other numbers make up for what they can."""
+        k = self.names.index(name)
+        gram = self.gram.sum(0) + torch.diag_embed(self.prior)
+        free = self.mask[:, :, None] & self.mask[:, None, :]
+        gram = torch.where(free, gram, torch.eye(len(self.names), dtype=gram.dtype))
+        return ALONG * (self.square * self.rows * torch.linalg.inv(gram)[:, k, k]).sqrt()
+
     def _by_noise_and_motions(self, to: Float[Tensor, "n K K"]) -> tuple[Tensor, Tensor, Tensor]:
         """Covariances (n, K, K) of combinations of the searched coordinates, by noise alone and by
         how motions disagree, and the latter's degrees of freedom (n, K)."""
@@ -224,7 +237,8 @@ def equations(
     mask = torch.stack([free[name] for name in names], 1)
     alike, square = alike_rows(s.residual, windows), mean_square(s.residual, w, windows)
     unsure = torch.zeros_like(square) if trusted else data.torque_std
-    return Equations(servos, names, mask, gram, pull, square, alike, unsure)
+    rows = float((windows.length * windows.weight).sum())
+    return Equations(servos, names, mask, gram, pull, square, rows, alike, unsure)
 
 
 def alike_rows(residual: Float[Tensor, "L W n"], windows: Windows) -> Float[Tensor, " n"]:
