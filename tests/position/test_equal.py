@@ -28,22 +28,22 @@ def known() -> Equations:
 
 
 def test_what_a_log_leaves_open_is_the_makers(known: Equations) -> None:
-    sheets = [{"kp": 390.0}, {}, {"kp": 390.0, "clip": 9.0}]
+    sheets = [{}, {"kp": 390.0}, {"kp": 390.0, "clip": 9.0}]
     moves = torch.ones(3, dtype=torch.bool)
     found = with_data_sheets(known, sheets, moves)
     kp, before, after = found.servos.of("kp"), known.deviations(), found.deviations()
     k = CORE.index("kp")
     # Two sources of a logarithm, weighed by their variances.
-    for j in (0, 2):
+    for j in (1, 2):
         own, said = float(before[j, k]) ** -2, SHEET_STD**-2
         expected = (own * math.log(260) + said * math.log(390)) / (own + said)
         assert math.log(float(kp[j])) == pytest.approx(expected, abs=1e-6)
         assert float(after[j, k]) == pytest.approx((own + said) ** -0.5, rel=1e-6)
-    assert abs(float(kp[2]) - 390) < 15 < abs(float(kp[0]) - 390)
+    assert abs(float(kp[2]) - 390) < 15 < abs(float(kp[1]) - 390)
     # Torques are known by their shares of kp, which stay as they were.
     share = found.servos.of("damping") / kp
     assert float(share[2]) == pytest.approx(float((known.servos.of("damping") / 260)[2]), rel=0.02)
-    torch.testing.assert_close(found.servos.joint[1], known.servos.joint[1])
+    torch.testing.assert_close(found.servos.joint[0], known.servos.joint[0])
 
 
 def test_a_joint_at_rest_stays_as_it_is(known: Equations) -> None:

@@ -152,7 +152,7 @@ def diagnose_positions(
         answered = replace(answered, found=found)
     servos = found.servos
     ways, errors_of = _accuracies(((given, simple), (data, found)), windows, few)
-    deviation = known.deviations()[:, known.names.index("kp")].hypot(known.misfit_along("kp"))
+    deviation = known.deviations()[:, known.names.index("kp")]
     # A joint at rest tells no torque either.
     anchored = torch.tensor([t != "" for t in types or [""] * servos.n])
     anchored |= torch.tensor(["kp" in sheet for sheet in sheets or [{}] * servos.n])

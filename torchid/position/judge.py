@@ -139,8 +139,9 @@ class Equations:
             together = white[j] + spread[j]
             unit = std[j] / together.diagonal().clamp(min=1e-300).sqrt()
             out[j] = together * unit * unit[:, None]
-        # With other masses all torques would be others.
-        scale = to[:, :, self.names.index("kp")] * self.torque_std[:, None] * self.mask
+        # With other masses all torques would be others, and what is left may be so in part.
+        unsure = self.torque_std.hypot(self._misfit_of_torques())
+        scale = to[:, :, self.names.index("kp")] * unsure[:, None] * self.mask
         return out + scale[:, :, None] * scale[:, None]
 
     @cached_property
@@ -152,10 +153,10 @@ class Equations:
         ratio = (freedom * by_motions / by_noise.clamp(min=1e-300)).sum() / freedom.sum()
         return float(ratio.nan_to_num(1.0).clamp(min=1.0))
 
-    def misfit_along(self, name: str) -> Float[Tensor, " n"]:
-        """Change (n,) of a searched coordinate that a third of what is left would make, if it were
-        no noise: the joint's other numbers make up for what they can."""
-        k = self.names.index(name)
+    def _misfit_of_torques(self) -> Float[Tensor, " n"]:
+        """Change of the scale of all torques that a third of what is left would make, were it no
+        noise: the joint's other numbers make up for what they can."""
+        k = self.names.index("kp")
         gram = self.gram.sum(0) + torch.diag_embed(self.prior)
         free = self.mask[:, :, None] & self.mask[:, None, :]
         gram = torch.where(free, gram, torch.eye(len(self.names), dtype=gram.dtype))
