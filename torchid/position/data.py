@@ -29,9 +29,9 @@ UNEVEN_RATE = 0.02
 """Share by which a rate may miss a multiple of `RATE` and count as one [1]."""
 UNEVEN = 0.5
 """A step that differs from the median by more than this share of it is no jitter [1]."""
-RATE = 50.0
-"""What logs are thinned to, every second row or fewer, as far as they stay no slower [Hz]: that of
-small servos' buses, above which positions under a servo hold little."""
+RATE = 100.0
+"""What logs are thinned to, every second row or fewer, as far as they stay no slower [Hz]: commands
+that are held longer than that are late by more than what is looked for."""
 RATE_S = 0.08
 """Time over which a velocity is told [s]."""
 WINDOW_S = 2.0

@@ -10,8 +10,8 @@ w (a theta method) and dry friction as what it is, a bounded force that holds th
     (J / (theta h) + kd + b + kp theta h) w = r - friction,   |friction| <= F, w = 0 if |r| <= F.
 
 No speed is regularised, so that a joint at rest stays where it is for as long as the command does.
-Inertial coupling between joints enters with the accelerations of the step before; where one set is
-run, the step is solved again until they are its own.
+Inertial coupling between joints enters with the accelerations of the step before, and the step is
+solved again; where one set is run, until they are its own.
 """
 
 import dataclasses
@@ -41,9 +41,9 @@ NEARLY = 0.05
 """Share of a step by which steps may be longer: clocks of logs are not exact [1]."""
 SWEEPS = 30
 """Most solutions of a step where one set is run."""
-COUPLED = 3
-"""The same where many sets are, while a joint has more coupling than inertia; else one: the
-accelerations of the step before are then near enough, and time counts."""
+COUPLED, APART = 3, 2
+"""The same where many sets are, while a joint has more coupling than inertia, and else: one alone,
+with the accelerations of the step before, errs by milliradians where a joint sets out."""
 STOP_STIFFNESS, STOP_SHARE = 200.0, 10.0
 """Of an end stop: so much [N m/rad], and no less than so many times the servo's gain [1]."""
 CONTACT_DAMPING = 20.0
@@ -463,7 +463,7 @@ def rollout(
             # A body that is not known beforehand is evaluated in each part of a sample, and the
             # steps are solved for their own accelerations.
             1 if known else math.ceil(tracks.dt / STEP - NEARLY),
-            (COUPLED, 1) if known else (SWEEPS, SWEEPS),
+            (COUPLED, APART) if known else (SWEEPS, SWEEPS),
         )
         shape = (servos.n, sets, len(some))
         state = _State(*(x[some].T[:, None].expand(shape).contiguous() for x in (q, dq)))
