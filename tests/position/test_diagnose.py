@@ -58,7 +58,7 @@ def test_a_planted_cause_is_named(cause, tmp_path):
     assert again.how_far.answered.whole_mrad < again.how_far.commanded.whole_mrad
     assert sum(map(bool, tables(result.record))) >= 2
     assert f"Held-out logs: {result.held_out[0]:.1f} mrad" in " ".join(remarks(result.record))
-    assert [len(found.plot("how_far").axes) for found in (result, again)] == [1, 1]
+    assert [len(found.plot("where").axes) for found in (result, again)] == [3, 3]
     # Its model, moved by the commands, goes where the arm went.
     moved = replay(result.corrected, log)
     assert float(moved.error.mean()) < 0.5 * again.how_far.commanded.whole_mrad

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.gap.diagnoses import FRICTION, coulomb, diagnosis, floor, some_left, trace
+from tests.gap.diagnoses import coulomb, diagnosis, floor, some_left, trace
 from tests.marks import quick_first
-from torchid.gap.diagnosis import HowFar
 from torchid.report.gap_figures import binned, figures, map_figure, samples, spectrum, worst_joints
 from torchid.report.panels import save
 
@@ -16,7 +15,7 @@ from torchid.report.panels import save
 @pytest.mark.parametrize("status", quick_first(["explained", "no_gap"], 1))
 def test_every_figure_is_drawn(status, tmp_path):
     drawn = figures(diagnosis(status))
-    assert set(drawn) == {"where", "how_far", "gap_joint_2", "torque"}
+    assert set(drawn) == {"where", "gap_joint_2", "torque"}
     for name, draw in drawn.items():
         assert save(draw(), tmp_path / f"{name}.png").stat().st_size > 5000
 
@@ -38,7 +37,7 @@ def test_figures_of_invalid_instants_zero_noise_and_two_trajectories(tmp_path):
 
 
 def test_no_traces_no_joint_figures():
-    assert set(figures(diagnosis(traces=()))) == {"where", "how_far"}
+    assert set(figures(diagnosis(traces=()))) == {"where"}
 
 
 def test_a_map_that_would_be_empty_is_not_drawn():
@@ -49,14 +48,6 @@ def test_map_shows_clear_cells_only():
     texts = [t.get_text() for t in map_figure(diagnosis().record).axes[0].texts]
     assert sorted(t for t in texts if t != "·") == ["20\u2009%", "40\u2009%", "64\u2009%"]
     assert texts.count("·") == 1
-
-
-def test_bars_have_the_heights_of_the_rms():
-    d = diagnosis()
-    heights = [p.get_height() for p in figures(d)["how_far"]().axes[0].patches]
-    rms = torch.cat([d.how_far.rms_before, d.how_far.rms_after]).tolist()
-    assert heights[:6] == pytest.approx(rms)
-    assert heights[6:] == pytest.approx((d.floor.high - d.floor.low).tolist())
 
 
 def test_worst_joints_have_shares():
@@ -92,9 +83,3 @@ def test_spectrum_holds_the_energy():
 def test_samples_are_the_valid_ones():
     made = trace(coulomb, seconds=5.0)
     assert len(samples((made, made), 1)["t"]) == 2 * int(made.valid.sum())
-
-
-def test_a_negative_and_a_missing_result_are_drawn(tmp_path):
-    d = diagnosis(findings=(FRICTION,))
-    worse = HowFar(d.how_far.rms_after, d.how_far.rms_before, -0.5, (-0.7, 0.1))
-    save(figures(replace(d, how_far=worse))["how_far"](), tmp_path / "worse.png")

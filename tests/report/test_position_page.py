@@ -55,7 +55,7 @@ def test_without_a_finding():
 
 
 def test_figures_by_name(found):
-    assert set(figures(found)) == {"where", "how_far", "gap_joint_2", "gap_joint_1"}
+    assert set(figures(found)) == {"where", "gap_joint_2", "gap_joint_1"}
     assert worst_joints(found.record) == [1, 0]  # the third never moves
     assert "joint 1:" in found.plot("joint", joint=0).get_suptitle()
     # The joint is shown where the plain servo errs most: rows 400 to 599, in the first motion.

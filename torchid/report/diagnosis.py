@@ -16,7 +16,6 @@ from torchid.report.exported import simulator_block
 from torchid.report.over_time import NARROW, OverTime, motion_over_time, torque_over_time
 from torchid.report.page.answer import first_steps
 from torchid.report.panels import Figures, Picture
-from torchid.report.repeats import repeats_picture
 from torchid.report.skeleton import PHONE, skeleton_of
 from torchid.report.table import Code, Origin, Page, Section, Shown, Table
 from torchid.results.answer import MOST_SIZES, Answer, Diagnosis, DiagnosisRecord, named_size
@@ -220,7 +219,6 @@ def _of_torques(d: TorqueDiagnosis) -> list[Section]:
         where=[gap.where_picture(record)],
         against=gap.joint_pictures(d),
         causes=[gap.which_table(record), gap.small_table(record), gap.meaning_table(record)],
-        repeats=repeats_picture(record),
         numbers=[
             gap.joint_table(record), gap.rollout_table(record), gap.known_picture(record),
             gap.known_table(record), gap.open_table(record),
@@ -248,7 +246,6 @@ def _of_positions(d: PositionDiagnosis) -> list[Section]:
             position.regime_table(record),
         ],
         causes=[position.which_table(record), position.meaning_table(record)],
-        repeats=repeats_picture(record),
         numbers=[
             position.motion_table(record), position.nominal_table(record, record.nominal or ())
         ],
@@ -262,7 +259,6 @@ def _sections(
     motion: Picture | None,
     where: Parts,
     causes: Parts,
-    repeats: Picture | None,
     numbers: Parts,
     notes: Sequence[str],
     torque: Picture | None = None,
@@ -280,7 +276,6 @@ def _sections(
         Section("Where the error lies", where),
         Section("What the error depends on", against),
         Section(f"The causes in numbers ({count(len(answer.causes), 'cause')})", causes),
-        Section("Is each cause the same in every motion?", [repeats]),
         Section("Errors in numbers", numbers),
         Section("For your simulator", [Code(block, code)] if block else []),
         caution_section(notes),

@@ -21,7 +21,6 @@ from torchid.report.panels import (
     panel,
     rows_of,
 )
-from torchid.report.repeats import error_figure, repeats_picture
 from torchid.report.skeleton import skeleton_of
 from torchid.results.words import interval, percent, regime_words
 from torchid.robot.model import joint_unit
@@ -59,15 +58,11 @@ def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
     out: dict[str, Callable[[], Figure]] = {}
     if any(clear_regimes(record, gap.joint) for gap in record.where.joints):
         out["where"] = partial(map_figure, record)
-    if record.answer is not None:
-        out["how_far"] = partial(error_figure, record.answer, record.robot)
     if isinstance(result, TorqueDiagnosis) and result.traces:
         out |= {
             f"gap_joint_{j + 1}": partial(joint_figure, result, j) for j in worst_joints(record)
         }
         out["torque"] = torque_over_time(result).draw
-    if (picture := repeats_picture(record)) is not None:
-        out[picture.name] = picture.draw
     if record.knowledge is not None and record.knowledge.coefficients:
         out["known"] = partial(known_figure, record)
     return out

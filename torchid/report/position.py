@@ -27,7 +27,6 @@ from torchid.report.panels import (
     map_with_bars,
     thin,
 )
-from torchid.report.repeats import error_figure, repeats_picture
 from torchid.report.table import Shown, Table, cell
 from torchid.results.replication import times
 from torchid.results.words import effect_words, regime_words, unit_behind, within
@@ -272,13 +271,7 @@ def figures(result: PositionDiagnosis | PositionRecord) -> Figures:
     over time."""
     record = result.record
     assert isinstance(record, PositionRecord)
-    out: dict[str, Callable[[], Figure | None]] = {
-        "where": partial(where_figure, record),
-    }
-    if record.answer is not None:
-        out["how_far"] = partial(error_figure, record.answer, record.robot)
-    if (picture := repeats_picture(record)) is not None:
-        out[picture.name] = picture.draw
+    out: dict[str, Callable[[], Figure | None]] = {"where": partial(where_figure, record)}
     if isinstance(result, PositionDiagnosis):
         motion = motion_over_time(result)
         assert motion is not None
