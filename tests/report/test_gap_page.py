@@ -19,6 +19,7 @@ from torchid.gap.record import Budget, Parametric, Status
 from torchid.report.diagnosis import STATUS, page, which_model
 from torchid.report.page import document as rendering
 from torchid.report.page.document import InputFile, origin, render
+from torchid.results.words import effect_words
 from torchid.simulation.two_models import Horizon, Rollout, SimulatedMotion, TorqueGap
 
 FILES = (InputFile("log", "run <1>.csv", 1234567, "ab" * 32),)
@@ -91,10 +92,12 @@ def with_motion(d):
 def test_numbers_are_those_of_the_json(undrawn):
     d = diagnosis(findings=(FRICTION, VISCOUS, OFFSET), parametric=(Parametric((2,), 0.1, 0.01),))
     tree, data = page_of(d), d.plain()
-    rows = rows_of(tree, "effects the model lacks (value ± std)")
+    rows = rows_of(tree, "causes of the error (value ± std)")
     assert len(rows) == len(data["which"]) == 4
-    for row, f in zip(rows, data["which"], strict=True):
+    for f in data["which"]:
+        row = next((r for r in rows if r[0] == effect_words(f["effect"])), None)
         for name in f["std"]:
+            assert row is not None, f["effect"]
             value, _, unit = row[2].removeprefix(f"{name} = ").partition(" ")
             assert float(value) == pytest.approx(f["parameters"][name], rel=1e-2), unit
     *joints, every = rows_of(tree, "RMS of the torque the model lacks, below 20 Hz")

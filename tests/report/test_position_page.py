@@ -31,15 +31,10 @@ def test_the_first_screen(found):
         assert said in facts
     text = tree.text_content()
     assert "It errs most on joint 2 joint_2, above all at reversal: 21.0 mrad, 7.0 mrad" in text
-    assert "set_point_profile" in text
-    assert "acceleration 39 [35.1, 42.9] rad/s" in text
-    assert "14.0 -> 6.5" in text
+    assert "set point profile" in text
+    assert "acceleration = 39" in text
     assert "plane contact" in text
     assert "something to bear in mind" in text
-    # A regime that a joint is never in has no error.
-    assert rows_of(tree, "By kind of motion, plain servo -> corrected [mrad]")[0][1:] == [
-        "3.0 -> 1.0", "4.0 -> 1.5", "-",
-    ]  # fmt: skip
     assert [f.get("id") for f in tree.xpath("//figure")] == ["robot", "motion", "where"]
     assert len(rows_of(tree, "Error of each motion, left out [mrad]")) == 2
 
@@ -50,7 +45,7 @@ def test_without_a_finding():
     made = origin(arguments=[], started=0.0, seeds={}, settings={}, files=())
     text = parsed(render(page(plain, made))).text_content()
     assert "No known effect explains a plain servo's error" in text
-    assert sum(map(bool, tables(plain.record))) == 2
+    assert sum(map(bool, tables(plain.record))) == 1
     assert "nominal" not in plain.plain()
 
 
@@ -124,5 +119,5 @@ def test_where_an_answer_is_worse_than_a_plain_servo_is_said():
 def test_a_size_whose_interval_holds_nothing_is_not_determined():
     one = finding("end_stop", 2, 14.0, 6.0, stop_high=0.4)
     unsure = replace(one, sizes=(replace(one.sizes[0], interval=(-0.1, 0.9)),))
-    texts = [str(c) for row in tables(diagnosis(unsure).record)[2].rows for c in row]
+    texts = [str(c) for row in tables(diagnosis(unsure).record)[1].rows for c in row]
     assert any("not determined" in text for text in texts)

@@ -11,6 +11,7 @@ from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.record import PositionRecord
 from torchid.report import gap, gap_figures, position
 from torchid.report.brief import Screen, model_words
+from torchid.report.causes import cause_table, meaning_table, not_testable_table
 from torchid.report.cautions import caution_section
 from torchid.report.exported import simulator_block
 from torchid.report.over_time import NARROW, OverTime, motion_over_time, torque_over_time
@@ -91,11 +92,9 @@ def page(result: Diagnosis, origin: Origin) -> Page:
     answer, band = result.answer, None
     if isinstance(result, TorqueDiagnosis):
         title, band = f"Sim-to-real gap of {result.robot.name}", result.band
-        sections = _of_torques(result)
     else:
         assert isinstance(result, PositionDiagnosis)
         title = f"Command and position of {result.data.robot.name}"
-        sections = _of_positions(result)
     return Page(
         title=title,
         verdict=answer.headline,
@@ -109,7 +108,7 @@ def page(result: Diagnosis, origin: Origin) -> Page:
             ("Which model to use", [which_model(result)]),
             ("Suspects, not sure enough", _suspects(answer)),
         ),
-        sections=sections,
+        sections=_sections(result),
     )
 
 
@@ -193,91 +192,60 @@ def _over_time(name: str, shown: OverTime | None, caption: str) -> Picture | Non
     return Picture(name, caption, alt, shown.draw, narrow=narrow, numbers=shown.numbers)
 
 
-def _of_torques(d: TorqueDiagnosis) -> list[Section]:
-    """What the answer of torques rests on."""
-    record, rollout = d.record, d.how_far.rollout
-    fitted = rollout is not None and rollout.fitted_on_these_data
-    motion = _over_time(
-        "motion",
-        motion_over_time(d),
-        "Joint positions: the arm, and both models simulated with the measured torque, without a "
-        f"controller, anew from the measured state every {RESTART_S:g} s; of each run the stretch "
-        "in which it moves most. A line that ends early has lost the arm by more than 1 rad."
-        + (" These runs were also used for fitting: the numbers are optimistic." if fitted else ""),
+def _sections(d: TorqueDiagnosis | PositionDiagnosis) -> list[Section]:
+    """What an answer rests on, in the same order for every kind of log."""
+    record, block = d.record, ""
+    torque: Picture | None = None
+    against: Parts = ()
+    text = (
+        "Joint positions: the arm, and both models moved by the same commands, in motions that "
+        "were left out of the fit. A plain servo has a gain, friction, inertia, delay and offset."
     )
-    torque = _over_time(
-        "torque",
-        torque_over_time(d) if d.traces else None,
-        "Torque of the arm and of both models, on data that was not fitted; below, what the model "
-        "lacks. Grey stretches do not count: there the joint rests or reverses, and friction can "
-        "be anything.",
-    )
-    return _sections(
-        answer=d.answer,
-        motion=motion,
-        torque=torque,
-        where=[gap.where_picture(record)],
-        against=gap.joint_pictures(d),
-        causes=[gap.which_table(record), gap.small_table(record), gap.meaning_table(record)],
-        numbers=[
+    if isinstance(d, TorqueDiagnosis):
+        assert isinstance(record, GapRecord)
+        rollout = d.how_far.rollout
+        text = (
+            "Joint positions: the arm, and both models simulated with the measured torque, without "
+            f"a controller, anew from the measured state every {RESTART_S:g} s; of each run the "
+            "stretch in which it moves most. A line that ends early has lost the arm by more than "
+            "1 rad."
+        )
+        if rollout is not None and rollout.fitted_on_these_data:
+            text += " These runs were also used for fitting: the numbers are optimistic."
+        torque = _over_time(
+            "torque",
+            torque_over_time(d) if d.traces else None,
+            "Torque of the arm and of both models, on data that was not fitted; below, what the "
+            "model lacks. Grey stretches do not count: there the joint rests or reverses, and "
+            "friction can be anything.",
+        )
+        against = gap.joint_pictures(d)
+        where: Parts = [gap.where_picture(record)]
+        numbers: Parts = [
             gap.joint_table(record), gap.rollout_table(record), gap.known_picture(record),
             gap.known_table(record), gap.open_table(record),
-        ],
-        block=simulator_block(d.corrected, d.nearest_fields) if record.which else "",
-        notes=[*record.warnings, *record.noise_floor.notes, *gap.remarks(record)],
-        unseen=[gap.not_testable_table(record), gap.experiment_table(record)],
-    )  # fmt: skip
-
-
-def _of_positions(d: PositionDiagnosis) -> list[Section]:
-    """What the answer of positions rests on."""
-    record = d.record
-    motion = _over_time(
-        "motion",
-        motion_over_time(d),
-        "Joint positions: the arm, and both models moved by the same commands, in motions that "
-        "were left out of the fit. A plain servo has a gain, friction, inertia, delay and offset.",
-    )
-    return _sections(
-        answer=d.answer,
-        motion=motion,
-        where=[
-            position.where_picture(record), position.where_table(record),
-            position.regime_table(record),
-        ],
-        causes=[position.which_table(record), position.meaning_table(record)],
-        numbers=[
+        ]  # fmt: skip
+        notes = [*d.record.noise_floor.notes, *gap.remarks(record)]
+        unseen: Parts = [not_testable_table(record), gap.experiment_table(record)]
+        block = simulator_block(d.corrected, d.nearest_fields) if record.which else ""
+    else:
+        assert isinstance(record, PositionRecord)
+        where = [position.where_picture(record), position.where_table(record)]
+        numbers = [
             position.motion_table(record), position.nominal_table(record, record.nominal or ())
-        ],
-        notes=[*record.warnings, *position.remarks(record)],
-    )  # fmt: skip
-
-
-def _sections(
-    *,
-    answer: Answer,
-    motion: Picture | None,
-    where: Parts,
-    causes: Parts,
-    numbers: Parts,
-    notes: Sequence[str],
-    torque: Picture | None = None,
-    against: Parts = (),
-    block: str = "",
-    unseen: Parts = (),
-) -> list[Section]:
-    """The sections of every diagnosis, in their order."""
-    code = (
-        "The corrected joints, to copy into the simulator's file; torchid export writes the file."
-    )
+        ]  # fmt: skip
+        notes, unseen = position.remarks(record), [not_testable_table(record)]
+    motion = _over_time("motion", motion_over_time(d), text)
+    code = "The corrected joints, to copy into the simulator's file; torchid export writes it."
+    named = count(len(d.answer.causes), "cause")
     return [
         Section("Motion: the arm and the simulation, before and after", [motion], folded=False),
         Section("Torque, before and after", [torque], folded=motion is not None),
         Section("Where the error lies", where),
         Section("What the error depends on", against),
-        Section(f"The causes in numbers ({count(len(answer.causes), 'cause')})", causes),
+        Section(f"The causes in numbers ({named})", [cause_table(record), meaning_table(record)]),
         Section("Errors in numbers", numbers),
         Section("For your simulator", [Code(block, code)] if block else []),
-        caution_section(notes),
+        caution_section([*record.warnings, *notes]),
         Section("What this log could not show", unseen),
     ]

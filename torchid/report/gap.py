@@ -2,47 +2,37 @@
 figures of torque over time."""
 
 import math
-import re
 from functools import partial
 
 from torchid.gap.diagnosis import TorqueDiagnosis
-from torchid.gap.record import FoundEffect, GapRecord, Known, KnownCoefficient
-from torchid.position.record import PositionRecord
+from torchid.gap.record import GapRecord, Known
 from torchid.report import gap_figures
-from torchid.report.cautions import ranged
+from torchid.report.causes import cause_table, meaning_table, not_testable_table
 from torchid.report.gap_figures import CLEAR, clear_regimes, excess_words
 from torchid.report.panels import Picture
 from torchid.report.table import Table
-from torchid.results.answer import NotTestable, named_size
 from torchid.results.record import as_plain
-from torchid.results.replication import times
 from torchid.results.words import (
     effect_words,
     interval,
-    joints_words,
     listed,
     measure,
-    number_list,
     percent,
     regime_words,
     span,
-    sure,
     unit_behind,
-    unit_words,
     value_words,
 )
 from torchid.robot.model import Robot, joint_unit, torque_unit
 
 _MOST_REGIMES = 3
-_MOST_NUMBERS = 12
-_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 
 
 def tables(record: GapRecord) -> list[Table]:
     """What stands below the answer: where, which, how far, what could not be tested, what to record
     next."""
     makers = (
-        joint_table, which_table, small_table, known_table, open_table, meaning_table,
+        joint_table, cause_table, known_table, open_table, meaning_table,
         rollout_table, not_testable_table, experiment_table,
     )  # fmt: skip
     return [make(record) for make in makers]
@@ -110,76 +100,6 @@ def budget_words(record: GapRecord) -> str:
     )
 
 
-def which_table(record: GapRecord) -> Table:
-    """Accepted effects with their coefficients."""
-    rows = []
-    for f in record.which:
-        if f.effect == "link_inertia" and not f.std:
-            values = ["see the corrected model"]
-        elif f.changed:
-            values = [change_words(c) for c in f.changed]
-        else:
-            values = [named_size(size) for size in f.cause.sizes]
-            if corrects(f, model_of(record)):
-                values = [f"change of {value}" for value in values]
-        values = [*values[:_MOST_NUMBERS], *(["..."] if len(values) > _MOST_NUMBERS else [])]
-        if f.shape:
-            sizes = ((name, f.parameters[name], unit_behind(f.unit[name])) for name in f.shape)
-            numbers = [(n, x, u) for n, x, u in sizes if isinstance(x, int | float)]
-            values.append(f"({', '.join(f'{n} = {x:.4g} {u}'.rstrip() for n, x, u in numbers)})")
-        links = f.effect == "link_inertia"
-        what = f"inertia of link {number_list(f.joints)}" if links else effect_words(f.effect)
-        joints = number_list(f.joints, "all")
-        closes = "-" if f.share is None else percent(f.share)
-        rows.append(
-            (
-                what, joints, "\n".join(values), _others(f.ambiguous_with), closes,
-                sure(f.how_sure), times(f.replication),
-            )
-        )  # fmt: skip
-    rows += [
-        (
-            "all base parameters", "all", "see the corrected model", _others(p.ambiguous_with),
-            percent(p.share), sure(p.how_sure), "-",
-        )
-        for p in record.parametric
-        if not p.links
-    ]  # fmt: skip
-    columns = ("effect", "joints", "value", "could also be", "removes", "sure", "found in")
-    note = (
-        "or: could also be; removes: share of the error that this cause removes, given the causes "
-        "above it; found in: motions with the same size, of those that can show it"
-    )
-    return Table("which: effects the model lacks (value ± std)", columns, rows, "lllp", note)
-
-
-def change_words(one: KnownCoefficient) -> str:
-    """`9.1 ± 0.3 N m s/rad, was 4.0 ± 0.3`."""
-    before = measure(one.before, one.before_std, "")
-    return f"{measure(one.after, one.after_std, unit_behind(one.unit))}, was {before}"
-
-
-def corrects(found: FoundEffect, robot: Robot) -> bool:
-    """Whether the model has this effect at this place already, so that values are changes of it."""
-    joints = [j + 1 for j in found.located]
-    return any(
-        r.get("effect") == found.effect and (not joints or r.get("joint") in joints)
-        for r in robot.effects
-    )
-
-
-def small_table(record: GapRecord) -> Table:
-    """Effects that are there, of a size below what was asked for."""
-    rows = []
-    for e in record.small:
-        values = "\n".join(map(named_size, e.cause.sizes))
-        last = (f"{e.closes_rms:.2g}", sure(e.how_sure), times(e.replication))
-        rows.append((effect_words(e.effect), number_list(e.joints, "all"), values, *last))
-    columns = ("effect", "joints", "value", "removes, RMS", "sure", "found in")
-    title = "small effects (real, but below `worthwhile=...`)"
-    return Table(title, columns, rows, "lll")
-
-
 def known_table(record: GapRecord) -> Table:
     """Coefficients of the model's effects before this log and after it."""
     known, rows = record.knowledge or Known(sources=()), []
@@ -207,21 +127,6 @@ def open_table(record: GapRecord) -> Table:
     columns = ("joint", "open before this log, RMS", "to be sure")
     title = "torque that the previous model could not predict"
     return Table(title, columns, rows, "lrp")
-
-
-def meaning_table(record: GapRecord) -> Table:
-    """What each effect means and what to do; an effect on several joints once."""
-    rows = []
-    for name in dict.fromkeys(f.effect for f in record.which):
-        same = [f for f in record.which if f.effect == name]
-        first, remedy = same[0], same[0].remedy
-        notes = [f"{joints_words(f.located)}: {note}" for f in same for note in f.notes]
-        if name != "link_inertia" and any(corrects(f, model_of(record)) for f in same):
-            remedy += " Where the model has it, the value is a change of the model's."
-        words = "inertial parameters" if name == "link_inertia" else effect_words(name)
-        rows.append((words, "\n".join([first.meaning, *notes]), remedy))
-    columns = ("effect", "what it means", "what to do")
-    return Table("what it means, and what to do", columns, rows, "lpp")
 
 
 def rollout_table(record: GapRecord) -> Table:
@@ -254,28 +159,6 @@ def remarks(record: GapRecord) -> list[str]:
     return out if rollout is None else [*out, *rollout.sentences]
 
 
-def not_testable_table(record: GapRecord | PositionRecord) -> Table:
-    """Effects these data could not show, joints of one reason on one line."""
-    groups: dict[tuple[str, str], list[NotTestable]] = {}
-    for x in record.not_testable:
-        groups.setdefault((x.effect, _NUMBER.sub("#", x.reason)), []).append(x)
-    rows = []
-    for (effect, _), members in groups.items():
-        # Joints on which no size would do stand together, behind the others.
-        sizes, never = [], []
-        for x in members:
-            place = " and ".join(str(j + 1) for j in x.joints) or "the arm"
-            if x.smallest_detectable is None:
-                never.append(place)
-            else:
-                sizes.append(f"{place}: {x.smallest_detectable:.3g} {unit_words(x.unit)}".rstrip())
-        sizes += [f"{', '.join(never)}: at no size"] if never else []
-        why = ranged([x.reason for x in members], _NUMBER)
-        rows.append((effect_words(effect), "; ".join(sizes), why))
-    columns = ("effect", "joint: smallest size that this log would show", "why")
-    return Table("not testable with these data", columns, rows, "lpp")
-
-
 def experiment_table(record: GapRecord) -> Table:
     """What to record next."""
     experiment, said = record.next_experiment, {}
@@ -288,10 +171,6 @@ def experiment_table(record: GapRecord) -> Table:
         if value is not None
     ]
     return Table("next experiment", ("", " "), rows, "lp")
-
-
-def _others(names: tuple[str, ...]) -> str:
-    return "\n".join(effect_words(name) for name in names) or "-"
 
 
 def joint_pictures(d: TorqueDiagnosis) -> list[Picture]:

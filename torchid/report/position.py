@@ -15,9 +15,9 @@ from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import Replay
 from torchid.position.next_motion import NextCommands
 from torchid.position.nominal import unit_of
-from torchid.position.record import EffectRecord, NominalRecord, PositionRecord, RegimeRecord
+from torchid.position.record import NominalRecord, PositionRecord, RegimeRecord
+from torchid.report.causes import cause_table, meaning_table, not_testable_table
 from torchid.report.colours import AFTER, GREY, INK
-from torchid.report.gap import not_testable_table
 from torchid.report.over_time import motion_over_time
 from torchid.report.panels import (
     Figure,
@@ -28,8 +28,7 @@ from torchid.report.panels import (
     thin,
 )
 from torchid.report.table import Shown, Table, cell
-from torchid.results.replication import times
-from torchid.results.words import effect_words, regime_words, unit_behind, within
+from torchid.results.words import regime_words, unit_behind, within
 from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, TORQUES, as_share
 
 WORST = 3
@@ -91,7 +90,7 @@ def _worse(record: PositionRecord) -> list[str]:
 def tables(record: PositionRecord) -> list[Table]:
     """What stands below the answer: where, which and how far."""
     return [
-        where_table(record), regime_table(record), which_table(record), meaning_table(record),
+        where_table(record), cause_table(record), meaning_table(record),
         change_table(record), not_testable_table(record),
         nominal_table(record, () if record.nominal is UNSET else record.nominal),
     ]  # fmt: skip
@@ -116,46 +115,6 @@ def where_table(record: PositionRecord) -> Table:
         "alone"
     )
     return Table("Position error of motions left out [mrad]", columns, joints, "rl", note)
-
-
-def regime_table(record: PositionRecord) -> Table:
-    """Errors by what the command does."""
-    rows = [
-        (regime_words(name), *(_change(r.plain_mrad, r.answered_mrad) for r in own))
-        for name, own in regimes_of(record).items()
-    ]
-    columns = ("kind of motion", *(j.name for j in record.where.joints))
-    return Table("By kind of motion, plain servo -> corrected [mrad]", columns, rows, "l")
-
-
-def which_table(record: PositionRecord) -> Table:
-    """Effects with their sizes."""
-    findings = [
-        (
-            f.effect,
-            label(record, f.joints[0]) if f.joints else "all",
-            ", ".join(_sizes(f)),
-            f"{f.error_without_mrad:.1f} -> {f.error_with_mrad:.1f}",
-            ", ".join(f.ambiguous_with) or "-",
-            times(f.replication),
-        )
-        for f in record.which
-    ]
-    columns = (
-        "effect", "joint", "size (95 %)", "without -> with [mrad]", "could also be", "found in"
-    )  # fmt: skip
-    note = (
-        "error in windows of 2 s when all else is fitted without the effect, and with it; "
-        "repeats: found in that many of the motions that can show it"
-    )
-    return Table("What lies between command and position", columns, findings, "llprp", note)
-
-
-def meaning_table(record: PositionRecord) -> Table:
-    """What each effect means and what to do."""
-    meant = [(effect_words(f.effect), f.meaning, f.remedy) for f in record.which]
-    columns = ("effect", "what it means", "what to do")
-    return Table("What it means, and what to do", columns, list(dict.fromkeys(meant)), "lpp")
 
 
 def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> Table:
@@ -252,13 +211,6 @@ def where_picture(record: PositionRecord) -> Picture:
 
 def _change(before: float, after: float) -> str:
     return "-" if math.isnan(before) else f"{before:.1f} -> {after:.1f}"
-
-
-def _sizes(f: EffectRecord) -> list[str]:
-    return [
-        f"{name} {_size(value, f.ci95[name], f.unit.get(name, '1'))}"
-        for name, value in f.parameters.items()
-    ]
 
 
 def _size(value: float, ends: tuple[float, float], unit: str) -> str:

@@ -1,0 +1,129 @@
+"""Tables of every diagnosis, whatever the log measures: its causes in numbers, what they mean, and
+what the log could not show."""
+
+import math
+import re
+
+from torchid.gap.record import FoundEffect, GapRecord, UnnamedEffect
+from torchid.position.record import EffectRecord, PositionRecord
+from torchid.report.cautions import ranged
+from torchid.report.table import Table
+from torchid.results.answer import Answer, Cause, NotTestable, named_size
+from torchid.results.replication import times
+from torchid.results.words import (
+    effect_words,
+    joints_words,
+    number_list,
+    percent,
+    sure,
+    unit_behind,
+    unit_words,
+)
+from torchid.robot.model import Robot
+from torchid.statistics.proportion import HALF_95
+
+MOST_SIZES = 12
+"""Numbers of a cause that are listed."""
+_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
+
+
+def cause_table(record: GapRecord | PositionRecord) -> Table:
+    """Every cause with its numbers, and effects that are sure and remove less than was asked for.
+
+    Args:
+        record: with an answer.
+    """
+    assert isinstance(record.answer, Answer)
+    small = record.small if isinstance(record, GapRecord) else ()
+    found = {(f.effect, _joints(f)): f for f in (*record.which, *small)}
+    rows = []
+    for cause in (*record.answer.causes, *record.answer.small):
+        own = found.get((cause.effect, cause.joints))
+        removes = "-" if math.isnan(cause.closes) else percent(cause.closes)
+        if isinstance(own, UnnamedEffect):
+            removes = f"small: {own.closes_rms:.2g} RMS"
+        others = "\n".join(map(effect_words, cause.ambiguous_with)) or "-"
+        joints = number_list(cause.joints, "all")
+        again = times(None if own is None else own.replication)
+        rows.append(
+            (cause.name, joints, _values(cause, own), others, removes, sure(cause.how_sure), again)
+        )
+    columns = ("effect", "joints", "value", "could also be", "removes", "sure", "found in")
+    note = (
+        "or: could also be; removes: share of the error that this cause removes, given the causes "
+        "above it; found in: motions with the same size, of those that can show it"
+    )
+    return Table("which: causes of the error (value ± std)", columns, rows, "lllp", note)
+
+
+def _joints(found: FoundEffect | UnnamedEffect | EffectRecord) -> tuple[int, ...]:
+    return found.located if isinstance(found, FoundEffect) else found.joints
+
+
+def _values(cause: Cause, found: FoundEffect | UnnamedEffect | EffectRecord | None) -> str:
+    """Numbers of a cause, a line each, and its shapes in brackets."""
+    values = []
+    for size in cause.sizes[:MOST_SIZES]:
+        unsure = size.std is not None and abs(size.value) < HALF_95 * size.std
+        values.append(named_size(size) + (", not determined" if unsure else ""))
+    if not values:
+        values = ["see the corrected model" if cause.effect == "link_inertia" else "-"]
+    values += ["..."] if len(cause.sizes) > MOST_SIZES else []
+    if isinstance(found, FoundEffect) and found.shape:
+        sizes = ((found.parameters[name], name) for name in found.shape)
+        numbers = [
+            f"{name} = {x:.4g} {unit_behind(found.unit[name])}".rstrip()
+            for x, name in sizes
+            if isinstance(x, int | float)
+        ]
+        values.append(f"({', '.join(numbers)})")
+    return "\n".join(values)
+
+
+def _corrects(found: FoundEffect | EffectRecord, robot: Robot | None) -> bool:
+    """Whether the model has this effect at this place already, so that values are changes of it."""
+    if robot is None or not isinstance(found, FoundEffect) or found.effect == "link_inertia":
+        return False
+    joints = [j + 1 for j in found.located]
+    return any(
+        r.get("effect") == found.effect and (not joints or r.get("joint") in joints)
+        for r in robot.effects
+    )
+
+
+def meaning_table(record: GapRecord | PositionRecord) -> Table:
+    """What each effect means and what to do; an effect on several joints once."""
+    rows = []
+    for name in dict.fromkeys(f.effect for f in record.which):
+        same = [f for f in record.which if f.effect == name]
+        remedy, notes = same[0].remedy, [same[0].meaning]
+        for f in same:
+            notes += [f"{joints_words(_joints(f))}: {x}" for x in getattr(f, "notes", ())]
+        if any(_corrects(f, getattr(record, "model", None)) for f in same):
+            remedy += " Where the model has it, the value is a change of the model's."
+        words = "inertial parameters" if name == "link_inertia" else effect_words(name)
+        rows.append((words, "\n".join(notes), remedy))
+    columns = ("effect", "what it means", "what to do")
+    return Table("what it means, and what to do", columns, rows, "lpp")
+
+
+def not_testable_table(record: GapRecord | PositionRecord) -> Table:
+    """Effects these data could not show, joints of one reason on one line."""
+    groups: dict[tuple[str, str], list[NotTestable]] = {}
+    for x in record.not_testable:
+        groups.setdefault((x.effect, _NUMBER.sub("#", x.reason)), []).append(x)
+    rows = []
+    for (effect, _), members in groups.items():
+        # Joints on which no size would do stand together, behind the others.
+        sizes, never = [], []
+        for x in members:
+            place = " and ".join(str(j + 1) for j in x.joints) or "the arm"
+            if x.smallest_detectable is None:
+                never.append(place)
+            else:
+                sizes.append(f"{place}: {x.smallest_detectable:.3g} {unit_words(x.unit)}".rstrip())
+        sizes += [f"{', '.join(never)}: at no size"] if never else []
+        why = ranged([x.reason for x in members], _NUMBER)
+        rows.append((effect_words(effect), "; ".join(sizes), why))
+    columns = ("effect", "joint: smallest size that this log would show", "why")
+    return Table("not testable with these data", columns, rows, "lpp")
