@@ -278,8 +278,7 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
     "study": lambda b: b.run("study", "3r", *SEARCH, "--no-figures"),
     "withheld_own": _own,
     "withheld_score": _score,
-    "wrenches": lambda b: b.run("wrenches", "3r", "--per-kind", 15, "--no-variants",
-                                "--resamples", 20),
+    "wrenches": lambda b: b.run("wrenches", "3r", "--per-kind", 15, "--resamples", 20),
     "wrenches_sets": lambda b: b.run("wrenches", "3r", "--sets", b.sets),
 }  # fmt: skip
 """Name of the golden file -> the document. A gap's name says which status it must have."""

@@ -23,9 +23,7 @@ KINDS = ("feasible", "inertia", "com", "inertia+com")
 
 @lru_cache
 def study() -> EqualTorqueStudy:
-    return equal_torque_study(
-        load_robot("3r"), per_kind=18, chains=12, kinds=KINDS, with_variants=False, resamples=30
-    )
+    return equal_torque_study(load_robot("3r"), per_kind=18, chains=12, kinds=KINDS, resamples=30)
 
 
 @lru_cache
@@ -89,11 +87,11 @@ def with_ratio(low: float, high: float) -> EqualTorqueStudy:
     found = Estimate((low * high) ** 0.5, low, high, 20)
     effects = tuple(replace(e, ratio=found, delta=found) for e in base.comparison.effects)
     rho = Estimate(-0.5, *(-1.0 / low, low - 1.0), 20)
-    rows = tuple(replace(c, degree=rho) for c in base.statistics.correlations)
+    rows = tuple(replace(c, degree=rho) for c in base.correlations)
     return replace(
         base,
         comparison=replace(base.comparison, effects=effects),
-        statistics=replace(base.statistics, correlations=rows),
+        correlations=rows,
     )
 
 
@@ -111,7 +109,7 @@ def test_sentences_follow_the_intervals() -> None:
     assert "no effect of the degree is visible" in " ".join(findings(degree))
 
 
-@pytest.mark.parametrize("name", ["force_by_degree", "force_by_kind", "force_by_mass"])
+@pytest.mark.parametrize("name", ["force_by_degree", "force_by_kind"])
 def test_figures_show_all_sets(name, tmp_path) -> None:
     figure = equal_torque.figures(study())[name]()
     assert save(figure, tmp_path / "f.png").stat().st_size > 10_000
@@ -122,16 +120,6 @@ def test_figures_show_all_sets(name, tmp_path) -> None:
     marks = np.concatenate([c.get_offsets() for c in axes[0].collections])
     assert len(marks) == len(study().family.kind)
     np.testing.assert_allclose(np.sort(marks[:, 1]), np.sort(study().worst.numpy()))
-
-
-def test_time_figure_shows_the_forces_of_the_reference() -> None:
-    figure = equal_torque.time_figure(study())
-    lines = figure.axes[0].get_lines()
-    assert len(lines) == 1 + len(KINDS)
-    drawn = lines[-1].get_ydata()
-    expected = float(study().errors.reference_force_rms[0])
-    assert float(np.sqrt(np.mean(np.square(drawn)))) == pytest.approx(expected)
-    assert figure.axes[-1].get_xlabel() == "time [s]"
 
 
 def test_given_sets_are_listed_with_their_reasons(tmp_path) -> None:

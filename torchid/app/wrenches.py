@@ -26,7 +26,6 @@ def wrenches_command(
     geometry: Annotated[str | None, typer.Option(metavar="GROUP")] = None,
     total_mass: opt.TotalMass = None,
     margin: Annotated[float, typer.Option(min=0, max=100)] = MARGIN,
-    variants: bool = True,
     resamples: opt.Count = 1000,
     seed: opt.Seed = 0,
     output: Annotated[Computed, "wrenches.json"],
@@ -49,7 +48,6 @@ def wrenches_command(
             nominal one (not with --sets).
         margin: Where the nominal parameters are not feasible: smallest eigenvalue of the
             pseudo-inertias of the reference [kg m^2, kg].
-        variants: Ask the question again with other outer bounds.
         resamples: Of the bootstrap of the intervals.
     """
     from torchid.feasibility.sets import other_robot, read_all_sets
@@ -68,7 +66,7 @@ def wrenches_command(
         with output.progress() as progress:
             study = torchid.equal_torque_study(
                 setting.robot, per_kind=per_kind, setting=setting, motion=motion,
-                with_variants=variants, resamples=resamples, seed=seed, progress=progress,
+                resamples=resamples, seed=seed, progress=progress,
             )  # fmt: skip
         data = {**study.plain(), "findings": equal_torque.findings(study)}
         output.give(data, "wrenches.json", lambda _: equal_torque.shown(study))

@@ -6,17 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
-import torch
 
 from torchid.report.colours import BLUE, BROWN, GREEN, GREY, INK, ORANGE, PURPLE, RED
-from torchid.report.panels import Figure, Figures, finish, joint_lines, panel, tiles
+from torchid.report.panels import Figure, Figures, finish, panel, tiles
 from torchid.report.table import Shown, Table, cells, joint_numbers
-from torchid.robot.inertia import InertialParameters
 from torchid.study.equal_torque.study import EqualTorqueStudy
 from torchid.wrenches.classes import KINDS as CLASS_NAMES
 from torchid.wrenches.classes import MIXED, ordered_classes
 from torchid.wrenches.compare import ClassSummary, Comparison, EffectSize
-from torchid.wrenches.regressor import wrench_norms
 from torchid.wrenches.resampling import Estimate
 
 
@@ -27,9 +24,8 @@ def shown(study: EqualTorqueStudy) -> Shown:
 
 
 def tables(study: EqualTorqueStudy) -> list[Table]:
-    """Errors by kind, their differences, the degree, what any set can do, other assumptions; the
-    JSON has more: thirds of the degree, and each feasible set as the true arm."""
-    makers = (kind_table, joint_table, effect_table, degree_table, reach_table, variant_table)
+    """Errors by kind and joint, their differences, and what any set can do."""
+    makers = (kind_table, joint_table, effect_table, reach_table)
     return [make(study) for make in makers]
 
 
@@ -73,15 +69,12 @@ def joint_table(study: EqualTorqueStudy) -> Table:
 
 def effect_table(study: EqualTorqueStudy) -> Table:
     """Differences of the classes, with 95 % intervals."""
-    matched = {CLASS_NAMES.get(m.kind, "mixed"): m for m in study.statistics.matched}
-    rows = []
-    for e in study.comparison.effects:
-        own = matched.get(e.first) if e.second == "feasible" else None
-        same = "" if own is None else f"{interval(own.delta)}, {100 * own.share:.0f} % matched"
-        rows.append((e.first, e.second, interval(e.ratio), interval(e.delta), same))
-    columns = ("class", "against", "times the error", "Cliff's delta", "at equal carried mass")
+    rows = [
+        (e.first, e.second, interval(e.ratio), interval(e.delta)) for e in study.comparison.effects
+    ]
+    columns = ("class", "against", "times the error", "Cliff's delta")
     title = "differences of the classes (95 % intervals from whole chains)"
-    return Table(title, columns, rows, "lplll")
+    return Table(title, columns, rows, "lpll")
 
 
 def class_table(found: Comparison, title: str, note: str = "") -> Table:
@@ -103,17 +96,6 @@ def class_table(found: Comparison, title: str, note: str = "") -> Table:
     return Table(title, columns, rows, "l", note)
 
 
-def degree_table(study: EqualTorqueStudy) -> Table:
-    """Rank correlations of the error."""
-    rows = [
-        (kind_words(c.kind), interval(c.degree), interval(c.coordinates), f"{c.carried.value:.4f}")
-        for c in study.statistics.correlations
-    ]
-    columns = ("sets", "degree", "coordinates out of box", "carried mass's error")
-    title = "Spearman's rho of the force error with ... (95 % intervals)"
-    return Table(title, columns, rows, "llll")
-
-
 def reach_table(study: EqualTorqueStudy) -> Table:
     """The greatest force error of any set, per joint."""
     rows = []
@@ -126,23 +108,6 @@ def reach_table(study: EqualTorqueStudy) -> Table:
         rows.append(("nothing (feasible)" if r.kind == "feasible" else kind_words(r.kind), *texts))
     title = "greatest force error of any set with this torque [N] (reached - bound)"
     return Table(title, ("what may be violated", *joint_numbers(study.setting.robot.n)), rows, "l")
-
-
-def variant_table(study: EqualTorqueStudy) -> Table:
-    """Medians and greatest errors under other assumptions, if there are any."""
-    shown = [k for k in study.kinds if k != "total_mass"]
-    rho = study.comparison.correlation.rho
-    medians = {k: float(study.worst[study.rows(k)].median()) for k in study.kinds}
-    lines = [("as above", medians, study.reach, (rho.value, rho.low, rho.high))]
-    lines += [(v.name, v.medians, v.reach, v.rho) for v in study.variants]
-    rows = []
-    for name, own, reach, (value, low, high) in lines if study.variants else ():
-        greatest = {r.kind: f" ({float(r.reached.max()):.3g})" for r in reach}
-        texts = ((f"{own[k]:.3g}" if k in own else "-") + greatest.get(k, "") for k in shown)
-        rows.append((name, *texts, f"{value:.2f} [{low:.2f}, {high:.2f}]"))
-    title = "other outer bounds: median of the largest force error [N] (greatest of any)"
-    columns = ("assumption", *map(kind_words, shown), "rho with degree")
-    return Table(title, columns, rows, f"p{'r' * len(shown)}l")
 
 
 def kind_words(kind: str) -> str:
@@ -193,7 +158,7 @@ def findings(study: EqualTorqueStudy) -> list[str]:
                     f"{who} have HOW of {against}.", "{:.2f} times the force error",
                 )
             )  # fmt: skip
-    for c in study.statistics.correlations:
+    for c in study.correlations:
         if c.kind in ("feasible", *_WORDS):
             among = f"sets that violate {_WORDS.get(c.kind)} only"
             among, which = (
@@ -205,17 +170,6 @@ def findings(study: EqualTorqueStudy) -> list[str]:
                     c.degree, 0, f"Among {among}: {few} whether the degree matters.",
                     f"Among {among} no effect of the degree is visible: HOW.",
                     f"Among {among} {which} ones have {side} errors: HOW.", "rho = {:.2f}",
-                )
-            )  # fmt: skip
-    for a in study.statistics.across:
-        if a.kind in _WORDS:
-            what = f"Just outside and just inside the boundary of {_WORDS[a.kind]}"
-            told.append(
-                _judged(
-                    a.ratio, 1, f"{what}: {few} whether the error jumps.",
-                    f"{what} no jump of the error is visible: HOW.",
-                    f"{what} the errors differ: HOW; their tightest conditions need not be the "
-                    "same ones.",
                 )
             )  # fmt: skip
     # What any set can do, feasible ones first.
@@ -230,14 +184,6 @@ def findings(study: EqualTorqueStudy) -> list[str]:
                 f"{', '.join(f'{t:.2f}' for t in times)} times that of feasible ones (joint by "
                 "joint)."
             )
-    if study.to_nominal is not None:
-        classes = [c for c in study.to_nominal.classes if c.median is not None]
-        medians = ", ".join(f"{c.name} {c.median:.3g}" for c in classes)
-        told.append(
-            "Against the nominal parameters, which have another torque and are not feasible, the "
-            f"medians are {medians} N; the reference itself is {study.reference_to_nominal:.3g} N "
-            "away."
-        )
     return told
 
 
@@ -290,8 +236,6 @@ def figures(study: EqualTorqueStudy) -> Figures:
     return {
         "force_by_degree": partial(degree_figure, study),
         "force_by_kind": partial(kind_figure, study),
-        "force_by_mass": partial(mass_figure, study),
-        "force_over_time": partial(time_figure, study),
     }
 
 
@@ -404,44 +348,6 @@ def kind_figure(study: EqualTorqueStudy) -> Figure:
     }  # fmt: skip
     title = f"{study.setting.robot.name}: force error per joint and kind of violation"
     return finish(figure, title, columns=2, keys=keys)
-
-
-def mass_figure(study: EqualTorqueStudy) -> Figure:
-    """Force error against the weight of the carried mass's error: what it comes from."""
-    figure, axes = panel(6.2, 5.2)
-    weight = study.carried.abs().amax(-1) * study.setting.robot.gravity.norm()
-    for kind in study.kinds:
-        rows = study.rows(kind)
-        axes.scatter(
-            weight[rows].numpy(), study.worst[rows].numpy(), s=12, color=_colour(kind), alpha=0.6,
-            linewidths=0, label=kind_words(kind),
-        )  # fmt: skip
-    ends = [float(study.worst.min()), float(study.worst.max())]
-    axes.plot(ends, ends, color=INK, linewidth=0.9)
-    axes.set(xscale="log", yscale="log", ylabel=_ERROR)
-    axes.set_xlabel("weight of the carried mass's error, largest joint [N]")
-    title = f"{study.setting.robot.name}: the error is the weight of wrongly placed mass"
-    return finish(figure, title, axes)
-
-
-def time_figure(study: EqualTorqueStudy) -> Figure:
-    """Norms of the internal forces over time: the reference and each kind's median set."""
-    chosen = []
-    for kind in study.kinds:
-        rows = study.rows(kind)
-        chosen.append(rows[int(study.worst[rows].argsort()[len(rows) // 2])])
-    pi = torch.cat([study.setting.reference.parameters.pi, study.family.sets.parameters.pi[chosen]])
-    motion = study.motion.state
-    force, _ = wrench_norms(study.setting.robot, *motion, InertialParameters(pi))
-    curves = {}
-    for kind, norms in zip(study.kinds, force[1:], strict=True):
-        style = {"color": _colour(kind), "linewidth": 1.1}
-        curves[f"{kind_words(kind)}, median set"] = (norms.numpy(), style)
-    curves["reference"] = (force[0].numpy(), {"color": INK, "linewidth": 1.8})
-    t = np.arange(force.shape[1]) / (study.rate or 1.0)
-    title = f"{study.setting.robot.name}: norms of the internal forces, all with the same torque"
-    x = "sample" if study.rate is None else "time [s]"
-    return joint_lines(title, "force norm [N]", t, curves, x)[0]
 
 
 _ERROR = "force error, largest joint [N], RMS over the motion"

@@ -60,20 +60,6 @@ class Setting:
     torque_change: Float[Tensor, " n"]
     notes: tuple[str, ...] = ()
 
-    def widened(self, name: str, share: float, *, total_mass: bool = True) -> "Setting":
-        """The same setting with outer bounds that are only a share of the way from the conditions'
-        boxes to the outer ones; and without the condition on the total mass, if asked for."""
-        box, outer, asked = self.conditions.com_box, self.outer, self.conditions
-        low = torch.minimum(box[..., 0], outer.com[..., 0])
-        high = torch.maximum(box[..., 1], outer.com[..., 1])
-        com = box + share * (torch.stack([low, high], -1) - box)
-        own = read_bounds(self.robot, self.geometry).mass
-        mass = own + share * (outer.mass - own)
-        if not total_mass:
-            free = asked.total_mass.new_tensor([-torch.inf, torch.inf])
-            asked = replace(asked, total_mass=free)
-        return replace(self, outer=replace(outer, name=name, com=com, mass=mass), conditions=asked)
-
 
 def equal_torque_setting(
     robot: Robot,
