@@ -35,7 +35,6 @@ def test_nominal_parameters_are_recovered_as_feasible_sets(command, tmp_path):
     assert [s["id"] for s in data["sets"]] == ["run_1", "run_2", "run_3"]
     assert all(s["phi"] < 1e-18 and s["gamma"] == 0 and s["feasible"] for s in data["sets"])
     assert (tmp_path / "search.png").read_bytes().startswith(b"\x89PNG")
-    assert not (tmp_path / "checkpoint.npz").exists()
 
 
 def test_sets_written_can_be_read_back(command, tmp_path):
@@ -220,40 +219,6 @@ def test_atlas(command, tmp_path, identified):
     assert (tmp_path / "atlas.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.slow
-def test_a_search_continues_where_it_was_interrupted(command, tmp_path, monkeypatch):
-    import torchid.extraction.extract as module
-
-    whole, halves = tmp_path / "whole", tmp_path / "halves"
-    assert command("extract", "3r", *SMALL, "--out", whole).code == 0
-    save, calls = module.save, []
-
-    def interrupted(*arguments):
-        save(*arguments)
-        calls.append(1)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(module, "save", interrupted)
-    stopped = command("extract", "3r", *SMALL, "--out", halves)
-    assert stopped.code == 130
-    assert f"{halves / 'checkpoint.npz'} is kept" in stopped.err
-    assert "--resume" in stopped.err
-    assert not (halves / "sets.json").exists()
-    # Whoever forgets --resume is told; whoever gives it without need, too.
-    monkeypatch.setattr(module, "save", save)
-    kept = (halves / "checkpoint.npz").read_bytes()
-    anew = command("extract", "3r", *SMALL, "--out", halves).out
-    assert "--resume would have continued" in " ".join(anew.split())
-    needless = command("extract", "3r", *SMALL, "--out", halves, "--resume").out
-    assert "there is no checkpoint" in " ".join(needless.split())
-    (halves / "checkpoint.npz").write_bytes(kept)
-    monkeypatch.setattr(module, "save", interrupted)
-    assert command("extract", "3r", *SMALL, "--out", halves, "--resume").code == 0
-    assert len(calls) == 3
-    assert (whole / "sets.json").read_bytes() == (halves / "sets.json").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -265,7 +230,6 @@ def test_a_search_continues_where_it_was_interrupted(command, tmp_path, monkeypa
         (["3r", "--runs", "0"], "runs"),
         (["3r", "--stages", "0"], "stages"),
         (["3r", "--loss", "one-step"], "needs a log"),
-        (["3r", "--resume"], "--out"),
         (["kuka_lwr4", "--shapes"], "shapes"),
         (["panda"], "parameters"),
         (["3r", "no-such.json"], "cannot be read"),
@@ -339,17 +303,6 @@ def test_a_robot_of_known_kinematics_gets_bodies_and_a_file(command, folder, ide
     expected = MujocoOracle(true).inverse_dynamics(q, 0 * dq, ddq)
     error = (torch.stack(torque) - expected).square().mean(0).sqrt()
     assert bool((error < 0.03 * expected.square().mean(0).sqrt() + 0.05).all()), error
-
-
-@pytest.mark.slow
-def test_the_checkpoint_stays_until_results_are_written(command, tmp_path) -> None:
-    """Else a disk that is full at the end costs the whole search."""
-    (tmp_path / "extraction.json").mkdir()
-    assert command("extract", "3r", *SMALL, "--out", tmp_path).code == 1
-    assert (tmp_path / "checkpoint.npz").exists()
-    (tmp_path / "extraction.json").rmdir()
-    assert command("extract", "3r", *SMALL, "--out", tmp_path, "--resume").code == 0
-    assert not (tmp_path / "checkpoint.npz").exists()
 
 
 @pytest.mark.nightly

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from torchid.app import faults
-from torchid.app.faults import resumable
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -110,33 +109,6 @@ def test_interrupted(command, faulty) -> None:
     faulty(KeyboardInterrupt())
     done = command("robot", "3r")
     assert (done.code, done.err) == (130, "interrupted\n")
-
-
-@pytest.mark.parametrize(
-    ("files", "said"), [([], False), (["checkpoints/a.npz"], True), (["checkpoints"], True)]
-)
-def test_what_is_kept_can_be_resumed(tmp_path, files, said) -> None:
-    for name in files:
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text("")
-    with pytest.raises(KeyboardInterrupt) as stop, resumable(tmp_path / "checkpoints"):
-        raise KeyboardInterrupt
-    assert ("--resume" in str(stop.value)) == said
-
-
-def test_an_interrupted_search_says_how_to_go_on(command, tmp_path, monkeypatch) -> None:
-    from torchid.extraction import methods as room
-
-    def stopped(problem, settings, *, checkpoint, **_):
-        checkpoint.write_bytes(b"as far as it came")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(room, "extract", stopped)
-    asked = ("extract", "3r", "--no-certificate", "--out", tmp_path)
-    done = command(*asked)
-    assert (done.code, done.out) == (130, "")
-    kept = tmp_path / "checkpoint.npz"
-    assert done.err == f"interrupted; {kept} is kept: the same command with --resume continues\n"
 
 
 @pytest.mark.slow

@@ -35,7 +35,6 @@ def test_what_goes_on_is_no_second_run(command, tmp_path, monkeypatch) -> None:
     few = ("extract", "3r", "--runs", "2", "--stages", "1", "--generations", "1", "--out", out)
     assert command(*few, "--no-certificate").code == 0
     assert command(*few).code == 1
-    assert command(*few, "--no-certificate", "--resume").code == 0
 
 
 @pytest.mark.parametrize("out", ["one", "one/two"])

@@ -19,7 +19,6 @@ def test_a_study_leaves_its_page_sets_and_json(command, tmp_path):
     assert data["certificate"]["normal"]["phi_min"] < 1e-18
     page = (folder / "study.md").read_text()
     assert all(png.name in page for png in folder.glob("*.png"))
-    assert not (folder / "checkpoints").exists()
     checked = command("check", folder / "sets.json", "--robot", "3r", "--json", tmp_path / "c.json")
     assert checked.code == 0, checked.err
     verdicts = {
@@ -48,23 +47,6 @@ def test_a_study_by_two_processes_is_the_same(command, tmp_path):
 
 
 @pytest.mark.nightly
-def test_checkpoints_stay_until_all_studies_are_over(command, tmp_path, monkeypatch):
-    import torchid.study.study as room
-
-    removed = []
-
-    def remove(settings, checkpoints):
-        assert (tmp_path / "3r_friction" / "study.json").is_file()
-        removed.extend(path.stem for path in checkpoints.iterdir())
-
-    monkeypatch.setattr("torchid.study.settings.study_names", lambda: ["3r", "3r_friction"])
-    monkeypatch.setattr(room, "remove_checkpoints", remove)
-    shown = command("study", "all", *TINY, "--no-figures", "--out", tmp_path)
-    assert shown.code == 0, shown.err
-    assert len(removed) == 12
-
-
-@pytest.mark.nightly
 def test_all_studies(command, tmp_path):
     target = tmp_path / "all.json"
     shown = command("study", "all", *TINY, "--no-figures", "--out", tmp_path, "--json", target)
@@ -80,7 +62,6 @@ def test_all_studies(command, tmp_path):
     [
         (["4r"], "available: 3r, 3r_friction, kuka_lwr4, kuka_lwr4_friction, all"),
         (["3r", "--runs", "0"], "runs"),
-        (["3r", "--resume"], "--out"),
     ],
 )
 def test_bad_input(command, arguments, said):

@@ -14,7 +14,6 @@ from torchid.extraction.cma.batched import strategy
 from torchid.extraction.cma.search import (
     MARGIN,
     PERIOD,
-    SearchState,
     default_population,
     from_box,
     into_box,
@@ -65,10 +64,6 @@ def test_errors_say_what_is_wrong() -> None:
             start(mean, 0.3)
     with pytest.raises(TorchidError, match="step size"):
         start(torch.rand(2, 2, dtype=torch.float64), 0.0)
-    arrays = begin(2, 2).to_arrays()
-    del arrays["path_sigma"]
-    with pytest.raises(TorchidError, match="lacks path_sigma"):
-        SearchState.from_arrays(arrays)
 
 
 @pytest.mark.parametrize("kind", sorted(ENGINES))

@@ -52,7 +52,7 @@ class Scene:
     Attributes:
         name: of the command.
         arguments: of the program.
-        again: more arguments that continue what was interrupted.
+        again: more arguments after what was interrupted.
         prepare: puts into the folder what the command expects there.
     """
 
@@ -76,7 +76,7 @@ def scenes(inputs: Path) -> dict[str, Scene]:
     few = "--stages 5 --generations 30 --runs"
     fleet_of = ("fleet", "identify", "3r_friction", str(inputs / "fleet"), "--effects", effects)
     commands = (
-        Scene("extract", (*f"extract 3r {few} 8 --out out".split(),), ("--resume",)),
+        Scene("extract", (*f"extract 3r {few} 8 --out out".split(),), ("--overwrite",)),
         Scene(
             "extract by two",
             (
@@ -84,9 +84,9 @@ def scenes(inputs: Path) -> dict[str, Scene]:
                 "--no-certificate",
                 *("--workers", "2", "--out", "out"),
             ),
-            ("--resume",),
+            ("--overwrite",),
         ),
-        Scene("study", (*f"study 3r {few} 4 --no-figures --out out".split(),), ("--resume",)),
+        Scene("study", (*f"study 3r {few} 4 --no-figures --out out".split(),), ("--overwrite",)),
         Scene(
             "gap",
             (
@@ -292,7 +292,7 @@ class Faults:
         self.wrong += [f"{what}: {name}" for name in fragments(folder)]
 
     def goes_on(self, folder: Path, what: str) -> None:
-        """That the same command, with --resume, ends well and with the same bits."""
+        """That the same command, with --overwrite, ends well and with the same bits."""
         done = run(self.scene, folder, self.scene.again)
         if done.code:
             self.wrong.append(f"{what}, then: exit code {done.code}: {done.said[-400:]}")

@@ -4,14 +4,12 @@ from dataclasses import replace
 from functools import lru_cache
 
 import pytest
-import torch
 
-import torchid.extraction.extract as extract_module
 from torchid.errors import TorchidError
 from torchid.robot.config_files import config_folder
 from torchid.study.result import Study
 from torchid.study.settings import load_study, study_names
-from torchid.study.study import remove_checkpoints, run_study
+from torchid.study.study import run_study
 
 NAMES = ("3r", "3r_friction", "kuka_lwr4", "kuka_lwr4_friction")
 IDS = {
@@ -96,50 +94,6 @@ def test_record_follows_the_contract():
         assert {"bounds", "loss", "phi", "gamma", "feasible", "reasons"} <= set(entry)
     assert set(data["certificate"]) == {"normal", "tight", "loose"}
     assert all("phi_min" in c for c in data["certificate"].values())
-
-
-def _counting(calls: list[object]):
-    next_stage = extract_module._next_stage
-
-    def counted(*arguments):
-        calls.append(1)
-        return next_stage(*arguments)
-
-    return counted
-
-
-@pytest.mark.nightly
-def test_interrupted_study_gives_the_same_sets(tmp_path, monkeypatch):
-    settings = load_study("3r")
-    small = replace(settings, search=replace(settings.search, runs=3, stages=3, generations=5))
-
-    def stop(part: str, done: int, total: int) -> None:
-        if (part, done) == ("extractions", 3):
-            raise InterruptedError
-
-    with pytest.raises(InterruptedError):
-        run_study(small, checkpoints=tmp_path, report=stop)
-    # What was finished is not searched again.
-    assert {p.name for p in tmp_path.iterdir()} == {"p_1.npz", "p_4.npz", "p_5.npz"}
-    searched: list[object] = []
-    monkeypatch.setattr(extract_module, "_next_stage", _counting(searched))
-    again = run_study(small, checkpoints=tmp_path, resume=True)
-    assert len(searched) == 3 * 3
-    for one, two in zip(again.scenarios, tiny("3r").scenarios, strict=True):
-        assert torch.equal(one.extraction.sets.parameters.pi, two.extraction.sets.parameters.pi)
-
-
-@pytest.mark.nightly
-def test_searches_that_are_over_are_not_repeated(tmp_path, monkeypatch):
-    settings = load_study("3r")
-    small = replace(settings, search=replace(settings.search, runs=3, stages=3, generations=5))
-    first = run_study(small, checkpoints=tmp_path)
-    monkeypatch.setattr("torchid.extraction.extract._next_stage", None)
-    again = run_study(small, checkpoints=tmp_path, resume=True)
-    for one, two in zip(again.scenarios, first.scenarios, strict=True):
-        assert torch.equal(one.extraction.sets.parameters.pi, two.extraction.sets.parameters.pi)
-    remove_checkpoints(small, tmp_path)
-    assert not tmp_path.exists()
 
 
 @pytest.mark.parametrize(

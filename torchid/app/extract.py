@@ -8,10 +8,8 @@ import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.faults import resumable
 from torchid.app.output import Computed
 from torchid.app.signature import Fields, Switch, command
-from torchid.errors import TorchidError
 from torchid.extraction.settings import SearchSettings
 
 if TYPE_CHECKING:
@@ -77,7 +75,6 @@ def extract_command(
     ],
     certificate: bool = True,
     search_anyway: Switch = False,
-    resume: Switch = False,
     engine: opt.Crew,
     output: Annotated[Computed, "extraction.json"],
     device_name: opt.Device = "cpu",
@@ -98,10 +95,7 @@ def extract_command(
         schedule: xi = 10 k, or ten times more a stage.
         certificate: Least loss possible, beside it.
         search_anyway: Also where no point of the bounds can be feasible.
-        resume: Continue from the checkpoint in --out.
     """
-    if resume and output.out is None:
-        raise TorchidError("--resume needs --out, where the checkpoint is.", expected="--out DIR")
     from torchid.extraction.methods import found_by
     from torchid.feasibility.derived_bounds import NONE, WIDE
     from torchid.feasibility.sets import sets_record
@@ -110,31 +104,16 @@ def extract_command(
     problem, values, notes = sought.problem(arm, loss)
     # Where nothing bounds the bodies but their links' size, a search would answer any of them.
     method = method or ("near" if problem.bounds.name in (WIDE, NONE) else "cma-es")
-    folder = output.out if method == "cma-es" else None
-    checkpoint = folder and folder / "checkpoint.npz"
-    if checkpoint is not None and checkpoint.exists() != resume:
-        anew = (
-            f"there is no checkpoint in {folder}: the search starts anew"
-            if resume
-            else f"{folder} held the checkpoint of an interrupted search, which starts anew: "
-            "--resume would have continued it"
-        )
-        output.warn([anew])
-    with resumable(checkpoint), output.progress() as progress:
+    with output.progress() as progress:
         found = found_by(
             method, problem, settings, certificate=certificate, search_anyway=search_anyway,
-            checkpoint=checkpoint, resume=resume, device=device_name,
-            workers=engine.crew, progress=progress,
+            device=device_name, workers=engine.crew, progress=progress,
         )  # fmt: skip
     told = (*notes, *found.warnings, *loss_notes(found, values))
     found = replace(found, warnings=told)
     file = sets_record(found.sets, problem.robot, knowledge=problem.robot.knowledge)
     output.put(output.out and output.out / "sets.json", file.save)
-    said = output.keep(found, "extraction.json", shown)
-    # Not sooner: what was searched for is not lost where the disk is full.
-    if checkpoint is not None:
-        checkpoint.unlink(missing_ok=True)
-    output.tell(said)
+    output.tell(output.keep(found, "extraction.json", shown))
 
 
 @command

@@ -9,8 +9,8 @@ import sys
 import tempfile
 import traceback
 import unicodedata
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from torchid import __version__
@@ -59,19 +59,6 @@ def out_of_memory(error: BaseException) -> bool:
         isinstance(error, RuntimeError | ImportError | OSError)
         and any(words in str(error) for words in _MEMORY)
     )
-
-
-@contextmanager
-def resumable(checkpoint: Path | None) -> Iterator[None]:
-    """Where Ctrl-C loses little: it is said what is kept and how to go on, if there is a
-    checkpoint, a file or what is in a folder."""
-    try:
-        yield
-    except KeyboardInterrupt as stop:
-        if checkpoint is None or not (checkpoint.is_file() or any(checkpoint.glob("*"))):
-            raise
-        said = f"{checkpoint} is kept: the same command with --resume continues"
-        raise KeyboardInterrupt(said) from stop
 
 
 def report(error: BaseException, words: Callable[[str], str]) -> int:

@@ -139,7 +139,7 @@ def _require_robot(name: str, others: Sequence[str]) -> None:
 
 def require_free(given: Mapping[str, Any], results: Sequence[str]) -> None:
     """Raise a TorchidError where a folder holds the results of an earlier run, or a model is there
-    already: nothing is written over unless `--overwrite` says so, or `--resume` goes on.
+    already: nothing is written over unless `--overwrite` says so.
 
     Args:
         given: values of the options.
@@ -151,7 +151,7 @@ def require_free(given: Mapping[str, Any], results: Sequence[str]) -> None:
     if folder is not None and project is not None and folder.parent == Path(project):
         folder = None  # the latest results of a project, which nobody named
     taken = [] if model is None or not model.exists() else [str(model)]
-    if folder is not None and not given.get("resume"):
+    if folder is not None:
         names = [name.format(**given) for name in results]
         if any((folder / name).exists() for name in names):
             inside = sorted(path.name for path in folder.iterdir() if path.is_file())

@@ -7,14 +7,10 @@ from typing import Annotated
 import typer
 
 from torchid.app import options as opt
-from torchid.app.faults import resumable
 from torchid.app.output import Reported
 from torchid.app.signature import Switch, command
-from torchid.errors import TorchidError
 from torchid.extraction.settings import Schedule
 from torchid.robot.config_files import robot_file
-
-_CHECKPOINTS = "checkpoints"
 
 
 @dataclass(frozen=True)
@@ -39,7 +35,6 @@ def study_command(
     name: Annotated[str, typer.Argument(metavar="NAME")],
     quick: Switch = False,
     instead: Changes,
-    resume: Switch = False,
     figures: bool = True,
     engine: opt.Crew,
     output: Annotated[Reported, "study.json"],
@@ -52,12 +47,9 @@ def study_command(
     Args:
         name: 3r, 3r_friction, kuka_lwr4, kuka_lwr4_friction, all; or a study's yaml file.
         quick: A fifth of the runs, stages and generations.
-        resume: Continue from the checkpoints in --out.
         figures: Draw the figures into --out.
     """
     out = output.out
-    if resume and out is None:
-        raise TorchidError("--resume needs --out, where the checkpoints are.", expected="--out DIR")
     from torchid.study.settings import load_study, study_file, study_names
 
     names = study_names() if name == "all" else [name]
@@ -68,7 +60,7 @@ def study_command(
         every.append(replace(settings, search=replace(settings.search, **changed)))
     from torchid.parallel.workers import of
     from torchid.report.study import page
-    from torchid.study.study import remove_checkpoints, run_study
+    from torchid.study.study import run_study
 
     crew = engine.crew
     studies = []
@@ -79,16 +71,9 @@ def study_command(
             file = file.with_name(f"{file.stem}_{settings.name}{file.suffix}")
         robot_entry = ("robot", settings.robot, robot_file(settings.robot))
         files = output.hashed([("study", given, study_file(given)), robot_entry])
-        checkpoints = None
-        if folder is not None:
-            checkpoints = folder / _CHECKPOINTS
-            checkpoints.mkdir(parents=True, exist_ok=True)
-        with resumable(checkpoints), output.progress() as progress:
+        with output.progress() as progress:
             told = of(progress, settings.name)
-            found = run_study(
-                settings, checkpoints=checkpoints, resume=resume, device=device_name, workers=crew,
-                report=told,
-            )  # fmt: skip
+            found = run_study(settings, device=device_name, workers=crew, report=told)
         if folder is not None:
             found.save(folder / "study.json")
             if figures:
@@ -99,10 +84,8 @@ def study_command(
     records = [found.plain() for found in studies]
     together = {"schema": "torchid.studies/1", "studies": records}
     output.write_json(together if name == "all" else records[0], "study.json")
-    # Not sooner: of several studies, the first ones need not be searched again.
     for found in studies:
         output.tell(page.shown(found))
         if out is not None:
-            folder = out / found.settings.name
-            remove_checkpoints(found.settings, folder / _CHECKPOINTS)
-            output.say(f"results of {found.settings.name} are in {folder}")
+            name = found.settings.name
+            output.say(f"results of {name} are in {out / name}")

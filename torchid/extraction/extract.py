@@ -6,19 +6,13 @@
 Each run ends at the set of nearly the least loss that is nearest to its p_K (`convex.finish`).
 All runs advance together: every generation of all of them is one call of the loss. A large search
 has several such blocks of runs, which know nothing of each other, so that any worker may do them.
-The state between two stages is kept in a file that survives an interruption.
 """
 
-import hashlib
 import itertools
 import time
-import zipfile
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 
-import numpy as np
 import torch
 
 from torchid.errors import TorchidError
@@ -29,7 +23,6 @@ from torchid.extraction.found import Extraction
 from torchid.extraction.penalty import gamma
 from torchid.extraction.problem import Problem
 from torchid.extraction.settings import SearchSettings
-from torchid.files import atomic_write
 from torchid.parallel.workers import Executor, Workers, each, opened
 from torchid.typing import Float, Tensor
 
@@ -47,12 +40,8 @@ _LEAST_SIGMA = 1e-3
 converged on the old one would be stuck there."""
 
 
-_DAMAGED = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
-"""What NumPy raises on a file that is none of its own, or half of one."""
-
-
 @dataclass(frozen=True, eq=False)
-class Progress:
+class _Progress:
     """Where a search is.
 
     Attributes:
@@ -65,68 +54,6 @@ class Progress:
     state: SearchState
     phi: Float[Tensor, "R K"]
     gamma: Float[Tensor, "R K"]
-
-
-def save(path: Path, now: Progress, problem: Problem, settings: SearchSettings) -> None:
-    """Write the state; an earlier file is replaced only when the new one is whole.
-
-    Raises:
-        TorchidError: the file cannot be written.
-    """
-    arrays = now.state.to_arrays()
-    # Another search of the same folder may have ended, and taken the folder away.
-    with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path, "wb") as stream:
-        np.savez(
-            stream,
-            stage=np.asarray(now.stage),
-            phi=now.phi.numpy(),
-            gamma=now.gamma.numpy(),
-            of=np.asarray(fingerprint(problem, settings)),
-            allow_pickle=False,
-            **{f"state_{name}": value for name, value in arrays.items()},
-        )
-
-
-def load(path: Path, problem: Problem, settings: SearchSettings) -> Progress | None:
-    """The state in the file; None if there is no file.
-
-    Raises:
-        TorchidError: not a checkpoint, or one of another problem or of other settings.
-    """
-    if not path.exists():
-        return None
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        of, stage = str(arrays["of"]), int(arrays["stage"])
-        phi, violated = torch.from_numpy(arrays["phi"]), torch.from_numpy(arrays["gamma"])
-        state = SearchState.from_arrays(
-            {k.removeprefix("state_"): v for k, v in arrays.items() if k.startswith("state_")}
-        )
-    except (*_DAMAGED, TorchidError) as error:
-        raise TorchidError(f"'{path}' is not a checkpoint of an extraction.", got=error) from error
-    if of != fingerprint(problem, settings):
-        raise TorchidError(
-            f"the checkpoint '{path}' belongs to another extraction.",
-            got="other base parameters, bounds, conditions or settings",
-            expected="the ones it was started with",
-            hint="repeat the first command, or start anew without `resume=True`",
-        )
-    return Progress(stage, state, phi, violated)
-
-
-def fingerprint(problem: Problem, settings: SearchSettings) -> str:
-    """What a search depends on, as a SHA-256."""
-    digest = hashlib.sha256(repr(settings).encode())
-    c, target = problem.conditions, problem.target
-    for tensor in (
-        problem.box, target.weight, target.offset, target.base.grouping,
-        c.com_box, c.round_centre, c.round_axes, c.round_radius, c.total_mass,
-    ):  # fmt: skip
-        digest.update(np.ascontiguousarray(tensor.cpu().numpy()).tobytes())
-    return digest.hexdigest()
 
 
 def require_possible(problem: Problem) -> None:
@@ -152,9 +79,6 @@ def extract(
     problem: Problem,
     settings: SearchSettings | None = None,
     *,
-    checkpoint: Path | None = None,
-    resume: bool = False,
-    keep: bool = False,
     device: torch.device | str = "cpu",
     workers: Workers = 1,
     report: Report | None = None,
@@ -164,19 +88,11 @@ def extract(
     Args:
         problem: loss, bounds, conditions.
         settings: of the search; the defaults if None.
-        checkpoint: file that keeps the state after every stage, and is removed at the end.
-        keep: leave the checkpoint, so that a search that is part of something longer can be
-            resumed when it is over.
-        resume: continue from the checkpoint if there is one. The result is the same, bit for bit,
-            as without the interruption.
         device: where the population is evaluated.
         workers: who searches, where the search is large enough to be done in blocks of runs (twice
             `BLOCK`); see torchid.parallel.workers. The result is the same, bit for bit, for any
             number of them.
         report: called with (stages done, stages in all).
-
-    Raises:
-        TorchidError: a checkpoint of another problem or of other settings.
 
     >>> from torchid import load_robot, problem_of
     >>> from torchid.identification.values import nominal_base
@@ -188,18 +104,14 @@ def extract(
     """
     settings = settings or SearchSettings()
     began = time.monotonic()
-    now = load(checkpoint, problem, settings) if resume and checkpoint is not None else None
-    if now is None:
-        generator = torch.Generator().manual_seed(settings.seed)
-        shape = (settings.runs, problem.size)
-        uniform = torch.rand(shape, generator=generator, dtype=problem.box.dtype)
-        now = Progress(0, start(uniform, _FIRST_SIGMA), uniform[:, :0], uniform[:, :0])
+    generator = torch.Generator().manual_seed(settings.seed)
+    shape = (settings.runs, problem.size)
+    uniform = torch.rand(shape, generator=generator, dtype=problem.box.dtype)
+    now = _Progress(0, start(uniform, _FIRST_SIGMA), uniform[:, :0], uniform[:, :0])
     blocks = _blocks(problem, settings, device)
     with opened(workers if len(blocks) > 1 else 1, _advanced) as (pool, _):
         while now.stage < settings.stages:
             now = _next_stage(problem, settings, now, blocks, pool, device)
-            if checkpoint is not None:
-                save(checkpoint, now, problem, settings)
             if report is not None:
                 report(now.stage, settings.stages)
         searched, full = problem.physical(now.state.best), settings.penalty == "full"
@@ -210,8 +122,6 @@ def extract(
     before, after = (problem.phi(x) + weight * gamma(problem, x) for x in (searched, ends))
     p = torch.where((after <= before).unsqueeze(-1), ends, searched)
     phi, violated = problem.phi(p), gamma(problem, p)
-    if checkpoint is not None and not keep:
-        checkpoint.unlink(missing_ok=True)
     return Extraction(
         problem=problem,
         settings=settings,
@@ -286,11 +196,11 @@ def _finished(job: tuple[Problem, Float[Tensor, "R D"], bool]) -> Float[Tensor, 
 def _next_stage(
     problem: Problem,
     settings: SearchSettings,
-    now: Progress,
+    now: _Progress,
     blocks: Sequence[slice],
     pool: Executor,
     device: torch.device | str,
-) -> Progress:
+) -> _Progress:
     jobs = [
         _Block(problem, settings, device, now.stage, now.state.part(block), block.start)
         for block in blocks
@@ -299,4 +209,4 @@ def _next_stage(
     p = problem.physical(found.best)
     phi = torch.cat([now.phi, problem.phi(p).unsqueeze(-1)], -1)
     violated = torch.cat([now.gamma, gamma(problem, p).unsqueeze(-1)], -1)
-    return Progress(now.stage + 1, found, phi, violated)
+    return _Progress(now.stage + 1, found, phi, violated)

@@ -12,7 +12,6 @@ any bodies.
 
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Literal
 
 import torch
@@ -108,8 +107,6 @@ def found_by(
     *,
     certificate: bool = True,
     search_anyway: bool = False,
-    checkpoint: Path | None = None,
-    resume: bool = False,
     device: torch.device | str = "cpu",
     workers: Workers = 1,
     progress: Progress | None = None,
@@ -122,8 +119,7 @@ def found_by(
         settings: of the search.
         certificate: whether the least loss possible is put beside it.
         search_anyway: also where no point of the bounds can be feasible.
-        checkpoint, resume, device, workers: of a population search, whose checkpoint is kept; see
-            `extract`.
+        device, workers: of a population search; see `extract`.
         progress: called with (stage, done, total).
 
     Raises:
@@ -148,7 +144,6 @@ def found_by(
         found = near_set(problem, proof=proof)
     else:
         found = extract(
-            problem, settings, checkpoint=checkpoint, resume=resume, keep=True, device=device,
-            workers=workers, report=stage(progress, "stages"),
+            problem, settings, device=device, workers=workers, report=stage(progress, "stages"),
         ).found  # fmt: skip
     return replace(found, proof=proof, warnings=(*told, *found.warnings))

@@ -4,9 +4,7 @@ scenarios, classify, validate the sets, compare internal wrenches, and carry a p
 import math
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
 
 import torch
@@ -142,8 +140,6 @@ _BELOW = 1e-6
 def run_study(
     settings: StudySettings,
     *,
-    checkpoints: Path | None = None,
-    resume: bool = False,
     device: torch.device | str = "cpu",
     workers: Workers = 1,
     report: Report | None = None,
@@ -152,9 +148,6 @@ def run_study(
 
     Args:
         settings: from `load_study`.
-        checkpoints: folder for the extractions' checkpoints, one a scenario. They are left there:
-            whoever has saved the study removes them (`remove_checkpoints`).
-        resume: continue from checkpoints found there; searches that were over are not repeated.
         device: where populations are evaluated.
         workers: who searches, a scenario at a time; see torchid.parallel.workers. The result is the
             same, bit for bit, for any number of them.
@@ -192,8 +185,6 @@ def run_study(
         (
             problems[scenario.bounds],
             replace(settings.search, penalty=scenario.penalty),
-            None if checkpoints is None else checkpoints.absolute() / f"{scenario.id}.npz",
-            resume,
             device,
         )
         for scenario in settings.scenarios
@@ -259,23 +250,13 @@ def run_study(
     )
 
 
-def remove_checkpoints(settings: StudySettings, checkpoints: Path) -> None:
-    """Remove what `run_study` has left in the folder, and the folder if nothing else is in it."""
-    for scenario in settings.scenarios:
-        (checkpoints / f"{scenario.id}.npz").unlink(missing_ok=True)
-    with suppress(OSError):
-        checkpoints.rmdir()
-
-
-_Search = tuple[Problem, SearchSettings, Path | None, bool, torch.device | str]
-"""Of one scenario: what, how, its checkpoint and whether to resume there, and the device."""
+_Search = tuple[Problem, SearchSettings, torch.device | str]
+"""Of one scenario: what, how, and where."""
 
 
 def _searched(job: _Search) -> Extraction:
-    problem, settings, checkpoint, resume, device = job
-    return extract(
-        problem, settings, checkpoint=checkpoint, resume=resume, keep=True, device=device
-    )
+    problem, settings, device = job
+    return extract(problem, settings, device=device)
 
 
 class _Clock:

@@ -6,8 +6,8 @@ bottom of a smooth valley and not a kink. The idea is pycma's BoundTransform (Ha
 margin is the same at both ends.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -53,29 +53,6 @@ class SearchState:
     def point(self) -> Float[Tensor, "R n"]:
         """The centres in the box (R, n)."""
         return into_box(self.mean)
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """All of it as arrays on the CPU, by attribute name: for npz. Nothing is rounded."""
-        arrays = {k: x.detach().cpu().numpy().copy() for k, x in self.tensors().items()}
-        return arrays | {"generation": np.asarray(self.generation, dtype=np.int64)}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "SearchState":
-        """The state that `to_arrays` gave; other names in the mapping are ignored.
-
-        Raises:
-            TorchidError: an array is missing.
-        """
-        names = [f.name for f in fields(cls)]
-        missing = [name for name in names if name not in arrays]
-        if missing:
-            raise TorchidError(
-                f"the saved search lacks {', '.join(missing)}.",
-                got=", ".join(sorted(arrays)) or "nothing",
-                expected=", ".join(names),
-            )
-        tensors = {n: torch.tensor(np.asarray(arrays[n])) for n in names if n != "generation"}
-        return cls(**tensors, generation=int(arrays["generation"]))
 
     def part(self, runs: slice) -> "SearchState":
         """Some of the searches."""
