@@ -10,6 +10,7 @@ from torchid.app import options as opt
 from torchid.app.output import Reported
 from torchid.app.signature import Switch, command
 from torchid.extraction.settings import Schedule
+from torchid.files import make_folder
 from torchid.robot.config_files import robot_file
 
 
@@ -75,6 +76,7 @@ def study_command(
             told = of(progress, settings.name)
             found = run_study(settings, device=device_name, workers=crew, report=told)
         if folder is not None:
+            make_folder(folder)
             found.save(folder / "study.json")
             if figures:
                 page.write_study(found, folder)
