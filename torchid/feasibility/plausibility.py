@@ -7,12 +7,9 @@ A feasible set belongs to *some* body. What follows asks whether that body could
 | density       | mass over the volume of the inertia ellipsoid | outside 100 .. 12000 kg/m^3      |
 | shape_density | mass over the volume of the link's shapes     | outside 100 .. 12000 kg/m^3      |
 | inertia_size  | spread of the matter along an axis            | more than the link's box allows  |
-| gyration      | largest radius of gyration                    | over the arm's reach, below 1 mm |
 | com_distance  | CoM to the link's box, or to its joints       | outside; over a link's length    |
-| boundary      | degree of a condition                         | within 0.001 of 0                |
 | bound         | a parameter on or outside its bound           | within 0.001 of the interval     |
 | gravity_load  | torque that holds the arm, over the limit     | more than 1                      |
-| copied        | principal inertias, the same for all links    | to 1e-6                          |
 | own_*         | an <inertial> of the URDF before merging      | not a body's                     |
 | units         | masses and lengths of the robot's file        | off by a power of ten            |
 
@@ -32,18 +29,16 @@ import torch
 
 from torchid.dynamics.forward import gravity_torque
 from torchid.feasibility.bounds import Bounds
-from torchid.feasibility.margins import LINK_CONDITIONS, Feasibility, inertia_eigenvalues
+from torchid.feasibility.margins import inertia_eigenvalues
 from torchid.feasibility.sets import ParameterSets
 from torchid.results.record import Real
 from torchid.robot.inertia import InertialParameters, symmetric
 from torchid.robot.model import Robot
-from torchid.robot.shapes import LinkShapes, OwnInertial, joint_points, link_lengths, reach
+from torchid.robot.shapes import LinkShapes, OwnInertial, joint_points, link_lengths
 from torchid.typing import Float, Tensor
 
 ON_BOUNDARY = 1e-3
-"""Degree, or share of an interval between bounds, that counts as on the boundary."""
-SAME = 1e-6
-"""Relative difference below which inertias are copies of one another."""
+"""Share of an interval between bounds that counts as on one of them."""
 ROUNDING = 1e-9
 _POSES = 256
 _SETS = 64
@@ -115,22 +110,6 @@ def each(mask: Tensor) -> list[list[int]]:
     return mask.nonzero().tolist()
 
 
-def add_boundaries(found: list[list[Finding]], feasibility: Feasibility) -> None:
-    """Conditions whose degree is within `ON_BOUNDARY` of 0."""
-    n, links = feasibility.degrees.shape[1], feasibility.degrees.flatten(1)
-    total = feasibility.total_mass_degree.unsqueeze(-1)
-    places = [(i + 1, f"link {i + 1}: ", name) for i in range(n) for name in LINK_CONDITIONS]
-    for degrees, named in (
-        (links, places),
-        (total, [(None, "", "total mass")]),
-        (feasibility.coefficient_degrees, [(None, "", c) for c in feasibility.coefficient_names]),
-    ):
-        for k, i in each(degrees.abs() < ON_BOUNDARY):
-            (link, at, name), value = named[i], float(degrees[k, i])
-            sentence = f"{at}the condition '{name}' is on its boundary (degree {value:.1e})"
-            found[k].append(Finding(link, "boundary", value, ON_BOUNDARY, sentence))
-
-
 def add_bounds(found: list[list[Finding]], sets: ParameterSets, bounds: Bounds) -> None:
     """Search variables on or outside their bounds."""
     values = sets.search_vector
@@ -190,25 +169,11 @@ def add_gravity_loads(
             found[first + k].append(one)
 
 
-def add_copies(found: list[list[Finding]], parameters: InertialParameters) -> None:
-    """Principal inertias that are the same for all links."""
-    values = inertia_eigenvalues(parameters)
-    if values.shape[-2] < 2:
-        return
-    size = values.abs().amax(-1).amax(-1)
-    apart = (values - values[..., :1, :]).abs().amax(-1).amax(-1)
-    for (k,) in each(apart <= SAME * size):
-        sentence = "all links have the same principal inertias: were they copied?"
-        found[k].append(Finding(None, "copied", float(apart[k]), SAME * float(size[k]), sentence))
-
-
 LEAD = 12000.0
 """Density that nothing an arm is built of has [kg/m^3]."""
 
 DENSITIES = (100.0, LEAD)
 """Mean densities that a link of an arm may have [kg/m^3]."""
-SMALLEST_GYRATION = 1e-3
-"""Radius of gyration below which a link is a point [m]."""
 _AXES = "xyz"
 
 
@@ -246,7 +211,6 @@ def bodies(parameters: InertialParameters) -> Bodies:
 def plausibility(
     robot: Robot,
     sets: ParameterSets,
-    feasibility: Feasibility,
     *,
     shapes: LinkShapes | None = None,
     bounds: Bounds | None = None,
@@ -257,7 +221,6 @@ def plausibility(
     Args:
         robot: whose joints, limits and gravity count.
         sets: K sets.
-        feasibility: of the sets, for what is on a boundary.
         shapes: of the links; where unknown the distances of the joints are used.
         bounds: the sets were searched in; nothing is said of bounds if None.
         seed: of the poses in which the arm's weight is held.
@@ -266,13 +229,10 @@ def plausibility(
     own = bodies(sets.parameters)
     _densities(found, own, sets.parameters.mass, shapes)
     _sizes(found, own, sets.parameters, robot, shapes)
-    _gyrations(found, own, robot, shapes)
     _distances(found, sets.parameters, robot, shapes)
-    add_boundaries(found, feasibility)
     if bounds is not None:
         add_bounds(found, sets, bounds)
     add_gravity_loads(found, sets.parameters, robot, seed)
-    add_copies(found, sets.parameters)
     return tuple(tuple(one) for one in found)
 
 
@@ -332,23 +292,6 @@ def _sizes(
             f"centre of mass; going by its joints, the link ends within {1e3 * limit:.0f} mm"
         )
         found[k].append(Finding(link + 1, "inertia_size", value, limit, sentence))
-
-
-def _gyrations(
-    found: list[list[Finding]], own: Bodies, robot: Robot, shapes: LinkShapes | None
-) -> None:
-    """Radii over the arm's reach, or over the diagonal of its largest box where that is longer."""
-    longest = reach(robot)
-    if shapes is not None and any(shapes.known):
-        diagonals = (shapes.boxes[..., 1] - shapes.boxes[..., 0]).norm(dim=-1).nan_to_num(0.0)
-        longest = max(longest, float(diagonals.max()))
-    for k, link in each((own.gyration > longest) | (own.gyration < SMALLEST_GYRATION)):
-        value = float(own.gyration[k, link])
-        large = value > longest
-        said = f"more than the whole arm's length ({longest:.2g} m)" if large else "that of a point"
-        sentence = f"link {link + 1}: its radius of gyration is {1e3 * value:.3g} mm, {said}"
-        limit = longest if large else SMALLEST_GYRATION
-        found[k].append(Finding(link + 1, "gyration", value, limit, sentence))
 
 
 def _distances(

@@ -270,7 +270,7 @@ def check_sets(
     box, words = _com_boxes(robot, geometry, shapes)
     asked = conditions(robot, com_box=box, shapes=round_shapes, total_mass=total_mass)
     verdicts = feasibility(sets, asked)
-    found = plausibility(robot, sets, verdicts, shapes=shapes, bounds=bounds, seed=seed)
+    found = plausibility(robot, sets, shapes=shapes, bounds=bounds, seed=seed)
     said = [w for w in robot.warnings if "physically consistent" not in w]
     return Check(
         robot=robot,
