@@ -246,28 +246,6 @@ def test_analytic_centre_does_not_depend_on_the_start() -> None:
     torch.testing.assert_close(other.vector, nominal.vector, rtol=1e-5, atol=1e-7)
 
 
-def test_shapes_are_kept_and_violated() -> None:
-    case = setting("3r")
-    round_ = conditions(case.robot, com_box=case.geometry.com, shapes=True, total_mass=TOTAL["3r"])
-    reference = interior_reference(case.start, case.base, round_, case.geometry)
-    found = equal_torque_sets(
-        case.robot,
-        case.base,
-        reference,
-        round_,
-        case.outer,
-        kinds=("feasible", "inertia", "shape"),
-        per_kind=30,
-        chains=12,
-    )
-    checked = feasibility(found.sets, round_)
-    assert [found.kind.count(k) for k in ("feasible", "inertia")] == [30, 30]
-    # Only the corners between a box and its cylinder violate the shape alone.
-    assert found.kind.count("shape") >= 3
-    for k, kind in enumerate(found.kind):
-        assert kinds(checked.reasons(k)) == ({kind} - {"feasible"})
-
-
 def test_kinds_without_a_condition_are_named() -> None:
     case = setting("3r")
     free = conditions(case.robot, com_box=case.geometry.com)
@@ -277,12 +255,12 @@ def test_kinds_without_a_condition_are_named() -> None:
         case.reference,
         free,
         case.outer,
-        kinds=("total_mass", "shape", "feasible"),
+        kinds=("total_mass", "feasible"),
         per_kind=4,
         chains=2,
     )
     assert found.kind == ("feasible",) * 4
-    assert [w.split(":")[0] for w in found.warnings] == ["kind total_mass", "kind shape"]
+    assert [w.split(":")[0] for w in found.warnings] == ["kind total_mass"]
 
 
 def test_published_lwr_has_no_feasible_set() -> None:

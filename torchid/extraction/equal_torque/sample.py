@@ -7,7 +7,6 @@ x = (m, m c, J) the conditions of section 2.3 are convex:
     positive mass (2.22)        m > 0
     a body's inertia (2.26)     pseudo-inertia [[S, m c], [m c', m]] > 0, S = tr(J)/2 E - J
     box of the CoM (2.27)       m c_min <= m c <= m c_max
-    cylinder or sphere          |m c - m c_0| <= m r, as a matrix [[m r E, v], [v', m r]] >= 0
     total mass (2.31)           linear
 
 (Wensing, Kim and Slotine 2018 for the pseudo-inertia). Sets that violate one kind of condition only
@@ -58,7 +57,6 @@ class Limits:
         sign: (K, n) 1, or -1 for a link with a negative mass.
         mass: (K, n, 2) of sign * m [kg].
         com: (K, n, 3, 2) [m].
-        radius: (K, n) of the cylinders and spheres, infinite for none [m].
         second: (K, n) smallest second moments about the CoM [kg m^2].
         total: (K, 2) of the sum of the masses [kg].
         firm: (K,) smallest degrees of masses and of second moments.
@@ -67,7 +65,6 @@ class Limits:
     sign: Tensor
     mass: Tensor
     com: Tensor
-    radius: Tensor
     second: Tensor
     total: Tensor
     firm: Tensor
@@ -124,8 +121,8 @@ class EqualTorqueSpace:
         com = torch.where(torch.isfinite(box), box, self.outer.com)
         mass = torch.stack([self.outer.mass[:, 0].clamp(min=0.0), self.heaviest], -1)
         zeros = torch.zeros_like(self.scale)
-        radius, total = self.conditions.round_radius, self.conditions.total_mass
-        full = Limits(zeros + 1, mass, com, radius, zeros, total, self.x.new_zeros(()))
+        total = self.conditions.total_mass
+        full = Limits(zeros + 1, mass, com, zeros, total, self.x.new_zeros(()))
         return Limits(*(v.expand(k, *v.shape).clone() for v in vars(full).values()))
 
     def region(self, limits: Limits) -> Region:
@@ -162,19 +159,7 @@ class EqualTorqueSpace:
         mean = pseudo[..., :3, :3].diagonal(dim1=-2, dim2=-1).mean(-1, keepdim=True)
         less = limits.firm[:, None, None] * mean
         pseudo = pseudo - torch.diag_embed(torch.cat([less, less, less, 0 * less], -1))
-        blocks = [(pseudo * keep).flatten(-3)]
-        if bool(torch.isfinite(limits.radius).any()):
-            blocks.append(self._round(m, h, limits).flatten(-3))
-        return torch.cat(rows, -1), torch.cat(blocks, -1)
-
-    def _round(self, m: Tensor, h: Tensor, limits: Limits) -> Tensor:
-        """[[m r E, v], [v', m r]] (..., K, n, 4, 4), zero for links without a shape."""
-        known = torch.isfinite(limits.radius)
-        away = (h - m * self.conditions.round_centre) * self.conditions.round_axes
-        reach = m * torch.where(known, limits.radius, 0.0).unsqueeze(-1)
-        arrow = torch.diag_embed(reach.expand(*reach.shape[:-1], 4))
-        arrow[..., :3, 3] = arrow[..., 3, :3] = away * known.unsqueeze(-1)
-        return arrow
+        return torch.cat(rows, -1), (pseudo * keep).flatten(-3)
 
     def _constants(self, limits: Limits) -> tuple[Tensor, Tensor]:
         """Constant parts (K, R) and (K, 16 L)."""
@@ -187,12 +172,7 @@ class EqualTorqueSpace:
         rows = torch.cat([-limits.mass[..., 0], limits.mass[..., 1], boxes, j, j, total], -1)
         shift = torch.zeros(k, self.n, 4, dtype=self.x.dtype)
         shift[..., :3] = -limits.second.unsqueeze(-1)
-        blocks = [torch.diag_embed(shift).flatten(1)]
-        known = torch.isfinite(limits.radius)
-        if bool(known.any()):
-            free = (~known).to(self.x.dtype)
-            blocks.append(torch.diag_embed(free.unsqueeze(-1).expand(-1, -1, 4)).flatten(1))
-        return rows, torch.cat(blocks, -1)
+        return rows, torch.diag_embed(shift).flatten(1)
 
     def sets(self, z: Float[Tensor, "K D"], ids: Sequence[str]) -> ParameterSets:
         """The sets at coordinates z."""
@@ -258,7 +238,6 @@ def relaxed_limits(
             limits,
             firm=firm,
             com=torch.stack([low + side, high - side], -1),
-            radius=limits.radius * (1 - by),
             total=limits.total + torch.cat([inner, -inner], -1),
         )
     # What leaves a kind nothing to violate.
@@ -266,7 +245,6 @@ def relaxed_limits(
     possible = {
         "com": bool(wider.any()),
         "total_mass": bool(torch.isfinite(walk.conditions.total_mass).any()),
-        "shape": bool(torch.isfinite(walk.conditions.round_radius).any()),
     }
     if not all(possible.get(kind, True) for kind in relaxed):
         return None
@@ -326,21 +304,17 @@ def _relaxed(
         high = torch.where(negative, deepest, limits.mass[..., 1])
         sign = torch.where(negative, -1.0, 1.0).to(low)
         return replace(limits, sign=sign, mass=torch.stack([low, high], -1))
-    if kind == "total_mass":
-        # Above the interval, and below it in every other chain.
-        low, high = limits.total.unbind(-1)
-        part = share.flatten()
-        above = torch.stack([high, high + part * (walk.heaviest.sum() - high).clamp(min=0.0)], -1)
-        below = torch.stack([low * (1 - part), low], -1)
-        down = ((chain % 2 == 1) & (low > 0)) | ~torch.isfinite(high)
-        return replace(limits, total=torch.where(down.unsqueeze(-1), below, above))
-    # Radii of the shapes up to twice themselves and the reach of the boxes.
-    grown = limits.radius + share * (limits.radius + walk.widest.abs().amax(-1).norm(dim=-1))
-    return replace(limits, radius=torch.where(links, grown, limits.radius))
+    # Above the interval, and below it in every other chain.
+    low, high = limits.total.unbind(-1)
+    part = share.flatten()
+    above = torch.stack([high, high + part * (walk.heaviest.sum() - high).clamp(min=0.0)], -1)
+    below = torch.stack([low * (1 - part), low], -1)
+    down = ((chain % 2 == 1) & (low > 0)) | ~torch.isfinite(high)
+    return replace(limits, total=torch.where(down.unsqueeze(-1), below, above))
 
 
 FEASIBLE = "feasible"
-RELAXABLE = ("inertia", "com", "mass", "total_mass", "shape")
+RELAXABLE = ("inertia", "com", "mass", "total_mass")
 """Kinds of conditions a family can violate; several are joined by +, e.g. inertia+com."""
 KINDS = (FEASIBLE, "inertia", "com", "mass", "total_mass", "inertia+com")
 DRAWS = 4
