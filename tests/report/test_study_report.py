@@ -226,7 +226,7 @@ def test_a_study_without_feasible_sets_has_a_report(without_feasible):
     found = {d.file: d for d in figures if d.name.startswith("wrenches")}
     assert set(found) == {f"wrenches_UN-{s.scenario.id}.png" for s in without_feasible.scenarios}
     for d in figures:
-        if d.name in ("overview_force", "degrees", "force_error_by_degree"):
+        if d.name in ("degrees", "force_error_by_degree"):
             d.draw()
     labels = [line.get_label() for line in found["wrenches_UN-p_1.png"].draw().axes[0].lines]
     assert labels == ["real", "UN = p_1"]

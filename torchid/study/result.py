@@ -185,13 +185,12 @@ class PayloadResult:
     Attributes:
         true: (10,) in the tool frame, as simulated.
         estimate: from logs with noise of encoder and torque.
-        force, moment: (3, T, n) norms: without, with the true, with the estimated payload.
+        force: (3, T, n) norms: without, with the true, with the estimated payload [N].
     """
 
     true: Float[Tensor, "10"]
     estimate: Payload
     force: Float[Tensor, "3 T n"]
-    moment: Float[Tensor, "3 T n"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -127,8 +127,8 @@ def payload_part(robot: Robot, settings: StudySettings, motion: Log) -> PayloadR
     guessed = with_payload(robot, estimate.tool.parameters.value.nan_to_num(0.0))
     arms = (robot, loaded, guessed)
     pi = torch.stack([arm.require_parameters("the study").pi for arm in arms])
-    force, moment = wrench_norms(robot, *state(motion), InertialParameters(pi))
-    return PayloadResult(true, estimate, force, moment)
+    force, _ = wrench_norms(robot, *state(motion), InertialParameters(pi))
+    return PayloadResult(true, estimate, force)
 
 
 Report = Callable[[str, int, int], None]

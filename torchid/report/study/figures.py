@@ -31,13 +31,10 @@ from torchid.report.study.facts import by_feasibility, ids, number
 from torchid.robot.model import torque_unit
 from torchid.study.result import SetsOnMotion, Study
 from torchid.study.study import new_motion
-from torchid.typing import Float, Tensor
 
-_STYLES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)))
-"""Lines that distinguish sets of one colour."""
-_Line = tuple[str, str, str, Any]
-"""What the legend says, id of the set or `real`, colour, dashes."""
-_REAL: _Line = ("real", "real", REAL, "-")
+_Line = tuple[str, str, str]
+"""What the legend says, id of the set or `real`, colour."""
+_REAL: _Line = ("real", "real", REAL)
 _FAR = 8.0
 """Times the real arm's largest value from which a logarithmic axis is easier to read."""
 _DECADES = 1e-3
@@ -94,7 +91,7 @@ def drawings(study: Study) -> list[Picture]:
         for section, named in CAPTIONS.items()
         for name, caption in named.items()
     ]
-    return [*_motions(study), *fixed, *_overviews(study), *_combinations(study)]
+    return [*_motions(study), *fixed, *_combinations(study)]
 
 
 def kinds(study: Study) -> Figures:
@@ -142,25 +139,6 @@ def _motions(study: Study) -> list[Picture]:
     return out
 
 
-def _overviews(study: Study) -> list[Picture]:
-    """Internal forces and moments of all best sets."""
-    wrench, chosen = study.wrench_motion, [_REAL]
-    for feasible, colour in ((True, KEEPS), (False, BREAKS)):
-        for k, own in enumerate(ids(by_feasibility(study, feasible))):
-            said = f"{own} ({'feasible' if feasible else 'infeasible'})"
-            chosen.append((said, own, colour, _STYLES[k % len(_STYLES)]))
-    out = []
-    for what, unit, values in (("force", "N", wrench.force), ("moment", "N m", wrench.moment)):
-        title = f"{study.robot.name}: internal {what}s of all best sets"
-        draw = partial(_norms, wrench, values, chosen, title, f"{what} norm [{unit}]")
-        caption = (
-            f"Norms of the internal {what}s [{unit}] of all best sets on the reference motion: "
-            "real black, feasible sets green, infeasible ones red."
-        )
-        out.append(drawing("wrenches", f"overview_{what}", caption, draw))
-    return out
-
-
 def _combinations(study: Study) -> list[Picture]:
     """Internal forces of every feasible best set beside every infeasible one; one of them is left
     out where there is none."""
@@ -168,11 +146,11 @@ def _combinations(study: Study) -> list[Picture]:
     wrench, out = study.wrench_motion, []
     for a, b in product(good, bad):
         parts = [x for x in (("F", a, KEEPS), ("UN", b, BREAKS)) if x[1]]
-        shown = [_REAL, *((f"{kind} = {own}", own, colour, "-") for kind, own, colour in parts)]
+        shown = [_REAL, *((f"{kind} = {own}", own, colour) for kind, own, colour in parts)]
         named = ", ".join(x[0] for x in shown[1:])
         caption = f"Norms of the internal forces on the reference motion, per joint: {named}, real."
         title = f"{study.robot.name}: internal forces, {named}, real"
-        draw = partial(_norms, wrench, wrench.force, shown, title, "force norm [N]")
+        draw = partial(_norms, wrench, shown, title)
         name = "wrenches_" + "_".join(f"{kind}-{own}" for kind, own, _ in parts)
         out.append(drawing("wrenches", name, caption, draw))
     return out
@@ -252,20 +230,20 @@ def _degrees(study: Study) -> Figure:
     return finish(figure, f"{study.robot.name}: degree of feasibility of all runs", axes, columns=3)
 
 
-def _norms(
-    sets: SetsOnMotion, values: Float[Tensor, "S T n"], chosen: Sequence[_Line], title: str, y: str
-) -> Figure:
-    """Norms of some sets, one panel a joint."""
-    shown = values[[facts.row_of(sets, own) for _, own, _, _ in chosen]]
-    real = values[0].amax(0)
+def _norms(sets: SetsOnMotion, chosen: Sequence[_Line], title: str) -> Figure:
+    """Norms of the forces of some sets, one panel a joint."""
+    shown = sets.force[[facts.row_of(sets, own) for _, own, _ in chosen]]
+    real = sets.force[0].amax(0)
     far = bool((shown.amax((0, 1)) > _FAR * real.clamp(min=1e-9)).any())
     curves = {}
-    for (text, own, colour, dashes), norms in zip(chosen, shown, strict=True):
+    for (text, own, colour), norms in zip(chosen, shown, strict=True):
         width, order = (2.4, 2) if own == "real" else (1.3, 3)
         style = {"linewidth": width, "zorder": order, "alpha": 0.85}
-        curves[text] = (thin(norms), {"color": colour, "linestyle": dashes, **style})
+        curves[text] = (thin(norms), {"color": colour, **style})
     title += " (logarithmic)" if far else ""
-    figure, panels = joint_lines(title, y, thin(sets.motion.t - sets.motion.t[0]), curves)
+    figure, panels = joint_lines(
+        title, "force norm [N]", thin(sets.motion.t - sets.motion.t[0]), curves
+    )
     for j, axes in enumerate(panels if far else ()):
         least = max(_DECADES * float(real[j]), float(shown[..., j].min()) / 2)
         axes.set(yscale="log", ylim=(least, None))
