@@ -94,6 +94,9 @@ def extract(
             number of them.
         report: called with (stages done, stages in all).
 
+    Raises:
+        BrokenProcessPool: a worker was killed, as where memory runs out.
+
     >>> from torchid import load_robot, problem_of
     >>> from torchid.identification.values import nominal_base
     >>> robot = load_robot("3r")
