@@ -8,13 +8,13 @@ import torch
 from tests.position.planted import COUNT, commands, robot, true_servos
 from torchid.log.model import Log
 from torchid.position.data import RATE, WINDOW_S, prepare
-from torchid.position.diagnose import diagnose_positions
+from torchid.position.diagnose import RATIO, diagnose_positions
 from torchid.position.judge import alike_rows, equations
 from torchid.position.search import plain
 from torchid.simulation.replay import replayed
 from torchid.simulation.servo_loop import Tracks, windows_of
 
-FINE, KNOTS = 500, 25
+FINE, KNOTS = 1000, 25
 """Rates of the simulation, and of the knots that commands go straight between [Hz]."""
 
 
@@ -51,17 +51,20 @@ def simulated(motions: int = 2, seconds: float = 6.0, kd: float = 0.0):
 
 @pytest.mark.nightly
 def test_what_is_known_is_known_at_every_rate():
-    """Deviations at 25, 50, 250 and 500 Hz: of a fast log they are those at 50 Hz, of a slow one
-    nearly so, for rows are as good as one as long as their errors are alike."""
+    """Deviations at 25, 50, 200 and 500 Hz: of a fast log they are those at 50 Hz, of a slow one
+    nearly so, for rows are as good as one as long as their errors are alike. Of a joint that no
+    load anchors the scale of torques hardly shows, and hangs on when it sticks."""
     log, std, alike = simulated(motions=6, seconds=8.0), {}, {}
-    for rate in (25, 50, 250, 500):
+    for rate in (25, 50, 200, 500):
         data = prepare(robot(), log(rate))
         windows = windows_of(data.tracks, WINDOW_S)
         found = plain(data, windows)
         known = equations(data, found.servos, found.free, windows)
         std[rate], alike[rate] = known.deviations(), known.alike * data.tracks.dt
-    for rate in (250, 500):
-        assert torch.allclose(std[rate], std[50], rtol=0.15)
+    anchored = std[50][:, list(found.free).index("kp")] < RATIO
+    assert anchored.tolist() == [False, True, True]
+    for rate in (200, 500):
+        assert torch.allclose(std[rate][anchored], std[50][anchored], rtol=0.15)
     assert torch.allclose(alike[25], alike[50], rtol=0.15)
     assert float((std[25] / std[50]).median()) == pytest.approx(1.0, abs=0.15)
 
@@ -69,11 +72,11 @@ def test_what_is_known_is_known_at_every_rate():
 @pytest.mark.nightly
 def test_the_same_is_named_at_every_rate():
     log, named = simulated(motions=4, seconds=12.0, kd=25.0), []
-    for rate in (25, 50, 250, 500):
+    for rate in (25, 50, 200, 500):
         found = diagnose_positions(robot(), log(rate))
         named.append({(f.effect, f.joint) for f in found.findings})
         kp = float(found.servos.of("kp")[1])
-        assert kp == pytest.approx(260.0, rel=0.1)
+        assert kp == pytest.approx(260.0, rel=0.15)
     assert all(names == named[0] for names in named)
     assert ("derivative_gain", 2) in named[0]
 
@@ -84,7 +87,7 @@ def test_a_fast_log_is_thinned_and_a_slow_one_stays():
     data = prepare(robot(), log)
     assert 1 / data.tracks.dt == pytest.approx(RATE)
     assert data.held == pytest.approx(1 / FINE)
-    assert torch.equal(data.q, log.q[torch.cat([r + torch.arange(0, 2981, 10) for r in (0, 2981)])])
+    assert torch.equal(data.q, log.q[torch.cat([r + torch.arange(0, 5961, 10) for r in (0, 5961)])])
     assert len(prepare(robot(), log, all_rows=True).q) == log.samples
     slow = simulated()(25)
     assert len(prepare(robot(), slow).q) == slow.samples
