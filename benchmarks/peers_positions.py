@@ -10,7 +10,6 @@ are the file's, and the simulator, its derivatives and its optimiser MuJoCo's ow
 the difference of positions in radians: its own default divides by each window's size.
 """
 
-import argparse
 import io
 import os
 import tempfile
@@ -26,14 +25,12 @@ import mujoco
 import numpy as np
 import torch
 from mujoco import sysid
+from position_errors import fold_parser, print_errors, read_folds
 
 from torchid.export.export import export_dynamics
 from torchid.log.model import Log
-from torchid.log.readers import read_log
 from torchid.position.data import WINDOW_S, PositionData, prepare
 from torchid.position.diagnose import some_of
-from torchid.position.judge import folds_of
-from torchid.robot.library import load_robot
 from torchid.simulation.servo_loop import windows_of
 
 START = {"kp": 17.8, "damping": 0.6, "armature": 0.028, "frictionloss": 0.052}
@@ -143,18 +140,12 @@ def chunks_of(data: PositionData, seconds: float | None, most: int | None = None
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("robot")
-    parser.add_argument("logs", nargs="+", type=Path)
-    parser.add_argument("--folds", type=int, default=5)
+    parser = fold_parser(__doc__)
     parser.add_argument("--only", type=int, nargs="*", help="these folds alone")
     parser.add_argument("--windows", type=int, default=60, help="that a fit looks at")
     parser.add_argument("--friction", default="default,firm")
     given = parser.parse_args()
-    torch.set_num_threads(1)
-    robot, log = load_robot(given.robot), read_log(given.logs)
-    parts = log.trajectories()
-    folds = folds_of(len(parts), given.folds).tolist()
+    robot, parts, folds = read_folds(given)
     for friction in given.friction.split(","):
         squares: dict[float | None, list[torch.Tensor]] = {None: [], WINDOW_S: []}
         busy, taken = 0.0, given.only or range(given.folds)
@@ -184,16 +175,8 @@ def main() -> None:
                     radians = torch.from_numpy(error.reshape(-1, robot.n)) / kept.scale
                     rows.append(torch.cat([torch.zeros(1, robot.n), radians]).square())
         for seconds, rows in squares.items():
-            together = 1e3 * torch.cat(rows).mean(0).sqrt()
-            each = 1e3 * torch.stack([s.mean(0).sqrt() for s in rows]).mean(1)
-            row = " ".join(f"{v:6.1f}" for v in together.tolist())
-            print(
-                f"{friction:8s}{'whole' if seconds is None else '2 s':6s} all rows {row}  mean "
-                f"{float(together.mean()):5.2f}  {'motions' if seconds is None else 'windows'}: mean "
-                f"{float(each.mean()):5.2f}, median {float(each.median()):5.2f} mrad  "
-                f"({busy / len(taken):.0f} s of a core a fold)",
-                flush=True,
-            )
+            each = "motions" if seconds is None else "windows"
+            print_errors(friction, seconds, rows, busy / len(taken), each=each)
 
 
 if __name__ == "__main__":

@@ -10,23 +10,19 @@ that grows with the load, and both, as bam's M2 to M4 do. `boosting` (needs scik
 positions from late commands and play operators of them, joint by joint.
 """
 
-import argparse
 import time
-from pathlib import Path
 
 import numpy as np
 import torch
+from position_errors import fold_parser, print_errors, read_folds
 
 from torchid.log.model import Log
-from torchid.log.readers import read_log
 from torchid.position.data import WINDOW_S, prepare
 from torchid.position.diagnose import MOST, some_of
 from torchid.position.effects import CORE
 from torchid.position.fit import fit
-from torchid.position.judge import folds_of
 from torchid.position.model import ServoArm, replay
 from torchid.position.search import _start
-from torchid.robot.library import load_robot
 from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of
 
@@ -118,10 +114,7 @@ def boosting(training: Log):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("robot")
-    parser.add_argument("logs", nargs="+", type=Path)
-    parser.add_argument("--folds", type=int, default=5)
+    parser = fold_parser(__doc__)
     parser.add_argument("--only", default=",".join(("delayed", *LADDER, "boosting")))
     parser.add_argument(
         "--gains",
@@ -131,10 +124,7 @@ def main() -> None:
         help="the maker's, of all or each joint",
     )
     given = parser.parse_args()
-    torch.set_num_threads(1)
-    robot, log = load_robot(given.robot), read_log(given.logs)
-    parts = log.trajectories()
-    folds = folds_of(len(parts), given.folds).tolist()
+    robot, parts, folds = read_folds(given)
     for name in given.only.split(","):
         squares = {None: [], 2.0: []}
         busy = time.process_time()
@@ -150,15 +140,7 @@ def main() -> None:
                         rows.append((model(part, seconds) - part.q).square())
         busy = (time.process_time() - busy) / given.folds
         for seconds, rows in squares.items():
-            together = 1e3 * torch.cat(rows).mean(0).sqrt()
-            each = 1e3 * torch.stack([s.mean(0).sqrt() for s in rows]).mean(1)
-            row = " ".join(f"{v:6.1f}" for v in together.tolist())
-            print(
-                f"{name:11s}{'whole' if seconds is None else '2 s':6s} all rows {row}  mean "
-                f"{float(together.mean()):5.2f}  motions: mean {float(each.mean()):5.2f}, median "
-                f"{float(each.median()):5.2f} mrad  ({busy:.0f} s of a core a fold)",
-                flush=True,
-            )
+            print_errors(name, seconds, rows, busy, each="motions")
 
 
 if __name__ == "__main__":

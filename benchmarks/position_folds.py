@@ -7,31 +7,21 @@ Prints RMS errors in mrad of the log's unit, mean of the joints: of all rows tog
 over motions; whole motions from the measured start, and windows of 2 s.
 """
 
-import argparse
 import time
-from pathlib import Path
 
 import torch
+from position_errors import fold_parser, read_folds
 
 from torchid.log.model import Log
-from torchid.log.readers import read_log
 from torchid.position.diagnose import answer
-from torchid.position.judge import folds_of
 from torchid.position.model import ServoArm, replay
-from torchid.robot.library import load_robot
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("robot")
-    parser.add_argument("logs", nargs="+", type=Path)
-    parser.add_argument("--folds", type=int, default=5)
+    parser = fold_parser(__doc__)
     parser.add_argument("--only", type=int, nargs="*", help="these folds alone")
     given = parser.parse_args()
-    torch.set_num_threads(1)
-    robot, log = load_robot(given.robot), read_log(given.logs)
-    parts = log.trajectories()
-    folds = folds_of(len(parts), given.folds).tolist()
+    robot, parts, folds = read_folds(given)
     squares = {"whole": [], "2 s": []}
     for fold in given.only or range(given.folds):
         begun, busy = time.perf_counter(), time.process_time()

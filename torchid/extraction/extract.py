@@ -10,7 +10,7 @@ has several such blocks of runs, which know nothing of each other, so that any w
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -23,7 +23,7 @@ from torchid.extraction.found import Extraction
 from torchid.extraction.penalty import gamma
 from torchid.extraction.problem import Problem
 from torchid.extraction.settings import SearchSettings
-from torchid.parallel.workers import Executor, Workers, each, opened
+from torchid.parallel.workers import Workers, each, opened
 from torchid.typing import Float, Tensor
 
 Report = Callable[[int, int], None]
@@ -38,22 +38,6 @@ _FIRST_SIGMA = 0.3
 _LEAST_SIGMA = 1e-3
 """Step size with which a stage begins at least: the minimum has moved, and a search that has
 converged on the old one would be stuck there."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Progress:
-    """Where a search is.
-
-    Attributes:
-        stage: how many stages are done.
-        state: of the searches.
-        phi, gamma: (R, stage) of the best so far, after each stage.
-    """
-
-    stage: int
-    state: SearchState
-    phi: Float[Tensor, "R K"]
-    gamma: Float[Tensor, "R K"]
 
 
 def require_possible(problem: Problem) -> None:
@@ -110,14 +94,20 @@ def extract(
     generator = torch.Generator().manual_seed(settings.seed)
     shape = (settings.runs, problem.size)
     uniform = torch.rand(shape, generator=generator, dtype=problem.box.dtype)
-    now = _Progress(0, start(uniform, _FIRST_SIGMA), uniform[:, :0], uniform[:, :0])
+    state, history = start(uniform, _FIRST_SIGMA), list[tuple[Tensor, Tensor]]()
     blocks = _blocks(problem, settings, device)
     with opened(workers if len(blocks) > 1 else 1, _advanced) as (pool, _):
-        while now.stage < settings.stages:
-            now = _next_stage(problem, settings, now, blocks, pool, device)
+        for stage in range(settings.stages):
+            parts = [
+                _Block(problem, settings, device, stage, state.part(block), block.start)
+                for block in blocks
+            ]
+            state = SearchState.joined(each(_advanced, parts, pool))
+            searched = problem.physical(state.best)
+            history.append((problem.phi(searched), gamma(problem, searched)))
             if report is not None:
-                report(now.stage, settings.stages)
-        searched, full = problem.physical(now.state.best), settings.penalty == "full"
+                report(stage + 1, settings.stages)
+        full = settings.penalty == "full"
         jobs = [(problem, searched[block], full) for block in blocks]
         ends = torch.cat(each(_finished, jobs, pool))
     weight = 10.0 * settings.stages if full else 0.0
@@ -125,14 +115,15 @@ def extract(
     before, after = (problem.phi(x) + weight * gamma(problem, x) for x in (searched, ends))
     p = torch.where((after <= before).unsqueeze(-1), ends, searched)
     phi, violated = problem.phi(p), gamma(problem, p)
+    history_phi, history_gamma = (torch.stack(values, -1) for values in zip(*history, strict=True))
     return Extraction(
         problem=problem,
         settings=settings,
         sets=problem.sets(p, [f"run_{k + 1}" for k in range(settings.runs)]),
         phi=phi,
         gamma=violated,
-        history_phi=now.phi,
-        history_gamma=now.gamma,
+        history_phi=history_phi,
+        history_gamma=history_gamma,
         contradictions=attainable(problem)[1],
         seconds=time.monotonic() - began,
     )
@@ -194,22 +185,3 @@ def _finished(job: tuple[Problem, Float[Tensor, "R D"], bool]) -> Float[Tensor, 
     """The ends of some of the runs."""
     problem, searched, full = job
     return finished(problem, searched, conditions=full)
-
-
-def _next_stage(
-    problem: Problem,
-    settings: SearchSettings,
-    now: _Progress,
-    blocks: Sequence[slice],
-    pool: Executor,
-    device: torch.device | str,
-) -> _Progress:
-    jobs = [
-        _Block(problem, settings, device, now.stage, now.state.part(block), block.start)
-        for block in blocks
-    ]
-    found = SearchState.joined(each(_advanced, jobs, pool))
-    p = problem.physical(found.best)
-    phi = torch.cat([now.phi, problem.phi(p).unsqueeze(-1)], -1)
-    violated = torch.cat([now.gamma, gamma(problem, p).unsqueeze(-1)], -1)
-    return _Progress(now.stage + 1, found, phi, violated)

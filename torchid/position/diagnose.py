@@ -55,6 +55,7 @@ from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, PLANE, TORQUES, 
 from torchid.simulation.servo_loop import Windows, windows_of
 from torchid.statistics.criteria import MOVED_STD, WORTHWHILE
 from torchid.statistics.proportion import HALF_95
+from torchid.typing import Float
 
 STAGES = 16
 """That are told as progress."""
@@ -667,6 +668,8 @@ def _findings(
         )
 
     deviation = known.deviations(shares)
+    # Torques of servos of one type are alike beside their gain.
+    beside_gain = known.deviations(torch.ones_like(shares))
     looked = float(data.tracks.u.shape[0])
     motions = list(zip(data.log.names, data.log.duration, strict=True))
     out = []
@@ -714,7 +717,9 @@ def _findings(
             )
             continue
         joints = torch.nonzero(without.isfinite() & ~_still(data)).flatten().tolist()
-        alike = dict(zip(joints, _alike(known, effect.parameters[0], joints), strict=True))
+        alike = dict(
+            zip(joints, _alike(known, beside_gain, effect.parameters[0], joints), strict=True)
+        )
         for j in joints:
             sizes = []
             for key in effect.parameters:
@@ -749,13 +754,14 @@ def _findings(
     return tuple(sorted(out, key=lambda f: f.error_with - f.error_without))
 
 
-def _alike(known: Equations, name: str, joints: Sequence[int]) -> list[float]:
-    """Rises of an effect on joints that have it, by a parameter that all servos of a type share."""
+def _alike(
+    known: Equations, deviation: Float[Tensor, "n K"], name: str, joints: Sequence[int]
+) -> list[float]:
+    """Rises of an effect on joints that have it, by a parameter that all servos of a type share;
+    deviations of torques are those of shares of kp."""
     if name not in OF_TYPE or name not in known.names or not joints:
         return [0.0] * len(joints)
-    # Torques of servos of one type are alike beside their gain.
-    share, k = torch.ones(known.servos.n, dtype=torch.bool), known.names.index(name)
-    value, std = known.servos.of(name), known.deviations(share)[:, k]
+    value, std = known.servos.of(name), deviation[:, known.names.index(name)]
     if name in TORQUES:
         value = value / known.servos.of("kp")
     if PARAMETERS[INDEX[name]].kind == "log":

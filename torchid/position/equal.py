@@ -14,7 +14,7 @@ import torch
 
 from torchid.position.fit import absolute, from_absolute
 from torchid.position.judge import Equations
-from torchid.simulation.servo import INDEX, NAMES, PARAMETERS
+from torchid.simulation.servo import INDEX, PARAMETERS
 from torchid.statistics.random_effects import Sessions, means, spreads
 from torchid.typing import Bool, Tensor
 
@@ -41,24 +41,40 @@ def with_data_sheets(
         sheets: (n,) values by parameter, in their units; empty of a joint without one.
         moves: joints that do.
     """
-    x, covariance = absolute(known.servos), known.covariances()
+    at = [INDEX[name] for name in known.names]
+    said = torch.full_like(known.servos.joint, torch.nan)
     for j, sheet in enumerate(sheets):
-        names = [n for n, on in zip(known.names, known.mask[j], strict=True) if on and n in sheet]
-        if not names or not bool(moves[j]):
-            continue
-        told, at = ([of.index(n) for n in names] for of in (list(known.names), list(NAMES)))
-        said = known.servos.joint[j].clone()
-        said[at] = torch.tensor([sheet[n] for n in names], dtype=said.dtype)
-        there = absolute(replace(known.servos, joint=said[None]))[0, at]
-        logs = [PARAMETERS[k].kind == "log" for k in at]
-        std = SHEET_STD * torch.where(torch.tensor(logs), 1.0, there.abs())
-        c = covariance[j][:, told]
-        gain = torch.linalg.solve(c[told] + std.square().diag(), c.T).T
-        step = gain @ (there - x[j, at])
-        x[j, [INDEX[name] for name in known.names]] += step * known.mask[j]
-        covariance[j] = covariance[j] - gain @ c.T
-    servos = replace(known.servos, joint=from_absolute(x))
-    return replace(known, servos=servos, given=covariance)
+        for name, value in sheet.items():
+            said[j, INDEX[name]] = value
+    values = absolute(replace(known.servos, joint=said))[:, at]
+    x, covariance = absolute(known.servos)[:, at], known.covariances()
+    free = known.mask & values.isfinite() & moves[:, None]
+    logs = torch.tensor([PARAMETERS[k].kind == "log" for k in at])
+    std = SHEET_STD * torch.where(logs, 1.0, values.abs())
+    for j in free.any(1).nonzero().flatten().tolist():
+        on = free[j]
+        x[j], covariance[j] = _beside(x[j], covariance[j], on, values[j, on], std[j, on].square())
+    return _with_values(known, x, covariance)
+
+
+def _beside(
+    x: Tensor, covariance: Tensor, on: Tensor, values: Tensor, variances: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Numbers (K,) of a joint and their covariance beside what else is known of some of them: the
+    best linear unbiased prediction."""
+    c = covariance[:, on]
+    gain = torch.linalg.solve(c[on] + variances.diag(), c.T).T
+    return x + gain @ (values - x[on]), covariance - gain @ c.T
+
+
+def _with_values(known: Equations, x: Tensor, covariance: Tensor) -> Equations:
+    """The same with other values (n, K) of what is free, and other covariances."""
+    at = [INDEX[name] for name in known.names]
+    values = absolute(known.servos)
+    values[:, at] = torch.where(known.mask, x, values[:, at])
+    return replace(
+        known, servos=replace(known.servos, joint=from_absolute(values)), given=covariance
+    )
 
 
 def pooled(known: Equations, types: Sequence[str], moves: Bool[Tensor, " n"]) -> Equations:
@@ -87,13 +103,6 @@ def pooled(known: Equations, types: Sequence[str], moves: Bool[Tensor, " n"]) ->
         least[[k for k, c in enumerate(columns.tolist()) if known.names[c] == "delay"]] = 1e-3
         prior = torch.maximum(between, least).square() + centre.centre_variance
         for j in own.nonzero().flatten().tolist():
-            on = free[j, columns]
-            told = columns[on]
-            c = covariance[j][:, told]
-            gain = torch.linalg.solve(c[told] + prior[on].diag(), c.T).T
-            x[j] += gain @ (centre.centre[on] - x[j, told])
-            covariance[j] = covariance[j] - gain @ c.T
-    values = absolute(known.servos)
-    values[:, at] = torch.where(known.mask, x, values[:, at])
-    servos = replace(known.servos, joint=from_absolute(values))
-    return replace(known, servos=servos, given=covariance)
+            on, here = free[j], free[j, columns]
+            x[j], covariance[j] = _beside(x[j], covariance[j], on, centre.centre[here], prior[here])
+    return _with_values(known, x, covariance)

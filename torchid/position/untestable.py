@@ -36,8 +36,8 @@ def not_testable(
     """
     servos, names = known.servos, known.names
     asked = [e for e in EFFECTS if e.parameters and e.parameters[0] in USUAL]
-    joint = servos.joint.repeat(1 + len(asked), 1, 1)
-    for row, effect in zip(joint[1:], asked, strict=True):
+    joint = servos.joint.repeat(len(asked), 1, 1)
+    for row, effect in zip(joint, asked, strict=True):
         name = effect.parameters[0]
         size = USUAL[name] * (servos.of("kp") if name in TORQUES else 1.0)
         column = row[:, INDEX[name]]
@@ -47,9 +47,8 @@ def not_testable(
             start = PARAMETERS[INDEX["stribeck_speed"]].start
             speed.copy_(torch.where(column > size, speed, start))
     sets = replace(servos, joint=joint, plane=servos.plane.repeat(len(joint), 1))
-    error = errors(data, sets, windows)
-    change = error[..., 1:] - error[..., :1]
     s = sensitivities(data, servos, names, windows)
+    change = errors(data, sets, windows) - s.residual[..., None]
     root = weights(s.residual, windows).sqrt()[..., None]
     least = slight(data, windows).sqrt()
     out = []
