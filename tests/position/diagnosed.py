@@ -7,6 +7,7 @@ from torchid.position.data import prepare
 from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
 from torchid.position.effects import BY_NAME
 from torchid.position.nominal import read_servos
+from torchid.position.repeats import no_noise
 
 
 def finding(name: str, joint: int | None, without: float, with_it: float, **size: float):
@@ -51,5 +52,6 @@ def diagnosis(*findings: PositionFinding, servo: str | None = None) -> PositionD
         still=torch.tensor([False, False, True]),
         warnings=("something to bear in mind",),
         seconds=1.0,
+        noise=no_noise(3),
         nominal=() if servo is None else read_servos(servo, 3),
     )

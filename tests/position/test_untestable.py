@@ -14,6 +14,7 @@ from torchid.simulation.servo import INDEX, Servos
 from torchid.simulation.servo_loop import windows_of
 
 MOVES = torch.ones(3, dtype=torch.bool)
+NONE = torch.zeros(3, dtype=torch.float64)
 
 
 def unseen(servos: Servos, data: PositionData) -> dict[tuple[str, int], float | None]:
@@ -75,8 +76,8 @@ def test_the_interval_of_the_closed_share_holds_what_other_motions_close() -> No
         after = before.clone()
         for a, b in zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True):
             after[a : b + 1] *= 0.4 + 0.05 * float(torch.randn(1, generator=g))
-        low, high = closed_interval(data, before, after, MOVES)
+        low, high = closed_interval(data, before, after, MOVES, NONE)
         assert high - low < 0.2
         inside += low <= 0.6 <= high
     assert inside >= 16
-    assert closed_interval(data, before, before, MOVES) == pytest.approx((0.0, 0.0))
+    assert closed_interval(data, before, before, MOVES, NONE) == pytest.approx((0.0, 0.0))

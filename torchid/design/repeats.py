@@ -262,6 +262,8 @@ def _stretches(a: int, one: Segment, b: int, two: Segment, lag: int) -> list[Pai
         if not pairs:
             return []
         total += _correction(one, two, pairs) * one.rate
+        if abs(total - lag) > one.rate / _COARSE:  # towards another repeat, or motion and itself
+            return []
     return _agreeing(a, one, b, two, total)
 
 

@@ -34,6 +34,7 @@ from torchid.position.model import ServoArm, accuracy
 from torchid.position.odds import alike_rises, effect_sure
 from torchid.position.payload import Loaded, with_load
 from torchid.position.record import ChangeRecord
+from torchid.position.repeats import PositionNoise, noise_of_repeats
 from torchid.position.rods import PER_METRE
 from torchid.position.search import (
     ALIKE,
@@ -126,6 +127,7 @@ def diagnose_positions(
         if watch is None
         else EarlyAnswer(watch, data, losses_of(data, simple.servos, few).sum(0), few)
     )
+    noise = noise_of_repeats(data, simple.servos)
     given, still, as_given = data, _still(data), None
     squares = 1.0 - (1.0 - worthwhile) ** 2
     answered = None
@@ -134,7 +136,10 @@ def diagnose_positions(
         # What windows leave alone is their starts'.
         both = few, windows_of(data.tracks, None)
         as_given = torch.stack(
-            [losses_of(data, own.servos, w).sum(0) <= GAP * slight(data, w) for w in both]
+            [
+                losses_of(data, own.servos, w).sum(0) <= GAP * _unclosable(data, noise, w)
+                for w in both
+            ]
         ).any(0)
         if bool((as_given | still).all()):
             answered = _Answer(data, own, {}, {}, None)
@@ -158,7 +163,7 @@ def diagnose_positions(
     anchored = torch.tensor([t != "" for t in types or [""] * servos.n])
     anchored |= torch.tensor(["kp" in sheet for sheet in sheets or [{}] * servos.n])
     ratio_only = (_ratio_only(known) & ~anchored) | (deviation > RATIO) | (not data.weighed)
-    findings = _findings(answered, known, few, ratio_only)
+    findings = _findings(answered, known, few, ratio_only, noise)
     unknown = still | ratio_only
     interval = [
         value_interval("kp", k, d)
@@ -199,7 +204,8 @@ def diagnose_positions(
         still=still,
         warnings=warnings,
         not_testable=not_testable(data, known, few, ~still),
-        closed_ci95=closed_interval(data, *errors_of, ~still),
+        closed_ci95=closed_interval(data, *errors_of, ~still, noise.square / data.scale.square()),
+        noise=noise,
         seconds=time.perf_counter() - begun,
         known=tuple(
             (tuple(itertools.compress(known.names, on)), covariance[on][:, on])
@@ -229,6 +235,12 @@ def _as_file(
     used = {p.name: servos.of(p.name) != p.neutral for p in PARAMETERS if p.name not in core}
     free = {**core, **{name: on for name, on in used.items() if bool(on.any())}}
     return Found(replace(servos, joint=joint), free, bool(servos.plane[4] > 0))
+
+
+def _unclosable(data: PositionData, noise: PositionNoise, windows: Windows) -> Tensor:
+    """(n,) losses that call for no cause, or are noise, where repeats tell it [rad^2]."""
+    rows = float((windows.length * windows.weight).sum())
+    return torch.maximum(slight(data, windows), rows * noise.windows.nan_to_num(0.0).square())
 
 
 def _changes(
@@ -645,11 +657,11 @@ def _returned(
 
 
 def _findings(
-    answered: _Answer, known: Equations, windows: Windows, shares: Tensor
+    answered: _Answer, known: Equations, windows: Windows, shares: Tensor, noise: PositionNoise
 ) -> tuple[PositionFinding, ...]:
     """What is named, by what it was worth in windows; torques of some joints as shares of kp."""
     data, found, rivals = answered.data, answered.found, answered.rivals
-    least = slight(data, windows)
+    least = _unclosable(data, noise, windows)
     rows = float((windows.length * windows.weight).sum()) / known.alike
 
     def sure(

@@ -10,6 +10,7 @@ import torch
 from msgspec import UNSET
 
 from torchid.position.data import PositionData
+from torchid.position.judge import closed_share
 from torchid.position.model import ServoArm
 from torchid.position.nominal import NominalServo
 from torchid.position.record import (
@@ -27,6 +28,7 @@ from torchid.position.record import (
     ServosRecord,
     WhereRecord,
 )
+from torchid.position.repeats import PositionNoise
 from torchid.results.answer import Answer, Cause, Diagnosis, JointError, NotTestable
 from torchid.results.answer import Size as AnswerSize
 from torchid.results.record import Rows
@@ -165,6 +167,7 @@ class PositionDiagnosis(Diagnosis):
         not_testable: effects that the motions would not have shown.
         closed_ci95: of `closed`, by motions drawn again and blocks of 2 s of each; None where it is
             none.
+        noise: what no servo closes, where repeats tell it.
         doubt: what speaks against the log, which the headline says first.
     """
 
@@ -182,6 +185,7 @@ class PositionDiagnosis(Diagnosis):
     still: Bool[Tensor, " n"]
     warnings: tuple[str, ...]
     seconds: float
+    noise: PositionNoise
     known: tuple[tuple[tuple[str, ...], Float[Tensor, "_ _"]], ...] = ()
     held_out: tuple[float, float] | None = None
     nominal: tuple[NominalServo, ...] = ()
@@ -198,11 +202,14 @@ class PositionDiagnosis(Diagnosis):
 
     @property
     def closed(self) -> float:
-        """Share of the plain servos' error of whole motions that the answered model takes away; NaN
-        where they leave nothing that calls for a cause."""
+        """Share of the plain servos' error of whole motions that the answered model takes away,
+        beyond noise where repeats tell it; NaN where they leave nothing that calls for a cause."""
         if math.isnan(self._closed_in_windows) or self._right_as_given:
             return math.nan
-        return 1.0 - self.answered.mean[0] / self.plain_servo.mean[0]
+        moves = ~self.still
+        before, after = (w.whole[moves].square() for w in (self.plain_servo, self.answered))
+        noise = 1e6 * (self.noise.square / self.data.scale.square())[moves]
+        return float(closed_share(before, after, noise))
 
     @cached_property
     def _closed_in_windows(self) -> float:
@@ -218,8 +225,18 @@ class PositionDiagnosis(Diagnosis):
 
     @property
     def unseen(self) -> Float[Tensor, " n"]:
-        """RMS errors of joints beside refitted plain servos that call for no cause [mrad]."""
-        return 1e3 * self.data.slight / self.data.scale
+        """RMS errors of joints beside refitted plain servos in windows that call for no cause, or
+        are noise, where repeats tell it [mrad]."""
+        noise = self.noise.windows.nan_to_num(0.0)
+        return 1e3 * torch.maximum(self.data.slight, noise) / self.data.scale
+
+    @property
+    def noise_interval(self) -> Float[Tensor, "n 2"]:
+        """Noise of whole motions, 90 %, as repeats tell it; else from zero to what calls for no
+        cause [mrad]."""
+        told = 1e3 * torch.stack([self.noise.low, self.noise.high], 1) / self.data.scale[:, None]
+        open_ = torch.stack([torch.zeros_like(self.unseen), self.unseen], 1)
+        return torch.where(told.isfinite(), told, open_)
 
     @property
     def status(self) -> str:
@@ -233,7 +250,8 @@ class PositionDiagnosis(Diagnosis):
     def answer(self) -> Answer:
         """What each joint's error is, which causes close it, and what to do: errors of whole
         motions that were left out, before them those of a plain servo."""
-        unseen, moves = self.unseen, ~self.still
+        unseen, moves, noise = self.unseen, ~self.still, self.noise_interval
+        low_noise, high_noise = noise[moves].mean(0).nan_to_num(0.0).tolist()
         given = self.answered if self._right_as_given else self.plain_servo
         before, after = given.whole, self.answered.whole
         names = self.data.robot.joint_names
@@ -249,7 +267,8 @@ class PositionDiagnosis(Diagnosis):
             unit="mrad",
             before=given.mean[0],
             after=self.answered.mean[0],
-            noise=(0.0, float(unseen[moves].mean()) if bool(moves.any()) else 0.0),
+            noise=(low_noise, high_noise),
+            noise_measured=bool(self.noise.low[moves].isfinite().all()),
             closed=None if math.isnan(self.closed) else self.closed,
             closed_ci95=None if math.isnan(self.closed) else self.closed_ci95,
             joints=tuple(
@@ -258,7 +277,7 @@ class PositionDiagnosis(Diagnosis):
                     name=names[j],
                     before=float(before[j]),
                     after=float(after[j]),
-                    noise=(0.0, float(unseen[j])),
+                    noise=(float(noise[j, 0]), float(noise[j, 1])),
                 )
                 for j in range(len(names))
             ),
@@ -302,6 +321,7 @@ class PositionDiagnosis(Diagnosis):
 def position_record(result: PositionDiagnosis) -> PositionRecord:
     """A diagnosis as its JSON has it."""
     kp, intervals = result.gains
+    low, high = (x / result.data.scale for x in (result.noise.low, result.noise.high))
     joints = tuple(
         JointRecord(
             joint=j,
@@ -314,6 +334,7 @@ def position_record(result: PositionDiagnosis) -> PositionRecord:
             ratio_only=bool(result.ratio_only[j]),
             never_moves=bool(result.still[j]),
             unseen_mrad=float(result.unseen[j]),
+            noise_mrad=(1e3 * float(low[j]), 1e3 * float(high[j])),
             resolution_mrad=float(1e3 * 12**0.5 * result.data.resolution[j]),
         )
         for j in range(result.servos.n)

@@ -264,7 +264,11 @@ def motion_losses(error: Float[Tensor, "L W n"], windows: Windows) -> Float[Tens
 
 
 def closed_interval(
-    data: PositionData, before: Float[Tensor, "T n"], after: Float[Tensor, "T n"], moves: Tensor
+    data: PositionData,
+    before: Float[Tensor, "T n"],
+    after: Float[Tensor, "T n"],
+    moves: Bool[Tensor, " n"],
+    noise: Float[Tensor, " n"],
 ) -> tuple[float, float]:
     """95 % interval of the share of whole motions' errors that is closed, on other motions: motions
     are drawn again, and blocks of each; nan where too little is defined.
@@ -273,6 +277,7 @@ def closed_interval(
         data: motions.
         before, after: errors of their rows.
         moves: (n,) joints that count.
+        noise: (n,) their mean squares that no model closes.
     """
     blocks, owner = list[Tensor](), list[int]()
     size = max(1, round(WINDOW_S / data.tracks.dt))
@@ -285,8 +290,17 @@ def closed_interval(
             owner.append(motion)
     weights = torch.from_numpy(nested_weights(np.array(owner), DRAWS, np.random.default_rng(0)))
     total, count = torch.einsum("db,bkwj->kwdj", weights, torch.stack(blocks))
-    error = (total / count.clamp(min=1)).sqrt().mean(-1)
-    return percentile_interval((1 - error[1] / error[0]).numpy())
+    before, after = total / count.clamp(min=1)
+    return percentile_interval(closed_share(before, after, noise[moves]).numpy())
+
+
+def closed_share(
+    before: Float[Tensor, "*D n"], after: Float[Tensor, "*D n"], noise: Float[Tensor, " n"]
+) -> Float[Tensor, "*D"]:
+    """Share (*D,) of the errors beyond noise that is closed, of mean squares; errors are means of
+    the joints' RMS."""
+    left, gap = ((x - noise).clamp(min=0).sqrt().mean(-1) for x in (after, before))
+    return 1 - left / gap
 
 
 def each_window(servos: Mapping[int, Servos], owner: Tensor) -> Servos:

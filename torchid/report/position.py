@@ -60,6 +60,13 @@ def remarks(record: PositionRecord) -> list[str]:
         f"{far.answered.windows_2s_mrad:.1f}. A plain servo has a gain, friction, inertia, delay "
         "and offset."
     ]
+    told = [j.noise_mrad for j in record.where.joints if not math.isnan(j.noise_mrad[0])]
+    if told:
+        low, high = min(a for a, _ in told), max(b for _, b in told)
+        out.append(
+            f"Repeats of motions tell the noise of {len(told)} joints, {low:.1f} to "
+            f"{high:.1f} mrad."
+        )
     if record.held_out is not UNSET:
         held = record.held_out
         out.append(

@@ -7,7 +7,6 @@ little but noise is left, continued to all frequencies as if the noise were whit
 flexible predictor, trained on other stretches of the log, leaves of the residual.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import replace as dataclass_replace
@@ -23,21 +22,12 @@ from torchid.gap.data import Data
 from torchid.gap.noise.flexible import predict_out_of_fold
 from torchid.gap.noise.spectrum import bandwidth, white_level
 from torchid.gap.record import NoiseFloor
-from torchid.statistics.autocorrelation import integrated_time
-from torchid.statistics.blocks import block_numbers, block_sums
-from torchid.statistics.proportion import HALF_90
+from torchid.statistics.differences import noise_level
 from torchid.typing import Bool, Float, Tensor
 
 BLOCK_SECONDS = 2.0
 """Length of the blocks of which mean and median are compared, and which are resampled [s]: several
 times the correlation of a gap at 8 Hz; a collision lasts less, and a minute holds thirty."""
-
-UNEVEN = 1.5
-"""Mean over median of the blocks' variance from which the noise is not the same everywhere [1]; the
-median is then the noise, and the difference is said. Chance alone makes 1.2 of twenty blocks."""
-
-CLIPPED = 4.5
-"""Times the median of absolute values: 3 standard deviations of a normal variable."""
 
 MISMEASURED = 1.1
 """Noise over what a model leaves, from which it is said that the measure is wrong [1]: both are
@@ -215,36 +205,16 @@ def _from_repeats(
     own = Samples(differences, report.cutoff)
     x = own.of([s.tau.T for s in differences])
     counting = moving_samples(own, REACH / own.cutoff)
-    # Mean square of the difference, over all samples and block by block.
     length = max(4, round(BLOCK_SECONDS / own.interval))
-    block = block_numbers(own.bounds, length)
-    squares = x.square() * counting
-    counts = block_sums(counting.to(x), block)
-    total = counts.sum(-1).clamp(min=1)
-    mean = squares.sum(-1) / total
-    variance = block_sums(squares, block) / counts.clamp(min=1)
-    variance = variance.where(counts > 0.2 * length, torch.nan)
-    # Degrees of freedom of a sum of squares of correlated samples; the median of chi^2 lies below
-    # its mean (Wilson and Hilferty 1931).
-    # What happens once must not make the noise look as slow as itself: of the usual samples.
-    top = CLIPPED * x.abs().median(-1, keepdim=True).values
-    freedom = total / integrated_time(x.clamp(-top, top), own.bounds).clamp(min=1.0)
-    each = (freedom * length / total).clamp(min=1.0)
-    median = variance.nanmedian(-1).values / (1 - 2 / (9 * each)) ** 3
-    chance = 1 + 2 * ((math.pi / freedom).sqrt() + (2 / freedom).sqrt())
-    # Uneven: the mean far above the median, by more than chance makes it.
-    uneven = (mean > UNEVEN * median) & (mean > chance * median)
-    rms = torch.where(uneven, median, mean).sqrt()
-    # The interval of a variance with so many degrees of freedom, in logarithms.
-    half = HALF_90 / (2 * freedom).sqrt()
-    notes = [""] * len(rms)
-    for j in uneven.nonzero().flatten().tolist():
-        worst = int(variance[j].nan_to_num().argmax())
-        inside = (block == worst).nonzero().flatten()
+    noise = noise_level(x, counting, own.bounds, length)
+    notes = [""] * len(x)
+    for j in noise.uneven.nonzero().flatten().tolist():
+        worst = int(noise.variance[j].nan_to_num().argmax())
+        inside = (noise.block == worst).nonzero().flatten()
         name, start = when(differences, float(own.t[inside[0]]))
         stop = start + float(own.t[inside[-1]] - own.t[inside[0]])
         notes[j] = (
             f"joint {j + 1} did not repeat well at {start:.1f} to {stop:.1f} s in {name}; its "
             f"noise is the median over {BLOCK_SECONDS:g} s blocks"
         )
-    return NoiseFloor(rms * torch.exp(-half), rms * torch.exp(half), "repeats", tuple(notes))
+    return NoiseFloor(noise.low, noise.high, "repeats", tuple(notes))
