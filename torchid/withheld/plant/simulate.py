@@ -149,12 +149,10 @@ class Sized:
 
     Attributes:
         scale: of the effect.
-        parameters: in physical units.
         size: (n,) RMS of what it changes in the gap, in standard deviations of the noise.
     """
 
     scale: float
-    parameters: Parameters
     size: Array
 
 
@@ -220,7 +218,7 @@ def sized(scene: Scene, base: Plan, nominal: Nominal, effect: EffectSpec, level:
     still: list[Trace] = []
     tried: list[Sized] = []
     for _ in range(_TRIES):
-        plan, parameters = planted(scene, base, effect, scale)
+        plan, _ = planted(scene, base, effect, scale)
         if kind.sensing:
             still = still or simulated(scene, base, nominal, COARSE)
             traces = still
@@ -232,7 +230,7 @@ def sized(scene: Scene, base: Plan, nominal: Nominal, effect: EffectSpec, level:
                 largest = scale = 0.5 * scale
                 continue
         size = size_of(scene, plan, nominal, traces)
-        tried.append(Sized(scale, parameters, size))
+        tried.append(Sized(scale, size))
         if abs(size.max() / level - 1) < _CLOSE:
             break
         following = _next(tried, level, largest)
