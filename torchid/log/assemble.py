@@ -78,8 +78,7 @@ def require_columns(table: Table, mapping: ColumnMapping | None = None) -> None:
     """
     mapping = mapping or ColumnMapping({})
     try:
-        values = _wildcards(table, mapping)
-        sources, _, own = _plan(table, mapping if values is None else mapping.at(values[0]))
+        sources, _, own = _plan(table, _first_of(table, mapping))
         if not sources and not table.arrays:
             joint_columns(own, table.path)
     except LogError as error:
@@ -105,8 +104,7 @@ def fitting(table: Table, request: Request) -> Request:
     if request.columns is None:
         return request
     try:
-        values = _wildcards(table, request.columns)
-        _plan(table, request.columns if values is None else request.columns.at(values[0]))
+        _plan(table, _first_of(table, request.columns))
     except AbsentColumnError:
         return replace(request, columns=None)
     return request
@@ -211,6 +209,12 @@ def _own_columns(
                 raise LogError(f"'{table.path}' gives {own} twice, as an array and alone.")
             columns[own] = whole[:, k]
     return columns
+
+
+def _first_of(table: Table, mapping: ColumnMapping) -> ColumnMapping:
+    """The mapping with the first of what its `*` may stand for."""
+    values = _wildcards(table, mapping)
+    return mapping if values is None else mapping.at(values[0])
 
 
 def _wildcards(table: Table, mapping: ColumnMapping) -> list[str] | None:

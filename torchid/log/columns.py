@@ -51,9 +51,7 @@ def log_from_columns(columns: Columns, path: str | Path) -> "torchid.Log":
     for signal, group in joints.items():
         values = np.empty((samples, len(group)), order="F")
         for k, name in enumerate(group):
-            column = _numeric(columns[name], name, path)
-            _same_length(column, name, samples, path)
-            values[:, k] = column
+            values[:, k] = _numeric(columns[name], name, path, samples)
         signals[signal] = torch.from_numpy(values)
     if samples < 2:
         what = "columns and no rows" if samples == 0 else "one sample only"
@@ -84,8 +82,7 @@ def _with_base(
     own = {}
     for name in NAMES:
         if name in columns:
-            own[name] = _numeric(columns[name], name, path)
-            _same_length(own[name], name, samples, path)
+            own[name] = _numeric(columns[name], name, path, samples)
     starts = np.flatnonzero(np.diff(trajectory, prepend=-1))
     base = base_signals(own, starts, f"'{path}'")
     still = np.zeros((samples, COORDINATES))
@@ -174,7 +171,8 @@ def some(names: Sequence[str], most: int = 40) -> list[str]:
     return [*names[:most], *more]
 
 
-def _numeric(values: np.ndarray, name: str, path: Path) -> np.ndarray:
+def _numeric(values: np.ndarray, name: str, path: Path, samples: int | None = None) -> np.ndarray:
+    """A column of numbers, of this length if any is asked for."""
     # A copy: arrow's buffers are read-only.
     numbers = np.array(numbers_of(values, f"'{path}': column {name}"), dtype=np.float64)
     beyond = np.abs(numbers) > LARGEST
@@ -184,6 +182,18 @@ def _numeric(values: np.ndarray, name: str, path: Path) -> np.ndarray:
             f"'{path}': column {name} holds numbers that nothing measures.",
             got=f"{numbers[beyond][0]:g} in row {int(beyond.ravel().argmax()) + 1}",
             expected=f"less than {LARGEST:g}",
+        )
+    if samples is not None and numbers.ndim != 1:
+        raise LogError(
+            f"'{path}': column {name} has the wrong number of dimensions.",
+            got=f"shape {numbers.shape}",
+            expected="(samples,)",
+        )
+    if samples is not None and len(numbers) != samples:
+        raise LogError(
+            f"'{path}': column {name} has another length than t.",
+            got=len(numbers),
+            expected=samples,
         )
     return numbers
 
@@ -206,29 +216,13 @@ def _sample_of(values: np.ndarray) -> str:
     return values.dtype.name
 
 
-def _same_length(column: np.ndarray, name: str, samples: int, path: Path) -> None:
-    if column.ndim != 1:
-        raise LogError(
-            f"'{path}': column {name} has the wrong number of dimensions.",
-            got=f"shape {column.shape}",
-            expected="(samples,)",
-        )
-    if len(column) != samples:
-        raise LogError(
-            f"'{path}': column {name} has another length than t.",
-            got=len(column),
-            expected=samples,
-        )
-
-
 def _trajectories(
     column: np.ndarray | None, samples: int, path: Path
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Trajectory numbers from 0, and their names."""
     if column is None:
         return np.zeros(samples, dtype=np.int64), (path.stem,)
-    ids = _numeric(column, "traj", path)
-    _same_length(ids, "traj", samples, path)
+    ids = _numeric(column, "traj", path, samples)
     if not np.isfinite(ids).all() or (ids != np.round(ids)).any():
         wrong = ids[~np.isfinite(ids) | (ids != np.round(ids))]
         raise LogError(f"'{path}': column traj is not integer.", got=float(wrong[0]))
