@@ -16,7 +16,7 @@ from torchid.errors import TorchidError
 from torchid.export.correct import correct
 from torchid.export.export import export_dynamics
 from torchid.export.results import servo_dynamics
-from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid
+from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid_parameters
 from torchid.log.readers import write_log
 from torchid.position.data import tracks_of
 from torchid.position.model import ServoArm, replay
@@ -60,7 +60,7 @@ def test_the_file_moves_as_the_arm_did(name, tmp_path):
     assert float(found.nominal.min()) > 20.0
     # MuJoCo's own solution of dry friction, and encoder counts of 1.5 mrad.
     assert float(found.run_time.max()) < 1.5
-    assert set(done.no_field) == set(unsaid(arm.servos, SAID))
+    assert set(done.no_field) == set(unsaid_parameters(arm.servos, SAID))
     if not done.no_field:
         assert float(found.engine.max()) < 1.5
     else:

@@ -101,5 +101,5 @@ def test_an_error_in_another_process_is_raised_here():
 
 
 def test_the_code_is_that_of_the_diagnosis():
-    assert len(running.code()) == 64
-    assert running.code() == running.code()
+    assert len(running.source_digest()) == 64
+    assert running.source_digest() == running.source_digest()

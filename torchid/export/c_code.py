@@ -10,7 +10,7 @@ from torchid import __version__
 from torchid.digits import number
 from torchid.effects.c_text import JOINTS, RIGID
 from torchid.effects.registry import Valued, in_rounds, nominal_effects
-from torchid.export.dynamics import Dynamics, described
+from torchid.export.dynamics import Dynamics, effect_text
 from torchid.robot.config_files import config_folder, filled_template
 from torchid.robot.model import JointType, Robot
 from torchid.yaml_data import parsed_yaml
@@ -61,7 +61,7 @@ def effect_code(robot: Robot, effects: Sequence[Valued], rigid: str) -> EffectCo
                 left_out.append((effect, values))
                 continue
             named = (line.replace(RIGID, rigid).replace(JOINTS, str(robot.n)) for line in code)
-            lines += [f"/* {described(effect, values, robot)} */", *named]
+            lines += [f"/* {effect_text(effect, values, robot)} */", *named]
         rounds.append(lines)
     return EffectCode(rounds[0], rounds[1], tuple(left_out))
 
@@ -136,7 +136,7 @@ def _about(dynamics: Dynamics, file_name: str, left_out: Sequence[Valued]) -> st
         lines += [f"  {number(value)} {unit}: {name}" for name, value, unit in rows]
     if left_out:
         lines += ["", "LEFT OUT, since they depend on the past, on time or on more than this arm:"]
-        lines += [f"  {described(*pair, robot)}" for pair in left_out]
+        lines += [f"  {effect_text(*pair, robot)}" for pair in left_out]
     return "\n".join(lines)
 
 

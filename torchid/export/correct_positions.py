@@ -21,7 +21,7 @@ from torchid.export.correction import (
 from torchid.export.dynamics import Dynamics, require_same_arm
 from torchid.export.export import edited_of
 from torchid.export.results import servo_dynamics
-from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid, write_servos
+from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid_parameters, write_servos
 from torchid.export.write_xml import xml_of
 from torchid.log.checks import own_units
 from torchid.log.model import Log
@@ -85,7 +85,7 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
         own[2],
     )
     _require_follows(judged)
-    no_field = unsaid(arm.servos, SAID)
+    no_field = unsaid_parameters(arm.servos, SAID)
     words = f"'{robot.name}' with servos, corrected and refitted to mjcf"
     gain = torch.zeros(robot.n) if arm.std is None else arm.std[:, INDEX["kp"]]
     open_ = (gain > RATIO).nonzero().flatten().tolist()

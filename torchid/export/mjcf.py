@@ -127,7 +127,11 @@ def _write_chain(
                     hint="the format urdf writes a new file with a link there",
                 )
             continue
-        _write_inertial(body, parameters, i, name)
+        node = _inertial_of(body)
+        for key, value in _inertial(parameters, i, name).items():
+            # Axes parallel to the body's are what MuJoCo takes without being told.
+            if key != "quat" or not value.startswith("1.0 "):
+                node.set(key, value)
         for fixed in _fixed_below(body):
             _write_massless(fixed, name)
         own = [node for node in _members(body) if local(node) in _JOINTS]
@@ -193,14 +197,6 @@ def _fixed_below(body: Any) -> list[Any]:
         if local(node) == "body" and not any(local(n) in _JOINTS for n in _members(node)):
             out += [node, *_fixed_below(node)]
     return out
-
-
-def _write_inertial(body: Any, parameters: InertialParameters, i: int, name: str) -> None:
-    node = _inertial_of(body)
-    for key, value in _inertial(parameters, i, name).items():
-        # Axes parallel to the body's are what MuJoCo takes without being told.
-        if key != "quat" or not value.startswith("1.0 "):
-            node.set(key, value)
 
 
 def _inertial(parameters: InertialParameters, i: int, name: str) -> dict[str, str]:

@@ -49,7 +49,7 @@ _STIFF = {"solreflimit": "0.004 1", "solimplimit": "0.9999 0.9999 0.001"}
 """Of an end stop: MuJoCo's own gives way by degrees where a servo presses on."""
 
 
-def unsaid(servos: Servos, names: Collection[str] = SAID) -> dict[str, tuple[int, ...]]:
+def unsaid_parameters(servos: Servos, names: Collection[str] = SAID) -> dict[str, tuple[int, ...]]:
     """What of servos is not among the parameters of a file: names, with joints from 0."""
     out = {}
     for p in PARAMETERS:

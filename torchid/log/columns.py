@@ -125,10 +125,14 @@ def joint_columns(names: Iterable[str], path: Path) -> dict[str, list[str]]:
     names = list(names)
     groups = {signal: _numbered(names, prefix, path) for signal, prefix in PREFIXES.items()}
     if "t" not in names:
-        raise LogError(f"'{path}' has no column t.", expected=EXPECTED, available=some(names))
+        raise LogError(
+            f"'{path}' has no column t.", expected=EXPECTED, available=first_names(names)
+        )
     count = len(groups["q"])
     if count == 0:
-        raise LogError(f"'{path}' has no column q1.", expected=EXPECTED, available=some(names))
+        raise LogError(
+            f"'{path}' has no column q1.", expected=EXPECTED, available=first_names(names)
+        )
     for signal, group in groups.items():
         if group and len(group) != count:
             raise LogError(
@@ -148,15 +152,15 @@ def _numbered(names: Sequence[str], prefix: str, path: Path) -> list[str]:
     missing = [name for k, name in enumerate(expected, 1) if k not in numbers]
     if missing and 0 not in numbers and len(numbers) == len(found):
         raise LogError(
-            f"'{path}' has no column {', '.join(some(missing, 5))}.",
-            got=", ".join(some(got)),
+            f"'{path}' has no column {', '.join(first_names(missing, 5))}.",
+            got=", ".join(first_names(got)),
             expected=f"{prefix}1..{got[-1]} without a gap",
         )
     if got != expected:
         raise LogError(
             f"'{path}': the {prefix} columns are not numbered {_range(expected)}.",
-            got=", ".join(some(got)),
-            expected=", ".join(some(expected)),
+            got=", ".join(first_names(got)),
+            expected=", ".join(first_names(expected)),
         )
     return got
 
@@ -165,7 +169,7 @@ def _range(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{names[0]}..{names[-1]}"
 
 
-def some(names: Sequence[str], most: int = 40) -> list[str]:
+def first_names(names: Sequence[str], most: int = 40) -> list[str]:
     """The first names of a list, for an error message, and how many more there are."""
     more = [f"and {len(names) - most} more"] if len(names) > most else []
     return [*names[:most], *more]

@@ -65,7 +65,7 @@ class _Group:
         return replace(self, names=names, joints=len(names), labels=tuple(labels))
 
 
-def proposal(table: Table, joints: Sequence[str] = ()) -> tuple[str, str] | None:
+def proposed_mapping(table: Table, joints: Sequence[str] = ()) -> tuple[str, str] | None:
     """A text for --columns, and what in it is guessed from more than names; None where time or
     positions cannot be guessed.
 
@@ -121,7 +121,7 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
     return chosen
 
 
-def commanded(table: Table) -> str | None:
+def commanded_columns(table: Table) -> str | None:
     """A text for --columns that names the commanded positions beside our own q: q_cmd{j}, goal{j},
     action, ..; None where there are none, or several that may be meant."""
     names = [n for n in table.columns if not is_wanted(n)]

@@ -92,9 +92,8 @@ def fault_of(
     own = _TEXTS[f"{name}, {by}" if by else name]
     known = {"joints": joint_list(joints), "side": side, "value": value, **words}
     meaning, remedy = (own[text].format(**known) for text in ("meaning", "remedy"))
-    return Fault(
-        name, tuple(joints), side, value, words.get("unit", own.get("unit")), meaning, remedy
-    )
+    unit = words.get("unit") or own["unit"]
+    return Fault(name, tuple(joints), side, value, unit, meaning, remedy)
 
 
 @dataclass(frozen=True)
@@ -106,7 +105,7 @@ class Mended:
     faults: list[Fault]
 
 
-def in_order(simulated: Log, both: list[Both]) -> Mended:
+def joint_faults(simulated: Log, both: list[Both]) -> Mended:
     """Joints in another order, and signals turned round."""
     qs, qr = (torch.cat([getattr(b, s)["q"] for b in both]).numpy() for s in ("simulated", "real"))
     found: list[Fault] = []
@@ -171,7 +170,7 @@ def clock_faults(both: Sequence[Both]) -> list[Fault]:
     return [fault_of("time_step", (), "simulator", rate)]
 
 
-def clipped(both: Sequence[Both]) -> list[Fault]:
+def clipping_faults(both: Sequence[Both]) -> list[Fault]:
     """Signals that stop at a limit which the other side goes beyond."""
     found: list[tuple[Side, int, float, str, str]] = []
     for name, what, unit, exact in (
@@ -309,7 +308,7 @@ class Law:
     gravity: float
 
 
-def laws(log: Log, robot: Robot | None) -> list[Law] | None:
+def servo_laws(log: Log, robot: Robot | None) -> list[Law] | None:
     """The law of every joint's servo, by least squares; None without commands or torques."""
     if log.u is None or log.tau is None:
         return None

@@ -32,7 +32,7 @@ from torchid.robot.solids import (
     mesh_vertices,
     points,
 )
-from torchid.robot.tree import Tree, held
+from torchid.robot.tree import Tree, with_joints_held
 from torchid.robot.urdf import urdf_tree
 from torchid.robot.xml_numbers import (
     attribute,
@@ -157,7 +157,7 @@ def own_inertials(robot: Robot) -> tuple[OwnInertial, ...]:
 def _tree_of(path: Path, robot: Robot) -> tuple[Tree, dict[str, Any]]:
     """A URDF's tree with the robot's joints held, and its <link> elements by name."""
     root, source = parse_xml(path), str(path)
-    tree, _ = held(urdf_tree(root, source, []), robot.locked)
+    tree, _ = with_joints_held(urdf_tree(root, source, []), robot.locked)
     return tree, {attribute(link, "name", source): link for link in root.findall("link")}
 
 

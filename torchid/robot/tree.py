@@ -279,7 +279,7 @@ def choose(tree: Tree, choice: Choice) -> Part:
     if not any(joint.movable for joint in tree.joints):
         raise RobotError(f"{tree.source}: no joint can move, so there is nothing to identify.")
     floating = [j.child for j in tree.joints if j.floating and not tree.joints_to(j.parent)]
-    tree, noticed = held(tree, choice.lock)
+    tree, noticed = with_joints_held(tree, choice.lock)
     root, placed = own_root, pose()
     if choice.base == "moving" and choice.root is None and floating:
         root = floating[0]
@@ -308,7 +308,7 @@ def choice_of(robot: Robot) -> Choice:
     return Choice(robot.tip, robot.root, robot.locked, "moving" if robot.floating else "fixed")
 
 
-def held(tree: Tree, lock: Mapping[str, float]) -> tuple[Tree, list[str]]:
+def with_joints_held(tree: Tree, lock: Mapping[str, float]) -> tuple[Tree, list[str]]:
     """The tree with joints held where a user says and a base that floats fixed, and what there is
     to say on it; links that are held together are one group then."""
     tree, alone = _without_lost(tree)

@@ -16,7 +16,12 @@ from torchid.withheld.plant.model import plant_of
 from torchid.withheld.plant.plan import EffectSpec, Parameters, Plan, Scene
 from torchid.withheld.plant.scene import friction_known, moved_otherwise, nominal_of, rms, scene_of
 from torchid.withheld.plant.servo_catalogue import SERVO_KINDS
-from torchid.withheld.plant.servo_scene import led, placed, servo_scene, visible
+from torchid.withheld.plant.servo_scene import (
+    led_motions,
+    placed_effect,
+    servo_scene,
+    visible_effect,
+)
 from torchid.withheld.plant.settings import DRAWS
 from torchid.withheld.plant.simulate import gaps, planted, readings, simulated, size_of, sized
 
@@ -100,16 +105,16 @@ def _of_servos(spec: ServoSpec) -> SimulatedCase:
     effects: list[dict[str, Any]] = []
     taken: tuple[int, ...] = ()
     for one in spec.effects:
-        effect = placed(scene, one.name, rng, taken)
+        effect = placed_effect(scene, one.name, rng, taken)
         taken += effect.joints
-        scale, rms, found = visible(scene, effect)
+        scale, rms, found = visible_effect(scene, effect)
         plan, own = SERVO_KINDS[effect.name].plant(scene, plan, effect, scale)
         felt = rms > max(MOVED * rms.max(), count / 2)
         # Of the largest change, over what an encoder rounds to.
         size = float(rms.max() / (count / np.sqrt(12)))
         effects.append(_record(SERVO_KINDS, effect, felt, own, size))
     if len(effects) > 1:
-        found = led(scene, plan)
+        found = led_motions(scene, plan)
     # What the bus carries: commands, and positions in counts.
     n, rows = scene.arm.n, [len(u) for u in scene.commands]
     columns = {
