@@ -57,7 +57,7 @@ def test_answers_of_another_diagnosis_are_not_taken_for_its_own(todo, said, monk
     ]
     with pytest.raises(TorchidError, match="other settings"):
         run(other)
-    monkeypatch.setattr(running, "code", lambda: "another")
+    monkeypatch.setattr(running, "source_digest", lambda: "another")
     with pytest.raises(TorchidError, match="diagnosis has changed"):
         run(todo)
     monkeypatch.setattr(running, "__version__", "9.9")

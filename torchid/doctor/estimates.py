@@ -52,7 +52,7 @@ def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> 
     base = said("gravity", "fine", text=text, **known)
     fix = gravity_fix(estimate)
     if turned and result.explained:
-        text = f"mounted {mounting(estimate)}: {text}; {improvement_text(turned[0])}"
+        text = f"mounted {mounting_text(estimate)}: {text}; {improvement_text(turned[0])}"
         first, *others = choices_of(turned[0])
         own = replace(first, fix=fix)
         return with_choices(replace(base, verdict="wrong", evidence=text), [own, *others], fixes)
@@ -63,7 +63,7 @@ def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> 
     return base
 
 
-def mounting(gravity: np.ndarray) -> str:
+def mounting_text(gravity: np.ndarray) -> str:
     """Floor, ceiling or wall, of the base frame's nearest axis."""
     axis = int(np.argmax(np.abs(gravity)))
     if axis == 2:

@@ -78,7 +78,7 @@ class Move:
         return sum(len(r.signals) for r in self.repairs if isinstance(r, Scale | Shift | Reorder))
 
 
-def moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
+def all_moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
     """All moves from a hypothesis, with repairs of the signals that the log has."""
     for move in _moves(judge, now):
         yield _of_its_signals(judge, move)

@@ -27,7 +27,7 @@ from torchid.export.correction import (
     without_field,
 )
 from torchid.export.dynamics import Dynamics, require_same_arm
-from torchid.export.engines import AtRunTime, InMujoco, simulator
+from torchid.export.engines import AtRunTime, InMujoco, engine_of
 from torchid.export.export import SUFFIXES, edited_of
 from torchid.export.projection import PRICE, Projection, Projector, Target
 from torchid.export.write_actuator import adds_any
@@ -121,7 +121,7 @@ def _judged(
         engines = []
         for k, one in enumerate(fitted):
             path = whole.with_stem(f"fold_{k}")
-            engines.append(simulator(path, _in_file(one, path, original, to)))
+            engines.append(engine_of(path, _in_file(one, path, original, to)))
         own = traces(on.samples, split, [Model.of(one) for one in fitted], engines, data.band)
         all_of_it = traces(on.samples, split, running[:1], running, data.band)
         torques = {

@@ -197,7 +197,7 @@ class RefusedFileError(TorchidError):
         )
 
 
-def simulator(path: Path, robot: Robot) -> "InMujoco | InPinocchio":
+def engine_of(path: Path, robot: Robot) -> "InMujoco | InPinocchio":
     """The engine of a file: MuJoCo of an MJCF, Pinocchio of a URDF (MuJoCo where it is missing).
 
     Raises:
@@ -312,7 +312,7 @@ class InMujoco(LoadedInMujoco):
             data.qpos[self.places], data.qvel[self.rows] = q[0], windows.dq0[b].numpy()
             out[b, 0] = q[0]
             for k in range(int(windows.steps[b].clamp(max=len(q) - 1))):
-                with silent(mujoco):
+                with without_warnings(mujoco):
                     for i in range(steps):
                         share = (i + 0.5) / steps
                         data.qfrc_applied[self.rows] = (1 - share) * tau[k] + share * tau[k + 1]
@@ -332,7 +332,7 @@ def _imported(package: str, extra: str, robot: Robot) -> Any:
 
 
 @contextmanager
-def silent(mujoco: Any) -> Iterator[None]:
+def without_warnings(mujoco: Any) -> Iterator[None]:
     """An arm that runs away is part of the answer: MuJoCo neither prints it nor writes a file of
     it."""
     before = mujoco.get_mju_user_warning()

@@ -252,13 +252,13 @@ def require_feasible(dynamics: Dynamics, found: Check) -> None:
         )
     raise TorchidError(
         f"{dynamics.title}: infeasible, so not exported.",
-        got="; ".join(explained(found, reason) for reason in reasons),
+        got="; ".join(reason_text(found, reason) for reason in reasons),
         expected="a set that a real arm can have",
         hint=hint,
     )
 
 
-def explained(found: Check, reason: str) -> str:
+def reason_text(found: Check, reason: str) -> str:
     """A label with its evidence: `inertia_3 (triangle inequality broken, by 4 %)`."""
     kind, _, place = reason.rpartition("_")
     parameters = found.sets.parameters

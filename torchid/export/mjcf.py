@@ -23,10 +23,10 @@ from torchid.export.xml_tree import (
     comment,
     local,
     new_child,
-    principal,
+    principal_axes,
     quaternion_of,
     read_xml,
-    relocated,
+    relocated_path,
     text,
 )
 from torchid.robot.inertia import InertialParameters
@@ -202,7 +202,7 @@ def _fixed_below(body: Any) -> list[Any]:
 def _inertial(parameters: InertialParameters, i: int, name: str) -> dict[str, str]:
     """Attributes of a link's <inertial>, about its centre of mass in its principal axes."""
     refuse_moment_without_mass(parameters, i, name)
-    moments, turn = principal(parameters, i)
+    moments, turn = principal_axes(parameters, i)
     return {
         "pos": text(parameters.com[i]),
         "mass": number(parameters.mass[i]),
@@ -242,10 +242,10 @@ def _relocate(root: Any, old: Path, new: Path) -> None:
     given = {k: node.attrib.pop(k) for node in compilers for k in keys if k in node.attrib}
     for key in ("meshdir", "texturedir"):
         place = given.get(key, given.get("assetdir", "."))
-        compiler.set(key, relocated(place or ".", old, new))
+        compiler.set(key, relocated_path(place or ".", old, new))
     for node in assets:
         if local(node) == "model" and node.get("file"):
-            node.set("file", relocated(node.get("file"), old, new))
+            node.set("file", relocated_path(node.get("file"), old, new))
 
 
 def new_mjcf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:

@@ -19,7 +19,7 @@ import torch
 from torchid.digits import number
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.checks import EXACT, Comparison, missing, relative_difference
-from torchid.export.engines import LoadedInMujoco, silent
+from torchid.export.engines import LoadedInMujoco, without_warnings
 from torchid.export.xml_tree import (
     XmlFile,
     child,
@@ -211,7 +211,7 @@ class ServosInMujoco(LoadedInMujoco):
             mujoco.mj_resetData(model, data)
             data.qpos[self.places], data.qvel[self.rows] = q[w], dq[w]
             out[a] = q[w]
-            with silent(mujoco):
+            with without_warnings(mujoco):
                 for k in range(a, a + rows):
                     controls = points.feed(u[k], steps)
                     if k == a:

@@ -20,17 +20,15 @@ from torchid.export.checks import (
     EXACT,
     Comparison,
     Draft,
-    compared,
     relative_difference,
     require_agreement,
     staged_files,
 )
-from torchid.export.dynamics import Dynamics, robot_torque
+from torchid.export.dynamics import Dynamics
 from torchid.export.servo_mjcf import STEP
-from torchid.export.write_plain import READER, Written
+from torchid.export.write_plain import READER, Written, read_back
 from torchid.position.model import ServoArm
 from torchid.robot.config_files import filled_template
-from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.robot.writer import robot_yaml
 from torchid.simulators.actuator import EffectTorque
@@ -103,11 +101,8 @@ def write_actuator(
     in_file, beside, left_out = map(tuple, places.values())
     draft = Draft(files, in_file, beside, left_out)
     with staged_files(folder, files) as paths:
-        torque = robot_torque(load_robot(paths[yaml]), motion)
         what = f"torque with all effects of {yaml}"
-        return draft, require_agreement(
-            [compared(READER, what, motion, dynamics.torque(motion), torque)]
-        )
+        return draft, read_back(dynamics, paths[yaml], motion, what)
 
 
 def _write_servos(arm: ServoArm, package: Package, folder: Path, name: str) -> Written:

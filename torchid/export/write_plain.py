@@ -24,15 +24,23 @@ Written = tuple[Draft, tuple[Comparison, ...]]
 READER = f"torchid {__version__}"
 
 
+def read_back(
+    dynamics: Dynamics, file: Path, motion: Motion, what: str = "torque with all effects"
+) -> tuple[Comparison, ...]:
+    """A robot's yaml against the result's own model.
+
+    Raises:
+        TorchidError: its torque is another one.
+    """
+    torque = robot_torque(load_robot(file), motion)
+    return require_agreement([compared(READER, what, motion, dynamics.torque(motion), torque)])
+
+
 def write_yaml(dynamics: Dynamics, written: Robot, path: Path, motion: Motion) -> Written:
     """The robot's yaml, with its effects; read back and compared."""
     draft = Draft({path.name: robot_yaml(written).encode()}, tuple(nominal_effects(written)))
     with staged_files(path.parent, draft.files) as files:
-        torque = robot_torque(load_robot(files[path.name]), motion)
-        what = "torque with all effects"
-        return draft, require_agreement(
-            [compared(READER, what, motion, dynamics.torque(motion), torque)]
-        )
+        return draft, read_back(dynamics, files[path.name], motion)
 
 
 def write_c(dynamics: Dynamics, path: Path, motion: Motion) -> Written:

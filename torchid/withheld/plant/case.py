@@ -23,7 +23,7 @@ from torchid.withheld.plant.servo_scene import (
     visible_effect,
 )
 from torchid.withheld.plant.settings import DRAWS
-from torchid.withheld.plant.simulate import gaps, planted, readings, simulated, size_of, sized
+from torchid.withheld.plant.simulate import gaps, readings, simulated, size_of, sized, with_effect
 
 __all__ = ["CaseSpec", "SimulatedCase", "draw_case", "simulate_case"]
 
@@ -150,7 +150,7 @@ def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
         scene = moved_otherwise(scene, nominal, (spec.poor or spec.motion).another())
     plan, parameters = base, []
     for effect, one in zip(spec.effects, found, strict=True):
-        plan, own = planted(scene, plan, effect, one.scale)
+        plan, own = with_effect(scene, plan, effect, one.scale)
         parameters.append(own)
     nominal = replace(nominal, damping=plan.known_damping, friction=plan.known_friction)
     traces = simulated(scene, plan, nominal, FINE)
@@ -161,7 +161,7 @@ def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
     elif spec.poor:
         # Of each effect alone on the case's motion.
         for k, (effect, one) in enumerate(zip(spec.effects, found, strict=True)):
-            alone, _ = planted(scene, base, effect, one.scale)
+            alone, _ = with_effect(scene, base, effect, one.scale)
             own_nominal = nominal_of(arm, alone.known_damping, alone.known_friction)
             moved = simulated(scene, alone, own_nominal, FINE * 2)
             sizes[k] = size_of(scene, alone, own_nominal, moved)
