@@ -9,7 +9,7 @@ import numpy as np
 
 from torchid.report.withheld import LINES, Line
 from torchid.statistics.resampling import percentile_interval
-from torchid.withheld.measures import drawn_cases, named, rate
+from torchid.withheld.measures import drawn_cases, how_named, rate
 from torchid.withheld.score import Scored
 
 CLOSES = 0.1
@@ -119,7 +119,7 @@ def _curve(cases: Sequence[Scored]) -> list[dict[str, Any]]:
                 "level": level,
                 "size": float(np.median([c.row.planted[0].size for c in own])),
                 "detected": rate(c.row.alarm for c in own),
-                "named": rate(named(c.row).in_set for c in own),
+                "named": rate(how_named(c.row).in_set for c in own),
             }
         )
     return out

@@ -46,8 +46,8 @@ from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.withheld.case_set import CaseSet, keys_beside, read_answers, read_cases, read_keys
-from torchid.withheld.run import Job, default_settings, job_of, run, written
-from torchid.withheld.score import require_answers, scored, summary
+from torchid.withheld.run import Job, default_settings, job_of, run, written_answer
+from torchid.withheld.score import require_answers, scored_case, summary
 
 LEVEL = 0.5
 """At which the oracle accepts what it is told."""
@@ -157,7 +157,7 @@ def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:
             ),
         }
 
-    return written(job, answer)
+    return written_answer(job, answer)
 
 
 def true_share(
@@ -225,7 +225,7 @@ def main() -> None:
     if torque and not given.no_truth:
         truth = true_shares(cases, keys, answers, jobs, None)
     result = summary(cases, keys, answers)
-    ours = [scored(key, answers[key["id"]]) for key in keys if key["id"] in answers]
+    ours = [scored_case(key, answers[key["id"]]) for key in keys if key["id"] in answers]
     closed = None if oracle is None else closed_by(oracle)
     result["scores"] |= plain(beside(ours, closed, truth))
     given.out.mkdir(parents=True, exist_ok=True)

@@ -9,7 +9,7 @@ import torchid
 from torchid.effects.base import JointEffect, Motion
 from torchid.effects.instants import shifted
 from torchid.effects.registry import KINDS
-from torchid.export.dynamics import states
+from torchid.export.dynamics import random_states
 from torchid.robot.chain import tool_jacobian
 from torchid.statistics.random_effects import Sessions, heterogeneity
 
@@ -54,7 +54,7 @@ CASES: dict[str, Callable[[], torch.Tensor]] = {
         Sessions(motion().q[:9], 1 + motion().q[:9].square(), torch.arange(3)),
         torch.full((3,), 4.0, dtype=torch.float64),
     ),
-    "random states": lambda: torch.cat(states(ROBOT, 0, 20).state),
+    "random states": lambda: torch.cat(random_states(ROBOT, 0, 20).state),
     "lists": lambda: torchid.inverse_dynamics(ROBOT, [0.1, 0.2, 0.3], [0.1] * 3, [0.1] * 3),
     "log": lambda: torchid.Log([0.0, 0.1], [[0.1], [0.2]]).q,
     **{name: lambda name=name: columns_of(name) for name in SHAPED},  # type: ignore[misc]

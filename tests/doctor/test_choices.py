@@ -6,7 +6,7 @@ import torch
 
 from tests.doctor.synthetic import clean, log_faults
 from tests.marks import quick_first, some
-from torchid.doctor.examine import conclusion, examine, untold
+from torchid.doctor.examine import conclusion, examine, untold_checks
 from torchid.dynamics.regressor import regressor
 from torchid.errors import LogError
 
@@ -130,7 +130,7 @@ def test_a_log_too_short_is_not_said_to_be_fine():
 @pytest.mark.slow
 def test_a_good_log_says_so():
     result = examine(*clean("3r", 0))
-    assert untold(result) == ()
+    assert untold_checks(result) == ()
     assert conclusion(result) == "Nothing speaks against this log."
 
 
@@ -139,5 +139,5 @@ def test_one_joint_that_moves_shows_nothing_about_the_others():
     still = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
     alone = log.replace(q=log.q * still, dq=log.dq * still, ddq=None, tau=log.tau)
     result = examine(robot, alone)
-    assert "joint order" in untold(result)
+    assert "joint order" in untold_checks(result)
     assert "This log cannot tell:" in conclusion(result)

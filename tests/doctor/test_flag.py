@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from tests.doctor.synthetic import clean
-from torchid.doctor.flag import columns_flag
+from torchid.doctor.flag import columns_option
 from torchid.doctor.repair import (
     MOTION,
     TORQUE,
@@ -43,7 +43,7 @@ def test_the_option_reads_what_the_repairs_make(flag, tmp_path):
     _, log = clean("3r", 0)
     log = log.replace(ddq=None)
     write_log(log, tmp_path / "log.parquet")
-    assert columns_flag(CASES[flag], 3, NAMES) == flag
+    assert columns_option(CASES[flag], 3, NAMES) == flag
     read = read_log(tmp_path / "log.parquet", columns=flag)
     mended = repaired(log, CASES[flag])
     assert read.signals.keys() == mended.signals.keys()
@@ -54,6 +54,6 @@ def test_the_option_reads_what_the_repairs_make(flag, tmp_path):
 
 def test_what_cannot_be_said_is_left_out():
     repairs = [DropRows((3,), "NaN"), Scale(("q", "dq"), (DEGREE,) * 3)]
-    assert columns_flag(repairs[:1], 3, NAMES) is None
-    assert columns_flag(repairs, 3, {"t", "pos1", "pos2", "pos3"}) is None
-    assert columns_flag(repairs, 3, NAMES - {"dq2"}) == "q=q{j} deg"
+    assert columns_option(repairs[:1], 3, NAMES) is None
+    assert columns_option(repairs, 3, {"t", "pos1", "pos2", "pos3"}) is None
+    assert columns_option(repairs, 3, NAMES - {"dq2"}) == "q=q{j} deg"

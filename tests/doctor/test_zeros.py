@@ -7,7 +7,7 @@ import torch
 
 from tests.doctor.synthetic import clean
 from torchid.doctor.examine import examine, signal_checks
-from torchid.doctor.flag import columns_flag
+from torchid.doctor.flag import columns_option
 from torchid.log.checks import check_log
 from torchid.log.readers import read_log, write_log
 
@@ -79,7 +79,7 @@ def test_the_option_says_the_zero_of_counts(tmp_path):
     repairs = [r for c in checks for r in c.repairs]
     write_log(raw, tmp_path / "raw.parquet")
     names = {f"{key}{k + 1}" for key in ("q", "dq", "tau") for k in range(robot.n)}
-    flag = columns_flag(repairs, robot.n, names)
+    flag = columns_option(repairs, robot.n, names)
     assert " -2048" in flag
     read = read_log(tmp_path / "raw.parquet", columns=flag)
     torch.testing.assert_close(read.q, mended.q)

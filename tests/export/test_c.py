@@ -15,7 +15,7 @@ from torchid.effects.registry import KINDS, nominal_effects, on_every_joint
 from torchid.errors import TorchidError
 from torchid.export.c_code import c_file, effect_code, identifier
 from torchid.export.checks import check_c, compiler
-from torchid.export.dynamics import Dynamics, of_base, robot_torque, states
+from torchid.export.dynamics import Dynamics, of_base, random_states, robot_torque
 from torchid.identification.base_parameters import base_parameters, nominal_values
 from torchid.identification.values import BaseValues
 from torchid.robot.inertia import InertialParameters
@@ -94,7 +94,7 @@ def test_base_parameters_and_their_representative(tmp_path):
     values = nominal_values(robot, base)
     known = torch.ones(len(base), dtype=torch.bool)
     dynamics = of_base(robot, BaseValues(base, effects, values, known, None, None), "a test")
-    motion = states(robot, 1)
+    motion = random_states(robot, 1)
     assert float(dynamics.robot.parameters.mass.min()) == 0.0
     code = c_file(dynamics, "kuka")
     assert check_c(code, "kuka", motion, dynamics.torque(motion)).difference <= 1e-12

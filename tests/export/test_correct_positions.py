@@ -13,10 +13,10 @@ from tests.marks import some
 from tests.position.planted import planted, robot, true_servos
 from torchid.app.commands import app
 from torchid.errors import TorchidError
-from torchid.export.correct_positions import correct_positions
+from torchid.export.correct import correct
 from torchid.export.export import export_dynamics
 from torchid.export.results import servo_dynamics
-from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid
+from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid_parameters
 from torchid.log.readers import write_log
 from torchid.position.data import tracks_of
 from torchid.position.model import ServoArm, replay
@@ -40,7 +40,7 @@ def test_a_stop_is_where_positions_end(tmp_path):
     """A stop of the simulation of servos gives way, a joint's limit does not."""
     arm = arm_with(true_servos(3, stop_high=(3, 0.1)))
     log = planted(arm.servos, motions=3, seconds=8.0, seed=2)
-    done = correct_positions(robot(), arm, log, tmp_path)
+    done = correct(robot(), arm, log, "mjcf", tmp_path)
     last = 1e3 * float((log.q - log.u)[:, 2].square().mean().sqrt())
     assert float(done.judged.nominal[2]) == pytest.approx(last)
     assert float(done.judged.engine[2]) < 0.5 * last
@@ -54,13 +54,13 @@ def test_the_file_moves_as_the_arm_did(name, tmp_path):
     arm = arm_with(true_servos(3, **CASES[name]))
     log = planted(arm.servos, motions=3, seconds=6.0, seed=2)
     other = planted(arm.servos, motions=3, seconds=6.0, seed=5)
-    done = correct_positions(robot(), arm, log, tmp_path, held_out=other, with_effects="mjlab")
+    done = correct(robot(), arm, log, "mjcf", tmp_path, held_out=other, with_effects="mjlab")
     found = done.judged
     assert found.held_out == "a held-out log"
     assert float(found.nominal.min()) > 20.0
     # MuJoCo's own solution of dry friction, and encoder counts of 1.5 mrad.
     assert float(found.run_time.max()) < 1.5
-    assert set(done.no_field) == set(unsaid(arm.servos, SAID))
+    assert set(done.no_field) == set(unsaid_parameters(arm.servos, SAID))
     if not done.no_field:
         assert float(found.engine.max()) < 1.5
     else:
@@ -150,7 +150,7 @@ def test_actuators_of_a_file_are_replaced_where_they_stand(tmp_path):
     servos.joint[0, INDEX["offset"]] = -4.0
     arm = replace(arm_with(servos), robot=own)
     log = planted(servos, motions=2, seconds=6.0, seed=3)
-    done = correct_positions(own, arm, log, tmp_path / "out")
+    done = correct(own, arm, log, "mjcf", tmp_path / "out")
     model = mujoco.MjModel.from_xml_path(str(done.files[0]))
     names = [model.actuator(k).name for k in range(model.nu)]
     assert names == ["other", "servo_1", "joint_3"]
@@ -178,11 +178,11 @@ def test_what_cannot_be_written(tmp_path):
     arm = arm_with(true_servos(3))
     log = planted(arm.servos, motions=2, seconds=6.0)
     with pytest.raises(TorchidError, match="servos are of another arm"):
-        correct_positions(load_robot("kuka_lwr4"), arm, log, tmp_path)
+        correct(load_robot("kuka_lwr4"), arm, log, "mjcf", tmp_path)
     # Motions that go the other way.
     wild = log.replace(u=-log.u)
     with pytest.raises(TorchidError, match="hardly better than its commands"):
-        correct_positions(robot(), arm, log, tmp_path, held_out=wild)
+        correct(robot(), arm, log, "mjcf", tmp_path, held_out=wild)
     assert not list(tmp_path.iterdir())
 
 

@@ -13,7 +13,13 @@ from tests.fleet.records import identification as identified
 from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_others, on_every_joint
 from torchid.errors import TorchidError
-from torchid.export.dynamics import Dynamics, folded, nearest_representative, robot_torque, states
+from torchid.export.dynamics import (
+    Dynamics,
+    folded_robot,
+    nearest_representative,
+    random_states,
+    robot_torque,
+)
 from torchid.export.export import export_dynamics, require_feasible
 from torchid.export.results import base_dynamics, carried, load, robot_dynamics, set_dynamics
 from torchid.feasibility.record import check_sets
@@ -66,7 +72,7 @@ def test_base_parameters_have_the_identifications_torque(tmp_path):
     robot = arm("kuka_lwr4")
     path, base, effects, values = identification(tmp_path, robot)
     found = base_dynamics(path, named_robot(path, load(path), None))
-    motion = states(robot, 3)
+    motion = random_states(robot, 3)
     own = model_torque(robot, base, effects, values, motion)
     assert relative(found.torque(motion), own) < 1e-14
     assert "not determined" in found.warnings[0]
@@ -96,7 +102,7 @@ def test_base_parameters_of_no_bodies_are_written_as_the_nearest_bodies(tmp_path
     # What is said of the price is what the file's own torque shows.
     (said,) = [w for w in done.warnings if "these are bodies" in w]
     percent = float(said.split("up to ")[1].split(" %")[0])
-    motion = states(robot, seed=7)
+    motion = random_states(robot, seed=7)
     wanted = asked.torque(motion)
     missed = robot_torque(load_robot(str(done.files[0])), motion) - wanted
     largest = 100 * float((missed.norm(dim=0) / wanted.norm(dim=0)).max())
@@ -150,7 +156,7 @@ def test_effects_beside_the_sets_come_with_them(tmp_path):
     found = set_dynamics(path, load(path), bare, None, "none")
     assert found.warnings == ()
     assert len(found.robot.effects) == len(robot.effects)
-    motion = states(robot, 1)
+    motion = random_states(robot, 1)
     assert relative(found.torque(motion), robot_torque(robot, motion)) < 1e-14
     path.write_text(json.dumps({**json.loads(path.read_text()), "other_effects": [3]}))
     with pytest.raises(TorchidError, match="other_effects"):
@@ -239,12 +245,12 @@ def test_a_payload_becomes_part_of_the_last_link(tmp_path):
     done = exported(robot, "urdf", tmp_path)
     assert all(c.difference < 1e-12 for c in done.comparisons)
     assert not any("payload" in words for words in done.beside)
-    heavier = folded(robot).parameters.mass - robot.parameters.mass
+    heavier = folded_robot(robot).parameters.mass - robot.parameters.mass
     assert heavier.tolist() == pytest.approx([0, 0, 1.5])
     # Beside an effect that is taken from the model itself, it stays an effect.
     tilt = {"effect": "encoder_offset", "joint": 1, "offset": 0.01, "at": 0.03}
     both = with_other(arm("3r"), effects=(payload, tilt))
-    assert folded(both) is both
+    assert folded_robot(both) is both
     assert all(c.ok for c in exported(both, "urdf", tmp_path).comparisons)
 
 
@@ -269,7 +275,7 @@ def test_packages_that_are_not_installed_are_told(tmp_path, monkeypatch):
 
 def test_states_are_within_limits():
     robot = arm("panda")
-    motion: Motion = states(robot, 0)
+    motion: Motion = random_states(robot, 0)
     for name, x in zip(("position", "velocity"), motion.state, strict=False):
         low, high = getattr(robot.limits, name).unbind(-1)
         assert bool(((x >= low) & (x <= high)).all())

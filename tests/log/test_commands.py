@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from torchid.errors import LogError
-from torchid.log.commands import along, held
+from torchid.log.commands import commands_along, held_commands
 from torchid.log.model import Log
 from torchid.log.readers import read_log
 
@@ -85,7 +85,9 @@ def test_lerobot(tmp_path: Path) -> None:
 
 def test_the_nearest_earlier_command_is_held() -> None:
     sent = np.array([0.5, 0.105, 0.0])
-    found = held(np.array([0.0, 0.1, 0.2, 0.5, 0.6]), sent, np.array([[3.0], [2.0], [1.0]]), "log")
+    found = held_commands(
+        np.array([0.0, 0.1, 0.2, 0.5, 0.6]), sent, np.array([[3.0], [2.0], [1.0]]), "log"
+    )
     assert found.u[:, 0].tolist() == [1.0, 1.0, 2.0, 3.0, 3.0]
     assert found.rows.all()
     assert found.warnings == ()
@@ -95,7 +97,7 @@ def test_late_and_missing_commands_are_told() -> None:
     sent = np.concatenate([T[10:40], T[70:]])
     u = np.interp(sent, T, Q[:, 0])[:, None]
     u[5] = np.nan
-    found = held(T, sent, u, "'run'")
+    found = held_commands(T, sent, u, "'run'")
     assert found.rows.tolist() == [False] * 10 + [True] * 90
     assert found.u[15, 0] == Q[14, 0]  # the one without a value is no command
     assert np.array_equal(found.u[40:70, 0], np.full(30, Q[39, 0]))
@@ -106,17 +108,17 @@ def test_late_and_missing_commands_are_told() -> None:
         "'run': commands pause 1 times, at most for 0.62 s (at 0.78 s; they come every 0.02 s): "
         "the one before is held.",
     )
-    ended = held(T, T[:20], Q[:20], "'run'")
+    ended = held_commands(T, T[:20], Q[:20], "'run'")
     assert "commands pause 1 times, at most for 1.6 s (at 0.38 s" in ended.warnings[0]
 
 
 @pytest.mark.parametrize("apart", [-5.0, 5.0])
 def test_two_clocks_that_do_not_meet(apart: float) -> None:
     with pytest.raises(LogError, match="not recorded at the same time") as info:
-        held(T, T + apart, U, "'run'")
+        held_commands(T, T + apart, U, "'run'")
     assert "positions from 0 to 1.98 s" in (info.value.got or "")
     with pytest.raises(LogError, match="has no commands"):
-        held(T, T, np.full_like(U, np.nan), "'run'")
+        held_commands(T, T, np.full_like(U, np.nan), "'run'")
 
 
 def test_set_points_along_trajectories() -> None:
@@ -127,7 +129,7 @@ def test_set_points_along_trajectories() -> None:
         (0.25, np.array([0.5, 1.0]), np.array([[1.0], [3.0]])),
         (1.65, np.array([0.0]), np.array([[7.0]])),
     ]
-    found = along(t, np.full((len(t), 1), 0.4), trajectories, "log")
+    found = commands_along(t, np.full((len(t), 1), 0.4), trajectories, "log")
     assert found.rows.tolist() == (t >= 0.25).tolist()
     # From the position 0.4 to 1 at 0.75 s, on towards 3, turned at 1 s where it is 2.
     expected = np.interp(

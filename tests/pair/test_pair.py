@@ -18,7 +18,7 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.settings import GapSettings
 from torchid.log.filtering import central_difference, low_passed
 from torchid.log.model import Log
-from torchid.pair.align import aligned
+from torchid.pair.align import aligned_trajectories
 from torchid.pair.pair import compare_pair
 from torchid.robot.library import load_robot
 from torchid.simulation.sensors import Sensors, measured_log
@@ -74,7 +74,7 @@ def changed(one: Log, **signals: torch.Tensor) -> Log:
 def test_clocks_of_another_start_and_rate_are_found():
     one = log()
     later = one.select(slice(150, 1900)).replace(t=one.t[150:1900] * 0.5 + 77.0)
-    both = aligned(later, one)[0]
+    both = aligned_trajectories(later, one)[0]
     assert both.clock.rate == pytest.approx(0.5, rel=1e-4)
     assert both.clock.start == pytest.approx(-0.5 * 0.75, abs=2e-3)
     left = both.real["q"] - both.simulated["q"]

@@ -13,7 +13,7 @@ import torchid
 from tests.marks import some
 from torchid.errors import LogError
 from torchid.log.model import Log
-from torchid.pair.align import aligned
+from torchid.pair.align import aligned_trajectories
 from torchid.pair.pair import PairDiagnosis, compare_pair
 from torchid.pair.record import PairRecord
 from torchid.report.pair import shown, verdict
@@ -89,7 +89,7 @@ def weaker() -> PairDiagnosis:
 @pytest.mark.nightly
 @pytest.mark.parametrize("kinds", some([("late step", "step"), KINDS, ("step",), ("ramp",)], 1))
 def test_short_motions_have_one_clock(kinds):
-    both = aligned(driven(kinds), driven(kinds, seed=1, kp=8.1))
+    both = aligned_trajectories(driven(kinds), driven(kinds, seed=1, kp=8.1))
     assert len(both) == 32
     assert {b.clock.by for b in both} == {"u"}
     for b in both:
@@ -100,7 +100,7 @@ def test_short_motions_have_one_clock(kinds):
 @pytest.mark.nightly
 def test_a_clock_of_another_rate_is_the_same_in_steps_ramps_and_sines():
     simulated = driven()
-    both = aligned(simulated.replace(t=0.5 * simulated.t), driven(seed=1, kp=8.1))
+    both = aligned_trajectories(simulated.replace(t=0.5 * simulated.t), driven(seed=1, kp=8.1))
     assert [b.clock.rate for b in both] == pytest.approx([0.5] * 32, rel=1e-4)
 
 
@@ -108,7 +108,7 @@ def test_an_arm_that_never_moves_ends_in_an_error():
     u = torch.from_numpy(commands(("step",))[0])[:, None]
     still = Log(torch.arange(len(u)).double() / RATE, q=torch.zeros_like(u), u=u)
     with pytest.raises(LogError, match="no motion"):
-        aligned(still, still)
+        aligned_trajectories(still, still)
 
 
 @pytest.mark.nightly

@@ -9,7 +9,7 @@ import torch
 import torchid
 from tests.position.planted import COUNT, planted, robot, true_servos
 from torchid.errors import LogError, TorchidError
-from torchid.export.correct_positions import correct_positions
+from torchid.export.correct import correct
 from torchid.log.model import Log
 from torchid.position.data import missing_commands, prepare, tracks_of
 from torchid.position.model import ServoArm
@@ -136,7 +136,7 @@ def test_a_log_in_another_unit_than_the_servos_is_refused(log: Log, tmp_path: Pa
     other = log.replace(q=log.q / scale, u=log.u / scale, dq=prepare(robot(), log).dq)
     arm = ServoArm(robot(), true_servos(3), ONE)
     with pytest.raises(TorchidError, match="joint 3 in another unit than the servos'"):
-        correct_positions(robot(), arm, other, tmp_path)
+        correct(robot(), arm, other, "mjcf", tmp_path)
 
 
 def test_servos_of_the_file_that_are_right_leave_no_gap(log: Log, tmp_path: Path) -> None:

@@ -9,17 +9,17 @@ from scipy.stats import binomtest
 
 from torchid.statistics.proportion import wilson
 from torchid.withheld.measures import (
-    added,
-    believed,
+    added_counts,
     coefficient_coverage,
     f1,
-    inside,
+    how_named,
+    interval_holds,
     joint_counts,
     largest_matching,
-    matched,
-    named,
+    matching_counts,
     poor_verdict,
     reliability,
+    stated_probabilities,
     verdict,
 )
 from torchid.withheld.rows import Claim, Planted, Row, row_of
@@ -71,10 +71,10 @@ def test_the_largest_share_is_the_top_claim() -> None:
         claim("viscous_friction", 1, share=0.2),
         claim("coulomb_friction", 1, share=0.7, ambiguous=("stribeck_friction",)),
     ]
-    s = named(row([planted("coulomb_friction", 1)], found))
+    s = how_named(row([planted("coulomb_friction", 1)], found))
     assert (s.top1, s.in_set, s.family, s.set_size) == (True, True, True, 2)
     assert not s.exact
-    swapped = named(row([planted("viscous_friction", 1)], found))
+    swapped = how_named(row([planted("viscous_friction", 1)], found))
     assert (swapped.top1, swapped.in_set, swapped.anywhere, swapped.family) == (
         False, False, True, False,
     )  # fmt: skip
@@ -82,18 +82,18 @@ def test_the_largest_share_is_the_top_claim() -> None:
 
 def test_an_alternative_counts_for_the_set_and_not_for_the_name() -> None:
     found = [claim("stribeck_friction", 2, ambiguous=("coulomb_friction", "viscous_friction"))]
-    s = named(row([planted("coulomb_friction", 2)], found))
+    s = how_named(row([planted("coulomb_friction", 2)], found))
     assert (s.top1, s.in_set, s.family, s.exact, s.set_size) == (False, True, True, False, 3)
 
 
 def test_exact_needs_the_joint() -> None:
     truth = [planted("coulomb_friction", 2)]
-    assert named(row(truth, [claim("coulomb_friction", 2)])).exact
-    assert not named(row(truth, [claim("coulomb_friction", 3)])).exact
+    assert how_named(row(truth, [claim("coulomb_friction", 2)])).exact
+    assert not how_named(row(truth, [claim("coulomb_friction", 3)])).exact
 
 
 def test_silence_is_no_set() -> None:
-    s = named(row([planted("payload")], [], "no_gap"))
+    s = how_named(row([planted("payload")], [], "no_gap"))
     assert not any((s.top1, s.in_set, s.anywhere, s.family, s.exact))
     assert s.set_size is None
 
@@ -115,15 +115,15 @@ def test_f1_is_the_harmonic_mean_of_precision_and_recall() -> None:
     precision, recall = hits / (hits + extra), hits / (hits + missed)
     assert f1((hits, extra, missed)) == pytest.approx(2 * precision * recall / (precision + recall))
     assert f1((0, 0, 0)) == 1.0
-    assert added([(1, 2, 3), (4, 5, 6)]) == (5, 7, 9)
-    assert added([]) == (0, 0, 0)
+    assert added_counts([(1, 2, 3), (4, 5, 6)]) == (5, 7, 9)
+    assert added_counts([]) == (0, 0, 0)
 
 
 def test_one_claim_is_not_two_hits() -> None:
     truth = [planted("coulomb_friction", 1), planted("stribeck_friction", 1)]
     found = [claim("stribeck_friction", 1, ambiguous=("coulomb_friction",))]
-    assert matched(row(truth, found), strict=False) == (1, 0, 1)
-    assert matched(row(truth, found), strict=True) == (1, 0, 1)
+    assert matching_counts(row(truth, found), strict=False) == (1, 0, 1)
+    assert matching_counts(row(truth, found), strict=True) == (1, 0, 1)
 
 
 def test_strict_hits_need_name_and_joint() -> None:
@@ -132,14 +132,14 @@ def test_strict_hits_need_name_and_joint() -> None:
         claim("stribeck_friction", 1, ambiguous=("coulomb_friction",)),
         claim("viscous_friction", 3),
     ]
-    assert matched(row(truth, found), strict=False) == (1, 1, 1)
-    assert matched(row(truth, found), strict=True) == (0, 2, 2)
+    assert matching_counts(row(truth, found), strict=False) == (1, 1, 1)
+    assert matching_counts(row(truth, found), strict=True) == (0, 2, 2)
 
 
 def test_an_effect_of_the_whole_arm_is_on_every_joint() -> None:
     found = [claim("link_inertia", 3, ambiguous=("payload",))]
-    assert matched(row([planted("payload")], found), strict=False) == (1, 0, 0)
-    assert matched(row([planted("payload")], found), strict=True) == (0, 1, 1)
+    assert matching_counts(row([planted("payload")], found), strict=False) == (1, 0, 0)
+    assert matching_counts(row([planted("payload")], found), strict=True) == (0, 1, 1)
 
 
 def test_largest_matching_beats_no_assignment() -> None:
@@ -216,9 +216,9 @@ def test_what_is_said_of_poor_data(answer: Row, said: str) -> None:
 
 
 def test_coverage_is_two_sided() -> None:
-    assert inside(1.0, 0.1, 1.19)
-    assert inside(1.0, 0.1, 0.81)
-    assert not inside(1.0, 0.1, 1.2)
+    assert interval_holds(1.0, 0.1, 1.19)
+    assert interval_holds(1.0, 0.1, 0.81)
+    assert not interval_holds(1.0, 0.1, 1.2)
 
 
 def test_coefficients_count_where_name_and_joint_are_right() -> None:
@@ -286,8 +286,8 @@ def test_how_sure_is_compared_with_how_often_it_is_right():
     row = row_of(
         {"effects": [planted]}, {"status": "explained", "which": [claim, elsewhere, silent]}
     )
-    assert believed(row) == [(0.9, True), (0.6, False)]
-    found = reliability(believed(row) * 2)
+    assert stated_probabilities(row) == [(0.9, True), (0.6, False)]
+    found = reliability(stated_probabilities(row) * 2)
     assert found["brier"] == pytest.approx((0.01 + 0.36) / 2)
     assert [(p["from"], p["hits"], p["total"]) for p in found["curve"]] == [
         (0.5, 0, 2),

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from torchid.withheld.measures import coefficient_coverage, joint_counts, named, verdict
+from torchid.withheld.measures import coefficient_coverage, how_named, joint_counts, verdict
 from torchid.withheld.rows import row_of
-from torchid.withheld.score import scored, scores
+from torchid.withheld.score import scored_case, scores
 
 
 def found(effect: str, family: str, joint: int | None, gain: float, **more: Any) -> dict[str, Any]:
@@ -42,8 +42,8 @@ def test_entries_of_one_effect_are_one_claim():
         ("derivative_gain", (2,)),
     ]
     assert row.claims[0].share == 3 * 25.0 or abs(row.claims[0].share - 75.0) < 1e-9
-    assert named(row).top1
-    assert not named(row).exact
+    assert how_named(row).top1
+    assert not how_named(row).exact
 
 
 def test_a_plane_is_felt_by_all_joints():
@@ -51,7 +51,7 @@ def test_a_plane_is_felt_by_all_joints():
         key("plane_contact", "world", felt_by=[1, 2, 3]),
         answer(found("plane_contact", "world", None, 4.0)),
     )
-    assert named(row).exact
+    assert how_named(row).exact
     assert joint_counts(row) == (3, 0, 0)
 
 
@@ -76,8 +76,8 @@ def test_intervals_are_compared_with_what_was_planted():
 
 def test_a_set_is_scored():
     planted = key("dead_zone", "servo", 1)
-    one = scored(planted, answer(found("dead_zone", "servo", 1, 2.0)))
-    none = scored(planted | {"kind": "none", "effects": []}, answer(status="no_gap"))
+    one = scored_case(planted, answer(found("dead_zone", "servo", 1, 2.0)))
+    none = scored_case(planted | {"kind": "none", "effects": []}, answer(status="no_gap"))
     result = scores([one, none])
     assert result["single"]["exact"]["share"] == 1.0
     assert result["false_alarms"]["all"]["hits"] == 0

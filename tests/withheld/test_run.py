@@ -57,7 +57,7 @@ def test_answers_of_another_diagnosis_are_not_taken_for_its_own(todo, said, monk
     ]
     with pytest.raises(TorchidError, match="other settings"):
         run(other)
-    monkeypatch.setattr(running, "code", lambda: "another")
+    monkeypatch.setattr(running, "source_digest", lambda: "another")
     with pytest.raises(TorchidError, match="diagnosis has changed"):
         run(todo)
     monkeypatch.setattr(running, "__version__", "9.9")
@@ -101,5 +101,5 @@ def test_an_error_in_another_process_is_raised_here():
 
 
 def test_the_code_is_that_of_the_diagnosis():
-    assert len(running.code()) == 64
-    assert running.code() == running.code()
+    assert len(running.source_digest()) == 64
+    assert running.source_digest() == running.source_digest()

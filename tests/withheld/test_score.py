@@ -7,7 +7,7 @@ import pytest
 from tests.benchmarks import loaded
 from tests.withheld.fakes import answer, entry
 from torchid.withheld.measures import micro_f1, rate
-from torchid.withheld.score import Scored, scored, scores
+from torchid.withheld.score import Scored, scored_case, scores
 
 extra = loaded("withheld_beside")
 beside, confusion, detection, median = (
@@ -34,7 +34,7 @@ def case(
         for n, f, j in truth
     ]
     key = {"id": name, "kind": kind, "colour_hz": colour, "level": level, "effects": effects}
-    return scored(key, said)
+    return scored_case(key, said)
 
 
 QUIET = answer("no_gap")

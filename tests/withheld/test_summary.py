@@ -9,7 +9,7 @@ from tests.withheld.fakes import answer, draw_case, entry, key_of
 from torchid.errors import TorchidError
 from torchid.report.withheld import LINES, headline, score_table
 from torchid.withheld.case_set import CaseSet
-from torchid.withheld.score import require_answers, scored
+from torchid.withheld.score import require_answers, scored_case
 from torchid.withheld.score import summary as summary_of
 
 references = loaded("withheld_score")
@@ -24,7 +24,7 @@ WRONG = answer("explained", entry("viscous_friction", "speed", 1))
 def summary(cases, keys, answers, oracle=None):
     """With what the benchmark puts beside it."""
     found = summary_of(cases, keys, answers)
-    ours = [scored(key, answers[key["id"]]) for key in keys if key["id"] in answers]
+    ours = [scored_case(key, answers[key["id"]]) for key in keys if key["id"] in answers]
     found["scores"] |= extra.beside(ours, None if oracle is None else extra.closed_by(oracle))
     return found
 

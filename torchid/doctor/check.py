@@ -118,7 +118,7 @@ def said(
     )
 
 
-def among(check: Check, choices: Sequence[Choice], fixes: Collection[str]) -> Check:
+def with_choices(check: Check, choices: Sequence[Choice], fixes: Collection[str]) -> Check:
     """A check with one fix, or with several of which `fixes` may choose."""
     if len(choices) < 2:
         return replace(check, fix=choices[0].fix, repairs=choices[0].repairs)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from torchid.doctor.check import Check, among, said
+from torchid.doctor.check import Check, said, with_choices
 from torchid.doctor.cone import OWN
-from torchid.doctor.faults import choices_of, gravity_fix, improvement
+from torchid.doctor.faults import choices_of, gravity_fix, improvement_text
 from torchid.doctor.hypothesis import Hypothesis, Judge, profile
 from torchid.doctor.repair import ShiftTorque
 from torchid.doctor.search import CLEAR, TIE, Search
@@ -52,10 +52,10 @@ def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> 
     base = said("gravity", "fine", text=text, **known)
     fix = gravity_fix(estimate)
     if turned and result.explained:
-        text = f"mounted {mounting(estimate)}: {text}; {improvement(turned[0])}"
+        text = f"mounted {mounting_text(estimate)}: {text}; {improvement_text(turned[0])}"
         first, *others = choices_of(turned[0])
         own = replace(first, fix=fix)
-        return among(replace(base, verdict="wrong", evidence=text), [own, *others], fixes)
+        return with_choices(replace(base, verdict="wrong", evidence=text), [own, *others], fixes)
     if half > _LOOSE or not result.explained:
         return replace(base, verdict="cannot tell")
     if tilt - half > TILT and gain > CLEAR:
@@ -63,7 +63,7 @@ def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> 
     return base
 
 
-def mounting(gravity: np.ndarray) -> str:
+def mounting_text(gravity: np.ndarray) -> str:
     """Floor, ceiling or wall, of the base frame's nearest axis."""
     axis = int(np.argmax(np.abs(gravity)))
     if axis == 2:

@@ -1,15 +1,15 @@
 """The whole examination: every check in turn, each on the log as the ones before have mended it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from torchid.doctor import clock, motion, torque, velocity
 from torchid.doctor.check import Check
 from torchid.doctor.estimates import check_excitation, check_gravity, check_lag
-from torchid.doctor.faults import fault_checks, unseen
+from torchid.doctor.faults import fault_checks, unseen_faults
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
 from torchid.doctor.number_format import check_number_format
@@ -166,37 +166,30 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
     checks: list[Check] = []
     now = log
 
-    def add(check: Check) -> None:
+    def add(*made: Callable[[Log], Check]) -> None:
         nonlocal now
-        checks.append(check)
-        now = repaired(now, check.repairs)
+        for check in made:
+            checks.append(check(now))
+            now = repaired(now, checks[-1].repairs)
 
-    add(clock.check_values(now))
-    add(check_number_format(now))
-    add(clock.check_clock(now))
+    add(clock.check_values, check_number_format, clock.check_clock)
     if not checks[-1].repairs and checks[-1].verdict == "wrong":
         return checks, now
-    add(clock.check_held(now))
-    add(clock.check_time_unit(now))
-    add(motion.check_jumps(robot, now))
-    add(clock.check_stamps(now))
-    add(clock.check_dropouts(now))
-    add(motion.check_position_unit(robot, now, fixes))
+    add(clock.check_held, clock.check_time_unit, partial(motion.check_jumps, robot))
+    add(clock.check_stamps, clock.check_dropouts)
+    add(partial(motion.check_position_unit, robot, fixes=fixes))
     counts = _counts(checks)
     if not counts:
-        add(motion.check_zeros(robot, now, fixes))
-    if now.u is not None:
+        add(partial(motion.check_zeros, robot, fixes=fixes))
+    if log.u is not None:
         # Before the velocities, which would be taken for what is wrong.
-        add(velocity.check_channel_units(now))
-    add(velocity.check_velocity(now, fixes, counts=counts))
-    add(motion.check_standstill(now))
-    add(torque.check_torque(now))
-    if now.u is not None:
-        add(velocity.check_commands(now))
-    if torque.torque_or_current(now) is not None:
-        add(torque.check_saturation(now))
-        add(torque.check_resolution(now))
-        add(torque.check_content(now))
+        add(velocity.check_channel_units)
+    add(partial(velocity.check_velocity, fixes=fixes, counts=counts))
+    add(motion.check_standstill, torque.check_torque)
+    if log.u is not None:
+        add(velocity.check_commands)
+    if torque.torque_or_current(log) is not None:
+        add(torque.check_saturation, torque.check_resolution, torque.check_content)
     return checks, now
 
 
@@ -244,7 +237,7 @@ def _with_model(
         more += [
             *check_nominal(judge, now, end),
             check_excitation(judge, end, now),
-            *unseen(judge, found),
+            *unseen_faults(judge, found),
         ]
     return Examination(robot, log, (*checks, *more), found, judge)
 
@@ -278,7 +271,7 @@ def record(examination: Examination, columns: str | None = None) -> DoctorRecord
         log=examination.log.source,
         conclusion=conclusion(examination),
         silent=examination.silent,
-        untold=untold(examination),
+        untold=untold_checks(examination),
         checks=tuple(
             CheckRecord.of(
                 check,
@@ -311,10 +304,10 @@ def conclusion(examination: Examination) -> str:
         return text
     reasons = {c.evidence for c in hidden}
     reason = f" ({reasons.pop()})" if len(reasons) == 1 < len(hidden) else ""
-    return f"{text} This log cannot tell: {', '.join(untold(examination))}{reason}."
+    return f"{text} This log cannot tell: {', '.join(untold_checks(examination))}{reason}."
 
 
-def untold(examination: Examination) -> tuple[str, ...]:
+def untold_checks(examination: Examination) -> tuple[str, ...]:
     """What may hide a fault since this log cannot tell."""
     kinds = [(c.name.removeprefix("unseen "), c) for c in _hidden(examination)]
     return tuple(

@@ -5,10 +5,10 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from torchid.doctor.check import TEXTS, Check, Choice, among, said
+from torchid.doctor.check import TEXTS, Check, Choice, said, with_choices
 from torchid.doctor.hypothesis import Hypothesis, Judge, profile
 from torchid.doctor.moves import LEAST_GAIN, Move, invisible_groups, least_groups
-from torchid.doctor.repair import TORQUE, Scale, within
+from torchid.doctor.repair import TORQUE, Scale, of_signals
 from torchid.doctor.search import CLEAR, Found, Search
 from torchid.doctor.size import nominal_loss
 from torchid.robot.model import joint_list
@@ -52,7 +52,7 @@ def fault_checks(judge: Judge, result: Search, fixes: Collection[str] = ()) -> l
     return checks
 
 
-def unseen(judge: Judge, result: Search) -> list[Check]:
+def unseen_faults(judge: Judge, result: Search) -> list[Check]:
     """Faults that would not show in this log: having them costs too little."""
     out = []
     for kind in _UNSEEN:
@@ -90,7 +90,7 @@ def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -
     first, *others = choices_of(found)
     estimate: float | tuple[float, ...] | None = None
     interval: tuple[float, float] | None = None
-    text = improvement(found)
+    text = improvement_text(found)
     if move.kind == "gain":
         # The joint's torque over what it should be, refined with everything else mended.
         one = move.joints[0]
@@ -102,7 +102,7 @@ def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -
         values = [1.0 / (share * math.exp(x)) for x in (fine.value, fine.high, fine.low)]
         factor, interval = values[0], (min(values[1:]), max(values[1:]))
         factors = tuple(1.0 / factor if k == one else 1.0 for k in range(judge.robot.n))
-        scale = within(Scale(TORQUE, factors), judge.samples.signals)
+        scale = of_signals(Scale(TORQUE, factors), judge.samples.signals)
         first = Choice.of(first.name, scale)
         estimate = factor
         text = (
@@ -131,7 +131,7 @@ def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -
         interval=interval,
         unit="ratio" if move.kind == "gain" else "",
     )
-    return check if unsure else among(check, [first, *others], fixes)
+    return check if unsure else with_choices(check, [first, *others], fixes)
 
 
 def _nominal_objects(judge: Judge, result: Search, found: Found) -> bool:
@@ -164,7 +164,7 @@ def gravity_fix(gravity: Sequence[float] | np.ndarray) -> str:
     )
 
 
-def improvement(found: Found) -> str:
+def improvement_text(found: Found) -> str:
     """What mending does to the error of the joints it matters to most, held out."""
     ratio = found.before / found.after
     worst = [int(k) for k in np.argsort(-ratio)[:3] if ratio[k] > 1.1]

@@ -16,15 +16,15 @@ _EXACT = 1e-12
 
 
 def flag_for(repairs: Sequence[Repair], n: int, files: Sequence[Path]) -> str | None:
-    """`columns_flag` for logs that are read without it."""
+    """`columns_option` for logs that are read without it."""
     if not repairs:
         return None
     tables = [open_log(file, Request())[0] for file in files]
     own = [set() if table is None else set(table.columns) for table in tables]
-    return columns_flag(repairs, n, set.intersection(*own))
+    return columns_option(repairs, n, set.intersection(*own))
 
 
-def columns_flag(repairs: Sequence[Repair], n: int, columns: Collection[str]) -> str | None:
+def columns_option(repairs: Sequence[Repair], n: int, columns: Collection[str]) -> str | None:
     """What `--columns` must be for all repairs that it can say, in order; None where there are
     none.
 

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from typing import NamedTuple
 
 import torch
 
-from torchid.doctor.check import Check, Choice, among, said
+from torchid.doctor.check import Check, Choice, said, with_choices
 from torchid.doctor.repair import PLACES, Repair, Scale, Shift, Unwrap
 from torchid.log.checks import (
     DEGREES,
@@ -59,44 +60,10 @@ def check_position_unit(robot: Robot, log: Log, fixes: Collection[str] = ()) -> 
     """Degrees or encoder counts in place of radians, and velocities in units of their servos."""
     ratio = {a.joint: a.ratio for a in velocity_agreement(log) if a.correlation > FOLLOWS}
     servo = _servo(log, ratio)
-    factors, rates = [1.0] * robot.n, [1.0] * robot.n
-    evidence: list[str] = []
-    unknown: list[int] = []
-    for k, kind in enumerate(robot.joint_types):
-        q = log.q[:, k]
-        low, high = float(q.min()), float(q.max())
-        limits = robot.limits.position
-        if kind is JointType.PRISMATIC:
-            far = max(-low, high) > largest_slide(None if limits is None else limits[k])
-            if far or (k in ratio and near(ratio[k], 1.0 / MILLIMETRES)):
-                factors[k] = 1.0 / MILLIMETRES
-                evidence.append(f"q{k + 1} {low:.4g} to {high:.4g}: millimetres")
-            continue
-        far = max(-low, high) > largest_angle(None if limits is None else limits[k])
-        # A turn or two off the limits they are radians all the same.
-        own = None if limits is None or not bool(torch.isfinite(limits[k]).all()) else limits[k]
-        far = far and (own is None or _turned_back(own, low, high)[1] > _BEYOND)
-        degrees = k in ratio and near(ratio[k], 1.0 / DEGREES)
-        if not (far or degrees):
-            continue
-        if bool((q == q.round()).all()) and max(-low, high) > COUNTS:
-            # Radians per count from dq in rad/s; a power of two per turn where that is near.
-            measured = ratio.get(k)
-            said = "encoder counts"
-            if servo is not None:
-                factors[k], rates[k], name = servo
-                said = f"{said}, and dq in units of {name}"
-            elif measured is None or measured > 0.05:
-                unknown.append(k)
-            else:
-                turn = 2.0 * math.pi / measured
-                usual = (2.0 ** round(math.log2(turn)), *_COUNTS)
-                factors[k] = 2.0 * math.pi / next((x for x in usual if near(turn, x)), round(turn))
-            evidence.append(f"q{k + 1} {low:g} to {high:g}, whole numbers: {said}")
-        else:
-            factors[k] = 1.0 / DEGREES
-            why = f", dq{k + 1} is 1/{1 / ratio[k]:.1f} of its derivative" if degrees else ""
-            evidence.append(f"q{k + 1} {low:.4g} to {high:.4g}: degrees{why}")
+    units = [_unit_of(robot, log, k, ratio.get(k), servo) for k in range(robot.n)]
+    factors, rates = [u.factor or 1.0 for u in units], [u.rate for u in units]
+    unknown = [k for k, u in enumerate(units) if u.factor is None]
+    evidence = [u.evidence for u in units if u.evidence]
     # Where most joints are in one unit, the others are too: they only stayed near zero, or still.
     rotary = [k for k, kind in enumerate(robot.joint_types) if kind is not JointType.PRISMATIC]
     clear = [a.joint for a in velocity_agreement(log) if near(a.ratio, 1.0)]
@@ -125,7 +92,7 @@ def check_position_unit(robot: Robot, log: Log, fixes: Collection[str] = ()) -> 
         text = "positions leave the limits in degrees, and are all within 100: percent of a range"
         check = Check("position unit", "wrong", text, joints)
         choices = [percent, Choice.of("degrees", *repairs)]
-        return among(check, choices, fixes)
+        return with_choices(check, choices, fixes)
     ask = f"say how many counts make a turn in {joint_list(unknown)}: q=q{{j}} rev/COUNTS -ZERO"
     return Check(
         "position unit",
@@ -136,6 +103,59 @@ def check_position_unit(robot: Robot, log: Log, fixes: Collection[str] = ()) -> 
         unit="per rad" if all(k in rotary for k in joints) else "per rad, per m",
         fix=ask if unknown else None,
     ).mended_by(*repairs)
+
+
+class _Unit(NamedTuple):
+    """Of one joint: radians (metres) in a unit of q, None where counts are of an unknown part of a
+    turn; rad/s in a unit of dq that has one of its own; and why."""
+
+    factor: float | None = 1.0
+    rate: float = 1.0
+    evidence: str = ""
+
+
+def _unit_of(
+    robot: Robot,
+    log: Log,
+    k: int,
+    ratio: float | None,
+    servo: tuple[float, float, str] | None,
+) -> _Unit:
+    """The unit of a joint's positions.
+
+    Args:
+        robot, log, k: joint k (from 0) of the two.
+        ratio: of dq to the derivative of q; None where it is not measured.
+        servo: whose registers all velocities fit; None for none's.
+    """
+    q, limits = log.q[:, k], robot.limits.position
+    low, high = float(q.min()), float(q.max())
+    reached, own = max(-low, high), None if limits is None else limits[k]
+    name, span = f"q{k + 1}", f"{low:.4g} to {high:.4g}"
+    if robot.joint_types[k] is JointType.PRISMATIC:
+        if not (reached > largest_slide(own) or (ratio and near(ratio, 1.0 / MILLIMETRES))):
+            return _Unit()
+        return _Unit(1.0 / MILLIMETRES, evidence=f"{name} {span}: millimetres")
+    far = reached > largest_angle(own)
+    if own is not None and bool(torch.isfinite(own).all()):
+        # A turn or two off the limits they are radians all the same.
+        far = far and _turned_back(own, low, high)[1] > _BEYOND
+    degrees = ratio is not None and near(ratio, 1.0 / DEGREES)
+    if not (far or degrees):
+        return _Unit()
+    if not (bool((q == q.round()).all()) and reached > COUNTS):
+        why = f", d{name} is 1/{1 / ratio:.1f} of its derivative" if ratio and degrees else ""
+        return _Unit(1.0 / DEGREES, evidence=f"{name} {span}: degrees{why}")
+    counts = f"{name} {low:g} to {high:g}, whole numbers: encoder counts"
+    if servo is not None:
+        return _Unit(*servo[:2], f"{counts}, and dq in units of {servo[2]}")
+    if ratio is None or ratio > 0.05:
+        return _Unit(None, evidence=counts)
+    # Radians per count from dq in rad/s; a power of two per turn where that is near.
+    turn = 2.0 * math.pi / ratio
+    usual = (2.0 ** round(math.log2(turn)), *_COUNTS)
+    per_turn = next((x for x in usual if near(turn, x)), round(turn))
+    return _Unit(2.0 * math.pi / per_turn, evidence=counts)
 
 
 def _percent(
@@ -243,7 +263,7 @@ def check_zeros(robot: Robot, log: Log, fixes: Collection[str] = ()) -> Check:
     if choices:
         joints = tuple(k for k, x in enumerate(options[choices[0].name] or ()) if x)
         check = said("zero of positions", "wrong", joints=joints, evidence=evidence)
-        return among(check, choices, fixes)
+        return with_choices(check, choices, fixes)
     mirrored = all(_beyond(ranges[k], -high[k], -low[k]) < _BEYOND for k in out)
     verdict = "doubtful mirrored" if mirrored else "doubtful"
     return said("zero of positions", verdict, joints=out, evidence=evidence)

@@ -20,7 +20,7 @@ from torchid.doctor.repair import (
     Scale,
     Shift,
     ShiftTorque,
-    within,
+    of_signals,
 )
 from torchid.dynamics.regressor import regressor
 from torchid.robot.model import JointType, Robot
@@ -78,7 +78,7 @@ class Move:
         return sum(len(r.signals) for r in self.repairs if isinstance(r, Scale | Shift | Reorder))
 
 
-def moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
+def all_moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
     """All moves from a hypothesis, with repairs of the signals that the log has."""
     for move in _moves(judge, now):
         yield _of_its_signals(judge, move)
@@ -90,7 +90,7 @@ def joint_sign(judge: Judge, now: Hypothesis, joints: Sequence[int]) -> Move:
 
 
 def _of_its_signals(judge: Judge, move: Move) -> Move:
-    repairs = (within(r, judge.samples.signals) for r in move.repairs)
+    repairs = (of_signals(r, judge.samples.signals) for r in move.repairs)
     return replace(move, repairs=tuple(repairs))
 
 
@@ -238,6 +238,7 @@ _ROWS = 24
 _SAME = 1e-8
 
 
+@lru_cache(maxsize=8)
 def invisible_groups(robot: Robot, gravity: tuple[float, ...]) -> tuple[Group, ...]:
     """Groups of axes that mirrored bodies explain, by the geometry alone, smallest first.
 
@@ -245,25 +246,7 @@ def invisible_groups(robot: Robot, gravity: tuple[float, ...]) -> tuple[Group, .
         robot: its kinematics.
         gravity: (3,) in the base frame [m/s^2].
     """
-    return _groups(gravity, _Held(robot))
-
-
-class _Held:
-    """A robot that is no part of a cache's key: tensors have no hash."""
-
-    def __init__(self, robot: Robot):
-        self.robot = robot
-
-    def __hash__(self) -> int:
-        return id(self.robot)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Held) and other.robot is self.robot
-
-
-@lru_cache(maxsize=8)
-def _groups(gravity: tuple[float, ...], held: _Held) -> tuple[Group, ...]:
-    robot = replace(held.robot, gravity=torch.tensor(gravity, dtype=torch.float64))
+    robot = replace(robot, gravity=torch.tensor(gravity, dtype=torch.float64))
     n = robot.n
     generator = torch.Generator().manual_seed(0)
     motion = torch.randn(3, _ROWS, n, generator=generator, dtype=torch.float64)

@@ -35,7 +35,7 @@ def repaired(log: Log, repairs: Iterable[Repair]) -> Log:
     return log
 
 
-def within(repair: Repair, signals: Collection[str]) -> Repair:
+def of_signals(repair: Repair, signals: Collection[str]) -> Repair:
     """The repair of those signals only that a log has."""
     if not isinstance(repair, Scale | Shift | Reorder):
         return repair

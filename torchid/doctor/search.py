@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchid.doctor.hypothesis import Hypothesis, Judge, Score
-from torchid.doctor.moves import Group, Move, alternatives, invisible_groups, joint_sign, moves
+from torchid.doctor.moves import Group, Move, all_moves, alternatives, invisible_groups, joint_sign
 
 CLEAR = 0.4
 """A fault is found when mending it lowers the sum of the joints' log errors by this, held out: as
@@ -100,7 +100,7 @@ def _greedy(
     while True:
         # Every move with the weights of the present fit, then those near or below it properly.
         base = judge.score(now)
-        tried = [m for m in moves(judge, now) if zeros or m.kind != "zero"]
+        tried = [m for m in all_moves(judge, now) if zeros or m.kind != "zero"]
         quick = [(judge.score(m.after, base.fit.weights).loss, m) for m in tried]
         looked = [
             ((judge.score(m.after).loss if loss < base.loss + _LOOK else loss) - base.loss, m)

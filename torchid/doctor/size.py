@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from scipy.optimize import nnls
 
-from torchid.doctor.check import Check, Choice, Verdict, among, said
+from torchid.doctor.check import Check, Choice, Verdict, said, with_choices
 from torchid.doctor.cone import reach_of, shares
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.repair import Scale
@@ -208,7 +208,7 @@ def _by_size(
             for name, factor in _SMALL_UNITS.items()
             if plausible[0] < size / factor < plausible[1]
         ]
-        return among(check, choices, fixes) if choices else replace(check, fix=_CHECK_GAINS)
+        return with_choices(check, choices, fixes) if choices else replace(check, fix=_CHECK_GAINS)
     check = Check("torque unit", "fine", text, estimate=size, unit=unit)
     if size < plausible[0]:
         text = f"{text}: amperes, motor side, or kN m?"

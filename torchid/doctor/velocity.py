@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 
-from torchid.doctor.check import Check, Choice, among, said
+from torchid.doctor.check import Check, Choice, said, with_choices
 from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
 from torchid.log.checks import FOLLOWS, MOVING, named_ratio, own_units, velocity_agreement
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
@@ -43,7 +43,7 @@ def check_velocity(log: Log, fixes: Collection[str] = (), *, counts: bool = Fals
         text = "positions are in counts of an unknown part of a turn"
         return Check("velocity", "cannot tell", text)
     if isinstance(factors, float):
-        return among(*_wrong_rate(factors, log.n), fixes)
+        return with_choices(*_wrong_rate(factors, log.n), fixes)
     if any(f != 1.0 for f in factors):
         repairs.append(Scale(("dq",), tuple(factors)))
         log = repairs[-1].apply(log)

@@ -10,7 +10,7 @@ from torchid import __version__
 from torchid.digits import number
 from torchid.effects.c_text import JOINTS, RIGID
 from torchid.effects.registry import Valued, in_rounds, nominal_effects
-from torchid.export.dynamics import Dynamics, described
+from torchid.export.dynamics import Dynamics, effect_text
 from torchid.robot.config_files import config_folder, filled_template
 from torchid.robot.model import JointType, Robot
 from torchid.yaml_data import parsed_yaml
@@ -61,7 +61,7 @@ def effect_code(robot: Robot, effects: Sequence[Valued], rigid: str) -> EffectCo
                 left_out.append((effect, values))
                 continue
             named = (line.replace(RIGID, rigid).replace(JOINTS, str(robot.n)) for line in code)
-            lines += [f"/* {described(effect, values, robot)} */", *named]
+            lines += [f"/* {effect_text(effect, values, robot)} */", *named]
         rounds.append(lines)
     return EffectCode(rounds[0], rounds[1], tuple(left_out))
 
@@ -109,35 +109,25 @@ def c_file(dynamics: Dynamics, file_name: str) -> CFile:
 
 
 def _about(dynamics: Dynamics, file_name: str, left_out: Sequence[Valued]) -> str:
-    robot = dynamics.robot
+    robot, values = dynamics.robot, dynamics.base
     units = [
         f"q[{i}] {'[m], torque [N]' if kind is JointType.PRISMATIC else '[rad], torque [N m]'}: "
         f"{name}"
         for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True))
     ]
-    lines = [
-        f"{file_name}.c: inverse dynamics of '{robot.name}', written by torchid {__version__}.",
-        f"Obtained from {dynamics.title}.",
-        "",
-        "tau = Y_R(q, dq, ddq) beta + effects, torque positive along the joint's axis.",
-        *units,
-        *_WORDS["frames"].splitlines(),
-        "",
-    ]
     # What LINK[][] holds.
-    if dynamics.base is None:
-        lines += _WORDS["set"].format(title=dynamics.title).splitlines()
-    else:
-        base = dynamics.base.base
-        lines += (
-            _WORDS["representative"].format(b=len(base), p=len(base.parameter_names)).splitlines()
-        )
-        rows = zip(base.names, dynamics.base.values.tolist(), base.units, strict=True)
+    content, lines = _WORDS["set"].format(title=dynamics.title), list[str]()
+    if values is not None:
+        size = {"b": len(values.base), "p": len(values.base.parameter_names)}
+        content = _WORDS["representative"].format(**size)
+        rows = zip(values.base.names, values.values.tolist(), values.base.units, strict=True)
         lines += [f"  {number(value)} {unit}: {name}" for name, value, unit in rows]
     if left_out:
         lines += ["", "LEFT OUT, since they depend on the past, on time or on more than this arm:"]
-        lines += [f"  {described(*pair, robot)}" for pair in left_out]
-    return "\n".join(lines)
+        lines += [f"  {effect_text(*pair, robot)}" for pair in left_out]
+    known = {"file": file_name, "robot": robot.name, "version": __version__}
+    known |= {"title": dynamics.title, "units": "\n".join(units), "content": content.rstrip("\n")}
+    return "\n".join([_WORDS["about"].format(**known).rstrip("\n"), *lines])
 
 
 def _constants(robot: Robot) -> dict[str, object]:

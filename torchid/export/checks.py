@@ -144,7 +144,7 @@ class Draft:
     notes: tuple[str, ...] = ()
 
 
-def kept(comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
+def require_agreement(comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
     """The comparisons, or a TorchidError where one fails."""
     for one in comparisons:
         if not one.ok:
@@ -158,7 +158,7 @@ def kept(comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
 
 
 @contextmanager
-def staged(folder: Path, files: Mapping[str, bytes | None]) -> Iterator[dict[str, Path]]:
+def staged_files(folder: Path, files: Mapping[str, bytes | None]) -> Iterator[dict[str, Path]]:
     """Write files under hidden names, and give them their own when the block ends well.
 
     The hidden names keep the stem's relation between a file and its sidecar, and lie in the same

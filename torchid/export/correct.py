@@ -8,7 +8,7 @@ from torchid.design.sensor import sensor_of
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.correct_positions import correct_positions
 from torchid.export.correct_torque import correct_torque
-from torchid.export.correction import Correction
+from torchid.export.correction import Correction, CorrectionRequest
 from torchid.export.export import SUFFIXES
 from torchid.export.projection import Target
 from torchid.export.write_actuator import Package
@@ -106,14 +106,11 @@ def correct(
         full = ServoArm.of_file(full) or as_robot(full)
     robot.require_fixed_base("a correction")
     file_format(to)
+    asked = CorrectionRequest(
+        robot, log, to, Path(folder), name, held_out, settings or GapSettings(), with_effects, keep
+    )
     if isinstance(full, PositionDiagnosis | ServoArm):
         require_field(to, robot, log)
-        return correct_positions(
-            robot, full, log, folder, name, held_out=held_out, with_effects=with_effects,
-            seed=0 if settings is None else settings.seed, keep=keep,
-        )  # fmt: skip
+        return correct_positions(asked, full)
     assert isinstance(full, Robot | TorqueDiagnosis)
-    return correct_torque(
-        robot, full, log, to, folder, name, held_out=held_out, settings=settings,
-        with_effects=with_effects, keep=keep,
-    )  # fmt: skip
+    return correct_torque(asked, full)

@@ -4,21 +4,24 @@ says of them, written, and moved there by the log's commands.
 Nothing is written before the engine has run the file on the log.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import torch
 
 from torchid.errors import TorchidError
-from torchid.export.correction import Correction, Judged, of_joints
+from torchid.export.correction import (
+    Correction,
+    CorrectionRequest,
+    Judged,
+    of_joints,
+    without_field,
+)
 from torchid.export.dynamics import Dynamics, require_same_arm
-from torchid.export.export import edited_of, export_dynamics, stem_of
+from torchid.export.export import edited_of
 from torchid.export.results import servo_dynamics
-from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid, write_servos
-from torchid.export.write_actuator import Package
+from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid_parameters, write_servos
 from torchid.export.write_xml import xml_of
 from torchid.log.checks import own_units
 from torchid.log.model import Log
@@ -40,32 +43,16 @@ NO_BETTER = 0.9
 """Mean error over that of the commands themselves from which a file is refused."""
 
 
-def correct_positions(
-    robot: Robot,
-    full: PositionDiagnosis | ServoArm,
-    log: Log,
-    folder: Path | str,
-    name: str | None = None,
-    *,
-    held_out: Log | None = None,
-    with_effects: bool | Package = False,
-    seed: int = 0,
-    keep: Sequence[Path] = (),
-) -> Correction:
+def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoArm) -> Correction:
     """Write a robot with servos as MuJoCo says them, refitted to a log of commands and positions.
 
+    With effects there is a yaml of its servos beside the second file, for set-points that
+    `torchid.simulators.servo` makes at run time; a package's actuator class is all of a servo at
+    run time, refitted to that.
+
     Args:
-        robot: as given: if it is an MJCF, a copy of its file is edited.
-        full: a diagnosis of it on this log, or what it corrected.
-        log: motions that the servos in the file are fitted to.
-        folder: made if need be.
-        name: of the file, without suffix; the robot's own, with `_corrected`, by default.
-        held_out: motions that judge it; without them, those that it was fitted to.
-        with_effects: write a second file, `_effects` after its name, and a yaml of its servos, for
-            set-points that `torchid.simulators.servo` makes at run time. With a package's name that
-            package's actuator class is written, too: all of a servo at run time, refitted to that.
-        seed: of the states at which the file's torque is compared.
-        keep: files that are never overwritten.
+        asked: of an MJCF.
+        full: a diagnosis of the robot on this log, or what it corrected.
 
     Raises:
         LogError: logs that do not fit the robot, or have no commands.
@@ -73,34 +60,23 @@ def correct_positions(
         TorchidError: another arm, or a file that follows hardly better than its commands.
     """
     arm = full.corrected if isinstance(full, PositionDiagnosis) else full
+    robot, log = asked.robot, asked.log
     require_same_arm(arm.robot, robot, "servos are")
-    stem = f"{stem_of(robot)}_corrected" if name is None else name
-    yaml = Path(folder) / f"{stem}_effects.yaml"
-    if with_effects and yaml.resolve() in [Path(file).resolve() for file in keep]:
+    yaml = asked.folder / f"{asked.stem}_effects.yaml"
+    if asked.with_effects and yaml.resolve() in [Path(file).resolve() for file in asked.keep]:
         raise TorchidError(
             f"the servos would take the place of '{yaml}'.",
             hint="another `name=...`, or another folder",
         )
-    fitted = prepare(arm.robot, log, arm.scale)
+    fitted = _prepared(arm, log)
     on, data = log, fitted
-    if held_out is not None:
-        on, data = held_out, prepare(arm.robot, held_out, arm.scale)
-    for one in (fitted, data):
-        # Most motions say nothing of their unit: then it is that of the servos' own logs.
-        for j, told in own_units(one.log).items():
-            known = float(arm.scale[j])
-            if abs(told - known) > UNITS * known:
-                raise TorchidError(
-                    f"{one.log.label} has joint {j + 1} in another unit than the servos' own logs.",
-                    got=f"{told:.3g} rad (m) per unit, by the recorded velocities",
-                    expected=f"{known:.3g}",
-                    hint="diagnose this log together with the others",
-                )
+    if asked.held_out is not None:
+        on, data = asked.held_out, _prepared(arm, asked.held_out)
     alone, running = refitted(arm, fitted, SAID, (*SAID, *AT_RUN_TIME))
     own, beside = (_in_engine(robot, _rigid(one, log), data) for one in (alone, running))
     judged = Judged(
         "mrad",
-        "the log that was fitted" if held_out is None else "a held-out log",
+        "the log that was fitted" if asked.held_out is None else "a held-out log",
         _rms((data.tracks.u - data.q) / data.scale),
         replay(arm, on, windows=WINDOW_S).error[0],
         replay(alone, on, windows=WINDOW_S).error[0],
@@ -108,6 +84,54 @@ def correct_positions(
         beside[1],
         own[2],
     )
+    _require_follows(judged)
+    no_field = unsaid_parameters(arm.servos, SAID)
+    words = f"'{robot.name}' with servos, corrected and refitted to mjcf"
+    gain = torch.zeros(robot.n) if arm.std is None else arm.std[:, INDEX["kp"]]
+    open_ = (gain > RATIO).nonzero().flatten().tolist()
+    if open_:
+        words += f"; torques{of_joints(open_)} in their ratios to kp alone, which no load anchors"
+    others = [f"{name}{of_joints(joints)}" for name, joints in no_field.items()]
+    files = [asked.write(own[0], words + without_field(others))]
+    servos: tuple[Path, ...] = ()
+    if asked.with_effects:
+        title = f"{words}, for set-points at run time"
+        files.append(asked.write(beside[0], title, ending="_effects"))
+        running.write(yaml)
+        servos = (yaml,)
+    if not isinstance(asked.with_effects, bool):
+        (drives,) = refitted(arm, fitted, AS_EFFORT)
+        title = f"{words}, all of it at run time"
+        files.append(asked.write(servo_dynamics(drives), title, asked.with_effects))
+    warnings = dict.fromkeys(words for one in files for words in one.warnings)
+    return Correction(
+        robot, judged, tuple(files), (*judged.worse_than_claimed, *warnings), servos=alone,
+        no_field=no_field, beside=servos,
+    )  # fmt: skip
+
+
+def _prepared(arm: ServoArm, log: Log) -> PositionData:
+    """A log for the fit of an arm's servos.
+
+    Raises:
+        TorchidError: a joint is in another unit than in the servos' own logs.
+    """
+    data = prepare(arm.robot, log, arm.scale)
+    # Most motions say nothing of their unit: then it is that of the servos' own logs.
+    for j, told in own_units(data.log).items():
+        known = float(arm.scale[j])
+        if abs(told - known) > UNITS * known:
+            raise TorchidError(
+                f"{data.log.label} has joint {j + 1} in another unit than the servos' own logs.",
+                got=f"{told:.3g} rad (m) per unit, by the recorded velocities",
+                expected=f"{known:.3g}",
+                hint="diagnose this log together with the others",
+            )
+    return data
+
+
+def _require_follows(judged: Judged) -> None:
+    """Raise TorchidError for a file that follows hardly better than the commands themselves."""
     found, none = (float(x.nan_to_num(torch.inf).mean()) for x in (judged.engine, judged.nominal))
     if not found < NO_BETTER * none:
         raise TorchidError(
@@ -115,33 +139,6 @@ def correct_positions(
             got=f"{found:.3g} mrad in {judged.by}",
             expected=f"less than {NO_BETTER:g} times {none:.3g} mrad, on {judged.held_out}",
         )
-    no_field = unsaid(arm.servos, SAID)
-
-    write = partial(
-        export_dynamics, folder=folder, nominal=robot, geometry="none", seed=seed, keep=keep
-    )
-    words = f"'{robot.name}' with servos, corrected and refitted to mjcf"
-    others = [f"{name}{of_joints(joints)}" for name, joints in no_field.items()]
-    gain = torch.zeros(robot.n) if arm.std is None else arm.std[:, INDEX["kp"]]
-    open_ = (gain > RATIO).nonzero().flatten().tolist()
-    if open_:
-        words += f"; torques{of_joints(open_)} in their ratios to kp alone, which no load anchors"
-    title = words + (f"; no field for {', '.join(others)}" if others else "")
-    files = [write(replace(own[0], title=title), "mjcf", name=stem)]
-    if with_effects:
-        title = f"{words}, for set-points at run time"
-        files.append(write(replace(beside[0], title=title), "mjcf", name=f"{stem}_effects"))
-        running.write(yaml)
-    if not isinstance(with_effects, bool):
-        (drives,) = refitted(arm, fitted, AS_EFFORT)
-        all_of_it = replace(servo_dynamics(drives), title=f"{words}, all of it at run time")
-        files.append(write(all_of_it, with_effects, name=stem))
-    said = (yaml,) if with_effects else ()
-    warnings = dict.fromkeys(words for one in files for words in one.warnings)
-    return Correction(
-        robot, judged, tuple(files), (*judged.worse_than_claimed, *warnings), servos=alone,
-        no_field=no_field, beside=said,
-    )  # fmt: skip
 
 
 def _rigid(arm: ServoArm, log: Log) -> ServoArm:

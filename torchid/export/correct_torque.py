@@ -9,7 +9,6 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -19,20 +18,25 @@ import torch
 from torchid.design.columns import Columns, Model
 from torchid.design.repeats import find_repeats
 from torchid.errors import TorchidError
-from torchid.export.correction import Correction, Forward, Judged, of_joints
+from torchid.export.correction import (
+    Correction,
+    CorrectionRequest,
+    Forward,
+    Judged,
+    of_joints,
+    without_field,
+)
 from torchid.export.dynamics import Dynamics, require_same_arm
-from torchid.export.engines import AtRunTime, InMujoco, simulator
-from torchid.export.export import SUFFIXES, edited_of, export_dynamics, stem_of
+from torchid.export.engines import AtRunTime, InMujoco, engine_of
+from torchid.export.export import SUFFIXES, edited_of
 from torchid.export.projection import PRICE, Projection, Projector, Target
-from torchid.export.write_actuator import Package, adds_any
+from torchid.export.write_actuator import adds_any
 from torchid.export.write_xml import xml_of
 from torchid.extraction.entropic import SPREAD
 from torchid.gap.data import Data, read
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
-from torchid.gap.folds import make_folds
-from torchid.gap.settings import GapSettings
+from torchid.gap.folds import Folds, make_folds
 from torchid.gap.validate.traces import traces
-from torchid.log.model import Log
 from torchid.robot.model import Robot, joint_list
 from torchid.simulation.shooting import starts_of, windows_of
 from torchid.simulation.two_models import DIVERGED, HORIZONS, rollouts
@@ -45,25 +49,11 @@ NO_BETTER = 1.02
 """Mean error over that of the nominal robot from which a file is refused."""
 
 
-def correct_torque(
-    robot: Robot,
-    full: Robot | TorqueDiagnosis,
-    log: Log,
-    to: Target,
-    folder: Path | str,
-    name: str | None = None,
-    *,
-    held_out: Log | None = None,
-    settings: GapSettings | None = None,
-    with_effects: bool | Package = False,
-    keep: Sequence[Path] = (),
-) -> Correction:
-    """Write a robot as a simulator's file can say it, refitted to the log's torque; arguments and
-    errors are those of `torchid.correct`."""
-    settings = settings or GapSettings()
-    diagnosis = full if isinstance(full, TorqueDiagnosis) else None
-    corrected = full.corrected if isinstance(full, TorqueDiagnosis) else full
-    before = robot if diagnosis is None else diagnosis.robot
+def correct_torque(asked: CorrectionRequest, full: Robot | TorqueDiagnosis) -> Correction:
+    """Write a robot as a simulator's file can say it, refitted to the log's torque; errors are
+    those of `torchid.correct`."""
+    robot, log, held_out, settings = asked.robot, asked.log, asked.held_out, asked.settings
+    before, corrected = _models(asked, full)
     require_same_arm(corrected, robot, "result is")
     if held_out is None and settings.held_out_fraction > 0:
         log, held_out = log.split(1 - settings.held_out_fraction)
@@ -71,35 +61,69 @@ def correct_torque(
     repeats = find_repeats(data.segments).groups(len(data.segments))
     folds = make_folds(data.samples, settings.folds, repeats)
     data = data.without_silent(Columns(Model.of(before), data.samples), folds.parts)
-    projector = Projector(robot, corrected, data, to)
+    projector = Projector(robot, corrected, data, asked.to)
     projection = projector.projection()
-    # Fits without each fold judge the kind of file; one fit to all is written.
-    by_folds = apart is None and diagnosis is not None
-    parts = [torch.ones(len(data.samples), dtype=torch.bool)]
-    fitted = [projection.robot]
+    judged = _judged(asked, full, projector, projection.robot, apart, folds)
+    beside = [
+        f"{one.effect}{of_joints(one.joints)} ({one.lost:.2g} of {one.made:.2g} RMS are lost)"
+        for one in projection.kept
+    ]
+    words = f"'{robot.name}', corrected and refitted to {asked.to}"
+    title = words + without_field(beside)
+    files = [asked.write(Dynamics(projection.robot, "robot", title), title)]
+    if asked.with_effects:
+        every = torch.ones(len(data.samples), dtype=torch.bool)
+        title = f"{words}, with effects beside it"
+        beside_it = Dynamics(projector.with_effects(every), "robot", title)
+        files.append(asked.write(beside_it, title, ending="_effects"))
+        if asked.with_effects is not True and adds_any(beside_it.robot):
+            files.append(asked.write(beside_it, title, asked.with_effects))
+    warnings = _warnings(projection, judged, robot, data.silent)
+    return Correction(robot, judged, tuple(files), warnings, projection)
+
+
+def _models(asked: CorrectionRequest, full: Robot | TorqueDiagnosis) -> tuple[Robot, Robot]:
+    """The robot that was diagnosed, and what it became."""
+    if isinstance(full, TorqueDiagnosis):
+        return full.robot, full.corrected
+    return asked.robot, full
+
+
+def _judged(
+    asked: CorrectionRequest,
+    full: Robot | TorqueDiagnosis,
+    projector: Projector,
+    robot: Robot,
+    apart: Data | None,
+    folds: Folds,
+) -> Judged:
+    """What the file of a robot is worth in its engine, on a log apart; of a diagnosis without one
+    fits without each fold judge the kind of file.
+
+    Raises:
+        TorchidError: it is no better than the robot as given.
+    """
+    data, to, (before, corrected) = projector.data, asked.to, _models(asked, full)
+    by_folds = apart is None and isinstance(full, TorqueDiagnosis)
+    parts, fitted = [torch.ones(len(data.samples), dtype=torch.bool)], [robot]
     if by_folds:
         parts = [folds.fitted(k) for k in range(folds.count)]
         fitted = [projector.without(part) for part in parts]
-    running = [projector.with_effects(part) for part in parts]
-    on = data if apart is None else apart
-    shown: Sequence[Trace] = ()
-    if diagnosis is not None:
-        shown = diagnosis.traces
+    running = [AtRunTime.of(projector.with_effects(part)) for part in parts]
+    on, split = data if apart is None else apart, folds if by_folds else None
+    if isinstance(full, TorqueDiagnosis):
+        shown: Sequence[Trace] = full.traces
     else:
         shown = traces(on.samples, None, [Model.of(before)], [Model.of(corrected)], data.band)
-    original = edited_of(robot, to)
+    original = edited_of(asked.robot, to)
     with TemporaryDirectory() as drafts:
         whole = Path(drafts) / f"whole{SUFFIXES[to]}"
         engines = []
         for k, one in enumerate(fitted):
             path = whole.with_stem(f"fold_{k}")
-            engines.append(simulator(path, _in_file(one, path, original, to)))
-        split = folds if by_folds else None
+            engines.append(engine_of(path, _in_file(one, path, original, to)))
         own = traces(on.samples, split, [Model.of(one) for one in fitted], engines, data.band)
-        models = [AtRunTime.of(one) for one in running]
-        all_of_it = traces(on.samples, split, models[:1], models, data.band)
-        alone = "parts that were not fitted" if by_folds else "the log that was fitted"
-
+        all_of_it = traces(on.samples, split, running[:1], running, data.band)
         torques = {
             "nominal": [x.before for x in shown],
             "full": [x.after for x in shown],
@@ -110,44 +134,15 @@ def correct_torque(
         errors: dict[str, Any] = {
             name: _percent(shown, some, data.silent) for name, some in torques.items()
         }
-        judged = Judged(
-            "%",
-            alone if apart is None else "a held-out log",
-            **errors,
-            by=engines[0].name,
-            band=data.band,
-        )
+        alone = "parts that were not fitted" if by_folds else "the log that was fitted"
+        held_out = alone if apart is None else "a held-out log"
+        judged = Judged("%", held_out, **errors, by=engines[0].name, band=data.band)
         _require_better(judged)
-        if settings.rollout:
-            inside = _in_file(projection.robot, whole, original, to)
-            forward = _forward(inside, whole, to, before, full, on, settings, data.silent)
+        if asked.settings.rollout:
+            inside = _in_file(robot, whole, original, to)
+            forward = _forward(asked, full, inside, whole, on, data.silent)
             judged = replace(judged, forward=forward)
-    beside = [
-        f"{one.effect}{of_joints(one.joints)} ({one.lost:.2g} of {one.made:.2g} RMS are lost)"
-        for one in projection.kept
-    ]
-    stem = f"{stem_of(robot)}_corrected" if name is None else name
-
-    write = partial(
-        export_dynamics,
-        folder=folder,
-        nominal=robot,
-        geometry="none",
-        seed=settings.seed,
-        keep=keep,
-    )
-    words = f"'{robot.name}', corrected and refitted to {to}"
-    title = words + (f"; no field for {', '.join(beside)}" if beside else "")
-    files = [write(Dynamics(projection.robot, "robot", title), to, name=stem)]
-    if with_effects:
-        every = torch.ones(len(data.samples), dtype=torch.bool)
-        title = f"{words}, with effects beside it"
-        beside_it = Dynamics(projector.with_effects(every), "robot", title)
-        files.append(write(beside_it, to, name=f"{stem}_effects"))
-        if with_effects is not True and adds_any(beside_it.robot):
-            files.append(write(beside_it, with_effects, name=stem))
-    warnings = _warnings(projection, judged, robot, data.silent)
-    return Correction(robot, judged, tuple(files), warnings, projection)
+    return judged
 
 
 def _require_better(judged: Judged) -> None:
@@ -183,23 +178,21 @@ def _percent(
 
 
 def _forward(
+    asked: CorrectionRequest,
+    full: Robot | TorqueDiagnosis,
     robot: Robot,
     path: Path,
-    to: Target,
-    before: Robot,
-    full: Robot | TorqueDiagnosis,
     on: Data,
-    settings: GapSettings,
     silent: Sequence[int],
 ) -> tuple[Forward, ...]:
-    """Where the file, the robot as given and the diagnosed one are after each horizon, from the
-    same starts; of joints whose torque says nothing, nothing is known."""
+    """Where the file of a robot, the robot as given and the diagnosed one are after each horizon,
+    from the same starts; of joints whose torque says nothing, nothing is known."""
+    seed = asked.settings.seed
     replayed = full.how_far.rollout if isinstance(full, TorqueDiagnosis) else None
     if replayed is None:
-        corrected = full.corrected if isinstance(full, TorqueDiagnosis) else full
-        replayed, _ = rollouts(before, corrected, on.segments, HORIZONS, settings.seed, STARTS)
+        replayed, _ = rollouts(*_models(asked, full), on.segments, HORIZONS, seed, STARTS)
     horizons = [row.horizon_s for row in replayed.horizons]
-    starts = starts_of(on.segments, min(HORIZONS), STARTS, settings.seed)
+    starts = starts_of(on.segments, min(HORIZONS), STARTS, seed)
     if not horizons or not len(starts.first):
         return ()
     windows = windows_of(on.segments, starts, max(horizons))

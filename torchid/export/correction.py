@@ -1,13 +1,14 @@
 """A corrected file of a simulator, and what it is worth on a log, of torques or of positions."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-from torchid.export.export import Export
-from torchid.export.projection import Projection
+from torchid.export.dynamics import Dynamics
+from torchid.export.export import Export, Format, export_dynamics, stem_of
+from torchid.export.projection import Projection, Target
 from torchid.export.record import (
     BodiesRecord,
     CorrectionRecord,
@@ -16,11 +17,49 @@ from torchid.export.record import (
     JudgedRecord,
     UnsaidRow,
 )
+from torchid.export.write_actuator import Package
+from torchid.gap.settings import GapSettings
+from torchid.log.model import Log
 from torchid.position.model import ServoArm
 from torchid.results.record import Result
 from torchid.results.words import number_list
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectionRequest:
+    """What a correction is asked for; see `torchid.export.correct.correct`."""
+
+    robot: Robot
+    log: Log
+    to: Target
+    folder: Path
+    name: str | None
+    held_out: Log | None
+    settings: GapSettings
+    with_effects: bool | Package
+    keep: Sequence[Path]
+
+    @property
+    def stem(self) -> str:
+        """Of the files' names."""
+        return f"{stem_of(self.robot)}_corrected" if self.name is None else self.name
+
+    def write(
+        self, dynamics: Dynamics, title: str, to: Format | None = None, ending: str = ""
+    ) -> Export:
+        """Write dynamics under a title: in the correction's format, or another one."""
+        return export_dynamics(
+            replace(dynamics, title=title), to or self.to, self.folder, f"{self.stem}{ending}",
+            nominal=self.robot, geometry="none", seed=self.settings.seed, keep=self.keep,
+        )  # fmt: skip
+
+
+def without_field(beside: Sequence[str]) -> str:
+    """The end of a title that names what a file has no field for."""
+    return f"; no field for {', '.join(beside)}" if beside else ""
+
 
 CLAIMED = 1.15
 """Error in the engine over the claimed one from which a warning says so; beside 1 % or 1 mrad."""

@@ -98,7 +98,7 @@ def _with(robot: Robot, values: BaseValues, full: Float[Tensor, " P"]) -> Robot:
     )
 
 
-def folded(robot: Robot) -> Robot:
+def folded_robot(robot: Robot) -> Robot:
     """The robot with effects that are bodies (a payload, links' missing inertia) put into its
     parameters, where no other effect is taken from the model's own."""
     pairs = nominal_effects(robot)
@@ -116,7 +116,7 @@ def records(pairs: Sequence[Valued]) -> tuple[Mapping[str, Any], ...]:
     return tuple(effect.record(values) for effect, values in pairs)
 
 
-def described(effect: Effect, values: Sequence[float], robot: Robot) -> str:
+def effect_text(effect: Effect, values: Sequence[float], robot: Robot) -> str:
     """`joint 2: stribeck_friction Fs = 1.2 N m, vs = 0.1 rad/s` with all digits."""
     record = effect.record(values)
     prismatic = bool(effect.joints) and all(
@@ -135,7 +135,7 @@ def described(effect: Effect, values: Sequence[float], robot: Robot) -> str:
     return f"{place}{effect.name} {', '.join(own)}"
 
 
-def states(robot: Robot, seed: int, count: int = STATES) -> Motion:
+def random_states(robot: Robot, seed: int, count: int = STATES) -> Motion:
     """Random states (count, n) within the robot's limits, for comparisons.
 
     Positions within +-pi (or +-1 m), velocities within +-2, accelerations within +-5 where a limit

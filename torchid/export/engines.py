@@ -51,55 +51,30 @@ def check_pinocchio(
     names = ("damping", "armature") if mjcf else ("damping", "friction")
     what = f"{_RIGID}; {', '.join(names)}"
     try:
-        pin = import_module("pinocchio")
-    except ImportError:
+        engine = InPinocchio(path, robot)
+    except MissingExtraError:
         return missing("Pinocchio", what, "not installed")
-    reader = f"Pinocchio {pin.__version__}"
-    try:
-        build = pin.buildModelFromMJCF if mjcf else pin.buildModelFromUrdf
-        model = build(str(path))
-    except Exception as error:  # its own exception types differ between versions
-        return missing(reader, what, f"cannot load the file: {_line(error)}")
-    ids = [int(model.getJointId(name)) for name in robot.joint_names]
+    except RefusedFileError as error:
+        return missing(error.reader, what, f"cannot load the file: {error.got}")
+    model, ids = engine.model, engine.ids
     if max(ids) >= model.njoints:
-        return missing(reader, what, "does not have all of the joints")
+        return missing(engine.name, what, "does not have all of the joints")
     if not bool((robot.require_parameters("an export").mass > 0).all()):
-        return missing(reader, what, "takes positive masses only")
-    # Gravity as the robot's, and no masses off the chain.
-    model.gravity.linear = robot.gravity.numpy()
+        return missing(engine.name, what, "takes positive masses only")
+    # No masses off the chain.
     aside = []
     for k in [k for k in range(1, model.njoints) if k not in ids]:
         if model.inertias[k].mass > 0 and model.parents[k] in ids:
             aside.append(f"what joint '{model.names[k]}' moves, off the chain")
-        model.inertias[k] = pin.Inertia.Zero()
-    dry = model.friction if hasattr(model, "friction") else model.upperDryFrictionLimit
-    read = {"damping": model.damping, "armature": model.armature, "friction": dry}
-    rows = [model.joints[k].idx_v for k in ids]
-    wrong = _wrong(joints, {name: [read[name][row] for row in rows] for name in names})
+        model.inertias[k] = engine.pin.Inertia.Zero()
+    wrong = _wrong(joints, {name: engine.attribute(name) for name in names})
     model.armature = np.zeros(model.nv)
-    torque = pinocchio_torque(pin, model, ids, motion)
-    found = compared(reader, what, motion, inverse_dynamics(robot, *motion.state), torque)
+    expected = inverse_dynamics(robot, *motion.state)
+    found = compared(engine.name, what, motion, expected, engine.rigid(motion))
     found = _with_note(found, wrong, aside)
     if mjcf and not found.ok:
-        return missing(reader, what, "reads the file otherwise than MuJoCo does")
+        return missing(engine.name, what, "reads the file otherwise than MuJoCo does")
     return found
-
-
-def pinocchio_torque(pin: Any, model: Any, ids: Sequence[int], motion: Motion) -> Joints:
-    """Torque (M, n) of Pinocchio's rnea on these joints; the others stay where they are."""
-    data, neutral = model.createData(), pin.neutral(model)
-    out = []
-    for q, dq, ddq in zip(*(x.numpy() for x in motion.state), strict=True):
-        position, rates, accelerations = neutral.copy(), np.zeros(model.nv), np.zeros(model.nv)
-        for k, i in enumerate(ids):
-            joint = model.joints[i]
-            # A continuous joint has the cosine and sine of its angle.
-            own = [q[k]] if joint.nq == 1 else [np.cos(q[k]), np.sin(q[k])]
-            position[joint.idx_q : joint.idx_q + joint.nq] = own
-            rates[joint.idx_v], accelerations[joint.idx_v] = dq[k], ddq[k]
-        tau = pin.rnea(model, data, position, rates, accelerations)
-        out.append([float(tau[model.joints[i].idx_v]) for i in ids])
-    return torch.tensor(out, dtype=torch.float64)
 
 
 def check_mujoco(
@@ -115,35 +90,24 @@ def check_mujoco(
     """
     what = f"{_RIGID}, armature, damping, spring; friction"
     try:
-        mujoco = import_module("mujoco")
-    except ImportError:
+        engine = LoadedInMujoco(path, robot)
+    except MissingExtraError:
         return missing("MuJoCo", what, "not installed")
-    reader = f"MuJoCo {mujoco.__version__}"
-    urdf = path.suffix.lower() == ".urdf"
-    try:
-        model = mujoco_model(mujoco, path)
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        return missing(reader, what, f"cannot load the file: {_line(error)}")
-    note = _bare(mujoco, model, robot)
-    if urdf:
-        model.opt.gravity[:] = robot.gravity.numpy()
-    rows, places = mujoco_places(mujoco, model, robot)
-    wrong = _wrong(joints, {"friction": [model.dof_frictionloss[row] for row in rows]})
-    model.dof_frictionloss[:] = 0.0
-    data = mujoco.MjData(model)
-    torque = []
-    for q, dq, ddq in zip(*(x.numpy() for x in motion.state), strict=True):
-        data.qpos[places], data.qvel[rows], data.qacc[rows] = q, dq, ddq
-        mujoco.mj_inverse(model, data)
-        torque.append(data.qfrc_inverse[rows].copy())
+    except RefusedFileError as error:
+        return missing(error.reader, what, f"cannot load the file: {error.got}")
+    note = _bare(engine.mujoco, engine.model, robot)
+    loss = engine.model.dof_frictionloss
+    wrong = _wrong(joints, {"friction": [loss[row] for row in engine.rows]})
+    loss[:] = 0.0
     # What is expected: the rigid body with the attributes that MuJoCo knows, without dry friction.
     damping, armature, stiffness, offset = torch.tensor(
         [[j.damping, j.armature, j.stiffness, j.offset] for j in joints], dtype=torch.float64
     ).T
     expected = inverse_dynamics(robot, *motion.state) + damping * motion.dq + armature * motion.ddq
     expected = expected + stiffness * motion.q + offset
-    found = compared(reader, what, motion, expected, torch.from_numpy(np.stack(torque)))
-    return _with_note(found, wrong, note)
+    return _with_note(
+        compared(engine.name, what, motion, expected, engine.inverse(motion)), wrong, note
+    )
 
 
 def mujoco_model(mujoco: Any, path: Path) -> Any:
@@ -218,11 +182,22 @@ def _with_note(found: Comparison, wrong: str, aside: Sequence[str]) -> Compariso
     return replace(found, note=f"left aside: {', '.join(aside)}" if aside else "")
 
 
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:300]
+class RefusedFileError(TorchidError):
+    """An engine does not load a file.
+
+    Attributes:
+        reader: the engine, with its version.
+    """
+
+    def __init__(self, reader: str, robot: Robot, error: BaseException):
+        self.reader = reader
+        super().__init__(
+            f"{reader} cannot load the corrected file of '{robot.name}', so it cannot be judged.",
+            got=" ".join(str(error).split())[:300],
+        )
 
 
-def simulator(path: Path, robot: Robot) -> "InMujoco | InPinocchio":
+def engine_of(path: Path, robot: Robot) -> "InMujoco | InPinocchio":
     """The engine of a file: MuJoCo of an MJCF, Pinocchio of a URDF (MuJoCo where it is missing).
 
     Raises:
@@ -284,12 +259,21 @@ class LoadedInMujoco:
         try:
             self.model = mujoco_model(self.mujoco, path)
         except (ValueError, RuntimeError, self.mujoco.FatalError) as error:
-            raise _refused(self.name, robot, error) from error
+            raise RefusedFileError(self.name, robot, error) from error
         if path.suffix.lower() == ".urdf":
             self.model.opt.gravity[:] = robot.gravity.numpy()
         for name in off:
             self.model.opt.disableflags |= int(getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{name}"))
         self.rows, self.places = mujoco_places(self.mujoco, self.model, robot)
+
+    def inverse(self, motion: Motion) -> Joints:
+        """mj_inverse at states (T, n)."""
+        data, out = self.mujoco.MjData(self.model), np.zeros(tuple(motion.q.shape))
+        for k, (q, dq, ddq) in enumerate(zip(*(x.numpy() for x in motion.state), strict=True)):
+            data.qpos[self.places], data.qvel[self.rows], data.qacc[self.rows] = q, dq, ddq
+            self.mujoco.mj_inverse(self.model, data)
+            out[k] = data.qfrc_inverse[self.rows]
+        return torch.from_numpy(out)
 
     def fit_step(self, dt: float) -> int:
         """Make the file's step fit samples that are dt [s] apart; returns how many it takes."""
@@ -314,14 +298,7 @@ class InMujoco(LoadedInMujoco):
 
     def torque(self, segment: Segment, samples: Samples) -> Float[torch.Tensor, "T n"]:
         """mj_inverse along a segment."""
-        data, out = self.mujoco.MjData(self.model), np.zeros((segment.length, segment.n))
-        for k, (q, dq, ddq) in enumerate(
-            zip(*(x.numpy() for x in segment.motion.state), strict=True)
-        ):
-            data.qpos[self.places], data.qvel[self.rows], data.qacc[self.rows] = q, dq, ddq
-            self.mujoco.mj_inverse(self.model, data)
-            out[k] = data.qfrc_inverse[self.rows]
-        return torch.from_numpy(out)
+        return self.inverse(segment.motion)
 
     def positions(self, windows: Windows) -> Float[torch.Tensor, "B T n"]:
         """Where the joints are at the samples [rad; m], from the measured states with the measured
@@ -335,7 +312,7 @@ class InMujoco(LoadedInMujoco):
             data.qpos[self.places], data.qvel[self.rows] = q[0], windows.dq0[b].numpy()
             out[b, 0] = q[0]
             for k in range(int(windows.steps[b].clamp(max=len(q) - 1))):
-                with silent(mujoco):
+                with without_warnings(mujoco):
                     for i in range(steps):
                         share = (i + 0.5) / steps
                         data.qfrc_applied[self.rows] = (1 - share) * tau[k] + share * tau[k + 1]
@@ -354,15 +331,8 @@ def _imported(package: str, extra: str, robot: Robot) -> Any:
         raise MissingExtraError(package, extra, purpose) from error
 
 
-def _refused(reader: str, robot: Robot, error: Exception) -> TorchidError:
-    return TorchidError(
-        f"{reader} cannot load the corrected file of '{robot.name}', so it cannot be judged.",
-        got=" ".join(str(error).split())[:300],
-    )
-
-
 @contextmanager
-def silent(mujoco: Any) -> Iterator[None]:
+def without_warnings(mujoco: Any) -> Iterator[None]:
     """An arm that runs away is part of the answer: MuJoCo neither prints it nor writes a file of
     it."""
     before = mujoco.get_mju_user_warning()
@@ -374,10 +344,11 @@ def silent(mujoco: Any) -> Iterator[None]:
 
 
 class InPinocchio:
-    """A URDF in Pinocchio: rnea with the damping and friction that it read.
+    """A URDF, or what it reads of an MJCF, in Pinocchio: rnea with the damping and friction that it
+    read.
 
     Args:
-        path: URDF.
+        path: URDF or MJCF.
         robot: whose joints are meant.
 
     Raises:
@@ -388,25 +359,42 @@ class InPinocchio:
     def __init__(self, path: Path, robot: Robot):
         self.pin = _imported("pinocchio", "bench", robot)
         self.name = f"Pinocchio {self.pin.__version__}"
+        mjcf = path.suffix.lower() == ".xml"
         try:
-            self.model = self.pin.buildModelFromUrdf(str(path))
+            build = self.pin.buildModelFromMJCF if mjcf else self.pin.buildModelFromUrdf
+            self.model = build(str(path))
         except Exception as error:  # its own exception types differ between versions
-            raise _refused(self.name, robot, error) from error
+            raise RefusedFileError(self.name, robot, error) from error
         self.model.gravity.linear = robot.gravity.numpy()
         self.ids = [int(self.model.getJointId(name)) for name in robot.joint_names]
-        dry = (
-            self.model.friction
-            if hasattr(self.model, "friction")
-            else self.model.upperDryFrictionLimit
-        )
-        rows = [self.model.joints[k].idx_v for k in self.ids]
-        self.damping, self.dry = (
-            torch.tensor([float(x[row]) for row in rows], dtype=torch.float64)
-            for x in (self.model.damping, dry)
-        )
+
+    def attribute(self, name: str) -> list[float]:
+        """(n,) damping, armature or friction of the joints, as it read them."""
+        older = name == "friction" and not hasattr(self.model, name)
+        values = self.model.upperDryFrictionLimit if older else getattr(self.model, name)
+        return [float(values[self.model.joints[k].idx_v]) for k in self.ids]
+
+    def rigid(self, motion: Motion) -> Joints:
+        """Torque (T, n) of rnea on these joints; the others stay where they are."""
+        model = self.model
+        data, neutral = model.createData(), self.pin.neutral(model)
+        out = []
+        for q, dq, ddq in zip(*(x.numpy() for x in motion.state), strict=True):
+            position, rates, accelerations = neutral.copy(), np.zeros(model.nv), np.zeros(model.nv)
+            for k, i in enumerate(self.ids):
+                joint = model.joints[i]
+                # A continuous joint has the cosine and sine of its angle.
+                own = [q[k]] if joint.nq == 1 else [np.cos(q[k]), np.sin(q[k])]
+                position[joint.idx_q : joint.idx_q + joint.nq] = own
+                rates[joint.idx_v], accelerations[joint.idx_v] = dq[k], ddq[k]
+            tau = self.pin.rnea(model, data, position, rates, accelerations)
+            out.append([float(tau[model.joints[i].idx_v]) for i in self.ids])
+        return torch.tensor(out, dtype=torch.float64)
 
     def torque(self, segment: Segment, samples: Samples) -> Float[torch.Tensor, "T n"]:
         """rnea along a segment, and friction by its equations."""
         motion = segment.motion
-        rigid = pinocchio_torque(self.pin, self.model, self.ids, motion)
-        return rigid + self.damping * motion.dq + self.dry * motion.sign
+        damping, friction = torch.tensor(
+            [self.attribute(name) for name in ("damping", "friction")], dtype=torch.float64
+        )
+        return self.rigid(motion) + damping * motion.dq + friction * motion.sign

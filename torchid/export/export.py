@@ -8,11 +8,11 @@ from typing import Literal, get_args
 
 from torchid.errors import TorchidError
 from torchid.export.checks import Comparison
-from torchid.export.dynamics import Dynamics, described, nearest_representative, states
+from torchid.export.dynamics import Dynamics, effect_text, nearest_representative, random_states
 from torchid.export.nearest import nearest_bodies
 from torchid.export.record import ExportRecord, Places, Reader
 from torchid.export.results import Exportable, dynamics_of
-from torchid.export.servo_mjcf import JOINTS, SAID, unsaid
+from torchid.export.servo_mjcf import JOINTS, SAID, unsaid_parameters
 from torchid.export.write_actuator import Package, write_actuator
 from torchid.export.write_plain import write_c, write_yaml
 from torchid.export.write_xml import write_xml
@@ -159,22 +159,12 @@ def export_dynamics(
         )
     xml = to in get_args(Target)
     edited = edited_of(model, to) if xml else None
-    actuator = to == "isaaclab" or to == "mjlab"
-    physical = not actuator and (dynamics.base is None or to != "c")
-    written = dynamics.robot
-    if dynamics.base is not None and physical:
-        written = nearest_representative(nominal, dynamics.base)
-    found = None
-    if physical:
-        found = check_sets(written, nominal_set(written), geometry=geometry)
-        if not force and dynamics.base is not None and not bool(found.feasibility.feasible[0]):
-            dynamics = nearest_bodies(dynamics, nominal, geometry)
-            written = dynamics.robot
-            found = check_sets(written, nominal_set(written), geometry=geometry)
-        if not force:
-            require_feasible(dynamics, found)
+    found, written = None, dynamics.robot
+    # C and actuators hold no bodies of base parameters.
+    if to not in get_args(Package) and (dynamics.base is None or to != "c"):
+        dynamics, written, found = _bodies(dynamics, nominal, geometry, force)
     folder.mkdir(parents=True, exist_ok=True)
-    motion = states(dynamics.robot, seed)
+    motion = random_states(dynamics.robot, seed)
     if to == "yaml":
         draft, comparisons = write_yaml(dynamics, written, path, motion)
     elif to == "c":
@@ -185,7 +175,7 @@ def export_dynamics(
         titled = replace(dynamics, title="; ".join((dynamics.title, *_of_servos(dynamics, to))))
         draft, comparisons = write_xml(titled, written, path, edited, motion, to)
     in_file, beside, left_out = (
-        tuple(described(effect, values, dynamics.robot) for effect, values in pairs)
+        tuple(effect_text(effect, values, dynamics.robot) for effect, values in pairs)
         for pairs in (draft.in_file, draft.beside, draft.left_out)
     )
     return Export(
@@ -202,12 +192,34 @@ def export_dynamics(
     )
 
 
+def _bodies(
+    dynamics: Dynamics, nominal: Robot, geometry: str | None, force: bool
+) -> tuple[Dynamics, Robot, Check]:
+    """Dynamics with the physical parameters that are written, and their check: of base parameters
+    those nearest to the robot's own, or, where no bodies have these, the nearest bodies.
+
+    Raises:
+        TorchidError: they are infeasible, and not forced.
+    """
+    written = dynamics.robot
+    if dynamics.base is not None:
+        written = nearest_representative(nominal, dynamics.base)
+    found = check_sets(written, nominal_set(written), geometry=geometry)
+    if not force and dynamics.base is not None and not bool(found.feasibility.feasible[0]):
+        dynamics = nearest_bodies(dynamics, nominal, geometry)
+        written = dynamics.robot
+        found = check_sets(written, nominal_set(written), geometry=geometry)
+    if not force:
+        require_feasible(dynamics, found)
+    return dynamics, written, found
+
+
 def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
     """What of servos that were not refitted a format does not say."""
     if dynamics.arm is None or dynamics.late is not None:
         return ()
     said = AS_EFFORT if to in get_args(Package) else SAID if to == "mjcf" else JOINTS
-    names = unsaid(dynamics.arm.servos, said)
+    names = unsaid_parameters(dynamics.arm.servos, said)
     if not names:
         return ()
     hint = ""
@@ -240,13 +252,13 @@ def require_feasible(dynamics: Dynamics, found: Check) -> None:
         )
     raise TorchidError(
         f"{dynamics.title}: infeasible, so not exported.",
-        got="; ".join(explained(found, reason) for reason in reasons),
+        got="; ".join(reason_text(found, reason) for reason in reasons),
         expected="a set that a real arm can have",
         hint=hint,
     )
 
 
-def explained(found: Check, reason: str) -> str:
+def reason_text(found: Check, reason: str) -> str:
     """A label with its evidence: `inertia_3 (triangle inequality broken, by 4 %)`."""
     kind, _, place = reason.rpartition("_")
     parameters = found.sets.parameters

@@ -23,10 +23,10 @@ from torchid.export.xml_tree import (
     comment,
     local,
     new_child,
-    principal,
+    principal_axes,
     quaternion_of,
     read_xml,
-    relocated,
+    relocated_path,
     text,
 )
 from torchid.robot.inertia import InertialParameters
@@ -127,7 +127,11 @@ def _write_chain(
                     hint="the format urdf writes a new file with a link there",
                 )
             continue
-        _write_inertial(body, parameters, i, name)
+        node = _inertial_of(body)
+        for key, value in _inertial(parameters, i, name).items():
+            # Axes parallel to the body's are what MuJoCo takes without being told.
+            if key != "quat" or not value.startswith("1.0 "):
+                node.set(key, value)
         for fixed in _fixed_below(body):
             _write_massless(fixed, name)
         own = [node for node in _members(body) if local(node) in _JOINTS]
@@ -195,18 +199,10 @@ def _fixed_below(body: Any) -> list[Any]:
     return out
 
 
-def _write_inertial(body: Any, parameters: InertialParameters, i: int, name: str) -> None:
-    node = _inertial_of(body)
-    for key, value in _inertial(parameters, i, name).items():
-        # Axes parallel to the body's are what MuJoCo takes without being told.
-        if key != "quat" or not value.startswith("1.0 "):
-            node.set(key, value)
-
-
 def _inertial(parameters: InertialParameters, i: int, name: str) -> dict[str, str]:
     """Attributes of a link's <inertial>, about its centre of mass in its principal axes."""
     refuse_moment_without_mass(parameters, i, name)
-    moments, turn = principal(parameters, i)
+    moments, turn = principal_axes(parameters, i)
     return {
         "pos": text(parameters.com[i]),
         "mass": number(parameters.mass[i]),
@@ -246,10 +242,10 @@ def _relocate(root: Any, old: Path, new: Path) -> None:
     given = {k: node.attrib.pop(k) for node in compilers for k in keys if k in node.attrib}
     for key in ("meshdir", "texturedir"):
         place = given.get(key, given.get("assetdir", "."))
-        compiler.set(key, relocated(place or ".", old, new))
+        compiler.set(key, relocated_path(place or ".", old, new))
     for node in assets:
         if local(node) == "model" and node.get("file"):
-            node.set("file", relocated(node.get("file"), old, new))
+            node.set("file", relocated_path(node.get("file"), old, new))
 
 
 def new_mjcf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from torchid.effects.registry import Valued
-from torchid.export.dynamics import Dynamics, described
+from torchid.export.dynamics import Dynamics, effect_text
 from torchid.export.results import of_set
 from torchid.extraction.convex.nearest import NearestSets, nearest_feasible
 from torchid.extraction.from_identification import problem_of
@@ -68,7 +68,7 @@ def nearest_sets(
         sets_record(sets, check.robot, others).save(path)
         data["warnings"] += [
             f"not part of the sets, and listed beside them in {path} as it is, for `torchid "
-            f"export`: {described(*pair, check.robot)}"
+            f"export`: {effect_text(*pair, check.robot)}"
             for pair in others
         ]
     else:

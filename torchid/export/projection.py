@@ -15,7 +15,7 @@ from torchid.effects.base import Effect
 from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.effects.spring import JointSpring
-from torchid.export.dynamics import folded, records
+from torchid.export.dynamics import folded_robot, records
 from torchid.export.record import Kept
 from torchid.extraction.entropic import (
     SPREAD,
@@ -244,7 +244,7 @@ class Projector:
             return None
         own, there = (known_coefficients(some) for some in (pairs, nominal_effects(self.full)))
         names = [name for name in own if name in known.coefficients and name in there]
-        whole = folded(self.full)
+        whole = folded_robot(self.full)
         pi = [r.require_parameters("a correction").pi.double() for r in (robot, whole)]
         moved = torch.tensor([own[name] - there[name] for name in names], dtype=torch.float64)
         return known.over(names).shifted(torch.cat([(pi[0] - pi[1]).flatten(), moved]))

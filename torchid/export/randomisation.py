@@ -118,30 +118,30 @@ class Randomisation(Result):
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         if isinstance(servos, Servos):
-            ranges, draws = folder / f"{stem}_ranges.csv", folder / f"{stem}_servo_draws.npz"
-            with atomic_write(draws, "wb") as stream:
-                np.savez_compressed(
-                    stream,
-                    joint_names=np.array(self.joint_names),
-                    parameters=np.array(NAMES),
-                    values=servos.joint.numpy(),
-                )
-            with atomic_write(ranges) as stream:
-                stream.write(servo_csv(self.record))
-            return [ranges, draws]
-        texts = {
-            f"{stem}_ranges.csv": ranges_csv(self.record, self.joint_names),
-            f"{stem}_mjlab.py": mjlab(self.record, stem, self.joint_names),
-            f"{stem}_isaaclab.py": isaaclab(self.record, stem, self.joint_names),
-        }
-        files = [folder / f"{stem}_draws.npz", *(folder / file for file in texts)]
-        robots = [json.dumps([dict(r) for r in self.one(k).effects]) for k in range(len(self))]
+            arrays: dict[str, Any] = {
+                "joint_names": np.array(self.joint_names),
+                "parameters": np.array(NAMES),
+                "values": servos.joint.numpy(),
+            }
+            draws, texts = "servo_draws.npz", {"ranges.csv": servo_csv(self.record)}
+        else:
+            robots = [json.dumps([dict(r) for r in self.one(k).effects]) for k in range(len(self))]
+            arrays = {**_plain_draws(self), "effects": np.array(robots)}
+            draws, texts = (
+                "draws.npz",
+                {
+                    "ranges.csv": ranges_csv(self.record, self.joint_names),
+                    "mjlab.py": mjlab(self.record, stem, self.joint_names),
+                    "isaaclab.py": isaaclab(self.record, stem, self.joint_names),
+                },
+            )
+        files = [folder / f"{stem}_{ending}" for ending in (draws, *texts)]
         with atomic_write(files[0], "wb") as stream:
-            np.savez_compressed(stream, **_plain_draws(self), effects=np.array(robots))
+            np.savez_compressed(stream, **arrays)
         for file, text in zip(files[1:], texts.values(), strict=True):
             with atomic_write(file) as stream:
                 stream.write(text)
-        return files
+        return files[::-1] if isinstance(servos, Servos) else files
 
     def one(self, k: int) -> Robot:
         """The robot of a draw, with its effects.

@@ -23,7 +23,7 @@ from torchid.effects.inertia import BodyEffect, LinkInertia
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.errors import TorchidError
 from torchid.export.drawn_from import DrawnFrom, of_diagnosis, of_model
-from torchid.export.dynamics import records, states
+from torchid.export.dynamics import random_states, records
 from torchid.export.projection import PRICE
 from torchid.export.randomisation import (
     FIELDS,
@@ -320,7 +320,7 @@ class _Near:
     """
 
     def __init__(self, given: Robot, left: Float[Tensor, " n"]):
-        motion, n = states(given, 0), given.n
+        motion, n = random_states(given, 0), given.n
         self.left = left
         rows = torch.empty(len(motion.q), n, PARAMETERS_PER_LINK * n, dtype=torch.float64)
         rows[..., paper_order(n)] = regressor(given, motion.q, motion.dq, motion.ddq)

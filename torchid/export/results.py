@@ -16,7 +16,7 @@ from torchid.effects.inertia import RotorInertia
 from torchid.effects.registry import Valued, nominal_effects, nominal_others
 from torchid.effects.spring import JointSpring
 from torchid.errors import TorchidError
-from torchid.export.dynamics import Dynamics, described, of_base, records
+from torchid.export.dynamics import Dynamics, effect_text, of_base, records
 from torchid.extraction.problem import FAR
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import (
@@ -84,13 +84,20 @@ def carried(
     if names_robot(result):
         nominal, original = load_both(result, robot, choice)
         servos = ServoArm.of_file(result)
-        found = robot_dynamics(nominal) if servos is None else servo_dynamics(servos)
-        return Carried(found, nominal, original)
+        own = robot_dynamics(nominal) if servos is None else servo_dynamics(servos)
+        return Carried(own, nominal, original)
     path = Path(result)
     data = load(path)
     if CORRECTED in data:
-        dynamics, settings = diagnosis_dynamics(path)
-        nominal = model_of(path, robot, choice)
+        found = diagnosis(path)
+        assert found.corrected is not None
+        if robot is not None:
+            nominal = load_robot(robot, **choice.options)
+        else:
+            nominal = found.model or named_robot(path, {"robot": found.robot}, choice)
+        title = f"the corrected robot of {path.name}"
+        dynamics = replace(robot_dynamics(found.corrected), title=title)
+        settings = GapSettings(cutoff=found.cutoff_hz, report_band=found.band_hz)
         return Carried(dynamics, nominal, nominal, settings, diagnosed=True)
     nominal = (
         named_robot(path, data, choice) if robot is None else load_robot(robot, **choice.options)
@@ -165,23 +172,6 @@ def diagnosis(path: Path) -> GapRecord:
     return found
 
 
-def diagnosis_dynamics(path: Path) -> tuple[Dynamics, GapSettings]:
-    """The corrected robot of a diagnosis with all its effects; its cut-off and its band."""
-    found = diagnosis(path)
-    assert found.corrected is not None
-    settings = GapSettings(cutoff=found.cutoff_hz, report_band=found.band_hz)
-    title = f"the corrected robot of {path.name}"
-    return replace(robot_dynamics(found.corrected), title=title), settings
-
-
-def model_of(path: Path, robot: str | None, choice: Choice) -> Robot:
-    """The robot that a diagnosis corrects: the one given, else as it was recorded."""
-    if robot is not None:
-        return load_robot(robot, **choice.options)
-    found = diagnosis(path)
-    return named_robot(path, {"robot": found.robot}, choice) if found.model is None else found.model
-
-
 def set_dynamics(
     path: Path, data: Mapping[str, Any], robot: Robot, asked: str | None, geometry: str | None
 ) -> Dynamics:
@@ -254,7 +244,7 @@ def of_set(
         f"the set '{one.ids[0]}'" if title is None else title,
         warnings=tuple(
             f"an effect of the robot that is not part of the set is left out: "
-            f"{described(*pair, robot)}"
+            f"{effect_text(*pair, robot)}"
             for pair in nominal_others(robot)
             if pair not in others
         ),

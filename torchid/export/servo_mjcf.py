@@ -19,7 +19,7 @@ import torch
 from torchid.digits import number
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.checks import EXACT, Comparison, missing, relative_difference
-from torchid.export.engines import LoadedInMujoco, silent
+from torchid.export.engines import LoadedInMujoco, without_warnings
 from torchid.export.xml_tree import (
     XmlFile,
     child,
@@ -49,7 +49,7 @@ _STIFF = {"solreflimit": "0.004 1", "solimplimit": "0.9999 0.9999 0.001"}
 """Of an end stop: MuJoCo's own gives way by degrees where a servo presses on."""
 
 
-def unsaid(servos: Servos, names: Collection[str] = SAID) -> dict[str, tuple[int, ...]]:
+def unsaid_parameters(servos: Servos, names: Collection[str] = SAID) -> dict[str, tuple[int, ...]]:
     """What of servos is not among the parameters of a file: names, with joints from 0."""
     out = {}
     for p in PARAMETERS:
@@ -211,7 +211,7 @@ class ServosInMujoco(LoadedInMujoco):
             mujoco.mj_resetData(model, data)
             data.qpos[self.places], data.qvel[self.rows] = q[w], dq[w]
             out[a] = q[w]
-            with silent(mujoco):
+            with without_warnings(mujoco):
                 for k in range(a, a + rows):
                     controls = points.feed(u[k], steps)
                     if k == a:

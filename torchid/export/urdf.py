@@ -22,7 +22,7 @@ from torchid.export.xml_tree import (
     children,
     comment,
     read_xml,
-    relocated,
+    relocated_path,
     replace,
     roll_pitch_yaw_of,
     text,
@@ -80,7 +80,7 @@ def edited_urdf(
     if folder.resolve() != original.parent.resolve():
         for node in file.root.iter("{*}mesh", "{*}texture"):
             if node.get("filename"):
-                node.set("filename", relocated(node.get("filename"), original.parent, folder))
+                node.set("filename", relocated_path(node.get("filename"), original.parent, folder))
     return file
 
 

@@ -20,17 +20,15 @@ from torchid.export.checks import (
     EXACT,
     Comparison,
     Draft,
-    compared,
-    kept,
     relative_difference,
-    staged,
+    require_agreement,
+    staged_files,
 )
-from torchid.export.dynamics import Dynamics, robot_torque
+from torchid.export.dynamics import Dynamics
 from torchid.export.servo_mjcf import STEP
-from torchid.export.write_plain import READER, Written
+from torchid.export.write_plain import READER, Written, read_back
 from torchid.position.model import ServoArm
 from torchid.robot.config_files import filled_template
-from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.robot.writer import robot_yaml
 from torchid.simulators.actuator import EffectTorque
@@ -102,10 +100,9 @@ def write_actuator(
     files = {source: text, yaml: robot_yaml(robot).encode()}
     in_file, beside, left_out = map(tuple, places.values())
     draft = Draft(files, in_file, beside, left_out)
-    with staged(folder, files) as paths:
-        torque = robot_torque(load_robot(paths[yaml]), motion)
+    with staged_files(folder, files) as paths:
         what = f"torque with all effects of {yaml}"
-        return draft, kept([compared(READER, what, motion, dynamics.torque(motion), torque)])
+        return draft, read_back(dynamics, paths[yaml], motion, what)
 
 
 def _write_servos(arm: ServoArm, package: Package, folder: Path, name: str) -> Written:
@@ -129,7 +126,7 @@ def _write_servos(arm: ServoArm, package: Package, folder: Path, name: str) -> W
         drives = ServoTorque(one.robot, one.servos, None, states, dtype=torch.float64, dt=STEP)
         return drives.torque(*given)
 
-    with staged(folder, files) as paths:
+    with staged_files(folder, files) as paths:
         apart = relative_difference(torque(ServoArm.read(paths[yaml])), torque(arm))
         what = f"torque of the servos of {yaml}"
-        return Draft(files), kept([Comparison(READER, what, states, apart, EXACT)])
+        return Draft(files), require_agreement([Comparison(READER, what, states, apart, EXACT)])

@@ -7,7 +7,14 @@ from torchid import __version__
 from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_effects
 from torchid.export.c_code import c_file
-from torchid.export.checks import Comparison, Draft, check_c, compared, kept, staged
+from torchid.export.checks import (
+    Comparison,
+    Draft,
+    check_c,
+    compared,
+    require_agreement,
+    staged_files,
+)
 from torchid.export.dynamics import Dynamics, records, robot_torque
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
@@ -17,13 +24,23 @@ Written = tuple[Draft, tuple[Comparison, ...]]
 READER = f"torchid {__version__}"
 
 
+def read_back(
+    dynamics: Dynamics, file: Path, motion: Motion, what: str = "torque with all effects"
+) -> tuple[Comparison, ...]:
+    """A robot's yaml against the result's own model.
+
+    Raises:
+        TorchidError: its torque is another one.
+    """
+    torque = robot_torque(load_robot(file), motion)
+    return require_agreement([compared(READER, what, motion, dynamics.torque(motion), torque)])
+
+
 def write_yaml(dynamics: Dynamics, written: Robot, path: Path, motion: Motion) -> Written:
     """The robot's yaml, with its effects; read back and compared."""
     draft = Draft({path.name: robot_yaml(written).encode()}, tuple(nominal_effects(written)))
-    with staged(path.parent, draft.files) as files:
-        torque = robot_torque(load_robot(files[path.name]), motion)
-        what = "torque with all effects"
-        return draft, kept([compared(READER, what, motion, dynamics.torque(motion), torque)])
+    with staged_files(path.parent, draft.files) as files:
+        return draft, read_back(dynamics, files[path.name], motion)
 
 
 def write_c(dynamics: Dynamics, path: Path, motion: Motion) -> Written:
@@ -33,6 +50,6 @@ def write_c(dynamics: Dynamics, path: Path, motion: Motion) -> Written:
     rest = tuple(pair for pair in nominal_effects(robot) if pair not in code.left_out)
     files = {path.name: code.source.encode(), f"{path.stem}.h": code.header.encode()}
     expected = robot_torque(replace(robot, effects=records(rest)), motion)
-    with staged(path.parent, files):
-        found = kept([check_c(code, path.stem, motion, expected)])
+    with staged_files(path.parent, files):
+        found = require_agreement([check_c(code, path.stem, motion, expected)])
     return Draft(files, in_file=rest, left_out=code.left_out), found

@@ -7,8 +7,8 @@ from torchid import __version__
 from torchid.effects.base import Motion
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.export.checks import Comparison, Draft, compared, kept, staged
-from torchid.export.dynamics import Dynamics, described, folded, records, robot_torque
+from torchid.export.checks import Comparison, Draft, compared, require_agreement, staged_files
+from torchid.export.dynamics import Dynamics, effect_text, folded_robot, records, robot_torque
 from torchid.export.engines import check_mujoco, check_pinocchio
 from torchid.export.mjcf import edited_mjcf, new_mjcf
 from torchid.export.servo_mjcf import check_servos, write_servos
@@ -61,11 +61,11 @@ def write_xml(
     head = f"dynamics of {dynamics.title}; torchid {__version__}."
     if beside:
         head += f" What this format cannot say is in {side.name}, which torchid reads with it."
-    set_head(file.root, "\n    ".join([head, *(described(*pair, robot) for pair in rest)]))
+    set_head(file.root, "\n    ".join([head, *(effect_text(*pair, robot) for pair in rest)]))
     sidecar = sidecar_yaml(path.name, robot.joint_names, records(rest), gravity, sure)
     contents = {path.name: file.to_bytes(), side.name: sidecar.encode() if beside else None}
     draft = Draft(contents, known, rest, notes=_notes(robot, original))
-    with staged(path.parent, draft.files) as files:
+    with staged_files(path.parent, draft.files) as files:
         main = files[path.name]
         torque = robot_torque(_read_back(main, path, original), motion)
         reader, what = f"torchid {__version__}", "torque with all effects"
@@ -73,7 +73,7 @@ def write_xml(
         engines = [check(main, robot, joints, motion) for check in (check_pinocchio, check_mujoco)]
         if servos is not None:
             engines.append(check_servos(main, robot, servos))
-        return draft, kept([own, *engines])
+        return draft, require_agreement([own, *engines])
 
 
 def xml_of(
@@ -91,7 +91,7 @@ def xml_of(
     Raises:
         TorchidError: parameters that are not in the original's frames, or have no place in it.
     """
-    mjcf, robot = path.suffix == ".xml", folded(written)
+    mjcf, robot = path.suffix == ".xml", folded_robot(written)
     if original is not None:
         _require_same_frames(robot, original)
         robot = replace(robot, joint_names=original.joint_names, link_names=original.link_names)

@@ -183,7 +183,7 @@ def set_head(root: Any, words: str) -> None:
     insert(root, comment(words, HEAD), first=True)
 
 
-def relocated(reference: str, old: Path, new: Path) -> str:
+def relocated_path(reference: str, old: Path, new: Path) -> str:
     """A relative file reference as seen from another folder; others (absolute, package://) as they
     are."""
     if not reference or "://" in reference or os.path.isabs(reference) or reference[0] == "$":
@@ -226,7 +226,7 @@ def quaternion_of(rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "4"]:
     return exact(-q if q[0] < 0 else q)
 
 
-def principal(
+def principal_axes(
     parameters: InertialParameters, link: int
 ) -> tuple[Float[Tensor, "3"], Float[Tensor, "4"]]:
     """Principal moments (3,) of a link about its centre of mass [kg m^2], and the quaternion of

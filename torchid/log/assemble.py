@@ -10,18 +10,18 @@ import torchid
 from torchid.errors import LogError
 from torchid.log.columns import (
     PREFIXES,
+    first_names,
     is_wanted,
     joint_columns,
     log_from_columns,
-    some,
 )
-from torchid.log.guess import commanded, proposal
+from torchid.log.guess import commanded_columns, proposed_mapping
 from torchid.log.mapping import ColumnMapping, Source, read_mapping
 from torchid.log.sources import (
     Piece,
     labels_of,
-    oriented,
     resolve,
+    samples_first,
     signal_of,
     time_of,
 )
@@ -78,12 +78,11 @@ def require_columns(table: Table, mapping: ColumnMapping | None = None) -> None:
     """
     mapping = mapping or ColumnMapping({})
     try:
-        values = _wildcards(table, mapping)
-        sources, _, own = _plan(table, mapping if values is None else mapping.at(values[0]))
+        sources, _, own = _plan(table, _first_of(table, mapping))
         if not sources and not table.arrays:
             joint_columns(own, table.path)
     except LogError as error:
-        if proposal(table) is None:
+        if proposed_mapping(table) is None:
             raise (_with_help(error, table, ()) if error.available is not None else error) from None
 
 
@@ -93,10 +92,10 @@ def _commands(table: Table, mapping: ColumnMapping) -> str | None:
     own = {re.sub(r"\d+$", "", name) for name in table.columns}
     if "q" not in own or own & {"u", "tau"} or mapping.sources.keys() & {"q", "u", "tau"}:
         return None
-    return commanded(table)
+    return commanded_columns(table)
 
 
-def fitting(table: Table, request: Request) -> Request:
+def fitting_request(table: Table, request: Request) -> Request:
     """The request as far as the table has what it names, where it may be left aside; else as it
     is."""
     if not request.spare:
@@ -105,8 +104,7 @@ def fitting(table: Table, request: Request) -> Request:
     if request.columns is None:
         return request
     try:
-        values = _wildcards(table, request.columns)
-        _plan(table, request.columns if values is None else request.columns.at(values[0]))
+        _plan(table, _first_of(table, request.columns))
     except AbsentColumnError:
         return replace(request, columns=None)
     return request
@@ -204,13 +202,19 @@ def _own_columns(
                 got=f"shape {array.shape}",
                 expected="(samples,)",
             )
-        whole = oriented(array if signal else array.ravel(), samples, label)
+        whole = samples_first(array if signal else array.ravel(), samples, label)
         for k in range(whole.shape[1]):
             own = name if signal is None else f"{signal}{k + 1}"
             if own in columns:
                 raise LogError(f"'{table.path}' gives {own} twice, as an array and alone.")
             columns[own] = whole[:, k]
     return columns
+
+
+def _first_of(table: Table, mapping: ColumnMapping) -> ColumnMapping:
+    """The mapping with the first of what its `*` may stand for."""
+    values = _wildcards(table, mapping)
+    return mapping if values is None else mapping.at(values[0])
 
 
 def _wildcards(table: Table, mapping: ColumnMapping) -> list[str] | None:
@@ -243,14 +247,14 @@ def _wildcards(table: Table, mapping: ColumnMapping) -> list[str] | None:
 
 def _with_help(error: LogError, table: Table, joints: Sequence[str]) -> LogError:
     """The same error with all columns, and a mapping that would do where one can be guessed."""
-    guessed = proposal(table, joints)
+    guessed = proposed_mapping(table, joints)
     hints = []
     if guessed is not None:
         text, remark = guessed
         hints.append(f'perhaps `columns="{text}"`' + (f" ({remark})" if remark else ""))
     elif isinstance(error, AbsentColumnError) and {"t", "q1"} <= table.columns.keys():
         hints.append(f"this log needs no mapping; {one_for_all('columns')}")
-    return with_hint(error, *hints, available=some(table.described, 60))
+    return with_hint(error, *hints, available=first_names(table.described, 60))
 
 
 def with_hint(error: LogError, *hints: str, available: Sequence[object] | None = None) -> LogError:

@@ -291,20 +291,19 @@ def _check_velocity_unit(log: Log, agreement: Sequence[Agreement], slides: Seque
             )
         if slides[a.joint] or a.correlation < FOLLOWS:
             continue
-        if near(a.ratio, DEGREES):
-            raise LogError(
-                f"{log.label}: the units of {column} look like degrees per second.",
-                got=f"{a.ratio:.1f} times the derivative of q{a.joint + 1}",
-                expected="rad/s",
-                hint=f"multiply {column} by pi/180",
-            )
-        if near(a.ratio, 1.0 / DEGREES):
-            raise LogError(
-                f"{log.label}: the units of q{a.joint + 1} look like degrees.",
-                got=f"{column} is 1/{1.0 / a.ratio:.1f} of its derivative",
-                expected="rad",
-                hint=f"multiply q{a.joint + 1} by pi/180",
-            )
+        q, ratio = f"q{a.joint + 1}", a.ratio
+        if near(ratio, DEGREES):
+            named, unit, of = column, "rad/s", f"{ratio:.1f} times the derivative of {q}"
+        elif near(ratio, 1.0 / DEGREES):
+            named, unit, of = q, "rad", f"{column} is 1/{1.0 / ratio:.1f} of its derivative"
+        else:
+            continue
+        raise LogError(
+            f"{log.label}: the units of {named} look like degrees{' per second' * (named != q)}.",
+            got=of,
+            expected=unit,
+            hint=f"multiply {named} by pi/180",
+        )
 
 
 def named_ratio(ratio: float) -> tuple[float, str | None]:

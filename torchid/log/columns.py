@@ -51,9 +51,7 @@ def log_from_columns(columns: Columns, path: str | Path) -> "torchid.Log":
     for signal, group in joints.items():
         values = np.empty((samples, len(group)), order="F")
         for k, name in enumerate(group):
-            column = _numeric(columns[name], name, path)
-            _same_length(column, name, samples, path)
-            values[:, k] = column
+            values[:, k] = _numeric(columns[name], name, path, samples)
         signals[signal] = torch.from_numpy(values)
     if samples < 2:
         what = "columns and no rows" if samples == 0 else "one sample only"
@@ -84,8 +82,7 @@ def _with_base(
     own = {}
     for name in NAMES:
         if name in columns:
-            own[name] = _numeric(columns[name], name, path)
-            _same_length(own[name], name, samples, path)
+            own[name] = _numeric(columns[name], name, path, samples)
     starts = np.flatnonzero(np.diff(trajectory, prepend=-1))
     base = base_signals(own, starts, f"'{path}'")
     still = np.zeros((samples, COORDINATES))
@@ -128,10 +125,14 @@ def joint_columns(names: Iterable[str], path: Path) -> dict[str, list[str]]:
     names = list(names)
     groups = {signal: _numbered(names, prefix, path) for signal, prefix in PREFIXES.items()}
     if "t" not in names:
-        raise LogError(f"'{path}' has no column t.", expected=EXPECTED, available=some(names))
+        raise LogError(
+            f"'{path}' has no column t.", expected=EXPECTED, available=first_names(names)
+        )
     count = len(groups["q"])
     if count == 0:
-        raise LogError(f"'{path}' has no column q1.", expected=EXPECTED, available=some(names))
+        raise LogError(
+            f"'{path}' has no column q1.", expected=EXPECTED, available=first_names(names)
+        )
     for signal, group in groups.items():
         if group and len(group) != count:
             raise LogError(
@@ -151,15 +152,15 @@ def _numbered(names: Sequence[str], prefix: str, path: Path) -> list[str]:
     missing = [name for k, name in enumerate(expected, 1) if k not in numbers]
     if missing and 0 not in numbers and len(numbers) == len(found):
         raise LogError(
-            f"'{path}' has no column {', '.join(some(missing, 5))}.",
-            got=", ".join(some(got)),
+            f"'{path}' has no column {', '.join(first_names(missing, 5))}.",
+            got=", ".join(first_names(got)),
             expected=f"{prefix}1..{got[-1]} without a gap",
         )
     if got != expected:
         raise LogError(
             f"'{path}': the {prefix} columns are not numbered {_range(expected)}.",
-            got=", ".join(some(got)),
-            expected=", ".join(some(expected)),
+            got=", ".join(first_names(got)),
+            expected=", ".join(first_names(expected)),
         )
     return got
 
@@ -168,13 +169,14 @@ def _range(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{names[0]}..{names[-1]}"
 
 
-def some(names: Sequence[str], most: int = 40) -> list[str]:
+def first_names(names: Sequence[str], most: int = 40) -> list[str]:
     """The first names of a list, for an error message, and how many more there are."""
     more = [f"and {len(names) - most} more"] if len(names) > most else []
     return [*names[:most], *more]
 
 
-def _numeric(values: np.ndarray, name: str, path: Path) -> np.ndarray:
+def _numeric(values: np.ndarray, name: str, path: Path, samples: int | None = None) -> np.ndarray:
+    """A column of numbers, of this length if any is asked for."""
     # A copy: arrow's buffers are read-only.
     numbers = np.array(numbers_of(values, f"'{path}': column {name}"), dtype=np.float64)
     beyond = np.abs(numbers) > LARGEST
@@ -184,6 +186,18 @@ def _numeric(values: np.ndarray, name: str, path: Path) -> np.ndarray:
             f"'{path}': column {name} holds numbers that nothing measures.",
             got=f"{numbers[beyond][0]:g} in row {int(beyond.ravel().argmax()) + 1}",
             expected=f"less than {LARGEST:g}",
+        )
+    if samples is not None and numbers.ndim != 1:
+        raise LogError(
+            f"'{path}': column {name} has the wrong number of dimensions.",
+            got=f"shape {numbers.shape}",
+            expected="(samples,)",
+        )
+    if samples is not None and len(numbers) != samples:
+        raise LogError(
+            f"'{path}': column {name} has another length than t.",
+            got=len(numbers),
+            expected=samples,
         )
     return numbers
 
@@ -206,29 +220,13 @@ def _sample_of(values: np.ndarray) -> str:
     return values.dtype.name
 
 
-def _same_length(column: np.ndarray, name: str, samples: int, path: Path) -> None:
-    if column.ndim != 1:
-        raise LogError(
-            f"'{path}': column {name} has the wrong number of dimensions.",
-            got=f"shape {column.shape}",
-            expected="(samples,)",
-        )
-    if len(column) != samples:
-        raise LogError(
-            f"'{path}': column {name} has another length than t.",
-            got=len(column),
-            expected=samples,
-        )
-
-
 def _trajectories(
     column: np.ndarray | None, samples: int, path: Path
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Trajectory numbers from 0, and their names."""
     if column is None:
         return np.zeros(samples, dtype=np.int64), (path.stem,)
-    ids = _numeric(column, "traj", path)
-    _same_length(ids, "traj", samples, path)
+    ids = _numeric(column, "traj", path, samples)
     if not np.isfinite(ids).all() or (ids != np.round(ids)).any():
         wrong = ids[~np.isfinite(ids) | (ids != np.round(ids))]
         raise LogError(f"'{path}': column traj is not integer.", got=float(wrong[0]))

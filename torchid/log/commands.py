@@ -26,7 +26,7 @@ class Held:
     warnings: tuple[str, ...]
 
 
-def held(t: np.ndarray, t_command: np.ndarray, u: np.ndarray, label: str) -> Held:
+def held_commands(t: np.ndarray, t_command: np.ndarray, u: np.ndarray, label: str) -> Held:
     """The nearest earlier command of each position: what a servo goes by until it is sent another.
 
     Args:
@@ -64,7 +64,7 @@ def held(t: np.ndarray, t_command: np.ndarray, u: np.ndarray, label: str) -> Hel
     return Held(at >= 0, values, tuple(warnings))
 
 
-def along(
+def commands_along(
     t: np.ndarray,
     q: np.ndarray,
     trajectories: Sequence[tuple[float, np.ndarray, np.ndarray]],

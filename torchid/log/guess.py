@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,7 +65,7 @@ class _Group:
         return replace(self, names=names, joints=len(names), labels=tuple(labels))
 
 
-def proposal(table: Table, joints: Sequence[str] = ()) -> tuple[str, str] | None:
+def proposed_mapping(table: Table, joints: Sequence[str] = ()) -> tuple[str, str] | None:
     """A text for --columns, and what in it is guessed from more than names; None where time or
     positions cannot be guessed.
 
@@ -80,7 +81,9 @@ def proposal(table: Table, joints: Sequence[str] = ()) -> tuple[str, str] | None
     if any(key not in chosen and not _own(table, key) for key in ("t", "q")) or not chosen:
         return None
     silent = {key for key, group in chosen.items() if group.unit is None}
-    units = guessed_units(read_mapping(_text(chosen, {})), table, silent)
+    units: dict[str, str] = {}
+    with suppress(LogError):  # what cannot be read has its own error when it is read in earnest
+        units = _guessed_units(read_mapping(_text(chosen, {})), table, silent)
     remarks = [f"{', '.join(units.values())}: guessed from the numbers"] if units else []
     if any(group.labels and _placed(group, joints) is None for group in chosen.values()):
         remarks.append("joints in the order of the file")
@@ -118,7 +121,7 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
     return chosen
 
 
-def commanded(table: Table) -> str | None:
+def commanded_columns(table: Table) -> str | None:
     """A text for --columns that names the commanded positions beside our own q: q_cmd{j}, goal{j},
     action, ..; None where there are none, or several that may be meant."""
     names = [n for n in table.columns if not is_wanted(n)]
@@ -260,20 +263,13 @@ _MILLI = (4e3, 1e6)
 in a thousand of a rated torque, as drives send them, are less."""
 
 
-def guessed_units(mapping: ColumnMapping, table: Table, keys: Collection[str]) -> dict[str, str]:
+def _guessed_units(mapping: ColumnMapping, table: Table, keys: Collection[str]) -> dict[str, str]:
     """Units of t, q, dq, tau and u by key, where the numbers are unlikely to be in ours.
 
     Args:
         mapping: of the table.
         keys: whose columns' names say no unit; of no others it is guessed.
     """
-    try:
-        return _guessed(mapping, table, keys)
-    except LogError:  # what cannot be read has its own error when it is read in earnest
-        return {}
-
-
-def _guessed(mapping: ColumnMapping, table: Table, keys: Collection[str]) -> dict[str, str]:
     silent = {
         key: source
         for key, source in mapping.sources.items()

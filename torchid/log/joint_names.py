@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 
 from torchid.errors import LogError
-from torchid.log.columns import some
+from torchid.log.columns import first_names
 from torchid.log.table import natural
 
 _HAND = re.compile(r"finger|gripper|hand|knuckle|jaw|thumb")
@@ -109,4 +109,4 @@ def _plain(name: str) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    return ", ".join(some(names, 20))
+    return ", ".join(first_names(names, 20))

@@ -48,16 +48,12 @@ def json_lines_table(path: Path, request: Request) -> Table:
 
 def _row(path: Path, number: int, line: str) -> dict[str, Any]:
     try:
-        values = json.loads(line)
+        values, why = json.loads(line), "no JSON object"
     except ValueError as error:
-        raise LogError(
-            f"'{path}', line {number}: not JSON: {error}.",
-            got=line.strip()[:60],
-            expected='an object a line: {"t": 0.0, "q": [0.1, 0.2], "tau": [1.0, 2.0]}',
-        ) from error
+        values, why = None, f"not JSON: {error}"
     if not isinstance(values, Mapping):
         raise LogError(
-            f"'{path}', line {number}: no JSON object.",
+            f"'{path}', line {number}: {why}.",
             got=line.strip()[:60],
             expected='an object a line: {"t": 0.0, "q": [0.1, 0.2], "tau": [1.0, 2.0]}',
         )

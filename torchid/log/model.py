@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from importlib import import_module
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -369,9 +370,7 @@ class Log:
                     expected=f"{name} in all of them, or in none",
                     hint="read them one by one",
                 )
-        offsets = [0]
-        for log in logs[:-1]:
-            offsets.append(offsets[-1] + log.trajectory_count)
+        offsets = accumulate((log.trajectory_count for log in logs[:-1]), initial=0)
         return replace(
             first,
             t=torch.cat([log.t for log in logs]),

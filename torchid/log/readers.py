@@ -17,13 +17,13 @@ import torchid
 from torchid.errors import LogError, TorchidError
 from torchid.files import atomic_write, similar_files
 from torchid.log.assemble import (
-    fitting,
+    fitting_request,
     log_from_table,
     one_for_all,
     require_columns,
     with_hint,
 )
-from torchid.log.columns import Columns, columns_of, log_from_columns, some
+from torchid.log.columns import Columns, columns_of, first_names, log_from_columns
 from torchid.log.csv_file import csv_table
 from torchid.log.formats import (
     npz_table,
@@ -33,7 +33,7 @@ from torchid.log.formats import (
     write_npz,
     write_parquet,
 )
-from torchid.log.guess import proposal
+from torchid.log.guess import proposed_mapping
 from torchid.log.hdf5 import hdf5_table, matlab_table
 from torchid.log.json_lines import json_lines_table
 from torchid.log.lerobot import is_lerobot, lerobot_table
@@ -197,7 +197,7 @@ def open_log(
     found = require_log(path)
     try:
         table = _table(found, path, request)
-        request = fitting(table, request)
+        request = fitting_request(table, request)
         if request.topic is not None and table.topic is None:
             raise LogError(
                 f"'{path}' is no bag: it has no topics.",
@@ -219,7 +219,7 @@ def require_header(path: Path, request: Request) -> None:
     opener = require_log(path)
     if opener is csv_table or opener is parquet_table:
         table = _table(opener, path, request)
-        require_columns(table, fitting(table, request).columns)
+        require_columns(table, fitting_request(table, request).columns)
 
 
 def proposed_columns(path: Path, request: Request) -> tuple[str, str] | None:
@@ -233,7 +233,7 @@ def proposed_columns(path: Path, request: Request) -> tuple[str, str] | None:
     try:
         log_from_table(_table(found, path, request), None, request.joints)
     except LogError:
-        return proposal(_table(found, path, request), request.joints)
+        return proposed_mapping(_table(found, path, request), request.joints)
     return None
 
 
@@ -355,7 +355,7 @@ def _inside(folder: Path) -> list[str] | None:
         found = sorted(p.name for p in folder.iterdir() if is_log(p))
     except OSError:
         return None
-    return some(found, 10) or None
+    return first_names(found, 10) or None
 
 
 def is_log(path: Path) -> bool:

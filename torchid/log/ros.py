@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from torchid.errors import LogError, MissingExtraError
-from torchid.log.commands import Held, along, held
+from torchid.log.commands import Held, commands_along, held_commands
 from torchid.log.joint_names import known_joints
 from torchid.log.joint_states import JointColumns, JointState, joint_columns_of
 from torchid.log.table import Request, Table
@@ -279,7 +279,7 @@ def _commands(
     sent = 1e-9 * ((stamps if stamped else received - found.late) - found.start)
     if kind == _TYPE:
         u = np.array([[_value(m[3], m[2], joint) for joint in joints] for m in whole])
-        return held(t, sent, u, label), tuple(notes)
+        return held_commands(t, sent, u, label), tuple(notes)
     trajectories = []
     for begin, (_, _, names, message) in zip(sent.tolist(), whole, strict=True):
         columns = [names.index(joint) for joint in joints]
@@ -291,7 +291,7 @@ def _commands(
         notes.append(
             f"{label}: {len(whole) - len(trajectories)} messages without positions: left out."
         )
-    return along(t, found.arrays["q"], trajectories, label), tuple(notes)
+    return commands_along(t, found.arrays["q"], trajectories, label), tuple(notes)
 
 
 def _value(message: Any, names: tuple[str, ...], joint: str) -> float:

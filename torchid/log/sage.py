@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.csv
 
 from torchid.errors import LogError
-from torchid.log.commands import held
+from torchid.log.commands import held_commands
 from torchid.log.joint_names import in_robot_order
 from torchid.log.table import Request, Table
 
@@ -54,7 +54,9 @@ def sage_table(path: Path, request: Request) -> Table:
                 got=f"{sent['positions'].shape[1]} and {states['positions'].shape[1]}",
                 expected="as many values in a row",
             )
-        commands = held(t, second * sent["timestamp"], sent["positions"][:, order], f"'{path}'")
+        commands = held_commands(
+            t, second * sent["timestamp"], sent["positions"][:, order], f"'{path}'"
+        )
         found["u"], rows, warnings = commands.u, commands.rows, warnings + commands.warnings
     else:
         warnings += (f"'{path}': no {_COMMANDS}: positions without commands.",)

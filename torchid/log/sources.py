@@ -8,7 +8,7 @@ from difflib import get_close_matches
 import numpy as np
 
 from torchid.errors import LogError
-from torchid.log.columns import numbers_of, some
+from torchid.log.columns import first_names, numbers_of
 from torchid.log.mapping import Source
 from torchid.log.table import AbsentColumnError, Table, natural
 
@@ -133,7 +133,7 @@ def _absent(
     what = f"no columns {text} in order" if _NUMBERED.search(text) else f"no column '{text}'"
     return AbsentColumnError(
         f"'{table.path}' has {what}, which the mapping of {key} names"
-        + (f": {', '.join(some(missing, 5))} missing." if missing else "."),
+        + (f": {', '.join(first_names(missing, 5))} missing." if missing else "."),
         got=got,
         available=table.described,
         hint=hint,
@@ -180,7 +180,7 @@ def signal_of(
     for piece in pieces:
         label = f"'{table.path}': column {piece.name}"
         part = numbers_of(piece.of(arrays[piece.name], label), label)
-        parts.append(oriented(part, samples, label))
+        parts.append(samples_first(part, samples, label))
     if len({len(part) for part in parts}) > 1 or len(parts[0]) != samples:
         lengths = [f"{piece.name}: {len(part)}" for piece, part in zip(pieces, parts, strict=True)]
         raise LogError(
@@ -201,7 +201,7 @@ def signal_of(
     return whole if source.factors == (1.0,) else whole * np.array(source.factors)
 
 
-def oriented(array: np.ndarray, samples: int, label: str) -> np.ndarray:
+def samples_first(array: np.ndarray, samples: int, label: str) -> np.ndarray:
     """(T, n), also where the file has it the other way round, or one column only."""
     if array.ndim == 1:
         return array[:, None]

@@ -86,7 +86,7 @@ class Both:
     clock: Clock
 
 
-def aligned(simulated: Log, real: Log) -> list[Both]:
+def aligned_trajectories(simulated: Log, real: Log) -> list[Both]:
     """The trajectories of two logs, the k-th of one with the k-th of the other.
 
     Raises:

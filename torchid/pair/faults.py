@@ -8,6 +8,8 @@ do not ask that both moved alike.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,9 +23,10 @@ from torchid.log.filtering import central_difference, low_passed
 from torchid.log.model import Log
 from torchid.log.sampling import resample, sampling_rate
 from torchid.pair.align import SAME_CLOCK, Both, correlations
-from torchid.pair.record import Fault, Side
+from torchid.pair.record import Fault, FaultName, Side
 from torchid.robot.model import Robot, joint_list
 from torchid.typing import Tensor
+from torchid.yaml_data import parsed_yaml
 
 ALIKE = 0.9
 """Correlation of two motions from which they are one joint's."""
@@ -71,6 +74,28 @@ SURE = 5.0
 """Standard deviations from which a coefficient is there."""
 
 
+_TEXTS: dict[str, dict[str, str]] = parsed_yaml(
+    Path(__file__).with_name("faults.yaml").read_text(encoding="utf-8")
+)
+
+
+def fault_of(
+    name: FaultName, joints: Sequence[int], side: Side, value: float, by: str = "", /, **words: Any
+) -> Fault:
+    """A fault as faults.yaml says it, with words and numbers in their places.
+
+    Args:
+        name, joints, side, value: as of a Fault.
+        by: which of several ways to see it.
+        words: of the texts, by name.
+    """
+    own = _TEXTS[f"{name}, {by}" if by else name]
+    known = {"joints": joint_list(joints), "side": side, "value": value, **words}
+    meaning, remedy = (own[text].format(**known) for text in ("meaning", "remedy"))
+    unit = words.get("unit") or own["unit"]
+    return Fault(name, tuple(joints), side, value, unit, meaning, remedy)
+
+
 @dataclass(frozen=True)
 class Mended:
     """The simulator's log with its joints in the arm's order and sense, and what was wrong."""
@@ -80,7 +105,7 @@ class Mended:
     faults: list[Fault]
 
 
-def in_order(simulated: Log, both: list[Both]) -> Mended:
+def joint_faults(simulated: Log, both: list[Both]) -> Mended:
     """Joints in another order, and signals turned round."""
     qs, qr = (torch.cat([getattr(b, s)["q"] for b in both]).numpy() for s in ("simulated", "real"))
     found: list[Fault] = []
@@ -97,13 +122,7 @@ def in_order(simulated: Log, both: list[Both]) -> Mended:
         for j in moved:
             order[j] = int(theirs[j])
         says = ", ".join(f"{j + 1} moves as {order[j] + 1} of the simulator" for j in moved)
-        found.append(
-            Fault(
-                "joint_order", tuple(moved), "simulator", float(len(moved)), "joints",
-                f"joints are in another order: of the arm's, joint {says}",
-                "Map joints by name where commands are sent and states are logged, not by index.",
-            )
-        )  # fmt: skip
+        found.append(fault_of("joint_order", moved, "simulator", float(len(moved)), says=says))
     # Signs, in the arm's order.
     turned = torch.ones(n, dtype=torch.float64)
     for j in range(n):
@@ -123,13 +142,7 @@ def in_order(simulated: Log, both: list[Both]) -> Mended:
             for j in wrong
         }
         what = " and ".join(dict.fromkeys(w for pair in kinds for w in pair if w))
-        found.append(
-            Fault(
-                "sign", tuple(wrong), "simulator", -1.0, "1",
-                f"the {what} of {joint_list(wrong)} has the opposite sign",
-                "Turn the joint's axis round in the file, or its signals' sign in the logger.",
-            )
-        )  # fmt: skip
+        found.append(fault_of("sign", wrong, "simulator", -1.0, what=what))
     if not found:
         return Mended(simulated, both, [])
     signs = {"q": turned, "dq": turned, "tau": opposite}
@@ -154,18 +167,10 @@ def clock_faults(both: Sequence[Both]) -> list[Fault]:
     rate = float(np.median([b.clock.rate for b in both]))
     if abs(rate - 1) < SAME_CLOCK:
         return []
-    return [
-        Fault(
-            "time_step", (), "simulator", rate, "1",
-            f"the same commands take {rate:.4g} times as long by the simulator's clock as by the "
-            "arm's",
-            "Give the simulation the time step that commands are sent at (or as many steps a "
-            "command as it needs), and stamp its log by its own time.",
-        )
-    ]  # fmt: skip
+    return [fault_of("time_step", (), "simulator", rate)]
 
 
-def clipped(both: Sequence[Both]) -> list[Fault]:
+def clipping_faults(both: Sequence[Both]) -> list[Fault]:
     """Signals that stop at a limit which the other side goes beyond."""
     found: list[tuple[Side, int, float, str, str]] = []
     for name, what, unit, exact in (
@@ -187,17 +192,8 @@ def clipped(both: Sequence[Both]) -> list[Fault]:
     out = []
     for side, what, unit in dict.fromkeys((f[0], f[3], f[4]) for f in found):
         these = [f for f in found if (f[0], f[3]) == (side, what)]
-        joints = tuple(f[1] for f in these)
-        levels = ", ".join(f"{f[2]:.4g}" for f in these)
-        whose = "the simulator's" if side == "simulator" else "the arm's"
-        out.append(
-            Fault(
-                "clipped", joints, side, these[0][2], unit,
-                f"{whose} {what} of {joint_list(joints)} stops at {levels} {unit}, which the "
-                "other one goes beyond",
-                f"Give the {what} the arm's own limit (ctrlrange, forcerange, effort, range).",
-            )
-        )  # fmt: skip
+        words = {"what": what, "unit": unit, "levels": ", ".join(f"{f[2]:.4g}" for f in these)}
+        out.append(fault_of("clipped", [f[1] for f in these], side, these[0][2], **words))
     return out
 
 
@@ -256,15 +252,8 @@ def held_control(simulated: Log, real: Log, rate: float) -> list[Fault]:
         if name == "tau" and _peaked((real, simulated)[k], name, periods[k]):
             continue
         side: Side = "simulator" if k == 0 else "arm"
-        return [
-            Fault(
-                "held_control", (), side, 1e3 * periods[k], "ms",
-                f"the {side}'s {what} change every {1e3 * periods[k]:.3g} ms, the other one's "
-                f"every {1e3 * max(periods[1 - k], steps[1 - k]):.3g} ms",
-                "Let the simulation's controller run at the arm's rate (decimation, control "
-                "frequency), and interpolate commands as the arm does.",
-            )
-        ]  # fmt: skip
+        other = 1e3 * max(periods[1 - k], steps[1 - k])
+        return [fault_of("held_control", (), side, 1e3 * periods[k], what=what, other=other)]
     return []
 
 
@@ -319,7 +308,7 @@ class Law:
     gravity: float
 
 
-def laws(log: Log, robot: Robot | None) -> list[Law] | None:
+def servo_laws(log: Log, robot: Robot | None) -> list[Law] | None:
     """The law of every joint's servo, by least squares; None without commands or torques."""
     if log.u is None or log.tau is None:
         return None
@@ -385,62 +374,39 @@ def servo_faults(simulated: Sequence[Law], real: Sequence[Law]) -> list[Fault]:
             off = [j for j, x in values.items() if abs(math.log(x / wrong)) < math.log(UNITS)]
             if off and len(off) > 0.5 * len(values):
                 middle = float(np.median([values[j] for j in off]))
-                found.append(
-                    Fault(
-                        "gain_units", tuple(off), "simulator", middle, "1",
-                        f"the {name} of the simulator's servo is {middle:.3g} times the arm's on "
-                        f"{joint_list(off)}: {DEGREES:.1f} is a radian in degrees, so it takes "
-                        f"{words}",
-                        "Convert the gains: 1 N m/degree is 57.3 N m/rad.",
-                    )
-                )  # fmt: skip
+                known: dict[str, Any] = {"name": name, "degrees": DEGREES, "words": words}
+                found.append(fault_of("gain_units", off, "simulator", middle, **known))
     if not found:
         off = [j for j, x in ratios.items() if abs(math.log(x)) > math.log(GAINS)]
         if off:
             said = ", ".join(f"{ratios[j]:.3g}" for j in off)
-            found.append(
-                Fault(
-                    "servo_gain", tuple(off), "simulator", ratios[off[0]], "1",
-                    f"the stiffness of the simulator's servo is {said} times the arm's on "
-                    f"{joint_list(off)}",
-                    "Give the simulator the arm's gains, in N m/rad.",
-                )
-            )  # fmt: skip
+            found.append(fault_of("servo_gain", off, "simulator", ratios[off[0]], said=said))
     seen = [
         j
         for j in both
         if min(simulated[j].gravity, real[j].gravity) > 0.3
         and math.isfinite(simulated[j].feed + real[j].feed)
     ]
-    for side, own, other in (("simulator", simulated, real), ("arm", real, simulated)):
+    pairs: tuple[tuple[Side, Sequence[Law], Sequence[Law]], ...]
+    pairs = (("simulator", simulated, real), ("arm", real, simulated))
+    for side, own, other in pairs:
         adds = [j for j in seen if own[j].feed > SOME and other[j].feed < NONE]
         if adds and len(adds) > 0.5 * len(seen):
             value = float(np.median([own[j].feed for j in adds]))
-            found.append(
-                Fault(
-                    "gravity_compensation", tuple(adds), side, value, "1",  # type: ignore[arg-type]
-                    f"the {side}'s servo adds the gravity torque on {joint_list(adds)}, the "
-                    "other one's does not",
-                    "Switch gravity compensation on (or off) in both.",
-                )
-            )  # fmt: skip
+            found.append(fault_of("gravity_compensation", adds, side, value))
     return found
 
 
 def gravity_faults(robot: Robot, simulated: Log, real: Log) -> list[Fault]:
     """Gravity that one side's torque holds and the other's does not, by the doctor's judgement of
     each log alone."""
+    light: dict[Side, tuple[int, ...]]
     light = {"simulator": _weightless(robot, simulated), "arm": _weightless(robot, real)}
     return [
-        Fault(
-            "gravity_compensation", joints, side, 0.0, "1",  # type: ignore[arg-type]
-            f"the {side}'s torque holds no gravity on {joint_list(joints)}, the other one's does: "
-            "it is compensated beside the logged torque, or switched off",
-            "Switch gravity (or its compensation) on in both, or off in both.",
-        )
+        fault_of("gravity_compensation", joints, side, 0.0, "by torque")
         for side, joints in light.items()
         if joints and not all(light.values())
-    ]  # fmt: skip
+    ]
 
 
 def _weightless(robot: Robot, log: Log) -> tuple[int, ...]:

@@ -28,16 +28,17 @@ from torchid.gap.record import NoiseFloor
 from torchid.gap.settings import GapSettings
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.filtering import central_difference, low_passed
-from torchid.pair.align import Both, aligned
+from torchid.log.model import Log
+from torchid.pair.align import Both, aligned_trajectories
 from torchid.pair.effects import Progress, effects_of
 from torchid.pair.faults import (
-    clipped,
+    clipping_faults,
     clock_faults,
     gravity_faults,
     held_control,
-    in_order,
-    laws,
+    joint_faults,
     servo_faults,
+    servo_laws,
 )
 from torchid.pair.record import (
     ClockRecord,
@@ -143,7 +144,7 @@ def compare_pair(
                 expected=f"{robot.n} as '{robot.name}'",
             )
     say("aligning", 0, 1)
-    both = aligned(simulated, real)
+    both = aligned_trajectories(simulated, real)
     warnings: list[str] = []
     if both[0].clock.by == "q":
         warnings.append(
@@ -161,23 +162,8 @@ def compare_pair(
             + (", and the servos that commands and positions show" if own else "")
         )
     position, _ = _where(both, "q", settings.seed)
-    # Faults in the order in which they are mended: each is judged with those before mended, but
-    # for a clock, with which nothing that has a derivative can be judged.
     say("looking at the set-up", 0, 1)
-    mended = in_order(simulated, both)
-    clock = clock_faults(both)
-    faults = [*mended.faults, *clock, *clipped(mended.both)]
-    faults += held_control(simulated, real, both[0].clock.rate)
-    if not clock:
-        found = laws(mended.log, robot), laws(real, robot)
-        if found[0] is not None and found[1] is not None:
-            faults += servo_faults(found[0], found[1])
-    modelled = robot is not None and robot.parameters is not None and torque is not None
-    if modelled and not clock:
-        assert robot is not None
-        faults += gravity_faults(robot, mended.log, real)
-    # One name once: the servo's law and the torque may both tell of gravity.
-    faults = list({f.fault: f for f in reversed(faults)}.values())[::-1]
+    faults = _set_up(simulated, real, both, robot)
     which: tuple[OneSided, ...] | None = None
     diagnoses: tuple[TorqueDiagnosis | None, TorqueDiagnosis | None] = (None, None)
     servos: tuple[ServoDifference, ...] | None = None
@@ -196,9 +182,7 @@ def compare_pair(
     else:
         which, diagnoses = effects_of(robot, simulated, real, settings, say)
     say("done", 1, 1)
-    clocks = tuple(
-        ClockRecord(b.name, b.clock.rate, b.clock.start, b.clock.likeness, b.clock.by) for b in both
-    )
+    clocks = tuple(ClockRecord.of(b.clock, trajectory=b.name, start_s=b.clock.start) for b in both)
     record = PairRecord(
         robot=None if robot is None else robot.name,
         simulated=simulated.source or "simulated",
@@ -213,6 +197,23 @@ def compare_pair(
         warnings=tuple(dict.fromkeys([*simulated.warnings, *real.warnings, *warnings])),
     )
     return PairDiagnosis(record, robot, *diagnoses)
+
+
+def _set_up(simulated: Log, real: Log, both: list[Both], robot: Robot | None) -> list[Fault]:
+    """Faults in the order in which they are mended: each is judged with those before mended, but
+    for a clock, with which nothing that has a derivative can be judged."""
+    mended, clock = joint_faults(simulated, both), clock_faults(both)
+    faults = [*mended.faults, *clock, *clipping_faults(mended.both)]
+    faults += held_control(simulated, real, both[0].clock.rate)
+    if not clock:
+        found = servo_laws(mended.log, robot), servo_laws(real, robot)
+        if found[0] is not None and found[1] is not None:
+            faults += servo_faults(found[0], found[1])
+        with_torque = all("tau" in b.simulated for b in both)
+        if robot is not None and robot.parameters is not None and with_torque:
+            faults += gravity_faults(robot, mended.log, real)
+    # One name once: the servo's law and the torque may both tell of gravity.
+    return list({f.fault: f for f in reversed(faults)}.values())[::-1]
 
 
 def _where(both: Sequence[Both], name: str, seed: int) -> tuple[WherePair, NoiseFloor]:

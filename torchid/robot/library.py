@@ -50,8 +50,8 @@ def load_robot(
     """
     text, path = str(name), require_robot_file(name)
     suffix = path.suffix.lower()
-    for read in (path, sidecar_path(path)):
-        add_input(read)
+    for file in (path, sidecar_path(path)):
+        add_input(file)
     if suffix in (".yaml", ".yml"):
         chosen = {"tip": tip, "root": root, "lock": lock or None}
         for option, given in (chosen | {"base": None if base == "fixed" else base}).items():
@@ -62,14 +62,10 @@ def load_robot(
                 )
         return read_yaml(path)
     if is_urdf(path):
-        from torchid.robot.urdf import read_urdf
-
-        robot = read_urdf(path, tip=tip, root=root, lock=lock, base=base)
+        from torchid.robot.urdf import read_urdf as read
     else:
-        from torchid.robot.mjcf import read_mjcf
-
-        robot = read_mjcf(path, tip=tip, root=root, lock=lock, base=base)
-    robot = with_sidecar(robot, path)
+        from torchid.robot.mjcf import read_mjcf as read
+    robot = with_sidecar(read(path, tip=tip, root=root, lock=lock, base=base), path)
     return on_moving_base(robot) if base == "moving" else robot
 
 

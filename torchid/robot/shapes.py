@@ -32,7 +32,7 @@ from torchid.robot.solids import (
     mesh_vertices,
     points,
 )
-from torchid.robot.tree import Tree, held
+from torchid.robot.tree import Tree, with_joints_held
 from torchid.robot.urdf import urdf_tree
 from torchid.robot.xml_numbers import (
     attribute,
@@ -91,9 +91,7 @@ def urdf_shapes(path: Path, robot: Robot) -> LinkShapes:
     Raises:
         RobotError: the file is not XML, or has not the robot's links.
     """
-    root = parse_xml(path)
-    tree, _ = held(urdf_tree(root, str(path), []), robot.locked)
-    elements = dict(_named(root, str(path)))
+    tree, elements = _tree_of(path, robot)
     parts: list[tuple[list[Solid], str] | None] = []
     read: list[list[Solid]] = []
     problems: dict[str, str] = {}
@@ -143,24 +141,24 @@ def own_inertials(robot: Robot) -> tuple[OwnInertial, ...]:
     path = Path(robot.source)
     if not is_urdf(path):
         return ()
-    root = parse_xml(path)
-    tree, _ = held(urdf_tree(root, str(path), []), robot.locked)
-    elements = [(name, e.find("inertial")) for name, e in _named(root, str(path))]
-    given = {name for name, inertial in elements if inertial is not None}
+    tree, elements = _tree_of(path, robot)
+    inertials = {name: e.find("inertial") for name, e in elements.items()}
+    given = {name: inertial for name, inertial in inertials.items() if inertial is not None}
     groups = [set(_group(tree, link)) for link in robot.link_names]
     found = []
-    for name, inertial in elements:
-        if inertial is None:
-            continue
+    for name, inertial in given.items():
         where = f"{path}: link '{name}'"
         moving = next((i for i, group in enumerate(groups) if name in group), None)
-        alone = moving is not None and len(groups[moving] & given) == 1
+        alone = moving is not None and len(groups[moving] & given.keys()) == 1
         found.append(OwnInertial(name, moving, alone, *inertial_values(inertial, where)))
     return tuple(found)
 
 
-def _named(root: Any, source: str) -> list[tuple[str, Any]]:
-    return [(attribute(element, "name", source), element) for element in root.findall("link")]
+def _tree_of(path: Path, robot: Robot) -> tuple[Tree, dict[str, Any]]:
+    """A URDF's tree with the robot's joints held, and its <link> elements by name."""
+    root, source = parse_xml(path), str(path)
+    tree, _ = with_joints_held(urdf_tree(root, source, []), robot.locked)
+    return tree, {attribute(link, "name", source): link for link in root.findall("link")}
 
 
 def _group(tree: Tree, link: str) -> Mapping[str, Tensor]:

@@ -5,7 +5,7 @@ group`, each link with its pose in the group's first link. A part is a tree of g
 movable joints between them: all that the base carries, or the chain from the base to a tip.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -250,6 +250,12 @@ class Tree:
             link = joint.parent
         return out[::-1]
 
+    def with_joints(self, others: Iterable[TreeJoint]) -> "Tree":
+        """The tree with other joints in the places of those of their names."""
+        changed = {joint.name: joint for joint in others}
+        joints = tuple(changed.get(joint.name, joint) for joint in self.joints)
+        return replace(self, joints=joints)
+
     def leaving(self, group: Group) -> list[TreeJoint]:
         """Movable joints from a group to others, in file order."""
         return [joint for joint in self.joints if joint.movable and joint.parent in group.poses]
@@ -273,7 +279,7 @@ def choose(tree: Tree, choice: Choice) -> Part:
     if not any(joint.movable for joint in tree.joints):
         raise RobotError(f"{tree.source}: no joint can move, so there is nothing to identify.")
     floating = [j.child for j in tree.joints if j.floating and not tree.joints_to(j.parent)]
-    tree, noticed = held(tree, choice.lock)
+    tree, noticed = with_joints_held(tree, choice.lock)
     root, placed = own_root, pose()
     if choice.base == "moving" and choice.root is None and floating:
         root = floating[0]
@@ -302,7 +308,7 @@ def choice_of(robot: Robot) -> Choice:
     return Choice(robot.tip, robot.root, robot.locked, "moving" if robot.floating else "fixed")
 
 
-def held(tree: Tree, lock: Mapping[str, float]) -> tuple[Tree, list[str]]:
+def with_joints_held(tree: Tree, lock: Mapping[str, float]) -> tuple[Tree, list[str]]:
     """The tree with joints held where a user says and a base that floats fixed, and what there is
     to say on it; links that are held together are one group then."""
     tree, alone = _without_lost(tree)
@@ -327,12 +333,8 @@ def _without_lost(tree: Tree) -> tuple[Tree, list[str]]:
     lost = [joint for joint in tree.joints if joint.mimic and joint.mimic.joint not in known]
     if not lost:
         return tree, []
-    names = {joint.name for joint in lost}
-    joints = tuple(
-        replace(joint, mimic=None) if joint.name in names else joint for joint in tree.joints
-    )
     listed = ", ".join(f"'{j.name}' ('{j.mimic.joint}')" for j in lost if j.mimic)
-    return replace(tree, joints=joints), [
+    return tree.with_joints(replace(joint, mimic=None) for joint in lost), [
         f"these joints mimic others that the file lacks, so they move by themselves: {listed}"
     ]
 
@@ -357,11 +359,9 @@ def _locked(tree: Tree, lock: Mapping[str, float]) -> Tree:
         for name, way in followers:
             if name not in still and (way.joint in still or not way.ratio):
                 still[name] = way.ratio * still.get(way.joint, 0.0) + way.offset
-    joints = tuple(
-        joint.held(still[joint.name]) if joint.movable and joint.name in still else joint
-        for joint in tree.joints
+    return tree.with_joints(
+        joint.held(still[name]) for name, joint in known.items() if joint.movable and name in still
     )
-    return replace(tree, joints=joints)
 
 
 def _on_a_fixed_base(tree: Tree) -> tuple[Tree, list[str]]:
@@ -370,11 +370,9 @@ def _on_a_fixed_base(tree: Tree) -> tuple[Tree, list[str]]:
     free = [j for j in tree.joints if j.floating and not tree.joints_to(j.parent)]
     if not free:
         return tree, []
-    names = {joint.name for joint in free}
-    joints = tuple(joint.held(0.0) if joint.name in names else joint for joint in tree.joints)
     listed = ", ".join(f"'{joint.child}' (joint '{joint.name}')" for joint in free)
     said = f"{listed} can float: it is taken as fixed where the file puts it, as part of the base"
-    return replace(tree, joints=joints), [said]
+    return tree.with_joints(joint.held(0.0) for joint in free), [said]
 
 
 def _at_rest(tree: Tree, link: str) -> tuple[Tensor, list[str]]:

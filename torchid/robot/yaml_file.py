@@ -110,9 +110,8 @@ def read_kinematics(data: Mapping[str, Any], source: str) -> dict[str, Any]:
     }
     if form == "placements":
         found["parents"] = tuple(_parent(row, i, links, source) for i, row in rows)
-        follow = {names[k]: j for j, k in enumerate(own)}
         found["mimics"] = tuple(
-            _mimic(row["mimic"], i - 1, names[i - 1], kinds[i - 1], follow, source)
+            _mimic(row["mimic"], i - 1, names[i - 1], kinds[i - 1], found["joint_names"], source)
             for i, row in rows
             if "mimic" in row
         )
@@ -130,43 +129,41 @@ def _parent(row: Mapping[str, Any], i: int, links: Sequence[str], source: str) -
     name = row["parent"]
     if name is None:
         return -1
-    if str(name) not in links[: i - 1]:
+    where, what = f"{source}: joint {i}", "link before it to carry it"
+    return _place(name, links[: i - 1], where, what, "null is the base")
+
+
+def _place(name: Any, names: Sequence[str], where: str, what: str, hint: str | None = None) -> int:
+    """Where a name stands among those that are known.
+
+    Raises:
+        RobotError: it is none of them.
+    """
+    if str(name) not in names:
         raise RobotError(
-            f"{source}: joint {i}: there is no such link before it to carry it.",
-            got=name,
-            available=list(links[: i - 1]),
-            hint="null is the base",
+            f"{where}: there is no such {what}.", got=name, available=list(names), hint=hint
         )
-    return links.index(str(name))
+    return names.index(str(name))
 
 
 def _mimic(
-    data: Any, link: int, name: str, kind: JointType, follow: Mapping[str, int], source: str
+    data: Any, link: int, name: str, kind: JointType, follow: Sequence[str], source: str
 ) -> Mimic:
     where = f"{source}: joint {link + 1}: mimic"
     known(data, ("joint", "ratio", "offset"), where)
-    if str(data.get("joint")) not in follow:
-        raise RobotError(
-            f"{where}: there is no such joint to follow.",
-            got=data.get("joint"),
-            available=list(follow),
-        )
+    followed = _place(data.get("joint"), follow, where, "joint to follow")
     ratio, offset = (
         number(data.get(key, default), f"{where}: {key}")
         for key, default in (("ratio", 1.0), ("offset", 0.0))
     )
-    return Mimic(link, name, kind, follow[str(data["joint"])], ratio, offset)
+    return Mimic(link, name, kind, followed, ratio, offset)
 
 
 def _tip(data: Any, links: Sequence[str], where: str) -> Tip:
     known(data, ("name", "link", "pose"), where)
-    if str(data.get("link")) not in links:
-        raise RobotError(
-            f"{where}: there is no such link.", got=data.get("link"), available=list(links)
-        )
+    link = _place(data.get("link"), links, where, "link")
     placed = _pose(data.get("pose", {}), f"{where}: pose")
-    name = str(data["link"])
-    return Tip(str(data.get("name", name)), links.index(name), placed)
+    return Tip(str(data.get("name", links[link])), link, placed)
 
 
 def dh_step(
@@ -214,7 +211,6 @@ def _pose(data: Any, where: str) -> Tensor:
     return out
 
 
-_KINEMATICS = ("dh", "placements")
 _REST = (
     "gravity",
     "limits",
@@ -225,9 +221,9 @@ _REST = (
     "basis",
     "tool",
     "floating",
+    "knowledge",
+    "file",
 )
-_KNOWLEDGE = "knowledge"
-_FILE = "file"
 _BESIDE = ("servo", "servos")
 """What a robot's yaml may hold and other readers take: `torchid.position`."""
 
@@ -250,7 +246,7 @@ def read_yaml(path: Path) -> Robot:
 
 def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
     """A Robot from the parsed content of a robot yaml; `source` names it in errors."""
-    known(data, ("name", *_KINEMATICS, *_REST, _KNOWLEDGE, _FILE, *_BESIDE), source)
+    known(data, ("name", *_FORMS, *_REST, *_BESIDE), source)
     if "name" not in data:
         raise RobotError(f"{source}: 'name' is missing.", available=list(data))
     kinematics = read_kinematics(data, source)
@@ -266,7 +262,7 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
         raise RobotError(f"{source}: floating is true or false.", got=floating)
     if not isinstance(bounds, Mapping):
         raise RobotError(f"{source}: bounds must be a mapping of groups.", got=bounds)
-    limits, sure = data.get("limits") or {}, data.get(_KNOWLEDGE)
+    limits, sure = data.get("limits") or {}, data.get("knowledge")
     known(limits, LIMITS, f"{source}: limits")
     return Robot(
         name=str(data["name"]),
@@ -287,7 +283,7 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
         bounds=MappingProxyType(dict(bounds)),
         basis=basis,
         source=source,
-        file=read_origin(data.get(_FILE) or {}, source) if data.get(_FILE) else {},
+        file=read_origin(data["file"], source) if data.get("file") else {},
         knowledge=None if sure is None else knowledge_of(sure, links, source),
     )
 

@@ -202,41 +202,27 @@ def make(
         TorchidError: the folder or the key file is there already, or the keys would lie inside.
         MissingExtraError: the simulator is not installed.
     """
-    if kind not in _MIXES:
-        raise TorchidError("unknown kind of logs.", got=kind, available=list(_MIXES))
-    if mix not in _MIXES[kind]:
-        raise TorchidError(f"unknown mix of {kind} cases.", got=mix, available=list(_MIXES[kind]))
-    if robots not in ROBOTS:
-        raise TorchidError("unknown robots.", got=robots, available=list(ROBOTS))
+    for what, given, known in (
+        ("kind of logs", kind, _MIXES),
+        (f"mix of {kind} cases", mix, _MIXES.get(kind, ())),
+        ("robots", robots, ROBOTS),
+    ):
+        if given not in known:
+            raise TorchidError(f"unknown {what}.", got=given, available=list(known))
     if robots != "arms" and mix != "mixed":
         raise TorchidError("robots that branch have one mix.", got=mix, expected="mixed")
     if count < 1:
         raise TorchidError("a set has at least one case.", got=count)
     keys = keys_beside(folder) if keys is None else keys
-    # Before any work is done.
-    if (folder / CASES).exists():
-        raise TorchidError(f"'{folder}' holds a set of cases already.", hint="another `out=...`")
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise TorchidError(f"'{folder}' is not an empty folder.", hint="another `out=...`")
-    if keys.exists():
-        raise TorchidError(
-            f"'{keys}' exists, and keys are never overwritten.", hint="another `keys=...`"
-        )
-    if folder.resolve() in keys.resolve().parents:
-        raise TorchidError(
-            "the keys must not lie in the folder of the cases.", got=keys, hint="another `keys=...`"
-        )
-    for above in (folder.resolve().parent, keys.resolve().parent):
-        if not above.is_dir():
-            raise TorchidError(f"there is no folder '{above}'.", hint=f"mkdir -p '{above}'")
+    _require_new(folder, keys)
     # It takes the place of `folder` when all are there; until then it keeps what is made.
     drawn = mix if kind == "torque" else kind
-    given = {"mix": drawn}
+    fixed = {"mix": drawn}
     if robots != "arms":
-        given = {"mix": "tree" if kind == "torque" else "tree_position", "robots": robots}
-    place = folder.resolve().parent / "-".join((f".{folder.name}", str(seed), *given.values()))
+        fixed = {"mix": "tree" if kind == "torque" else "tree_position", "robots": robots}
+    place = folder.resolve().parent / "-".join((f".{folder.name}", str(seed), *fixed.values()))
     (place / KEPT).mkdir(parents=True, exist_ok=True)
-    write = partial(write_drawn, place, seed, given)
+    write = partial(write_drawn, place, seed, fixed)
     found = each(write, range(count), jobs, "simulating cases", progress)
     sealed = sha256(write_json({"schema": KEYS_SCHEMA, "seed": seed, "cases": found}, keys))
     ids = tuple(map(case_id, range(count)))
@@ -253,6 +239,26 @@ def make(
         folder.rmdir()
     os.replace(place, folder)
     return made
+
+
+def _require_new(folder: Path, keys: Path) -> None:
+    """Raise TorchidError, before any work is done, where a set or its keys cannot be written."""
+    other = "another `out=...`"
+    if (folder / CASES).exists():
+        raise TorchidError(f"'{folder}' holds a set of cases already.", hint=other)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise TorchidError(f"'{folder}' is not an empty folder.", hint=other)
+    if keys.exists():
+        raise TorchidError(
+            f"'{keys}' exists, and keys are never overwritten.", hint="another `keys=...`"
+        )
+    if folder.resolve() in keys.resolve().parents:
+        raise TorchidError(
+            "the keys must not lie in the folder of the cases.", got=keys, hint="another `keys=...`"
+        )
+    for above in (folder.resolve().parent, keys.resolve().parent):
+        if not above.is_dir():
+            raise TorchidError(f"there is no folder '{above}'.", hint=f"mkdir -p '{above}'")
 
 
 def write_drawn(folder: Path, seed: int, given: Mapping[str, str], number: int) -> dict[str, Any]:

@@ -44,7 +44,7 @@ class Named:
     set_size: int | None
 
 
-def named(row: Row) -> Named:
+def how_named(row: Row) -> Named:
     """How the effect of a row with one was named."""
     (planted,) = row.planted
     top = row.top
@@ -83,14 +83,14 @@ def f1(counts: Counts) -> float:
     return 2 * hits / total if total else 1.0
 
 
-def added(counts: Iterable[Counts]) -> Counts:
+def added_counts(counts: Iterable[Counts]) -> Counts:
     """Sums, for micro-averages."""
     every = [*counts, (0, 0, 0)]
     hits, extra, missed = (sum(column) for column in zip(*every, strict=True))
     return hits, extra, missed
 
 
-def matched(row: Row, strict: bool) -> Counts:
+def matching_counts(row: Row, strict: bool) -> Counts:
     """(hits, too many, missed) of (effect, joint), each claim for one planted effect at most.
 
     Args:
@@ -173,7 +173,7 @@ def poor_verdict(row: Row) -> PoorVerdict:
     return "confident_wrong"
 
 
-def inside(value: float, std: float, true: float, z: float = HALF_95) -> bool:
+def interval_holds(value: float, std: float, true: float, z: float = HALF_95) -> bool:
     """Whether an interval holds the truth."""
     return abs(value - true) <= z * std
 
@@ -189,13 +189,13 @@ def coefficient_coverage(row: Row) -> list[bool]:
     if len(same) != 1:
         return []
     return [
-        inside(*same[0].coefficients[name], true)
+        interval_holds(*same[0].coefficients[name], true)
         for name, true in planted.coefficients.items()
         if name in same[0].coefficients
     ]
 
 
-def believed(row: Row) -> list[tuple[float, bool]]:
+def stated_probabilities(row: Row) -> list[tuple[float, bool]]:
     """Of every name that was given with a probability, this and whether the effect is there."""
     return [
         (
@@ -241,7 +241,7 @@ def rate(flags: Iterable[bool]) -> dict[str, Any]:
 
 def micro_f1(counts: Sequence[Counts]) -> dict[str, Any]:
     """F1 of all cases together, with an interval over cases; None of nothing."""
-    total, value, interval = added(counts), None, None
+    total, value, interval = added_counts(counts), None, None
     if counts:
         draws = np.array(counts)[drawn_cases(len(counts))].sum(1).tolist()
         interval = list(percentile_interval(np.array([f1((h, e, m)) for h, e, m in draws])))

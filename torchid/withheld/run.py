@@ -88,7 +88,7 @@ def run(
         # Why it is not one of this diagnosis.
         if old.get("version") != __version__:
             other[one.case] = f"they are of torchid {old.get('version')}, and this is {__version__}"
-        elif old.get("code") != code():
+        elif old.get("code") != source_digest():
             other[one.case] = "the diagnosis has changed since"
         elif old.get("settings") != plain(asdict(one.settings)):
             other[one.case] = "they were found with other settings"
@@ -115,10 +115,10 @@ def run(
 
 def diagnose_case(job: Job) -> dict[str, Any]:
     """Diagnose one case and write its answer."""
-    return written(job, lambda: _answer(job), {"which": []})
+    return written_answer(job, lambda: _answer(job), {"which": []})
 
 
-def written(
+def written_answer(
     job: Job, answer: Callable[[], dict[str, Any]], failed: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """What a method answers to a job, and what it was obtained with, written to the job's file.
@@ -140,7 +140,7 @@ def written(
         "case": job.case,
         "settings": plain(asdict(job.settings)),
         "version": __version__,
-        "code": code(),
+        "code": source_digest(),
         "seconds": round(time.perf_counter() - begin, 2),
     }
     write_json(found, job.answer)
@@ -163,6 +163,6 @@ def _answer(job: Job) -> dict[str, Any]:
     return {**found.plain(), "corrected": plain(corrected)}
 
 
-def code() -> str:
+def source_digest() -> str:
     """SHA-256, in hexadecimal, of the sources that a diagnosis depends on."""
     return sources(NOT_THE_DIAGNOSIS)

@@ -16,15 +16,15 @@ from torchid.errors import TorchidError
 from torchid.json_data import picked, plain
 from torchid.withheld.case_set import CaseSet
 from torchid.withheld.measures import (
-    believed,
     coefficient_coverage,
+    how_named,
     joint_counts,
-    matched,
+    matching_counts,
     micro_f1,
-    named,
     poor_verdict,
     rate,
     reliability,
+    stated_probabilities,
     verdict,
 )
 from torchid.withheld.rows import Row, named_record, row_of
@@ -66,7 +66,7 @@ class Scored:
         return " + ".join(p.name for p in self.row.planted)
 
 
-def scored(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
+def scored_case(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
     """A case from its key and answer, as they are in files."""
     far = answer.get("how_far") or {}
     # As in a file, where what is not a number is null.
@@ -113,7 +113,7 @@ def scores(cases: Sequence[Scored]) -> dict[str, Any]:
         "wrong_for_sure": rate(
             verdict(c.row, every=False) == "confident_wrong" for c in single + severity
         ),
-        "how_sure": reliability([pair for c in cases for pair in believed(c.row)]),
+        "how_sure": reliability([pair for c in cases for pair in stated_probabilities(c.row)]),
         "joints": micro_f1([joint_counts(c.row) for c in single + several]),
         "several": _several(several),
         "outside": _outside(outside),
@@ -131,7 +131,7 @@ def _median(values: Sequence[float]) -> float | None:
 
 
 def _naming(cases: Sequence[Scored]) -> dict[str, Any]:
-    found = [named(c.row) for c in cases]
+    found = [how_named(c.row) for c in cases]
     sizes = [n.set_size for n in found if n.set_size is not None]
     return {
         "detected": rate(c.row.alarm for c in cases),
@@ -153,8 +153,8 @@ def _several(cases: Sequence[Scored]) -> dict[str, Any]:
     }
     for name, some in groups.items():
         out[name] = {
-            "with_sets": micro_f1([matched(c.row, strict=False) for c in some]),
-            "strict": micro_f1([matched(c.row, strict=True) for c in some]),
+            "with_sets": micro_f1([matching_counts(c.row, strict=False) for c in some]),
+            "strict": micro_f1([matching_counts(c.row, strict=True) for c in some]),
         }
     return out
 
@@ -238,7 +238,7 @@ def summary(
         answers: by case.
     """
     by_id = {key["id"]: key for key in keys}
-    ours = [scored(k, answers[k["id"]]) for k in keys if k["id"] in answers]
+    ours = [scored_case(k, answers[k["id"]]) for k in keys if k["id"] in answers]
     own = [answers[c.case] for c in ours]
     return plain(
         {
@@ -267,12 +267,12 @@ def _listed(case: Scored, key: Mapping[str, Any]) -> dict[str, Any]:
         "status": case.row.status,
         "named": named_record(case.row),
         "closed": case.closed,
-        "right": right(case.kind, case.row),
+        "right": is_right(case.kind, case.row),
         "seconds": case.seconds,
     }
 
 
-def right(kind: str, row: Row) -> bool:
+def is_right(kind: str, row: Row) -> bool:
     """Whether an answer is as good as its kind of case allows: nothing more to be wished for."""
     if row.status == ERROR:
         return False
@@ -285,7 +285,7 @@ def right(kind: str, row: Row) -> bool:
     if kind == "poor":
         return poor_verdict(row) not in ("confident_wrong", "missed")
     if kind == "severity":
-        return not row.alarm or named(row).in_set
+        return not row.alarm or how_named(row).in_set
     if kind == "several":
-        return matched(row, strict=False)[1:] == (0, 0)
-    return named(row).in_set and joint_counts(row)[1:] == (0, 0)
+        return matching_counts(row, strict=False)[1:] == (0, 0)
+    return how_named(row).in_set and joint_counts(row)[1:] == (0, 0)

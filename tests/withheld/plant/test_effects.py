@@ -14,7 +14,7 @@ from torchid.withheld.plant.laws import bristles
 from torchid.withheld.plant.model import Drive, compiled, plant_of
 from torchid.withheld.plant.plan import EffectSpec, Live, Plan
 from torchid.withheld.plant.scene import nominal_of, scene_of
-from torchid.withheld.plant.simulate import gaps, planted, readings, simulated, size_of, sized
+from torchid.withheld.plant.simulate import gaps, readings, simulated, size_of, sized, with_effect
 
 STEP = 5e-4
 
@@ -55,7 +55,7 @@ def effect(name, joints=(1,), **draws):
 def shown(bench, spec, scale):
     """The plan, its traces and its gaps."""
     scene, base, nominal = bench
-    plan, _ = planted(scene, base, spec, scale)
+    plan, _ = with_effect(scene, base, spec, scale)
     traces = simulated(scene, plan, nominal, STEP)
     return plan, traces, gaps(plan, nominal, traces)
 
@@ -136,7 +136,7 @@ def test_a_rotor_takes_no_more_than_its_link_has():
     assert (scene.free_inertia < scene.inertia[:, 0] + 1e-12).all()
     assert scene.free_inertia[2] < 0.3 * scene.inertia[2, 0]
     for joint in range(6):
-        plan, _ = planted(scene, base, effect("backlash", joints=(joint,)), 1e-3)
+        plan, _ = with_effect(scene, base, effect("backlash", joints=(joint,)), 1e-3)
         model, _ = compiled(plan.plant, scene.kp, scene.kd, STEP)
         data, full = mujoco.MjData(model), np.empty((7, 7))
         for row in scene.shapes[0].state(np.arange(0, 4, 0.5))[0]:
@@ -192,7 +192,7 @@ def test_friction_that_must_resist_is_known(bench):
     """A direction's friction below zero would drive the arm, so the nominal model knows more."""
     scene, base, _ = bench
     for name in ("asymmetric_friction", "uneven_friction", "uneven_damping"):
-        plan, parameters = planted(scene, base, effect(name), 3.0)
+        plan, parameters = with_effect(scene, base, effect(name), 3.0)
         know = plan.known_damping if name == "uneven_damping" else plan.known_friction
         assert know[1] > 3.0, name
         assert parameters
@@ -212,7 +212,7 @@ def test_coupled_motors_add_what_the_other_joint_does(bench):
 
 def test_a_known_payload_closes_the_gap(bench):
     scene, base, nominal = bench
-    plan, _ = planted(scene, base, effect("payload", joints=()), 1.5)
+    plan, _ = with_effect(scene, base, effect("payload", joints=()), 1.5)
     traces = simulated(scene, plan, nominal, STEP)
     assert plan.plant.payload is not None
     truth = traces[0].truth

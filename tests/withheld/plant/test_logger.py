@@ -9,7 +9,7 @@ from torchid.withheld.plant.arms import arm_named
 from torchid.withheld.plant.logger import Logger, logged, noise
 from torchid.withheld.plant.model import plant_of
 from torchid.withheld.plant.plan import Plan, Signals
-from torchid.withheld.plant.sensing import Windows, hold
+from torchid.withheld.plant.sensing import Windows, with_held_torque
 
 LOGGER = Logger(500, 17, None, 0.03, False, 1e-3, 100.0, 5)
 
@@ -69,7 +69,7 @@ def test_held_samples_are_copies():
     assert len(set(columns["tau2"][rows])) == 1
     assert len(set(columns["tau1"][rows])) > 40
     x, t = np.arange(10.0)[:, None], np.arange(10.0)
-    held = hold(x, t, [Windows(0, (((2.5, 6.0),),))], 0)
+    held = with_held_torque(x, t, [Windows(0, (((2.5, 6.0),),))], 0)
     assert held[:, 0].tolist() == [0, 1, 2, 3, 3, 3, 6, 7, 8, 9]
 
 

@@ -17,7 +17,7 @@ from torchid.withheld.plant.model import plant_of
 from torchid.withheld.plant.plan import EffectSpec, Plan
 from torchid.withheld.plant.servo import NEUTRAL, Servos, moved, set_points
 from torchid.withheld.plant.servo_catalogue import SERVO_KINDS, ServoScene
-from torchid.withheld.plant.servo_scene import led, motions
+from torchid.withheld.plant.servo_scene import led_motions, motions
 
 RATE = 50.0
 
@@ -95,7 +95,7 @@ def test_every_effect_changes_the_motion_of_its_joint_most(scene, name):
     plan, numbers = kind.plant(scene, scene.plan, effect, 1.0)
     assert numbers
     assert set(plan.servos.values) <= set(NEUTRAL)
-    (found,) = led(scene, plan)
+    (found,) = led_motions(scene, plan)
     change = np.sqrt(((found.logged - scene.base[0].logged) ** 2).mean(0))
     if name != "dropped_commands":  # of which four seconds may see none that matters
         assert change.max() > 2e-4

@@ -16,9 +16,14 @@ from torchid.withheld.plant.model import plant_of
 from torchid.withheld.plant.plan import EffectSpec, Parameters, Plan, Scene
 from torchid.withheld.plant.scene import friction_known, moved_otherwise, nominal_of, rms, scene_of
 from torchid.withheld.plant.servo_catalogue import SERVO_KINDS
-from torchid.withheld.plant.servo_scene import led, placed, servo_scene, visible
+from torchid.withheld.plant.servo_scene import (
+    led_motions,
+    placed_effect,
+    servo_scene,
+    visible_effect,
+)
 from torchid.withheld.plant.settings import DRAWS
-from torchid.withheld.plant.simulate import gaps, planted, readings, simulated, size_of, sized
+from torchid.withheld.plant.simulate import gaps, readings, simulated, size_of, sized, with_effect
 
 __all__ = ["CaseSpec", "SimulatedCase", "draw_case", "simulate_case"]
 
@@ -100,16 +105,16 @@ def _of_servos(spec: ServoSpec) -> SimulatedCase:
     effects: list[dict[str, Any]] = []
     taken: tuple[int, ...] = ()
     for one in spec.effects:
-        effect = placed(scene, one.name, rng, taken)
+        effect = placed_effect(scene, one.name, rng, taken)
         taken += effect.joints
-        scale, rms, found = visible(scene, effect)
+        scale, rms, found = visible_effect(scene, effect)
         plan, own = SERVO_KINDS[effect.name].plant(scene, plan, effect, scale)
         felt = rms > max(MOVED * rms.max(), count / 2)
         # Of the largest change, over what an encoder rounds to.
         size = float(rms.max() / (count / np.sqrt(12)))
         effects.append(_record(SERVO_KINDS, effect, felt, own, size))
     if len(effects) > 1:
-        found = led(scene, plan)
+        found = led_motions(scene, plan)
     # What the bus carries: commands, and positions in counts.
     n, rows = scene.arm.n, [len(u) for u in scene.commands]
     columns = {
@@ -145,7 +150,7 @@ def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
         scene = moved_otherwise(scene, nominal, (spec.poor or spec.motion).another())
     plan, parameters = base, []
     for effect, one in zip(spec.effects, found, strict=True):
-        plan, own = planted(scene, plan, effect, one.scale)
+        plan, own = with_effect(scene, plan, effect, one.scale)
         parameters.append(own)
     nominal = replace(nominal, damping=plan.known_damping, friction=plan.known_friction)
     traces = simulated(scene, plan, nominal, FINE)
@@ -156,7 +161,7 @@ def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
     elif spec.poor:
         # Of each effect alone on the case's motion.
         for k, (effect, one) in enumerate(zip(spec.effects, found, strict=True)):
-            alone, _ = planted(scene, base, effect, one.scale)
+            alone, _ = with_effect(scene, base, effect, one.scale)
             own_nominal = nominal_of(arm, alone.known_damping, alone.known_friction)
             moved = simulated(scene, alone, own_nominal, FINE * 2)
             sizes[k] = size_of(scene, alone, own_nominal, moved)

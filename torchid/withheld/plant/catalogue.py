@@ -139,14 +139,18 @@ def _kind(plant: str, **given: Any) -> Kind:
     return Kind(
         plant=getattr(places[module], name),
         draws=_DRAWS[draws] if isinstance(draws, str) else _uniform(draws),
-        akin=tuple(given.pop("akin", ())),
         **given,
     )
 
 
-_CATALOGUE = Path(__file__).with_name("catalogue.yaml")
+def read_catalogue(file: str) -> dict[str, dict[str, Any]]:
+    """What a catalogue beside this file says of each effect, as fields of a Kind."""
+    found = parsed_yaml(Path(__file__).with_name(file).read_text(encoding="utf-8"))
+    return {name: {**own, "akin": tuple(own.get("akin", ()))} for name, own in found.items()}
+
+
 KINDS: dict[str, Kind] = {
-    name: _kind(**own) for name, own in parsed_yaml(_CATALOGUE.read_text(encoding="utf-8")).items()
+    name: _kind(**own) for name, own in read_catalogue("catalogue.yaml").items()
 }
 
 LIBRARY = tuple(name for name, kind in KINDS.items() if kind.family != OUTSIDE)

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from torchid.withheld.plant.bodies import Array
 from torchid.withheld.plant.plan import Plan, Signals
-from torchid.withheld.plant.sensing import hold
+from torchid.withheld.plant.sensing import with_held_torque
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def logged(
         size = 1 + logger.grows * np.abs(dq) / np.maximum(usual, 1e-9)
         size = noise_std * size / np.sqrt((size**2).mean(0))
         tau = tau + size * noise(rng, tau.shape, logger.rate_hz, logger.colour_hz)
-        tau = hold(tau, t, plan.held, number)
+        tau = with_held_torque(tau, t, plan.held, number)
         tick = 2 * np.pi / 2**logger.encoder_bits
         # Bounded, so that stamps never go backwards.
         jitter = np.clip(rng.standard_normal(len(t)) * logger.jitter, -0.4, 0.4) / logger.rate_hz

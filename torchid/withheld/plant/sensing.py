@@ -115,7 +115,7 @@ def contact(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     return replace(plan, push=push), {**force, "start": start, "stop": start + seconds}
 
 
-def hold(tau: Array, t: Array, held: Sequence[Windows], number: int) -> Array:
+def with_held_torque(tau: Array, t: Array, held: Sequence[Windows], number: int) -> Array:
     """Torque (T, n) of a trajectory of which joints are held at their last value before each of
     their windows; t (T,) begins anywhere [s]."""
     out, since = tau.copy(), t - t[0]

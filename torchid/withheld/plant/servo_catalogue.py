@@ -8,7 +8,7 @@ import numpy as np
 
 from torchid.withheld.plant.arms import Arm
 from torchid.withheld.plant.bodies import Array, Box
-from torchid.withheld.plant.catalogue import OUTSIDE, Kind, Plant
+from torchid.withheld.plant.catalogue import Kind, Plant, read_catalogue
 from torchid.withheld.plant.friction import Planted, with_plant
 from torchid.withheld.plant.model import Drive, Spring
 from torchid.withheld.plant.plan import EffectSpec, Plan
@@ -148,91 +148,51 @@ def _effort(share: float) -> Number:
     return lambda scene, j, s, x: share * s * (0.7 + 0.6 * x) * float(scene.of("kp")[j])
 
 
-SERVO_KINDS: dict[str, Kind] = {
-    "command_delay": Kind(
-        "command",
-        _servo(delay=lambda c, j, s, x: 1 / c.servos.rate_hz + s * (0.02 + 0.03 * x)),
-        place="bus",
+# Of a servo's number on joint j in a scene c, by size and variant.
+_PLANTS: dict[str, Plant] = {
+    "command_delay": _servo(delay=lambda c, j, s, x: 1 / c.servos.rate_hz + s * (0.02 + 0.03 * x)),
+    "set_point_profile": _servo(
+        acceleration=lambda c, j, s, x: (0.3 + 0.4 * x) / s * float(c.rates(2)[j])
     ),
-    "set_point_profile": Kind(
-        "command",
-        _servo(acceleration=lambda c, j, s, x: (0.3 + 0.4 * x) / s * float(c.rates(2)[j])),
-        place="bus",
+    "set_point_speed": _servo(speed=lambda c, j, s, x: (0.3 + 0.3 * x) / s * float(c.rates(1)[j])),
+    "command_gain": _servo(
+        scale=lambda c, j, s, x: 1 + s * _way(x) * (0.04 + 0.08 * abs(2 * x - 1))
     ),
-    "set_point_speed": Kind(
-        "command",
-        _servo(speed=lambda c, j, s, x: (0.3 + 0.3 * x) / s * float(c.rates(1)[j])),
-        place="bus",
+    "derivative_gain": _servo(
+        kd=lambda c, j, s, x: s * (0.4 + 0.6 * x) * float(c.plan.plant.damping[j])
     ),
-    "command_gain": Kind(
-        "command",
-        _servo(scale=lambda c, j, s, x: 1 + s * _way(x) * (0.04 + 0.08 * abs(2 * x - 1))),
+    "saturation": _servo(clip=lambda c, j, s, x: (0.4 + 0.3 * x) / s * float(c.torque[j])),
+    "dead_zone": _servo(dead_zone=lambda c, j, s, x: s * (0.004 + 0.008 * x)),
+    "torque_offset": _servo(
+        offset=lambda c, j, s, x: _way(x) * 0.012 * s * (1 + x) * float(c.of("kp")[j])
     ),
-    "derivative_gain": Kind(
-        "servo", _servo(kd=lambda c, j, s, x: s * (0.4 + 0.6 * x) * float(c.plan.plant.damping[j]))
+    "stribeck_friction": _servo(
+        stiction=_effort(0.008), stribeck_speed=lambda c, j, s, x: 0.02 + 0.06 * x
     ),
-    "saturation": Kind(
-        "servo",
-        _servo(clip=lambda c, j, s, x: (0.4 + 0.3 * x) / s * float(c.torque[j])),
+    "load_dependent_friction": _servo(load_share=lambda c, j, s, x: s * (0.2 + 0.2 * x)),
+    "motor_dependent_friction": _servo(motor_share=lambda c, j, s, x: s * (0.15 + 0.2 * x)),
+    "end_stop": _stop,
+    "plane_contact": _floor,
+    "payload": _payload,
+    "integral_action": _servo(integral=lambda c, j, s, x: s * (0.5 + x) * float(c.of("kp")[j])),
+    "command_filter": _servo(lag=lambda c, j, s, x: s * (0.05 + 0.05 * x)),
+    "backlash": _drive(lambda s, x: 20.0, lambda s, x: s * (0.02 + 0.03 * x)),
+    "elasticity": _drive(lambda s, x: (2 + 2 * x) / s),
+    "supply_sag": _servo(sag=lambda c, j, s, x: s * (0.2 + 0.3 * x) / c.torque.sum()),
+    "fading_gain": _servo(fade=lambda c, j, s, x: min(s * (0.2 + 0.2 * x), 0.7)),
+    "warming_friction": _servo(
+        coulomb=lambda c, j, s, x: (1 + s) * float(c.of("coulomb")[j]),
+        heating=lambda c, j, s, x: 0.5 + 0.4 * x,
     ),
-    "dead_zone": Kind("servo", _servo(dead_zone=lambda c, j, s, x: s * (0.004 + 0.008 * x))),
-    "torque_offset": Kind(
-        "servo",
-        _servo(offset=lambda c, j, s, x: _way(x) * 0.012 * s * (1 + x) * float(c.of("kp")[j])),
-    ),
-    "stribeck_friction": Kind(
-        "friction",
-        _servo(stiction=_effort(0.008), stribeck_speed=lambda c, j, s, x: 0.02 + 0.06 * x),
-    ),
-    "load_dependent_friction": Kind(
-        "friction", _servo(load_share=lambda c, j, s, x: s * (0.2 + 0.2 * x)), place="loaded"
-    ),
-    "motor_dependent_friction": Kind(
-        "friction", _servo(motor_share=lambda c, j, s, x: s * (0.15 + 0.2 * x)), place="loaded"
-    ),
-    "end_stop": Kind("world", _stop),
-    "plane_contact": Kind("world", _floor, place="arm"),
-    "payload": Kind("inertia", _payload, place="arm"),
-    "integral_action": Kind(
-        "servo", _servo(integral=lambda c, j, s, x: s * (0.5 + x) * float(c.of("kp")[j])),
-        place="loaded",
-    ),
-    "command_filter": Kind(
-        "command", _servo(lag=lambda c, j, s, x: s * (0.05 + 0.05 * x)), place="bus"
-    ),
-    # Outside of what the diagnosis has.
-    "backlash": Kind(
-        OUTSIDE, _drive(lambda s, x: 20.0, lambda s, x: s * (0.02 + 0.03 * x)), place="loaded",
-        akin=("dead_zone",),
-    ),
-    "elasticity": Kind(OUTSIDE, _drive(lambda s, x: (2 + 2 * x) / s), place="loaded"),
-    "supply_sag": Kind(
-        OUTSIDE,
-        _servo(sag=lambda c, j, s, x: s * (0.2 + 0.3 * x) / c.torque.sum()),
-        place="all", akin=("saturation",),
-    ),
-    "fading_gain": Kind(OUTSIDE, _servo(fade=lambda c, j, s, x: min(s * (0.2 + 0.2 * x), 0.7))),
-    "warming_friction": Kind(
-        OUTSIDE,
-        _servo(
-            coulomb=lambda c, j, s, x: (1 + s) * float(c.of("coulomb")[j]),
-            heating=lambda c, j, s, x: 0.5 + 0.4 * x,
-        ),
-        akin=("friction",),
-    ),
-    "nonlinear_gain": Kind(
-        OUTSIDE, _servo(hardening=lambda c, j, s, x: s * (4.0 + 8.0 * x)), akin=("dead_zone",)
-    ),
-    "cable": Kind(OUTSIDE, _cable, akin=("torque_offset",)),
-    "dropped_commands": Kind(
-        OUTSIDE, _servo(dropped=lambda c, j, s, x: min(s * (0.2 + 0.2 * x), 0.8)), place="all",
-        akin=("command",),
-    ),
-    "late_positions": Kind(
-        OUTSIDE, _servo(late=lambda c, j, s, x: s * (0.02 + 0.04 * x)), place="bus",
-        akin=("command",),
-    ),
-    "cogging": Kind(
-        OUTSIDE, _servo(cogging=_effort(0.01), teeth=lambda c, j, s, x: round(8 + 16 * x))
-    ),
-}  # fmt: skip
+    "nonlinear_gain": _servo(hardening=lambda c, j, s, x: s * (4.0 + 8.0 * x)),
+    "cable": _cable,
+    "dropped_commands": _servo(dropped=lambda c, j, s, x: min(s * (0.2 + 0.2 * x), 0.8)),
+    "late_positions": _servo(late=lambda c, j, s, x: s * (0.02 + 0.04 * x)),
+    "cogging": _servo(cogging=_effort(0.01), teeth=lambda c, j, s, x: round(8 + 16 * x)),
+}
+
+SERVO_KINDS = {
+    name: Kind(plant=_PLANTS[name], **own)
+    for name, own in read_catalogue("servo_catalogue.yaml").items()
+}
+"""By name, as servo_catalogue.yaml has them."""

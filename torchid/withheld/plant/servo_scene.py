@@ -99,7 +99,7 @@ def motions(arm: Arm, rate_hz: float, rng: Rng) -> list[Array]:
     return [middle + u for u in out]
 
 
-def placed(scene: ServoScene, name: str, rng: Rng, taken: tuple[int, ...]) -> EffectSpec:
+def placed_effect(scene: ServoScene, name: str, rng: Rng, taken: tuple[int, ...]) -> EffectSpec:
     """An effect at joints that no other has, and its variant."""
     place, n = SERVO_KINDS[name].place, scene.arm.n
     draws, everywhere = {"variant": float(rng.uniform())}, rng.random() < 0.5
@@ -113,18 +113,20 @@ def placed(scene: ServoScene, name: str, rng: Rng, taken: tuple[int, ...]) -> Ef
     return EffectSpec(name, (int(rng.choice(free)),), draws)
 
 
-def led(scene: ServoScene, plan: Plan) -> list[Moved]:
+def led_motions(scene: ServoScene, plan: Plan) -> list[Moved]:
     """Where the scene's commands lead an arm."""
     assert plan.servos is not None
     return moved(plan.plant, plan.servos, scene.commands)
 
 
-def visible(scene: ServoScene, effect: EffectSpec) -> tuple[float, Array, list[Moved]]:
+def visible_effect(scene: ServoScene, effect: EffectSpec) -> tuple[float, Array, list[Moved]]:
     """The scale from which on encoders show an effect alone, the RMS (n,) of what it changes in
     the positions [rad], and how the arm moves."""
     scale = 1.0
     for _ in range(TRIES):
-        found = led(scene, SERVO_KINDS[effect.name].plant(scene, scene.plan, effect, scale)[0])
+        found = led_motions(
+            scene, SERVO_KINDS[effect.name].plant(scene, scene.plan, effect, scale)[0]
+        )
         change = np.concatenate([a.q - b.q for a, b in zip(found, scene.base, strict=True)])
         rms = np.sqrt((change**2).mean(0))
         if rms.max() > SEEN * scene.servos.count:

@@ -22,7 +22,7 @@ from torchid.withheld.plant.model import compiled, mujoco
 from torchid.withheld.plant.motion import SETTLE, Sum
 from torchid.withheld.plant.plan import Act, EffectSpec, Live, Parameters, Plan, Scene, Signals
 from torchid.withheld.plant.scene import Nominal, dry, low_passed, rms
-from torchid.withheld.plant.sensing import hold
+from torchid.withheld.plant.sensing import with_held_torque
 
 _FEED = 0.004  # seconds between two instants of the feed-forward
 _ASTRAY = 1.0  # rad from the reference at which a simulation is no longer one of this arm
@@ -149,12 +149,10 @@ class Sized:
 
     Attributes:
         scale: of the effect.
-        parameters: in physical units.
         size: (n,) RMS of what it changes in the gap, in standard deviations of the noise.
     """
 
     scale: float
-    parameters: Parameters
     size: Array
 
 
@@ -175,7 +173,7 @@ def gaps(plan: Plan, nominal: Nominal, traces: Sequence[Trace]) -> list[Array]:
     for number, (trace, reading) in enumerate(pairs):
         fine = float(reading.t[1] - reading.t[0])
         every = max(1, round(_GRID / fine))
-        tau = hold(reading.tau, reading.t, plan.held, number)
+        tau = with_held_torque(reading.tau, reading.t, plan.held, number)
         # One row of so many, of triangular means, which hold back what would be folded.
         tau, q, dq, ddq, friction, resistance = (
             uniform_filter1d(uniform_filter1d(x, every, axis=0), every, axis=0)[::every]
@@ -196,7 +194,9 @@ def size_of(scene: Scene, plan: Plan, nominal: Nominal, traces: Sequence[Trace])
     return rms(gaps(plan, nominal, traces)) / scene.noise
 
 
-def planted(scene: Scene, plan: Plan, effect: EffectSpec, scale: float) -> tuple[Plan, Parameters]:
+def with_effect(
+    scene: Scene, plan: Plan, effect: EffectSpec, scale: float
+) -> tuple[Plan, Parameters]:
     """The plan with an effect at a scale."""
     return kind_named(effect.name).plant(scene, plan, effect, scale)
 
@@ -220,7 +220,7 @@ def sized(scene: Scene, base: Plan, nominal: Nominal, effect: EffectSpec, level:
     still: list[Trace] = []
     tried: list[Sized] = []
     for _ in range(_TRIES):
-        plan, parameters = planted(scene, base, effect, scale)
+        plan, _ = with_effect(scene, base, effect, scale)
         if kind.sensing:
             still = still or simulated(scene, base, nominal, COARSE)
             traces = still
@@ -232,7 +232,7 @@ def sized(scene: Scene, base: Plan, nominal: Nominal, effect: EffectSpec, level:
                 largest = scale = 0.5 * scale
                 continue
         size = size_of(scene, plan, nominal, traces)
-        tried.append(Sized(scale, parameters, size))
+        tried.append(Sized(scale, size))
         if abs(size.max() / level - 1) < _CLOSE:
             break
         following = _next(tried, level, largest)
