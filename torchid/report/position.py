@@ -221,21 +221,19 @@ def _size(value: float, ends: tuple[float, float], unit: str) -> str:
 def figures(result: PositionDiagnosis | PositionRecord) -> Figures:
     """What draws each figure, by the names of their files; of a record those that need no motion
     over time."""
-    record = result.record
-    assert isinstance(record, PositionRecord)
-    out: dict[str, Callable[[], Figure | None]] = {"where": partial(where_figure, record)}
-    if isinstance(result, PositionDiagnosis):
-        motion = motion_over_time(result)
-        assert motion is not None
-        out |= {f"gap_joint_{j + 1}": partial(motion.draw, j) for j in worst_joints(record)}
-    return out
+    drawn: dict[str, Callable[[], Figure]] = {"where": partial(where_figure, result.record)}
+    motion = motion_over_time(result) if isinstance(result, PositionDiagnosis) else None
+    if motion is not None:
+        worst = worst_joints(result.record)
+        drawn |= {f"gap_joint_{j + 1}": partial(motion.draw, j) for j in worst}
+    return drawn
 
 
 def kinds(result: PositionDiagnosis | PositionRecord) -> Figures:
     """By kind; that of one joint takes it as `joint`."""
-    out = {k: v for k, v in figures(result).items() if not k.startswith("gap_joint")}
+    drawn: Figures = {"where": partial(where_figure, result.record)}
     motion = motion_over_time(result) if isinstance(result, PositionDiagnosis) else None
-    return out if motion is None else out | {"joint": motion.draw}
+    return drawn if motion is None else {**drawn, "joint": motion.draw}
 
 
 def worst_joints(record: PositionRecord, most: int = WORST) -> list[int]:
