@@ -37,12 +37,6 @@ def coefficient_error(study: Study) -> float:
     return float((study.identification.values - study.truth).abs().max())
 
 
-def feasible_runs(study: Study) -> tuple[int, int]:
-    """How many runs of all scenarios are feasible, and how many there are."""
-    feasible = [s.feasibility.feasible for s in study.scenarios]
-    return sum(int(f.sum()) for f in feasible), sum(len(f) for f in feasible)
-
-
 def by_feasibility(study: Study, feasible: bool) -> list[ScenarioResult]:
     """The scenarios whose best set is feasible, or is not."""
     return [s for s in study.scenarios if s.feasible == feasible]
@@ -123,11 +117,6 @@ def validation_torques(study: Study) -> tuple[Tensor, Tensor, Tensor]:
     assert log.tau is not None
     state = (log.q, log.dq, log.ddq)
     return found.predict(*state), replace(found, values=study.truth).predict(*state), log.tau
-
-
-def row_of(sets: SetsOnMotion, name: str) -> int:
-    """Row of a set by its id, or of `real`."""
-    return sets.labels.index(name)
 
 
 def payload_quantities(study: Study) -> list[tuple[str, str, float, float, float, float]]:

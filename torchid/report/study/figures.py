@@ -210,7 +210,7 @@ def _degrees(study: Study) -> Figure:
 
 def _norms(sets: SetsOnMotion, chosen: Sequence[_Line], title: str) -> Figure:
     """Norms of the forces of some sets, one panel a joint."""
-    shown = sets.force[[facts.row_of(sets, own) for _, own, _ in chosen]]
+    shown = sets.force[[sets.labels.index(own) for _, own, _ in chosen]]
     real = sets.force[0].amax(0)
     far = bool((shown.amax((0, 1)) > _FAR * real.clamp(min=1e-9)).any())
     curves = {}
