@@ -129,10 +129,9 @@ def excite_command(
     from torchid.position.record import PositionRecord
     from torchid.report.motion import design_shown, shown
 
-    found = None if robot is None else opt.load(robot, part)
     asking = None if motion.result is None else read_asking(motion.result)
-    if found is None and not isinstance(asking, PositionRecord):
-        found = None if asking is None else asking.model
+    recorded = None if isinstance(asking, PositionRecord) or asking is None else asking.model
+    found = recorded if robot is None else opt.load(robot, part)
     if found is None:
         raise TorchidError(
             f"'{motion.result}' does not record its robot.",

@@ -202,7 +202,7 @@ def skeleton_figure(
     return figure
 
 
-def _draw_joint(axes: Any, at: np.ndarray, slides: bool, *sizes: float) -> None:
+def _draw_joint(axes: Any, at: Any, slides: bool, *sizes: float) -> None:
     """A joint's hub, its error before and what is left of it, by their radii [inch]."""
     from matplotlib.patches import Circle, Rectangle
 

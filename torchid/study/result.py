@@ -249,9 +249,9 @@ def study_record(study: Study) -> StudyRecord:
         study=study.settings.name,
         robot=study.robot.name,
         section=study.settings.section,
-        identification=StudyIdentification(
+        identification=StudyIdentification.of(
+            result,
             names=result.base.names,
-            values=result.values,
             true=study.truth,
             largest_error=float((result.values - study.truth).abs().max()),
             rows=int(study.log.samples * study.robot.n),
