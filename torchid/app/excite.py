@@ -140,11 +140,11 @@ def excite_command(
     if isinstance(asking, PositionRecord):
         if files.ros2 or files.urscript or motion.speed != 1:
             raise TorchidError("commands of servos are written with --save, at full speed.")
-        arm = opt.limited(found, max_velocity, max_acceleration)
+        arm = opt.with_limits(found, max_velocity, max_acceleration)
         _commands(asking, arm, motion, room, target, output)
         return
     found.require_fixed_base("the design of motions")
-    arm = opt.limited(found, max_velocity, max_acceleration)
+    arm = opt.with_limits(found, max_velocity, max_acceleration)
     files.check(arm, 3 if motion.kind == "paper" else motion.count)
     with output.progress() as progress:
         planned = plan(arm, motion, room, progress=progress)

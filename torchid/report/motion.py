@@ -42,7 +42,7 @@ def shown(planned: Planned) -> Shown:
     robot, use, log = planned.robot, planned.use, planned.log
     parts: list[Table | str] = [] if use is None else [torque_table(robot, use)]
     reason = not_checked(robot) if use is None else None
-    drives = [reason] if reason else [] if use is None else frictionless(use)
+    drives = [reason] if reason else [] if use is None else friction_warning(use)
     if planned.clearance is not None and planned.nearest is not None:
         parts += [nearest_words(planned.clearance, planned.nearest), *planned.clearance.notes]
     title = f"{robot.name}: {planned.kind} trajectory"
@@ -75,7 +75,7 @@ HARDLY_BETTER = (
 )
 
 
-def frictionless(use: TorqueUse) -> tuple[str, ...]:
+def friction_warning(use: TorqueUse) -> tuple[str, ...]:
     """That the forecast of torque has no friction in it, where it has none."""
     if not use.frictionless:
         return ()

@@ -329,7 +329,7 @@ def thin(signal: Tensor) -> np.ndarray:
     return signal[:: max(1, -(-len(signal) // MOST_POINTS))].detach().cpu().numpy()
 
 
-def spread(k: int, seed: int, width: float = 0.3) -> np.ndarray:
+def jitter(k: int, seed: int, width: float = 0.3) -> np.ndarray:
     """k offsets that keep the marks of one column apart."""
     return np.random.default_rng(seed).uniform(-width, width, k)
 
@@ -343,7 +343,7 @@ def printable(text: str) -> str:
     )
 
 
-def literal(figure: Figure) -> None:
+def plain_texts(figure: Figure) -> None:
     """Names of robots and files are no formulas, whatever dollars they hold; labels of logarithmic
     axes are."""
     from matplotlib.text import Text
@@ -356,7 +356,7 @@ def literal(figure: Figure) -> None:
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a PNG atomically."""
-    literal(figure)
+    plain_texts(figure)
     with atomic_write(path, "wb") as stream:
         figure.savefig(stream, format="png", dpi=130)
     return path

@@ -65,7 +65,7 @@ class JointView:
     regimes: Mapping[str, Bool[Tensor, " T"]]
 
 
-def viewed(diagnosis: Diagnosis) -> tuple[JointView, ...]:
+def joint_views(diagnosis: Diagnosis) -> tuple[JointView, ...]:
     """Every trajectory's joints over time.
 
     Args:
@@ -77,7 +77,7 @@ def viewed(diagnosis: Diagnosis) -> tuple[JointView, ...]:
     >>> friction = {"effect": "viscous_friction", "joint": 2, "Fv": 0.5}
     >>> log = torchid.simulate(robot, motion, effects=[friction])
     >>> settings = torchid.GapSettings(effects=("viscous_friction",), rollout=False)
-    >>> joint = viewed(torchid.diagnose(robot, log, settings=settings))[1]
+    >>> joint = joint_views(torchid.diagnose(robot, log, settings=settings))[1]
     >>> total = joint.predicted + sum(joint.effects.values()) + joint.residual
     >>> torch.allclose(total, joint.measured), "viscous_friction" in joint.effects
     (True, True)
@@ -201,9 +201,9 @@ def write_view(diagnosis: Diagnosis, path: str | Path) -> None:
     path = Path(path)
     require_viewer(path)
     if path.suffix.lower() == ".mcap":
-        _write_mcap(viewed(diagnosis), path)
+        _write_mcap(joint_views(diagnosis), path)
     else:
-        _write_rrd(viewed(diagnosis), path)
+        _write_rrd(joint_views(diagnosis), path)
 
 
 def require_viewer(path: Path) -> None:

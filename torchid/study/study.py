@@ -62,7 +62,7 @@ def new_motion(robot: Robot, settings: MotionSettings) -> Log:
     return trajectory_log(motion, settings.rate)
 
 
-def simulated(robot: Robot, motion: Log, settings: MotionSettings) -> Log:
+def simulated_log(robot: Robot, motion: Log, settings: MotionSettings) -> Log:
     """The report's log of a motion: noise, if any, is on the trajectory."""
     noise = None if settings.noise_db is None else PaperNoise(snr_db=settings.noise_db)
     return synthetic_log(robot, motion, noise, settings.seed + 1)
@@ -159,8 +159,8 @@ def run_study(
     robot = load_robot(settings.robot)
     clock.start("identification")
     motion = excitation(robot, settings.excitation)
-    log = simulated(robot, motion, settings.excitation)
-    validation = simulated(robot, new_motion(robot, settings.validation), settings.validation)
+    log = simulated_log(robot, motion, settings.excitation)
+    validation = simulated_log(robot, new_motion(robot, settings.validation), settings.validation)
     # The report's least squares: every row, no filter, no weights, no bounds on signs.
     paper = Settings(
         effects=settings.effects, cutoff=None, reversal=0.0, method="ols", signs="free"

@@ -69,7 +69,7 @@ def run_classes(study: Study) -> list[str]:
 def distinct_errors(study: Study, name: str) -> int:
     """How many force errors of the runs of a class (largest joint) are really different."""
     rows = [k for k, found in enumerate(run_classes(study)) if found == name]
-    return different(study.errors.force_rms[rows].amax(-1))
+    return count_different(study.errors.force_rms[rows].amax(-1))
 
 
 def endings(result: ScenarioResult) -> Int[Tensor, " R"]:
@@ -79,7 +79,7 @@ def endings(result: ScenarioResult) -> Int[Tensor, " R"]:
     return near.int().argmax(-1)
 
 
-def different(values: Float[Tensor, " R"]) -> int:
+def count_different(values: Float[Tensor, " R"]) -> int:
     """How many of some positive values are really different."""
     ordered = values.sort().values
     return min(1, len(values)) + int((ordered[1:] > (1 + _EQUAL) * ordered[:-1]).sum())

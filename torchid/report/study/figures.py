@@ -19,11 +19,11 @@ from torchid.report.panels import (
     drawing,
     finish,
     headroom,
+    jitter,
     joint_lines,
     joint_rows,
     note,
     panel,
-    spread,
     thin,
 )
 from torchid.report.study import facts
@@ -191,7 +191,7 @@ def _degrees(study: Study) -> Figure:
     ring = {"s": 90, "facecolors": "none", "edgecolors": INK, "linewidth": 1.2, "label": "best set"}
     for c, s in enumerate(study.scenarios):
         degree, feasible = s.feasibility.degree, s.feasibility.feasible
-        place, best = c + spread(len(degree), 3, 0.25), s.extraction.best
+        place, best = c + jitter(len(degree), 3, 0.25), s.extraction.best
         for own, colour, marker, name in (
             (~feasible, BREAKS, "x", "infeasible"), (feasible, KEEPS, "o", "feasible"),
         ):  # fmt: skip

@@ -265,8 +265,26 @@ class EqualTorqueStudy(WrenchComparison, Result):
 
     @cached_property
     def record(self) -> EqualTorqueRecord:
-        """As the JSON has it."""
-        return study_record(self)
+        """As the JSON has it; numbers that are not known are null."""
+        setting = self.setting
+        total = setting.conditions.total_mass.tolist()
+        return EqualTorqueRecord.of(
+            self,
+            robot=setting.robot.name,
+            geometry=setting.geometry,
+            outer=setting.outer.name,
+            total_mass=(total[0], total[1]),
+            reference=ReferenceOfStudy(
+                origin=setting.origin,
+                mass=setting.reference.parameters.mass[0],
+                torque_change_rms=setting.torque_change,
+                force_rms=self.errors.reference_force_rms,
+            ),
+            instants=self.motion.q.shape[0],
+            torque_relative_max=float(self.torque_relative.max()),
+            kinds=tuple(_kind(self, kind) for kind in self.kinds),
+            sets=set_errors(self, self.family.sets.ids, self.degree, self.family.kind),
+        )
 
     @property
     def worst(self) -> Float[Tensor, " K"]:
@@ -407,29 +425,6 @@ def _correlations(
             rho = sample.estimate(lambda k: spearman(degree[k], error[k]), [own])
             found.append(KindCorrelation(name, len(own), rho))
     return tuple(found)
-
-
-def study_record(study: EqualTorqueStudy) -> EqualTorqueRecord:
-    """A study of sets with equal torque; numbers that are not known are null."""
-    setting = study.setting
-    total = setting.conditions.total_mass.tolist()
-    return EqualTorqueRecord.of(
-        study,
-        robot=setting.robot.name,
-        geometry=setting.geometry,
-        outer=setting.outer.name,
-        total_mass=(total[0], total[1]),
-        reference=ReferenceOfStudy(
-            origin=setting.origin,
-            mass=setting.reference.parameters.mass[0],
-            torque_change_rms=setting.torque_change,
-            force_rms=study.errors.reference_force_rms,
-        ),
-        instants=study.motion.q.shape[0],
-        torque_relative_max=float(study.torque_relative.max()),
-        kinds=tuple(_kind(study, kind) for kind in study.kinds),
-        sets=set_errors(study, study.family.sets.ids, study.degree, study.family.kind),
-    )
 
 
 def _kind(study: EqualTorqueStudy, kind: str) -> KindRecord:
