@@ -66,12 +66,6 @@ def run_classes(study: Study) -> list[str]:
     ]
 
 
-def distinct_errors(study: Study, name: str) -> int:
-    """How many force errors of the runs of a class (largest joint) are really different."""
-    rows = [k for k, found in enumerate(run_classes(study)) if found == name]
-    return count_different(study.errors.force_rms[rows].amax(-1))
-
-
 def endings(result: ScenarioResult) -> Int[Tensor, " R"]:
     """(R,) which runs ended in the same set: the number of the first of them."""
     x = result.extraction.sets.vector
@@ -191,8 +185,11 @@ def proofs(study: Study) -> dict[str, list[str]]:
 
 def _class(study: Study, e: EffectSize) -> str:
     low, high = e.ratio.low, e.ratio.high
-    distinct = {name: distinct_errors(study, name) for name in (e.first, e.second)}
-    few = [f"{k} different among '{name}'" for name, k in distinct.items() if k < LEAST_CLUSTERS]
+    classes, few = run_classes(study), []
+    for name in (e.first, e.second):
+        rows = [k for k, found in enumerate(classes) if found == name]
+        distinct = count_different(study.errors.force_rms[rows].amax(-1))
+        few += [f"{distinct} different among '{name}'"] if distinct < LEAST_CLUSTERS else []
     if few:
         told = f"not judged: only {listed(few)}"
     elif math.isnan(low):
