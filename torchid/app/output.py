@@ -249,19 +249,19 @@ class Output:
         """Print for people, one after another, unless quiet: texts as they are, without markup."""
         for one in () if self.silent or self.unsaid else objects:
             try:
-                self.console.print(terminal_text(one) if isinstance(one, str) else one)
+                self.console.print(as_text(one) if isinstance(one, str) else one)
             except OSError as error:  # a full disk; the work goes on
                 self.unsaid.append(error)
                 return
 
     def verdict(self, text: str) -> None:
         """Print the answer, which stands out."""
-        self.say(terminal_text(f"{text}\n", "bold"))
+        self.say(as_text(f"{text}\n", "bold"))
 
     def warn(self, warnings: Iterable[str]) -> None:
         """Print warnings, one a line."""
         for warning in warnings:
-            self.say(terminal_text("! ", "yellow") + terminal_text(warning))
+            self.say(as_text("! ", "yellow") + as_text(warning))
 
     @contextmanager
     def progress(self, first: str = "") -> "Iterator[_Lines | _Bars | None]":
@@ -373,7 +373,7 @@ Diagnosed = Annotated[Output, Fields("json_file out report verbose overwrite qui
 _ARGUMENT = re.compile(r"""`(\w+)=(\.\.\.|True|\d[\d.]*|"[^`]*"|'[^`]*')`""")
 
 
-def terminal_text(text: str, style: str = "") -> Text:
+def as_text(text: str, style: str = "") -> Text:
     """A text of the library for the terminal."""
     return Text(visible(in_options(text)), style)
 
