@@ -319,6 +319,6 @@ def test_what_processes_load_is_loaded_ahead(monkeypatch, arguments, module):
 
     served = []
     monkeypatch.setattr("torchid.parallel.workers.serve", served.append)
-    app.ahead(arguments)
+    app.preload_workers(arguments)
     assert served == ([] if module is None else [module])
     assert module is None or importlib.import_module(module)

@@ -137,7 +137,7 @@ def test_commands_for_an_arm_without_torque(command, tmp_path):
     assert log.u is not None
     assert log.trajectory_count == 4
     none = command("excite", "--for", tmp_path / "gap.json", "--to", tmp_path / "a.csv")
-    assert "which robot?" in none.err
+    assert "does not record its robot" in none.err
     fast = command(*given, "--speed", 0.5, "--to", tmp_path / "a.csv")
     assert "at full speed" in fast.err
     assert not (tmp_path / "a.csv").exists()

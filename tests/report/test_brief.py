@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from torchid.effects.registry import KINDS
-from torchid.report.brief import MOST_LINES, Screen, bar, model_words, shortened
+from torchid.report.brief import MOST_LINES, Screen, bar, model_words, short_label
 from torchid.results.answer import Answer, Cause, JointError, Size
 
 WARNINGS = (
@@ -114,7 +114,7 @@ def test_which_model_to_use() -> None:
     ],
 )
 def test_a_long_name_loses_what_says_nothing(label: str, short: str) -> None:
-    assert shortened(label, 19) == short
+    assert short_label(label, 19) == short
 
 
 def test_bars_are_on_one_scale() -> None:

@@ -256,8 +256,8 @@ def test_noise_is_drawn_with_the_planned_motion(study):
 
 def test_different_values_are_counted_once():
     values = torch.tensor([1.0, 2.0, 1.0 + 1e-9, 2.0, 3.0], dtype=torch.float64)
-    assert facts.different(values) == 3
-    assert facts.different(values[:0]) == 0
+    assert facts.count_different(values) == 3
+    assert facts.count_different(values[:0]) == 0
 
 
 def test_runs_that_end_in_the_same_set_count_once(study):

@@ -12,7 +12,7 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.localise.regimes import regime_instants
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
-from torchid.report.view import require_viewer, viewed, write_view
+from torchid.report.view import joint_views, require_viewer, write_view
 from torchid.robot.library import load_robot
 
 FRICTION = (
@@ -35,7 +35,7 @@ def found():
 
 @pytest.mark.nightly
 def test_parts_add_up_and_are_the_planted_ones(found):
-    views = viewed(found)
+    views = joint_views(found)
     assert len(views) == 2 * 3
     assert {v.joint for v in views} == set(found.robot.joint_names)
     for view in views:
@@ -85,7 +85,7 @@ def test_an_mcap_is_read_back_by_its_own_reader(found, tmp_path):
     reader = pytest.importorskip("mcap.reader")
     path = tmp_path / "gap.mcap"
     write_view(found, path)
-    views = viewed(found)
+    views = joint_views(found)
     told: dict[str, list] = {}
     with path.open("rb") as stream:
         opened = reader.make_reader(stream, validate_crcs=True)

@@ -22,7 +22,7 @@ CANNOT = {
     # How base parameters are sums is not in the file.
     "Fleet": {"base"},
     # The file holds the tables that were computed of these.
-    "EqualTorqueStudy": {"carried", "degree", "rows", "worst"},
+    "EqualTorqueStudy": {"degree", "rows", "worst"},
     # Robots, simulators and logs that files are written from, or replayed, are not in the file.
     "Correction": {"files"},
     "Randomisation": {"one", "write"},

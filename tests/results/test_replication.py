@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from torchid.results.replication import MotionScale, between, replication_of, times
+from torchid.results.replication import MotionScale, excess_std, repeat_words, replication_of
 
 
 def scales(*values: float, std: float = 0.1) -> list[MotionScale]:
@@ -17,7 +17,7 @@ def test_a_law_repeats_and_its_spread_is_that_of_its_noise():
     assert found.mean == pytest.approx(1.0, abs=0.05)
     assert found.spread < 0.05
     assert found.next_std < 0.06
-    assert times(found) == "40 of 40"
+    assert repeat_words(found) == "40 of 40"
 
 
 def test_what_one_motion_wants_does_not_repeat():
@@ -32,11 +32,11 @@ def test_what_one_motion_wants_does_not_repeat():
 def test_motions_that_can_not_tell_are_not_asked(std, asked):
     found = replication_of(scales(1.0, 1.1, 0.9, 1.0, std=std))
     assert (found and found.asked) == asked
-    assert times(found) == ("-" if asked is None else "4 of 4")
+    assert repeat_words(found) == ("-" if asked is None else "4 of 4")
 
 
 def test_the_spread_is_what_exceeds_the_variances():
     x = torch.tensor([0.0, 2.0], dtype=torch.float64)
     # Two of variance v: (2^2 / 2 - v) / 1.
-    assert between(x, torch.full((2,), 0.5).double()) == pytest.approx(1.5**0.5)
-    assert between(x, torch.full((2,), 3.0).double()) == 0.0
+    assert excess_std(x, torch.full((2,), 0.5).double()) == pytest.approx(1.5**0.5)
+    assert excess_std(x, torch.full((2,), 3.0).double()) == 0.0

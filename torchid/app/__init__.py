@@ -57,7 +57,7 @@ def set_environment(arguments: Sequence[str]) -> None:
             os.environ.setdefault(name, "1")
 
 
-def ahead(arguments: Sequence[str]) -> None:
+def preload_workers(arguments: Sequence[str]) -> None:
     """Where a command is to have processes (`--workers`), what they are forked from loads its
     libraries while this one loads its own."""
     module = _LOADED.get(arguments[0]) if arguments else None
@@ -67,7 +67,7 @@ def ahead(arguments: Sequence[str]) -> None:
         serve(module)
 
 
-def leave(*_: object) -> None:
+def exit_now(*_: object) -> None:
     """End the program, for Ctrl-C while modules load, which would turn it into errors of their own.
     Nothing has been begun."""
     with suppress(OSError):
@@ -75,18 +75,18 @@ def leave(*_: object) -> None:
     os._exit(INTERRUPTED)
 
 
-def begun() -> None:
+def allow_interrupts() -> None:
     """From now on Ctrl-C is a KeyboardInterrupt, so that what was begun ends in good order."""
-    if signal.getsignal(signal.SIGINT) is leave:
+    if signal.getsignal(signal.SIGINT) is exit_now:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def main() -> None:
     """Entry point of `torchid` and of cli.py."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, leave)
+        signal.signal(signal.SIGINT, exit_now)
     set_environment(sys.argv[1:])
-    ahead(sys.argv[1:])
+    preload_workers(sys.argv[1:])
     try:
         from torchid.app.commands import run
     except Exception as error:  # too little memory for a library, or one that is not whole

@@ -129,10 +129,9 @@ def excite_command(
     from torchid.position.record import PositionRecord
     from torchid.report.motion import design_shown, shown
 
-    found = None if robot is None else opt.load(robot, part)
     asking = None if motion.result is None else read_asking(motion.result)
-    if found is None and not isinstance(asking, PositionRecord):
-        found = None if asking is None else asking.model
+    recorded = None if isinstance(asking, PositionRecord) or asking is None else asking.model
+    found = recorded if robot is None else opt.load(robot, part)
     if found is None:
         raise TorchidError(
             f"'{motion.result}' does not record its robot.",
@@ -141,11 +140,11 @@ def excite_command(
     if isinstance(asking, PositionRecord):
         if files.ros2 or files.urscript or motion.speed != 1:
             raise TorchidError("commands of servos are written with --save, at full speed.")
-        arm = opt.limited(found, max_velocity, max_acceleration)
+        arm = opt.with_limits(found, max_velocity, max_acceleration)
         _commands(asking, arm, motion, room, target, output)
         return
     found.require_fixed_base("the design of motions")
-    arm = opt.limited(found, max_velocity, max_acceleration)
+    arm = opt.with_limits(found, max_velocity, max_acceleration)
     files.check(arm, 3 if motion.kind == "paper" else motion.count)
     with output.progress() as progress:
         planned = plan(arm, motion, room, progress=progress)

@@ -83,16 +83,17 @@ def export_command(
     from torchid.report.exported import correction_shown, export_shown, randomisation_shown
 
     output.begin()
-    if to is None:
-        assert randomise is not None
+    folder = output.out or Path()
+    if randomise is not None:
         given = None if robot is None else torchid.load_robot(robot, **part.choice.options)
         diagnosed = opt.load(result, part) if names_robot(result) else any_diagnosis(Path(result))
         ranges = torchid.randomise(diagnosed, randomise, robot=given, draws=draws, seed=seed)
-        files = [str(file) for file in ranges.write(output.out or Path(), name)]
+        files = [str(file) for file in ranges.write(folder, name)]
         plain = {**ranges.plain(), "files": files}
         told = randomisation_shown(ranges, files)
         output.give(plain, "randomisation.json", lambda _: told, seed=seed)
         return
+    assert to is not None
     found = carried(result, robot, part.choice, chosen, geometry)
     keep = [Path(file) for file in (result, robot, *(log or ()), *(held_out or ())) if file]
     if log is None:
@@ -103,7 +104,7 @@ def export_command(
                 "writes the corrected robot with all its effects",
             )
         done = torchid.export_dynamics(
-            found.dynamics, to, output.out or Path(), name, nominal=found.nominal,
+            found.dynamics, to, folder, name, nominal=found.nominal,
             original=found.original, geometry=geometry, force=force, seed=seed, keep=keep,
         )  # fmt: skip
         output.give(done, f"export_{to}.json", export_shown, seed=seed)
@@ -114,11 +115,9 @@ def export_command(
         )
     read = reading.read(log, found.original)
     apart = reading.read(held_out, found.original) if held_out else None
-    corrected = found.dynamics.arm or found.dynamics.robot
-    settings = replace(found.settings, seed=seed)
     made = torchid.correct(
-        found.original, corrected, read, to, output.out or Path(), name,
-        held_out=apart, settings=settings, keep=keep,
+        found.original, found.dynamics.arm or found.dynamics.robot, read, to, folder, name,
+        held_out=apart, settings=replace(found.settings, seed=seed), keep=keep,
     )  # fmt: skip
     output.give(made, "correction.json", correction_shown)
 

@@ -9,7 +9,7 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.inputs import WRITTEN
-from torchid.app.output import Computed, Printed, worded
+from torchid.app.output import Computed, Printed, as_text
 from torchid.app.project import group
 from torchid.app.signature import command
 
@@ -105,7 +105,7 @@ def show_command(
     output.put(save, partial(torchid.write_log, log))
     output.tell(shown(seen, repeats))
     if seen.problem is not None:
-        output.say(worded("this log cannot be used as it is: ", "red") + worded(seen.problem))
+        output.say(as_text("this log cannot be used as it is: ", "red") + as_text(seen.problem))
     if save is not None:
         gained = "" if log is seen.log else ", with torque: current times the drive gains"
         output.say(f"{log.samples} samples{gained}")

@@ -85,7 +85,7 @@ def effect_names(text: str) -> tuple[str, ...]:
     return found
 
 
-def searched(text: str) -> tuple[str, ...] | None:
+def searched_effects(text: str) -> tuple[str, ...] | None:
     """The --effects option of a search: names, or None for `all`.
 
     Raises:
@@ -160,7 +160,9 @@ Bounds = Annotated[str | None, typer.Option(metavar="BOUNDS")]
 TotalMass = Annotated[tuple[float, float] | None, typer.Option(metavar="LO,HI"), Parsed(total_mass)]
 Hertz = Annotated[float | None, typer.Option(metavar="HZ")]
 Names = Annotated[tuple[str, ...], typer.Option(metavar="NAMES"), Parsed(names, "none")]
-Searched = Annotated[tuple[str, ...] | None, typer.Option(metavar="NAMES"), Parsed(searched, "all")]
+Searched = Annotated[
+    tuple[str, ...] | None, typer.Option(metavar="NAMES"), Parsed(searched_effects, "all")
+]
 Count = Annotated[int, typer.Option(min=1, max=100_000)]
 FittedEffects = Annotated[
     tuple[str, ...], typer.Option(metavar="NAMES"), Parsed(effect_names, "none")
@@ -432,7 +434,7 @@ def load(name: str, part: Part) -> "torchid.Robot":
     return robot
 
 
-def limited(
+def with_limits(
     robot: "torchid.Robot", velocity: str | None, acceleration: str | None
 ) -> "torchid.Robot":
     """The robot with velocity or acceleration limits from the command line."""

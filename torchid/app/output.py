@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
-from torchid.app import begun
+from torchid.app import allow_interrupts
 from torchid.app.inputs import PLACE, WRITTEN, Suffix
 from torchid.app.project import OPTIONS
 from torchid.app.signature import Fields, Switch
@@ -98,7 +98,7 @@ class Output:
             from torchid.report.page.document import require_page
 
             require_page(self.report)
-        begun()
+        allow_interrupts()
         torch.set_num_threads(self.threads or 1)
         return [] if self.out is None else make_folder(self.out)
 
@@ -249,19 +249,19 @@ class Output:
         """Print for people, one after another, unless quiet: texts as they are, without markup."""
         for one in () if self.silent or self.unsaid else objects:
             try:
-                self.console.print(worded(one) if isinstance(one, str) else one)
+                self.console.print(as_text(one) if isinstance(one, str) else one)
             except OSError as error:  # a full disk; the work goes on
                 self.unsaid.append(error)
                 return
 
     def verdict(self, text: str) -> None:
         """Print the answer, which stands out."""
-        self.say(worded(f"{text}\n", "bold"))
+        self.say(as_text(f"{text}\n", "bold"))
 
     def warn(self, warnings: Iterable[str]) -> None:
         """Print warnings, one a line."""
         for warning in warnings:
-            self.say(worded("! ", "yellow") + worded(warning))
+            self.say(as_text("! ", "yellow") + as_text(warning))
 
     @contextmanager
     def progress(self, first: str = "") -> "Iterator[_Lines | _Bars | None]":
@@ -373,7 +373,7 @@ Diagnosed = Annotated[Output, Fields("json_file out report verbose overwrite qui
 _ARGUMENT = re.compile(r"""`(\w+)=(\.\.\.|True|\d[\d.]*|"[^`]*"|'[^`]*')`""")
 
 
-def worded(text: str, style: str = "") -> Text:
+def as_text(text: str, style: str = "") -> Text:
     """A text of the library for the terminal."""
     return Text(visible(in_options(text)), style)
 

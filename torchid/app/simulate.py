@@ -1,6 +1,6 @@
 """`torchid simulate`: a synthetic log along a trajectory."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,25 +16,39 @@ from torchid.errors import TorchidError
 from torchid.files import require_no_input, require_writable
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Noise:
+    """What the log's sensors do, of `noise_model`."""
+
+    noise: Literal["none", "paper", "honest"] = "honest"
+    snr: Annotated[float, typer.Option(min=-100, max=400)] = 30.0
+    torque_noise: Annotated[float, typer.Option(min=0, max=100)] = 0.01
+    encoder_bits: int = 18
+    colour: opt.Hertz = None
+    velocity_noise: Annotated[float | None, typer.Option(min=0, max=100)] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Replayed:
+    """Whether and how logs' commands are simulated."""
+
+    replay: Switch = False
+    windows: Annotated[float | None, typer.Option(metavar="SECONDS")] = None
+    columns: Annotated[str | None, typer.Option(metavar="MAP|FILE.yaml")] = None
+
+
 @command
 def simulate_command(
     *,
     arm: opt.Arm,
     trajectory: Annotated[list[Path], typer.Argument(metavar="TRAJECTORY|LOG..."), RECORDED],
     save: Annotated[Path | None, typer.Option("--save", "--to", metavar="FILE|DIR"), PLACE] = None,
-    noise: Literal["none", "paper", "honest"] = "honest",
-    snr: Annotated[float, typer.Option(min=-100, max=400)] = 30.0,
-    torque_noise: Annotated[float, typer.Option(min=0, max=100)] = 0.01,
-    encoder_bits: int = 18,
-    colour: opt.Hertz = None,
-    velocity_noise: Annotated[float | None, typer.Option(min=0, max=100)] = None,
+    sensors: _Noise,
     effect: Annotated[list[str] | None, typer.Option(metavar="NAME:KEY=VALUE,..")] = None,
     closed_loop: Switch = False,
     rate: opt.Hertz = None,
     control_frequency: Annotated[float, typer.Option(metavar="HZ", min=0.01, max=1000)] = 5.0,
-    replay: Switch = False,
-    windows: Annotated[float | None, typer.Option(metavar="SECONDS")] = None,
-    columns: Annotated[str | None, typer.Option(metavar="MAP|FILE.yaml")] = None,
+    replayed: _Replayed,
     seed: opt.Seed = 0,
     output: Annotated[Computed, "simulation.json", "replay.json"],
     device_name: opt.Device = "cpu",
@@ -76,24 +90,19 @@ def simulate_command(
         windows: with --replay: begin again at the measured position every so many seconds.
         columns: with --replay: which columns of the logs are what, as for other commands.
     """
-    if replay:
-        _replay(output, arm, trajectory, save, windows, columns, seed)
+    if replayed.replay:
+        _replay(output, arm.robot, trajectory, save, replayed, seed)
         return
-    if windows is not None or columns is not None:
+    if replayed.windows is not None or replayed.columns is not None:
         raise TorchidError("--windows and --columns are for --replay.")
     targets = _targets(save, output.out, len(trajectory))
     from torchid.effects.written import effect_written
     from torchid.excitation.synthetic import noise_model, simulation_record
     from torchid.simulation.controller import Controller
 
-    model = noise_model(
-        noise,
-        snr=snr,
-        torque_noise=torque_noise,
-        encoder_bits=encoder_bits,
-        colour=colour,
-        velocity_noise=velocity_noise,
-    )
+    numbers = dict(vars(sensors))
+    noise = numbers.pop("noise")
+    model = noise_model(noise, **numbers)
     found = arm.load()
     effects = [effect_written(text, found, "--effect") for text in effect or []]
     moves = closed_loop or bool(effects)
@@ -141,13 +150,7 @@ def _targets(save: Path | None, folder: Path | None, count: int) -> list[Path]:
 
 
 def _replay(
-    output: Output,
-    arm: opt.Arm,
-    paths: list[Path],
-    save: Path | None,
-    windows: float | None,
-    columns: str | None,
-    seed: int,
+    output: Output, arm: str, paths: list[Path], save: Path | None, asked: _Replayed, seed: int
 ) -> None:
     """Simulated positions of logs, one file each."""
     from torchid.log.readers import written_suffixes
@@ -164,11 +167,10 @@ def _replay(
         raise TorchidError("two logs have one name.", got=twice[0], expected="logs of other names")
     for name in names:
         require_no_input(folder / name, "--save")
-    model = torchid.ServoArm.read(arm.robot)
-    logs = [
-        torchid.read_log(path, columns=columns, joints=model.robot.joint_names) for path in paths
-    ]
-    found = replace(torchid.replay(model, logs, windows=windows), files=tuple(names))
+    model = torchid.ServoArm.read(arm)
+    joints = model.robot.joint_names
+    logs = [torchid.read_log(path, columns=asked.columns, joints=joints) for path in paths]
+    found = replace(torchid.replay(model, logs, windows=asked.windows), files=tuple(names))
     folder.mkdir(parents=True, exist_ok=True)
     for name, simulated in zip(names, found.simulated, strict=True):
         output.put(folder / name, partial(torchid.write_log, simulated.replace(u=None)))

@@ -55,7 +55,7 @@ def wrenches_command(
     from torchid.study.equal_torque.given_sets import given_record
     from torchid.study.equal_torque.setting import equal_torque_setting, logged_motion
 
-    robot = opt.limited(arm.load(), None, max_acceleration)
+    robot = opt.with_limits(arm.load(), None, max_acceleration)
     motion = None if trajectory is None else logged_motion(torchid.read_log(trajectory), robot)
     if reference is not None and not sets:
         raise TorchidError("--reference names one of the sets of --sets.", got=reference)
@@ -77,6 +77,6 @@ def wrenches_command(
         resamples=resamples, seed=seed,
     )  # fmt: skip
     told = [note for file in sets if (note := other_robot(file, robot))]
-    told += given_sets.unequal(found)
+    told += given_sets.unequal_torque(found)
     data = given_record(found, tuple(map(str, sets))).plain() | {"warnings": told}
     output.give(data, "wrenches.json", lambda _: given_sets.shown(found, told), seed=seed)

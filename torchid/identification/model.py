@@ -11,7 +11,7 @@ from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.registry import in_rounds
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters
-from torchid.results.record import Record, face
+from torchid.results.record import face
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.statistics.jackknife import student_quantile
@@ -46,7 +46,7 @@ class IdentifiedModel:
     if TYPE_CHECKING:
 
         @property
-        def record(self) -> Record:
+        def record(self) -> Any:
             """As the JSON has it."""
 
         @property

@@ -118,7 +118,7 @@ class Screen:
         )
         longest = max((r.error.before for r in rows if not r.never_moves), default=0.0)
         for row in rows:
-            error, label = row.error, shortened(row.label, NAME)
+            error, label = row.error, short_label(row.label, NAME)
             if row.never_moves:
                 table.add_row(label, "never moves")
                 continue
@@ -174,7 +174,7 @@ def bar(before: float, after: float, longest: float) -> str:
     return "█" * left + "░" * (whole - left)
 
 
-def shortened(label: str, length: int) -> str:
+def short_label(label: str, length: int) -> str:
     """A joint's number and name; a long name without `joint`, then cut between its words."""
     if len(label) <= length:
         return label

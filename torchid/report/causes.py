@@ -6,10 +6,10 @@ import re
 
 from torchid.gap.record import FoundEffect, GapRecord, UnnamedEffect
 from torchid.position.record import EffectRecord, PositionRecord
-from torchid.report.cautions import ranged
+from torchid.report.cautions import number_ranges
 from torchid.report.table import Table
 from torchid.results.answer import Answer, Cause, NotTestable, named_size
-from torchid.results.replication import times
+from torchid.results.replication import repeat_words
 from torchid.results.words import (
     effect_words,
     joints_words,
@@ -44,7 +44,7 @@ def cause_table(record: GapRecord | PositionRecord) -> Table:
             removes = f"small: {own.closes_rms:.2g} RMS"
         others = "\n".join(map(effect_words, cause.ambiguous_with)) or "-"
         joints = number_list(cause.joints, "all")
-        again = times(None if own is None else own.replication)
+        again = repeat_words(None if own is None else own.replication)
         rows.append(
             (cause.name, joints, _values(cause, own), others, removes, sure(cause.how_sure), again)
         )
@@ -123,7 +123,7 @@ def not_testable_table(record: GapRecord | PositionRecord) -> Table:
             else:
                 sizes.append(f"{place}: {x.smallest_detectable:.3g} {unit_words(x.unit)}".rstrip())
         sizes += [f"{', '.join(never)}: at no size"] if never else []
-        why = ranged([x.reason for x in members], _NUMBER)
+        why = number_ranges([x.reason for x in members], _NUMBER)
         rows.append((effect_words(effect), "; ".join(sizes), why))
     columns = ("effect", "joint: smallest size that this log would show", "why")
     return Table("not testable with these data", columns, rows, "lpp")

@@ -40,7 +40,7 @@ def caution_section(warnings: Iterable[str]) -> Section:
     return Section(f"Cautions ({len(merged)})", [merged] if merged else [])
 
 
-def ranged(alike: Sequence[str], number: re.Pattern[str]) -> str:
+def number_ranges(alike: Sequence[str], number: re.Pattern[str]) -> str:
     """One text of some that differ in their numbers alone: each from the least to the greatest."""
     spans = []
     for values in zip(*map(number.findall, alike), strict=True):
@@ -52,7 +52,7 @@ def ranged(alike: Sequence[str], number: re.Pattern[str]) -> str:
 
 def _merged(same: list[tuple[str, str]]) -> str:
     """One sentence of those alike."""
-    text = ranged([rest for _, rest in same], _NUMBER)
+    text = number_ranges([rest for _, rest in same], _NUMBER)
     names = list(dict.fromkeys(name for name, _ in same if name))
     if not names:
         return text

@@ -106,7 +106,11 @@ def page(result: Diagnosis, origin: Origin) -> Page:
         advice=(
             ("What to do first", [step[:1].upper() + step[1:] for step in first_steps(answer)]),
             ("Which model to use", [which_model(result)]),
-            ("Suspects, not sure enough", _suspects(answer)),
+            # Without causes, what would settle the suspects is what to do first.
+            (
+                "Suspects, not sure enough",
+                [f"{line}." for line in answer.suspect_lines if answer.causes],
+            ),
         ),
         sections=_sections(result),
     )
@@ -129,11 +133,6 @@ def facts(result: TorqueDiagnosis | PositionDiagnosis) -> list[tuple[str, str]]:
     if row is not None and row.ratio is not None:
         out.append((f"Simulated motion, {row.horizon_s:g} s", f"{row.ratio:.2g} of its error"))
     return out
-
-
-def _suspects(answer: Answer) -> list[str]:
-    """Causes that are not sure enough; without causes, what would settle them is said already."""
-    return [f"{answer.suspect_words(c)}: {c.remedy}." for c in answer.suspects if answer.causes]
 
 
 def _usual_horizon(d: TorqueDiagnosis) -> Horizon | None:
@@ -185,10 +184,8 @@ def _over_time(name: str, shown: OverTime | None, caption: str) -> Picture | Non
     if shown is None or not shown.runs:
         return None
     first = f"{shown.quantity} of joint {shown.joints[shown.order[0]]}"
-    alt, narrow = (
-        f"Over time: {first}, of the arm and of both models.",
-        partial(shown.draw, None, NARROW),
-    )
+    alt = f"Over time: {first}, of the arm and of both models."
+    narrow = partial(shown.draw, None, NARROW)
     return Picture(name, caption, alt, shown.draw, narrow=narrow, numbers=shown.numbers)
 
 

@@ -359,5 +359,5 @@ def _colour(kind: str) -> str:
 
 def class_colour(name: str) -> str:
     """Of a class of reasons: that of its kind."""
-    kinds = {label: kind for kind, label in CLASS_NAMES.items()}
-    return _colour("inertia+com" if name == MIXED else kinds.get(name, name))
+    kinds = {label: kind for kind, label in CLASS_NAMES.items()} | {MIXED: "inertia+com"}
+    return _colour(kinds.get(name, name))

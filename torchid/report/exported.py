@@ -15,7 +15,6 @@ from torchid.export.export import Export
 from torchid.export.mjcf import ATTRIBUTES
 from torchid.export.projection import Kept
 from torchid.export.randomisation import Randomisation
-from torchid.export.record import RangeRow
 from torchid.feasibility.margins import inertia_eigenvalues
 from torchid.report.table import Shown, Table, cells, joint_numbers
 from torchid.results.words import count, effect_words, joints_words, listed, number_list
@@ -181,6 +180,9 @@ def randomisation_shown(done: Randomisation, files: Sequence[str]) -> Shown:
     beside = f", {others} of them of explanations that the log cannot separate" if others else ""
     servos = isinstance(done.draws, Servos)
     of, what = ("the servos of ", "numbers") if servos else ("", "fields")
+    ranges = [
+        (r.field, r.name, f"{r.low:.4g}", f"{r.high:.4g}", r.unit, r.why) for r in done.ranges
+    ]
     residual = [
         (done.joint_names[b.joint], f"{b.low:.3g}", f"{b.high:.3g}", b.why) for b in done.residual
     ]
@@ -189,18 +191,12 @@ def randomisation_shown(done: Randomisation, files: Sequence[str]) -> Shown:
         verdict=f"{len(done)} draws of {of}'{done.name}'{beside}; {len(done.ranges)} {what} "
         f"differ, and {100 * done.level:g} % of the draws lie within each range.",
         parts=[
-            ranges_table(done.ranges),
+            Table("ranges", ("field", "of", "low", "high", "unit", "why"), ranges, "pprrpp"),
             Table("torque that stays unexplained", columns, residual, "prrp"),
         ],
         warnings=done.warnings,
         last=f"written: {', '.join(files)}",
     )
-
-
-def ranges_table(ranges: Sequence[RangeRow]) -> Table:
-    """Ranges with their reasons."""
-    rows = [(r.field, r.name, f"{r.low:.4g}", f"{r.high:.4g}", r.unit, r.why) for r in ranges]
-    return Table("ranges", ("field", "of", "low", "high", "unit", "why"), rows, "pprrpp")
 
 
 def simulator_block(robot: Robot, nearest: Sequence[NearestFields] = ()) -> str:

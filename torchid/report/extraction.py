@@ -28,7 +28,7 @@ ON_THE_BOUNDARY = 1e-6
 
 def shown(found: Found) -> Shown:
     """All that there is to see of an extraction."""
-    said, last = tables(found, found.proof), headline(found, found.proof)
+    said, last = tables(found), headline(found)
     return Shown(parts=said, warnings=found.warnings, last=last, figures=figures(found))
 
 
@@ -42,7 +42,7 @@ def atlas_shown(atlas: Atlas, problem: Problem, notes: Sequence[str]) -> Shown:
     )
 
 
-def headline(found: Found, proof: Certificate | None) -> str:
+def headline(found: Found) -> str:
     """One or two sentences: what came out."""
     k, verdict, name = found.best, found.verdict, found.problem.robot.name
     degree = float(verdict.degree[k])
@@ -70,6 +70,7 @@ def headline(found: Found, proof: Certificate | None) -> str:
     edges = at_bounds(found)
     if edges:
         text += f" On its bounds: {listed(edges, most=_SHOWN)}."
+    proof = found.proof
     return text if proof is None or not proof.feasible else f"{text} {least_loss(found, proof)}"
 
 
@@ -110,9 +111,9 @@ def least_loss(found: Found, proof: Certificate) -> str:
     return f"{start}No {whose} set has a loss below phi_min = {proof.phi_min:.5g}{forced}.{relaxed}"
 
 
-def tables(found: Found, proof: Certificate | None) -> list[Table]:
+def tables(found: Found) -> list[Table]:
     """The best sets, and what forces the least loss."""
-    every = len(found.sets)
+    every, proof = len(found.sets), found.proof
     which = f"the best {_SHOWN} of {every} sets" if every > _SHOWN else f"set{'s' * (every > 1)}"
     verdict = found.verdict.feasible.tolist()
     order = sorted(range(every), key=lambda k: (not verdict[k], float(found.phi[k])))

@@ -12,7 +12,7 @@ from torchid.report.cautions import caution_section
 from torchid.report.colours import BLUE, GREY, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Picture, panel
-from torchid.report.table import Cell, Section, Shown, Table, cell, cells
+from torchid.report.table import Cell, Section, Shown, Table, cell, cells, more_rows
 from torchid.results.words import count, listed, short
 
 MOST = 20
@@ -67,9 +67,8 @@ def log_table(logs: Sequence[LogRow]) -> Table:
     ]
     verdicts = Counter(log.verdict for log in logs)
     title = "logs: " + ", ".join(f"{k} {v}" for v, k in sorted(verdicts.items()))
-    note = f"and {len(rows) - MOST} more, in the JSON" if len(rows) > MOST else ""
     columns = ("unit", "session", "verdict", "why")
-    return Table(title, columns, rows[:MOST], "lplp", note)
+    return Table(title, columns, rows[:MOST], "lplp", more_rows(len(rows), MOST))
 
 
 def parameter_table(found: FleetRecord) -> Table:
@@ -139,7 +138,7 @@ def effect_table(found: FleetGapRecord) -> Table:
     return Table("effects over the fleet", columns, rows, "llrrpp")
 
 
-def diagnosed_table(found: FleetGapRecord, most: int | None = None) -> Table:
+def diagnosed_table(found: FleetGapRecord, most: int) -> Table:
     """Logs, their gaps over the noise, and what is named."""
     rows: list[list[Cell]] = [
         [
@@ -151,9 +150,8 @@ def diagnosed_table(found: FleetGapRecord, most: int | None = None) -> Table:
         ]
         for log in found.logs
     ]  # fmt: skip
-    note = f"and {len(rows) - most} more" if most is not None and len(rows) > most else ""
     columns = ("unit", "session", "status", "gap / noise", "joint", "closed [%]", "named")
-    title = "logs: the largest gap over the noise"
+    title, note = "logs: the largest gap over the noise", more_rows(len(rows), most)
     return Table(title, columns, rows[:most], "lllrrrp", note)
 
 
@@ -197,7 +195,7 @@ def fleet_gap_page(found: FleetGapRecord, origin: Origin) -> Page:
                 ],
                 folded=False,
             ),
-            Section("Every log", [diagnosed_table(found)]),
+            Section("Every log", [diagnosed_table(found, len(found.logs))]),
             caution_section(found.notes),
         ],
         sortable=True,

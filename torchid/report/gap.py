@@ -8,7 +8,7 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import GapRecord, Known
 from torchid.report import gap_figures
 from torchid.report.causes import cause_table, meaning_table, not_testable_table
-from torchid.report.gap_figures import CLEAR, clear_regimes, excess_words
+from torchid.report.gap_figures import CLEAR, clear_regimes, excess_words, stands_out
 from torchid.report.panels import Picture
 from torchid.report.table import Table
 from torchid.results.record import as_plain
@@ -42,11 +42,6 @@ def model_of(record: GapRecord) -> Robot:
     """The robot as given."""
     assert record.model is not None
     return record.model
-
-
-def stands_out(record: GapRecord) -> bool:
-    """Whether a kind of motion holds more than its share of some joint's gap."""
-    return any(clear_regimes(record, gap.joint) for gap in record.where.joints)
 
 
 def joint_table(record: GapRecord) -> Table:

@@ -50,13 +50,16 @@ def clear_regimes(record: GapRecord, joint: int) -> list[RegimeGap]:
     return sorted(found, key=lambda r: -r.excess)
 
 
+def stands_out(record: GapRecord) -> bool:
+    """Whether a kind of motion holds more than its share of some joint's gap."""
+    return any(clear_regimes(record, gap.joint) for gap in record.where.joints)
+
+
 def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
     """What draws each figure, by the names of their files; of a record those that need no torque
     over time."""
-    record = result.record
-    assert isinstance(record, GapRecord)
-    out: dict[str, Callable[[], Figure]] = {}
-    if any(clear_regimes(record, gap.joint) for gap in record.where.joints):
+    record, out = result.record, dict[str, Callable[[], Figure]]()
+    if stands_out(record):
         out["where"] = partial(map_figure, record)
     if isinstance(result, TorqueDiagnosis) and result.traces:
         out |= {
@@ -70,9 +73,7 @@ def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
 
 def kinds(result: TorqueDiagnosis | GapRecord) -> Figures:
     """By kind; those of one joint take it as `joint`."""
-    record = result.record
-    assert isinstance(record, GapRecord)
-    drawn: dict[str, Callable[..., Figure | None]] = {"where": partial(map_figure, record)}
+    drawn: dict[str, Callable[..., Figure | None]] = {"where": partial(map_figure, result.record)}
     drawn |= {k: v for k, v in figures(result).items() if not k.startswith("gap_joint")}
     if isinstance(result, TorqueDiagnosis) and result.traces:
         drawn |= {"gap": partial(joint_figure, result), "robot": partial(skeleton_of, result)}
@@ -215,16 +216,13 @@ def samples(traces: tuple[Trace, ...], joint: int) -> dict[str, np.ndarray]:
         v = trace.counting[:, joint]
         t = torch.arange(len(v), dtype=torch.float64) / trace.rate
         block = (t / BLOCK).long() + blocks
-        motion = trace.motion
         signals = {
             "t": t + clock,
-            "q": motion.q[:, joint],
-            "dq": motion.dq[:, joint],
-            "ddq": motion.ddq[:, joint],
             "load": trace.before[:, joint],
             "before": (trace.measured - trace.before)[:, joint],
             "after": (trace.measured - trace.after)[:, joint],
             "block": block,
+            **{name: getattr(trace.motion, name)[:, joint] for name in ("q", "dq", "ddq")},
         }
         for name, x in signals.items():
             parts.setdefault(name, []).append(x[v].cpu().numpy())

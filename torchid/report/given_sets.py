@@ -33,7 +33,7 @@ UNEQUAL = 0.01
 """Relative difference of a joint's torque above which sets do not count as having equal torque."""
 
 
-def unequal(found: GivenSets) -> list[str]:
+def unequal_torque(found: GivenSets) -> list[str]:
     """Says when the sets do not have the reference's torque: then the forces differ for that."""
     worst = found.torque_relative.amax(-1)
     count = int((worst > UNEQUAL).sum())

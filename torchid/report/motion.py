@@ -11,7 +11,7 @@ from torchid.next_motion.planned import Planned, not_checked
 from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.separation import DECISIVE, Rival, beyond, named
 from torchid.report.log import trajectory_figure
-from torchid.report.table import Shown, Table
+from torchid.report.table import Shown, Table, more_rows
 from torchid.results.words import number_list, percent, short
 from torchid.robot.model import Robot, joint_unit
 
@@ -42,7 +42,7 @@ def shown(planned: Planned) -> Shown:
     robot, use, log = planned.robot, planned.use, planned.log
     parts: list[Table | str] = [] if use is None else [torque_table(robot, use)]
     reason = not_checked(robot) if use is None else None
-    drives = [reason] if reason else [] if use is None else frictionless(use)
+    drives = [reason] if reason else [] if use is None else friction_warning(use)
     if planned.clearance is not None and planned.nearest is not None:
         parts += [nearest_words(planned.clearance, planned.nearest), *planned.clearance.notes]
     title = f"{robot.name}: {planned.kind} trajectory"
@@ -75,7 +75,7 @@ HARDLY_BETTER = (
 )
 
 
-def frictionless(use: TorqueUse) -> tuple[str, ...]:
+def friction_warning(use: TorqueUse) -> tuple[str, ...]:
     """That the forecast of torque has no friction in it, where it has none."""
     if not use.frictionless:
         return ()
@@ -127,11 +127,8 @@ def informed_table(d: InformedDesign) -> Table:
         name = f"{short(d.prior.base.names[k], 40)} [{d.prior.base.units[k]}]"
         rows.append((name, value, now, f"{float(d.with_plain[k]):.2g}", f"{float(d.after[k]):.2g}"))
     columns = ("parameter", "value", "now", "after a plain motion", "after this motion")
-    return Table("predicted standard deviations", columns, rows, "p", _more(len(order)))
-
-
-def _more(count: int) -> str:
-    return f"and {count - MOST_ROWS} more, in the JSON" if count > MOST_ROWS else ""
+    more = more_rows(len(order), MOST_ROWS)
+    return Table("predicted standard deviations", columns, rows, "p", more)
 
 
 def separation_verdict(s: Separation, kind: str) -> str:
@@ -188,7 +185,8 @@ def separation_table(s: Separation, kind: str) -> Table:
         rows.append((_place(r), second, *told))
     headings = ("effect", "size") if testing else ("if it is", "and not")
     title = "expected difference of the squared residuals, in noise units; * decides"
-    return Table(title, (*headings, "plain motion", "this motion"), rows, "pp", _more(len(found)))
+    more = more_rows(len(found), MOST_ROWS)
+    return Table(title, (*headings, "plain motion", "this motion"), rows, "pp", more)
 
 
 def _place(r: Rival) -> str:

@@ -289,23 +289,16 @@ def map_with_bars(
         look = {"fontsize": SMALL, "color": INK} | dict(style)
         axes.text(x, y, text, ha="center", va="center", **look)
     name, lengths, words, colour, right = bars
-    side_bars(beside, lengths, words, colour, name, right)
-    axes.set_title(heading, fontsize=SMALL, color=INK, loc="left")
+    styled(beside).barh(range(len(lengths)), lengths, color=colour, height=0.6)
+    for y, (value, said) in enumerate(zip(lengths, words, strict=True)):
+        beside.text(value, y, said, va="center", fontsize=SMALL, color=INK)
+    beside.set(xlim=(0, right), xticks=[])
+    beside.tick_params(which="both", length=0, labelleft=False)
+    beside.grid(False)
+    beside.spines["bottom"].set_visible(False)
+    for part, own in ((axes, heading), (beside, name)):
+        part.set_title(own, fontsize=SMALL, color=INK, loc="left")
     return finish(figure, title), scale
-
-
-def side_bars(
-    axes: Any, values: Sequence[float], words: Sequence[str], colour: str, title: str, right: float
-) -> None:
-    """Bars beside the rows of a map, with words at their ends, up to `right`."""
-    styled(axes).barh(range(len(values)), values, color=colour, height=0.6)
-    for y, (value, said) in enumerate(zip(values, words, strict=True)):
-        axes.text(value, y, said, va="center", fontsize=SMALL, color=INK)
-    axes.set(xlim=(0, right), xticks=[])
-    axes.tick_params(which="both", length=0, labelleft=False)
-    axes.grid(False)
-    axes.spines["bottom"].set_visible(False)
-    axes.set_title(title, fontsize=SMALL, color=INK, loc="left")
 
 
 def note(axes: Any, text: str) -> None:
@@ -316,10 +309,10 @@ def note(axes: Any, text: str) -> None:
     )  # fmt: skip
 
 
-def headroom(axes: Any, share: float = 0.25) -> None:
+def headroom(axes: Any) -> None:
     """Room above the curves for a note."""
     low, high = axes.get_ylim()
-    axes.set_ylim(low, high + share * (high - low))
+    axes.set_ylim(low, high + 0.25 * (high - low))
 
 
 def worst_stretch(squares: Tensor, size: int) -> tuple[slice, float]:
@@ -336,7 +329,7 @@ def thin(signal: Tensor) -> np.ndarray:
     return signal[:: max(1, -(-len(signal) // MOST_POINTS))].detach().cpu().numpy()
 
 
-def spread(k: int, seed: int, width: float = 0.3) -> np.ndarray:
+def jitter(k: int, seed: int, width: float = 0.3) -> np.ndarray:
     """k offsets that keep the marks of one column apart."""
     return np.random.default_rng(seed).uniform(-width, width, k)
 
@@ -350,7 +343,7 @@ def printable(text: str) -> str:
     )
 
 
-def literal(figure: Figure) -> None:
+def plain_texts(figure: Figure) -> None:
     """Names of robots and files are no formulas, whatever dollars they hold; labels of logarithmic
     axes are."""
     from matplotlib.text import Text
@@ -363,7 +356,7 @@ def literal(figure: Figure) -> None:
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a PNG atomically."""
-    literal(figure)
+    plain_texts(figure)
     with atomic_write(path, "wb") as stream:
         figure.savefig(stream, format="png", dpi=130)
     return path

@@ -15,7 +15,7 @@ from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import Replay
 from torchid.position.next_motion import NextCommands
 from torchid.position.nominal import unit_of
-from torchid.position.record import NominalRecord, PositionRecord, RegimeRecord
+from torchid.position.record import NominalRecord, PositionRecord
 from torchid.report.causes import cause_table, meaning_table, not_testable_table
 from torchid.report.colours import AFTER, GREY, INK
 from torchid.report.over_time import motion_over_time
@@ -27,7 +27,7 @@ from torchid.report.panels import (
     map_with_bars,
     thin,
 )
-from torchid.report.table import Shown, Table, cell
+from torchid.report.table import Shown, Table, cell, cells
 from torchid.results.words import regime_words, unit_behind, within
 from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, TORQUES, as_share
 
@@ -40,14 +40,6 @@ MOST_WORSE = 3
 def label(record: PositionRecord, joint: int) -> str:
     """A joint by number and name."""
     return f"{joint + 1} {record.where.joints[joint].name}".rstrip()
-
-
-def regimes_of(record: PositionRecord) -> dict[str, list[RegimeRecord]]:
-    """By name, joint by joint."""
-    out: dict[str, list[RegimeRecord]] = {}
-    for one in record.where.regimes:
-        out.setdefault(one.regime, []).append(one)
-    return out
 
 
 def remarks(record: PositionRecord) -> list[str]:
@@ -113,8 +105,8 @@ def where_table(record: PositionRecord) -> Table:
             float(far.answered.windows_per_joint[j.joint]),
         )  # fmt: skip
         gain = "ratio" if j.ratio_only else f"{j.kp:.1f}"
-        cells = ["-"] * 6 if j.never_moves else [*(f"{x:.1f}" for x in levels), gain]
-        joints.append((str(j.joint + 1), j.name, *cells))
+        numbers = ["-"] * 6 if j.never_moves else [*cells(levels, ".1f"), gain]
+        joints.append((str(j.joint + 1), j.name, *numbers))
     servos = ("plain servo", "corrected", "plain, 2 s", "corrected, 2 s")
     columns = ("joint", "name", "command", *servos, "kp")
     note = (
@@ -188,7 +180,7 @@ def motion_table(record: PositionRecord) -> Table:
     for one in record.how_far.per_motion:
         errors = one.answered_mrad
         levels = [*errors.tolist(), float(errors[moves].mean())]
-        rows.append((one.motion, *(f"{x:.1f}" for x in levels)))
+        rows.append((one.motion, *cells(levels, ".1f")))
     columns = ("motion", *(j.name for j in record.where.joints), "mean")
     return Table("Error of each motion, left out [mrad]", columns, rows, "l")
 
@@ -216,10 +208,6 @@ def where_picture(record: PositionRecord) -> Picture:
     )
 
 
-def _change(before: float, after: float) -> str:
-    return "-" if math.isnan(before) else f"{before:.1f} -> {after:.1f}"
-
-
 def _size(value: float, ends: tuple[float, float], unit: str) -> str:
     """`39 [35.1, 42.9] rad/s²`."""
     return within(value, ends, unit) + (", not determined" if ends[0] <= 0 <= ends[1] else "")
@@ -228,21 +216,19 @@ def _size(value: float, ends: tuple[float, float], unit: str) -> str:
 def figures(result: PositionDiagnosis | PositionRecord) -> Figures:
     """What draws each figure, by the names of their files; of a record those that need no motion
     over time."""
-    record = result.record
-    assert isinstance(record, PositionRecord)
-    out: dict[str, Callable[[], Figure | None]] = {"where": partial(where_figure, record)}
-    if isinstance(result, PositionDiagnosis):
-        motion = motion_over_time(result)
-        assert motion is not None
-        out |= {f"gap_joint_{j + 1}": partial(motion.draw, j) for j in worst_joints(record)}
-    return out
+    drawn: dict[str, Callable[[], Figure]] = {"where": partial(where_figure, result.record)}
+    motion = motion_over_time(result) if isinstance(result, PositionDiagnosis) else None
+    if motion is not None:
+        worst = worst_joints(result.record)
+        drawn |= {f"gap_joint_{j + 1}": partial(motion.draw, j) for j in worst}
+    return drawn
 
 
 def kinds(result: PositionDiagnosis | PositionRecord) -> Figures:
     """By kind; that of one joint takes it as `joint`."""
-    out = {k: v for k, v in figures(result).items() if not k.startswith("gap_joint")}
+    drawn: Figures = {"where": partial(where_figure, result.record)}
     motion = motion_over_time(result) if isinstance(result, PositionDiagnosis) else None
-    return out if motion is None else out | {"joint": motion.draw}
+    return drawn if motion is None else {**drawn, "joint": motion.draw}
 
 
 def worst_joints(record: PositionRecord, most: int = WORST) -> list[int]:
@@ -254,12 +240,13 @@ def worst_joints(record: PositionRecord, most: int = WORST) -> list[int]:
 def where_figure(record: PositionRecord) -> Figure:
     """Joints x what the command does: the plain servo's error as colour, and what the answer leaves
     of it; beside it the joints' errors of the command alone."""
-    regimes, joints = regimes_of(record), record.where.joints
+    joints, found = record.where.joints, record.where.regimes
+    regimes = list(dict.fromkeys(r.regime for r in found))
     before, after = (
-        np.array([[getattr(r, key) for r in own] for own in regimes.values()]).T
+        np.array([[getattr(r, key) for r in found if r.regime == name] for name in regimes]).T
         for key in ("plain_mrad", "answered_mrad")
     )
-    cells: dict[Any, tuple[str, dict[str, Any]]] = {
+    texts: dict[Any, tuple[str, dict[str, Any]]] = {
         place: ("-" if np.isnan(value) else f"{value:.1f} \u2192 {after[place]:.1f}", {})
         for place, value in np.ndenumerate(before)
     }
@@ -275,7 +262,7 @@ def where_figure(record: PositionRecord) -> Figure:
         [label(record, j.joint) for j in joints],
         [regime_words(name) for name in regimes],
         np.nan_to_num(before),
-        cells,
+        texts,
         "plain servo [mrad]",
         (title, sizes, words, GREY, 1.35 * max(*sizes, 1e-9)),
     )[0]
@@ -312,12 +299,9 @@ def commands_shown(made: NextCommands, unknown: Sequence[str] = ()) -> Shown:
         unknown: what could not be checked, one sentence each.
     """
     rows = [
-        (
-            str(o.joint + 1), o.parameter, o.why,
-            cell(o.now, ".2g"), f"{o.then:.2g}",
-        )
+        (str(o.joint + 1), o.parameter, o.why, cell(o.now, ".2g"), f"{o.then:.2g}")
         for o in made.open
-    ]  # fmt: skip
+    ]
     text = f"{len(made.motions)} motions of {made.seconds:g} s at {made.rate:g} commands a second: "
     text += "; ".join(made.motions) + "."
     if not rows:

@@ -12,7 +12,7 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.report.colours import BEFORE, GREY, GRID, INK
 from torchid.report.panels import SMALL, Figure, new_figure
-from torchid.results.answer import Answer, Cause
+from torchid.results.answer import Answer
 from torchid.results.words import joint_labels, short
 from torchid.robot.model import FREE, JointType, Robot, link_poses
 from torchid.typing import Float, Tensor
@@ -108,12 +108,38 @@ def _rows(wanted: np.ndarray, heights: np.ndarray, height: float) -> np.ndarray:
     return middles
 
 
-def _named(causes: Sequence[Cause]) -> list[str]:
-    """Short names of a joint's causes, the largest first."""
-    names = list(dict.fromkeys(c.name for c in causes))
-    more = len(names) - MOST_NAMED
-    names = [short(name, _LETTERS) for name in names[:MOST_NAMED]]
-    return [*names, f"and {more} more"] if more > 0 else names
+def _pose(robot: Robot, q: Float[Tensor, "T n"]) -> tuple[np.ndarray, list[tuple[int, int]]]:
+    """Points of the robot (P, 2) in the pose of a log, and from the side, that show it best, and
+    which of them are held together."""
+    some = q[:: max(1, len(q) // _POSES)]
+    some = some[torch.isfinite(some).all(1)].to(torch.float64)
+    points, bones = _places(robot, some if len(some) else torch.zeros(1, robot.n).double())
+    gravity = robot.gravity.numpy().astype(float)
+    size = float(np.linalg.norm(gravity))
+    return _clearest(points, -gravity / size if size > 0 else np.array([0.0, 0.0, 1.0])), bones
+
+
+def _labels(robot: Robot, answer: Answer) -> dict[int, list[str]]:
+    """Lines beside each joint: its name with its errors, then its causes, the largest first."""
+    causes: dict[int, list[str]] = {j: [] for j in range(robot.n)}
+    for cause in sorted(answer.causes, key=lambda c: -c.closes):
+        own: Sequence[int] = cause.joints
+        if cause.effect == "link_inertia":  # the joints that move links, or carry them nearest
+            own = [robot.drives[k].coordinate if k < robot.n_links else robot.n - 1 for k in own]
+        for j in own:
+            causes[j].append(cause.name)
+    names, labels = joint_labels([j.name for j in answer.joints]), {}
+    # Coordinates of a base that moves are no joints.
+    for j in range(FREE if robot.floating else 0, robot.n):
+        one, error = answer.joints[j], "never moves"
+        if one.before > 0:
+            error = f"{one.before:.3g} \u2192 {one.after:.3g}"
+        name = short(names[j].removesuffix("_joint"), _LETTERS - len(error) + 4)
+        every = list(dict.fromkeys(causes[j]))
+        labels[j] = [f"{name}   {error}", *(short(text, _LETTERS) for text in every[:MOST_NAMED])]
+        if len(every) > MOST_NAMED:
+            labels[j].append(f"and {len(every) - MOST_NAMED} more")
+    return labels
 
 
 def skeleton_figure(
@@ -130,16 +156,7 @@ def skeleton_figure(
         q: positions of the log [rad; m].
         width: of the figure [inch].
     """
-    from matplotlib.patches import Circle, Rectangle
-
-    some = q[:: max(1, len(q) // _POSES)]
-    some = some[torch.isfinite(some).all(1)].to(torch.float64)
-    points, bones = _places(robot, some if len(some) else torch.zeros(1, robot.n).double())
-    gravity = robot.gravity.numpy().astype(float)
-    size = float(np.linalg.norm(gravity))
-    up = -gravity / size if size > 0 else np.array([0.0, 0.0, 1.0])
-    flat = _clearest(points, up)
-
+    flat, bones = _pose(robot, q)
     before, after = (
         np.array([max(0.0, x) if x == x else 0.0 for x in (getattr(j, key) for j in answer.joints)])
         for key in ("before", "after")
@@ -148,19 +165,7 @@ def skeleton_figure(
     most = _LARGEST * min(1.0, (8 / robot.n) ** 0.5)
     radii, left = (most * np.sqrt(x / largest) for x in (before, after))
     hubs = np.maximum(np.maximum(radii, left), _SMALLEST)
-    joints = [link + 1 for link in robot.own_links]
-    first = FREE if robot.floating else 0  # coordinates of a base that moves are no joints
-
-    causes: dict[int, list[Cause]] = {j: [] for j in range(robot.n)}
-    for cause in sorted(answer.causes, key=lambda c: -c.closes):
-        for j in cause.joints:
-            causes[j if cause.effect != "link_inertia" else _coordinate(robot, j)].append(cause)
-    names = joint_labels([j.name for j in answer.joints])
-    labels = {}
-    for j in range(first, robot.n):
-        error = "never moves" if not before[j] else f"{before[j]:.3g} \u2192 {after[j]:.3g}"
-        name = short(names[j].removesuffix("_joint"), _LETTERS - len(error) + 4)
-        labels[j] = [f"{name}   {error}", *_named(causes[j])]
+    joints, labels = [link + 1 for link in robot.own_links], _labels(robot, answer)
 
     # Labels stand in two columns, each joint's on its side of the middle; a phone has numbers only.
     low, high = flat.min(0), flat.max(0)
@@ -187,44 +192,44 @@ def skeleton_figure(
     for k in range(len(robot.ends)):
         axes.plot(*at[robot.n_links + 1 + k], "o", color=INK, markersize=4)
     for j in labels:
-        looks = ((hubs[j], GRID, 1.0), (radii[j], BEFORE, REMOVED), (left[j], BEFORE, 1.0))
-        for k, (radius, colour, opacity) in enumerate((*looks, (_DOT, INK, 1.0))):
-            look: dict[str, Any] = {
-                "color": colour,
-                "alpha": opacity,
-                "linewidth": 0,
-                "zorder": 4 + k,
-            }
-            x, y = at[joints[j]]
-            if robot.joint_types[j] is JointType.PRISMATIC:
-                axes.add_patch(Rectangle((x - radius, y - radius), 2 * radius, 2 * radius, **look))
-            else:
-                axes.add_patch(Circle((x, y), radius, **look))
+        slides = robot.joint_types[j] is JointType.PRISMATIC
+        _draw_joint(axes, at[joints[j]], slides, hubs[j], radii[j], left[j])
         if not side_by_side:
             axes.text(at[joints[j], 0] + hubs[j], at[joints[j], 1] + hubs[j], str(j + 1),
                       fontsize=SMALL, fontweight="bold", color=INK, zorder=9)  # fmt: skip
     for side, members in sides:
-        own = sorted(members, key=lambda j: -float(at[joints[j], 1]))
-        heights = np.array([_LINE * (len(labels[j]) + 0.9) for j in own])
-        middles = _rows(np.array([at[joints[j], 1] for j in own]), heights, height - 0.2)
-        edge, near = side * (width / 2 - 0.02), side * (width / 2 - _COLUMN + 0.1)
-        for j, middle in zip(own, middles, strict=True):
-            top = middle + _LINE * (len(labels[j]) - 1) / 2
-            x, y = at[joints[j]]
-            line = top - 0.085
-            axes.plot([x, near, edge], [y, line, line], color=GREY, linewidth=0.6, zorder=3)
-            for k, text in enumerate(labels[j]):
-                axes.text(
-                    edge, top - k * _LINE - (0.09 if k else 0), text, fontsize=SMALL, color=INK,
-                    fontweight="normal" if k else "bold", va="center", zorder=9,
-                    ha="right" if side > 0 else "left",
-                )  # fmt: skip
+        _write_labels(axes, side, [(at[joints[j]], labels[j]) for j in members])
     return figure
 
 
-def _coordinate(robot: Robot, link: int) -> int:
-    """The joint that moves a link, or the one that carries it nearest."""
-    return robot.drives[link].coordinate if link < robot.n_links else robot.n - 1
+def _draw_joint(axes: Any, at: Any, slides: bool, *sizes: float) -> None:
+    """A joint's hub, its error before and what is left of it, by their radii [inch]."""
+    from matplotlib.patches import Circle, Rectangle
+
+    looks = ((GRID, 1.0), (BEFORE, REMOVED), (BEFORE, 1.0), (INK, 1.0))
+    for k, (radius, (colour, opacity)) in enumerate(zip((*sizes, _DOT), looks, strict=True)):
+        shape = Rectangle(at - radius, 2 * radius, 2 * radius) if slides else Circle(at, radius)
+        shape.set(color=colour, alpha=opacity, linewidth=0, zorder=4 + k)
+        axes.add_patch(shape)
+
+
+def _write_labels(axes: Any, side: int, members: Sequence[tuple[np.ndarray, list[str]]]) -> None:
+    """Labels of some joints in the column of their side (-1, 1), each with a line to its joint."""
+    width, height = axes.get_xlim()[1] * 2, axes.get_ylim()[1] * 2
+    own = sorted(members, key=lambda member: -float(member[0][1]))
+    heights = np.array([_LINE * (len(lines) + 0.9) for _, lines in own])
+    middles = _rows(np.array([at[1] for at, _ in own]), heights, height - 0.2)
+    edge, near = side * (width / 2 - 0.02), side * (width / 2 - _COLUMN + 0.1)
+    for ((x, y), lines), middle in zip(own, middles, strict=True):
+        top = middle + _LINE * (len(lines) - 1) / 2
+        line = top - 0.085
+        axes.plot([x, near, edge], [y, line, line], color=GREY, linewidth=0.6, zorder=3)
+        for k, text in enumerate(lines):
+            axes.text(
+                edge, top - k * _LINE - (0.09 if k else 0), text, fontsize=SMALL, color=INK,
+                fontweight="normal" if k else "bold", va="center", zorder=9,
+                ha="right" if side > 0 else "left",
+            )  # fmt: skip
 
 
 def skeleton_of(d: TorqueDiagnosis | PositionDiagnosis, width: float = 6.4) -> Figure:

@@ -315,6 +315,11 @@ def cell(value: float | None, digits: str = ".3g") -> str:
     return "-" if value is None or not math.isfinite(value) else f"{value:{digits}}"
 
 
+def more_rows(count: int, most: int) -> str:
+    """What is said below a table of the first rows."""
+    return f"and {count - most} more, in the JSON" if count > most else ""
+
+
 def joint_numbers(n: int) -> list[str]:
     """Headings of one column a joint."""
     return [str(j + 1) for j in range(n)]

@@ -20,8 +20,7 @@ from typing import Any
 import torch
 
 from torchid.design.columns import SMOOTHED, Model
-from torchid.effects.base import Effect, Motion
-from torchid.effects.registry import EVENTS, Valued
+from torchid.effects.registry import EVENTS
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.files import atomic_write
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
@@ -66,7 +65,7 @@ class JointView:
     regimes: Mapping[str, Bool[Tensor, " T"]]
 
 
-def viewed(diagnosis: Diagnosis) -> tuple[JointView, ...]:
+def joint_views(diagnosis: Diagnosis) -> tuple[JointView, ...]:
     """Every trajectory's joints over time.
 
     Args:
@@ -78,7 +77,7 @@ def viewed(diagnosis: Diagnosis) -> tuple[JointView, ...]:
     >>> friction = {"effect": "viscous_friction", "joint": 2, "Fv": 0.5}
     >>> log = torchid.simulate(robot, motion, effects=[friction])
     >>> settings = torchid.GapSettings(effects=("viscous_friction",), rollout=False)
-    >>> joint = viewed(torchid.diagnose(robot, log, settings=settings))[1]
+    >>> joint = joint_views(torchid.diagnose(robot, log, settings=settings))[1]
     >>> total = joint.predicted + sum(joint.effects.values()) + joint.residual
     >>> torch.allclose(total, joint.measured), "viscous_friction" in joint.effects
     (True, True)
@@ -160,29 +159,19 @@ def _effects(diagnosis: TorqueDiagnosis, trace: Trace) -> dict[str, Float[Tensor
     answered = Model(answered.robot, (*answered.effects, *events))
     added: dict[str, Tensor] = {}
     for model, sign in ((answered, 1.0), (given, -1.0)):
-        loaded = motion._replace(torque=model.load(motion))
+        sharp = motion._replace(torque=model.load(motion))
+        # What effects see that differentiate it, as `Model.torque` has it.
+        low = {k: low_passed(getattr(sharp, k).T, trace.rate, diagnosis.cutoff) for k in SMOOTHED}
+        smooth = sharp._replace(**{k: x.T.contiguous() for k, x in low.items()})
         for effect, values in model.effects:
-            torque = sign * _torque(diagnosis, trace, model, (effect, values), loaded)
+            seen = smooth if effect.smooth else sharp
+            torque = sign * effect.all_torques(seen, values, model.robot)
             added[effect.name] = added.get(effect.name, torch.zeros_like(torque)) + torque
     bodies, before = (Model(model.robot, ()).load(motion) for model in (answered, given))
     added["parameters"] = bodies - before
     added = {k: low_passed(x.T, trace.rate, diagnosis.band).T for k, x in added.items()}
     total = torch.stack(list(added.values())).sum(0)
     return {**added, "refit": trace.after - trace.before - total}
-
-
-def _torque(
-    diagnosis: TorqueDiagnosis, trace: Trace, model: Model, valued: Valued, motion: Motion
-) -> Float[Tensor, "T n"]:
-    """Torque of one effect in the model, as `Model.torque` has it."""
-    effect: Effect = valued[0]
-
-    def low(x: Tensor) -> Tensor:
-        return low_passed(x.T, trace.rate, diagnosis.cutoff).T.contiguous()
-
-    if effect.smooth:
-        motion = motion._replace(**{k: low(getattr(motion, k)) for k in SMOOTHED})
-    return effect.all_torques(motion, valued[1], model.robot)
 
 
 def write_view(diagnosis: Diagnosis, path: str | Path) -> None:
@@ -212,9 +201,9 @@ def write_view(diagnosis: Diagnosis, path: str | Path) -> None:
     path = Path(path)
     require_viewer(path)
     if path.suffix.lower() == ".mcap":
-        _write_mcap(viewed(diagnosis), path)
+        _write_mcap(joint_views(diagnosis), path)
     else:
-        _write_rrd(viewed(diagnosis), path)
+        _write_rrd(joint_views(diagnosis), path)
 
 
 def require_viewer(path: Path) -> None:

@@ -337,16 +337,13 @@ class Answer(Part, frozen=True, kw_only=True):
 
     def _named(self, same: Sequence[Cause], values: bool) -> str:
         """`Coulomb friction on joint 2 (0.61 ± 0.02 N m)`."""
-        joints = [j for c in same for j in c.joints]
         first = same[0]
         if first.effect == "link_inertia":
-            text = Cause(effect=first.effect, joints=tuple(joints)).name
+            joints = tuple(j for c in same for j in c.joints)
+            text = Cause(effect=first.effect, joints=joints).name
         else:
-            every = len(set(joints)) == len(self.joints) > 1
-            place = "all joints" if every else joints_words(joints)
-            text = f"{first.name} on {place}" if joints else first.name
-            if first.changed:
-                text = f"changed {text}"
+            place = f" on {self.where(same)}" if any(c.joints for c in same) else ""
+            text = ("changed " if first.changed else "") + first.name + place
         known = [s for s in first.sizes if s.determined]
         inner = []
         if values and len(same) == 1 and known and (len(known) == 1 or first.effect == "payload"):
@@ -489,13 +486,8 @@ class DiagnosisRecord(Record, frozen=True, eq=False, kw_only=True):
 def ordered(warnings: Iterable[str]) -> tuple[str, ...]:
     """Warnings once each: first what asks for another log, then what qualifies a number, then the
     rest."""
-    return tuple(sorted(dict.fromkeys(warnings), key=_kind))
-
-
-def _kind(warning: str) -> int:
-    """Place of a warning's kind."""
-    kinds = [k for k, start in enumerate(KINDS) if warning.startswith(start)]
-    return kinds[0] if kinds else len(KINDS)
+    every = dict.fromkeys(warnings)
+    return tuple(sorted(every, key=lambda text: [not text.startswith(kind) for kind in KINDS]))
 
 
 def size_words(size: Size) -> str:

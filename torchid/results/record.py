@@ -18,6 +18,7 @@ from typing import (
     TYPE_CHECKING,
     Annotated,
     Any,
+    Self,
     TypeGuard,
     TypeVar,
     get_args,
@@ -209,7 +210,7 @@ class Record(Part, Result, frozen=True, eq=False, kw_only=True, tag_field="schem
     """A result as its JSON has it; see torchid.results."""
 
     @property
-    def record(self) -> "Record":
+    def record(self) -> Self:
         """Itself."""
         return self
 

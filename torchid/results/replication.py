@@ -51,7 +51,7 @@ class Replication(Part, frozen=True, kw_only=True):
     asked: int
 
 
-def times(found: Replication | None) -> str:
+def repeat_words(found: Replication | None) -> str:
     """`5 of 6`: motions that want the effect with the same sign and size, of those that can show
     it; of a log of one motion its stretches."""
     if found is None:
@@ -66,7 +66,7 @@ def replication_of(scales: Sequence[MotionScale]) -> Replication | None:
     if len(telling) < 2:
         return None
     x, v = _factors(telling)
-    spread = between(x, v)
+    spread = excess_std(x, v)
     w = 1 / (v + spread**2)
     mean = float((w * x).sum() / w.sum())
     # Motions that are asked: all parts of a trajectory are one.
@@ -95,7 +95,7 @@ def _factors(scales: Sequence[MotionScale]) -> tuple[Tensor, Tensor]:
     return x, std**2
 
 
-def between(x: Tensor, variances: Tensor) -> float:
+def excess_std(x: Tensor, variances: Tensor) -> float:
     """Standard deviation of n quantities beyond their own (DerSimonian and Laird 1986, eq. 8)."""
     w = 1 / variances
     mean = (w * x).sum() / w.sum()

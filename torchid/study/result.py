@@ -238,43 +238,38 @@ class Study(Result):
     @cached_property
     def record(self) -> StudyRecord:
         """As the JSON has it."""
-        return study_record(self)
-
-
-def study_record(study: Study) -> StudyRecord:
-    """The result as the JSON has it."""
-    result = study.identification
-    errors = result.held_out
-    return StudyRecord(
-        study=study.settings.name,
-        robot=study.robot.name,
-        section=study.settings.section,
-        identification=StudyIdentification(
-            names=result.base.names,
-            values=result.values,
-            true=study.truth,
-            largest_error=float((result.values - study.truth).abs().max()),
-            rows=int(study.log.samples * study.robot.n),
-            validation_error_percent=(
-                () if errors is None else tuple(errors.relative_percent.tolist())
+        result = self.identification
+        errors = result.held_out
+        return StudyRecord(
+            study=self.settings.name,
+            robot=self.robot.name,
+            section=self.settings.section,
+            identification=StudyIdentification.of(
+                result,
+                names=result.base.names,
+                true=self.truth,
+                largest_error=float((result.values - self.truth).abs().max()),
+                rows=int(self.log.samples * self.robot.n),
+                validation_error_percent=(
+                    () if errors is None else tuple(errors.relative_percent.tolist())
+                ),
             ),
-        ),
-        sets=tuple(_scenario(study, s) for s in study.scenarios),
-        certificate={
-            group: certificate_record(proof) for group, proof in study.certificates.items()
-        },
-        wrenches=WrenchesRecord(
-            classes=tuple(
-                ClassRecord.of(c, quartiles=(c.lower_quartile, c.upper_quartile))
-                for c in study.comparison.classes
+            sets=tuple(_scenario(self, s) for s in self.scenarios),
+            certificate={
+                group: certificate_record(proof) for group, proof in self.certificates.items()
+            },
+            wrenches=WrenchesRecord(
+                classes=tuple(
+                    ClassRecord.of(c, quartiles=(c.lower_quartile, c.upper_quartile))
+                    for c in self.comparison.classes
+                ),
+                unit="N, largest joint's rms against the true set, all runs of all scenarios",
             ),
-            unit="N, largest joint's rms against the true set, all runs of all scenarios",
-        ),
-        payload=StudyPayload.of(study.payload.estimate.record, true=study.payload.true),
-        search=StudySearch.of(study.settings.search),
-        seconds=dict(study.seconds),
-        warnings=study.warnings,
-    )
+            payload=StudyPayload.of(self.payload.estimate.record, true=self.payload.true),
+            search=StudySearch.of(self.settings.search),
+            seconds=dict(self.seconds),
+            warnings=self.warnings,
+        )
 
 
 def _scenario(study: Study, result: ScenarioResult) -> ScenarioRecord:

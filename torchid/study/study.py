@@ -1,7 +1,6 @@
 """The report's study of one robot as one call: excite, simulate, identify, validate, extract six
 scenarios, classify, validate the sets, compare internal wrenches, and carry a payload."""
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,9 +17,9 @@ from torchid.excitation.trajectories import (
     sinusoid,
     trajectory_log,
 )
-from torchid.extraction.convex.certificate import Certificate, certificate_where_possible
+from torchid.extraction.convex.certificate import certificate_where_possible
 from torchid.extraction.extract import Extraction, extract
-from torchid.extraction.problem import Problem, extraction_problem, two_step
+from torchid.extraction.problem import Problem, Target, extraction_problem, two_step
 from torchid.extraction.settings import SearchSettings
 from torchid.feasibility.bounds import read_bounds
 from torchid.feasibility.conditions import conditions
@@ -36,7 +35,7 @@ from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.study.result import PayloadResult, ScenarioResult, SetsOnMotion, Study
-from torchid.study.settings import MotionSettings, StudySettings
+from torchid.study.settings import MotionSettings, Scenario, StudySettings
 from torchid.typing import Float, Tensor
 from torchid.wrenches.compare import compare
 from torchid.wrenches.deviation import alike, wrench_errors
@@ -63,7 +62,7 @@ def new_motion(robot: Robot, settings: MotionSettings) -> Log:
     return trajectory_log(motion, settings.rate)
 
 
-def simulated(robot: Robot, motion: Log, settings: MotionSettings) -> Log:
+def simulated_log(robot: Robot, motion: Log, settings: MotionSettings) -> Log:
     """The report's log of a motion: noise, if any, is on the trajectory."""
     noise = None if settings.noise_db is None else PaperNoise(snr_db=settings.noise_db)
     return synthetic_log(robot, motion, noise, settings.seed + 1)
@@ -160,8 +159,8 @@ def run_study(
     robot = load_robot(settings.robot)
     clock.start("identification")
     motion = excitation(robot, settings.excitation)
-    log = simulated(robot, motion, settings.excitation)
-    validation = simulated(robot, new_motion(robot, settings.validation), settings.validation)
+    log = simulated_log(robot, motion, settings.excitation)
+    validation = simulated_log(robot, new_motion(robot, settings.validation), settings.validation)
     # The report's least squares: every row, no filter, no weights, no bounds on signs.
     paper = Settings(
         effects=settings.effects, cutoff=None, reversal=0.0, method="ols", signs="free"
@@ -170,46 +169,24 @@ def run_study(
     effects = plain_effects(result.effects, "a study")
     target = two_step(result.base, effects, result.values)
     clock.start("certificates")
-    # By group of bounds: the problem, its phi_min if it can be had, and what to know of it.
-    geometry = read_bounds(robot, settings.geometry).com
-    asked = conditions(robot, com_box=geometry, total_mass=settings.total_mass)
-    problems: dict[str, Problem] = {}
-    certificates: dict[str, Certificate] = {}
-    warnings: list[str] = []
-    for group in dict.fromkeys(scenario.bounds for scenario in settings.scenarios):
-        problem = extraction_problem(robot, target, read_bounds(robot, group), asked)
-        problems[group] = problem
-        certificates[group], notes = certificate_where_possible(problem)
-        warnings += notes
+    problems = _problems(robot, settings, target)
+    proofs = {group: certificate_where_possible(problem) for group, problem in problems.items()}
+    warnings = [note for _, notes in proofs.values() for note in notes]
+    certificates = {group: proof for group, (proof, _) in proofs.items()}
+    clock.stop()
     searches: list[_Search] = [
-        (
-            problems[scenario.bounds],
-            replace(settings.search, penalty=scenario.penalty),
-            device,
-        )
+        (problems[scenario.bounds], replace(settings.search, penalty=scenario.penalty), device)
         for scenario in settings.scenarios
     ]
-    clock.stop()
     every_extraction = each(_searched, searches, workers, "extractions", report)
     scenarios = []
     test = new_motion(robot, settings.sets_motion)
     for scenario, found in zip(settings.scenarios, every_extraction, strict=True):
         clock.took(f"extraction {scenario.id}", found.seconds)
-        best = replace(found.sets.part([found.best]), ids=(scenario.id,))
-        torque = sets_torque(robot, with_real(best, nominal_set(robot)), test)
-        rms = (torque[1] - torque[0]).square().mean(0).sqrt()
-        own = ScenarioResult(
-            scenario=scenario,
-            extraction=found,
-            feasibility=feasibility(found.sets, found.problem.conditions),
-            best=best,
-            torque_rms=rms,
-            torque_relative=float((rms / torque[0].square().mean(0).sqrt()).max()),
-        )
+        own = _scenario_result(robot, scenario, found, test)
         scenarios.append(own)
         # A feasible set with less loss than is possible is a fault, never to be passed over.
-        proof = certificates.get(scenario.bounds)
-        least = proof.phi_min * (1 - _BELOW) if proof is not None else -math.inf
+        least = certificates[scenario.bounds].phi_min * (1 - _BELOW)
         below = int((own.feasibility.feasible & (found.phi < least)).sum())
         if below:
             said = "sets are feasible and have a loss below phi_min"
@@ -247,6 +224,33 @@ def run_study(
         payload=payload,
         seconds=MappingProxyType(clock.stop()),
         warnings=tuple(dict.fromkeys(warnings)),
+    )
+
+
+def _problems(robot: Robot, settings: StudySettings, target: Target) -> dict[str, Problem]:
+    """The problem of each group of bounds."""
+    geometry = read_bounds(robot, settings.geometry).com
+    asked = conditions(robot, com_box=geometry, total_mass=settings.total_mass)
+    return {
+        group: extraction_problem(robot, target, read_bounds(robot, group), asked)
+        for group in dict.fromkeys(scenario.bounds for scenario in settings.scenarios)
+    }
+
+
+def _scenario_result(
+    robot: Robot, scenario: Scenario, found: Extraction, motion: Log
+) -> ScenarioResult:
+    """All runs of a scenario, and its best set's torque on a new motion."""
+    best = replace(found.sets.part([found.best]), ids=(scenario.id,))
+    torque = sets_torque(robot, with_real(best, nominal_set(robot)), motion)
+    rms = (torque[1] - torque[0]).square().mean(0).sqrt()
+    return ScenarioResult(
+        scenario=scenario,
+        extraction=found,
+        feasibility=feasibility(found.sets, found.problem.conditions),
+        best=best,
+        torque_rms=rms,
+        torque_relative=float((rms / torque[0].square().mean(0).sqrt()).max()),
     )
 
 

@@ -36,7 +36,7 @@ from torchid.errors import MissingExtraError, TorchidError
 from torchid.files import write_text
 from torchid.report.colours import AFTER, BEFORE, BLUE, GREEN, GREY, GRID, INK, ORANGE, RED
 from torchid.report.page.answer import cause_line
-from torchid.report.panels import Picture, literal, printable
+from torchid.report.panels import Picture, plain_texts, printable
 from torchid.report.table import Code, InputFile, Origin, Page, Table
 from torchid.results.words import span, value_words
 
@@ -269,7 +269,7 @@ def inline_svg(picture: Picture) -> str:
     }
     with matplotlib.rc_context(settings):
         figure = picture.draw()
-        literal(figure)
+        plain_texts(figure)
         stream = io.BytesIO()
         figure.savefig(stream, format="svg", transparent=True, dpi=_DPI, metadata={"Date": None})
     width = 96 * figure.get_figwidth()

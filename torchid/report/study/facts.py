@@ -37,12 +37,6 @@ def coefficient_error(study: Study) -> float:
     return float((study.identification.values - study.truth).abs().max())
 
 
-def feasible_runs(study: Study) -> tuple[int, int]:
-    """How many runs of all scenarios are feasible, and how many there are."""
-    feasible = [s.feasibility.feasible for s in study.scenarios]
-    return sum(int(f.sum()) for f in feasible), sum(len(f) for f in feasible)
-
-
 def by_feasibility(study: Study, feasible: bool) -> list[ScenarioResult]:
     """The scenarios whose best set is feasible, or is not."""
     return [s for s in study.scenarios if s.feasible == feasible]
@@ -72,12 +66,6 @@ def run_classes(study: Study) -> list[str]:
     ]
 
 
-def distinct_errors(study: Study, name: str) -> int:
-    """How many force errors of the runs of a class (largest joint) are really different."""
-    rows = [k for k, found in enumerate(run_classes(study)) if found == name]
-    return different(study.errors.force_rms[rows].amax(-1))
-
-
 def endings(result: ScenarioResult) -> Int[Tensor, " R"]:
     """(R,) which runs ended in the same set: the number of the first of them."""
     x = result.extraction.sets.vector
@@ -85,7 +73,7 @@ def endings(result: ScenarioResult) -> Int[Tensor, " R"]:
     return near.int().argmax(-1)
 
 
-def different(values: Float[Tensor, " R"]) -> int:
+def count_different(values: Float[Tensor, " R"]) -> int:
     """How many of some positive values are really different."""
     ordered = values.sort().values
     return min(1, len(values)) + int((ordered[1:] > (1 + _EQUAL) * ordered[:-1]).sum())
@@ -123,11 +111,6 @@ def validation_torques(study: Study) -> tuple[Tensor, Tensor, Tensor]:
     assert log.tau is not None
     state = (log.q, log.dq, log.ddq)
     return found.predict(*state), replace(found, values=study.truth).predict(*state), log.tau
-
-
-def row_of(sets: SetsOnMotion, name: str) -> int:
-    """Row of a set by its id, or of `real`."""
-    return sets.labels.index(name)
 
 
 def payload_quantities(study: Study) -> list[tuple[str, str, float, float, float, float]]:
@@ -202,8 +185,11 @@ def proofs(study: Study) -> dict[str, list[str]]:
 
 def _class(study: Study, e: EffectSize) -> str:
     low, high = e.ratio.low, e.ratio.high
-    distinct = {name: distinct_errors(study, name) for name in (e.first, e.second)}
-    few = [f"{k} different among '{name}'" for name, k in distinct.items() if k < LEAST_CLUSTERS]
+    classes, few = run_classes(study), []
+    for name in (e.first, e.second):
+        rows = [k for k, found in enumerate(classes) if found == name]
+        distinct = count_different(study.errors.force_rms[rows].amax(-1))
+        few += [f"{distinct} different among '{name}'"] if distinct < LEAST_CLUSTERS else []
     if few:
         told = f"not judged: only {listed(few)}"
     elif math.isnan(low):

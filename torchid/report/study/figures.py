@@ -19,11 +19,11 @@ from torchid.report.panels import (
     drawing,
     finish,
     headroom,
+    jitter,
     joint_lines,
     joint_rows,
     note,
     panel,
-    spread,
     thin,
 )
 from torchid.report.study import facts
@@ -40,58 +40,36 @@ _FAR = 8.0
 _DECADES = 1e-3
 """Share of the real arm's largest value down to which a logarithmic axis goes."""
 
-CAPTIONS = {
-    "identification": {
-        "validation_torque": (
-            "Torque on the validation motion: of the identified coefficients (red), of those "
-            "reconstructed from the true parameters (blue, dotted) and of the true parameters in "
-            "the dynamic model (green, dashed). The residuals at the right have their own scales."
-        ),
-    },
-    "validation": {
-        "sets_torque": (
-            "Torque of the best sets (columns, dashed) over that of the real parameters (grey) per "
-            "joint (rows), on a motion that took no part in anything before; the number is the "
-            "root mean square difference."
-        ),
-    },
-    "classification": {
-        "degrees": (
-            "Degree of every run: the smallest margin of its conditions over their scales, "
-            "negative outside, 0 on the boundary (the axis is linear within 0.001 and logarithmic "
-            "beyond)."
-        ),
-    },
-    "wrenches": {
-        "force_error_by_degree": (
-            "Force error of every run (root mean square of the vector difference from the real "
-            "arm, largest joint) against its degree, by the kind of its reasons. The best sets "
-            "have their names."
-        ),
-    },
-    "payload": {
-        "payload_force": (
-            "Norms of the internal forces on the reference motion without the payload, with the "
-            "true one, and with the estimated one."
-        ),
-    },
-}
-"""Of figures that every study has, by section and name."""
-
 
 def drawings(study: Study) -> list[Picture]:
     """Every figure with its caption, none of them drawn yet."""
-    draw = {
-        "validation_torque": _torque_figure, "sets_torque": _sets_figure,
-        "degrees": _degrees,
-        "force_error_by_degree": _error_figure, "payload_force": _force,
-    }  # fmt: skip
-    fixed = [
-        drawing(section, name, caption, partial(draw[name], study))
-        for section, named in CAPTIONS.items()
-        for name, caption in named.items()
+    # Of every study, whatever its sets.
+    fixed = (
+        ("identification", "validation_torque", _torque_figure,
+         "Torque on the validation motion: of the identified coefficients (red), of those "
+         "reconstructed from the true parameters (blue, dotted) and of the true parameters in "
+         "the dynamic model (green, dashed). The residuals at the right have their own scales."),
+        ("validation", "sets_torque", _sets_figure,
+         "Torque of the best sets (columns, dashed) over that of the real parameters (grey) per "
+         "joint (rows), on a motion that took no part in anything before; the number is the "
+         "root mean square difference."),
+        ("classification", "degrees", _degrees,
+         "Degree of every run: the smallest margin of its conditions over their scales, "
+         "negative outside, 0 on the boundary (the axis is linear within 0.001 and logarithmic "
+         "beyond)."),
+        ("wrenches", "force_error_by_degree", _error_figure,
+         "Force error of every run (root mean square of the vector difference from the real "
+         "arm, largest joint) against its degree, by the kind of its reasons. The best sets "
+         "have their names."),
+        ("payload", "payload_force", _force,
+         "Norms of the internal forces on the reference motion without the payload, with the "
+         "true one, and with the estimated one."),
+    )  # fmt: skip
+    return [
+        *_motions(study),
+        *(drawing(place, name, text, partial(draw, study)) for place, name, draw, text in fixed),
+        *_combinations(study),
     ]
-    return [*_motions(study), *fixed, *_combinations(study)]
 
 
 def kinds(study: Study) -> Figures:
@@ -213,7 +191,7 @@ def _degrees(study: Study) -> Figure:
     ring = {"s": 90, "facecolors": "none", "edgecolors": INK, "linewidth": 1.2, "label": "best set"}
     for c, s in enumerate(study.scenarios):
         degree, feasible = s.feasibility.degree, s.feasibility.feasible
-        place, best = c + spread(len(degree), 3, 0.25), s.extraction.best
+        place, best = c + jitter(len(degree), 3, 0.25), s.extraction.best
         for own, colour, marker, name in (
             (~feasible, BREAKS, "x", "infeasible"), (feasible, KEEPS, "o", "feasible"),
         ):  # fmt: skip
@@ -232,7 +210,7 @@ def _degrees(study: Study) -> Figure:
 
 def _norms(sets: SetsOnMotion, chosen: Sequence[_Line], title: str) -> Figure:
     """Norms of the forces of some sets, one panel a joint."""
-    shown = sets.force[[facts.row_of(sets, own) for _, own, _ in chosen]]
+    shown = sets.force[[sets.labels.index(own) for _, own, _ in chosen]]
     real = sets.force[0].amax(0)
     far = bool((shown.amax((0, 1)) > _FAR * real.clamp(min=1e-9)).any())
     curves = {}

@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from torchid.extraction.cma.search import default_population
 from torchid.feasibility.sets import joined, sets_record
 from torchid.files import make_folder, write_text
@@ -235,14 +237,14 @@ def study_page(study: Study, origin: Origin) -> Page:
     error, real = facts.torque_errors(study.sets_motion)
     pictures = drawings(study)
     good = len(by_feasibility(study, True))
-    feasible, runs = facts.feasible_runs(study)
+    runs = torch.cat([s.feasibility.feasible for s in study.scenarios])
     told = [s for s in verdict(study) if not s.startswith("Noticed:")]
     return Page(
         f"{study.settings.title} (section {study.settings.section})",
         page_verdict(study),
         (
             ("Best sets feasible", f"{good} of {len(study.scenarios)}"),
-            ("Runs feasible", f"{feasible} of {runs}"),
+            ("Runs feasible", f"{int(runs.sum())} of {len(runs)}"),
             ("Largest error of a coefficient", number(facts.coefficient_error(study), 2)),
             ("Largest torque error of a set", f"{number(100 * float((error / real).max()), 2)} %"),
         ),

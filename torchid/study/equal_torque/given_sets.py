@@ -4,52 +4,44 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.errors import TorchidError
 from torchid.feasibility.bounds import bounds_groups, read_bounds, read_total_mass
 from torchid.feasibility.conditions import Conditions, conditions
-from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets, nominal_set
 from torchid.inputs import RobotLike, as_log, as_robot
 from torchid.log.model import Log
 from torchid.results.record import Result
-from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.study.equal_torque.setting import (
     corrected_group,
     logged_motion,
     reference_motion,
 )
-from torchid.study.equal_torque.study import GivenReference, GivenSetsRecord, set_errors
-from torchid.typing import Float, Tensor
+from torchid.study.equal_torque.study import (
+    GivenReference,
+    GivenSetsRecord,
+    WrenchComparison,
+    compared_on,
+    set_errors,
+)
 from torchid.wrenches.compare import RESAMPLES, Comparison, compare
-from torchid.wrenches.deviation import WrenchErrors, alike, wrench_errors
+from torchid.wrenches.deviation import alike
 
 
 @dataclass(frozen=True, eq=False)
-class GivenSets(Result):
-    """K sets against one reference.
+class GivenSets(WrenchComparison, Result):
+    """K sets against one reference, see `WrenchComparison`.
 
     Attributes:
         robot: the arm.
         sets, reference: as given; the reference is one set.
-        motion: on which they were compared.
-        checked: the sets' feasibility.
-        errors: of their wrenches, per set and joint.
-        torque_relative: (K, n) root mean square of the torque's difference over the torque's.
-        carried: (K, n) difference of the mass that each joint carries [kg].
         comparison: of the largest force error over the joints, by class and degree.
     """
 
     robot: Robot
     sets: ParameterSets
     reference: ParameterSets
-    motion: Motion
-    checked: Feasibility
-    errors: WrenchErrors
-    torque_relative: Float[Tensor, "K n"]
-    carried: Float[Tensor, "K n"]
     comparison: Comparison
 
     def __repr__(self) -> str:
@@ -133,8 +125,6 @@ def given_sets(
 ) -> GivenSets:
     """Wrench errors of given sets, their reasons and degrees.
 
-    The torque of effects such as friction is not a wrench of the links and is left out.
-
     Args:
         robot: the arm.
         sets: K of them.
@@ -148,25 +138,18 @@ def given_sets(
     """
     if len(reference) != 1:
         raise TorchidError("the reference must be one set.", got=f"{len(reference)} sets")
-    own = InertialParameters(reference.parameters.pi[0])
-    errors = wrench_errors(robot, *motion.state, sets.parameters, own)
-    checked = feasibility(sets, conditions)
-    tau = inverse_dynamics(robot, *motion.state, own)
-    mass = sets.parameters.mass - own.mass
+    compared = compared_on(motion, robot, sets, reference, conditions)
+    force = compared.errors.force_rms
     return GivenSets(
+        **vars(compared),
         robot=robot,
         sets=sets,
         reference=reference,
-        motion=motion,
-        checked=checked,
-        errors=errors,
-        torque_relative=errors.torque_rms / tau.square().mean(0).sqrt(),
-        carried=mass.flip(-1).cumsum(-1).flip(-1),
         comparison=compare(
-            errors.force_rms.amax(-1),
-            [checked.reasons(k) for k in range(len(sets))],
-            checked.degree,
-            cluster=alike(errors.force_rms),
+            force.amax(-1),
+            [compared.checked.reasons(k) for k in range(len(sets))],
+            compared.checked.degree,
+            cluster=alike(force),
             resamples=resamples,
             seed=seed,
         ),
@@ -191,12 +174,5 @@ def given_record(found: GivenSets, source: tuple[str, ...] = ()) -> GivenSetsRec
         instants=found.motion.q.shape[0],
         torque_relative_max=float(found.torque_relative.max()),
         comparison=found.comparison,
-        sets=set_errors(
-            found.sets.ids,
-            found.checked.degree,
-            found.checked,
-            found.errors,
-            found.torque_relative,
-            found.carried,
-        ),
+        sets=set_errors(found, found.sets.ids, found.checked.degree),
     )

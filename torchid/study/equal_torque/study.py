@@ -28,10 +28,13 @@ from torchid.extraction.equal_torque.sample import (
     equal_torque_sets,
     equal_torque_space,
 )
+from torchid.feasibility.conditions import Conditions
 from torchid.feasibility.margins import Feasibility, feasibility
+from torchid.feasibility.sets import ParameterSets
 from torchid.inputs import RobotLike, as_robot
 from torchid.results.record import Ends, Part, Real, Record, Result, Rows
 from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import Robot
 from torchid.study.equal_torque.force_reach import ForceReach, force_reach, force_squares
 from torchid.study.equal_torque.setting import (
     MARGIN,
@@ -161,53 +164,82 @@ class GivenSetsRecord(Record, frozen=True, kw_only=True, tag="torchid.wrenches/1
         return Rows(self.sets)
 
 
+@dataclass(frozen=True, eq=False)
+class WrenchComparison:
+    """K sets beside one reference, on a motion.
+
+    Attributes:
+        motion: on which wrenches were compared.
+        checked: the sets' feasibility.
+        errors: of their wrenches against the reference's, per set and joint.
+        torque_relative: (K, n) root mean square of the difference of the joint torques over that of
+            the torque itself; rounding where the torque is equal.
+        carried: (K, n) difference of the mass that each joint carries [kg].
+    """
+
+    motion: Motion
+    checked: Feasibility
+    errors: WrenchErrors
+    torque_relative: Float[Tensor, "K n"]
+    carried: Float[Tensor, "K n"]
+
+
 def set_errors(
-    ids: tuple[str, ...],
+    found: WrenchComparison,
+    ids: Sequence[str],
     degree: Float[Tensor, " K"],
-    checked: Feasibility,
-    errors: WrenchErrors,
-    torque_relative: Float[Tensor, "K n"],
-    carried: Float[Tensor, "K n"],
-    kinds: tuple[str, ...] = (),
+    kinds: Sequence[str] = (),
 ) -> tuple[SetErrors, ...]:
-    """Sets one by one, with errors as of `EqualTorqueStudy` and `GivenSets`."""
+    """Sets one by one, as the JSON has them."""
+    names = ("force_rms", "force_max", "force_norm_rms", "moment_rms")
     return tuple(
         SetErrors(
             id=name,
             kind=kinds[k] if kinds else UNSET,
-            feasible=bool(checked.feasible[k]),
-            reasons=checked.reasons(k),
+            feasible=bool(found.checked.feasible[k]),
+            reasons=found.checked.reasons(k),
             degree=float(degree[k]),
-            force_rms=errors.force_rms[k],
-            force_max=errors.force_max[k],
-            force_norm_rms=errors.force_norm_rms[k],
-            moment_rms=errors.moment_rms[k],
-            torque_relative=torque_relative[k],
-            carried=carried[k],
+            torque_relative=found.torque_relative[k],
+            carried=found.carried[k],
+            **{name: getattr(found.errors, name)[k] for name in names},
         )
         for k, name in enumerate(ids)
     )
 
 
+def compared_on(
+    motion: Motion,
+    robot: Robot,
+    sets: ParameterSets,
+    reference: ParameterSets,
+    conditions: Conditions,
+) -> WrenchComparison:
+    """Sets beside one reference; effects such as friction are no wrench of the links."""
+    own = InertialParameters(reference.parameters.pi[0])
+    errors = wrench_errors(robot, *motion.state, sets.parameters, own)
+    tau = inverse_dynamics(robot, *motion.state, own)
+    mass = sets.parameters.mass - own.mass
+    return WrenchComparison(
+        motion=motion,
+        checked=feasibility(sets, conditions),
+        errors=errors,
+        torque_relative=errors.torque_rms / tau.square().mean(0).sqrt(),
+        carried=mass.flip(-1).cumsum(-1).flip(-1),
+    )
+
+
 _REPORTS_PAIR = ("CoM only", "inertia only")
-
-
 Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class EqualTorqueStudy(Result):
-    """What was found of a family. All errors of forces are against `setting.reference`.
+class EqualTorqueStudy(WrenchComparison, Result):
+    """What was found of a family, see `WrenchComparison`, against `setting.reference`.
 
     Attributes:
         setting: where the family is from.
         family: the sets.
-        checked: their feasibility.
-        errors: of their wrenches.
-        motion: on which forces were compared.
         rate: samples per second of the motion [Hz]; None for a motion that was given.
-        torque_relative: (K, n) root mean square of the difference of the joint torques over that of
-            the torque itself: rounding.
         comparison: of the largest force error over the joints, by class and degree.
         correlations: of the degree and the error, kind by kind.
         reach: greatest force errors of any set of each kind.
@@ -219,11 +251,7 @@ class EqualTorqueStudy(Result):
 
     setting: Setting
     family: EqualTorqueSets
-    checked: Feasibility
-    errors: WrenchErrors
-    motion: Motion
     rate: float | None
-    torque_relative: Float[Tensor, "K n"]
     comparison: Comparison
     correlations: tuple[KindCorrelation, ...]
     reach: tuple[ForceReach, ...]
@@ -237,13 +265,26 @@ class EqualTorqueStudy(Result):
 
     @cached_property
     def record(self) -> EqualTorqueRecord:
-        """As the JSON has it."""
-        return study_record(self)
-
-    @property
-    def carried(self) -> Float[Tensor, "K n"]:
-        """(K, n) difference of the mass that each joint carries [kg]."""
-        return carried_difference(self.family, self.setting)
+        """As the JSON has it; numbers that are not known are null."""
+        setting = self.setting
+        total = setting.conditions.total_mass.tolist()
+        return EqualTorqueRecord.of(
+            self,
+            robot=setting.robot.name,
+            geometry=setting.geometry,
+            outer=setting.outer.name,
+            total_mass=(total[0], total[1]),
+            reference=ReferenceOfStudy(
+                origin=setting.origin,
+                mass=setting.reference.parameters.mass[0],
+                torque_change_rms=setting.torque_change,
+                force_rms=self.errors.reference_force_rms,
+            ),
+            instants=self.motion.q.shape[0],
+            torque_relative_max=float(self.torque_relative.max()),
+            kinds=tuple(_kind(self, kind) for kind in self.kinds),
+            sets=set_errors(self, self.family.sets.ids, self.degree, self.family.kind),
+        )
 
     @property
     def worst(self) -> Float[Tensor, " K"]:
@@ -263,12 +304,6 @@ class EqualTorqueStudy(Result):
     def rows(self, kind: str) -> list[int]:
         """Indices of the sets of a kind."""
         return [k for k, own in enumerate(self.family.kind) if own == kind]
-
-
-def carried_difference(family: EqualTorqueSets, setting: Setting) -> Float[Tensor, "K n"]:
-    """(K, n) difference of the mass that each joint carries [kg]."""
-    mass = family.sets.parameters.mass - setting.reference.parameters.mass
-    return mass.flip(-1).cumsum(-1).flip(-1)
 
 
 def links_degree(checked: Feasibility) -> Float[Tensor, " K"]:
@@ -323,11 +358,10 @@ def equal_torque_study(
     motion = motion or reference_motion(robot, seed)
     tell: Progress = progress or (lambda stage, done, total: None)
     tell("sets with equal torque", 0, 2)
-    reference, own = setting.reference, InertialParameters(setting.reference.parameters.pi[0])
     family = equal_torque_sets(
         setting.robot,
         setting.base,
-        reference,
+        setting.reference,
         setting.conditions,
         setting.outer,
         kinds=kinds,
@@ -342,10 +376,11 @@ def equal_torque_study(
             hint="wider boxes, or a reference with a larger margin",
         )
     tell("statistics and greatest errors", 1, 2)
-    errors = wrench_errors(setting.robot, *motion.state, family.sets.parameters, own)
-    checked = feasibility(family.sets, setting.conditions)
-    worst, degree = errors.force_rms.amax(-1), links_degree(checked)
-    reasons = [checked.reasons(k) for k in range(len(worst))]
+    compared = compared_on(
+        motion, setting.robot, family.sets, setting.reference, setting.conditions
+    )
+    worst, degree = compared.errors.force_rms.amax(-1), links_degree(compared.checked)
+    reasons = [compared.checked.reasons(k) for k in range(len(worst))]
     present = ordered_classes(map(class_of, reasons))
     # Each class against the feasible sets; the report asks for CoM against inertia.
     pairs = [(name, present[0]) for name in present[1:]]
@@ -359,20 +394,16 @@ def equal_torque_study(
         resamples=resamples,
         seed=seed,
     )
-    space = equal_torque_space(reference, setting.base, setting.conditions, setting.outer)
+    space = equal_torque_space(setting.reference, setting.base, setting.conditions, setting.outer)
     reach = force_reach(space, force_squares(setting.robot, motion, space.directions))
-    weight = carried_difference(family, setting).abs().amax(-1) * setting.robot.gravity.norm()
+    weight = compared.carried.abs().amax(-1) * setting.robot.gravity.norm()
     low, middle, high = np.nanpercentile((weight / worst).numpy(), [2.5, 50, 97.5]).tolist()
-    tau = inverse_dynamics(setting.robot, *motion.state, own)
     tell("done", 2, 2)
     return EqualTorqueStudy(
+        **vars(compared),
         setting=setting,
         family=family,
-        checked=checked,
-        errors=errors,
-        motion=motion,
         rate=rate,
-        torque_relative=errors.torque_rms / tau.square().mean(0).sqrt(),
         comparison=comparison,
         correlations=_correlations(family, degree.numpy(), worst.numpy(), resamples, seed),
         reach=reach,
@@ -394,37 +425,6 @@ def _correlations(
             rho = sample.estimate(lambda k: spearman(degree[k], error[k]), [own])
             found.append(KindCorrelation(name, len(own), rho))
     return tuple(found)
-
-
-def study_record(study: EqualTorqueStudy) -> EqualTorqueRecord:
-    """A study of sets with equal torque; numbers that are not known are null."""
-    setting = study.setting
-    total = setting.conditions.total_mass.tolist()
-    return EqualTorqueRecord.of(
-        study,
-        robot=setting.robot.name,
-        geometry=setting.geometry,
-        outer=setting.outer.name,
-        total_mass=(total[0], total[1]),
-        reference=ReferenceOfStudy(
-            origin=setting.origin,
-            mass=setting.reference.parameters.mass[0],
-            torque_change_rms=setting.torque_change,
-            force_rms=study.errors.reference_force_rms,
-        ),
-        instants=study.motion.q.shape[0],
-        torque_relative_max=float(study.torque_relative.max()),
-        kinds=tuple(_kind(study, kind) for kind in study.kinds),
-        sets=set_errors(
-            study.family.sets.ids,
-            study.degree,
-            study.checked,
-            study.errors,
-            study.torque_relative,
-            study.carried,
-            study.family.kind,
-        ),
-    )
 
 
 def _kind(study: EqualTorqueStudy, kind: str) -> KindRecord:
