@@ -60,6 +60,8 @@ UNITS = {
 """What one radian is in units that commands are sent in."""
 SLIGHT = 0.01
 """Share of the distance between command and position below which nothing is looked for [1]."""
+GAP = 2.0
+"""Squared error over what calls for no cause, from which on there is a gap [1]."""
 GEARED = 1.7
 """Factor between commands and positions from which a search begins with it [1]."""
 PROPORTIONAL = 0.95

@@ -15,8 +15,8 @@ from torch import Tensor
 from torchid.effects.servo import ServoEffect
 from torchid.log.checks import STILL
 from torchid.log.model import Log
-from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare
-from torchid.position.diagnosis import GAP, Accuracy, PositionDiagnosis, PositionFinding, Size
+from torchid.position.data import GAP, WINDOW_S, PositionData, missing_commands, prepare
+from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
 from torchid.position.early import EarlyAnswer
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, neutral
 from torchid.position.equal import OF_TYPE, pooled, with_data_sheets
@@ -406,7 +406,7 @@ def _answer(
     found, explained, alike = alone(data, simple, few, early)
     say("a load")
     load, others = None, tuple[str, ...]()
-    if bool((losses_of(data, simple.servos, few).sum(0) > slight(data, few)).any()):
+    if bool((losses_of(data, simple.servos, few).sum(0) > GAP * slight(data, few)).any()):
         load = with_load(data, simple, few) if data.weighed else None
     if load is not None:
         # One cause of what all joints show, where no more is needed, comes before several.
@@ -426,7 +426,8 @@ def _answer(
         else:
             load = None
     if not bool(explained.all()):
-        found = _no_worse(data, found, _no_worse(data, simple, full(data, few, say), few), few)
+        every = _no_worse(data, simple, full(data, few, say), few, squares)
+        found = _no_worse(data, found, every, few, squares)
         found = shared(data, found, few)
         load = with_load(data, found, few) if data.weighed else None
     say("what each effect is worth")
@@ -447,11 +448,16 @@ def _answer(
     return _Answer(data, found, worth, rivals, gain)
 
 
-def _no_worse(data: PositionData, simple: Found, found: Found, windows: Windows) -> Found:
-    """The model with simple servos on the joints that these follow as well: a search may end where
-    more parameters do no better."""
+def _no_worse(
+    data: PositionData, simple: Found, found: Found, windows: Windows, squares: float
+) -> Found:
+    """The model with simple servos on the joints that these follow as well, but for what that many
+    more causes would have to be worth: a search may end where more parameters do no better."""
     before, after = (losses_of(data, model.servos, windows).sum(0) for model in (simple, found))
-    needless = before - after < slight(data, windows)
+    few, many = (_causes_of(model) for model in (simple, found))
+    worth = 1 - (1 - squares) ** (many - few).clamp(min=0)
+    least = slight(data, windows)
+    needless = (before <= GAP * least) | (before - after < torch.maximum(least, worth * before))
     joint = torch.where(needless[:, None], simple.servos.joint, found.servos.joint)
     none = torch.zeros_like(needless)
     free = {
@@ -522,8 +528,13 @@ def _present(found: Found, effect: ServoEffect) -> Tensor:
 
 def _causes(found: Found) -> int:
     """Effects beside plain servos, joint by joint; a plane is one."""
-    named = (e for e in EFFECTS if e.name not in KEPT)
-    return sum(int(_present(found, e).sum()) if e.parameters else int(found.plane) for e in named)
+    return int(_causes_of(found).sum()) + int(found.plane)
+
+
+def _causes_of(found: Found) -> Tensor:
+    """(n,) effects of joints beside plain servos."""
+    named = (e for e in EFFECTS if e.name not in KEPT and e.parameters)
+    return torch.stack([_present(found, e) for e in named]).sum(0)
 
 
 def _without(found: Found, effect: ServoEffect, joints: Tensor, sample: float) -> Found:
@@ -574,7 +585,7 @@ def _needed(
         often = _mostly(gain) if effect.family == "world" else _sure(gain)
         # A plane is there for all joints or for none.
         call = least if effect.parameters else least.sum()
-        keep = on & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
+        keep = on & (gain.sum(0) > squares * total) & (total > GAP * call) & often
         if effect.name == "command_delay":
             keep &= found.servos.of("delay") > data.tracks.dt
         worth[effect.name] = without.sum(0), whole.sum(0)
@@ -615,7 +626,7 @@ def _returned(
 ) -> tuple[Worth, Rivals, Found]:
     """Effects that stood for each other: one of them returns, with the others' names."""
     lean = losses_of(data, now.servos, windows).sum(0)
-    lost = ((1.0 - squares) * lean > whole.sum(0)) & (lean - whole.sum(0) > least)
+    lost = ((1.0 - squares) * lean > whole.sum(0)) & (lean > GAP * least)
     candidates = {
         name: joints & lost
         for name, joints in removed.items()

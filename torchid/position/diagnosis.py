@@ -9,7 +9,7 @@ import msgspec
 import torch
 from msgspec import UNSET
 
-from torchid.position.data import PositionData
+from torchid.position.data import GAP, PositionData
 from torchid.position.judge import closed_share
 from torchid.position.model import ServoArm
 from torchid.position.nominal import NominalServo
@@ -38,8 +38,6 @@ from torchid.statistics.criteria import LIKELY
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
 
-GAP = 2.0
-"""Squared error over what calls for no cause, from which on there is a gap [1]."""
 MOST = 0.9
 """Share of a gap that its causes close [1]."""
 

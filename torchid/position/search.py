@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchid.effects.servo import ServoEffect
-from torchid.position.data import PositionData
+from torchid.position.data import GAP, PositionData
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT
 from torchid.position.fit import VALLEYS, errors, fit, huber, loss
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
@@ -28,7 +28,7 @@ NEAR = 10.0
 """Times the loss that calls for no cause within which a plain servo is fitted to the end [1]."""
 TAKEN = 0.03
 """Share of a joint's loss that a size of an effect without slope must take away to be tried [1]."""
-ROUNDS, SETTLED = 6, 0.01
+ROUNDS, SETTLED = 8, 0.01
 """Of a fit that is brought to its end, at most; and the share of a joint's loss that a round must
 take away [1]."""
 ALIKE = 1.5
@@ -149,10 +149,10 @@ def refit(data: PositionData, found: Found, windows: Windows, *, iterations: int
 
 def settled(data: PositionData, found: Found, windows: Windows) -> Found:
     """A model fitted until no joint gains: the numbers of set-points move once a round, for every
-    step of theirs simulates the commands' way anew."""
+    step of theirs simulates the commands' way anew, and are looked for beyond their valleys."""
     before = _one(data, found, windows)
     for _ in range(ROUNDS):
-        found = refit(data, found, windows, iterations=3)
+        found = refit(data, _scanned(data, found, windows), windows, iterations=3)
         after = _one(data, found, windows)
         if bool((after > (1 - SETTLED) * before).all()):
             break
@@ -380,8 +380,8 @@ def alone(
         joints (n,) on which no gap is left; what does as well in an effect's place.
     """
     least, before = slight(data, windows), _one(data, simple, windows)
-    if bool((before <= least).all()):
-        return simple, before <= least, {}
+    if bool((before <= GAP * least).all()):
+        return simple, before <= GAP * least, {}
     tried: dict[str, Found] = {}
     cost: dict[str, Tensor] = {}
     calm = _calm(data, simple, windows, before > NEAR * least)
@@ -410,7 +410,7 @@ def alone(
     # The joints that are worst first: what is left on others may be these joints' doing.
     for share in (0.3, 0.0):
         excess = cost_now / least
-        worst = ~given & (excess > 1) & (excess >= share * excess.amax())
+        worst = ~given & (excess > GAP) & (excess >= share * excess.amax())
         best, which = own.min(0)
         worst &= best < (1 - TAKEN) * cost_now
         if not bool(worst.any()):
@@ -435,6 +435,10 @@ def alone(
         servos = fit(data, servos, free, windows, plane=now.plane, iterations=3)
         now = Found(servos, free, now.plane)
         cost_now = _one(data, now, windows)
+    # Joints feel each other's set-points: all of them are best before one is judged.
+    if any(name in now.free for name in VALLEYS):
+        now = settled(data, now, windows)
+        cost_now = _one(data, now, windows)
     # Where one effect is nearly enough, the fit is brought to its end before that is judged.
     near = given & (cost_now > least) & (cost_now < NEAR * least)
     if bool(near.any()):
@@ -442,7 +446,7 @@ def alone(
         servos = fit(data, now.servos, rest, windows, plane=now.plane, iterations=15)
         now = replace(now, servos=servos)
         cost_now = _one(data, now, windows)
-    return now, cost_now <= least, rivals
+    return now, cost_now <= GAP * least, rivals
 
 
 def _calm(data: PositionData, simple: Found, windows: Windows, far: Bool[Tensor, " n"]) -> Found:
