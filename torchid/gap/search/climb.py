@@ -31,12 +31,13 @@ from torchid.gap.search.evidence import (
     leading,
     offers_of_each,
     prior_of,
+    refit,
     refused,
     relief,
     risen,
     subset_of,
 )
-from torchid.gap.search.terms import Term
+from torchid.gap.search.terms import Term, excluding
 from torchid.typing import Float, Tensor
 
 TRIED = 10
@@ -87,15 +88,11 @@ def allowed(question: Question, fit: Fitted, rounds: int = 2) -> Fitted:
     """Without the terms that physics refuses beside the others; `rounds` as for `fit_terms`."""
     while fit.evidence == -math.inf:
         gone = refused(fit.terms, Solved(fit.x, fit.root))
-        own = [t for t in _own(question, fit) if all(t is not g for g in gone)]
-        if len(own) == len(_own(question, fit)):
+        own = excluding(question.own(fit), gone)
+        if len(own) == len(question.own(fit)):
             break
-        fit = fit_terms(question, own, fit.effective, fit.weight, rounds)
+        fit = refit(question, fit, own, rounds)
     return fit
-
-
-def _own(question: Question, fit: Fitted) -> tuple[Term, ...]:
-    return fit.terms[len(question.fixed) :]
 
 
 def _signature(fit: Fitted) -> frozenset[int]:
@@ -125,7 +122,7 @@ def _moves(
     question: Question, fit: Fitted, found: Sequence[Offer], *, groups: bool
 ) -> list[tuple[float, Move]]:
     n = question.candidates.gram.n
-    own = _own(question, fit)
+    own = question.own(fit)
     # One by one.
     # A further joint of what most joints have is no further cause.
     free = common_names(own, question.joints)
@@ -164,7 +161,7 @@ def _joint_net(question: Question, fit: Fitted, terms: Sequence[Term]) -> float:
     samples count as independent."""
     rows = question.normal.rows
     weight = rows / fit.losses.clamp(min=1e-300)
-    more = fit_terms(question, (*_own(question, fit), *terms), rows, weight)
+    more = fit_terms(question, (*question.own(fit), *terms), rows, weight)
     paid = sum(t.count * math.log(max(float(rows[t.place]), 2.0)) for t in terms)
     return float(risen(rows, fit.losses, more.losses).sum()) - paid
 
@@ -172,7 +169,7 @@ def _joint_net(question: Question, fit: Fitted, terms: Sequence[Term]) -> float:
 def _lighter(question: Question, fit: Fitted) -> Fitted | None:
     """Without the term that the evidence misses least, if it rises. What a term holds beside the
     others is x' C^-1 x, C the block of the covariance (Wald): the weakest are looked at exactly."""
-    own = _own(question, fit)
+    own = question.own(fit)
     spread = fit.root @ fit.root.T
     held: list[tuple[float, int]] = []
     first = len(fit.x) - sum(t.count for t in own)
@@ -196,7 +193,7 @@ def _lighter(question: Question, fit: Fitted) -> Fitted | None:
 def swapped(question: Question, fit: Fitted, *, every: bool = False) -> Fitted | None:
     """With one term changed for another, if the evidence rises: another shape, or another effect.
     Those that promise more than the term to first order are tried, or every likely one."""
-    own = _own(question, fit)
+    own = question.own(fit)
     without = [tuple(t for t in own if t is not term) for term in own]
     tried: list[Move] = []
     fits = fit_each(question, without, fit.effective, fit.weight)
@@ -216,7 +213,7 @@ def swapped(question: Question, fit: Fitted, *, every: bool = False) -> Fitted |
 def _added(question: Question, fit: Fitted) -> Fitted | None:
     """The best addition, if the evidence rises with it; what it leaves is the noise, for one that
     is true makes the rest less dependent. Only the most likely are looked at so closely."""
-    own = _own(question, fit)
+    own = question.own(fit)
     if len(cause_groups(own, question.joints)) >= question.settings.max_effects:
         return None
     options = [m for _, m in moves(question, fit)][:TRIED]
@@ -229,19 +226,19 @@ def _added(question: Question, fit: Fitted) -> Fitted | None:
         rise = then.evidence - now.evidence
         # Of a step it is asked whether its torque is worth it on some joint, not yet whether the
         # error falls by as much: what is still missing may be larger.
-        new = [t for t in _own(question, then) if all(t is not o for o in own)]
+        new = excluding(question.own(then), own)
         fall = (now.losses - then.losses).clamp(min=0) / acting(question, new)
         size = (fall / rows.clamp(min=1.0)).sqrt()
         least = question.least(now.losses / rows.clamp(min=1.0))
         if question.known:
             size = torch.maximum(size, relief(question, then, now, new))
-        worth = bool((size >= least).any()) or any(map(question.shows, _own(question, then)))
+        worth = bool((size >= least).any()) or any(map(question.shows, question.own(then)))
         if rise > 0 and worth and (best is None or rise > best[0]):
             best = rise, then
     if best is None:
         return None
     fit = best[1]
-    return fit_terms(question, _own(question, fit), fit.effective, fit.weight)
+    return refit(question, fit, question.own(fit))
 
 
 def held_out_losses(
@@ -309,7 +306,7 @@ def worthy(
         """By how much the held-out error of m joints falls with some terms, group by group, in
         units of the least that is worth a name: of their own joints, or of all; the largest
         first."""
-        rests = [[t for t in own if all(t is not g for g in gone)] for gone in groups]
+        rests = [excluding(own, gone) for gone in groups]
         out = []
         if groups:
             every = held_out_losses_of_each(question, folds, fit, rests) / rows
@@ -321,7 +318,7 @@ def worthy(
             if question.known:
                 # Where the model's own corrections would be stretched in its place, that is its
                 # size.
-                without = fit_terms(question, rest, fit.effective, fit.weight)
+                without = refit(question, fit, rest)
                 fall = torch.maximum(fall, relief(question, fit, without, gone) / least)
             places = sorted({t.place for t in gone if t.place is not None})
             out.append((fall[places] if places else fall).sort(descending=True).values)
@@ -333,7 +330,7 @@ def worthy(
         return {id(t): float(fall[0]) for t, fall in zip(terms, found, strict=True)}
 
     closes: dict[int, float] = {}
-    while own := _own(question, fit):
+    while own := question.own(fit):
         now = held_out_losses(question, folds, fit, own) / rows
         groups = cause_groups(own, question.joints)
         # What most joints have must be worth it on more than half of them.
@@ -360,6 +357,6 @@ def worthy(
             by = missed(gone)
             gone = [min(gone, key=lambda t: by[id(t)])]
         left += gone
-        keep = [t for t in own if all(t is not c for c in gone)]
-        fit = allowed(question, fit_terms(question, keep, fit.effective, fit.weight))
+        keep = excluding(own, gone)
+        fit = allowed(question, refit(question, fit, keep))
     return fit, left

@@ -213,7 +213,7 @@ def _beside_laws(question: Question) -> tuple[Float[Tensor, "n N"], Float[Tensor
     """
     candidates = question.candidates
     ones = torch.ones(candidates.columns.n, dtype=torch.float64)
-    laws = [t for t in candidates.terms if t.name in LAWS and len(t.effects) == 1]
+    laws = [t for t in candidates.terms if t.name in LAWS and t.alone]
     base = [t for t in (*candidates.terms, *candidates.fixed) if t.name == BASE]
     fixed = {id(t) for t in candidates.fixed}
     fit = fit_terms(question, [t for t in (*base, *laws) if id(t) not in fixed], ones)

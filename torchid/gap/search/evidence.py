@@ -120,6 +120,10 @@ class Question:
         """Terms that are always in the model."""
         return self.candidates.fixed
 
+    def own(self, fit: Fitted) -> tuple[Term, ...]:
+        """Terms of a fit beside the fixed ones."""
+        return fit.terms[len(self.fixed) :]
+
     @property
     def known(self) -> bool:
         """Whether the model as given knows how sure it is."""
@@ -323,25 +327,18 @@ def apart(question: Question, fit: Fitted, other: Fitted) -> tuple[Fitted, Fitte
     def again(f: Fitted) -> Fitted:
         if f.evidence == -math.inf:  # refused, beside noise of another size
             weight = n / f.losses.clamp(min=1e-300)
-            return fit_terms(question, f.terms[len(question.fixed) :], n, weight, 1)
-        evidence = evidence_of(question, f.terms, f.losses, f.known, n)
-        return replace(f, effective=n, evidence=evidence)
+            return fit_terms(question, question.own(f), n, weight, 1)
+        return with_evidence(question, replace(f, effective=n))
 
     return again(fit), again(other)
 
 
-def evidence_of(
-    question: Question,
-    terms: Sequence[Term],
-    losses: Float[Tensor, " n"],
-    known: float,
-    effective: Float[Tensor, " n"],
-) -> float:
-    """E of terms, the fixed ones first: what is gained, less the distance from what is known
-    beforehand and the price of the others."""
-    gain = float(risen(effective, question.squares, losses).sum())
-    own = terms[len(question.fixed) :]
-    return gain - known - cost(question, own, effective)
+def with_evidence(question: Question, fit: Fitted) -> Fitted:
+    """A fit with its E: what is gained, less the distance from what is known beforehand and the
+    price of the terms beside the fixed ones."""
+    gain = float(risen(fit.effective, question.squares, fit.losses).sum())
+    price = cost(question, question.own(fit), fit.effective)
+    return replace(fit, evidence=gain - fit.known - price)
 
 
 def fit_terms(
@@ -365,6 +362,13 @@ def fit_terms(
         conic: whether bodies must stay bodies; without, no less is left.
     """
     return _fit_each(question, [terms], effective, weight, rounds, conic=conic)[0][0]
+
+
+def refit(
+    question: Question, fit: Fitted, terms: Sequence[Term], rounds: int = 2, *, conic: bool = True
+) -> Fitted:
+    """What `fit_terms` gives with the numbers of samples and the first weights of another fit."""
+    return fit_terms(question, terms, fit.effective, fit.weight, rounds, conic=conic)
 
 
 def fit_each(
@@ -460,9 +464,7 @@ def _fit_each(
             wrong = forbidden(limits[k, :own], Solved(fit.x, fit.root))
             any_wrong = bool(wrong.any())
         else:
-            gain = float(risen(effective, question.squares, fit.losses).sum())
-            evidence = gain - fit.known - cost(question, explanations[k], effective)
-            fit = replace(fit, evidence=evidence)
+            fit = with_evidence(question, fit)
         out.append(fit)
     return out, complete
 
@@ -561,7 +563,7 @@ def in_turn(
     def loss(one: Fitted) -> float:
         return float((weight * one.losses).sum()) + dependent * one.known
 
-    left = [loss(fit_terms(question, (), fit.effective, fit.weight))]
+    left = [loss(refit(question, fit, ()))]
     each = fit_each(question, [(t,) for t in terms], fit.effective, fit.weight)
     alone = [loss(f) for f in each]
     order: list[int] = []

@@ -36,12 +36,12 @@ from torchid.gap.search.evidence import (
     apart,
     common_names,
     fit_each,
-    fit_terms,
+    refit,
     residual,
     rows_of,
 )
 from torchid.gap.search.solve import Solution, at_estimate, corrected, solved
-from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, candidates_of
+from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, candidates_of, excluding
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
@@ -80,7 +80,7 @@ class Explanation:
     @property
     def terms(self) -> tuple[Term, ...]:
         """What is told."""
-        return self.fit.terms[len(self.question.fixed) :]
+        return self.question.own(self.fit)
 
 
 def explained(
@@ -133,7 +133,7 @@ def explained(
         ]
         if finer:
             extra += finer
-            again = fit.terms[len(question.fixed) :]
+            again = question.own(fit)
             question = asked(columns)
             again = tuple(_finest(question.candidates, t, finer) or t for t in again)
             fit = climbed(question, again)
@@ -148,8 +148,8 @@ def explained(
         # Without the events that do not stand out any more, the search goes on from the laws.
         while gone := events_not_standing_out(question, fit, left, repeated):
             question = replace(question, barred=question.barred | {t.key for t in gone})
-            own = fit.terms[len(question.fixed) :]
-            laws = [t for t in own if all(t is not g for g in gone)]
+            own = question.own(fit)
+            laws = excluding(own, gone)
             fit, left = worthy(question, folds, climbed(question, laws))
             fit, left = improve_by_swaps(question, folds, fit, left)
         whole = with_bodies(question, folds, fit)
@@ -168,8 +168,7 @@ def explained(
         pairs = zip(fit.terms, fit.values(), strict=True)
         moved = [at_estimate(t, v) for t, v in pairs]
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
-        alone = [t.effects[0] for t in start if len(t.effects) == 1]
-        extra += [e for e in alone if hasattr(e, "at")]
+        extra += [t.alone for t in start if t.alone and hasattr(t.alone, "at")]
     while True:
         fit = fit_to_convergence(question, fit.terms, fit)
         solution = solve(problem, fit)
@@ -178,8 +177,8 @@ def explained(
             return Explanation(question, fitted(question), fit, tuple(left), solution)
         # The search ends without what vanished at the model found.
         question = replace(question, barred=question.barred | {t.key for t in gone})
-        rest = [t for t in fit.terms[len(question.fixed) :] if t.key not in question.barred]
-        fit = allowed(question, fit_terms(question, rest, fit.effective, fit.weight))
+        rest = [t for t in question.own(fit) if t.key not in question.barred]
+        fit = allowed(question, refit(question, fit, rest))
         fit, left = improve_by_swaps(question, folds, fit, left)
 
 
@@ -187,14 +186,13 @@ def terms_without_torque(question: Question, solution: Solution) -> list[Term]:
     """Causes that make less torque at the corrected model than is worth a name, whatever they made
     at the model that their columns were taken at: no error falls by more than the torque that is
     added to a model. What most joints have may be small on one of them."""
-    rows = question.normal.rows.clamp(min=1.0)
+    rows, first = question.normal.rows.clamp(min=1.0), len(question.fixed)
     least = question.least(solution.left.square().sum(1) / rows)
-    common = common_names(solution.terms[len(question.fixed) :], question.joints)
+    common = common_names(solution.terms[first:], question.joints)
     columns = solution.a.split([len(v) for v in solution.values])
+    every = list(zip(solution.terms, solution.values, columns, strict=True))
     gone = []
-    for term, values, a in list(zip(solution.terms, solution.values, columns, strict=True))[
-        len(question.fixed) :
-    ]:
+    for term, values, a in every[first:]:
         there = rows * acting(question, [term])
         torque = (torch.tensordot(values, a, 1).square().sum(1) / there).sqrt()
         small = bool((torque < least).all()) and term.name not in common
@@ -206,8 +204,7 @@ def terms_without_torque(question: Question, solution: Solution) -> list[Term]:
 def fit_to_convergence(question: Question, terms: Sequence[Term], fit: Fitted) -> Fitted:
     """What is told: terms, the fixed ones first, fitted until the joints' weights settle, without
     those that physics then refuses; samples and first weights are those of a fit."""
-    own = terms[len(question.fixed) :]
-    return allowed(question, fit_terms(question, own, fit.effective, fit.weight, 10), 10)
+    return allowed(question, refit(question, fit, terms[len(question.fixed) :], 10), 10)
 
 
 def best_explanation(question: Question, start: Sequence[Term]) -> Fitted:
@@ -222,11 +219,11 @@ def best_explanation(question: Question, start: Sequence[Term]) -> Fitted:
     found = [climbed(question, s) for s in starts]
     best = better(question, found)
     # Several bodies at once: all base parameters may say it with less.
-    own = best.terms[len(question.fixed) :]
+    own = question.own(best)
     bodies = [t for t in own if t.inertial or t.name == PAYLOAD]
     base = [t for t in question.candidates.terms if t.name == BASE]
     if len(bodies) > 1 and base:
-        others = [t for t in own if all(t is not b for b in bodies)]
+        others = excluding(own, bodies)
         found.append(climbed(question, [*base, *others]))
     return better(question, found)
 
@@ -266,7 +263,7 @@ def search_without_small(
     out = list(left)
     while out:
         barred = replace(question, barred=frozenset(t.key for t in out))
-        more, gone = worthy(barred, folds, climbed(barred, fit.terms[len(question.fixed) :]))
+        more, gone = worthy(barred, folds, climbed(barred, question.own(fit)))
         if better(question, [fit, more]) is fit:
             break
         fit, out = more, [*out, *gone]
@@ -280,9 +277,9 @@ def events_not_standing_out(
 ) -> list[Term]:
     """Events that do not stand out from what the laws leave elsewhere in the log: these laws, and
     those that have evidence but are not worth a name."""
-    own = fit.terms[len(question.fixed) :]
+    own = question.own(fit)
     small = [t for t in left if all(t.key != o.key for o in own)]
-    beside = fit_terms(question, [*own, *small], fit.effective, fit.weight)
+    beside = refit(question, fit, [*own, *small])
     gone = hidden_contacts(question, beside, repeated)
     return [t for t in own if any(t is g for g in gone)]
 
@@ -290,31 +287,29 @@ def events_not_standing_out(
 def with_bodies(question: Question, folds: Folds, fit: Fitted) -> Fitted:
     """All base parameters beside what was found, if they are worth it: last, for they hold a share
     of every cause. They displace what the evidence does not need beside them."""
-    own = fit.terms[len(question.fixed) :]
+    own = question.own(fit)
     base = [t for t in question.candidates.terms if t.name == BASE]
     if not base or any(t.name == BASE for t in own):
         return fit
     # Beside the effects, but in the place of other bodies.
     beside = [*(t for t in own if not t.inertial), *base]
-    more = fit_terms(question, beside, fit.effective, fit.weight, 10)
+    more = refit(question, fit, beside, 10)
     one, other = apart(question, more, fit)
     if one.evidence <= other.evidence:
         return fit
     # They must be worth it on some joint, on data that was not fitted, and do no such harm on any.
     rows = question.normal.rows.clamp(min=1.0)
     without = held_out_losses(question, folds, more, own) / rows
-    then = held_out_losses(question, folds, more, more.terms[len(question.fixed) :]) / rows
+    then = held_out_losses(question, folds, more, question.own(more)) / rows
     fall = (without.sqrt() - then.sqrt()) / question.least(without)
     if not bool((fall >= 1).any()) or bool((fall <= -1).any()):
         return fit
     # Beside them the causes that the evidence is better without leave, the least needed first; a
     # load stays, for they hold whatever it does.
     while True:
-        kept = more.terms[len(question.fixed) :]
-        rest = [[t for t in kept if t is not s] for s in kept if s.name not in (BASE, PAYLOAD)]
-        lighter = [
-            allowed(question, fit_terms(question, r, more.effective, more.weight, 10)) for r in rest
-        ]
+        kept = question.own(more)
+        rest = [excluding(kept, [s]) for s in kept if s.name not in (BASE, PAYLOAD)]
+        lighter = [allowed(question, refit(question, more, r, 10)) for r in rest]
         best = max(lighter, key=lambda f: f.evidence, default=more)
         one, other = apart(question, more, best)
         if other.evidence <= one.evidence:
@@ -335,9 +330,7 @@ def without_terms(
     if they are small."""
     question, fit = found.question, found.fit
     # The other terms are fitted anew.
-    less = fit_to_convergence(
-        question, [t for t in fit.terms if all(t is not g for g in gone)], fit
-    )
+    less = fit_to_convergence(question, excluding(fit.terms, gone), fit)
     return _with_fit(found, question, less, gone if small else (), problem)
 
 
@@ -375,7 +368,7 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
     """Shapes between those of the grid, where they explain more: of the terms, and of the likeliest
     further cause of each joint, which may lack evidence at the grid's shapes alone."""
     columns = question.candidates.columns
-    own = fit.terms[len(question.fixed) :]
+    own = question.own(fit)
     further: dict[Place, Term] = {}
     for net, (term, *_) in moves(question, fit):
         if net > 0 and term.shapes > 0:
@@ -383,7 +376,7 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
     out: list[Effect] = []
     for term in (*own, *further.values()):
         # What another sensor shows already has its shape from there.
-        effect = term.effects[0] if len(term.effects) == 1 and term.seen is None else None
+        effect = term.alone if term.seen is None else None
         if isinstance(effect, JointEffect):
             movable = term.shapes > 0
         else:
@@ -392,7 +385,7 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
         if effect is None or not movable:
             continue
         # The shape that leaves least, all coefficients fitted anew with it.
-        best = _closest(question, fit, [t for t in own if t is not term], effect, columns)
+        best = _closest(question, fit, excluding(own, [term]), effect, columns)
         if best is not None and best != effect:
             out.append(best)
     return out
@@ -407,7 +400,7 @@ def sharpened(question: Question, fit: Fitted, problem: Problem) -> list[Effect]
     samples = Samples(some, data.band)
     out: list[Effect] = []
     for term, values in own[len(question.fixed) :]:
-        effect = term.effects[0] if len(term.effects) == 1 else None
+        effect = term.alone
         if term.seen is not None or not (isinstance(effect, ModelEffect) and effect.sharp()):
             continue
         # What all other terms leave.
@@ -443,14 +436,14 @@ def at_their_size(question: Question, fit: Fitted) -> list[Effect]:
     """What is likeliest in the place of each term, with its secant at its own estimate: at any
     other place a large true cause leaves more than rivals that are linear."""
     moved: dict[object, Effect] = {}
-    own = fit.terms[len(question.fixed) :]
-    rests = [[t for t in own if t is not term] for term in own]
+    own = question.own(fit)
+    rests = [excluding(own, [term]) for term in own]
     without = fit_each(question, rests, fit.effective, fit.weight)
     for rest, offered in zip(rests, moves_of_each(question, without, own), strict=True):
         for net, (rival, *_) in offered[:CLOSELY]:
-            effect = rival.effects[0] if len(rival.effects) == 1 else None
+            effect = rival.alone
             if net > 0 and effect and effect.linearised and effect.identity not in moved:
-                there = fit_terms(question, (*rest, rival), fit.effective, fit.weight)
+                there = refit(question, fit, (*rest, rival))
                 moved[effect.identity] = at_estimate(rival, there.values()[-1]).effects[0]
     return list(moved.values())
 
@@ -461,7 +454,7 @@ def _closest(
     """The shape of an effect that explains most beside the others."""
     # What the other terms leave, on the joints that the effect is felt on, weighted.
     keep = question.candidates.keep
-    rest = fit_terms(question, others, fit.effective, fit.weight, 1)
+    rest = refit(question, fit, others, 1)
     weight = fit.weight.sqrt().unsqueeze(1) * keep
     own = effect.joint if isinstance(effect, JointEffect) else None
     joints = slice(None) if own is None else slice(own, own + 1)
@@ -519,7 +512,7 @@ def _again(candidates: Candidates, term: Term) -> Term | None:
 
 def _finest(candidates: Candidates, term: Term, finer: Sequence[Effect]) -> Term | None:
     """The term with its refined shape, where it has one."""
-    alone = term.effects[0] if len(term.effects) == 1 else None
+    alone = term.alone
     for effect in finer:
         if alone is not None and type(effect) is type(alone) and _near(effect, alone):
             return _again(candidates, replace(term, effects=(effect,)))

@@ -90,12 +90,12 @@ def odds(
     """
     now, then = apart(question, *fits)
     term = solution.terms[k]
-    rest = then.terms[len(question.fixed) :]
+    rest = question.own(then)
 
     def price(terms: Sequence[Term]) -> float:
         return cost(question, terms, now.effective, EXPECTED)
 
-    mine = price(now.terms[len(question.fixed) :])
+    mine = price(question.own(now))
     gain = float(risen(now.effective, then.losses, now.losses).sum()) + then.known - now.known
     # What happened once lies in one block, and what acts beyond a limit in few: no others can speak
     # for it.
@@ -136,7 +136,7 @@ def unknown(
     fall = ((fits[1].losses - fits[0].losses) / rows).clamp(min=0) / acting(question, [term])
     ratio = fall / misfit.squares.clamp(min=1e-12 * float(fall.max()) + 1e-300)
     # Where it acts, or shows most.
-    places = term.effects[0].joints if len(term.effects) == 1 else ()
+    places = term.joints
     joint = places[0] if len(places) == 1 else int(ratio.argmax())
     ways: list[Factors] = []
     if not any(e.name in EVENTS or e.at_ends for e in term.effects):

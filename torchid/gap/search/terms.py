@@ -123,12 +123,20 @@ class Term:
         """The joint whose torque alone each column is in; -1 where there is none."""
         return torch.full_like(self.at, -1 if self.place is None else self.place)
 
+    @property
+    def alone(self) -> Effect | None:
+        """Its one effect; None of base parameters, and of several that share their coefficients."""
+        return self.effects[0] if len(self.effects) == 1 else None
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Joints, from 0, that it acts at; none of what belongs to the whole arm."""
+        return () if self.alone is None else self.alone.joints
+
     @cached_property
     def key(self) -> tuple[object, ...]:
         """What it is, whatever its shape: effect and place, or that all joints share it."""
-        if len(self.effects) == 1:
-            return self.effects[0].identity
-        return (self.name, len(self.effects))
+        return (self.name, len(self.effects)) if self.alone is None else self.alone.identity
 
     @property
     def inertial(self) -> bool:
@@ -151,6 +159,11 @@ class Term:
         be among them; none of the model's own effect, whose shape is given."""
         own = any(self.known) and not self.inertial
         return len(self.effects[0].shapes) if self.effects and not own else int(self.wrong)
+
+
+def excluding(terms: Sequence[Term], gone: Sequence[Term]) -> list[Term]:
+    """Terms but for some of them."""
+    return [t for t in terms if all(t is not g for g in gone)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +198,6 @@ class Candidates:
         gram: joint by joint, fold by fold; part 0 holds samples between folds.
         terms: candidates.
         fixed: terms that are always in the model.
-        batches: the candidates, by place and number of columns.
     """
 
     columns: Columns
@@ -194,7 +206,11 @@ class Candidates:
     gram: Gram
     terms: tuple[Term, ...]
     fixed: tuple[Term, ...]
-    batches: tuple[Batch, ...]
+
+    @cached_property
+    def batches(self) -> tuple[Batch, ...]:
+        """The candidates, by place and number of columns."""
+        return tuple(_batches(self.terms))
 
 
 def term_columns(columns: Columns, term: Term) -> Float[Tensor, "C n N"]:
@@ -317,23 +333,13 @@ def candidates_of(
     terms = _standing_in(terms, given.effects)
     if wanted.knowledge is not None:
         fixed = known_terms([*terms, *beside], wanted.knowledge, given.effects)
-        chosen = [t for t in terms if _is_asked(wanted, t)]
-        return Candidates(
-            columns, gap, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen))
-        )
-    # What is always in the model is no candidate, nor are bodies beside free base parameters.
-    asked = [(t.name, t.effects) for t in fixed_terms(columns, wanted)]
-    fixed = tuple(t for t in terms if (t.name, t.effects) in asked)
-    always = {id(t) for t in fixed}
-    chosen = [t for t in terms if _is_asked(wanted, t) and id(t) not in always]
-    if wanted.free:
-        chosen = [t for t in chosen if not t.inertial]
-    return Candidates(columns, gap, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen)))
-
-
-def _is_asked(wanted: Wanted, term: Term) -> bool:
-    """Whether a term is one of the candidates."""
-    return wanted.asks(term.name, term.effects[0].joints if len(term.effects) == 1 else ())
+    else:
+        # What is always in the model is no candidate, nor are bodies beside free base parameters.
+        asked = [(t.name, t.effects) for t in fixed_terms(columns, wanted)]
+        fixed = tuple(t for t in terms if (t.name, t.effects) in asked)
+        terms = [t for t in excluding(terms, fixed) if not (wanted.free and t.inertial)]
+    chosen = tuple(t for t in terms if wanted.asks(t.name, t.joints))
+    return Candidates(columns, gap, data.keep, gram, chosen, fixed)
 
 
 def are_bodies(robot: Robot) -> bool:
@@ -506,10 +512,10 @@ def _known(effects: tuple[Effect, ...], given: Sequence[Valued]) -> tuple[float,
 def _standing_in(terms: Sequence[Term], given: Sequence[Valued]) -> list[Term]:
     """Other shapes of an effect that the model has stand in its place, not beside it."""
     # The model's own effects, as terms.
-    own = {t.effects[0]: t for t in terms if len(t.effects) == 1}
+    own = {t.alone: t for t in terms if t.alone}
     out = []
     for term in terms:
-        alone = term.effects[0] if len(term.effects) == 1 and term.place is not None else None
+        alone = None if term.place is None else term.alone
         joint = -1 if term.place is None else term.place
         instead = [
             (joint, own[effect], torch.tensor(values, dtype=torch.float64))
@@ -533,7 +539,7 @@ def known_terms(
         given: its effects.
     """
     base = next(t for t in terms if t.name == BASE)
-    own = {t.effects[0]: t for t in terms if len(t.effects) == 1}
+    own = {t.alone: t for t in terms if t.alone}
     found = [(own[e], known_names(e)) for e, _ in given if e in own]
     found = [(t, names) for t, names in found if set(names) <= set(knowledge.coefficients)]
     # The base parameters first, in the coordinates of their term, then coefficients by name.

@@ -13,12 +13,20 @@ from torchid.gap.diagnosis import unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import UnnamedEffect
 from torchid.gap.search.climb import allowed, moves
-from torchid.gap.search.evidence import Fitted, Question, acting, apart, fit_each, fit_terms
+from torchid.gap.search.evidence import (
+    Fitted,
+    Question,
+    acting,
+    apart,
+    fit_each,
+    fit_terms,
+    refit,
+)
 from torchid.gap.search.explain import Explanation, solve
 from torchid.gap.search.odds import Misfit, odds
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.solve import solved
-from torchid.gap.search.terms import Term
+from torchid.gap.search.terms import Term, excluding
 from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
 from torchid.robot.model import Robot
@@ -50,13 +58,13 @@ def small_effects(
     whole = allowed(question, fit_terms(question, [*found.terms, *last.values()], fit.effective))
     # Causes that stand for each other: the least needed leaves first.
     without: dict[int, tuple[float, Tensor, Fitted]] = {}
-    while own := [t for t in whole.terms[len(question.fixed) :] if t.key in last]:
+    while own := [t for t in question.own(whole) if t.key in last]:
         without = {id(t): _without(question, whole, t) for t in own}
         gone = max(own, key=lambda t: without[id(t)][0])
         if probability([without[id(gone)][0]]) >= LIKELY:
             break
-        rest = [t for t in whole.terms[len(question.fixed) :] if t is not gone]
-        whole = allowed(question, fit_terms(question, rest, whole.effective, whole.weight))
+        rest = excluding(question.own(whole), [gone])
+        whole = allowed(question, refit(question, whole, rest))
     if not own:
         return ()
     # Their sizes, fitted together with what is told.
@@ -79,8 +87,8 @@ def small_effects(
 def _without(question: Question, whole: Fitted, term: Term) -> tuple[float, Tensor, Fitted]:
     """Rise of the evidence without a term, the error (n,) that it takes away [N m; N], and the fit
     without it."""
-    rest = [t for t in whole.terms[len(question.fixed) :] if t is not term]
-    without = fit_terms(question, rest, whole.effective, whole.weight)
+    rest = excluding(question.own(whole), [term])
+    without = refit(question, whole, rest)
     fall = (without.losses - whole.losses).clamp(min=0) / question.normal.rows.clamp(min=1.0)
     return _rise(question, without, whole), fall.sqrt(), without
 
@@ -180,14 +188,13 @@ def _entry(
     term: Term, values: Tensor, std: Tensor, closes: Tensor, sure: float, robot: Robot
 ) -> UnnamedEffect:
     effect = term.effects[0]
-    joints = effect.joints if len(term.effects) == 1 else ()
-    felt = joints or (int(closes.argmax()),)
+    felt = term.joints or (int(closes.argmax()),)
     names = [c.name for c in effect.coefficients]
     shapes = dict(zip((s.name for s in effect.shapes), effect.shape_values, strict=True))
     return UnnamedEffect(
         effect=effect.name,
         family=effect.family,
-        joints=joints,
+        joints=term.joints,
         parameters=plain(dict(zip(names, values.tolist(), strict=True)) | shapes),
         std=plain(dict(zip(names, std.tolist(), strict=True))),
         unit={c.name: unit_of(c.unit, felt, robot) for c in effect.coefficients},

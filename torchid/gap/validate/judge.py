@@ -12,12 +12,14 @@ from torchid.gap.folds import FEW
 from torchid.gap.noise.floor import Noise, noise_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import Status
-from torchid.gap.search.evidence import fit_terms
+from torchid.gap.search.evidence import (
+    refit,
+)
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.findings import Findings
 from torchid.gap.search.odds import Misfit
 from torchid.gap.search.solve import Solution, solved
-from torchid.gap.search.terms import BASE, Term, Wanted, fixed_terms
+from torchid.gap.search.terms import BASE, Term, Wanted, excluding, fixed_terms
 from torchid.gap.validate.closing import Closing, closing, known_noise, levels
 from torchid.gap.validate.traces import traces
 from torchid.robot.model import joint_list
@@ -145,12 +147,11 @@ def harmful(found: Explanation, checked: Checked, least: Float[Tensor, " n"]) ->
         # have torques to say what another sensor shows.
         if any(e.event for e in term.effects) or found.question.shows(term):
             continue
-        at = term.effects[0].joints if len(term.effects) == 1 else ()
         worse = shared if term.place is None else own
         # Resampled stretches may hold none of those in which it acts.
         rare = bool(term.effects) and term.effects[0].at_ends
         no_good = bool(shared) if rare else not far.improves
-        if worse.intersection(at) if at else no_good:
+        if worse.intersection(term.joints) if term.joints else no_good:
             out.append(term)
     return out
 
@@ -269,14 +270,14 @@ def needs_trust(found: Explanation) -> list[str]:
     if not base or any(t.of_links for t in found.terms):
         return []
     # A term is needed if the evidence, base parameters refitted, falls without it.
-    every = fit_terms(question, [*found.terms, *base], fit.effective, fit.weight)
+    every = refit(question, fit, [*found.terms, *base])
     lost = []
     for term in found.terms:
-        rest = [t for t in found.terms if t is not term]
-        without = fit_terms(question, [*rest, *base], fit.effective, fit.weight)
+        rest = excluding(found.terms, [term])
+        without = refit(question, fit, [*rest, *base])
         if without.evidence >= every.evidence:
-            joints = term.effects[0].joints if len(term.effects) == 1 else ()
-            lost.append(f"{term.name} of joint {joints[0] + 1}" if joints else term.name)
+            at = f" of joint {term.joints[0] + 1}" if term.joints else ""
+            lost.append(f"{term.name}{at}")
     if not lost:
         return []
     return [
