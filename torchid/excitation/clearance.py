@@ -21,7 +21,7 @@ import torch
 
 from torchid.errors import RobotError, TorchidError
 from torchid.excitation.distances import Distances
-from torchid.excitation.fourier import FourierTrajectory
+from torchid.excitation.fourier import FourierTrajectory, midpoints
 from torchid.excitation.limits import position_limits
 from torchid.excitation.restriction import Restriction
 from torchid.excitation.settings import CLEARANCE
@@ -97,8 +97,7 @@ class Clearance(Restriction):
 
     def penalty(self, trajectory: FourierTrajectory) -> Float[Tensor, "*batch"]:
         """What a search pays for coming too near; differentiable, 0 where all is clear."""
-        step = trajectory.duration / _SEARCH_SAMPLES
-        t = (torch.arange(_SEARCH_SAMPLES, dtype=torch.float64) + 0.5) * step
+        t = midpoints(trajectory.duration, _SEARCH_SAMPLES)
         q = trajectory.at(t).q
         poses = self._poses(q.reshape(-1, self.robot.n))
         wanted = self.needed + (self.room / 4).clamp(max=_SEARCH_MARGIN)

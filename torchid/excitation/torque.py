@@ -14,7 +14,7 @@ from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import JointEffect, Motion
 from torchid.effects.registry import Valued, model_torque, nominal_effects
 from torchid.errors import RobotError
-from torchid.excitation.fourier import FourierTrajectory
+from torchid.excitation.fourier import FourierTrajectory, midpoints
 from torchid.excitation.restriction import Restriction
 from torchid.excitation.trajectories import Sinusoid
 from torchid.identification.base_parameters import nominal_values
@@ -95,8 +95,7 @@ class TorqueLimits(Restriction):
 
     def penalty(self, trajectory: FourierTrajectory) -> Float[Tensor, "*batch"]:
         """What a search pays for torque beyond the limits; differentiable, 0 within them."""
-        step = trajectory.duration / _SEARCH_SAMPLES
-        t = (torch.arange(_SEARCH_SAMPLES, dtype=torch.float64) + 0.5) * step
+        t = midpoints(trajectory.duration, _SEARCH_SAMPLES)
         excess = self._shares(self._along(trajectory, t)) / (1 - _SEARCH_MARGIN) - 1
         return _PENALTY * excess.clamp(min=0).sum(-1)
 

@@ -82,6 +82,10 @@ class Quadratic:
         """Root of the squared error."""
         return max(0.0, float(x @ self.h @ x - 2 * self.b @ x) + self.square) ** 0.5
 
+    def unit(self, x: Float[Tensor, " K"]) -> float:
+        """The squared error, or that of an exact fit."""
+        return max(self.error(x) ** 2, EXACT * self.square, 1e-300)
+
 
 @dataclass(frozen=True, eq=False)
 class Room:
@@ -255,16 +259,14 @@ def nearest_bodies(
     n = len(room.nominal)
     if near is not None:
         x = torch.cat([near.pi.flatten(), near.coefficients])
-        question = replace(question, unit=question.unit_at(x))
-        x = question.minimum(x, near.strength)
+        x = question.about(x).minimum(x, near.strength)
         error = torque.error(x)
         return NearBodies(x[: 10 * n].view(n, 10), x[10 * n :], error, error, near.strength)
     x = question.start
     found: list[tuple[float, Tensor]] = []
     for value in _PATH.tolist():
         # In units of what was last left, which comes down to the least.
-        question = replace(question, unit=question.unit_at(x))
-        x = question.minimum(x, value)
+        x = question.about(x).minimum(x, value)
         found.append((value, x))
         if strength is not None and value <= strength:
             break
@@ -286,13 +288,18 @@ def response(
         pull: (K,) A'z of a small torque z.
     """
     x = torch.cat([found.pi.flatten(), found.coefficients])
-    question = _Question.of(torque, room)
-    question = replace(question, unit=question.unit_at(x))
+    question = _Question.of(torque, room).about(x)
     _, hessian = question.slopes(x, found.strength)
+    return _solved(hessian, pull / question.unit)
+
+
+def _solved(hessian: Float[Tensor, "K K"], right: Float[Tensor, " K"]) -> Float[Tensor, " K"]:
+    """The hessian's inverse times a vector; every unknown in its own unit, so that rounding does
+    not decide."""
     size = hessian.diagonal().clamp(min=1e-300).rsqrt()
     scaled = hessian * size * size.unsqueeze(1)
     scaled.diagonal().add_(1e-12)
-    return size * torch.linalg.solve(scaled, size * pull / question.unit)
+    return size * torch.linalg.solve(scaled, size * right)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +319,7 @@ class _Question:
     def of(torque: Quadratic, room: Room) -> "_Question":
         n, count = len(room.nominal), len(torque.positive)
         free = torch.linalg.lstsq(torque.h, torque.b, driver="gelsd").solution
-        unit = max(torque.error(free) ** 2, EXACT * torque.square, 1e-300)
+        unit = torque.unit(free)
         basis = pseudo_inertia_basis()
         # Pseudo-inertias in units of N + U, in which nearness is counted.
         root = torch.linalg.cholesky(InertialParameters(room.nominal + room.small).pseudo_inertia)
@@ -324,9 +331,9 @@ class _Question:
         start = torch.cat([_inside(room).flatten(), torch.where(torque.positive, sizes, 0.0)])
         return _Question(torque, room, unit, inner @ basis @ inner.mT, start, sizes)
 
-    def unit_at(self, x: Float[Tensor, " K"]) -> float:
-        """The squared error there, or that of an exact fit."""
-        return max(self.torque.error(x) ** 2, EXACT * self.torque.square, 1e-300)
+    def about(self, x: Float[Tensor, " K"]) -> "_Question":
+        """The same in units of the error there."""
+        return replace(self, unit=self.torque.unit(x))
 
     def minimum(self, x: Float[Tensor, " K"], strength: float) -> Float[Tensor, " K"]:
         """Where Newton steps from inside lead; beside walls that hold from afar first, where they
@@ -345,11 +352,7 @@ class _Question:
         for k in range(_STEPS):
             half = value if k == _STEPS // 2 else half
             gradient, hessian = self.slopes(x, strength)
-            # Every unknown in its own unit, so that rounding does not decide.
-            size = hessian.diagonal().clamp(min=1e-300).rsqrt()
-            scaled = hessian * size * size.unsqueeze(1)
-            scaled.diagonal().add_(1e-12)
-            step = -size * torch.linalg.solve(scaled, size * gradient)
+            step = -_solved(hessian, gradient)
             fall = float(gradient @ step)
             if -fall < _SETTLED * max(1.0, abs(value)):
                 return x, True

@@ -93,8 +93,7 @@ def near_set(problem: Problem, *, proof: Certificate | None = None) -> Found:
         target.effects,
         found.coefficients.unsqueeze(0),
     )
-    seconds = time.perf_counter() - began
-    return Found(problem, "near", *judged(problem, sets), None, seconds, proof)
+    return judged(problem, "near", sets, time.perf_counter() - began, proof=proof)
 
 
 Method = Literal["cma-es", "sdp", "near"]

@@ -101,8 +101,15 @@ def _not_a_body(own: OwnInertial) -> tuple[str, float, str] | None:
 def by_percent(eigenvalues: Sequence[float]) -> str:
     """By how much the largest of three principal inertias exceeds the sum of the others, in words;
     empty where that sum is not positive."""
+    percent = excess_percent(eigenvalues)
+    return "" if percent is None else f" (by {percent:.2g} %)"
+
+
+def excess_percent(eigenvalues: Sequence[float]) -> float | None:
+    """By how much the largest principal inertia exceeds the sum of the others [%]; negative where
+    it does not, None where that sum is not positive."""
     low, middle, high = eigenvalues
-    return f" (by {100 * (high / (low + middle) - 1):.2g} %)" if low + middle > 0 else ""
+    return 100 * (high / (low + middle) - 1) if low + middle > 0 else None
 
 
 def each(mask: Tensor) -> list[list[int]]:

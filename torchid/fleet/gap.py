@@ -271,12 +271,10 @@ def fleet_gap(
     with kept(store, workers) as place:
         tasks = [GapTask(log, model, settings, place.place) for log in part_of(logs, part)]
         found = attempted(answer_gap, tasks, workers, "diagnosing logs", progress)
-        answers: list[tuple[LogAnswer, dict[str, Any]]] = []
-        for task, one in zip(tasks, found, strict=True):
-            if isinstance(one, Failure):
-                answers.append((LogAnswer.failed(task.log, one), {}))
-            else:
-                answers.append(one)
+        answers = [
+            (LogAnswer.failed(task.log, one), {}) if isinstance(one, Failure) else one
+            for task, one in zip(tasks, found, strict=True)
+        ]
         if part is None:
             write_index(place, [a for a, _ in answers], "gap.parquet")
     if not any(gap for _, gap in answers):

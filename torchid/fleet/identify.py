@@ -154,19 +154,11 @@ class Fleet(Result):
         needed = None
         if between > 0 and noise == noise:
             needed = max(1, -(-(daily**2 + noise**2) // (between / 2) ** 2))
-        return PooledParameter(
+        return PooledParameter.of(
+            **found.of(b),
             name=self.base.names[b],
             unit=self.base.units[b],
-            mean=float(found.mean[b]),
-            std=float(found.std[b]),
-            ci95=(ci[0], ci[1]),
-            between=between,
-            between_ci95=tuple(found.between_ci[b].tolist()),
-            daily=float(found.daily[b]),
-            daily_ci95=tuple(found.daily_ci[b].tolist()),
-            noise=noise,
-            units=int(found.units[b]),
-            sessions=int(found.sessions[b]),
+            ci95=ci,
             sessions_needed=None if needed is None or needed > 1e6 else int(needed),
         )
 

@@ -33,6 +33,7 @@ from torchid.errors import IdentificationError
 from torchid.robot.inertia import (
     PARAMETERS_PER_LINK,
     InertialParameters,
+    paper_order,
     parameter_names,
     parameter_units,
     symmetric,
@@ -136,6 +137,13 @@ class BaseParameters:
         """Effect coefficients that are part of a rigid base parameter, e.g. Ia1 of J1zz + ..."""
         rigid = self.n_rigid_parameters
         return [self.parameter_names[k] for k in self.dependent if k >= rigid]
+
+    @property
+    def by_link(self) -> list[int]:
+        """Numbers, link by link as regressors have them, of the parameters that stand for the rigid
+        base parameters, which are numbered by kind."""
+        order = paper_order(self.n_rigid_parameters // PARAMETERS_PER_LINK)
+        return order[list(self.independent[: self.n_rigid])].tolist()
 
     def is_single(self, position: int) -> bool:
         """Whether base parameter `position` is one parameter, not a sum of several."""

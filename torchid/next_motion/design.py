@@ -140,17 +140,15 @@ def excite_for(
     robot = None if robot is None else as_robot(robot)
     source = str(result) if isinstance(result, str | Path) else "the result"
     record = read_asking(result) if isinstance(result, str | Path) else result.record
+    assert isinstance(record, Asking | PositionRecord)
+    robot = robot or (None if isinstance(record, PositionRecord) else record.model)
+    if robot is None:
+        raise TorchidError(f"'{source}' does not record its robot: `robot=...`.")
     if isinstance(record, PositionRecord):
-        if robot is None:
-            raise TorchidError(f"'{source}' does not record its robot: `robot=...`.")
         return next_commands(
             record, robot, seconds=duration, rate=rate, usage=usage, clearance=clearance,
             progress=progress,
         )  # fmt: skip
-    assert isinstance(record, Asking)
-    robot = robot or record.model
-    if robot is None:
-        raise TorchidError(f"'{source}' does not record its robot: `robot=...`.")
     robot.require_fixed_base("the design of motions")
     if isinstance(record, IdentificationRecord) or goal is not None or hidden(record):
         if isinstance(record, IdentificationRecord):

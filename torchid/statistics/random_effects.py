@@ -16,6 +16,7 @@ quantities are solved at once, each with its own spreads.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import torch
 from scipy.special import chdtri, fdtrc
@@ -105,8 +106,8 @@ class Pooled:
 
     Attributes:
         mean, std: (P,) of the population's mean, and its standard deviation.
-        between, between_ci: (P,), (P, 2) spread between units; nan with one unit.
-        daily, daily_ci: (P,), (P, 2) spread between days of a unit; nan where no unit has two
+        between, between_ci95: (P,), (P, 2) spread between units; nan with one unit.
+        daily, daily_ci95: (P,), (P, 2) spread between days of a unit; nan where no unit has two
             sessions, and then in `between`.
         noise: (P,) standard deviation of a typical session's estimate.
         own, own_std: (P, U) each unit by its sessions alone.
@@ -125,9 +126,9 @@ class Pooled:
     mean: Float[Tensor, " P"]
     std: Float[Tensor, " P"]
     between: Float[Tensor, " P"]
-    between_ci: Float[Tensor, "P 2"]
+    between_ci95: Float[Tensor, "P 2"]
     daily: Float[Tensor, " P"]
-    daily_ci: Float[Tensor, "P 2"]
+    daily_ci95: Float[Tensor, "P 2"]
     noise: Float[Tensor, " P"]
     own: Float[Tensor, "P U"]
     own_std: Float[Tensor, "P U"]
@@ -140,6 +141,11 @@ class Pooled:
     odd_in: Bool[Tensor, "P U"]
     units: Int[Tensor, " P"]
     sessions: Int[Tensor, " P"]
+
+    def of(self, quantity: int) -> dict[str, Any]:
+        """One quantity's numbers and ends of intervals, by their names here."""
+        names = ("mean", "std", "between", "between_ci95", "daily", "daily_ci95", "noise", "units")
+        return {name: getattr(self, name)[quantity].tolist() for name in (*names, "sessions")}
 
     def interval(self, level: float = LEVEL) -> Float[Tensor, "P 2"]:
         """Confidence intervals of the population's means (Student, units - 1)."""
@@ -343,7 +349,7 @@ def pooled(data: Sessions, level: float = 0.05) -> Pooled:
         odd_in = now
     rest = data.without(odd_in)
     between, daily = spreads(rest)
-    between_ci, daily_ci = intervals(rest, between, daily)
+    between_ci95, daily_ci95 = intervals(rest, between, daily)
     population = means(rest, between, daily)
     every = means(data, between, daily)
     _, repeated, several = _frame(rest)
@@ -361,9 +367,9 @@ def pooled(data: Sessions, level: float = 0.05) -> Pooled:
         mean=population.centre,
         std=population.centre_variance.sqrt(),
         between=torch.where(several, between, nothing),
-        between_ci=between_ci,
+        between_ci95=between_ci95,
         daily=torch.where(repeated, daily, nothing),
-        daily_ci=daily_ci,
+        daily_ci95=daily_ci95,
         noise=typical,
         own=every.mean,
         own_std=every.variance.sqrt(),

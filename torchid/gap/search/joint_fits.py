@@ -74,7 +74,7 @@ def _names(term: Term, solution: Solution) -> list[tuple[str, ...]]:
     """Names of each coefficient: bodies' by link; of one that joints share all of theirs."""
     if term.name != BASE:
         return list(zip(*(e.coefficient_names() for e in term.effects), strict=True))
-    entries = term.at.tolist() if term.bodies else solution.wanted.independent
+    entries = term.at.tolist() if term.bodies else solution.wanted.base.by_link
     places = (divmod(k, PARAMETERS_PER_LINK) for k in entries)
     return [(LinkInertia(link).coefficient_names()[k],) for link, k in places]
 

@@ -249,7 +249,7 @@ def corrected(
     pi, effects = nominal.clone(), list[Valued](start.effects)
     for term, v in zip(terms, values, strict=True):
         if term.name == BASE:
-            pi.view(-1)[term.at if term.bodies else wanted.independent] += v
+            pi.view(-1)[term.at if term.bodies else wanted.base.by_link] += v
         elif term.change is not None:
             pi += float(v) * term.change
         elif term.name == LINK:

@@ -387,7 +387,7 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
         out.append(Term(BASE, (), None, at, described * len(at), zero, (), free, every))
         return out
     # A base parameter's prior is that of the parameters grouped into it, link by link.
-    numbers = wanted.independent
+    numbers = wanted.base.by_link
     grouping = wanted.base.grouping[: wanted.base.n_rigid, : wanted.base.n_rigid_parameters]
     spread = (grouping[:, paper_order(n).argsort()] * sigma.flatten()).norm(dim=1)
     base = Term(
