@@ -14,8 +14,8 @@ which depends on no frame and no unit. With N the nominal bodies, U a small one 
 
 with L the least body that each link holds, is smooth, convex and infinite where a link stops being
 a body: Newton steps minimise it from the inside (Boyd and Vandenberghe 2004, section 9.6). Of a
-path of lambdas the largest whose error is within `SPENT` of the least one is answered: what the log
-determines is the log's, all else stays nominal.
+path of lambdas the largest whose error is within `SPENT_SHARE` of the least one is answered: what
+the log determines is the log's, all else stays nominal.
 """
 
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ from torchid.robot.model import Robot
 from torchid.robot.shapes import joint_points, link_lengths, link_shapes, typical_bodies
 from torchid.typing import Bool, Float, Tensor
 
-SPENT = 0.02
+SPENT_SHARE = 0.02
 """Share of the least torque error that may be spent on bodies nearer to the nominal ones."""
 
 BELIEVABLE = 2.0
@@ -38,14 +38,14 @@ BELIEVABLE = 2.0
 SPREAD = 5.0
 """Factor by which a person believes that second moments of a nominal body shrink, at most."""
 
-NEAR = 0.05
+NEAR_SHAPE = 0.05
 """How far outside its shape a centre of mass may be; from the nominal one, where there is no shape
 [m]."""
 
 _WALL = 1e-3
 """w: how much of the metric keeps bodies, masses and centres off their limits."""
 
-EXACT = 1e-6
+EXACT_SHARE = 1e-6
 """Share of the squared torque that counts as no error."""
 
 _SIGN = 1e-5
@@ -84,7 +84,7 @@ class Quadratic:
 
     def unit(self, x: Float[Tensor, " K"]) -> float:
         """The squared error, or that of an exact fit."""
-        return max(self.error(x) ** 2, EXACT * self.square, 1e-300)
+        return max(self.error(x) ** 2, EXACT_SHARE * self.square, 1e-300)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ def room_of(robot: Robot) -> Room:
     mass = torch.where(has, body[:, 0], small[:, 0])
     com = (body + 1e-6 * small)[:, 1:4] / (body + 1e-6 * small)[:, :1]
     low, high = torch.where(has, mass / BELIEVABLE, 0.0), BELIEVABLE * mass
-    below, above = com - NEAR, com + NEAR
+    below, above = com - NEAR_SHAPE, com + NEAR_SHAPE
     shapes = link_shapes(robot)
     if robot.parameters is None:
         low, high = low / 10, high * 10
@@ -140,9 +140,9 @@ def room_of(robot: Robot) -> Room:
         dense = DENSITIES[1] * shapes.volumes
         high = torch.where(dense > mass, torch.minimum(high, dense), high)
         known = torch.isfinite(shapes.boxes).all(-1).all(-1).unsqueeze(1)
-        corners = shapes.boxes + torch.tensor([-NEAR, NEAR])
-        below = torch.where(known, torch.minimum(corners[..., 0], com - 0.1 * NEAR), below)
-        above = torch.where(known, torch.maximum(corners[..., 1], com + 0.1 * NEAR), above)
+        corners = shapes.boxes + torch.tensor([-NEAR_SHAPE, NEAR_SHAPE])
+        below = torch.where(known, torch.minimum(corners[..., 0], com - 0.1 * NEAR_SHAPE), below)
+        above = torch.where(known, torch.maximum(corners[..., 1], com + 0.1 * NEAR_SHAPE), above)
     least = INSIDE * small + torch.where(has[:, None], body / SPREAD, 0.0)
     return _room(body, small, least, mass, torch.stack([low, high], 1), below, above)
 
@@ -232,7 +232,7 @@ def nearest_bodies(
     torque: Quadratic,
     room: Room,
     *,
-    spent: float = SPENT,
+    spent: float = SPENT_SHARE,
     strength: float | None = None,
     near: NearBodies | None = None,
 ) -> NearBodies:

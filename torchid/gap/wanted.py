@@ -74,7 +74,7 @@ def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:
     )
 
 
-def pushes(wanted: Wanted) -> Wanted:
+def pushes_alone(wanted: Wanted) -> Wanted:
     """Of an arm that stands in one pose nothing but a push: whatever else its torque is, gravity
     and what friction holds, is an offset that is fitted with it."""
     names = tuple(name for name in wanted.names if name == Contact.name)

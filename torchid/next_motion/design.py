@@ -47,7 +47,7 @@ def read_asking(path: str | Path) -> Asking | PositionRecord:
     return found
 
 
-def hidden(record: GapRecord) -> bool:
+def hides_cause(record: GapRecord) -> bool:
     """Whether a diagnosis names nothing because of what its model left open of itself."""
     known = record.knowledge
     return not record.which and known is not None and any(j.hides for j in known.joints)
@@ -150,7 +150,7 @@ def excite_for(
             progress=progress,
         )  # fmt: skip
     robot.require_fixed_base("the design of motions")
-    if isinstance(record, IdentificationRecord) or goal is not None or hidden(record):
+    if isinstance(record, IdentificationRecord) or goal is not None or hides_cause(record):
         if isinstance(record, IdentificationRecord):
             prior = prior_of(record, robot, source)
         else:

@@ -39,7 +39,7 @@ REFINED = 16
 ROUNDS = 10
 """Times that odd units are left out of the spreads and sought again."""
 
-FAR = 3.5
+FAR_STD = 3.5
 """Robust standard deviations from the median beyond which a unit is left out of the first spreads;
 of normal units one in two thousand is."""
 
@@ -420,7 +420,9 @@ def _far(data: Sessions) -> Bool[Tensor, "P U"]:
         rest = torch.where(far, torch.nan, mean)
         left = mean - rest.nanmedian(1, keepdim=True).values
         near = torch.where(far, torch.nan, left.abs())
-        far = (left.abs() > FAR * MAD_TO_SIGMA * near.nanmedian(1, keepdim=True).values) & enough
+        far = (
+            left.abs() > FAR_STD * MAD_TO_SIGMA * near.nanmedian(1, keepdim=True).values
+        ) & enough
     return far
 
 

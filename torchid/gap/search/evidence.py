@@ -48,10 +48,10 @@ there."""
 TOGETHER = 32
 """Explanations that are fitted at once: of a hundred columns and seven joints 18 MB."""
 
-CLOSE = 3
+FITTED_BEYOND_BEST = 3
 """Explanations beyond the best that are fitted at once: one more costs less than one by itself."""
 
-TAIL = 0.01
+TAIL_SHARE = 0.01
 """Share of a cause's largest torque that the fit's filter may leave where it does not act [1]."""
 
 
@@ -249,7 +249,7 @@ def residual(
     return torch.from_numpy(left) * question.candidates.keep
 
 
-def acting(question: Question, terms: Sequence[Term]) -> float:
+def active_share(question: Question, terms: Sequence[Term]) -> float:
     """Share of the samples in which terms act: all, but for what acts in a window of time, or
     beyond a limit. How large such a cause is, is its torque while it acts."""
     t = question.candidates.columns.samples.t
@@ -260,7 +260,7 @@ def acting(question: Question, terms: Sequence[Term]) -> float:
             inside |= effect.window(t) > 0
         elif effect is not None and effect.at_ends:
             size = rows_of(question, term)[0].abs().amax(0)
-            inside |= size > TAIL * size.max()
+            inside |= size > TAIL_SHARE * size.max()
         else:
             return 1.0
     return max(float(inside.double().mean()), 1 / len(t)) if terms else 1.0
@@ -274,7 +274,7 @@ def slack_torque(question: Question, fit: Fitted) -> Float[Tensor, "n N"]:
     return -residual(question, taken, x) + question.candidates.gap * question.candidates.keep
 
 
-def relief(
+def correction_torque(
     question: Question, fit: Fitted, without: Fitted, gone: Sequence[Term]
 ) -> Float[Tensor, " n"]:
     """Torque (n,), RMS, that without some terms the model's own corrections make in their place
@@ -317,7 +317,7 @@ def effective_samples(
     return (question.normal.rows / times.clamp(min=1.0)).clamp(min=1e-9)
 
 
-def apart(question: Question, fit: Fitted, other: Fitted) -> tuple[Fitted, Fitted]:
+def comparable(question: Question, fit: Fitted, other: Fitted) -> tuple[Fitted, Fitted]:
     """Both fits with the evidence of as many samples as tell their torques apart in noise like what
     the one leaves that leaves less: only so can they be compared."""
     weight = question.normal.rows / fit.losses.clamp(min=1e-300)
@@ -336,7 +336,7 @@ def apart(question: Question, fit: Fitted, other: Fitted) -> tuple[Fitted, Fitte
 def with_evidence(question: Question, fit: Fitted) -> Fitted:
     """A fit with its E: what is gained, less the distance from what is known beforehand and the
     price of the terms beside the fixed ones."""
-    gain = float(risen(fit.effective, question.squares, fit.losses).sum())
+    gain = float(log_likelihood_ratio(fit.effective, question.squares, fit.losses).sum())
     price = cost(question, question.own(fit), fit.effective)
     return replace(fit, evidence=gain - fit.known - price)
 
@@ -385,7 +385,7 @@ def fit_each(
     return out
 
 
-def leading(
+def best_fits(
     question: Question,
     explanations: Sequence[Sequence[Term]],
     effective: Float[Tensor, " n"],
@@ -408,8 +408,8 @@ def leading(
         bounds += zip(*_fit_each(question, some, effective, weight, 2, conic=False), strict=True)
     order = sorted(range(len(bounds)), key=lambda k: -worth(bounds[k][0]))
     best: list[tuple[int, Fitted]] = []
-    for first in range(0, len(order), count + CLOSE):
-        near = order[first : first + count + CLOSE]
+    for first in range(0, len(order), count + FITTED_BEYOND_BEST):
+        near = order[first : first + count + FITTED_BEYOND_BEST]
         if len(best) == count and worth(bounds[near[0]][0]) <= worth(best[-1][1]):
             break
         incomplete = [k for k in near if not bounds[k][1]]
@@ -448,7 +448,7 @@ def _fit_each(
     inside = torch.arange(solved.x.shape[1]) < torch.tensor([[s.count] for s in subsets])
     limits = torch.tensor([0.0, -math.inf, math.inf]).double().repeat(*inside.shape, 1)
     limits[inside] = limits_of([t for terms in every for t in terms])
-    refusals = forbidden(limits, solved)
+    refusals = out_of_bounds(limits, solved)
     refusal = refusals.any(1).tolist()
     out = []
     for k, (terms, subset) in enumerate(zip(every, subsets, strict=True)):
@@ -461,7 +461,7 @@ def _fit_each(
             if bool((wrong & ~torch.cat([t.optional for t in terms])).any()):
                 break
             fit = _without(question, fit, wrong, priors.each[k], rounds)
-            wrong = forbidden(limits[k, :own], Solved(fit.x, fit.root))
+            wrong = out_of_bounds(limits[k, :own], Solved(fit.x, fit.root))
             any_wrong = bool(wrong.any())
         else:
             fit = with_evidence(question, fit)
@@ -485,7 +485,7 @@ def _without(
     return replace(fit, subset=subset, x=x, root=solved.root, losses=losses, known=value)
 
 
-def risen(
+def log_likelihood_ratio(
     effective: Float[Tensor, " n"], before: Float[Tensor, " n"], after: Float[Tensor, "*batch n"]
 ) -> Float[Tensor, "*batch n"]:
     """Twice the rise (*batch, n) of each joint's logarithm of the likelihood between two sums of
@@ -498,7 +498,7 @@ def limits_of(terms: Sequence[Term]) -> Float[Tensor, "K 3"]:
     return torch.cat([torch.zeros(0, 3, dtype=torch.float64), *(t.limits for t in terms)])
 
 
-def forbidden(limits: Float[Tensor, "*batch K 3"], solved: Solved) -> Bool[Tensor, "*batch K"]:
+def out_of_bounds(limits: Float[Tensor, "*batch K 3"], solved: Solved) -> Bool[Tensor, "*batch K"]:
     """Which coefficients have a sign that physics forbids, or are larger than on any arm, beyond
     what their own uncertainty explains: a friction that drives, a load of negative mass."""
     # The whole coefficient, with what the model has of it, is what physics bounds.
@@ -507,9 +507,9 @@ def forbidden(limits: Float[Tensor, "*batch K 3"], solved: Solved) -> Bool[Tenso
     return (solved.x + known < least - slack) | (solved.x.abs() > largest + slack)
 
 
-def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
+def unphysical_terms(terms: Sequence[Term], solved: Solved) -> list[Term]:
     """Terms of which physics forbids a coefficient."""
-    parts = forbidden(limits_of(terms), solved).split([t.count for t in terms])
+    parts = out_of_bounds(limits_of(terms), solved).split([t.count for t in terms])
     return [t for t, own in zip(terms, parts, strict=True) if bool(own.any())]
 
 
@@ -550,7 +550,7 @@ def common_names(terms: Iterable[Term], n: int) -> set[str]:
     return {name for name, k in count.items() if KINDS[name].on_all and 2 * k > n}
 
 
-def in_turn(
+def greedy_shares(
     question: Question, fit: Fitted, terms: Sequence[Term]
 ) -> tuple[list[float], list[float]]:
     """What each term closes of what all close, when at every turn the one joins that closes most:
@@ -571,7 +571,7 @@ def in_turn(
         joined = [terms[k] for k in order]
         rest = [k for k in range(len(terms)) if k not in order]
         tried = [(*joined, terms[k]) for k in rest]
-        ((k, best),) = leading(
+        ((k, best),) = best_fits(
             question, tried, fit.effective, fit.weight, worth=lambda one: -loss(one)
         )
         order.append(rest[k])
@@ -705,8 +705,8 @@ def _offers(
         paid = (counts + batch.shapes.numpy()) * math.log(max(n, 2.0))
         for m in np.argsort(paid - rise, kind="stable")[:LOOKED_AT].tolist():
             term = batch.terms[m]
-            refused = gains[m] <= 0 or term.key in present or term.name == BASE
-            if not (refused or _beside(term, fit.terms)):
+            idle = gains[m] <= 0 or term.key in present or term.name == BASE
+            if not (idle or _beside(term, fit.terms)):
                 out.append(Offer(term, float(rise[m]), float(paid[m])))
     return sorted(out, key=lambda o: -o.net)
 

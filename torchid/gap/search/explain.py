@@ -18,29 +18,29 @@ from torchid.effects.transient import Contact
 from torchid.gap.data import Data
 from torchid.gap.problem import Problem
 from torchid.gap.search.climb import (
-    CLOSELY,
-    allowed,
-    climbed,
-    fitted,
+    LIKELIEST,
+    candidate_moves,
+    climb_from,
+    drop_unphysical,
+    drop_worthless,
+    fit_anew,
     held_out_losses,
-    moves,
-    moves_of_each,
-    swapped,
-    worthy,
+    moves_beside_each,
+    swap_term,
 )
 from torchid.gap.search.events import Counterparts, contacts, hidden_contacts, planes
 from torchid.gap.search.evidence import (
     Fitted,
     Question,
-    acting,
-    apart,
+    active_share,
     common_names,
+    comparable,
     fit_each,
     refit,
     residual,
     rows_of,
 )
-from torchid.gap.search.solve import Solution, at_estimate, corrected, solved
+from torchid.gap.search.solve import Solution, at_estimate, corrected_model, solve_terms
 from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, candidates_of, excluding
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
@@ -48,7 +48,7 @@ from torchid.typing import Float, Tensor
 PASSES = 2
 """Times the columns are taken at the model found and the search goes on."""
 
-CHANGED = 0.02
+CHANGED_SHARE = 0.02
 """Relative change of a joint's model torque from which columns are taken anew; at half of it more
 diagnoses take a second pass, at double load-dependent friction is 1 % off."""
 
@@ -83,7 +83,7 @@ class Explanation:
         return self.question.own(self.fit)
 
 
-def explained(
+def explain_gap(
     problem: Problem, watch: Callable[[Question, Fitted], None] | None = None
 ) -> Explanation:
     """Which effects explain the gap between a log and a model.
@@ -127,19 +127,19 @@ def explained(
             watch(question, fit)
         # Shapes between those of the grid, secants of rivals, and the search once more with both.
         finer = [
-            *refined(question, fit),
+            *refine_shapes(question, fit),
             *at_their_size(question, fit),
-            *sharpened(question, fit, problem),
+            *sharpen_shapes(question, fit, problem),
         ]
         if finer:
             extra += finer
             again = question.own(fit)
             question = asked(columns)
             again = tuple(_finest(question.candidates, t, finer) or t for t in again)
-            fit = climbed(question, again)
+            fit = climb_from(question, again)
         # What is worth a name on data that was not fitted; bodies beside it, last.
         folds = question.candidates.gram.folds()
-        fit, left = worthy(question, folds, fit)
+        fit, left = drop_worthless(question, folds, fit)
         # Where a cause has left or bodies have joined, another one may say the rest better.
         fit, left = improve_by_swaps(question, folds, fit, left)
         fit, left = search_without_small(question, folds, fit, left)
@@ -150,13 +150,13 @@ def explained(
             question = replace(question, barred=question.barred | {t.key for t in gone})
             own = question.own(fit)
             laws = excluding(own, gone)
-            fit, left = worthy(question, folds, climbed(question, laws))
+            fit, left = drop_worthless(question, folds, climb_from(question, laws))
             fit, left = improve_by_swaps(question, folds, fit, left)
         whole = with_bodies(question, folds, fit)
         if whole is not fit:
             fit, left = improve_by_swaps(question, folds, whole, left)
         # Once more with the columns of the model found, if they are others.
-        latest = corrected(model, fit.terms, fit.values(), wanted)
+        latest = corrected_model(model, fit.terms, fit.values(), wanted)
         # What scales with the torque must not see the friction that it is to be told from.
         kept = (p for p in latest.effects if p in model.effects or p[0].linearised)
         latest = Model(latest.robot, tuple(kept))
@@ -174,11 +174,11 @@ def explained(
         solution = solve(problem, fit)
         gone = terms_without_torque(question, solution)
         if not gone:
-            return Explanation(question, fitted(question), fit, tuple(left), solution)
+            return Explanation(question, fit_anew(question), fit, tuple(left), solution)
         # The search ends without what vanished at the model found.
         question = replace(question, barred=question.barred | {t.key for t in gone})
         rest = [t for t in question.own(fit) if t.key not in question.barred]
-        fit = allowed(question, refit(question, fit, rest))
+        fit = drop_unphysical(question, refit(question, fit, rest))
         fit, left = improve_by_swaps(question, folds, fit, left)
 
 
@@ -193,7 +193,7 @@ def terms_without_torque(question: Question, solution: Solution) -> list[Term]:
     every = list(zip(solution.terms, solution.values, columns, strict=True))
     gone = []
     for term, values, a in every[first:]:
-        there = rows * acting(question, [term])
+        there = rows * active_share(question, [term])
         torque = (torch.tensordot(values, a, 1).square().sum(1) / there).sqrt()
         small = bool((torque < least).all()) and term.name not in common
         if small and not question.shows(term):
@@ -204,7 +204,7 @@ def terms_without_torque(question: Question, solution: Solution) -> list[Term]:
 def fit_to_convergence(question: Question, terms: Sequence[Term], fit: Fitted) -> Fitted:
     """What is told: terms, the fixed ones first, fitted until the joints' weights settle, without
     those that physics then refuses; samples and first weights are those of a fit."""
-    return allowed(question, refit(question, fit, terms[len(question.fixed) :], 10), 10)
+    return drop_unphysical(question, refit(question, fit, terms[len(question.fixed) :], 10), 10)
 
 
 def best_explanation(question: Question, start: Sequence[Term]) -> Fitted:
@@ -216,23 +216,23 @@ def best_explanation(question: Question, start: Sequence[Term]) -> Fitted:
         if t.name in ("viscous_friction", "coulomb_friction") and not t.instead
     ]
     starts = [start] if start else [(), friction] if friction else [()]
-    found = [climbed(question, s) for s in starts]
-    best = better(question, found)
+    found = [climb_from(question, s) for s in starts]
+    best = most_evident(question, found)
     # Several bodies at once: all base parameters may say it with less.
     own = question.own(best)
     bodies = [t for t in own if t.inertial or t.name == PAYLOAD]
     base = [t for t in question.candidates.terms if t.name == BASE]
     if len(bodies) > 1 and base:
         others = excluding(own, bodies)
-        found.append(climbed(question, [*base, *others]))
-    return better(question, found)
+        found.append(climb_from(question, [*base, *others]))
+    return most_evident(question, found)
 
 
-def better(question: Question, found: Sequence[Fitted]) -> Fitted:
+def most_evident(question: Question, found: Sequence[Fitted]) -> Fitted:
     """Of several explanations that of most evidence; in doubt the first."""
     best = found[0]
     for other in found[1:]:
-        its, mine = apart(question, other, best)
+        its, mine = comparable(question, other, best)
         best = other if its.evidence > mine.evidence else best
     return best
 
@@ -245,9 +245,9 @@ def improve_by_swaps(
 ) -> tuple[Fitted, list[Term]]:
     """Swap causes for others while the evidence rises; also return those that are too small."""
     out = list(left)
-    while (other := swapped(question, fit, every=True)) is not None:
-        other, more = worthy(question, folds, other)
-        if better(question, [fit, other]) is fit:
+    while (other := swap_term(question, fit, every=True)) is not None:
+        other, more = drop_worthless(question, folds, other)
+        if most_evident(question, [fit, other]) is fit:
             break
         fit, out = other, [*out, *more]
     return fit, out
@@ -263,8 +263,8 @@ def search_without_small(
     out = list(left)
     while out:
         barred = replace(question, barred=frozenset(t.key for t in out))
-        more, gone = worthy(barred, folds, climbed(barred, question.own(fit)))
-        if better(question, [fit, more]) is fit:
+        more, gone = drop_worthless(barred, folds, climb_from(barred, question.own(fit)))
+        if most_evident(question, [fit, more]) is fit:
             break
         fit, out = more, [*out, *gone]
         if not gone:
@@ -294,7 +294,7 @@ def with_bodies(question: Question, folds: Folds, fit: Fitted) -> Fitted:
     # Beside the effects, but in the place of other bodies.
     beside = [*(t for t in own if not t.inertial), *base]
     more = refit(question, fit, beside, 10)
-    one, other = apart(question, more, fit)
+    one, other = comparable(question, more, fit)
     if one.evidence <= other.evidence:
         return fit
     # They must be worth it on some joint, on data that was not fitted, and do no such harm on any.
@@ -309,9 +309,9 @@ def with_bodies(question: Question, folds: Folds, fit: Fitted) -> Fitted:
     while True:
         kept = question.own(more)
         rest = [excluding(kept, [s]) for s in kept if s.name not in (BASE, PAYLOAD)]
-        lighter = [allowed(question, refit(question, more, r, 10)) for r in rest]
+        lighter = [drop_unphysical(question, refit(question, more, r, 10)) for r in rest]
         best = max(lighter, key=lambda f: f.evidence, default=more)
-        one, other = apart(question, more, best)
+        one, other = comparable(question, more, best)
         if other.evidence <= one.evidence:
             return more
         more = best
@@ -320,7 +320,7 @@ def with_bodies(question: Question, folds: Folds, fit: Fitted) -> Fitted:
 def solve(problem: Problem, fit: Fitted) -> Solution:
     """The corrected model of a fit."""
     data, wanted, block = problem.data, problem.wanted, problem.block
-    return solved(problem.given, fit.terms, fit.values(), data, wanted, block, fit.effective)
+    return solve_terms(problem.given, fit.terms, fit.values(), data, wanted, block, fit.effective)
 
 
 def without_terms(
@@ -357,20 +357,20 @@ def search_again_without(
         return found
     question = replace(found.question, barred=barred)
     folds = question.candidates.gram.folds()
-    more, left = worthy(question, folds, climbed(question, found.terms))
-    if better(question, [fit, more]) is fit:
+    more, left = drop_worthless(question, folds, climb_from(question, found.terms))
+    if most_evident(question, [fit, more]) is fit:
         return replace(found, question=question)
     more, left = improve_by_swaps(question, folds, more, left)
     return _with_fit(found, question, fit_to_convergence(question, more.terms, more), left, problem)
 
 
-def refined(question: Question, fit: Fitted) -> list[Effect]:
+def refine_shapes(question: Question, fit: Fitted) -> list[Effect]:
     """Shapes between those of the grid, where they explain more: of the terms, and of the likeliest
     further cause of each joint, which may lack evidence at the grid's shapes alone."""
     columns = question.candidates.columns
     own = question.own(fit)
     further: dict[Place, Term] = {}
-    for net, (term, *_) in moves(question, fit):
+    for net, (term, *_) in candidate_moves(question, fit):
         if net > 0 and term.shapes > 0:
             further.setdefault(term.place, term)
     out: list[Effect] = []
@@ -391,7 +391,7 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
     return out
 
 
-def sharpened(question: Question, fit: Fitted, problem: Problem) -> list[Effect]:
+def sharpen_shapes(question: Question, fit: Fitted, problem: Problem) -> list[Effect]:
     """Causes with impacts or swings, each with the shape that explains most of the gap in the band
     of the report, where these show how they are; all other terms keep their coefficients."""
     start, data, wanted = problem.given.model, problem.data, problem.wanted
@@ -405,7 +405,7 @@ def sharpened(question: Question, fit: Fitted, problem: Problem) -> list[Effect]
             continue
         # What all other terms leave.
         others = [(t, v) for t, v in own if t is not term]
-        rest = corrected(start, [t for t, _ in others], [v for _, v in others], wanted)
+        rest = corrected_model(start, [t for t, _ in others], [v for _, v in others], wanted)
         left = samples.of([(s.tau - rest.torque(s, data.samples)).T for s in some])
         motions = Columns(rest, samples).motions
         best = replace(effect, at=float(values[0]))  # type: ignore[call-arg]
@@ -439,8 +439,8 @@ def at_their_size(question: Question, fit: Fitted) -> list[Effect]:
     own = question.own(fit)
     rests = [excluding(own, [term]) for term in own]
     without = fit_each(question, rests, fit.effective, fit.weight)
-    for rest, offered in zip(rests, moves_of_each(question, without, own), strict=True):
-        for net, (rival, *_) in offered[:CLOSELY]:
+    for rest, offered in zip(rests, moves_beside_each(question, without, own), strict=True):
+        for net, (rival, *_) in offered[:LIKELIEST]:
             effect = rival.alone
             if net > 0 and effect and effect.linearised and effect.identity not in moved:
                 there = refit(question, fit, (*rest, rival))
@@ -536,6 +536,6 @@ def _changed(old: Model, new: Model, data: Data) -> bool:
     for segment in data.segments:
         # Columns scale with the model's torque: is it another?
         a, b = old.load(segment.motion), new.load(segment.motion)
-        if bool(((a - b).square().mean(0) > CHANGED**2 * b.square().mean(0) + 1e-300).any()):
+        if bool(((a - b).square().mean(0) > CHANGED_SHARE**2 * b.square().mean(0) + 1e-300).any()):
             return True
     return False

@@ -16,18 +16,18 @@ from torchid.effects.transient import Contact
 from torchid.gap.data import Data
 from torchid.gap.diagnosis import Finding, unit_of
 from torchid.gap.record import Experiment, Informative, Parametric
-from torchid.gap.search.climb import TRIED, moves
+from torchid.gap.search.climb import MOVES_TRIED, candidate_moves
 from torchid.gap.search.evidence import (
     Fitted,
     Question,
-    apart,
     common_names,
+    comparable,
     directions,
     fit_each,
-    in_turn,
+    greedy_shares,
+    log_likelihood_ratio,
     refit,
     residual,
-    risen,
 )
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.odds import Misfit, Odds, odds
@@ -38,10 +38,10 @@ from torchid.robot.inertia import InertialParameters
 from torchid.statistics.criteria import LIKELY, SET_ODDS
 from torchid.typing import Int, Tensor
 
-LARGE = 0.5
+LARGE_SHARE = 0.5
 """Torque, as a share of the joint's own, below which a testable effect must be detectable."""
 
-HOPELESS = 3600.0
+HOPELESS_SECONDS = 3600.0
 """Seconds of the same motion beyond which only another motion can help."""
 
 
@@ -87,7 +87,7 @@ def judge_terms(found: Explanation, misfit: Misfit) -> list[Judged]:
         # What the others leave, refitted.
         rest = excluding(found.terms, [term])
         without = refit(question, fit, rest, 10)
-        tried = likely(question, fit, without, term)
+        tried = likely_terms(question, fit, without, term)
         others = alternatives(question, fit, without, term, tried)
         own = own_torque(found.solution, fixed + k)
         its = odds(question, (fit, without), found.solution, fixed + k, own, misfit, others)
@@ -127,7 +127,7 @@ def describe_findings(found: Explanation, judged: Sequence[Judged], closed: floa
     """
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
     samples = question.candidates.columns.samples
-    shares, firsts = in_turn(question, fit, found.terms)
+    shares, firsts = greedy_shares(question, fit, found.terms)
     effects, parametric, undecided, rivals = [], [], [], []
     for k, (term, one) in enumerate(zip(found.terms, judged, strict=True)):
         share, first = closed * shares[k], closed * firsts[k]
@@ -175,7 +175,7 @@ def _separable(found: Explanation, one: Judged) -> Term | None:
     rest = excluding(found.terms, [one.term])
     for _, other in one.others:
         again = refit(question, fit, (*rest, other))
-        differs = risen(fit.effective, again.losses, fit.losses)
+        differs = log_likelihood_ratio(fit.effective, again.losses, fit.losses)
         if other.name != BASE and float(differs.abs().sum()) >= 0.1:
             return other
     return None
@@ -186,11 +186,11 @@ def _without_bodies(found: Explanation, one: Judged) -> tuple[Fitted, Fitted]:
     parameters hold whatever it does."""
     question, fit = found.question, found.fit
     if one.term.name != PAYLOAD:
-        return apart(question, fit, one.without)
+        return comparable(question, fit, one.without)
     effects = [t for t in found.terms if t.name != BASE]
     lighter = excluding(effects, [one.term])
     both = (refit(question, fit, e, 10) for e in (effects, lighter))
-    return apart(question, *both)
+    return comparable(question, *both)
 
 
 def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> float:
@@ -198,7 +198,7 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
     number of samples (Wilks 1938), times all candidates. A joint of what most joints have was not
     searched for."""
     # Twice the logarithm of the likelihoods' ratio, over the directions that the term has.
-    ratio = float(risen(fit.effective, without.losses, fit.losses).sum())
+    ratio = float(log_likelihood_ratio(fit.effective, without.losses, fit.losses).sum())
     if term.seen is not None or question.known:
         ratio += without.known - fit.known
     df = directions(question, term) + term.shapes
@@ -208,21 +208,21 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
     return min(1.0, looks * float(chdtrc(df, max(0.0, ratio))))
 
 
-def likely(
+def likely_terms(
     question: Question, fit: Fitted, without: Fitted, term: Term
 ) -> list[tuple[float, Term]]:
     """Terms in the place of one, with the rise of the evidence, the best first: in order of what
     they promise, until ten are beyond the odds."""
     others = question.own(without)
-    found = [m for _, m in moves(question, without, term) if m[0].key != term.key]
+    found = [m for _, m in candidate_moves(question, without, term) if m[0].key != term.key]
     tried: list[tuple[float, Term]] = []
     failed = 0
-    while found and failed < TRIED:
+    while found and failed < MOVES_TRIED:
         # As many at once as may still fail.
-        some, found = found[: TRIED - failed], found[TRIED - failed :]
+        some, found = found[: MOVES_TRIED - failed], found[MOVES_TRIED - failed :]
         fits = fit_each(question, [(*others, *m) for m in some], fit.effective, fit.weight)
         for (other, *_), again in zip(some, fits, strict=True):
-            now, then = apart(question, fit, again)
+            now, then = comparable(question, fit, again)
             tried.append((then.evidence - now.evidence, other))
             failed += tried[-1][0] <= -2 * math.log(SET_ODDS)
     return sorted(tried, key=lambda pair: -pair[0])
@@ -256,8 +256,8 @@ def alternatives(
             # What does not do as well with any numbers does not with those of bodies.
             for conic in (False, True):
                 again = refit(question, fit, (*others, base), 10, conic=conic)
-                now, then = apart(question, fit, again)
-                lost = risen(now.effective, then.losses, now.losses)
+                now, then = comparable(question, fit, again)
+                lost = log_likelihood_ratio(now.effective, then.losses, now.losses)
                 if float(lost.sum()) >= 2 * math.log(SET_ODDS):
                     break
             else:
@@ -370,7 +370,7 @@ def next_experiment(
             to_s=start + float(t[instants[-1]] - t[instants[0]]),
             share=float(left[best]) / max(1e-12, total),
         ),
-        seconds_of_the_same_motion=seconds if seconds < HOPELESS else None,
+        seconds_of_the_same_motion=seconds if seconds < HOPELESS_SECONDS else None,
     )
 
 
@@ -415,7 +415,7 @@ def not_testable(found: Explanation, data: Data) -> list[NotTestable]:
         elif term.place is not None:
             square = size / float(weight[term.place] * normal.rows[term.place].clamp(min=1))
             torque = float(question.torque[term.place].sqrt())
-            if math.sqrt(needed / left * square) > LARGE * torque:
+            if math.sqrt(needed / left * square) > LARGE_SHARE * torque:
                 reason = "noise hides it up to half of the joint's torque"
         if reason:
             unit = unit_of(effect.coefficients[0].unit, effect.joints[:1], robot)

@@ -15,7 +15,7 @@ from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import BASE, LINK, Term, excluding
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 
-MOST = 8
+MOST_ALTERNATIVES = 8
 """Alternatives that are fitted at most, the likeliest first."""
 
 
@@ -33,7 +33,7 @@ def joint_fits(found: Explanation, said: Findings, problem: Problem) -> tuple[Jo
         return ()
     question, fit = found.question, found.fit
     out = [_fit(solution, 0.0, "")]
-    for rise, term, other in sorted(said.rivals, key=lambda r: -r[0])[:MOST]:
+    for rise, term, other in sorted(said.rivals, key=lambda r: -r[0])[:MOST_ALTERNATIVES]:
         others = excluding(fit.terms, [term])
         again = fit_to_convergence(question, [*others, other], fit)
         # What physics then refuses has left, and with it the alternative.

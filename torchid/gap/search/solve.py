@@ -27,7 +27,7 @@ from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Int, Tensor
 
 STEPS = 4
-SETTLED = 1e-4
+SETTLED_SHARE = 1e-4
 """Gauss-Newton steps at most, and the share of the loss that one must gain to be followed by
 another."""
 
@@ -90,10 +90,10 @@ class Solution:
         again = prior_of(self.terms).solve(a @ a.T, a @ y).x
         again = torch.where(free, again, x)
         parts = again.split([len(v) for v in self.values])
-        return corrected(self.start, self.terms, parts, self.wanted)
+        return corrected_model(self.start, self.terms, parts, self.wanted)
 
 
-def solved(
+def solve_terms(
     columns: Columns,
     terms: Sequence[Term],
     x: Sequence[Float[Tensor, " _"]],
@@ -124,7 +124,7 @@ def solved(
     for step in range(STEPS + 1):
         # The corrected model at the estimate, and what it leaves.
         taken = [at_estimate(t, v) for t, v in zip(taken, values, strict=True)]
-        model = corrected(start, taken, values, wanted)
+        model = corrected_model(start, taken, values, wanted)
         at = columns.at(model)
         left = at.gap * data.keep
         # Every joint in units of what it leaves; rows far out, at reversals, count as their limit.
@@ -143,7 +143,7 @@ def solved(
         best = Solution(
             start, wanted, tuple(taken), tuple(values), (), unknown, model, of_joint, a, left
         )
-        if (step > 1 and last - loss < SETTLED * last) or step == STEPS or not len(a):
+        if (step > 1 and last - loss < SETTLED_SHARE * last) or step == STEPS or not len(a):
             break
         last = loss if step > 0 else torch.inf
         # Gauss-Newton: what the columns see in what is left, and what is known beforehand.
@@ -239,7 +239,7 @@ def at_estimate(term: Term, values: Float[Tensor, " C"]) -> Term:
     return replace(term, effects=tuple(e.at_estimate(values.tolist()) for e in term.effects))
 
 
-def corrected(
+def corrected_model(
     start: Model, terms: Sequence[Term], values: Sequence[Float[Tensor, " _"]], wanted: Wanted
 ) -> Model:
     """The model with the fitted terms: other inertial parameters, further effects. An effect that

@@ -12,12 +12,12 @@ from torchid.effects.base import JointEffect
 from torchid.gap.diagnosis import unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import UnnamedEffect
-from torchid.gap.search.climb import allowed, moves
+from torchid.gap.search.climb import candidate_moves, drop_unphysical
 from torchid.gap.search.evidence import (
     Fitted,
     Question,
-    acting,
-    apart,
+    active_share,
+    comparable,
     fit_each,
     fit_terms,
     refit,
@@ -25,7 +25,7 @@ from torchid.gap.search.evidence import (
 from torchid.gap.search.explain import Explanation, solve
 from torchid.gap.search.odds import Misfit, odds
 from torchid.gap.search.replication import own_torque, replication
-from torchid.gap.search.solve import solved
+from torchid.gap.search.solve import solve_terms
 from torchid.gap.search.terms import Term, excluding
 from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
@@ -34,10 +34,10 @@ from torchid.statistics.criteria import LIKELY, UNLIKELY
 from torchid.statistics.odds import probability
 from torchid.typing import Tensor
 
-PLACES, EACH = 8, 4
+PLACES_LOOKED_AT, CANDIDATES_EACH = 8, 4
 """Places that are looked at for suspects beside what is named, and candidates of each."""
 
-MOST = 5
+MOST_SUSPECTS = 5
 """Suspects that are listed at most."""
 
 
@@ -55,7 +55,9 @@ def small_effects(
     question, fit = found.question, found.fit
     named = {t.key for t in found.terms}
     last = {t.key: t for t in found.unworthy if t.key not in named and not t.inertial}
-    whole = allowed(question, fit_terms(question, [*found.terms, *last.values()], fit.effective))
+    whole = drop_unphysical(
+        question, fit_terms(question, [*found.terms, *last.values()], fit.effective)
+    )
     # Causes that stand for each other: the least needed leaves first.
     without: dict[int, tuple[float, Tensor, Fitted]] = {}
     while own := [t for t in question.own(whole) if t.key in last]:
@@ -64,7 +66,7 @@ def small_effects(
         if probability([without[id(gone)][0]]) >= LIKELY:
             break
         rest = excluding(question.own(whole), [gone])
-        whole = allowed(question, refit(question, whole, rest))
+        whole = drop_unphysical(question, refit(question, whole, rest))
     if not own:
         return ()
     # Their sizes, fitted together with what is told.
@@ -123,7 +125,7 @@ def suspects(
     every = [*fit.terms, *(pairs[0][1] for pairs in best)]
     start = [*fit.values(), *(pairs[0][0].values()[-1] for pairs in best)]
     data, wanted, block = problem.data, problem.wanted, problem.block
-    solution = solved(problem.given, every, start, data, wanted, block, fit.effective)
+    solution = solve_terms(problem.given, every, start, data, wanted, block, fit.effective)
     # What was seen to be left unexplained before may hide a name, and no suspect.
     least = replace(question, left=None).least(fit.losses / rows)
     out: list[tuple[bool, UnnamedEffect]] = []
@@ -138,12 +140,12 @@ def suspects(
             numbers.append((other, values, std, f, here.sure * math.exp(0.5 * rise)))
         for one, values, std, f, sure in numbers:
             closes = ((fit.losses - f.losses).clamp(min=0) / rows).sqrt()
-            large = bool((closes / acting(question, [one]) ** 0.5 >= least).any())
+            large = bool((closes / active_share(question, [one]) ** 0.5 >= least).any())
             if large or is_moved(one):
                 out.append((is_moved(one), _entry(one, values, std, closes, sure, problem.robot)))
     # What has moved is listed, however unlikely.
     kept = [pair for pair in out if pair[0] or pair[1].how_sure >= UNLIKELY]
-    kept = sorted(kept, key=lambda pair: (not pair[0], -pair[1].how_sure))[:MOST]
+    kept = sorted(kept, key=lambda pair: (not pair[0], -pair[1].how_sure))[:MOST_SUSPECTS]
     return tuple(sorted((e for _, e in kept), key=lambda e: -e.how_sure))
 
 
@@ -159,11 +161,11 @@ def _likely_places(
         return any(e.at_an_end(question.candidates.columns.motions) for e in shaped)
 
     places: dict[Place, dict[object, Term]] = {}
-    for _, (term, *more) in moves(question, found.fit):
+    for _, (term, *more) in candidate_moves(question, found.fit):
         if more or term.key in listed or is_another(term):
             continue
         own = places.setdefault(term.place, {})
-        if is_moved(term) or (len(places) <= PLACES and len(own) < EACH):
+        if is_moved(term) or (len(places) <= PLACES_LOOKED_AT and len(own) < CANDIDATES_EACH):
             own.setdefault(term.key, term)
     return [list(own.values()) for own in places.values()]
 
@@ -180,7 +182,7 @@ def _fitted_beside(found: Explanation, terms: list[Term]) -> list[tuple[Fitted, 
 
 def _rise(question: Question, fit: Fitted, other: Fitted) -> float:
     """Of the evidence of a fit over another one."""
-    one, two = apart(question, fit, other)
+    one, two = comparable(question, fit, other)
     return one.evidence - two.evidence
 
 

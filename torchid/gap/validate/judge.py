@@ -18,7 +18,7 @@ from torchid.gap.search.evidence import (
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.findings import Findings
 from torchid.gap.search.odds import Misfit
-from torchid.gap.search.solve import Solution, solved
+from torchid.gap.search.solve import Solution, solve_terms
 from torchid.gap.search.terms import BASE, Term, Wanted, excluding, fixed_terms
 from torchid.gap.validate.closing import Closing, closing, known_noise, levels
 from torchid.gap.validate.traces import traces
@@ -56,7 +56,7 @@ def refitted(columns: Columns, data: Data, wanted: Wanted) -> Solution:
     """The columns' model with base parameters, and the background, fitted anew."""
     terms = fixed_terms(columns, replace(wanted, free=True))
     x = [torch.zeros(len(t.at), dtype=torch.float64) for t in terms]
-    return solved(columns, terms, x, data, wanted, blocks_of(data, None))
+    return solve_terms(columns, terms, x, data, wanted, blocks_of(data, None))
 
 
 def blocks_of(data: Data, columns: Columns | None) -> Int[Tensor, " N"]:
