@@ -18,8 +18,8 @@ from torchid.excitation.fourier import FourierTrajectory, midpoints
 from torchid.excitation.restriction import Restriction
 from torchid.excitation.trajectories import Sinusoid
 from torchid.identification.base_parameters import nominal_values
+from torchid.identification.model import full_set
 from torchid.identification.values import Prior
-from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Bool, Float, Tensor
 
@@ -188,19 +188,8 @@ def identified_torque_limits(
         other = nominal_values(robot, base) if nominal else torch.zeros_like(values)
         values = torch.where(prior.known, values, other)
         source += f" ({unknown} not determined: {'nominal' if nominal else '0'})"
-    # The base parameters are the parameters of an arm whose dependent ones vanish.
-    every = values.new_zeros(len(base.parameter_names))
-    every[list(base.independent)] = values
-    rigid, coefficients = every.split(
-        [base.n_rigid_parameters, len(every) - base.n_rigid_parameters]
-    )
-    sizes = [len(effect.coefficients) for effect in prior.effects]
-    effects = [
-        (effect, own.tolist())
-        for effect, own in zip(prior.effects, coefficients.split(sizes), strict=True)
-    ]
-    arm = replace(robot, parameters=InertialParameters.from_paper_order(rigid))
-    return TorqueLimits(arm, tuple(effects), source, usage)
+    parameters, effects = full_set(base, prior.effects, values)
+    return TorqueLimits(replace(robot, parameters=parameters), tuple(effects), source, usage)
 
 
 def corrected_torque_limits(

@@ -71,6 +71,11 @@ class _Candidates:
         """The same as reasons are written, e.g. Fv_6, F0_1."""
         return coefficient_reasons(self.effects)
 
+    def effect_records(self, k: int) -> tuple[Values, ...]:
+        """The effects with set k's coefficients, as in a robot's yaml."""
+        own = iter(self.coefficients[k].tolist())
+        return tuple(dict(e.record([next(own) for _ in e.coefficients])) for e in self.effects)
+
     def part(self, rows: Sequence[int]) -> "ParameterSets":
         """Some of the sets, in the order asked for."""
         index = list(rows)
@@ -298,19 +303,9 @@ def sets_record(
                 mass=pi[:, 0],
                 first_moment=pi[:, 1:4],
                 inertia_about_link_frame=pi[:, 4:],
-                effects=tuple(
-                    {
-                        "effect": e.name,
-                        "joint": e.joint + 1,
-                        **{c.name: next(v) for c in e.coefficients},
-                    }
-                    for v in [iter(values)]
-                    for e in sets.effects
-                ),
+                effects=sets.effect_records(k),
             )
-            for name, pi, values in zip(
-                sets.ids, sets.parameters.pi, sets.coefficients.tolist(), strict=True
-            )
+            for k, (name, pi) in enumerate(zip(sets.ids, sets.parameters.pi, strict=True))
         ),
         other_effects=beside or UNSET,
         knowledge=UNSET if knowledge is None else to_mapping(knowledge),

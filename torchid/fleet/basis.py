@@ -76,7 +76,7 @@ def common_basis(
                 hint="identify all logs with the same robot file",
             )
         used = turn.abs() > SAME_COMBINATION * size.unsqueeze(1)
-        unknown = torch.tensor([name in record.undetermined for name in base.names])
+        unknown = base.mask(record.undetermined)
         unknown |= contaminated_columns(record.factor[:, : len(base)], unknown)
         known = within & ~(used & unknown).any(1)
         estimated = known & (used & record.free).any(1)

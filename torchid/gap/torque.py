@@ -13,7 +13,7 @@ from dataclasses import replace
 from torchid.design.columns import Model
 from torchid.effects.registry import EVENTS
 from torchid.errors import LogError
-from torchid.gap.diagnosis import HowFar, TorqueDiagnosis
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.early import Watch, first_answer, so_far
 from torchid.gap.localise.where import where
 from torchid.gap.problem import Problem
@@ -134,7 +134,7 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
         regimes=regimes,
         findings=said.effects,
         parametric=said.parametric,
-        how_far=HowFar(far.rms_before, far.rms_after, far.closed, far.closed_ci95),
+        how_far=far,
         budget=shares,
         floor=checked.noise.floor,
         not_testable=tuple(unseen),

@@ -142,10 +142,7 @@ def identify(
     if not settings.force:
         refuse_useless(fitted, condition, training.log, robot.free)
 
-    def names(mask: Tensor) -> tuple[str, ...]:
-        return tuple(name for name, hit in zip(base.names, mask.tolist(), strict=True) if hit)
-
-    lone = names(estimate.uncertainty.by_one_block[order])
+    lone = base.named(estimate.uncertainty.by_one_block[order])
     one_stretch = (
         "one short stretch of the log alone determines these; their standard deviations are lower "
         "bounds: " + ", ".join(lone)
@@ -159,10 +156,10 @@ def identify(
         factor=found.factor,
         rows=found.rows,
         free=found.free,
-        bounded=names(estimate.fit.bounded[order]),
-        undetermined=names(found.undetermined),
-        dropped=names(estimate.dropped[order]),
-        wrong_sign=names((columns.non_negative & (estimate.fit.x < 0))[order]),
+        bounded=base.named(estimate.fit.bounded[order]),
+        undetermined=base.named(found.undetermined),
+        dropped=base.named(estimate.dropped[order]),
+        wrong_sign=base.named((columns.non_negative & (estimate.fit.x < 0))[order]),
         fit=errors(fitted, robot.free),
         held_out=errors(checked, robot.free) if checked else None,
         fit_predictions=tuple(fitted),
@@ -228,18 +225,21 @@ def _chosen_filter(
     return cutoff, choice, reversal
 
 
+def _travel(log: Log) -> tuple[list[float], str]:
+    """How far each joint moves [rad; m], and the same in words."""
+    moved = (log.q.amax(0) - log.q.amin(0)).tolist()
+    return moved, f"the joints move over {', '.join(f'{x:.2g}' for x in moved)} rad or m"
+
+
 def refuse_lost(condition: float, log: Log) -> None:
     """Raise IdentificationError where rounding alone would leave no four digits: values of
     thousands of kilograms would be printed with standard deviations as large, and look like a
     result."""
     largest = FEWEST_DIGITS / torch.finfo(torch.float64).eps
     if condition > largest:
-        moved = (log.q.amax(0) - log.q.amin(0)).tolist()
         raise IdentificationError(
             "these logs cannot tell the parameters apart: the fit is lost in rounding.",
-            got=f"condition number {condition:.1e} (columns of length one); the joints move over "
-            + ", ".join(f"{x:.2g}" for x in moved)
-            + " rad or m",
+            got=f"condition number {condition:.1e} (columns of length one); {_travel(log)[1]}",
             expected=f"below {largest:.1e}; a good motion has less than 1e3",
             hint="`torchid excite` designs a motion that tells them apart; `effects=...` with "
             "fewer names asks for less",
@@ -319,15 +319,13 @@ def refuse_useless(
     worse = (percent > NO_BETTER).nonzero().flatten().tolist()
     if 2 * len(worse) <= int(percent.isfinite().sum()):
         return
-    moved = (log.q.amax(0) - log.q.amin(0)).tolist()
+    moved, said = _travel(log)
     slow = [j for j, x in enumerate(moved) if x < HARDLY_MOVES]
     hint = "" if not slow else f"; {joint_list(slow)} hardly move"
     raise IdentificationError(
         "these logs determine no model: over all rows it predicts the torque worse than zero does.",
         got=f"an error of {float(percent[worse].max()):.2g} % of the torque on "
-        f"{joint_list(worse)}; condition number {condition:.1e}; the joints move over "
-        + ", ".join(f"{x:.2g}" for x in moved)
-        + f" rad or m{hint}",
+        f"{joint_list(worse)}; condition number {condition:.1e}; {said}{hint}",
         expected="every joint moving through much of its range, slowly and fast",
         hint="`torchid excite` designs such a motion; `force=True` (`--force`) shows the numbers "
         "all the same",

@@ -45,10 +45,10 @@ class TriangularFactor:
     longer represent the rest.
     """
 
-    def __init__(self, columns: int, *, device: torch.device | str | None = None):
+    def __init__(self, columns: int):
         self._guess: Tensor | None = None
         self._inverse: Tensor | None = None
-        self._gram = torch.zeros(columns, columns, dtype=torch.float64, device=device)
+        self._gram = torch.zeros(columns, columns, dtype=torch.float64)
         self._rows = 0
         self._columns = columns
         self._waiting: list[Tensor] = []

@@ -202,10 +202,7 @@ def _pruned(setting: Setting, rival: Rival, tried: Sequence[FourierTrajectory]) 
     near: dict[int, None] = {}
     for x in tried:
         rows = Rows(setting, x)
-        truth = rows.columns(rival.truth.effects, rival.leaving)
-        own = rows.beside(
-            truth @ torch.tensor(rival.truth.values, dtype=torch.float64), rival.leaving
-        )
+        own = rows.beside(rival.truth.torque(rows, rival.leaving), rival.leaving)
         near |= dict.fromkeys(left_by_forms(rows, rival, own).argsort()[:NEAREST_FORMS].tolist())
     return replace(rival, others=tuple(rival.others[k] for k in near))
 

@@ -62,6 +62,11 @@ class Explanation:
         """The first."""
         return self.effects[0]
 
+    def torque(self, rows: Rows, leaving: Group = ()) -> Float[Tensor, " R"]:
+        """Of it along a motion, beside a model without some effects."""
+        values = torch.tensor(self.values, dtype=torch.float64)
+        return rows.columns(self.effects, leaving) @ values
+
 
 @dataclass(frozen=True)
 class Rival:
@@ -123,9 +128,7 @@ def separations(
 
 def _told(rows: Rows, rival: Rival) -> Discrimination:
     gone = rival.leaving
-    whole = rows.columns(rival.truth.effects, gone) @ torch.tensor(
-        rival.truth.values, dtype=torch.float64
-    )
+    whole = rival.truth.torque(rows, gone)
     own = rows.beside(whole, gone)
     if not rival.name:
         difference = float(own.square().sum())
@@ -181,8 +184,7 @@ def imitation(
     Of an effect that without some coefficients would be a simpler one, only these are used: else a
     joint's spring would imitate a torque offset by having no stiffness.
     """
-    own = rows.columns(truth.effects, leaving) @ torch.tensor(truth.values, dtype=torch.float64)
-    left = rows.beside(own, leaving)
+    left = rows.beside(truth.torque(rows, leaving), leaving)
     found: tuple[float, Explanation] | None = None
     for other in others:
         columns = rows.beside(rows.columns(other, leaving), leaving)

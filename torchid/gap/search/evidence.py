@@ -376,12 +376,11 @@ def fit_each(
     explanations: Sequence[Sequence[Term]],
     effective: Float[Tensor, " n"],
     weight: Float[Tensor, " n"] | None = None,
-    rounds: int = 2,
 ) -> list[Fitted]:
     """What `fit_terms` gives of each of several explanations, all at once."""
     out: list[Fitted] = []
     for k in range(0, len(explanations), TOGETHER):
-        out += _fit_each(question, explanations[k : k + TOGETHER], effective, weight, rounds)[0]
+        out += _fit_each(question, explanations[k : k + TOGETHER], effective, weight, 2)[0]
     return out
 
 
@@ -711,20 +710,20 @@ def _offers(
     return sorted(out, key=lambda o: -o.net)
 
 
+def span_of(push: Contact) -> tuple[float, float]:
+    """Start and stop of a push [s], infinite where they are open."""
+    start = -math.inf if push.start is None else push.start
+    return start, math.inf if push.stop is None else push.stop
+
+
 def _beside(term: Term, others: Sequence[Term]) -> bool:
     """Whether a term in a window of time stands in or next to another one's: one push is one."""
-    if not term.effects or not term.effects[0].windowed:
+    if not term.effects or not isinstance(term.effects[0], Contact):
         return False
-    # Start and stop of each, infinite where they are open.
-    windows = []
-    for effect in (t.effects[0] for t in (term, *others) if t.effects):
-        if isinstance(effect, Contact):
-            start = -math.inf if effect.start is None else effect.start
-            windows.append((start, math.inf if effect.stop is None else effect.stop))
-    if not windows:
-        return False
+    start, stop = span_of(term.effects[0])
+    pushes = (t.effects[0] for t in others if t.effects)
+    there = [span_of(effect) for effect in pushes if isinstance(effect, Contact)]
     # Next to each other: nearer than half of the longer one.
-    (start, stop), *there = windows
     return any(
         start < b + 0.5 * max(stop - start, b - a) and a < stop + 0.5 * max(stop - start, b - a)
         for a, b in there

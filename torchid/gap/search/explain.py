@@ -1,6 +1,5 @@
 """The whole search: events, laws from several starts, shapes refined, columns taken anew."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -39,6 +38,7 @@ from torchid.gap.search.evidence import (
     refit,
     residual,
     rows_of,
+    span_of,
 )
 from torchid.gap.search.solve import Solution, at_estimate, corrected_model, solve_terms
 from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, candidates_of, excluding
@@ -57,6 +57,10 @@ LONGEST = 120.0
 
 FINEST = 5
 """Times a shape is searched around the best one, each time three times more closely."""
+
+
+Watch = Callable[[Question, Fitted], None]
+"""Called with each fit that the search goes on from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +87,7 @@ class Explanation:
         return self.question.own(self.fit)
 
 
-def explain_gap(
-    problem: Problem, watch: Callable[[Question, Fitted], None] | None = None
-) -> Explanation:
+def explain_gap(problem: Problem, watch: Watch | None = None) -> Explanation:
     """Which effects explain the gap between a log and a model.
 
     Args:
@@ -137,24 +139,7 @@ def explain_gap(
             question = asked(columns)
             again = tuple(_finest(question.candidates, t, finer) or t for t in again)
             fit = climb_from(question, again)
-        # What is worth a name on data that was not fitted; bodies beside it, last.
-        folds = question.candidates.gram.folds()
-        fit, left = drop_worthless(question, folds, fit)
-        # Where a cause has left or bodies have joined, another one may say the rest better.
-        fit, left = improve_by_swaps(question, folds, fit, left)
-        fit, left = search_without_small(question, folds, fit, left)
-        if watch is not None:
-            watch(question, fit)
-        # Without the events that do not stand out any more, the search goes on from the laws.
-        while gone := events_not_standing_out(question, fit, left, repeated):
-            question = replace(question, barred=question.barred | {t.key for t in gone})
-            own = question.own(fit)
-            laws = excluding(own, gone)
-            fit, left = drop_worthless(question, folds, climb_from(question, laws))
-            fit, left = improve_by_swaps(question, folds, fit, left)
-        whole = with_bodies(question, folds, fit)
-        if whole is not fit:
-            fit, left = improve_by_swaps(question, folds, whole, left)
+        question, fit, left = worth_naming(question, fit, repeated, watch)
         # Once more with the columns of the model found, if they are others.
         latest = corrected_model(model, fit.terms, fit.values(), wanted)
         # What scales with the torque must not see the friction that it is to be told from.
@@ -169,17 +154,42 @@ def explain_gap(
         moved = [at_estimate(t, v) for t, v in pairs]
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
         extra += [t.alone for t in start if t.alone and hasattr(t.alone, "at")]
+    # The search ends without what vanishes at the model found.
+    folds = question.candidates.gram.folds()
     while True:
         fit = fit_to_convergence(question, fit.terms, fit)
         solution = solve(problem, fit)
         gone = terms_without_torque(question, solution)
         if not gone:
             return Explanation(question, fit_anew(question), fit, tuple(left), solution)
-        # The search ends without what vanished at the model found.
         question = replace(question, barred=question.barred | {t.key for t in gone})
         rest = [t for t in question.own(fit) if t.key not in question.barred]
         fit = drop_unphysical(question, refit(question, fit, rest))
         fit, left = improve_by_swaps(question, folds, fit, left)
+
+
+def worth_naming(
+    question: Question, fit: Fitted, repeated: Counterparts, watch: Watch | None
+) -> tuple[Question, Fitted, list[Term]]:
+    """What is worth a name on data that was not fitted, bodies beside it last; the terms that are
+    not worth one, and the question without events that do not stand out."""
+    folds = question.candidates.gram.folds()
+    fit, left = drop_worthless(question, folds, fit)
+    # Where a cause has left or bodies have joined, another one may say the rest better.
+    fit, left = improve_by_swaps(question, folds, fit, left)
+    fit, left = search_without_small(question, folds, fit, left)
+    if watch is not None:
+        watch(question, fit)
+    # Without the events that do not stand out any more, the search goes on from the laws.
+    while gone := events_not_standing_out(question, fit, left, repeated):
+        question = replace(question, barred=question.barred | {t.key for t in gone})
+        laws = excluding(question.own(fit), gone)
+        fit, left = drop_worthless(question, folds, climb_from(question, laws))
+        fit, left = improve_by_swaps(question, folds, fit, left)
+    whole = with_bodies(question, folds, fit)
+    if whole is not fit:
+        fit, left = improve_by_swaps(question, folds, whole, left)
+    return question, fit, left
 
 
 def terms_without_torque(question: Question, solution: Solution) -> list[Term]:
@@ -503,11 +513,8 @@ def _closest(
 
 def _again(candidates: Candidates, term: Term) -> Term | None:
     """The same term among other candidates."""
-    for other in candidates.terms:
-        same = other.name == term.name and other.wrong == term.wrong
-        if same and other.effects == term.effects:
-            return other
-    return None
+    asked = term.name, term.wrong, term.effects
+    return next((t for t in candidates.terms if (t.name, t.wrong, t.effects) == asked), None)
 
 
 def _finest(candidates: Candidates, term: Term, finer: Sequence[Effect]) -> Term | None:
@@ -522,9 +529,8 @@ def _finest(candidates: Candidates, term: Term, finer: Sequence[Effect]) -> Term
 def _near(one: Effect, two: Effect) -> bool:
     if isinstance(one, Contact) and isinstance(two, Contact):
         # Of two pushes that overlap one is the other, refined.
-        starts = [c.start or 0.0 for c in (one, two)]
-        stops = [math.inf if c.stop is None else c.stop for c in (one, two)]
-        return one.tip == two.tip and starts[0] < stops[1] and starts[1] < stops[0]
+        (a, b), (c, d) = span_of(one), span_of(two)
+        return one.tip == two.tip and a < d and c < b
     return one.identity == two.identity
 
 

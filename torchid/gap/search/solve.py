@@ -152,8 +152,17 @@ def solve_terms(
         whole = within_physics(taken, known, gram, flat @ (left * weight).flatten() + gram @ whole)
         values = list(whole.split([len(v) for v in values]))
     assert best is not None
-    if not len(best.a):
-        return best
+    return _with_deviations(best, data, block, known, weight) if len(best.a) else best
+
+
+def _with_deviations(
+    best: Solution,
+    data: Data,
+    block: Int[Tensor, " N"],
+    known: Prior,
+    weight: Float[Tensor, "n N"],
+) -> Solution:
+    """A solution with the covariance of its coefficients; rows count by their weights."""
     # Standard deviations from the spread of whole blocks of samples, all joints together, and from
     # what is known beforehand. Few blocks tell little of a spread, and one alone nothing: rows are
     # in units of what an independent sample leaves.
@@ -177,7 +186,7 @@ def solve_terms(
         differs = torch.zeros_like(v) if t.seen is None else v - t.centre
         twice.append(torch.tensor(unsure, dtype=torch.float64).square() + differs.square())
     covariance = covariance + torch.diag(torch.cat(twice))
-    std = covariance.diagonal().clamp(min=0).sqrt().split([len(v) for v in values])
+    std = covariance.diagonal().clamp(min=0).sqrt().split([len(v) for v in best.values])
     return replace(best, std=tuple(std), covariance=covariance)
 
 
