@@ -365,17 +365,22 @@ def sets_of(entries: Sequence["SetEntry"], n: int, source: str) -> ParameterSets
         name = k if entry.id is None else entry.id
         pi = InertialParameters(entry.pi.unsqueeze(0))
         parts.append(ParameterSets((str(name),), pi, effects, values.reshape(1, -1)))
-    for part in parts[1:]:
-        if part.effects != parts[0].effects:
-            raise TorchidError(
-                f"{source}: all sets must have the same effects.",
-                got=list(part.coefficient_names()),
-                expected=list(parts[0].coefficient_names()),
-            )
+    _require_same_effects(parts, [f"{source}: all sets must have the same effects."] * len(parts))
     ids = [part.ids[0] for part in parts]
     if len(set(ids)) != len(ids):
         raise TorchidError(f"{source}: two sets have the same id.", got=ids)
     return joined(parts)
+
+
+def _require_same_effects(parts: Sequence[ParameterSets], words: Sequence[str]) -> None:
+    """Raise TorchidError, in the words of the first part that has other effects than the first."""
+    for part, said in zip(parts, words, strict=True):
+        if part.effects != parts[0].effects:
+            raise TorchidError(
+                said,
+                got=list(part.coefficient_names()),
+                expected=list(parts[0].coefficient_names()),
+            )
 
 
 def read_all_sets(files: Sequence[Path], robot: Robot) -> ParameterSets:
@@ -385,13 +390,7 @@ def read_all_sets(files: Sequence[Path], robot: Robot) -> ParameterSets:
         TorchidError: a file that cannot be read, or that has other effects than the first.
     """
     parts = [read_sets(file, robot) for file in files]
-    for file, part in zip(files, parts, strict=True):
-        if part.effects != parts[0].effects:
-            raise TorchidError(
-                f"'{file}' has other effects than '{files[0]}'.",
-                got=list(part.coefficient_names()),
-                expected=list(parts[0].coefficient_names()),
-            )
+    _require_same_effects(parts, [f"'{f}' has other effects than '{files[0]}'." for f in files])
     every = [name for part in parts for name in part.ids]
     if len(set(every)) < len(every):
         parts = [

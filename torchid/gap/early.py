@@ -37,8 +37,7 @@ def first_answer(problem: Problem) -> Answer:
 
 def so_far(question: Question, fit: Fitted, robot: Robot) -> Answer:
     """What a fit that is not finished says."""
-    rows = question.normal.rows.clamp(min=1.0)
-    before, after = ((f.losses / rows).sqrt() for f in (fit_anew(question), fit))
+    before, after = (question.mean(f.losses).sqrt() for f in (fit_anew(question), fit))
     levels = zip(robot.joint_names, before.tolist(), after.tolist(), strict=True)
     first = len(question.fixed)
     causes = zip(fit.terms[first:], fit.values()[first:], strict=True)

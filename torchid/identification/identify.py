@@ -128,12 +128,8 @@ def identify(
     own = measured if shown == cutoff else timed(measurements(training.log, shown, reversal))
     apart: list[Measurement] = []
     if kept_back is not None:
-        apart = measurements(_on(kept_back, device), shown, reversal)
-        # The end of the same log follows its beginning; another log follows the whole of it.
-        last = measured[-1]
-        end = float(last.motion.require("t", "a trajectory")[-1]) + 1 / last.rate
-        follows = (float(log.t[0]), 0.0) if held_out is None else (None, end)
-        apart = timed(apart, *follows)
+        begin = float(log.t[0]) if held_out is None else None
+        apart = _following(measured, measurements(_on(kept_back, device), shown, reversal), begin)
     report = stage(progress, "predicting")
     fitted, checked = (
         [predict(m, robot, base, effects, found.values, report) for m in part]
@@ -205,6 +201,16 @@ def _prepared(
         noticed = (*noticed, *more)
     refuse_repeated(log, kept_back)
     return log, kept_back, noticed
+
+
+def _following(
+    fitted: Sequence[Measurement], apart: list[Measurement], begin: float | None
+) -> list[Measurement]:
+    """Held-out trajectories on the clock of those that are fitted: the end of the same log, which
+    began then, follows its beginning; another log, without a beginning, the whole of it."""
+    last = fitted[-1]
+    end = float(last.motion.require("t", "a trajectory")[-1]) + 1 / last.rate
+    return timed(apart, begin, end if begin is None else 0.0)
 
 
 def _chosen_filter(

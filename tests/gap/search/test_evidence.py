@@ -24,9 +24,9 @@ from torchid.gap.search.evidence import (
     cost,
     directions,
     effective_samples,
-    fit_each,
     fit_terms,
     prior_of,
+    refit_each,
     residual,
     rows_of,
     subset_of,
@@ -183,13 +183,14 @@ def test_the_leading_explanations_are_those_of_all_fits(count: int) -> None:
     n = question.normal.rows
     weight = n / question.squares
     tried = [[t] for t in question.candidates.terms if t.name != BASE]
-    every = fit_each(question, tried, n, weight)
+    start = replace(fit_terms(question, [], n), losses=question.squares)
+    every = refit_each(question, start, tried)
     free = [fit_terms(question, t, n, weight, conic=False) for t in tried]
     bound = [not torch.allclose(a.x, b.x) for a, b in zip(every, free, strict=True)]
     assert any(bound)
     assert all(b.evidence >= a.evidence - 1e-6 for a, b in zip(every, free, strict=True))
     best = sorted(range(len(tried)), key=lambda k: -every[k].evidence)[:count]
-    found = best_fits(question, tried, n, weight, count)
+    found = best_fits(question, start, tried, count)
     assert [k for k, _ in found] == best
     assert [f.evidence for _, f in found] == pytest.approx([every[k].evidence for k in best])
 

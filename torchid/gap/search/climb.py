@@ -8,6 +8,7 @@ having leaves, of several that which closes least in its turn.
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 
@@ -27,13 +28,13 @@ from torchid.gap.search.evidence import (
     correction_torque,
     cost,
     effective_samples,
-    fit_each,
     fit_terms,
     greedy_shares,
     log_likelihood_ratio,
     offers_of_each,
     prior_of,
     refit,
+    refit_each,
     subset_of,
     unphysical_terms,
 )
@@ -162,8 +163,7 @@ def _joint_net(question: Question, fit: Fitted, terms: Sequence[Term]) -> float:
     """Rise of the evidence by terms of one joint together, without the price of a cause; all
     samples count as independent."""
     rows = question.normal.rows
-    weight = rows / fit.losses.clamp(min=1e-300)
-    more = fit_terms(question, (*question.own(fit), *terms), rows, weight)
+    more = refit(question, replace(fit, effective=rows), (*question.own(fit), *terms))
     paid = sum(t.count * math.log(max(float(rows[t.place]), 2.0)) for t in terms)
     return float(log_likelihood_ratio(rows, fit.losses, more.losses).sum()) - paid
 
@@ -184,7 +184,7 @@ def _lighter(question: Question, fit: Fitted) -> Fitted | None:
         )
     lighter = [[*own[:k], *own[k + 1 :]] for _, k in sorted(held)[:LIKELIEST]]
     best: tuple[float, Fitted] | None = None
-    for without in fit_each(question, lighter, fit.effective, fit.weight):
+    for without in refit_each(question, fit, lighter):
         now, then = comparable(question, fit, without)
         rise = then.evidence - now.evidence
         if rise > 0 and (best is None or rise > best[0]):
@@ -198,7 +198,7 @@ def swap_term(question: Question, fit: Fitted, *, every: bool = False) -> Fitted
     own = question.own(fit)
     without = [tuple(t for t in own if t is not term) for term in own]
     tried: list[Move] = []
-    fits = fit_each(question, without, fit.effective, fit.weight)
+    fits = refit_each(question, fit, without)
     found = moves_beside_each(question, fits, own)
     for term, rest, offered in zip(own, without, found, strict=True):
         for _, move in offered[: MOVES_TRIED if every else LIKELIEST]:
@@ -207,7 +207,7 @@ def swap_term(question: Question, fit: Fitted, *, every: bool = False) -> Fitted
             tried.append((*rest, *move))
     if not tried:
         return None
-    ((_, best),) = best_fits(question, tried, fit.effective, fit.weight)
+    ((_, best),) = best_fits(question, fit, tried)
     now, then = comparable(question, fit, best)
     return then if then.evidence > now.evidence + 1e-6 else None
 
@@ -220,18 +220,16 @@ def _added(question: Question, fit: Fitted) -> Fitted | None:
         return None
     options = [m for _, m in candidate_moves(question, fit)][:MOVES_TRIED]
     # Ranked with all samples.
-    rows = question.normal.rows
-    weight = rows / fit.losses.clamp(min=1e-300)
+    alike = replace(fit, effective=question.normal.rows)
     best: tuple[float, Fitted] | None = None
-    for _, likely in best_fits(question, [(*own, *m) for m in options], rows, weight, LIKELIEST):
+    for _, likely in best_fits(question, alike, [(*own, *m) for m in options], LIKELIEST):
         then, now = comparable(question, likely, fit)
         rise = then.evidence - now.evidence
         # Of a step it is asked whether its torque is worth it on some joint, not yet whether the
         # error falls by as much: what is still missing may be larger.
         new = excluding(question.own(then), own)
-        fall = (now.losses - then.losses).clamp(min=0) / active_share(question, new)
-        size = (fall / rows.clamp(min=1.0)).sqrt()
-        least = question.least(now.losses / rows.clamp(min=1.0))
+        size = (question.fall(then, now) / active_share(question, new)).sqrt()
+        least = question.least(question.mean(now.losses))
         if question.known:
             size = torch.maximum(size, correction_torque(question, then, now, new))
         worth = bool((size >= least).any()) or any(map(question.shows, question.own(then)))

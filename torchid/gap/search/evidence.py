@@ -120,6 +120,14 @@ class Question:
         """Terms that are always in the model."""
         return self.candidates.fixed
 
+    def mean(self, squares: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """Sums of squares as means over the samples that count."""
+        return squares / self.normal.rows.clamp(min=1.0)
+
+    def fall(self, fit: Fitted, without: Fitted) -> Float[Tensor, " n"]:
+        """By how much a fit leaves less than one without some of its terms, as mean squares."""
+        return self.mean((without.losses - fit.losses).clamp(min=0))
+
     def own(self, fit: Fitted) -> tuple[Term, ...]:
         """Terms of a fit beside the fixed ones."""
         return fit.terms[len(self.fixed) :]
@@ -280,11 +288,10 @@ def correction_torque(
     """Torque (n,), RMS, that without some terms the model's own corrections make in their place
     [N m; N]; zero where these are as likely then: where what was known of the model does not speak
     for the terms by as much as they cost."""
-    rows = question.normal.rows.clamp(min=1.0)
     if without.known - fit.known <= cost(question, gone, fit.effective):
-        return torch.zeros_like(rows)
+        return torch.zeros_like(fit.losses)
     moved = slack_torque(question, without) - slack_torque(question, fit)
-    return (moved.square().sum(1) / rows).sqrt()
+    return question.mean(moved.square().sum(1)).sqrt()
 
 
 def left_by(question: Question, fit: Fitted) -> tuple[Float[Tensor, "n N"], Float[Tensor, "n _"]]:
@@ -371,40 +378,38 @@ def refit(
     return fit_terms(question, terms, fit.effective, fit.weight, rounds, conic=conic)
 
 
-def fit_each(
-    question: Question,
-    explanations: Sequence[Sequence[Term]],
-    effective: Float[Tensor, " n"],
-    weight: Float[Tensor, " n"] | None = None,
+def refit_each(
+    question: Question, fit: Fitted, explanations: Sequence[Sequence[Term]]
 ) -> list[Fitted]:
-    """What `fit_terms` gives of each of several explanations, all at once."""
+    """What `refit` gives of each of several explanations, all at once."""
     out: list[Fitted] = []
     for k in range(0, len(explanations), TOGETHER):
-        out += _fit_each(question, explanations[k : k + TOGETHER], effective, weight, 2)[0]
+        some = explanations[k : k + TOGETHER]
+        out += _fit_each(question, some, fit.effective, fit.weight, 2)[0]
     return out
 
 
 def best_fits(
     question: Question,
+    fit: Fitted,
     explanations: Sequence[Sequence[Term]],
-    effective: Float[Tensor, " n"],
-    weight: Float[Tensor, " n"],
     count: int = 1,
     worth: Callable[[Fitted], float] = lambda fit: fit.evidence,
 ) -> list[tuple[int, Fitted]]:
-    """Of several explanations those of most evidence, the best first, as `fit_each` fits them, each
-    with its place among all. To stay bodies can only cost evidence, so the conic programs of those
-    that would have too little without them are never solved.
+    """Of several explanations those of most evidence, the best first, as `refit_each` fits them,
+    each with its place among all. To stay bodies can only cost evidence, so the conic programs of
+    those that would have too little without them are never solved.
 
     Args:
-        question, explanations, effective, weight: as for `fit_each`.
+        question, fit, explanations: as for `refit_each`.
         count: of the best.
         worth: what ranks them in the place of evidence; bodies can only cost it, too.
     """
     bounds: list[tuple[Fitted, bool]] = []
     for k in range(0, len(explanations), TOGETHER):
         some = explanations[k : k + TOGETHER]
-        bounds += zip(*_fit_each(question, some, effective, weight, 2, conic=False), strict=True)
+        found = _fit_each(question, some, fit.effective, fit.weight, 2, conic=False)
+        bounds += zip(*found, strict=True)
     order = sorted(range(len(bounds)), key=lambda k: -worth(bounds[k][0]))
     best: list[tuple[int, Fitted]] = []
     for first in range(0, len(order), count + FITTED_BEYOND_BEST):
@@ -412,7 +417,7 @@ def best_fits(
         if len(best) == count and worth(bounds[near[0]][0]) <= worth(best[-1][1]):
             break
         incomplete = [k for k in near if not bounds[k][1]]
-        again = fit_each(question, [explanations[k] for k in incomplete], effective, weight)
+        again = refit_each(question, fit, [explanations[k] for k in incomplete])
         fits = {k: bounds[k][0] for k in near} | dict(zip(incomplete, again, strict=True))
         best = sorted([*best, *fits.items()], key=lambda pair: -worth(pair[1]))[:count]
     return best
@@ -563,16 +568,14 @@ def greedy_shares(
         return float((weight * one.losses).sum()) + dependent * one.known
 
     left = [loss(refit(question, fit, ()))]
-    each = fit_each(question, [(t,) for t in terms], fit.effective, fit.weight)
+    each = refit_each(question, fit, [(t,) for t in terms])
     alone = [loss(f) for f in each]
     order: list[int] = []
     while len(order) < len(terms):
         joined = [terms[k] for k in order]
         rest = [k for k in range(len(terms)) if k not in order]
         tried = [(*joined, terms[k]) for k in rest]
-        ((k, best),) = best_fits(
-            question, tried, fit.effective, fit.weight, worth=lambda one: -loss(one)
-        )
+        ((k, best),) = best_fits(question, fit, tried, worth=lambda one: -loss(one))
         order.append(rest[k])
         left.append(loss(best))
     if left[-1] >= left[0]:  # what another sensor alone shows closes nothing

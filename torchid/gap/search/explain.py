@@ -34,8 +34,8 @@ from torchid.gap.search.evidence import (
     active_share,
     common_names,
     comparable,
-    fit_each,
     refit,
+    refit_each,
     residual,
     rows_of,
     span_of,
@@ -308,9 +308,8 @@ def with_bodies(question: Question, folds: Folds, fit: Fitted) -> Fitted:
     if one.evidence <= other.evidence:
         return fit
     # They must be worth it on some joint, on data that was not fitted, and do no such harm on any.
-    rows = question.normal.rows.clamp(min=1.0)
-    without = held_out_losses(question, folds, more, own) / rows
-    then = held_out_losses(question, folds, more, question.own(more)) / rows
+    explanations = own, question.own(more)
+    without, then = (question.mean(held_out_losses(question, folds, more, e)) for e in explanations)
     fall = (without.sqrt() - then.sqrt()) / question.least(without)
     if not bool((fall >= 1).any()) or bool((fall <= -1).any()):
         return fit
@@ -448,7 +447,7 @@ def at_their_size(question: Question, fit: Fitted) -> list[Effect]:
     moved: dict[object, Effect] = {}
     own = question.own(fit)
     rests = [excluding(own, [term]) for term in own]
-    without = fit_each(question, rests, fit.effective, fit.weight)
+    without = refit_each(question, fit, rests)
     for rest, offered in zip(rests, moves_beside_each(question, without, own), strict=True):
         for net, (rival, *_) in offered[:LIKELIEST]:
             effect = rival.alone

@@ -23,10 +23,10 @@ from torchid.gap.search.evidence import (
     common_names,
     comparable,
     directions,
-    fit_each,
     greedy_shares,
     log_likelihood_ratio,
     refit,
+    refit_each,
     residual,
 )
 from torchid.gap.search.explain import Explanation
@@ -220,7 +220,7 @@ def likely_terms(
     while found and failed < MOVES_TRIED:
         # As many at once as may still fail.
         some, found = found[: MOVES_TRIED - failed], found[MOVES_TRIED - failed :]
-        fits = fit_each(question, [(*others, *m) for m in some], fit.effective, fit.weight)
+        fits = refit_each(question, fit, [(*others, *m) for m in some])
         for (other, *_), again in zip(some, fits, strict=True):
             now, then = comparable(question, fit, again)
             tried.append((then.evidence - now.evidence, other))
@@ -273,8 +273,8 @@ def _felt(found: Explanation, k: int) -> tuple[int, ...]:
         return joints
     # Where its torque is worth a name.
     torque = torch.tensordot(solution.values[k], solution.a[solution.at(k)], 1)
-    rows = found.question.normal.rows.clamp(min=1)
-    felt = (torque.square().sum(1) / rows).sqrt() >= found.question.least(found.empty.losses / rows)
+    mean = found.question.mean
+    felt = mean(torque.square().sum(1)).sqrt() >= found.question.least(mean(found.empty.losses))
     return tuple(felt.nonzero().flatten().tolist())
 
 

@@ -81,9 +81,8 @@ def known_of(
     fixed = len(found.question.fixed)
     held = sum(len(v) for v in solution.values[:fixed])
     slack = torch.cat([torch.zeros(0, dtype=torch.float64), *solution.values[:fixed]])
-    rows = found.question.normal.rows.clamp(min=1.0)
-    added = (torch.tensordot(slack, solution.a[:held], 1).square().sum(1) / rows).sqrt()
-    left = (solution.left.square().sum(1) / rows).sqrt()
+    moved = torch.tensordot(slack, solution.a[:held], 1)
+    added, left = (found.question.mean(x.square().sum(1)).sqrt() for x in (moved, solution.left))
     joints = tuple(
         Open(
             joint=j,

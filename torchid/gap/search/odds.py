@@ -143,8 +143,7 @@ def unknown(
 ) -> float:
     """Twice the logarithm of the odds that something else than the library's is in a term's
     place."""
-    rows = question.normal.rows.clamp(min=1.0)
-    fall = ((fits[1].losses - fits[0].losses) / rows).clamp(min=0) / active_share(question, [term])
+    fall = question.fall(*fits) / active_share(question, [term])
     ratio = fall / misfit.squares.clamp(min=1e-12 * float(fall.max()) + 1e-300)
     # Where it acts, or shows most.
     places = term.joints

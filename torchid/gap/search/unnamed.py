@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Collection
 from dataclasses import replace
 
+import torch
 from msgspec import structs
 
 from torchid.design.columns import Place
@@ -18,14 +19,13 @@ from torchid.gap.search.evidence import (
     Question,
     active_share,
     comparable,
-    fit_each,
     fit_terms,
     refit,
+    refit_each,
 )
 from torchid.gap.search.explain import Explanation, solve
 from torchid.gap.search.odds import Misfit, odds
 from torchid.gap.search.replication import own_torque, replication
-from torchid.gap.search.solve import solve_terms
 from torchid.gap.search.terms import Term, excluding
 from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
@@ -91,8 +91,7 @@ def _without(question: Question, whole: Fitted, term: Term) -> tuple[float, Tens
     without it."""
     rest = excluding(question.own(whole), [term])
     without = refit(question, whole, rest)
-    fall = (without.losses - whole.losses).clamp(min=0) / question.normal.rows.clamp(min=1.0)
-    return _rise(question, without, whole), fall.sqrt(), without
+    return _rise(question, without, whole), question.fall(whole, without).sqrt(), without
 
 
 def suspects(
@@ -112,7 +111,6 @@ def suspects(
         moved: known coefficients that are others than they were, which are suspects at least.
     """
     question, fit = found.question, found.fit
-    rows = question.normal.rows.clamp(min=1.0)
 
     def is_moved(term: Term) -> bool:
         return any(name in moved for e in term.effects for name in known_names(e))
@@ -122,16 +120,15 @@ def suspects(
     if not best:
         return ()
     # The best of each place is asked how sure it is, all beside each other.
-    every = [*fit.terms, *(pairs[0][1] for pairs in best)]
-    start = [*fit.values(), *(pairs[0][0].values()[-1] for pairs in best)]
-    data, wanted, block = problem.data, problem.wanted, problem.block
-    solution = solve_terms(problem.given, every, start, data, wanted, block, fit.effective)
+    every = (*fit.terms, *(pairs[0][1] for pairs in best))
+    start = torch.cat([fit.x, *(pairs[0][0].values()[-1] for pairs in best)])
+    solution = solve(problem, replace(fit, terms=every, x=start))
     # What was seen to be left unexplained before may hide a name, and no suspect.
-    least = replace(question, left=None).least(fit.losses / rows)
+    least = replace(question, left=None).least(question.mean(fit.losses))
     out: list[tuple[bool, UnnamedEffect]] = []
     for k, ((first, term), *others) in enumerate(best, len(fit.terms)):
         rivals = [(_rise(question, f, first), t) for f, t in others]
-        left = misfit.less((fit.losses - first.losses).clamp(min=0) / rows)
+        left = misfit.less(question.fall(first, fit))
         own_part = own_torque(solution, k)
         here = odds(question, (first, fit), solution, k, own_part, left, rivals)
         numbers = [(term, solution.values[k], solution.std[k], first, here.sure)]
@@ -139,7 +136,7 @@ def suspects(
             values, std = f.values()[-1], f.root.norm(dim=1)[-len(other.at) :]
             numbers.append((other, values, std, f, here.sure * math.exp(0.5 * rise)))
         for one, values, std, f, sure in numbers:
-            closes = ((fit.losses - f.losses).clamp(min=0) / rows).sqrt()
+            closes = question.fall(f, fit).sqrt()
             large = bool((closes / active_share(question, [one]) ** 0.5 >= least).any())
             if large or is_moved(one):
                 out.append((is_moved(one), _entry(one, values, std, closes, sure, problem.robot)))
@@ -175,7 +172,7 @@ def _fitted_beside(found: Explanation, terms: list[Term]) -> list[tuple[Fitted, 
     refuses."""
     question, fit = found.question, found.fit
     each = [[*found.terms, t] for t in terms]
-    fits = fit_each(question, each, fit.effective, fit.weight) if each else []
+    fits = refit_each(question, fit, each) if each else []
     there = [pair for pair in zip(fits, terms, strict=True) if pair[0].evidence > -math.inf]
     return sorted(there, key=lambda pair: -_rise(question, pair[0], fit))
 

@@ -124,13 +124,13 @@ def check(
 def misfit_of(found: Explanation, checked: Checked, problem: Problem) -> Misfit:
     """What an explanation leaves without a name. Noise is white, or as repeats measure it; without
     them it is not known how much of what is left on other data is noise."""
-    rows, floor = found.question.normal.rows.clamp(min=1.0), checked.noise.floor
+    floor = checked.noise.floor
     noise = known_noise(floor)
     in_band = min(1.0, problem.data.samples.cutoff / problem.data.band) * noise
     measured = noise if floor.source == "repeats" else torch.zeros_like(noise)
     before, after = (x.square() - measured for x in (checked.far.rms_before, checked.far.rms_after))
     share = (after.clamp(min=0) / before.clamp(min=1e-300)).clamp(max=1.0)
-    return Misfit((found.fit.losses / rows - in_band).clamp(min=0), share)
+    return Misfit((found.question.mean(found.fit.losses) - in_band).clamp(min=0), share)
 
 
 def harmful(found: Explanation, checked: Checked, least: Float[Tensor, " n"]) -> list[Term]:
