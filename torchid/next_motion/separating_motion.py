@@ -33,6 +33,7 @@ from torchid.next_motion.separation import (
     name_pairs,
     other_means,
     separations,
+    torque_of,
 )
 from torchid.robot.model import Robot
 from torchid.typing import Tensor
@@ -202,7 +203,7 @@ def _pruned(setting: Setting, rival: Rival, tried: Sequence[FourierTrajectory]) 
     near: dict[int, None] = {}
     for x in tried:
         rows = Rows(setting, x)
-        own = rows.beside(rival.truth.torque(rows, rival.leaving), rival.leaving)
+        own = rows.beside(torque_of(rival.truth, rows, rival.leaving), rival.leaving)
         near |= dict.fromkeys(left_by_forms(rows, rival, own).argsort()[:NEAREST_FORMS].tolist())
     return replace(rival, others=tuple(rival.others[k] for k in near))
 

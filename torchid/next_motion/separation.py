@@ -62,11 +62,6 @@ class Explanation:
         """The first."""
         return self.effects[0]
 
-    def torque(self, rows: Rows, leaving: Group = ()) -> Float[Tensor, " R"]:
-        """Of it along a motion, beside a model without some effects."""
-        values = torch.tensor(self.values, dtype=torch.float64)
-        return rows.columns(self.effects, leaving) @ values
-
 
 @dataclass(frozen=True)
 class Rival:
@@ -126,9 +121,14 @@ def separations(
     return [_told(rows, rival) for rival in rivals]
 
 
+def torque_of(truth: Explanation, rows: Rows, leaving: Group) -> Float[Tensor, " R"]:
+    """Torque of an explanation along a motion, beside a model without some effects."""
+    return rows.columns(truth.effects, leaving) @ torch.tensor(truth.values, dtype=torch.float64)
+
+
 def _told(rows: Rows, rival: Rival) -> Discrimination:
     gone = rival.leaving
-    whole = rival.truth.torque(rows, gone)
+    whole = torque_of(rival.truth, rows, gone)
     own = rows.beside(whole, gone)
     if not rival.name:
         difference = float(own.square().sum())
@@ -184,7 +184,7 @@ def imitation(
     Of an effect that without some coefficients would be a simpler one, only these are used: else a
     joint's spring would imitate a torque offset by having no stiffness.
     """
-    left = rows.beside(truth.torque(rows, leaving), leaving)
+    left = rows.beside(torque_of(truth, rows, leaving), leaving)
     found: tuple[float, Explanation] | None = None
     for other in others:
         columns = rows.beside(rows.columns(other, leaving), leaving)
