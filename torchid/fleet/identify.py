@@ -60,6 +60,11 @@ FAR_FROM_PHYSICAL = 5.0
 """Standard deviations beyond which a value that no body has is worth a word: at less, what the
 model lacks is reason enough."""
 
+OF_EACH = (
+    "mean", "std", "between", "between_ci95", "daily", "daily_ci95", "noise", "units", "sessions",
+)  # fmt: skip
+"""Random effects that a parameter has one of."""
+
 Part = tuple[int, int]
 """The i-th of n parts of the logs, i from 1."""
 
@@ -155,7 +160,7 @@ class Fleet(Result):
         if between > 0 and noise == noise:
             needed = max(1, -(-(daily**2 + noise**2) // (between / 2) ** 2))
         return PooledParameter.of(
-            **found.of(b),
+            **{name: getattr(found, name)[b].tolist() for name in OF_EACH},
             name=self.base.names[b],
             unit=self.base.units[b],
             ci95=ci,

@@ -16,7 +16,6 @@ quantities are solved at once, each with its own spreads.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import torch
 from scipy.special import chdtri, fdtrc
@@ -141,11 +140,6 @@ class Pooled:
     odd_in: Bool[Tensor, "P U"]
     units: Int[Tensor, " P"]
     sessions: Int[Tensor, " P"]
-
-    def of(self, quantity: int) -> dict[str, Any]:
-        """One quantity's numbers and ends of intervals, by their names here."""
-        names = ("mean", "std", "between", "between_ci95", "daily", "daily_ci95", "noise", "units")
-        return {name: getattr(self, name)[quantity].tolist() for name in (*names, "sessions")}
 
     def interval(self, level: float = LEVEL) -> Float[Tensor, "P 2"]:
         """Confidence intervals of the population's means (Student, units - 1)."""
@@ -419,10 +413,8 @@ def _far(data: Sessions) -> Bool[Tensor, "P U"]:
     for _ in range(ROUNDS):  # many odd ones widen the spread, and fewer do the next time
         rest = torch.where(far, torch.nan, mean)
         left = mean - rest.nanmedian(1, keepdim=True).values
-        near = torch.where(far, torch.nan, left.abs())
-        far = (
-            left.abs() > FAR_STD * MAD_TO_SIGMA * near.nanmedian(1, keepdim=True).values
-        ) & enough
+        near = torch.where(far, torch.nan, left.abs()).nanmedian(1, keepdim=True).values
+        far = (left.abs() > FAR_STD * MAD_TO_SIGMA * near) & enough
     return far
 
 
