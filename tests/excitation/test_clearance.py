@@ -14,7 +14,7 @@ from tests.excitation.shaped import loaded
 from tests.excitation.usage import full_design, limit_usage
 from tests.marks import quick_first
 from torchid.errors import RobotError, TorchidError
-from torchid.excitation.clearance import FAR, motion_clearance
+from torchid.excitation.clearance import FAR_ROOM, motion_clearance
 from torchid.excitation.distances import Distances
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import motion_limits
@@ -124,8 +124,8 @@ def test_distances_along_motions_are_mujocos(name, tmp_path):
     motion = random_trajectory(robot, 3, fill=True).sample(500.0)
     every = slice(0, None, 100)
     expected = mujoco_distances(robot.source, clearance, motion.q[every])
-    found = clearance._exact(motion.q[every], FAR)
-    near = expected < clearance.needed + FAR
+    found = clearance._exact(motion.q[every], FAR_ROOM)
+    near = expected < clearance.needed + FAR_ROOM
     assert bool(near.any()) or name == "3r"
     torch.testing.assert_close(found[near], expected[near], atol=1e-5, rtol=0)
     assert bool((found <= expected + 1e-5).all())
@@ -155,7 +155,7 @@ def test_a_motion_is_repaired(plan, tmp_path):
     apart = mujoco_distances(robot.source, floor, q)
     assert bool((apart >= floor.needed - 1e-5).all())
     # The floor is a plane: links above it keep their balls' lowest points above it.
-    assert float(clearance._exact(q, FAR)[:, ~solid_pairs(clearance)].min()) >= 0.03 - 1e-5
+    assert float(clearance._exact(q, FAR_ROOM)[:, ~solid_pairs(clearance)].min()) >= 0.03 - 1e-5
     assert bool((limit_usage(done.extremes(), motion_limits(robot)) <= 1 + 1e-9).all())
 
 

@@ -164,7 +164,7 @@ def test_a_further_torque_adds_what_the_response_says():
     pull = pull / pull.norm() * 1e-4 * torque.b.norm()
     x = torch.cat([found.pi.flatten(), found.coefficients])
     question = _Question.of(torque, room)
-    question = replace(question, unit=question.unit_at(x))
+    question = question.about(x)
     moved = replace(question, torque=replace(torque, b=torque.b + pull))
     after = moved.minimum(x, found.strength)
     before = question.minimum(x, found.strength)

@@ -8,7 +8,7 @@ from tests.arms import arm, consistent_parameters, states
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.errors import TorchidError
-from torchid.extraction.convex.nearest import FAR, nearest_feasible
+from torchid.extraction.convex.nearest import LARGEST_CHANGE, nearest_feasible
 from torchid.feasibility.conditions import conditions, physics_only
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import ParameterSets, nominal_set
@@ -128,7 +128,7 @@ def test_the_second_stage_keeps_parameters_near() -> None:
         cost = float(found.torque_change.square().mean().sqrt())
         assert cost <= (1 + slack) * float(found.least[0]) * 1.001
     assert changes[0] > changes[1] > changes[2]
-    assert changes[0] < FAR
+    assert changes[0] < LARGEST_CHANGE
 
 
 @pytest.mark.nightly

@@ -33,8 +33,7 @@ COARSE = HonestNoise(encoder_step=1e-4, torque_relative=0.02)
 
 def training(log: Log, robot=ROBOT, effects=None) -> Training:
     columns = layout_of(robot) if effects is None else layout_of(robot, effects)
-    signs = torch.zeros(columns.size, dtype=torch.bool)
-    return Training(log, columns, False, signs)
+    return Training(log, columns, Settings(rows="all", signs="free"))
 
 
 def log_of(robot, noise, *, seed=0, rate=100.0, duration=20.0, count=2, **kwargs) -> Log:

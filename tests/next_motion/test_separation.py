@@ -27,10 +27,10 @@ from torchid.next_motion.rows import RATE, Rows, Setting
 from torchid.next_motion.separating_motion import _hardly, design_separation
 from torchid.next_motion.separation import (
     DECISIVE,
-    SAME,
+    SAME_SHARE,
+    Discrimination,
     Explanation,
     Rival,
-    Told,
     _in_blocks,
     imitation,
     separations,
@@ -131,7 +131,7 @@ def test_a_decision_needs_more_than_noise_and_more_than_a_share(robot, setting):
     )
     assert large.difference == pytest.approx(1e10 * small.difference)
     own = separations(setting, [pair(CoulombFriction(1), [1e4])], trajectory)[0].difference
-    assert large.reached <= large.difference / own / SAME < 1e-4 * large.difference / DECISIVE
+    assert large.reached <= large.difference / own / SAME_SHARE < 1e-4 * large.difference / DECISIVE
     assert 0 < small.reached < small.difference / DECISIVE
 
 
@@ -215,7 +215,9 @@ def test_no_search_for_what_the_plain_motion_decides(robot, setting, monkeypatch
     ],
 )
 def test_hardly_better_is_what_a_tenth_more_time_does(told, of_plain, hardly):
-    assert _hardly(*([Told(9 * x, x) for x in both] for both in (told, of_plain))) is hardly
+    assert (
+        _hardly(*([Discrimination(9 * x, x) for x in both] for both in (told, of_plain))) is hardly
+    )
 
 
 def test_what_no_motion_settles_is_refused_with_what_would(robot, setting):

@@ -64,7 +64,11 @@ def test_intervals_and_shrunken_values_cover_at_their_level() -> None:
     hits = []
     for seed in range(3):
         found = pooled(drawn(seed, 60, 30, 3, 1.0, 0.5, 0.4))
-        for ci, truth in ((found.between_ci, 1.0), (found.daily_ci, 0.5), (found.interval(), 5.0)):
+        for ci, truth in (
+            (found.between_ci95, 1.0),
+            (found.daily_ci95, 0.5),
+            (found.interval(), 5.0),
+        ):
             hits.append(((ci[:, 0] <= truth) & (truth <= ci[:, 1])).double().mean())
     covered = torch.stack(hits).reshape(3, 3).mean(0)
     assert float(covered.min()) > 0.9  # of 180 quantities each; 95 % asked for

@@ -1,7 +1,8 @@
 """Newton-Euler inverse dynamics (eqs. 2.12-2.14) and the wrench at every joint (eq. 2.32)."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -52,17 +53,9 @@ def inverse_dynamics(
     (torch.Size([7]), True)
     """
     robot = as_robot(robot)
-    q, dq, ddq = joint_signals(robot.n, q=q, dq=dq, ddq=ddq)
-    pi = _parameters(robot, parameters, "inverse dynamics").pi.to(q)
-    geometry = chain_geometry(robot)
-
-    def torques(motion: Sequence[Sequence[Tensor]], like: Tensor) -> Tensor:
-        values, _ = forces(geometry, kinematics(geometry, *motion), _components(pi))
-        return _stack(values, like)
-
-    if pi.ndim > 2:
-        return torques([x.unbind(-1) for x in (q, dq, ddq)], _broadcast_like(q, pi))
-    return _in_chunks(torques, q, dq, ddq)
+    state = joint_signals(robot.n, q=q, dq=dq, ddq=ddq)
+    parameters = parameters or robot.require_parameters("inverse dynamics")
+    return _along(robot, state, parameters, lambda torques, _, like: _stack(torques, like))
 
 
 def joint_wrenches(
@@ -98,24 +91,31 @@ def joint_wrenches(
     (torch.Size([3, 6]), 1.0)
     """
     robot = as_robot(robot)
-    q, dq, ddq = joint_signals(robot.n, q=q, dq=dq, ddq=ddq)
-    pi = _parameters(robot, parameters, "internal wrenches").pi.to(q)
-    geometry = chain_geometry(robot)
+    state = joint_signals(robot.n, q=q, dq=dq, ddq=ddq)
+    parameters = parameters or robot.require_parameters("internal wrenches")
 
-    def wrenches(motion: Sequence[Sequence[Tensor]], like: Tensor) -> Tensor:
-        _, values = forces(geometry, kinematics(geometry, *motion), _components(pi))
-        rows = [_stack([*force, *moment], like) for force, moment in values]
-        return torch.stack(rows, -2)
+    def rows(_: Any, wrenches: Any, like: Tensor) -> Tensor:
+        return torch.stack([_stack([*force, *moment], like) for force, moment in wrenches], -2)
+
+    return _along(robot, state, parameters, rows)
+
+
+def _along(
+    robot: Robot,
+    state: Sequence[Tensor],
+    parameters: InertialParameters,
+    stacked: Callable[[Any, Any, Tensor], Tensor],
+) -> Tensor:
+    """Torques and wrenches of the recursion along states (..., n), stacked."""
+    q, dq, ddq = state
+    pi, geometry = parameters.pi.to(q), chain_geometry(robot)
+
+    def found(motion: Sequence[Sequence[Tensor]], like: Tensor) -> Tensor:
+        return stacked(*forces(geometry, kinematics(geometry, *motion), _components(pi)), like)
 
     if pi.ndim > 2:
-        return wrenches([x.unbind(-1) for x in (q, dq, ddq)], _broadcast_like(q, pi))
-    return _in_chunks(wrenches, q, dq, ddq)
-
-
-def _parameters(
-    robot: Robot, parameters: InertialParameters | None, purpose: str
-) -> InertialParameters:
-    return robot.require_parameters(purpose) if parameters is None else parameters
+        return found([x.unbind(-1) for x in (q, dq, ddq)], _broadcast_like(q, pi))
+    return _in_chunks(found, q, dq, ddq)
 
 
 def _components(pi: Float[Tensor, "*batch n 10"]) -> list[list[Scalar]]:

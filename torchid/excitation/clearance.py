@@ -21,7 +21,7 @@ import torch
 
 from torchid.errors import RobotError, TorchidError
 from torchid.excitation.distances import Distances
-from torchid.excitation.fourier import FourierTrajectory
+from torchid.excitation.fourier import FourierTrajectory, midpoints
 from torchid.excitation.limits import position_limits
 from torchid.excitation.restriction import Restriction
 from torchid.excitation.settings import CLEARANCE
@@ -35,7 +35,7 @@ from torchid.typing import Bool, Float, Int, Tensor
 RESOLUTION = 0.001
 """Distance below which nothing is proved or told apart [m]."""
 
-FAR = 0.1
+FAR_ROOM = 0.1
 """Room beyond what is needed from which on nothing is near [m]."""
 
 _PENALTY = 2.0  # beside the logarithm of a condition number, for FAR too little
@@ -97,8 +97,7 @@ class Clearance(Restriction):
 
     def penalty(self, trajectory: FourierTrajectory) -> Float[Tensor, "*batch"]:
         """What a search pays for coming too near; differentiable, 0 where all is clear."""
-        step = trajectory.duration / _SEARCH_SAMPLES
-        t = (torch.arange(_SEARCH_SAMPLES, dtype=torch.float64) + 0.5) * step
+        t = midpoints(trajectory.duration, _SEARCH_SAMPLES)
         q = trajectory.at(t).q
         poses = self._poses(q.reshape(-1, self.robot.n))
         wanted = self.needed + (self.room / 4).clamp(max=_SEARCH_MARGIN)
@@ -117,7 +116,7 @@ class Clearance(Restriction):
         first_point = _moved(poses[row, self.link[first]], local[0])
         second_point = _moved(poses[row, self.link[second]], local[1])
         change = ((second_point - first_point - gap) * way).sum(-1)
-        short = (wanted[pair] - now - change).clamp(min=0) / FAR
+        short = (wanted[pair] - now - change).clamp(min=0) / FAR_ROOM
         # Of each pair the instant counts at which it is nearest.
         worst = q.new_zeros(q[..., 0, 0].numel(), len(self.pairs))
         at = (row // _SEARCH_SAMPLES) * len(self.pairs) + pair
@@ -134,12 +133,12 @@ class Clearance(Restriction):
 
     def strain(self, q: Float[Tensor, "K n"]) -> Float[Tensor, " K"]:
         """0 with much room in postures, 1 where a pair is as near as it may be."""
-        left = (self._exact(q, FAR) - self.needed) / self.room
+        left = (self._exact(q, FAR_ROOM) - self.needed) / self.room
         return (1 - left).clamp(min=0).amax(-1)
 
     def impossible(self, q: Float[Tensor, " n"]) -> RobotError:
         """Which pair is too near in posture q."""
-        found = self._exact(q.unsqueeze(0), FAR)[0]
+        found = self._exact(q.unsqueeze(0), FAR_ROOM)[0]
         worst = int((found - self.needed).argmin())
         first, second = (self.names[k] for k in self.pairs[worst].tolist())
         distance = 1000 * float(found[worst])
@@ -158,10 +157,10 @@ class Clearance(Restriction):
         for trajectory in trajectories:
             t = _times(trajectory, 10)
             q = trajectory.at(t).q.detach().reshape(-1, self.robot.n)
-            found = self._exact(q, FAR)
+            found = self._exact(q, FAR_ROOM)
             row, pair = divmod(int((found - self.needed).argmin()), len(self.pairs))
             spare = float(found[row, pair] - self.needed[pair])
-            if spare < min(best.spare, FAR):
+            if spare < min(best.spare, FAR_ROOM):
                 first, second = (self.names[k] for k in self.pairs[pair].tolist())
                 time = float(t[row % len(t)])
                 best = Nearest(float(found[row, pair]), spare, first, second, time)
@@ -300,7 +299,7 @@ def motion_clearance(
     every = torch.ones(len(pairs), dtype=torch.float64)
     made = Clearance(
         robot, usage, clearance, tuple(names), where, centre, radius, planes, chosen,
-        clearance * every, FAR * every, _arms(robot, usage, where, centre, radius, chosen),
+        clearance * every, FAR_ROOM * every, _arms(robot, usage, where, centre, radius, chosen),
         Distances(solids, planes), warnings=tuple(warnings),
     )  # fmt: skip
     return _sensible(made) if pairs else made
@@ -453,12 +452,12 @@ def _sensible(made: Clearance) -> Clearance:
     generator = torch.Generator().manual_seed(0)
     drawn = torch.rand((_POSTURES, robot.n), generator=generator, dtype=torch.float64)
     zero = torch.zeros(robot.n, dtype=torch.float64).clamp(lower, upper)
-    found = made._exact(torch.cat([zero.unsqueeze(0), lower + drawn * (upper - lower)]), FAR)
+    found = made._exact(torch.cat([zero.unsqueeze(0), lower + drawn * (upper - lower)]), FAR_ROOM)
     largest, smallest = found.amax(0), found.amin(0)
     wall = made.pairs[:, 0] >= len(made.link) - len(made.planes)
     # A link that turns on the floor is as near to it whatever the motion. Of what is far, it is
     # only known that it is far.
-    still = (largest - smallest < RESOLUTION) & (largest < made.needed + FAR - RESOLUTION)
+    still = (largest - smallest < RESOLUTION) & (largest < made.needed + FAR_ROOM - RESOLUTION)
     overlap = ~wall & ((found[0] < 0) | (largest < RESOLUTION))
     close = ~wall & ~overlap & ~still & (largest < made.needed + RESOLUTION)
 
@@ -486,7 +485,7 @@ def _sensible(made: Clearance) -> Clearance:
         made,
         pairs=made.pairs[kept],
         needed=needed[kept],
-        room=(largest - needed).clamp(RESOLUTION, FAR)[kept],
+        room=(largest - needed).clamp(RESOLUTION, FAR_ROOM)[kept],
         arms=made.arms[kept],
         notes=tuple(notes),
     )

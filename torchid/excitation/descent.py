@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import torch
 
-from torchid.excitation.fourier import FourierTrajectory
+from torchid.excitation.fourier import FourierTrajectory, midpoints
 from torchid.excitation.limits import MotionLimits, largest_scale
 from torchid.excitation.restriction import Restriction
 from torchid.typing import Float, Tensor
@@ -70,7 +70,7 @@ def descend(
         share = torch.logit(used).requires_grad_()
         searched.append(share)
     optimiser, rate = _Adam(searched), _LEARNING_RATE
-    t = (torch.arange(_SAMPLES, dtype=torch.float64) + 0.5) * (start.duration / _SAMPLES)
+    t = midpoints(start.duration, _SAMPLES)
 
     def candidate() -> FourierTrajectory:
         a, b = shape.chunk(2, -1)

@@ -228,6 +228,11 @@ class FourierTrajectory:
         return q, dq, ddq
 
 
+def midpoints(duration: float, count: int) -> Float[Tensor, " T"]:
+    """Middles of `count` equal parts of a duration [s]."""
+    return (torch.arange(count, dtype=torch.float64) + 0.5) * (duration / count)
+
+
 def sample_times(duration: float, rate: float) -> Float[Tensor, " T"]:
     """0, 1/rate, ... up to the duration [s].
 

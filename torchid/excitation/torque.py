@@ -14,12 +14,12 @@ from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import JointEffect, Motion
 from torchid.effects.registry import Valued, model_torque, nominal_effects
 from torchid.errors import RobotError
-from torchid.excitation.fourier import FourierTrajectory
+from torchid.excitation.fourier import FourierTrajectory, midpoints
 from torchid.excitation.restriction import Restriction
 from torchid.excitation.trajectories import Sinusoid
 from torchid.identification.base_parameters import nominal_values
+from torchid.identification.model import full_set
 from torchid.identification.values import Prior
-from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Bool, Float, Tensor
 
@@ -95,8 +95,7 @@ class TorqueLimits(Restriction):
 
     def penalty(self, trajectory: FourierTrajectory) -> Float[Tensor, "*batch"]:
         """What a search pays for torque beyond the limits; differentiable, 0 within them."""
-        step = trajectory.duration / _SEARCH_SAMPLES
-        t = (torch.arange(_SEARCH_SAMPLES, dtype=torch.float64) + 0.5) * step
+        t = midpoints(trajectory.duration, _SEARCH_SAMPLES)
         excess = self._shares(self._along(trajectory, t)) / (1 - _SEARCH_MARGIN) - 1
         return _PENALTY * excess.clamp(min=0).sum(-1)
 
@@ -189,19 +188,8 @@ def identified_torque_limits(
         other = nominal_values(robot, base) if nominal else torch.zeros_like(values)
         values = torch.where(prior.known, values, other)
         source += f" ({unknown} not determined: {'nominal' if nominal else '0'})"
-    # The base parameters are the parameters of an arm whose dependent ones vanish.
-    every = values.new_zeros(len(base.parameter_names))
-    every[list(base.independent)] = values
-    rigid, coefficients = every.split(
-        [base.n_rigid_parameters, len(every) - base.n_rigid_parameters]
-    )
-    sizes = [len(effect.coefficients) for effect in prior.effects]
-    effects = [
-        (effect, own.tolist())
-        for effect, own in zip(prior.effects, coefficients.split(sizes), strict=True)
-    ]
-    arm = replace(robot, parameters=InertialParameters.from_paper_order(rigid))
-    return TorqueLimits(arm, tuple(effects), source, usage)
+    parameters, effects = full_set(base, prior.effects, values)
+    return TorqueLimits(replace(robot, parameters=parameters), tuple(effects), source, usage)
 
 
 def corrected_torque_limits(

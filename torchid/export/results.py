@@ -17,7 +17,7 @@ from torchid.effects.registry import Valued, nominal_effects, nominal_others
 from torchid.effects.spring import JointSpring
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, effect_text, of_base, records
-from torchid.extraction.problem import FAR
+from torchid.extraction.problem import FAR_TORQUE
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import (
     ParameterSets,
@@ -207,7 +207,7 @@ def set_dynamics(
     errors, source = _beside(path, data, "torque_error_percent")
     percent = [0.0 if v is None else float(v) for v in errors.get(name) or ()]
     worst = max(percent, default=0.0)
-    if worst > 100 * FAR:
+    if worst > 100 * FAR_TORQUE:
         instead = "; `torchid extract --loss one-step` asks for the log's torque"
         warnings.append(
             f"the set's torque is up to {worst:.2g} % from the one asked for (joint "

@@ -14,8 +14,8 @@ which depends on no frame and no unit. With N the nominal bodies, U a small one 
 
 with L the least body that each link holds, is smooth, convex and infinite where a link stops being
 a body: Newton steps minimise it from the inside (Boyd and Vandenberghe 2004, section 9.6). Of a
-path of lambdas the largest whose error is within `SPENT` of the least one is answered: what the log
-determines is the log's, all else stays nominal.
+path of lambdas the largest whose error is within `SPENT_SHARE` of the least one is answered: what
+the log determines is the log's, all else stays nominal.
 """
 
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ from torchid.robot.model import Robot
 from torchid.robot.shapes import joint_points, link_lengths, link_shapes, typical_bodies
 from torchid.typing import Bool, Float, Tensor
 
-SPENT = 0.02
+SPENT_SHARE = 0.02
 """Share of the least torque error that may be spent on bodies nearer to the nominal ones."""
 
 BELIEVABLE = 2.0
@@ -38,14 +38,14 @@ BELIEVABLE = 2.0
 SPREAD = 5.0
 """Factor by which a person believes that second moments of a nominal body shrink, at most."""
 
-NEAR = 0.05
+NEAR_SHAPE = 0.05
 """How far outside its shape a centre of mass may be; from the nominal one, where there is no shape
 [m]."""
 
 _WALL = 1e-3
 """w: how much of the metric keeps bodies, masses and centres off their limits."""
 
-EXACT = 1e-6
+EXACT_SHARE = 1e-6
 """Share of the squared torque that counts as no error."""
 
 _SIGN = 1e-5
@@ -81,6 +81,10 @@ class Quadratic:
     def error(self, x: Float[Tensor, " K"]) -> float:
         """Root of the squared error."""
         return max(0.0, float(x @ self.h @ x - 2 * self.b @ x) + self.square) ** 0.5
+
+    def unit(self, x: Float[Tensor, " K"]) -> float:
+        """The squared error, or that of an exact fit."""
+        return max(self.error(x) ** 2, EXACT_SHARE * self.square, 1e-300)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +130,7 @@ def room_of(robot: Robot) -> Room:
     mass = torch.where(has, body[:, 0], small[:, 0])
     com = (body + 1e-6 * small)[:, 1:4] / (body + 1e-6 * small)[:, :1]
     low, high = torch.where(has, mass / BELIEVABLE, 0.0), BELIEVABLE * mass
-    below, above = com - NEAR, com + NEAR
+    below, above = com - NEAR_SHAPE, com + NEAR_SHAPE
     shapes = link_shapes(robot)
     if robot.parameters is None:
         low, high = low / 10, high * 10
@@ -136,9 +140,9 @@ def room_of(robot: Robot) -> Room:
         dense = DENSITIES[1] * shapes.volumes
         high = torch.where(dense > mass, torch.minimum(high, dense), high)
         known = torch.isfinite(shapes.boxes).all(-1).all(-1).unsqueeze(1)
-        corners = shapes.boxes + torch.tensor([-NEAR, NEAR])
-        below = torch.where(known, torch.minimum(corners[..., 0], com - 0.1 * NEAR), below)
-        above = torch.where(known, torch.maximum(corners[..., 1], com + 0.1 * NEAR), above)
+        corners = shapes.boxes + torch.tensor([-NEAR_SHAPE, NEAR_SHAPE])
+        below = torch.where(known, torch.minimum(corners[..., 0], com - 0.1 * NEAR_SHAPE), below)
+        above = torch.where(known, torch.maximum(corners[..., 1], com + 0.1 * NEAR_SHAPE), above)
     least = INSIDE * small + torch.where(has[:, None], body / SPREAD, 0.0)
     return _room(body, small, least, mass, torch.stack([low, high], 1), below, above)
 
@@ -228,7 +232,7 @@ def nearest_bodies(
     torque: Quadratic,
     room: Room,
     *,
-    spent: float = SPENT,
+    spent: float = SPENT_SHARE,
     strength: float | None = None,
     near: NearBodies | None = None,
 ) -> NearBodies:
@@ -255,16 +259,14 @@ def nearest_bodies(
     n = len(room.nominal)
     if near is not None:
         x = torch.cat([near.pi.flatten(), near.coefficients])
-        question = replace(question, unit=question.unit_at(x))
-        x = question.minimum(x, near.strength)
+        x = question.about(x).minimum(x, near.strength)
         error = torque.error(x)
         return NearBodies(x[: 10 * n].view(n, 10), x[10 * n :], error, error, near.strength)
     x = question.start
     found: list[tuple[float, Tensor]] = []
     for value in _PATH.tolist():
         # In units of what was last left, which comes down to the least.
-        question = replace(question, unit=question.unit_at(x))
-        x = question.minimum(x, value)
+        x = question.about(x).minimum(x, value)
         found.append((value, x))
         if strength is not None and value <= strength:
             break
@@ -286,13 +288,18 @@ def response(
         pull: (K,) A'z of a small torque z.
     """
     x = torch.cat([found.pi.flatten(), found.coefficients])
-    question = _Question.of(torque, room)
-    question = replace(question, unit=question.unit_at(x))
+    question = _Question.of(torque, room).about(x)
     _, hessian = question.slopes(x, found.strength)
+    return _solved(hessian, pull / question.unit)
+
+
+def _solved(hessian: Float[Tensor, "K K"], right: Float[Tensor, " K"]) -> Float[Tensor, " K"]:
+    """The hessian's inverse times a vector; every unknown in its own unit, so that rounding does
+    not decide."""
     size = hessian.diagonal().clamp(min=1e-300).rsqrt()
     scaled = hessian * size * size.unsqueeze(1)
     scaled.diagonal().add_(1e-12)
-    return size * torch.linalg.solve(scaled, size * pull / question.unit)
+    return size * torch.linalg.solve(scaled, size * right)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +319,7 @@ class _Question:
     def of(torque: Quadratic, room: Room) -> "_Question":
         n, count = len(room.nominal), len(torque.positive)
         free = torch.linalg.lstsq(torque.h, torque.b, driver="gelsd").solution
-        unit = max(torque.error(free) ** 2, EXACT * torque.square, 1e-300)
+        unit = torque.unit(free)
         basis = pseudo_inertia_basis()
         # Pseudo-inertias in units of N + U, in which nearness is counted.
         root = torch.linalg.cholesky(InertialParameters(room.nominal + room.small).pseudo_inertia)
@@ -324,9 +331,9 @@ class _Question:
         start = torch.cat([_inside(room).flatten(), torch.where(torque.positive, sizes, 0.0)])
         return _Question(torque, room, unit, inner @ basis @ inner.mT, start, sizes)
 
-    def unit_at(self, x: Float[Tensor, " K"]) -> float:
-        """The squared error there, or that of an exact fit."""
-        return max(self.torque.error(x) ** 2, EXACT * self.torque.square, 1e-300)
+    def about(self, x: Float[Tensor, " K"]) -> "_Question":
+        """The same in units of the error there."""
+        return replace(self, unit=self.torque.unit(x))
 
     def minimum(self, x: Float[Tensor, " K"], strength: float) -> Float[Tensor, " K"]:
         """Where Newton steps from inside lead; beside walls that hold from afar first, where they
@@ -345,11 +352,7 @@ class _Question:
         for k in range(_STEPS):
             half = value if k == _STEPS // 2 else half
             gradient, hessian = self.slopes(x, strength)
-            # Every unknown in its own unit, so that rounding does not decide.
-            size = hessian.diagonal().clamp(min=1e-300).rsqrt()
-            scaled = hessian * size * size.unsqueeze(1)
-            scaled.diagonal().add_(1e-12)
-            step = -size * torch.linalg.solve(scaled, size * gradient)
+            step = -_solved(hessian, gradient)
             fall = float(gradient @ step)
             if -fall < _SETTLED * max(1.0, abs(value)):
                 return x, True

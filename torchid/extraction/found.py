@@ -59,8 +59,7 @@ class Extraction(Result):
     @cached_property
     def found(self) -> "Found":
         """Its sets, judged."""
-        judgement = judged(self.problem, self.sets)
-        return Found(self.problem, "cma-es", *judgement, self, self.seconds)
+        return judged(self.problem, "cma-es", self.sets, self.seconds, search=self)
 
     @property
     def record(self) -> ExtractionRecord:
@@ -151,16 +150,20 @@ class Found(Result):
 
 
 def judged(
-    problem: Problem, sets: ParameterSets
-) -> tuple[ParameterSets, Tensor, Tensor, Tensor, Feasibility]:
-    """Sets with loss, penalty, torque and feasibility."""
-    return (
-        sets,
-        problem.residual_of_vector(sets.vector).square().sum(-1),
-        gamma(problem, sets.search_vector),
-        torque_error(problem, sets),
-        feasibility(sets, problem.conditions),
-    )
+    problem: Problem,
+    method: str,
+    sets: ParameterSets,
+    seconds: float,
+    *,
+    search: Extraction | None = None,
+    proof: Certificate | None = None,
+) -> Found:
+    """Sets of a method with loss, penalty, torque and feasibility; the others as `Found` has
+    them."""
+    phi = problem.residual_of_vector(sets.vector).square().sum(-1)
+    penalty, torque = gamma(problem, sets.search_vector), torque_error(problem, sets)
+    verdict = feasibility(sets, problem.conditions)
+    return Found(problem, method, sets, phi, penalty, torque, verdict, search, seconds, proof)
 
 
 def best_set(
@@ -202,7 +205,7 @@ def best_set(
             hint="other `bounds=...`, `geometry=...` or `total_mass=...`; `search_anyway=True` "
             "leaves the conditions out",
         )
-    return Found(problem, "sdp", *judged(problem, proof.sets), None, proof.seconds, proof)
+    return judged(problem, "sdp", proof.sets, proof.seconds, proof=proof)
 
 
 def at_bounds(found: Found) -> list[str]:

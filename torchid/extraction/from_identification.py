@@ -96,10 +96,8 @@ def problem_of(
     asked = conditions(robot, com_box=box, shapes=shapes, total_mass=total_mass)
     # A set that is found is as sure as the base parameters that it is for.
     problem = extraction_problem(replace(robot, knowledge=found.knowledge), target, limits, asked)
-    known = found.known.tolist()
-    if not any(known):
+    if not bool(found.known.any()):
         raise TorchidError("the identification determined no base parameter: nothing to reproduce.")
-    unknown = [name for name, k in zip(found.base.names, known, strict=True) if not k]
-    if unknown:
+    if unknown := found.base.named(~found.known):
         notes.append(f"not determined by the log: {', '.join(unknown)}")
     return problem, tuple(notes)

@@ -6,8 +6,8 @@ wide bounds answers any of the bodies that have it; `near` answers those nearest
 entropic metric, among all with nearly the least error (`torchid.extraction.entropic`): the root of
 the loss and, for the one-step loss, of what is left of the log's torque. Bodies of least error are
 often flat or points, since noise asks for more than bodies can give. So each holds a share of the
-expected one, the largest of `SHARES` at no price: the least error is then within `SPENT` of that of
-any bodies.
+expected one, the largest of `SHARES` at no price: the least error is then within `SPENT_SHARE` of
+that of any bodies.
 """
 
 import time
@@ -18,7 +18,14 @@ import torch
 
 from torchid.errors import TorchidError
 from torchid.extraction.convex.certificate import Certificate, certificate_where_possible
-from torchid.extraction.entropic import EXACT, SPENT, SPREAD, Quadratic, nearest_bodies, room_within
+from torchid.extraction.entropic import (
+    EXACT_SHARE,
+    SPENT_SHARE,
+    SPREAD,
+    Quadratic,
+    nearest_bodies,
+    room_within,
+)
 from torchid.extraction.extract import extract, require_possible
 from torchid.extraction.found import Found, best_set, judged
 from torchid.extraction.problem import Problem
@@ -85,7 +92,7 @@ def near_set(problem: Problem, *, proof: Certificate | None = None) -> Found:
         nearest_bodies(loss, replace(room, least=room.least + share * room.nominal))
         for share in SHARES
     ]
-    enough = (1 + SPENT) * max(tried[-1].least, (EXACT * square) ** 0.5)
+    enough = (1 + SPENT_SHARE) * max(tried[-1].least, (EXACT_SHARE * square) ** 0.5)
     found = next(one for one in tried if one.least <= enough or one is tried[-1])
     sets = ParameterSets(
         ("near",),
@@ -93,8 +100,7 @@ def near_set(problem: Problem, *, proof: Certificate | None = None) -> Found:
         target.effects,
         found.coefficients.unsqueeze(0),
     )
-    seconds = time.perf_counter() - began
-    return Found(problem, "near", *judged(problem, sets), None, seconds, proof)
+    return judged(problem, "near", sets, time.perf_counter() - began, proof=proof)
 
 
 Method = Literal["cma-es", "sdp", "near"]

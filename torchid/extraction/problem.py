@@ -257,7 +257,7 @@ def with_coefficient_bounds(
     return replace(bounds, coefficients={**bounds.coefficients, **extra}), added
 
 
-FAR = 0.05
+FAR_TORQUE = 0.05
 """Largest such difference of a joint from which a set's torque is said to be another one."""
 
 

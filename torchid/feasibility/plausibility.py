@@ -101,8 +101,21 @@ def _not_a_body(own: OwnInertial) -> tuple[str, float, str] | None:
 def by_percent(eigenvalues: Sequence[float]) -> str:
     """By how much the largest of three principal inertias exceeds the sum of the others, in words;
     empty where that sum is not positive."""
+    percent = excess_percent(eigenvalues)
+    return "" if percent is None else f" (by {percent:.2g} %)"
+
+
+def excess_percent(eigenvalues: Sequence[float]) -> float | None:
+    """By how much the largest principal inertia exceeds the sum of the others [%]; negative where
+    it does not, None where that sum is not positive."""
     low, middle, high = eigenvalues
-    return f" (by {100 * (high / (low + middle) - 1):.2g} %)" if low + middle > 0 else ""
+    return 100 * (high / (low + middle) - 1) if low + middle > 0 else None
+
+
+def outside_box(com: Float[Tensor, "*batch 3"], ends: Float[Tensor, "*#batch 3 K"]) -> Tensor:
+    """By how much centres of mass are outside the boxes of points (...) [m]."""
+    low, high = ends.amin(-1).to(com), ends.amax(-1).to(com)
+    return torch.maximum(low - com, com - high).clamp(min=0).norm(dim=-1)
 
 
 def each(mask: Tensor) -> list[list[int]]:
@@ -311,8 +324,7 @@ def _distances(
         known = torch.isfinite(shapes.boxes).all(-1).all(-1)
         boxes = torch.where(known[:, None, None], shapes.boxes, boxes)
         limits = torch.where(known, 0.0, limits)
-    outside = torch.maximum(boxes[..., 0] - com, com - boxes[..., 1]).clamp(min=0)
-    away = outside.norm(dim=-1)
+    away = outside_box(com, boxes)
     for k, link in each((away > limits + ROUNDING) & (parameters.mass > 0)):
         value, limit = float(away[k, link]), float(limits[link])
         of = "the box of its shapes" if bool(known[link]) else "its joints"

@@ -19,7 +19,13 @@ from torchid.feasibility.margins import (
     feasibility,
     inertia_eigenvalues,
 )
-from torchid.feasibility.plausibility import Bodies, Finding, bodies, plausibility
+from torchid.feasibility.plausibility import (
+    Bodies,
+    Finding,
+    bodies,
+    excess_percent,
+    plausibility,
+)
 from torchid.feasibility.sets import ParameterSets, nominal_set, read_sets
 from torchid.feasibility.units import nominal_findings, shape_findings
 from torchid.inputs import RobotLike, as_robot
@@ -357,10 +363,3 @@ def _link(check: Check, k: int, i: int) -> LinkVerdict:
         semi_axes=check.bodies.semi_axes[k, i],
         gyration=float(check.bodies.gyration[k, i]),
     )
-
-
-def excess_percent(eigenvalues: Sequence[float]) -> float | None:
-    """By how much the largest principal inertia exceeds the sum of the others [%]; negative where
-    it does not, None where that sum is not positive."""
-    low, middle, high = eigenvalues
-    return 100 * (high / (low + middle) - 1) if low + middle > 0 else None

@@ -71,6 +71,11 @@ class _Candidates:
         """The same as reasons are written, e.g. Fv_6, F0_1."""
         return coefficient_reasons(self.effects)
 
+    def effect_records(self, k: int) -> tuple[Values, ...]:
+        """The effects with set k's coefficients, as in a robot's yaml."""
+        own = iter(self.coefficients[k].tolist())
+        return tuple(dict(e.record([next(own) for _ in e.coefficients])) for e in self.effects)
+
     def part(self, rows: Sequence[int]) -> "ParameterSets":
         """Some of the sets, in the order asked for."""
         index = list(rows)
@@ -298,19 +303,9 @@ def sets_record(
                 mass=pi[:, 0],
                 first_moment=pi[:, 1:4],
                 inertia_about_link_frame=pi[:, 4:],
-                effects=tuple(
-                    {
-                        "effect": e.name,
-                        "joint": e.joint + 1,
-                        **{c.name: next(v) for c in e.coefficients},
-                    }
-                    for v in [iter(values)]
-                    for e in sets.effects
-                ),
+                effects=sets.effect_records(k),
             )
-            for name, pi, values in zip(
-                sets.ids, sets.parameters.pi, sets.coefficients.tolist(), strict=True
-            )
+            for k, (name, pi) in enumerate(zip(sets.ids, sets.parameters.pi, strict=True))
         ),
         other_effects=beside or UNSET,
         knowledge=UNSET if knowledge is None else to_mapping(knowledge),
@@ -370,17 +365,22 @@ def sets_of(entries: Sequence["SetEntry"], n: int, source: str) -> ParameterSets
         name = k if entry.id is None else entry.id
         pi = InertialParameters(entry.pi.unsqueeze(0))
         parts.append(ParameterSets((str(name),), pi, effects, values.reshape(1, -1)))
-    for part in parts[1:]:
-        if part.effects != parts[0].effects:
-            raise TorchidError(
-                f"{source}: all sets must have the same effects.",
-                got=list(part.coefficient_names()),
-                expected=list(parts[0].coefficient_names()),
-            )
+    _require_same_effects(parts, [f"{source}: all sets must have the same effects."] * len(parts))
     ids = [part.ids[0] for part in parts]
     if len(set(ids)) != len(ids):
         raise TorchidError(f"{source}: two sets have the same id.", got=ids)
     return joined(parts)
+
+
+def _require_same_effects(parts: Sequence[ParameterSets], words: Sequence[str]) -> None:
+    """Raise TorchidError, in the words of the first part that has other effects than the first."""
+    for part, said in zip(parts, words, strict=True):
+        if part.effects != parts[0].effects:
+            raise TorchidError(
+                said,
+                got=list(part.coefficient_names()),
+                expected=list(parts[0].coefficient_names()),
+            )
 
 
 def read_all_sets(files: Sequence[Path], robot: Robot) -> ParameterSets:
@@ -390,13 +390,7 @@ def read_all_sets(files: Sequence[Path], robot: Robot) -> ParameterSets:
         TorchidError: a file that cannot be read, or that has other effects than the first.
     """
     parts = [read_sets(file, robot) for file in files]
-    for file, part in zip(files, parts, strict=True):
-        if part.effects != parts[0].effects:
-            raise TorchidError(
-                f"'{file}' has other effects than '{files[0]}'.",
-                got=list(part.coefficient_names()),
-                expected=list(parts[0].coefficient_names()),
-            )
+    _require_same_effects(parts, [f"'{f}' has other effects than '{files[0]}'." for f in files])
     every = [name for part in parts for name in part.ids]
     if len(set(every)) < len(every):
         parts = [

@@ -21,6 +21,7 @@ from torchid.feasibility.plausibility import (
     add_gravity_loads,
     bodies,
     each,
+    outside_box,
     own_inertial_findings,
 )
 from torchid.results.words import listed
@@ -91,14 +92,11 @@ def nominal_findings(robot: Robot) -> tuple[Finding, ...]:
     return (*unit_findings(robot), *own_inertial_findings(own_inertials(robot)))
 
 
-def unit_findings(robot: Robot, shapes: LinkShapes | None = None) -> tuple[Finding, ...]:
+def unit_findings(robot: Robot) -> tuple[Finding, ...]:
     """What in a robot's nominal parameters looks like another unit, or like a power of ten.
 
-    Links without mass, and points, are passed over.
-
-    Args:
-        robot: whose parameters are meant.
-        shapes: of its links; read from its file where a link looks too small for its matter.
+    Links without mass, and points, are passed over. Shapes are read from the robot's file where a
+    link looks too small for its matter.
     """
     parameters = robot.parameters
     if parameters is None or robot.floating:
@@ -110,17 +108,16 @@ def unit_findings(robot: Robot, shapes: LinkShapes | None = None) -> tuple[Findi
     at = torch.stack([own.gyration / size / _GYRATION, density / _DENSITY], -1).log10()
     common = _common(at, known)
     found = {} if common is None else {common[0]: common[1]}
-    away = _beyond(parameters.com, joint_points(robot).transpose(-1, -2))
+    away = outside_box(parameters.com, joint_points(robot).transpose(-1, -2))
     rest = known if common is None else known & ~common[1]
     odd = rest & (own.gyration > _OUTSIDE * size) | (away > _AWAY * size)
-    if shapes is None and bool(odd.any()):
-        shapes = _read_shapes(robot)
+    shapes = _read_shapes(robot) if bool(odd.any()) else None
     drawn = torch.zeros_like(known)
     if shapes is not None:
         sides = (shapes.boxes[..., 1] - shapes.boxes[..., 0]).norm(dim=-1).nan_to_num(0.0)
         size = torch.maximum(size, sides)
         drawn = sides > 0
-        inside = torch.where(drawn, _beyond(parameters.com, shapes.boxes), torch.inf)
+        inside = torch.where(drawn, outside_box(parameters.com, shapes.boxes), torch.inf)
         away = torch.minimum(away, inside)
     strayed = (away > _AWAY * size) & (mass > 0)  # what is merged there makes inertias, too
     rest = rest & ~strayed
@@ -188,12 +185,6 @@ def _nearest(at: Float[Tensor, "2"]) -> str:
         return away + 0.5 * ("and inertias" in words)
 
     return min(_MISTAKES, key=distance)
-
-
-def _beyond(com: Float[Tensor, "L 3"], ends: Float[Tensor, "L 3 K"]) -> Float[Tensor, " L"]:
-    """By how much centres of mass are outside the boxes of points [m]."""
-    low, high = ends.amin(-1).to(com), ends.amax(-1).to(com)
-    return torch.maximum(low - com, com - high).clamp(min=0).norm(dim=-1)
 
 
 def _read_shapes(robot: Robot) -> LinkShapes | None:

@@ -18,7 +18,7 @@ from torchid.identification.record import IdentificationRecord
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
-SAME = 1e-2
+SAME_COMBINATION = 1e-2
 """Relative distance of a combination from a row space below which it lies in it: kinematics that
 differ by a calibration of millimetres still compare."""
 
@@ -59,14 +59,14 @@ def common_basis(
     for k, base in enumerate(bases):
         for b in range(base.n_rigid, len(base)):
             known = (wide[i][c] for i, c in picked[rigid:])
-            if not any(torch.allclose(wide[k][b], other, atol=SAME) for other in known):
+            if not any(torch.allclose(wide[k][b], other, atol=SAME_COMBINATION) for other in known):
                 picked.append((k, b))
     rows = torch.stack([wide[k][b] for k, b in picked])
     values, std = [], []
     for (label, record), base, own in zip(results.items(), bases, wide, strict=True):
         turn = rows[:, [union.index(base.parameter_names[k]) for k in base.independent]]
         size = torch.linalg.vector_norm(rows, dim=1)
-        within = torch.linalg.vector_norm(turn @ own - rows, dim=1) <= SAME * size
+        within = torch.linalg.vector_norm(turn @ own - rows, dim=1) <= SAME_COMBINATION * size
         if not bool(within[:rigid].all()):
             k, b = picked[int((~within).nonzero()[0, 0])]
             raise TorchidError(
@@ -75,8 +75,8 @@ def common_basis(
                 got=f"{label} has no combination {bases[k].names[b]}",
                 hint="identify all logs with the same robot file",
             )
-        used = turn.abs() > SAME * size.unsqueeze(1)
-        unknown = torch.tensor([name in record.undetermined for name in base.names])
+        used = turn.abs() > SAME_COMBINATION * size.unsqueeze(1)
+        unknown = base.mask(record.undetermined)
         unknown |= contaminated_columns(record.factor[:, : len(base)], unknown)
         known = within & ~(used & unknown).any(1)
         estimated = known & (used & record.free).any(1)

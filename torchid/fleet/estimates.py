@@ -26,7 +26,7 @@ from torchid.robot.inertia import InertialParameters, parameter_names, parameter
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
-SAME = 1e-6
+SAME_SPREAD = 1e-6
 """Relative spread of the sets of a file below which they do not tell how sure a value is."""
 
 GAP_BLOCKS = 20
@@ -166,7 +166,7 @@ def of_sets(files: Mapping[str, Path], robot: Robot) -> Estimates:
     return Estimates(
         [(name, unit, "") for name, unit in zip(names, units, strict=True)],
         values,
-        torch.where(std > SAME * values.abs(), std, torch.nan),
+        torch.where(std > SAME_SPREAD * values.abs(), std, torch.nan),
         torch.tensor([max(1.0, len(s) - 1.0) for s in sets]).double(),
         [count(len(s), "set") for s in sets],
         models,

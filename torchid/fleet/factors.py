@@ -22,6 +22,7 @@ from torchid.identification.least_squares import (
     block_factors,
     combined_factor,
     contaminated_columns,
+    orthonormal,
     solve,
     stacked_factor,
     undetermined_columns,
@@ -260,19 +261,13 @@ def _spent(
     """Degrees of freedom that the fit takes from each joint: the trace of its rows' part of the hat
     matrix."""
     free = (~held).nonzero().flatten()
-    inverse = _orthonormal(factor, free)
+    inverse = orthonormal(factor, free)
     spent = []
     for w, f, c in zip(weight.tolist(), r, layout.columns, strict=True):
         wide = f.new_zeros(len(f), layout.size)
         wide[:, list(c)] = w * f[:, :-1]
         spent.append((wide[:, free] @ inverse).square().sum())
     return torch.stack(spent)
-
-
-def _orthonormal(factor: Float[Tensor, "C C"], free: Int[Tensor, " F"]) -> Float[Tensor, "F F"]:
-    """Combinations of the free columns of a factor that are orthonormal."""
-    triangle = torch.linalg.qr(factor[:, free], mode="r").R
-    return torch.linalg.solve_triangular(triangle, torch.eye(len(free)).to(triangle), upper=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,7 +303,7 @@ def estimate(factors: Factors, model: FleetModel) -> Estimate:
     found = solved(factors, layout)
     free = (~found.held).nonzero().flatten()
     # Coordinates in which the fitted columns are orthonormal: no digits are lost to squares.
-    inverse = _orthonormal(found.factor, free)
+    inverse = orthonormal(found.factor, free)
     count = len(factors.rows)
     hessians = torch.zeros(count, len(free), len(free), dtype=torch.float64)
     gradients = torch.zeros(count, len(free), dtype=torch.float64)

@@ -15,7 +15,7 @@ from torchid.fleet.identify import Part as Share
 from torchid.fleet.identify import kept, part_of, write_index
 from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
-from torchid.fleet.tasks import LogAnswer, answered
+from torchid.fleet.tasks import LogAnswer, LogTask, answered
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.json_data import plain
@@ -34,13 +34,10 @@ have is a unit's own."""
 
 
 @dataclass(frozen=True)
-class GapTask:
+class GapTask(LogTask):
     """A log to be diagnosed."""
 
-    log: FleetLog
-    model: FleetModel
     settings: GapSettings
-    place: str
 
 
 def answer_gap(task: GapTask) -> tuple[LogAnswer, dict[str, Any]]:
@@ -269,14 +266,12 @@ def fleet_gap(
     """
     settings = settings or GapSettings(rollout=False)
     with kept(store, workers) as place:
-        tasks = [GapTask(log, model, settings, place.place) for log in part_of(logs, part)]
+        tasks = [GapTask(log, model, place.place, settings) for log in part_of(logs, part)]
         found = attempted(answer_gap, tasks, workers, "diagnosing logs", progress)
-        answers: list[tuple[LogAnswer, dict[str, Any]]] = []
-        for task, one in zip(tasks, found, strict=True):
-            if isinstance(one, Failure):
-                answers.append((LogAnswer.failed(task.log, one), {}))
-            else:
-                answers.append(one)
+        answers = [
+            (LogAnswer.failed(task.log, one), {}) if isinstance(one, Failure) else one
+            for task, one in zip(tasks, found, strict=True)
+        ]
         if part is None:
             write_index(place, [a for a, _ in answers], "gap.parquet")
     if not any(gap for _, gap in answers):

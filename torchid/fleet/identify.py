@@ -60,6 +60,11 @@ FAR_FROM_PHYSICAL = 5.0
 """Standard deviations beyond which a value that no body has is worth a word: at less, what the
 model lacks is reason enough."""
 
+OF_EACH = (
+    "mean", "std", "between", "between_ci95", "daily", "daily_ci95", "noise", "units", "sessions",
+)  # fmt: skip
+"""Random effects that a parameter has one of."""
+
 Part = tuple[int, int]
 """The i-th of n parts of the logs, i from 1."""
 
@@ -154,19 +159,11 @@ class Fleet(Result):
         needed = None
         if between > 0 and noise == noise:
             needed = max(1, -(-(daily**2 + noise**2) // (between / 2) ** 2))
-        return PooledParameter(
+        return PooledParameter.of(
+            **{name: getattr(found, name)[b].tolist() for name in OF_EACH},
             name=self.base.names[b],
             unit=self.base.units[b],
-            mean=float(found.mean[b]),
-            std=float(found.std[b]),
-            ci95=(ci[0], ci[1]),
-            between=between,
-            between_ci95=tuple(found.between_ci[b].tolist()),
-            daily=float(found.daily[b]),
-            daily_ci95=tuple(found.daily_ci[b].tolist()),
-            noise=noise,
-            units=int(found.units[b]),
-            sessions=int(found.sessions[b]),
+            ci95=ci,
             sessions_needed=None if needed is None or needed > 1e6 else int(needed),
         )
 

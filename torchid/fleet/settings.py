@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from torchid.errors import TorchidError
-from torchid.identification.settings import DEFAULT_EFFECTS, Basis, Rows
+from torchid.identification.settings import DEFAULT_EFFECTS, Basis, Rows, require_between
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,7 @@ class FleetSettings:
     level: float = 0.05
 
     def __post_init__(self) -> None:
-        for what, value, low, high in (
-            ("the cut-off", self.cutoff, 0.0, math.inf),
-            ("the level", self.level, 0.0, 1.0),
-        ):
-            if not low < value < high:
-                raise TorchidError(
-                    f"{what} is out of range.", got=value, expected=f"{low:g}..{high:g}"
-                )
+        require_between("the cut-off", self.cutoff, 0.0, math.inf, "a frequency in Hz")
+        require_between("the level", self.level, 0.0, 1.0, "0..1")
         if not 0 <= self.reversal < math.inf:
             raise TorchidError("the reversal speed is out of range.", got=self.reversal)

@@ -1,6 +1,7 @@
 """What drifts: each parameter of each unit over its sessions, with an alarm that holds its rate."""
 
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +11,8 @@ from msgspec import UNSET, UnsetType, field
 from torchid import __version__
 from torchid.errors import TorchidError
 from torchid.fleet.identify import USED, Fleet
+from torchid.fleet.tasks import UnitAnswer
+from torchid.identification.base_parameters import BaseParameters
 from torchid.results.record import Part, Real, Result, RobotRecord, Rows
 from torchid.robot.library import named_record
 from torchid.statistics.drift import drift
@@ -135,69 +138,75 @@ def watch(fleet: Fleet, every: float = SESSIONS) -> Watch:
             got=max(len(u.sessions) for u in fleet.units),
             expected=f"{FEWEST} of one unit",
         )
-    warm = _temperatures(fleet)
-    daily, steps = _daily(fleet)
-    alarms: list[Alarm] = []
-    units: list[WatchedUnit] = []
+    warm, daily = _temperatures(fleet), _daily(fleet)
+    alarms, units = list[Alarm](), list[WatchedUnit]()
     for unit in fleet.units:
-        names = tuple(name for name, _ in unit.sessions)
-        if len(names) < FEWEST:
-            continue
-        known = [warm.get((unit.unit, name)) for name in names]
-        heat = torch.tensor([[t] for t in known if t is not None], dtype=torch.float64)
-        if len(heat) < len(names) or float(heat.std()) == 0:
-            heat = torch.zeros(len(names), 0, dtype=torch.float64)
-        values = torch.stack([e.values for _, e in unit.sessions], 1)
-        variances = torch.stack([e.std.square() for _, e in unit.sessions], 1) + daily.unsqueeze(1)
-        freedom = torch.stack([e.freedom for _, e in unit.sessions], 1).clamp(max=steps)
-        threshold = every * len(values)
-        strongest = torch.zeros(len(names), dtype=torch.float64)
-        for b, base in enumerate(fleet.base.names):
-            there = values[b].isfinite().nonzero().flatten()
-            if len(there) < FEWEST:
-                continue
-            found = drift(values[b, there], variances[b, there], freedom[b, there], heat[there])
-            share = found.evidence / threshold
-            strongest[there] = torch.maximum(strongest[there], share)
-            over = (share >= 1).nonzero().flatten().tolist()
-            if not over or found.since is None:
-                continue
-            since, said = there[found.since], there[over[0]]
-            percent = 100 * (found.after - found.before) / abs(found.before)
-            by_heat = None
-            if heat.shape[1]:
-                late = torch.arange(len(there)) >= found.since
-                warmer = heat[there][late].mean(0) - heat[there][~late].mean(0)
-                by_heat = float(100 * (found.slope @ warmer) / abs(found.before))
-            word = "rose" if percent > 0 else "fell"
-            apart = "" if by_heat is None else f", the temperature's {by_heat:+.0f} % apart"
-            alarms.append(
-                Alarm(
-                    unit=unit.unit,
-                    parameter=base,
-                    since=names[int(since)],
-                    said_at=names[int(said)],
-                    before=found.before,
-                    after=found.after,
-                    percent=percent,
-                    by_temperature=by_heat,
-                    evidence=float(found.evidence.max()),
-                    threshold=threshold,
-                    sentence=f"{unit.unit}: {base} {word} by {abs(percent):.0f} % since "
-                    f"{names[int(since)]}, from {found.before:.4g} to {found.after:.4g} "
-                    f"{fleet.base.units[b]}{apart}",
-                )
-            )
-        units.append(
-            WatchedUnit(
-                unit=unit.unit,
-                sessions=names,
-                temperature=tuple(heat[:, 0].tolist()) if heat.shape[1] else (),
-                evidence=tuple(strongest.tolist()),
-            )
-        )
+        if len(unit.sessions) >= FEWEST:
+            watched, own = _watched(unit, fleet.base, warm, daily, every)
+            units.append(watched)
+            alarms += own
     alarms.sort(key=lambda a: (-a.evidence, a.unit, a.parameter))
     return Watch(fleet, every, tuple(alarms), tuple(units), fleet.notes)
+
+
+def _watched(
+    unit: UnitAnswer,
+    base: BaseParameters,
+    warm: Mapping[tuple[str, str], float],
+    daily: tuple[Float[Tensor, " B"], int],
+    every: float,
+) -> tuple[WatchedUnit, list[Alarm]]:
+    """One unit, and what has changed in it."""
+    names, estimates = zip(*unit.sessions, strict=True)
+    known = [warm.get((unit.unit, name)) for name in names]
+    heat = torch.tensor([[t] for t in known if t is not None], dtype=torch.float64)
+    if len(heat) < len(names) or float(heat.std()) == 0:
+        heat = torch.zeros(len(names), 0, dtype=torch.float64)
+    values = torch.stack([e.values for e in estimates], 1)
+    variances = torch.stack([e.std.square() for e in estimates], 1) + daily[0].unsqueeze(1)
+    freedom = torch.stack([e.freedom for e in estimates], 1).clamp(max=daily[1])
+    alarms, threshold = list[Alarm](), every * len(values)
+    strongest = torch.zeros(len(names), dtype=torch.float64)
+    for b, (name, of) in enumerate(zip(base.names, base.units, strict=True)):
+        there = values[b].isfinite().nonzero().flatten()
+        if len(there) < FEWEST:
+            continue
+        found = drift(values[b, there], variances[b, there], freedom[b, there], heat[there])
+        share = found.evidence / threshold
+        strongest[there] = torch.maximum(strongest[there], share)
+        over = (share >= 1).nonzero().flatten().tolist()
+        if not over or found.since is None:
+            continue
+        since, said = names[there[found.since]], names[there[over[0]]]
+        percent = 100 * (found.after - found.before) / abs(found.before)
+        by_heat = None
+        if heat.shape[1]:
+            late = torch.arange(len(there)) >= found.since
+            warmer = heat[there][late].mean(0) - heat[there][~late].mean(0)
+            by_heat = float(100 * (found.slope @ warmer) / abs(found.before))
+        word = "rose" if percent > 0 else "fell"
+        apart = "" if by_heat is None else f", the temperature's {by_heat:+.0f} % apart"
+        alarms.append(
+            Alarm.of(
+                found,
+                unit=unit.unit,
+                parameter=name,
+                since=since,
+                said_at=said,
+                percent=percent,
+                by_temperature=by_heat,
+                evidence=float(found.evidence.max()),
+                threshold=threshold,
+                sentence=f"{unit.unit}: {name} {word} by {abs(percent):.0f} % since {since}, from "
+                f"{found.before:.4g} to {found.after:.4g} {of}{apart}",
+            )
+        )
+    temperature = tuple(heat[:, 0].tolist()) if heat.shape[1] else ()
+    evidence = tuple(strongest.tolist())
+    watched = WatchedUnit(
+        unit=unit.unit, sessions=names, temperature=temperature, evidence=evidence
+    )
+    return watched, alarms
 
 
 def _daily(fleet: Fleet) -> tuple[Float[Tensor, " B"], int]:

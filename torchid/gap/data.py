@@ -19,7 +19,7 @@ from torchid.design.bands import (
 )
 from torchid.design.columns import Columns
 from torchid.design.held import held_ages_of
-from torchid.design.motion import MOVING, measurements
+from torchid.design.motion import MOVING, Measurement, measurements
 from torchid.design.resonance import Swing, swings
 from torchid.design.segments import (
     EDGE,
@@ -214,23 +214,12 @@ def prepare(
     even = at_rate(even, min(rate, *sampling_rate(even)))
     warnings = tuple(dict.fromkeys([*warnings, *even.warnings]))
     even, spread = spread_over(even, LONGEST / log.n)
-    warnings = (*warnings, *spread)
     # Differentiated in a wide band, from which all is filtered later.
     noise = position_noise(even, robot)
     highest = resolved(even, noise, robot.free)
     narrow, wide = bands(even, cutoff, highest)
     measured = measurements(even, wide)
-    segments = segments_of(measured, wide, clock)
-    # Torques that a logger repeats, and the direction of motion, sharper than the filter has it.
-    ages = held_ages_of(even, segments)
-    if any(bool(age.any()) for age in ages):
-        pairs = zip(segments, ages, strict=True)
-        segments = [replace(s, motion=s.motion._replace(age=age)) for s, age in pairs]
-    threshold = reversal_speed(measured)
-    segments = [
-        replace(s, motion=s.motion._replace(direction=sharp_direction(s, threshold)))
-        for s in segments
-    ]
+    segments = _segments(even, measured, wide, clock)
     # Trajectories that the filter's edges leave something of.
     long = [s for s in segments if s.length > SHORTEST * s.rate / narrow]
     if not long:
@@ -241,7 +230,7 @@ def prepare(
         )
     # Joints that never move.
     still = still_joints(long)
-    said = [*warnings, *(w for m in measured for w in m.warnings)]
+    said = [*warnings, *spread, *(w for m in measured for w in m.warnings)]
     if still:
         said.append(
             f"Next time: {joint_list(still)} is at rest in all of it, so no cause can be "
@@ -281,6 +270,21 @@ def prepare(
         samples, keep, slides, missing, still, (), band, known, positions, tuple(said), lag,
         gain_said=gain_std is not None,
     )  # fmt: skip
+
+
+def _segments(log: Log, measured: list[Measurement], wide: float, clock: float) -> list[Segment]:
+    """Trajectories in the wide band, with the ages of torques that a logger repeats, and the
+    direction of motion, sharper than the filter has it."""
+    segments = segments_of(measured, wide, clock)
+    ages = held_ages_of(log, segments)
+    if any(bool(age.any()) for age in ages):
+        pairs = zip(segments, ages, strict=True)
+        segments = [replace(s, motion=s.motion._replace(age=age)) for s, age in pairs]
+    threshold = reversal_speed(measured)
+    return [
+        replace(s, motion=s.motion._replace(direction=sharp_direction(s, threshold)))
+        for s in segments
+    ]
 
 
 def read(

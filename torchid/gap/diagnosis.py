@@ -199,18 +199,13 @@ def _link(changed: Parametric) -> FoundEffect:
         family="inertia",
         joints=changed.links,
         located=changed.links,
-        common=False,
         parameters={"links": [link + 1 for link in changed.links]},
         std={},
         unit={},
         shape=(),
         places=(),
-        first=None,
         meaning=INERTIA_MEANING,
         remedy=INERTIA_REMEDY,
-        source=None,
-        notes=(),
-        replication=None,
     )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from torchid.gap.problem import Problem
-from torchid.gap.search.climb import fitted
+from torchid.gap.search.climb import fit_anew
 from torchid.gap.search.evidence import Fitted, Question
 from torchid.gap.search.explain import best_explanation
 from torchid.gap.search.terms import Term, candidates_of
@@ -37,8 +37,7 @@ def first_answer(problem: Problem) -> Answer:
 
 def so_far(question: Question, fit: Fitted, robot: Robot) -> Answer:
     """What a fit that is not finished says."""
-    rows = question.normal.rows.clamp(min=1.0)
-    before, after = ((f.losses / rows).sqrt() for f in (fitted(question), fit))
+    before, after = (question.mean(f.losses).sqrt() for f in (fit_anew(question), fit))
     levels = zip(robot.joint_names, before.tolist(), after.tolist(), strict=True)
     first = len(question.fixed)
     causes = zip(fit.terms[first:], fit.values()[first:], strict=True)

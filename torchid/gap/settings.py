@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from torchid.errors import TorchidError
+from torchid.identification.settings import require_between, require_choice
 from torchid.statistics.criteria import WORTHWHILE, WORTHWHILE_TORQUE
 
 Parameters = Literal["auto", "trusted", "free"]
@@ -62,12 +63,7 @@ class GapSettings:
     only: tuple[tuple[str, int | None], ...] | None = None
 
     def __post_init__(self) -> None:
-        if self.parameters not in get_args(Parameters):
-            raise TorchidError(
-                "unknown choice for parameters.",
-                got=self.parameters,
-                available=get_args(Parameters),
-            )
+        require_choice("parameters", self.parameters, get_args(Parameters))
         if self.effects is not None and not self.effects:
             raise TorchidError("there is no effect to search over.", hint="None: the whole library")
         if self.effects or self.background or self.only:
@@ -82,9 +78,11 @@ class GapSettings:
                 if len(set(names)) < len(names):
                     raise TorchidError("an effect is named twice.", got=", ".join(names))
         if self.cutoff != "auto":
-            _between("the cut-off", self.cutoff, 0.0, math.inf, "a frequency in Hz, or `auto`")
-        _between("the report's band", self.report_band, 0.0, math.inf, "a frequency in Hz")
-        _between("alpha", self.alpha, 0.0, 1.0, "0..1")
+            require_between(
+                "the cut-off", self.cutoff, 0.0, math.inf, "a frequency in Hz, or `auto`"
+            )
+        require_between("the report's band", self.report_band, 0.0, math.inf, "a frequency in Hz")
+        require_between("alpha", self.alpha, 0.0, 1.0, "0..1")
         for name, share in (
             ("the least worthwhile share", self.worthwhile),
             ("the least worthwhile share", self.worthwhile_torque),
@@ -92,16 +90,10 @@ class GapSettings:
             ("the held-out fraction", self.held_out_fraction),
         ):
             if share != 0:
-                _between(name, share, 0.0, 1.0, "0..1")
+                require_between(name, share, 0.0, 1.0, "0..1")
         _whole("the number of folds", self.folds, 2)
         _whole("the greatest number of effects", self.max_effects, 1)
         _whole("the seed", self.seed, 0)
-
-
-def _between(name: str, value: object, low: float, high: float, expected: str) -> None:
-    """Raise unless `value` is a number strictly between two bounds."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low < value < high:
-        raise TorchidError(f"{name} is out of range.", got=value, expected=expected)
 
 
 def _whole(name: str, value: object, least: int) -> None:

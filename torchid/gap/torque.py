@@ -13,12 +13,12 @@ from dataclasses import replace
 from torchid.design.columns import Model
 from torchid.effects.registry import EVENTS
 from torchid.errors import LogError
-from torchid.gap.diagnosis import HowFar, TorqueDiagnosis
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.early import Watch, first_answer, so_far
 from torchid.gap.localise.where import where
 from torchid.gap.problem import Problem
 from torchid.gap.record import Budget, Known, Parametric, UnnamedEffect
-from torchid.gap.search.explain import explained
+from torchid.gap.search.explain import explain_gap
 from torchid.gap.search.findings import (
     Findings,
     describe_findings,
@@ -71,13 +71,13 @@ def diagnose_torque(
     say("searching for effects", 0, 1)
     if watch is not None and not problem.data.stands:
         watch(first_answer(problem))
-    found = explained(problem, watch and (lambda q, fit: watch(so_far(q, fit, problem.robot))))
+    found = explain_gap(problem, watch and (lambda q, fit: watch(so_far(q, fit, problem.robot))))
     if not found.terms:
         problem.data.require_motion()
     say("judging", 0, 1)
     decision = decide(found, problem)
     say("locating", 0, 1)
-    result = described(decision, problem)
+    result = describe_diagnosis(decision, problem)
     if settings.rollout and not robot.floating:
         say("simulating forwards", 0, 1)
         here = problem.judged is None
@@ -91,7 +91,7 @@ def diagnose_torque(
     return result
 
 
-def described(decision: Decision, problem: Problem) -> TorqueDiagnosis:
+def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
     """The answer, from a decision: where, which, how far, and what this log could not show."""
     found, checked, data, settings = (
         decision.found, decision.checked, problem.data, problem.settings
@@ -134,7 +134,7 @@ def described(decision: Decision, problem: Problem) -> TorqueDiagnosis:
         regimes=regimes,
         findings=said.effects,
         parametric=said.parametric,
-        how_far=HowFar(far.rms_before, far.rms_after, far.closed, far.closed_ci95),
+        how_far=far,
         budget=shares,
         floor=checked.noise.floor,
         not_testable=tuple(unseen),

@@ -13,7 +13,7 @@ from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.identification.base_parameters import BaseParameters, base_parameters
 from torchid.identification.knowledge import known_later
-from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, paper_order
+from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot
 
@@ -42,13 +42,6 @@ class Wanted:
     only: tuple[tuple[str, int | None], ...] | None
     base: BaseParameters
     knowledge: Knowledge | None = None
-
-    @property
-    def independent(self) -> list[int]:
-        """Numbers, link by link, of the parameters that stand for the base parameters."""
-        # Base parameters are numbered by kind, regressors link by link.
-        order = paper_order(self.base.n_rigid_parameters // PARAMETERS_PER_LINK)
-        return order[list(self.base.independent[: self.base.n_rigid])].tolist()
 
     def asks(self, name: str, joints: Sequence[int]) -> bool:
         """Whether an effect of this name at these joints is looked for."""
@@ -81,7 +74,7 @@ def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:
     )
 
 
-def pushes(wanted: Wanted) -> Wanted:
+def pushes_alone(wanted: Wanted) -> Wanted:
     """Of an arm that stands in one pose nothing but a push: whatever else its torque is, gravity
     and what friction holds, is an offset that is fitted with it."""
     names = tuple(name for name in wanted.names if name == Contact.name)

@@ -21,8 +21,9 @@ This is the robot's structure: it uses random states, not the log. What a log ex
 of the fit (see `least_squares`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import torch
 
@@ -33,6 +34,7 @@ from torchid.errors import IdentificationError
 from torchid.robot.inertia import (
     PARAMETERS_PER_LINK,
     InertialParameters,
+    paper_order,
     parameter_names,
     parameter_units,
     symmetric,
@@ -136,6 +138,21 @@ class BaseParameters:
         """Effect coefficients that are part of a rigid base parameter, e.g. Ia1 of J1zz + ..."""
         rigid = self.n_rigid_parameters
         return [self.parameter_names[k] for k in self.dependent if k >= rigid]
+
+    @property
+    def by_link(self) -> list[int]:
+        """Numbers, link by link as regressors have them, of the parameters that stand for the rigid
+        base parameters, which are numbered by kind."""
+        order = paper_order(self.n_rigid_parameters // PARAMETERS_PER_LINK)
+        return order[list(self.independent[: self.n_rigid])].tolist()
+
+    def named(self, mask: Bool[Tensor, " B"]) -> tuple[str, ...]:
+        """Names of some."""
+        return tuple(compress(self.names, mask.tolist()))
+
+    def mask(self, names: Collection[str]) -> Bool[Tensor, " B"]:
+        """Which of them have these names."""
+        return torch.tensor([name in names for name in self.names], dtype=torch.bool)
 
     def is_single(self, position: int) -> bool:
         """Whether base parameter `position` is one parameter, not a sum of several."""

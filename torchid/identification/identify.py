@@ -1,7 +1,7 @@
 """From a robot and its logs to base parameters: the whole job as one call."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -11,7 +11,6 @@ from torchid.design.motion import Measurement, fast_speed, measurements, timed
 from torchid.effects.base import Effect
 from torchid.errors import IdentificationError, LogError
 from torchid.identification.asked import Asked, asked_effects, search_shapes
-from torchid.identification.base_parameters import base_parameters
 from torchid.identification.knowledge import (
     fit_root,
     inflation,
@@ -24,7 +23,7 @@ from torchid.identification.logs import prepared, refuse_repeated
 from torchid.identification.mirror import Mirror, as_one, mirror_of, mirrored_base
 from torchid.identification.record import FittedRows
 from torchid.identification.result import Identification, findings
-from torchid.identification.rows import Layout, RowSource, layout
+from torchid.identification.rows import Layout, RowSource
 from torchid.identification.settings import Settings
 from torchid.identification.statistics import Uncertainty, jackknife
 from torchid.identification.tuning import (
@@ -45,6 +44,7 @@ from torchid.identification.validation import (
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress, stage
+from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot, joint_list
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
@@ -109,52 +109,36 @@ def identify(
     mirror = mirror_of(robot, settings.mirror) if settings.mirror else None
     asked = asked_effects(settings.effects, robot)
     # The filter is chosen with the effects whose columns are known beforehand.
-    training = _training(robot, _on(log, device), [a.effect for a in asked if a.plain], settings)
-    cutoff, choice, reversal = _chosen_filter(training, settings, progress)
+    training = Training.of(robot, _on(log, device), [a.effect for a in asked if a.plain], settings)
+    cutoff, choice, reversal = _chosen_filter(training, progress)
     measured = timed(measurements(training.log, cutoff, reversal))
     said: tuple[str, ...] = ()
     if not all(a.plain for a in asked):
-        shaped, said = _with_shapes(asked, training, cutoff, reversal, settings)
-        training = _training(robot, training.log, shaped, settings)
-        measured = _loaded(training, measured, settings)
+        shaped, said = _with_shapes(asked, training, cutoff, reversal)
+        training = Training.of(robot, training.log, shaped, settings)
+        measured = _loaded(training, measured)
     columns = training.layout
-    base, effects = columns.base, columns.effects
-    estimate = _estimate(training, measured, settings, progress)
+    base, effects, order = columns.base, columns.effects, columns.back
+    estimate = _estimate(training, measured, progress)
     condition = estimate.fit.scaled_condition_number
     refuse_lost(condition, training.log)
-    order = columns.back
     found = _with_priors(robot, estimate, columns, mirror)
-    values = found.values
+    # Errors are those of torque filtered at a cut-off of its own, where one is asked for.
     shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
+    own = measured if shown == cutoff else timed(measurements(training.log, shown, reversal))
     apart: list[Measurement] = []
     if kept_back is not None:
-        # The end of the same log follows its beginning; another log follows the whole of it.
-        last = measured[-1]
-        end = float(last.motion.require("t", "a trajectory")[-1]) + 1 / last.rate
-        clock = 0.0 if held_out is None else end
-        apart = measurements(_on(kept_back, device), shown, reversal)
-        apart = timed(apart, None if held_out is not None else float(log.t[0]), clock)
+        begin = float(log.t[0]) if held_out is None else None
+        apart = _following(measured, measurements(_on(kept_back, device), shown, reversal), begin)
+    report = stage(progress, "predicting")
     fitted, checked = (
-        [predict(m, robot, base, effects, values, stage(progress, "predicting")) for m in part]
-        for part in (
-            measured if shown == cutoff else timed(measurements(training.log, shown, reversal)),
-            apart,
-        )
+        [predict(m, robot, base, effects, found.values, report) for m in part]
+        for part in (own, apart)
     )
-
     if not settings.force:
         refuse_useless(fitted, condition, training.log, robot.free)
-    knowledge = over_parameters(found.root, base, effects, ", ".join(training.log.names))
-    knowledge = replace(knowledge, left=moving_rms(fitted))
-    if robot.knowledge is not None:
-        # The rows hold what was known before; sources and the rest are put together.
-        both = robot.knowledge.plus(knowledge)
-        knowledge = replace(both, coefficients=knowledge.coefficients, root=knowledge.root)
 
-    def names(mask: Tensor) -> tuple[str, ...]:
-        return tuple(name for name, hit in zip(base.names, mask.tolist(), strict=True) if hit)
-
-    lone = names(estimate.uncertainty.by_one_block[order])
+    lone = base.named(estimate.uncertainty.by_one_block[order])
     one_stretch = (
         "one short stretch of the log alone determines these; their standard deviations are lower "
         "bounds: " + ", ".join(lone)
@@ -163,17 +147,15 @@ def identify(
         robot=robot,
         base=base,
         effects=effects,
-        values=values,
+        values=found.values,
         covariance=found.covariance,
         factor=found.factor,
         rows=found.rows,
         free=found.free,
-        bounded=names(estimate.fit.bounded[order]),
-        undetermined=tuple(
-            n for n, k in zip(base.names, found.undetermined.tolist(), strict=True) if k
-        ),
-        dropped=names(estimate.dropped[order]),
-        wrong_sign=names((columns.non_negative & (estimate.fit.x < 0))[order]),
+        bounded=base.named(estimate.fit.bounded[order]),
+        undetermined=base.named(found.undetermined),
+        dropped=base.named(estimate.dropped[order]),
+        wrong_sign=base.named((columns.non_negative & (estimate.fit.x < 0))[order]),
         fit=errors(fitted, robot.free),
         held_out=errors(checked, robot.free) if checked else None,
         fit_predictions=tuple(fitted),
@@ -185,7 +167,7 @@ def identify(
         reversal=reversal,
         uncertainty=estimate.uncertainty,
         settings=settings,
-        knowledge=knowledge,
+        knowledge=_knowledge(found, training, moving_rms(fitted)),
         warnings=(
             *robot.warnings,
             *noticed,
@@ -221,11 +203,21 @@ def _prepared(
     return log, kept_back, noticed
 
 
+def _following(
+    fitted: Sequence[Measurement], apart: list[Measurement], begin: float | None
+) -> list[Measurement]:
+    """Held-out trajectories on the clock of those that are fitted: the end of the same log, which
+    began then, follows its beginning; another log, without a beginning, the whole of it."""
+    last = fitted[-1]
+    end = float(last.motion.require("t", "a trajectory")[-1]) + 1 / last.rate
+    return timed(apart, begin, end if begin is None else 0.0)
+
+
 def _chosen_filter(
-    training: Training, settings: Settings, progress: Progress | None
+    training: Training, progress: Progress | None
 ) -> tuple[float | None, CutoffChoice | None, Tensor]:
     """Cut-off [Hz], how it was chosen if it was, and reversal speeds (n,)."""
-    choice: CutoffChoice | None = None
+    settings, choice = training.settings, None
     if settings.cutoff == "auto":
         choice = choose_cutoff(training, stage(progress, "choosing the cut-off"))
         cutoff = choice.cutoff
@@ -239,18 +231,21 @@ def _chosen_filter(
     return cutoff, choice, reversal
 
 
+def _travel(log: Log) -> tuple[list[float], str]:
+    """How far each joint moves [rad; m], and the same in words."""
+    moved = (log.q.amax(0) - log.q.amin(0)).tolist()
+    return moved, f"the joints move over {', '.join(f'{x:.2g}' for x in moved)} rad or m"
+
+
 def refuse_lost(condition: float, log: Log) -> None:
     """Raise IdentificationError where rounding alone would leave no four digits: values of
     thousands of kilograms would be printed with standard deviations as large, and look like a
     result."""
     largest = FEWEST_DIGITS / torch.finfo(torch.float64).eps
     if condition > largest:
-        moved = (log.q.amax(0) - log.q.amin(0)).tolist()
         raise IdentificationError(
             "these logs cannot tell the parameters apart: the fit is lost in rounding.",
-            got=f"condition number {condition:.1e} (columns of length one); the joints move over "
-            + ", ".join(f"{x:.2g}" for x in moved)
-            + " rad or m",
+            got=f"condition number {condition:.1e} (columns of length one); {_travel(log)[1]}",
             expected=f"below {largest:.1e}; a good motion has less than 1e3",
             hint="`torchid excite` designs a motion that tells them apart; `effects=...` with "
             "fewer names asks for less",
@@ -304,6 +299,17 @@ def _with_priors(
     return _Found(values, covariance, factor, rows, free, undetermined, root, said_alike)
 
 
+def _knowledge(found: _Found, training: Training, left: Float[Tensor, " n"]) -> Knowledge:
+    """How sure the robot's model is with the log, which leaves so much of the torque."""
+    c, source = training.layout, ", ".join(training.log.names)
+    now = replace(over_parameters(found.root, c.base, c.effects, source), left=left)
+    if c.robot.knowledge is None:
+        return now
+    # The rows hold what was known before; sources and the rest are put together.
+    both = c.robot.knowledge.plus(now)
+    return replace(both, coefficients=now.coefficients, root=now.root)
+
+
 def refuse_useless(
     fitted: Sequence[Prediction], condition: float, log: Log, free: Sequence[int] = ()
 ) -> None:
@@ -319,15 +325,13 @@ def refuse_useless(
     worse = (percent > NO_BETTER).nonzero().flatten().tolist()
     if 2 * len(worse) <= int(percent.isfinite().sum()):
         return
-    moved = (log.q.amax(0) - log.q.amin(0)).tolist()
+    moved, said = _travel(log)
     slow = [j for j, x in enumerate(moved) if x < HARDLY_MOVES]
     hint = "" if not slow else f"; {joint_list(slow)} hardly move"
     raise IdentificationError(
         "these logs determine no model: over all rows it predicts the torque worse than zero does.",
         got=f"an error of {float(percent[worse].max()):.2g} % of the torque on "
-        f"{joint_list(worse)}; condition number {condition:.1e}; the joints move over "
-        + ", ".join(f"{x:.2g}" for x in moved)
-        + f" rad or m{hint}",
+        f"{joint_list(worse)}; condition number {condition:.1e}; {said}{hint}",
         expected="every joint moving through much of its range, slowly and fast",
         hint="`torchid excite` designs such a motion; `force=True` (`--force`) shows the numbers "
         "all the same",
@@ -341,20 +345,8 @@ def _dependence(estimate: "_Estimate") -> tuple[float, float, float]:
     return count, found.correlation_seconds * rows.per_second, found.quantile() / HALF_95
 
 
-def _training(robot: Robot, log: Log, effects: Sequence[Effect], settings: Settings) -> Training:
-    """The log with the columns of base parameters and effects."""
-    base = base_parameters(robot, effects, basis=settings.basis)
-    columns = layout(robot, base, effects)
-    bounded = columns.non_negative & (settings.signs == "bounded")
-    return Training(log, columns, settings.rows == "moving", bounded)
-
-
 def _with_shapes(
-    asked: Sequence[Asked],
-    training: Training,
-    cutoff: float | None,
-    reversal: Tensor,
-    settings: Settings,
+    asked: Sequence[Asked], training: Training, cutoff: float | None, reversal: Tensor
 ) -> tuple[list[Effect], tuple[str, ...]]:
     """All effects asked for, those shapes that were not given as the training data have them, and
     what is to be said about it."""
@@ -364,9 +356,9 @@ def _with_shapes(
     part = replace(training, log=shortened(training.log))
     measured = timed(measurements(part.log, cutoff, reversal))
     # What searched effects of the torque see, and what their shapes are relative to.
-    measured = _refitted_load(part, measured, settings)
-    robot = training.layout.robot
-    known = _training(robot, part.log, [a.effect for a in asked if not a.searched], settings)
+    measured = _refitted_load(part, measured)
+    given = [a.effect for a in asked if not a.searched]
+    known = Training.of(training.layout.robot, part.log, given, training.settings)
     source = RowSource(measured, known.layout, moving_only=known.moving_only)
     found = fit(source, non_negative=known.non_negative)
     best = search_shapes(unknown, source, found, measured, cutoff)
@@ -394,47 +386,10 @@ def _named(effect: Effect) -> str:
     return f"{effect.name} of joint {joints[0]}" + "".join(f" with joint {j}" for j in joints[1:])
 
 
-def _source(
-    training: Training,
-    measured: list[Measurement],
-    settings: Settings,
-    progress: Callable[[int, int], None] | None = None,
-) -> RowSource:
-    return RowSource(
-        measured,
-        training.layout,
-        moving_only=training.moving_only,
-        compiled=settings.compiled,
-        progress=progress,
-    )
-
-
-def _fitted(
-    source: RowSource, training: Training, settings: Settings, left_out: Tensor | None = None
-) -> Fit:
-    return fit(
-        source,
-        method=settings.method,
-        covariance=settings.covariance,
-        non_negative=training.non_negative,
-        left_out=left_out,
-    )
-
-
-def _refitted_load(
-    training: Training, measured: list[Measurement], settings: Settings
-) -> list[Measurement]:
-    """Trajectories with the torque of a fit to them, without standard deviations."""
-    found = _fitted(_source(training, measured, settings), training, settings)
-    return _with_load(training, measured, found.x[training.layout.back])
-
-
-def _with_load(
-    training: Training, measured: list[Measurement], values: Float[Tensor, " B"]
-) -> list[Measurement]:
-    """Trajectories with the torque of a fit, as effects of the torque see it."""
-    c = training.layout
-    out = []
+def _refitted_load(training: Training, measured: list[Measurement]) -> list[Measurement]:
+    """Trajectories with the torque of a fit to them, as effects of the torque see it."""
+    c, out = training.layout, []
+    values = training.fit(training.source(measured)).x[c.back]
     for m in measured:
         own = values.to(m.tau)
         torque = [
@@ -445,9 +400,7 @@ def _with_load(
     return out
 
 
-def _loaded(
-    training: Training, measured: list[Measurement], settings: Settings
-) -> list[Measurement]:
+def _loaded(training: Training, measured: list[Measurement]) -> list[Measurement]:
     """Trajectories with the torque of the model, where an effect needs it: of a fit without those
     effects first, then of fits with them. What is left wrong shrinks each time by about the share
     of the torque that they are."""
@@ -455,10 +408,10 @@ def _loaded(
     without = [e for e in c.effects if "torque" not in e.needs]
     if len(without) == len(c.effects):
         return measured
-    first = _training(c.robot, training.log, without, settings)
-    measured = _refitted_load(first, measured, settings)
+    first = Training.of(c.robot, training.log, without, training.settings)
+    measured = _refitted_load(first, measured)
     for _ in range(LOAD_FITS):
-        measured = _refitted_load(training, measured, settings)
+        measured = _refitted_load(training, measured)
     return measured
 
 
@@ -478,20 +431,20 @@ class _Estimate:
 
 
 def _estimate(
-    training: Training, measured: list[Measurement], settings: Settings, progress: Progress | None
+    training: Training, measured: list[Measurement], progress: Progress | None
 ) -> _Estimate:
     """Fit with standard deviations; with `essential`, without parameters that may be zero."""
-    source = _source(training, measured, settings, stage(progress, "filtering"))
+    source = training.source(measured, stage(progress, "filtering"))
 
     def without(dropped: Tensor) -> _Estimate:
-        found = _fitted(source, training, settings, dropped)
+        found = training.fit(source, dropped)
         counts = (last - first for first, last in itertools.pairwise(source.boundaries))
         seconds = sum(n * step for n, step in zip(counts, source.interval, strict=True))
         rows = FittedRows(seconds, source.instants / seconds, found.whitening)
         return _Estimate(found, jackknife(source, found), dropped, rows)
 
     now = without(torch.zeros_like(training.non_negative))
-    while settings.essential and int(now.fit.free.sum()) > 1:
+    while training.settings.essential and int(now.fit.free.sum()) > 1:
         ratio = torch.where(now.fit.free, now.fit.x.abs() / now.uncertainty.std, torch.inf)
         weakest = int(ratio.argmin())
         if float(ratio[weakest]) > now.uncertainty.quantile():

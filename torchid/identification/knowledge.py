@@ -9,6 +9,7 @@ from torchid.effects.base import Effect
 from torchid.effects.inertia import LinkInertia, Payload
 from torchid.effects.registry import KINDS, Valued, nominal_effects
 from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.least_squares import orthonormal
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
 from torchid.robot.knowledge import NOTHING, Knowledge, coefficient_keys
 from torchid.robot.model import Robot
@@ -102,13 +103,11 @@ def learned(
         source: of the log, in words.
     """
     n = columns.n
-    order = paper_order(base.n_rigid_parameters // PARAMETERS_PER_LINK)
-    independent = order[list(base.independent[: base.n_rigid])]
     effects = [e for e, _ in columns.model.effects if not e.event]
     names = [name for e in effects for name in known_names(e)]
     # One coefficient of two effects of the same name and place cannot be told by its name.
     once = [k for k, name in enumerate(names) if names.count(name) == 1]
-    parts = [columns.regressor.flatten(0, 1)[independent]]
+    parts = [columns.regressor.flatten(0, 1)[base.by_link]]
     robot = columns.model.robot
     parts += [
         columns.regressor[e.link(robot)]
@@ -173,9 +172,7 @@ def inflation(
     free = (std > 0).nonzero().flatten()
     if not len(free):
         return torch.ones_like(std)
-    root = torch.linalg.qr(factor[:, free], mode="r").R
-    inverse = torch.linalg.solve_triangular(root, torch.eye(len(free)).to(root), upper=True)
-    ratio = std[free] / torch.linalg.vector_norm(inverse, dim=1)
+    ratio = std[free] / torch.linalg.vector_norm(orthonormal(factor, free), dim=1)
     out = torch.full_like(std, float(ratio.median()))
     out[free] = ratio
     return out

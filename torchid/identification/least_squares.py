@@ -22,7 +22,7 @@ from torchid.identification.base_parameters import independent_columns
 from torchid.identification.rows import RowBlock, RowSource
 from torchid.identification.settings import Covariance, Method
 from torchid.statistics.robust import HUBER, MAD_TO_SIGMA
-from torchid.typing import Bool, Float, Tensor
+from torchid.typing import Bool, Float, Int, Tensor
 
 _RENEW_AT = 1e3
 """Mean square of a preconditioned column (1 if rows are like those of the guess) that calls for a
@@ -45,10 +45,10 @@ class TriangularFactor:
     longer represent the rest.
     """
 
-    def __init__(self, columns: int, *, device: torch.device | str | None = None):
+    def __init__(self, columns: int):
         self._guess: Tensor | None = None
         self._inverse: Tensor | None = None
-        self._gram = torch.zeros(columns, columns, dtype=torch.float64, device=device)
+        self._gram = torch.zeros(columns, columns, dtype=torch.float64)
         self._rows = 0
         self._columns = columns
         self._waiting: list[Tensor] = []
@@ -395,6 +395,12 @@ def solve(
         bounded[free] = signs & (z == 0)
     x[free] = z / scale
     return x, bounded
+
+
+def orthonormal(factor: Float[Tensor, "C C"], free: Int[Tensor, " F"]) -> Float[Tensor, "F F"]:
+    """Combinations (F, F) of the free columns of a triangular factor that are orthonormal."""
+    triangle = torch.linalg.qr(factor[:, free], mode="r").R
+    return torch.linalg.solve_triangular(triangle, torch.eye(len(free)).to(triangle), upper=True)
 
 
 def undetermined_columns(r: Float[Tensor, "C C"], held: Bool[Tensor, " B"]) -> Bool[Tensor, " B"]:

@@ -8,7 +8,7 @@ import torch
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Effect, JointEffect, Motion
-from torchid.effects.registry import in_rounds
+from torchid.effects.registry import Valued, in_rounds
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters
 from torchid.results.record import face
@@ -177,6 +177,19 @@ class IdentifiedModel:
         return float(row @ self.values), float((row @ self.covariance @ row).clamp(min=0).sqrt())
 
 
+def full_set(
+    base: BaseParameters, effects: Sequence[Effect], values: Float[Tensor, " B"]
+) -> tuple[InertialParameters, list[Valued]]:
+    """One of the full sets with these base parameters, that in which the independent parameters
+    carry their values and the dependent ones are zero; and the effects with their coefficients."""
+    full = values.new_zeros(len(base.parameter_names))
+    full[list(base.independent)] = values
+    rigid, rest = full.tensor_split([base.n_rigid_parameters])
+    parts = rest.split([len(e.coefficients) for e in effects])
+    valued = [(e, x.tolist()) for e, x in zip(effects, parts, strict=True)]
+    return InertialParameters.from_paper_order(rigid), valued
+
+
 def model_torque(
     robot: Robot,
     base: BaseParameters,
@@ -193,15 +206,9 @@ def model_torque(
         motion: states (..., n).
         load_only: whether to leave out effects of the torque. The rest is the load that they see.
     """
-    # The independent parameters carry the base values and the dependent ones are zero, which is one
-    # of the full sets with these.
-    full = values.new_zeros(len(base.parameter_names))
-    full[list(base.independent)] = values
-    rigid, rest = full.tensor_split([base.n_rigid_parameters])
-    parts = rest.split([len(e.coefficients) for e in effects])
-    valued = [(e, x.tolist()) for e, x in zip(effects, parts, strict=True)]
+    parameters, valued = full_set(base, effects, values)
     first, later = in_rounds(valued)
-    tau = inverse_dynamics(robot, *motion.state, InertialParameters.from_paper_order(rigid))
+    tau = inverse_dynamics(robot, *motion.state, parameters)
     for effect, own in first:
         if isinstance(effect, JointEffect):
             tau[..., effect.joint] += effect.torque(motion, own)

@@ -527,7 +527,7 @@ def payload_from_evidence(
         unexplained=tuple(
             c for k, c in changes if k < base.n_rigid and c.significant and bool(explained)
         ),
-        excluded=tuple(n for n, k in zip(base.names, known.tolist(), strict=True) if not k),
+        excluded=base.named(~known),
     )
     # Effects hidden in base parameters that a payload changes: they could change with it, but for
     # rotor inertias, which are of the drive.

@@ -103,7 +103,7 @@ def evidence_of(result: Identification) -> tuple[Evidence, ...]:
     order = layout(result.robot, result.base, result.effects).back
     found, r = result.uncertainty, result.factor
     covariance = found.covariance[order][:, order]
-    undetermined = torch.tensor([n in result.undetermined for n in result.base.names])
+    undetermined = result.base.mask(result.undetermined)
     free = covariance.diagonal() > 0
     held = ~(free | undetermined)
     own, triangle = torch.linalg.qr(r[:, :-1][:, free])

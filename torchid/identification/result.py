@@ -192,49 +192,52 @@ class Identification(IdentifiedModel, Result):
 
 def findings(result: Identification) -> list[str]:
     """What a user must know about a result, one sentence each."""
-    said = []
-    if result.undetermined:
-        said.append(
-            "this log does not determine, for want of excitation (set to 0): "
-            + ", ".join(result.undetermined)
-        )
-    if result.bounded:
-        said.append("fitted negative, set to 0: " + ", ".join(result.bounded))
-    if result.wrong_sign:
-        said.append(
-            "fitted negative, which physics forbids, and kept: " + ", ".join(result.wrong_sign)
-        )
-    if result.dropped:
-        said.append(
-            "not distinguishable from 0, dropped as not essential: " + ", ".join(result.dropped)
-        )
+    lists = {
+        "this log does not determine, for want of excitation (set to 0)": result.undetermined,
+        "fitted negative, set to 0": result.bounded,
+        "fitted negative, which physics forbids, and kept": result.wrong_sign,
+        "not distinguishable from 0, dropped as not essential": result.dropped,
+    }
+    said = [f"{words}: {', '.join(names)}" for words, names in lists.items() if names]
+    return [*said, *_of_no_body(result), *_of_the_cutoff(result), *_of_the_errors(result)]
+
+
+def _of_no_body(result: Identification) -> list[str]:
+    """Values that no body has."""
     # Sums whose 95 % interval lies where no body's value can.
     signs = physical_signs(result.base, result.effects).to(result.values)
     far = (signs * result.values + result.uncertainty.quantile() * result.std < 0) & result.free
     known = set(result.wrong_sign)
     bad = [k for k in far.nonzero().flatten().tolist() if result.base.names[k] not in known]
-    if bad:
-        listed = "; ".join(
-            f"{result.base.names[k]} = {float(result.values[k]):.3g} +- {float(result.std[k]):.2g} "
-            f"{result.base.units[k]}, never {'negative' if signs[k] > 0 else 'positive'}"
-            for k in bad
-        )
-        said.append(
-            "no body has these values, so no physical parameters give exactly this torque: "
-            + listed
-        )
-    # The best cut-off may be one that was not tried.
+    listed = "; ".join(
+        f"{result.base.names[k]} = {float(result.values[k]):.3g} +- {float(result.std[k]):.2g} "
+        f"{result.base.units[k]}, never {'negative' if signs[k] > 0 else 'positive'}"
+        for k in bad
+    )
+    words = "no body has these values, so no physical parameters give exactly this torque: "
+    return [words + listed] if bad else []
+
+
+def _of_the_cutoff(result: Identification) -> list[str]:
+    """The best cut-off may be one that was not tried."""
     choice = result.cutoff_choice
-    if choice is not None and choice.cutoff is not None:
-        pairs = zip(choice.candidates, choice.scores, strict=True)
-        tried = [(f, score) for f, score in pairs if f is not None]
-        if len(tried) > 1 and tried[-1][0] == choice.cutoff:
-            (_, before), (last, at) = tried[-2:]
-            said.append(
-                f"the cut-off chosen, {last:g} Hz, is the highest that was tried, and the "
-                f"cross-validated error still falls there ({before:.4g} to {at:.4g} %): "
-                "`cutoff=...` sets a higher one"
-            )
+    if choice is None or choice.cutoff is None:
+        return []
+    pairs = zip(choice.candidates, choice.scores, strict=True)
+    tried = [(f, score) for f, score in pairs if f is not None]
+    if len(tried) < 2 or tried[-1][0] != choice.cutoff:
+        return []
+    (_, before), (last, at) = tried[-2:]
+    return [
+        f"the cut-off chosen, {last:g} Hz, is the highest that was tried, and the "
+        f"cross-validated error still falls there ({before:.4g} to {at:.4g} %): "
+        "`cutoff=...` sets a higher one"
+    ]
+
+
+def _of_the_errors(result: Identification) -> list[str]:
+    """Joints whose torque is not followed, and rows at rest."""
+    said = []
     # Joints whose torque the model does not follow.
     shown, label = (
         (result.fit, "fitted") if result.held_out is None else (result.held_out, "held-out")

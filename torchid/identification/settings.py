@@ -62,31 +62,36 @@ class Settings:
     mirror: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, allowed in (
-            ("rows", get_args(Rows)),
-            ("basis", (None, *get_args(Basis))),
-            ("method", get_args(Method)),
-            ("covariance", get_args(Covariance)),
-            ("signs", get_args(Signs)),
-        ):
-            if getattr(self, name) not in allowed:
-                raise TorchidError(
-                    f"unknown choice for {name}.", got=getattr(self, name), available=allowed
-                )
+        require_choice("rows", self.rows, get_args(Rows))
+        require_choice("basis", self.basis, (None, *get_args(Basis)))
+        require_choice("method", self.method, get_args(Method))
+        require_choice("covariance", self.covariance, get_args(Covariance))
+        require_choice("signs", self.signs, get_args(Signs))
         if len(set(self.effects)) < len(self.effects):
             raise TorchidError("an effect is named twice.", got=", ".join(self.effects))
         if self.cutoff is not None and self.cutoff != "auto":
-            _between("the cut-off", self.cutoff, 0.0, math.inf, "a frequency in Hz, `auto` or none")
+            require_between(
+                "the cut-off", self.cutoff, 0.0, math.inf, "a frequency in Hz, `auto` or none"
+            )
         if self.error_cutoff is not None:
-            _between("the errors' cut-off", self.error_cutoff, 0.0, math.inf, "a frequency in Hz")
+            require_between(
+                "the errors' cut-off", self.error_cutoff, 0.0, math.inf, "a frequency in Hz"
+            )
         if self.reversal != "auto" and self.reversal != 0:
             what = "a fraction of the 99 % speed, or `auto`"
-            _between("the reversal speed", self.reversal, 0.0, 1.0, what)
+            require_between("the reversal speed", self.reversal, 0.0, 1.0, what)
         if self.held_out_fraction != 0:
-            _between("the held-out fraction", self.held_out_fraction, 0.0, 1.0, "0..1")
+            require_between("the held-out fraction", self.held_out_fraction, 0.0, 1.0, "0..1")
 
 
-def _between(name: str, value: object, low: float, high: float, expected: str) -> None:
-    """Raise unless `value` is a number strictly between two bounds."""
-    if not isinstance(value, int | float) or not low < value < high:
+def require_choice(name: str, value: object, known: tuple[object, ...]) -> None:
+    """Raise TorchidError unless a setting has one of its values."""
+    if value not in known:
+        raise TorchidError(f"unknown choice for {name}.", got=value, available=known)
+
+
+def require_between(name: str, value: object, low: float, high: float, expected: str) -> None:
+    """Raise TorchidError unless a setting is a number strictly between two bounds."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not low < value < high:  # type: ignore[operator]
         raise TorchidError(f"{name} is out of range.", got=value, expected=expected)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import torch
 
-from torchid.identification.least_squares import Fit, whitened_rows
+from torchid.identification.least_squares import Fit, orthonormal, whitened_rows
 from torchid.identification.model import Blocks
 from torchid.identification.rows import RowBlock, RowSource
 from torchid.statistics import jackknife as blocks_jackknife
@@ -84,9 +84,7 @@ def jackknife(source: RowSource, fit: Fit) -> Uncertainty:
     # Normal equations are summed in the coordinates that the fit's own triangular factor gives, one
     # pass over the rows: the columns are orthonormal there, so that no digits are lost to the
     # square of a condition number.
-    basis = torch.linalg.qr(fit.factor[:, free], mode="r").R
-    eye = torch.eye(len(free), dtype=basis.dtype)
-    inverse = torch.linalg.solve_triangular(basis, eye, upper=True)
+    inverse = orthonormal(fit.factor, free)
     count = int(block.max()) + 1
     hessians = torch.zeros(count, len(free), len(free), dtype=torch.float64)
     gradients = torch.zeros(count, len(free), dtype=torch.float64)

@@ -11,20 +11,24 @@ biases it. A low reversal speed takes velocity noise for motion; a high one dela
 """
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 import torch
 
 from torchid.design.motion import Measurement, fast_speed, measurements, moves
+from torchid.effects.base import Effect
 from torchid.errors import LogError
-from torchid.identification.least_squares import factor, fit, solve, stacked_factor
+from torchid.identification.base_parameters import base_parameters
+from torchid.identification.least_squares import Fit, factor, fit, solve, stacked_factor
 from torchid.identification.model import model_torque
-from torchid.identification.rows import Layout, RowSource
+from torchid.identification.rows import Layout, RowSource, layout
+from torchid.identification.settings import Settings
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
+from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
 
 CUTOFFS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0)
@@ -75,14 +79,50 @@ class Training:
     Attributes:
         log: on a uniform grid.
         layout: the columns.
-        moving_only: rows used for the fit.
-        non_negative: (B,) coefficients bounded at zero.
+        settings: of the fit.
     """
 
     log: Log
     layout: Layout
-    moving_only: bool
-    non_negative: Bool[Tensor, " B"]
+    settings: Settings
+
+    @classmethod
+    def of(
+        cls, robot: Robot, log: Log, effects: Sequence[Effect], settings: Settings
+    ) -> "Training":
+        """With the columns of base parameters and effects."""
+        base = base_parameters(robot, effects, basis=settings.basis)
+        return cls(log, layout(robot, base, effects), settings)
+
+    @property
+    def moving_only(self) -> bool:
+        """Whether rows at rest are left out of the fit."""
+        return self.settings.rows == "moving"
+
+    @property
+    def non_negative(self) -> Bool[Tensor, " B"]:
+        """(B,) coefficients bounded at zero."""
+        return self.layout.non_negative & (self.settings.signs == "bounded")
+
+    def source(self, measured: Sequence[Measurement], report: Report = None) -> RowSource:
+        """The rows of filtered trajectories."""
+        return RowSource(
+            measured,
+            self.layout,
+            moving_only=self.moving_only,
+            compiled=self.settings.compiled,
+            progress=report,
+        )
+
+    def fit(self, source: RowSource, left_out: Bool[Tensor, " B"] | None = None) -> Fit:
+        """As the settings say, without some coefficients."""
+        return fit(
+            source,
+            method=self.settings.method,
+            covariance=self.settings.covariance,
+            non_negative=self.non_negative,
+            left_out=left_out,
+        )
 
 
 def choose_cutoff(training: Training, report: Report = None) -> CutoffChoice:

@@ -53,8 +53,7 @@ class BaseValues:
         """Names of those that the fit held, which have no variance and are not sure for that."""
         if self.covariance is None:
             return ()
-        mask = ((self.covariance.diagonal() == 0) & self.known).tolist()
-        return tuple(n for n, is_held in zip(self.base.names, mask, strict=True) if is_held)
+        return self.base.named((self.covariance.diagonal() == 0) & self.known)
 
     @property
     def uncertainty(self) -> Float[Tensor, "B B"] | None:
@@ -128,13 +127,11 @@ def known_values(
 def identified_base(result: Identification) -> BaseValues:
     """The base parameters of an identification; what bodies or the log hold at zero stays known
     unless the log did not determine it."""
-    unknown = set(result.undetermined)
-    known = torch.tensor([name not in unknown for name in result.base.names])
     return BaseValues(
         result.base,
         result.effects,
         result.values,
-        known,
+        ~result.base.mask(result.undetermined),
         result.covariance,
         result.factor,
         result.knowledge,
@@ -182,8 +179,7 @@ def recorded_base(found: IdentificationRecord, robot: Robot, source: str) -> Bas
             expected=f"the {len(base)} of '{robot.name}', e.g. {base.names[0]}",
             hint="of the same robot by an older torchid: identify again",
         )
-    known = torch.tensor([name not in found.undetermined for name in base.names])
-    data = found.sure
+    known, data = ~base.mask(found.undetermined), found.sure
     sure = None if data is None else from_mapping(data, robot.n, source)
     return BaseValues(base, effects, found.values, known, found.covariance, found.factor, sure)
 

@@ -18,7 +18,7 @@ from torchid.excitation.fourier import FourierTrajectory
 from torchid.gap.record import FoundEffect, GapRecord
 from torchid.identification.base_parameters import base_parameters
 from torchid.next_motion.rows import Group, Rows, Setting
-from torchid.next_motion.separation import Explanation, Rival, beyond, imitation
+from torchid.next_motion.separation import Explanation, Rival, imitation, other_means
 from torchid.robot.model import Robot
 
 LINK = "link_inertia"
@@ -128,7 +128,8 @@ def _ambiguities(record: GapRecord, robot: Robot) -> tuple[list[Question], list[
             else:
                 events.setdefault(event, []).append(other if event == effect else effect)
     return asked, [
-        f"{event} or {', '.join(dict.fromkeys(others))} is no matter of motion; {beyond([event])}"
+        f"{event} or {', '.join(dict.fromkeys(others))} is no matter of motion; "
+        f"{other_means([event])}"
         for event, others in events.items()
     ]
 

@@ -47,7 +47,7 @@ def read_asking(path: str | Path) -> Asking | PositionRecord:
     return found
 
 
-def hidden(record: GapRecord) -> bool:
+def hides_cause(record: GapRecord) -> bool:
     """Whether a diagnosis names nothing because of what its model left open of itself."""
     known = record.knowledge
     return not record.which and known is not None and any(j.hides for j in known.joints)
@@ -140,19 +140,17 @@ def excite_for(
     robot = None if robot is None else as_robot(robot)
     source = str(result) if isinstance(result, str | Path) else "the result"
     record = read_asking(result) if isinstance(result, str | Path) else result.record
+    assert isinstance(record, Asking | PositionRecord)
+    robot = robot or (None if isinstance(record, PositionRecord) else record.model)
+    if robot is None:
+        raise TorchidError(f"'{source}' does not record its robot: `robot=...`.")
     if isinstance(record, PositionRecord):
-        if robot is None:
-            raise TorchidError(f"'{source}' does not record its robot: `robot=...`.")
         return next_commands(
             record, robot, seconds=duration, rate=rate, usage=usage, clearance=clearance,
             progress=progress,
         )  # fmt: skip
-    assert isinstance(record, Asking)
-    robot = robot or record.model
-    if robot is None:
-        raise TorchidError(f"'{source}' does not record its robot: `robot=...`.")
     robot.require_fixed_base("the design of motions")
-    if isinstance(record, IdentificationRecord) or goal is not None or hidden(record):
+    if isinstance(record, IdentificationRecord) or goal is not None or hides_cause(record):
         if isinstance(record, IdentificationRecord):
             prior = prior_of(record, robot, source)
         else:

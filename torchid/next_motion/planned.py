@@ -30,7 +30,7 @@ from torchid.json_data import picked, plain
 from torchid.log.model import Log
 from torchid.next_motion.design import excite_for
 from torchid.next_motion.separating_motion import Separation
-from torchid.next_motion.separation import beyond
+from torchid.next_motion.separation import other_means
 from torchid.next_motion.settings import MotionSettings, Room
 from torchid.parallel.workers import Progress, stage
 from torchid.position.next_motion import NextCommands
@@ -198,7 +198,7 @@ def separation_record(s: Separation) -> dict[str, Any]:
         ],
         "hopeless": [
             {"effect": r.truth.effect.name, "joints": [j + 1 for j in r.truth.effect.joints],
-             "not": r.name or None, "instead": beyond([r.truth.effect.name])}
+             "not": r.name or None, "instead": other_means([r.truth.effect.name])}
             for r in s.hopeless
         ],
     }  # fmt: skip

@@ -26,13 +26,14 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.log.model import Log
 from torchid.next_motion.rows import Rows, Setting
 from torchid.next_motion.separation import (
-    HOPELESS,
+    SAME_DIFFERENCE,
+    Discrimination,
     Rival,
-    Told,
-    beyond,
     left_by_forms,
-    named,
+    name_pairs,
+    other_means,
     separations,
+    torque_of,
 )
 from torchid.robot.model import Robot
 from torchid.typing import Tensor
@@ -40,15 +41,15 @@ from torchid.typing import Tensor
 SLOWEST = 0.03
 """Share of the limits that a joint uses at least."""
 
-MOST = 16
+MOST_PAIRS = 16
 """Pairs that the search looks at."""
-SURE = 5.0
+DECIDED_TIMES = 5.0
 """Times what decides: beyond it a pair needs no more."""
-FIRST = 6
+FIRST_MOTIONS = 6
 """Motions tried before a pair is given up."""
-NEAREST = 2
+NEAREST_FORMS = 2
 """Forms of the other effect that the search looks at, of each motion tried first."""
-AND = 0.02
+LOGARITHM_WEIGHT = 0.02
 """Weight of the mean logarithm beside the share of decided pairs."""
 
 POPULATION = 16
@@ -78,8 +79,8 @@ class Separation:
     trajectory: FourierTrajectory
     plain: FourierTrajectory
     rivals: tuple[Rival, ...]
-    with_plain: tuple[Told, ...]
-    after: tuple[Told, ...]
+    with_plain: tuple[Discrimination, ...]
+    after: tuple[Discrimination, ...]
     hopeless: tuple[Rival, ...]
     warnings: tuple[str, ...]
     torque: TorqueLimits | None = None
@@ -138,15 +139,15 @@ def design_separation(
     if kept_by is not None:
         tried = [kept_by.within(x) for x in tried]
         plain = tried[0]
-    seen = list(zip(*(separations(setting, rivals, x) for x in tried[:FIRST]), strict=True))
-    kept = [k for k, told in enumerate(seen) if max(t.difference for t in told) > HOPELESS]
+    seen = list(zip(*(separations(setting, rivals, x) for x in tried[:FIRST_MOTIONS]), strict=True))
+    kept = [k for k, told in enumerate(seen) if max(t.difference for t in told) > SAME_DIFFERENCE]
     if not kept:
         raise TorchidError(
             "no motion settles what this diagnosis leaves open.",
-            got=named(rivals) or "no rival acts on this arm",
-            hint=beyond(r.truth.effect.name for r in rivals),
+            got=name_pairs(rivals) or "no rival acts on this arm",
+            hint=other_means(r.truth.effect.name for r in rivals),
         )
-    asked = [_pruned(setting, rivals[k], tried[:FIRST]) for k in _promising(kept, seen)]
+    asked = [_pruned(setting, rivals[k], tried[:FIRST_MOTIONS]) for k in _promising(kept, seen)]
 
     def score(x: FourierTrajectory) -> float:
         value = _score(separations(setting, asked, x))
@@ -184,42 +185,39 @@ def design_separation(
     )
 
 
-def _promising(kept: Sequence[int], seen: Sequence[Sequence[Told]]) -> list[int]:
+def _promising(kept: Sequence[int], seen: Sequence[Sequence[Discrimination]]) -> list[int]:
     """Pairs that the search looks at: those that the plain motion leaves in doubt, the easiest
     first, then those that it does not, the hardest first."""
 
     def order(k: int) -> tuple[bool, float]:
-        sure = seen[k][0].reached >= SURE
+        sure = seen[k][0].reached >= DECIDED_TIMES
         return sure, seen[k][0].reached if sure else -max(t.reached for t in seen[k])
 
-    return sorted(kept, key=order)[:MOST]
+    return sorted(kept, key=order)[:MOST_PAIRS]
 
 
 def _pruned(setting: Setting, rival: Rival, tried: Sequence[FourierTrajectory]) -> Rival:
     """The pair with the forms of the other that come nearest along some motions."""
-    if len(rival.others) <= NEAREST:
+    if len(rival.others) <= NEAREST_FORMS:
         return rival
     near: dict[int, None] = {}
     for x in tried:
         rows = Rows(setting, x)
-        truth = rows.columns(rival.truth.effects, rival.leaving)
-        own = rows.beside(
-            truth @ torch.tensor(rival.truth.values, dtype=torch.float64), rival.leaving
-        )
-        near |= dict.fromkeys(left_by_forms(rows, rival, own).argsort()[:NEAREST].tolist())
+        own = rows.beside(torque_of(rival.truth, rows, rival.leaving), rival.leaving)
+        near |= dict.fromkeys(left_by_forms(rows, rival, own).argsort()[:NEAREST_FORMS].tolist())
     return replace(rival, others=tuple(rival.others[k] for k in near))
 
 
-def _hardly(told: Sequence[Told], of_plain: Sequence[Told]) -> bool:
+def _hardly(told: Sequence[Discrimination], of_plain: Sequence[Discrimination]) -> bool:
     """Whether a plain motion, driven a tenth longer, comes as near to deciding all pairs."""
     longer = sum(min(t.reached * LONGER, 1.0) for t in of_plain)
     return sum(min(t.reached, 1.0) for t in told) <= longer
 
 
-def _score(told: Sequence[Told]) -> float:
+def _score(told: Sequence[Discrimination]) -> float:
     """About how many pairs are decided; and, where all or none are, how far they are from it."""
     reached = np.array([max(t.reached, 1e-12) for t in told])
-    return float(np.mean(1 - np.exp(-reached)) + AND * np.mean(np.log(reached)))
+    return float(np.mean(1 - np.exp(-reached)) + LOGARITHM_WEIGHT * np.mean(np.log(reached)))
 
 
 def _random(

@@ -27,7 +27,7 @@ from torchid.typing import Float, Tensor
 DECISIVE = 9.0
 """Expected difference of the squared residuals, in noise units, from which a motion decides if it
 tells as much all the time, """
-SAME = 4e-3
+SAME_SHARE = 4e-3
 """if it is also more than this share of what the true explanation explains: twice what a diagnosis
 neglects."""
 
@@ -40,7 +40,7 @@ DETECTABLE = 42.0
 VISIBLE = 0.02
 """if more than this share of its column is no combination of what is fitted."""
 
-HOPELESS = 1e-3
+SAME_DIFFERENCE = 1e-3
 """D below which two explanations are the same."""
 
 FITTED = "take it from the maker's data, or trust the inertial parameters and diagnose again"
@@ -81,7 +81,7 @@ class Rival:
     leaving: Group = ()
 
 
-def named(rivals: Iterable[Rival]) -> str:
+def name_pairs(rivals: Iterable[Rival]) -> str:
     """Pairs for a sentence, the joints of each gathered."""
     places: dict[tuple[str, str], list[str]] = {}
     for r in rivals:
@@ -95,7 +95,7 @@ def named(rivals: Iterable[Rival]) -> str:
     return "; ".join(said)
 
 
-def beyond(names: Iterable[str]) -> str:
+def other_means(names: Iterable[str]) -> str:
     """What else would tell these effects, in one sentence; refitted base parameters (`all_base`)
     are bodies too."""
     advice: dict[str, list[str]] = {}
@@ -106,7 +106,7 @@ def beyond(names: Iterable[str]) -> str:
     return "; ".join(f"{', '.join(own)}: {text}" for text, own in advice.items())
 
 
-class Told(NamedTuple):
+class Discrimination(NamedTuple):
     """What a motion tells of a pair: D, and how much of what decides that is, in D and in share."""
 
     difference: float
@@ -115,21 +115,26 @@ class Told(NamedTuple):
 
 def separations(
     setting: Setting, rivals: Sequence[Rival], trajectory: FourierTrajectory
-) -> list[Told]:
+) -> list[Discrimination]:
     """What a trajectory tells of every pair; the other's least favourable shape counts."""
     rows = Rows(setting, trajectory)
     return [_told(rows, rival) for rival in rivals]
 
 
-def _told(rows: Rows, rival: Rival) -> Told:
+def torque_of(truth: Explanation, rows: Rows, leaving: Group) -> Float[Tensor, " R"]:
+    """Torque of an explanation along a motion, beside a model without some effects."""
+    return rows.columns(truth.effects, leaving) @ torch.tensor(truth.values, dtype=torch.float64)
+
+
+def _told(rows: Rows, rival: Rival) -> Discrimination:
     gone = rival.leaving
-    whole = rows.columns(rival.truth.effects, gone) @ torch.tensor(
-        rival.truth.values, dtype=torch.float64
-    )
+    whole = torque_of(rival.truth, rows, gone)
     own = rows.beside(whole, gone)
     if not rival.name:
         difference = float(own.square().sum())
-        return Told(difference, min(difference / DETECTABLE, _share(own, whole) / VISIBLE))
+        return Discrimination(
+            difference, min(difference / DETECTABLE, _share(own, whole) / VISIBLE)
+        )
     if rival.others:
         nearest = rival.others[int(left_by_forms(rows, rival, own).argmin())]
         other = rows.beside(rows.columns(nearest, gone), gone)
@@ -137,7 +142,7 @@ def _told(rows: Rows, rival: Rival) -> Told:
     else:
         left, columns = rows.beside(whole, gone, base=True), rows.base_columns
     told = _in_blocks(left.reshape(rows.torque.shape).square().sum(0), columns)
-    return Told(float(left.square().sum()), min(told, _share(left, own) / SAME))
+    return Discrimination(float(left.square().sum()), min(told, _share(left, own) / SAME_SHARE))
 
 
 def _in_blocks(square: Float[Tensor, " R"], columns: int) -> float:
@@ -179,14 +184,13 @@ def imitation(
     Of an effect that without some coefficients would be a simpler one, only these are used: else a
     joint's spring would imitate a torque offset by having no stiffness.
     """
-    own = rows.columns(truth.effects, leaving) @ torch.tensor(truth.values, dtype=torch.float64)
-    left = rows.beside(own, leaving)
+    left = rows.beside(torque_of(truth, rows, leaving), leaving)
     found: tuple[float, Explanation] | None = None
     for other in others:
         columns = rows.beside(rows.columns(other, leaving), leaving)
         used = list(other[0].essential or range(columns.shape[1]))
         size = torch.linalg.vector_norm(columns[:, used], dim=0)
-        if float(size.max()) < HOPELESS:
+        if float(size.max()) < SAME_DIFFERENCE:
             continue
         safe = size.clamp(min=1e-12)
         part = columns[:, used] / safe

@@ -12,7 +12,7 @@ from torchid.extraction.convex.atlas import Atlas
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.extract import Extraction
 from torchid.extraction.found import Found, at_bounds
-from torchid.extraction.problem import FAR, Problem
+from torchid.extraction.problem import FAR_TORQUE, Problem
 from torchid.extraction.record import AtlasRecord, noticeable
 from torchid.identification.values import BaseValues
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
@@ -77,7 +77,7 @@ def headline(found: Found) -> str:
 def loss_notes(found: Found, values: BaseValues) -> tuple[str, ...]:
     """Says that the loss is to blame, where the best set's torque is far off and a log is there to
     ask."""
-    far = float(found.torque[found.best].max()) > FAR
+    far = float(found.torque[found.best].max()) > FAR_TORQUE
     if not far or found.problem.target.loss != "two-step" or values.factor is None:
         return ()
     return (

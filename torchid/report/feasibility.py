@@ -8,7 +8,8 @@ from rich.text import Text
 
 from torchid.extraction.convex.nearest import NearestSets
 from torchid.feasibility.margins import LINK_CONDITIONS
-from torchid.feasibility.record import Check, excess_percent
+from torchid.feasibility.plausibility import excess_percent
+from torchid.feasibility.record import Check
 from torchid.report.table import Cell, Shown, Table, cells, joint_numbers
 from torchid.results.words import listed
 from torchid.robot.model import JointType

@@ -3,13 +3,13 @@
 import math
 from functools import partial
 
-from torchid.excitation.clearance import FAR, Clearance, Nearest
+from torchid.excitation.clearance import FAR_ROOM, Clearance, Nearest
 from torchid.excitation.design import Excitation
 from torchid.excitation.informed import InformedDesign
 from torchid.excitation.torque import TorqueUse
 from torchid.next_motion.planned import Planned, not_checked
 from torchid.next_motion.separating_motion import Separation
-from torchid.next_motion.separation import DECISIVE, Rival, beyond, named
+from torchid.next_motion.separation import DECISIVE, Rival, name_pairs, other_means
 from torchid.report.log import trajectory_figure
 from torchid.report.table import Shown, Table, more_rows
 from torchid.results.words import number_list, percent, short
@@ -90,7 +90,7 @@ def friction_warning(use: TorqueUse) -> tuple[str, ...]:
 def nearest_words(clearance: Clearance, nearest: Nearest) -> str:
     """How near the motions come, in one sentence."""
     if math.isinf(nearest.spare):
-        return f"room: nothing comes nearer than {1000 * (clearance.clearance + FAR):.0f} mm."
+        return f"room: nothing comes nearer than {1000 * (clearance.clearance + FAR_ROOM):.0f} mm."
     return (
         f"room: {nearest.second} comes nearest to {nearest.first}, {1000 * nearest.distance:.0f} "
         f"mm after {nearest.time:.1f} s (at least {1000 * (nearest.distance - nearest.spare):.0f} "
@@ -168,8 +168,8 @@ def separation_verdict(s: Separation, kind: str) -> str:
     lost = [r for r in s.hopeless if r not in nested]
     if lost:
         out += (
-            f" No motion tried settles {named(lost)}. What would: "
-            f"{beyond(r.truth.effect.name for r in lost)}."
+            f" No motion tried settles {name_pairs(lost)}. What would: "
+            f"{other_means(r.truth.effect.name for r in lost)}."
         )
     return out
 

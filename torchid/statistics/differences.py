@@ -1,6 +1,7 @@
 """How large noise is, from what differs between repeats."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -42,7 +43,7 @@ class NoiseLevel:
 def noise_level(
     differences: Float[Tensor, "n N"],
     counting: Bool[Tensor, "n N"],
-    bounds: list[slice],
+    bounds: Sequence[slice],
     length: int,
 ) -> NoiseLevel:
     """RMS of noise from what differs between repeats, over sqrt(2).

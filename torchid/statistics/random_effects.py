@@ -38,7 +38,7 @@ REFINED = 16
 ROUNDS = 10
 """Times that odd units are left out of the spreads and sought again."""
 
-FAR = 3.5
+FAR_STD = 3.5
 """Robust standard deviations from the median beyond which a unit is left out of the first spreads;
 of normal units one in two thousand is."""
 
@@ -105,8 +105,8 @@ class Pooled:
 
     Attributes:
         mean, std: (P,) of the population's mean, and its standard deviation.
-        between, between_ci: (P,), (P, 2) spread between units; nan with one unit.
-        daily, daily_ci: (P,), (P, 2) spread between days of a unit; nan where no unit has two
+        between, between_ci95: (P,), (P, 2) spread between units; nan with one unit.
+        daily, daily_ci95: (P,), (P, 2) spread between days of a unit; nan where no unit has two
             sessions, and then in `between`.
         noise: (P,) standard deviation of a typical session's estimate.
         own, own_std: (P, U) each unit by its sessions alone.
@@ -125,9 +125,9 @@ class Pooled:
     mean: Float[Tensor, " P"]
     std: Float[Tensor, " P"]
     between: Float[Tensor, " P"]
-    between_ci: Float[Tensor, "P 2"]
+    between_ci95: Float[Tensor, "P 2"]
     daily: Float[Tensor, " P"]
-    daily_ci: Float[Tensor, "P 2"]
+    daily_ci95: Float[Tensor, "P 2"]
     noise: Float[Tensor, " P"]
     own: Float[Tensor, "P U"]
     own_std: Float[Tensor, "P U"]
@@ -343,7 +343,7 @@ def pooled(data: Sessions, level: float = 0.05) -> Pooled:
         odd_in = now
     rest = data.without(odd_in)
     between, daily = spreads(rest)
-    between_ci, daily_ci = intervals(rest, between, daily)
+    between_ci95, daily_ci95 = intervals(rest, between, daily)
     population = means(rest, between, daily)
     every = means(data, between, daily)
     _, repeated, several = _frame(rest)
@@ -361,9 +361,9 @@ def pooled(data: Sessions, level: float = 0.05) -> Pooled:
         mean=population.centre,
         std=population.centre_variance.sqrt(),
         between=torch.where(several, between, nothing),
-        between_ci=between_ci,
+        between_ci95=between_ci95,
         daily=torch.where(repeated, daily, nothing),
-        daily_ci=daily_ci,
+        daily_ci95=daily_ci95,
         noise=typical,
         own=every.mean,
         own_std=every.variance.sqrt(),
@@ -413,8 +413,8 @@ def _far(data: Sessions) -> Bool[Tensor, "P U"]:
     for _ in range(ROUNDS):  # many odd ones widen the spread, and fewer do the next time
         rest = torch.where(far, torch.nan, mean)
         left = mean - rest.nanmedian(1, keepdim=True).values
-        near = torch.where(far, torch.nan, left.abs())
-        far = (left.abs() > FAR * MAD_TO_SIGMA * near.nanmedian(1, keepdim=True).values) & enough
+        near = torch.where(far, torch.nan, left.abs()).nanmedian(1, keepdim=True).values
+        far = (left.abs() > FAR_STD * MAD_TO_SIGMA * near) & enough
     return far
 
 

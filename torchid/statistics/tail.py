@@ -4,14 +4,14 @@ import math
 
 from torchid.typing import Float, Tensor
 
-TAIL = 0.2
+TAIL_SHARE = 0.2
 """Share of the values that are its tail."""
 
 FEWEST = 20
 """Values of a tail from which its shape is estimated to a quarter."""
 
 
-def beyond(values: Float[Tensor, " W"], x: float) -> float | None:
+def tail_probability(values: Float[Tensor, " W"], x: float) -> float | None:
     """Probability of a value above x, where the tail of some values leads to: a generalised Pareto
     distribution by probability-weighted moments, no lighter than an exponential one.
 
@@ -25,7 +25,7 @@ def beyond(values: Float[Tensor, " W"], x: float) -> float | None:
     Returns:
         1 where x is not in the tail; None where too few values are to know how it goes on.
     """
-    edge = float(values.quantile(1 - TAIL))
+    edge = float(values.quantile(1 - TAIL_SHARE))
     over = (values[values > edge] - edge).sort().values
     if x <= edge:
         return 1.0
@@ -37,6 +37,6 @@ def beyond(values: Float[Tensor, " W"], x: float) -> float | None:
     shape = max(0.0, 2 - mean / max(mean - 2 * weighted, 1e-12 * mean))
     scale = mean * (1 - shape)
     if scale <= 0:  # its mean is not finite
-        return TAIL
+        return TAIL_SHARE
     y = (x - edge) / scale
-    return TAIL * (math.exp(-y) if shape < 1e-6 else (1 + shape * y) ** (-1 / shape))
+    return TAIL_SHARE * (math.exp(-y) if shape < 1e-6 else (1 + shape * y) ** (-1 / shape))

@@ -15,11 +15,11 @@ from tests.gap.problems import (
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.gap.folds import make_folds
 from torchid.gap.search.climb import (
-    climbed,
-    fitted,
+    candidate_moves,
+    climb_from,
+    drop_worthless,
+    fit_anew,
     held_out_losses,
-    moves,
-    worthy,
 )
 from torchid.gap.search.evidence import cause_groups, fit_terms, subset_of
 from torchid.gap.settings import GapSettings
@@ -36,7 +36,7 @@ ONE = GapSettings(max_effects=1)
 def test_what_is_planted_is_found_and_nothing_else(names):
     effects = [PLANTED[n] for n in names]
     question = question_of(measured(effects, seed=1))
-    fit = climbed(question, ())
+    fit = climb_from(question, ())
     assert named(fit.terms) == {(e.name, e.joint) for e, _ in effects}
     found = dict(zip((t.effects[0] for t in fit.terms), fit.values(), strict=True))
     for effect, values in effects:
@@ -47,13 +47,13 @@ def test_what_is_planted_is_found_and_nothing_else(names):
 def test_a_wrong_start_is_left():
     question = question_of(measured([PLANTED["coulomb"]]))
     start = [term(question, "rotor_inertia", 0), term(question, "viscous_friction", 2)]
-    fit = climbed(question, start)
+    fit = climb_from(question, start)
     assert named(fit.terms) == {("coulomb_friction", 0)}
 
 
 def test_no_more_causes_than_wanted():
     question = question_of(measured([PLANTED["coulomb"], PLANTED["offset"]]), settings=ONE)
-    fit = climbed(question, ())
+    fit = climb_from(question, ())
     assert len(cause_groups(fit.terms, 3)) == 1
 
 
@@ -63,11 +63,11 @@ COMMON = [(CoulombFriction(j), [f]) for j, f in enumerate((0.3, 0.5, 0.2))]
 def test_what_all_joints_have_is_one_cause():
     """Found on all three, also by a search that may name one cause only."""
     question = question_of(measured(COMMON), settings=ONE)
-    fit = climbed(question, ())
+    fit = climb_from(question, ())
     assert named(fit.terms) == {("coulomb_friction", j) for j in range(3)}
     assert len(cause_groups(fit.terms, 3)) == 1
     assert [sorted(t.place for t in g) for g in cause_groups(fit.terms, 3)] == [[0, 1, 2]]
-    together = [m for _, m in moves(question, fitted(question)) if len(m) == 3]
+    together = [m for _, m in candidate_moves(question, fit_anew(question)) if len(m) == 3]
     assert any(named(m) == named(fit.terms) for m in together)
 
 
@@ -82,7 +82,7 @@ def test_causes_are_grouped_by_effect():
 
 def test_the_fitted_is_the_model_as_given():
     question = question_of(measured([]))
-    fit = fitted(question)
+    fit = fit_anew(question)
     assert fit.terms == ()
     assert fit.evidence == 0.0
     assert bool((fit.effective <= question.normal.rows).all())
@@ -111,7 +111,7 @@ def worthy_terms(effects, *names, settings=SETTINGS):
     question = question_of(data, parts=two_folds(data), settings=settings)
     terms = [term(question, *n) for n in names]
     fit = fit_terms(question, terms, question.normal.rows)
-    return worthy(question, question.candidates.gram.folds(), fit)
+    return drop_worthless(question, question.candidates.gram.folds(), fit)
 
 
 def test_what_is_small_leaves_and_what_is_large_stays():

@@ -16,17 +16,17 @@ from torchid.effects.gravity import EncoderOffset, TorqueGain
 from torchid.effects.surroundings import EndStop, PlaneContact
 from torchid.gap.search.evidence import (
     Question,
-    acting,
-    apart,
+    active_share,
+    best_fits,
     cause_groups,
     common_names,
+    comparable,
     cost,
     directions,
     effective_samples,
-    fit_each,
     fit_terms,
-    leading,
     prior_of,
+    refit_each,
     residual,
     rows_of,
     subset_of,
@@ -183,13 +183,14 @@ def test_the_leading_explanations_are_those_of_all_fits(count: int) -> None:
     n = question.normal.rows
     weight = n / question.squares
     tried = [[t] for t in question.candidates.terms if t.name != BASE]
-    every = fit_each(question, tried, n, weight)
+    start = replace(fit_terms(question, [], n), losses=question.squares)
+    every = refit_each(question, start, tried)
     free = [fit_terms(question, t, n, weight, conic=False) for t in tried]
     bound = [not torch.allclose(a.x, b.x) for a, b in zip(every, free, strict=True)]
     assert any(bound)
     assert all(b.evidence >= a.evidence - 1e-6 for a, b in zip(every, free, strict=True))
     best = sorted(range(len(tried)), key=lambda k: -every[k].evidence)[:count]
-    found = leading(question, tried, n, weight, count)
+    found = best_fits(question, start, tried, count)
     assert [k for k, _ in found] == best
     assert [f.evidence for _, f in found] == pytest.approx([every[k].evidence for k in best])
 
@@ -200,9 +201,9 @@ def test_what_acts_beyond_a_limit_acts_there_alone() -> None:
     question = question_of(measured([]), (*SIMPLE, "end_stop"), extra=[stop])
     (own,) = (t for t in question.candidates.terms if t.effects == (stop,))
     # The filter's tails, and what is hardly beyond the limit.
-    assert acting(question, [own]) == pytest.approx(0.1, abs=0.03)
-    assert acting(question, [term(question, "coulomb_friction", 1)]) == 1.0
-    assert acting(question, [own, term(question, "coulomb_friction", 1)]) == 1.0
+    assert active_share(question, [own]) == pytest.approx(0.1, abs=0.03)
+    assert active_share(question, [term(question, "coulomb_friction", 1)]) == 1.0
+    assert active_share(question, [own, term(question, "coulomb_friction", 1)]) == 1.0
 
 
 OWN = StribeckFriction(1, vs=0.3)
@@ -337,7 +338,7 @@ def test_two_fits_are_compared_with_the_same_samples_whichever_comes_first() -> 
     question = question_of(measured([(TorqueOffset(1), [0.5])], hz=0.5), ("torque_offset",))
     empty = fit_terms(question, (), question.normal.rows)
     more = fit_terms(question, [term(question, "torque_offset", 1)], question.normal.rows)
-    (a, b), (d, c) = apart(question, empty, more), apart(question, more, empty)
+    (a, b), (d, c) = comparable(question, empty, more), comparable(question, more, empty)
     assert torch.equal(a.effective, b.effective)
     assert a.evidence - b.evidence == pytest.approx(c.evidence - d.evidence, rel=1e-6)
 

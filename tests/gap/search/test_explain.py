@@ -21,17 +21,17 @@ from torchid.design.columns import Columns, Model
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.periodic import Cogging
 from torchid.effects.transient import Saturation
-from torchid.gap.search.climb import climbed, fitted, moves, worthy
-from torchid.gap.search.evidence import apart
+from torchid.gap.search.climb import candidate_moves, climb_from, drop_worthless, fit_anew
+from torchid.gap.search.evidence import comparable
 from torchid.gap.search.explain import (
     Explanation,
-    refined,
+    refine_shapes,
     search_again_without,
     search_without_small,
     solve,
     terms_without_torque,
 )
-from torchid.gap.search.solve import solved
+from torchid.gap.search.solve import solve_terms
 from torchid.gap.search.terms import Term
 
 
@@ -39,10 +39,10 @@ def test_what_is_barred_is_not_offered() -> None:
     question = question_of(measured([(CoulombFriction(1), [0.6])]))
     dry = term(question, "coulomb_friction", 1)
     barred = replace(question, barred=frozenset([dry.key]))
-    empty = fitted(question)
+    empty = fit_anew(question)
     assert any(o.term.key == dry.key for o in offers(question, empty))
     assert not any(o.term.key == dry.key for o in offers(barred, empty))
-    assert ("coulomb_friction", 1) not in named(climbed(barred, ()).terms)
+    assert ("coulomb_friction", 1) not in named(climb_from(barred, ()).terms)
 
 
 def test_the_search_goes_on_without_what_has_left() -> None:
@@ -52,7 +52,9 @@ def test_the_search_goes_on_without_what_has_left() -> None:
     question = question_of(data, parts=two_folds(data))
     folds = question.candidates.gram.folds()
     left = [term(question, "viscous_friction", 1)]
-    start, _ = worthy(question, folds, fitted(question, [term(question, "viscous_friction", 0)]))
+    start, _ = drop_worthless(
+        question, folds, fit_anew(question, [term(question, "viscous_friction", 0)])
+    )
     fit, gone = search_without_small(question, folds, start, left)
     assert named(fit.terms) == {("coulomb_friction", 1), ("viscous_friction", 0)}
     assert gone == left
@@ -68,9 +70,9 @@ def test_another_cause_may_follow_one_that_was_refused() -> None:
     data = measured([(CoulombFriction(1), [0.6]), (ViscousFriction(0), [0.8])])
     question = question_of(data, parts=two_folds(data))
     dry, viscous = term(question, "coulomb_friction", 1), term(question, "viscous_friction", 0)
-    empty = fitted(question)
+    empty = fit_anew(question)
     problem = problem_of(data, wanted_of(SIMPLE))
-    fit = fitted(question, [viscous])
+    fit = fit_anew(question, [viscous])
     solution = solve(problem, fit)
     without = Explanation(question, empty, fit, (dry,), solution)
     more = search_again_without(without, [dry], problem)
@@ -97,14 +99,14 @@ def test_a_shape_between_those_of_the_grid_is_found_before_its_cause_is(between:
     k = grid[3] + between * (grid[4] - grid[3])
     data = measured([(Cogging(1, k=k), [0.2, 0.1])])
     question = question_of(data, names)
-    empty = fitted(question)
-    (best, *_) = (m for _, m in moves(question, empty) if m[0].name == "cogging")
-    (finer,) = (e for e in refined(question, empty) if e.name == "cogging" and e.joint == 1)
+    empty = fit_anew(question)
+    (best, *_) = (m for _, m in candidate_moves(question, empty) if m[0].name == "cogging")
+    (finer,) = (e for e in refine_shapes(question, empty) if e.name == "cogging" and e.joint == 1)
     assert abs(finer.k - k) < 0.2 * abs(best[0].effects[0].k - k)
     again = question_of(data, names, extra=[finer])
     (own,) = (t for t in again.candidates.terms if t.effects == (finer,))
     (near,) = (t for t in again.candidates.terms if t.effects == best[0].effects)
-    with_it, without = apart(again, fitted(again, [own]), fitted(again, [near]))
+    with_it, without = comparable(again, fit_anew(again, [own]), fit_anew(again, [near]))
     assert with_it.evidence > without.evidence
     assert torch.isfinite(torch.tensor(with_it.evidence))
 
@@ -121,9 +123,9 @@ def test_what_makes_no_torque_at_the_corrected_model_vanishes() -> None:
     blocks = torch.arange(len(data.samples)) // 100
 
     def told(*terms: Term) -> list[tuple[str, int | None]]:
-        fit = fitted(question, terms)
+        fit = fit_anew(question, terms)
         columns = Columns(Model(ROBOT, ()), data.samples)
-        solution = solved(columns, fit.terms, fit.values(), data, wanted_of(names), blocks)
+        solution = solve_terms(columns, fit.terms, fit.values(), data, wanted_of(names), blocks)
         return [(t.name, t.place) for t in terms_without_torque(question, solution)]
 
     friction = term(question, "coulomb_friction", 0)

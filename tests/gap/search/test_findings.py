@@ -9,11 +9,11 @@ from tests.gap.problems import measured, question_of, wanted_of
 from torchid.design.columns import Columns, Model
 from torchid.effects.friction_laws import PowerLawFriction
 from torchid.effects.inertia import Payload
-from torchid.gap.search.climb import fitted
-from torchid.gap.search.evidence import apart, fit_terms
+from torchid.gap.search.climb import fit_anew
+from torchid.gap.search.evidence import comparable, fit_terms
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.findings import alternatives, likely, not_testable
-from torchid.gap.search.solve import Solution, solved
+from torchid.gap.search.findings import alternatives, likely_terms, not_testable
+from torchid.gap.search.solve import Solution, solve_terms
 from torchid.gap.search.terms import BASE, PAYLOAD
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.blocks import block_numbers
@@ -33,7 +33,7 @@ def solution() -> Solution:
     block = block_numbers(data.samples.bounds, len(data.samples) // 40)
     wanted = wanted_of((PAYLOAD,), inertial=True)
     columns = question.candidates.columns
-    return solved(columns, fit.terms, fit.values(), data, wanted, block, rows)
+    return solve_terms(columns, fit.terms, fit.values(), data, wanted, block, rows)
 
 
 def test_a_load_is_the_load_and_not_the_links(solution: Solution) -> None:
@@ -68,9 +68,9 @@ def test_a_shape_at_the_end_of_its_range_is_never_told_alone(a: float, others: s
     own = next(t for t in question.candidates.terms if t.effects == (planted,))
     rows = question.normal.rows
     fit, without = (fit_terms(question, terms, rows) for terms in ([own], []))
-    found = alternatives(question, fit, without, own, likely(question, fit, without, own))
+    found = alternatives(question, fit, without, own, likely_terms(question, fit, without, own))
     assert {t.name for _, t in found} == others
-    now, then = apart(question, fit, without)
+    now, then = comparable(question, fit, without)
     rises = [then.evidence - now.evidence, *(rise for rise, _ in found)]
     assert probability(rises) > 0.99  # they are named, not believed
 
@@ -85,10 +85,12 @@ def test_what_needs_bodies_is_not_testable_without_them(bodies: bool) -> None:
     data, names = measured([], real=robot), ("coulomb_friction", "bearing_moment_friction")
     columns = Columns(Model(robot, ()), data.samples)
     question = question_of(data, names, columns=columns)
-    empty = fitted(question)
+    empty = fit_anew(question)
     block = block_numbers(data.samples.bounds, 50)
     wanted = wanted_of(names)
-    solution = solved(columns, empty.terms, empty.values(), data, wanted, block, empty.effective)
+    solution = solve_terms(
+        columns, empty.terms, empty.values(), data, wanted, block, empty.effective
+    )
     found = Explanation(question, empty, empty, (), solution)
     reasons = {x.effect: x.reason for x in not_testable(found, data)}
     assert ("no bodies" in reasons.get("bearing_moment_friction", "")) is not bodies

@@ -12,7 +12,7 @@ from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.gap.search.evidence import fit_terms
 from torchid.gap.search.odds import Misfit, Odds, odds
 from torchid.gap.search.replication import own_torque
-from torchid.gap.search.solve import solved
+from torchid.gap.search.solve import solve_terms
 from torchid.statistics.blocks import block_numbers
 from torchid.statistics.odds import DOUBT, probability, stands_in
 
@@ -29,7 +29,7 @@ def asked(planted, misfit, name="viscous_friction", joint=1):
     block = block_numbers(data.samples.bounds, len(data.samples) // 40)
     columns = question.candidates.columns
     wanted = wanted_of((name,))
-    solution = solved(columns, fit.terms, fit.values(), data, wanted, block, rows)
+    solution = solve_terms(columns, fit.terms, fit.values(), data, wanted, block, rows)
     k = len(question.fixed)
     share = misfit / (misfit + question.squares / rows)
     left = Misfit(torch.full_like(rows, misfit), share)

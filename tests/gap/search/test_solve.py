@@ -16,7 +16,7 @@ from torchid.effects.gravity import EncoderOffset
 from torchid.effects.phase import TimeDelay
 from torchid.gap.data import Data
 from torchid.gap.search.evidence import Question
-from torchid.gap.search.solve import Solution, corrected, solved
+from torchid.gap.search.solve import Solution, corrected_model, solve_terms
 from torchid.gap.search.terms import Term
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.blocks import block_numbers
@@ -38,7 +38,7 @@ def solution_of(
         x = [torch.full_like(v, s) for v, s in zip(x, start, strict=True)]
     blocks = block_numbers(data.samples.bounds, block)
     names = tuple({t.name for t in terms} & set(NAMES))
-    return solved(columns, terms, x, data, wanted_of(names or NAMES), blocks)
+    return solve_terms(columns, terms, x, data, wanted_of(names or NAMES), blocks)
 
 
 NAMES = (
@@ -133,7 +133,7 @@ def test_what_the_other_samples_hardly_hold_keeps_its_size():
 
 def fitted(terms: list[Term], values: list[float], given=()) -> Model:
     x = [torch.tensor([v], dtype=torch.float64) for v in values]
-    return corrected(Model(ROBOT, tuple(given)), terms, x, wanted_of(NAMES))
+    return corrected_model(Model(ROBOT, tuple(given)), terms, x, wanted_of(NAMES))
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +176,7 @@ def test_base_parameters_and_bodies_are_corrected(data):
     pi = ROBOT.require_parameters("a test").pi
     link = on_joint(question, 2)
     change = torch.arange(1.0, 11.0, dtype=torch.float64)
-    model = corrected(Model(ROBOT, ()), [link], [change], wanted_of(NAMES))
+    model = corrected_model(Model(ROBOT, ()), [link], [change], wanted_of(NAMES))
     found = model.robot.require_parameters("a test").pi
     assert torch.allclose(found[2], pi[2] + change)
     assert torch.allclose(found[:2], pi[:2])

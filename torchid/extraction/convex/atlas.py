@@ -21,6 +21,7 @@ linear over { y : conditions homogenised by 1 / m, mass of y = 1 } (A. Charnes, 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -251,17 +252,13 @@ def atlas(
         if covariance is None
         else confidence_region(problem, body, as_tensor(covariance, "covariance"), level, slack)
     )
-    total, done = 4 * len(quantities), 0
-    ends: list[list[tuple[float, Status, np.ndarray]]] = []
-    for quantity in quantities:
-        row = []
-        for sets in (region.sets, body):
-            for sign in (1.0, -1.0):
-                row.append(_end(sets, quantity, sign))
-                done += 1
-                if progress is not None:
-                    progress(done, total)
-        ends.append(row)
+    # Of each the least and the largest value, of equal torque and of any.
+    ends: list[list[tuple[float, Status, np.ndarray]]] = [[] for _ in quantities]
+    asked_for = product(range(len(quantities)), (region.sets, body), (1.0, -1.0))
+    for done, (k, sets, sign) in enumerate(asked_for, start=1):
+        ends[k].append(_end(sets, quantities[k], sign))
+        if progress is not None:
+            progress(done, 4 * len(quantities))
     values = torch.tensor([[e[0] for e in row] for row in ends], dtype=torch.float64)
     points = np.stack([np.stack([row[0][2], row[1][2]]) for row in ends])
     return Atlas(

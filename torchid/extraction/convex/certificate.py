@@ -32,7 +32,7 @@ NEARLY_ZERO = 1e-3
 """Share of a least loss that counts as none."""
 _ACTIVE = 1e-7
 """Multipliers below this share of the largest are zero."""
-NOTHING = 1e-6
+NOTHING_SHARE = 1e-6
 """A least norm below this share of the offset's needs no explanation."""
 
 
@@ -70,7 +70,7 @@ def forcing_conditions(
         group of conditions, found greedily, without which it is nearly zero; () if there is none
         or the minimum is zero.
     """
-    if found.bound <= NOTHING * float(np.linalg.norm(offset)):
+    if found.bound <= NOTHING_SHARE * float(np.linalg.norm(offset)):
         return {}, ()
     first: dict[str, float] = {}
     goal, group, left = NEARLY_ZERO * found.value**2, list[str](), found
@@ -105,9 +105,9 @@ def _active(body: ConvexSets, found: Solution) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-STRICT = 1e-6
+STRICT_EIGENVALUE = 1e-6
 """Smallest eigenvalue of the pseudo-inertias of a set called strictly feasible [kg m^2, kg]."""
-INSIDE = 1e-9
+INSIDE_SHARE = 1e-9
 """Share of the other conditions' sizes by which such a set keeps away from them."""
 _SMALLER = (1.0, 1e-2)
 """Shares of STRICT that are tried in turn."""
@@ -207,7 +207,7 @@ def certificate(
     matrix, offset = loss_matrix(problem)
     inner = None if conflict else question.strictly_inside(matrix, offset)
     if inner is None:
-        conflict = conflict or conflict_of(question.body(margin + STRICT))
+        conflict = conflict or conflict_of(question.body(margin + STRICT_EIGENVALUE))
         return Certificate(
             feasible=False,
             phi_min=np.inf if conflict else np.nan,
@@ -234,7 +234,7 @@ def certificate(
         forcing=forcing,
         relaxed_active=inner.outside,
         with_conditions=with_conditions,
-        exact=inner.phi <= NOTHING**2 * float(offset @ offset),
+        exact=inner.phi <= NOTHING_SHARE**2 * float(offset @ offset),
         status=found.solution.status,
         seconds=time.perf_counter() - begun,
     )
@@ -272,7 +272,7 @@ class _Question(AskedSets):
         it can be: each step is the best of sets that are within the bounds for certain, near the
         last one's centres of mass (the convex-concave procedure).
         """
-        for strict in (self.margin + share * STRICT for share in _SMALLER):
+        for strict in (self.margin + share * STRICT_EIGENVALUE for share in _SMALLER):
             relaxed = self._best(strict, None, matrix, offset)
             if relaxed is None:
                 continue
@@ -287,7 +287,7 @@ class _Question(AskedSets):
                 sets, phi = step
             if np.isinf(phi):
                 return _Inner(*relaxed, strict, outside)
-            reached = phi <= (1 + _WORTH) * relaxed[1] + NOTHING**2 * float(offset @ offset)
+            reached = phi <= (1 + _WORTH) * relaxed[1] + NOTHING_SHARE**2 * float(offset @ offset)
             return _Inner(sets, phi, strict, () if reached else outside)
         return None
 
@@ -295,7 +295,7 @@ class _Question(AskedSets):
         self, strict: float, inside: np.ndarray | None, matrix: np.ndarray, offset: np.ndarray
     ) -> tuple[ParameterSets, float] | None:
         """The set of least loss, and the loss; None if the solver or the margins say no."""
-        found = self.body(strict, inside).tightened(INSIDE).least_norm(matrix, offset)
+        found = self.body(strict, inside).tightened(INSIDE_SHARE).least_norm(matrix, offset)
         if not found.solution.usable:
             return None
         x, box = found.x.copy(), self.box
@@ -320,7 +320,7 @@ class _Question(AskedSets):
             return ()
         inertia = sets.parameters.inertia_about_com[0]
         low, high = self.problem.bounds.inertia.to(inertia).unbind(-1)
-        slack = INSIDE * (high - low)
+        slack = INSIDE_SHARE * (high - low)
         out = ((inertia < low - slack) | (inertia > high + slack)).nonzero().tolist()
         return tuple(f"bound_{link + 1}{ENTRIES[k]}" for link, k in out)
 

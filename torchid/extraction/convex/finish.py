@@ -12,7 +12,7 @@ import torch
 
 from torchid.design.bodies import triangle
 from torchid.extraction.convex.atlas import least_loss_region
-from torchid.extraction.convex.certificate import INSIDE, STRICT
+from torchid.extraction.convex.certificate import INSIDE_SHARE, STRICT_EIGENVALUE
 from torchid.extraction.convex.conic import Rows, minimise
 from torchid.extraction.convex.sets import AskedSets, sets_of
 from torchid.extraction.problem import Problem
@@ -73,9 +73,9 @@ def _end(
     span[n : 4 * n] *= np.repeat(problem.box[:n, 1].abs().double().cpu().numpy(), 3)
     nearness = np.diag(1 / np.maximum(span, 1e-9 * span.max()))
     com: np.ndarray | None = problem.split(p)[1].numpy()
-    asked, margin = AskedSets(problem, conditions), STRICT if conditions else 0.0
+    asked, margin = AskedSets(problem, conditions), STRICT_EIGENVALUE if conditions else 0.0
     for _ in range(_STEPS):
-        body = asked.body(margin, com).without(without).tightened(INSIDE)
+        body = asked.body(margin, com).without(without).tightened(INSIDE_SHARE)
         region = least_loss_region(problem, body, _SLACK)
         found = region.sets.least_norm(nearness, -nearness @ start)
         if not found.solution.usable and com is not None and least == np.inf:

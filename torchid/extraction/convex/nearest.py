@@ -31,11 +31,11 @@ MARGIN = 1e-6
 """Smallest eigenvalue of the pseudo-inertias of a nearest set [kg m^2, kg]."""
 INSIDE = 1e-9
 """Share of the other conditions' sizes by which it keeps away from them."""
-SLACK = 0.01
+SLACK_SHARE = 0.01
 """Share of the least cost that smaller changes of parameters may cost beside it."""
-FREE = 1e-6
+FREE_SHARE = 1e-6
 """Share of the set's own torque that counts as no cost."""
-FAR = 100.0
+LARGEST_CHANGE = 100.0
 """Change of the parameters at most, in their links' sizes: without it the least cost in torque may
 be approached by masses that grow without end."""
 
@@ -71,7 +71,7 @@ def nearest_feasible(
     *,
     motion: Motion | None = None,
     margin: float = MARGIN,
-    slack: float = SLACK,
+    slack: float = SLACK_SHARE,
     seed: int = 0,
 ) -> NearestSets:
     """The feasible sets that change the torque of given ones least, and then their parameters.
@@ -164,13 +164,13 @@ class _Question:
         if len(x0) > 10 * n:
             sizes[10 * n :] = _at_least(np.abs(x0[10 * n :]))
         weights = np.diag(1 / sizes)
-        body = body.plus([body.ball(weights, -weights @ x0, FAR, "far")])
-        body = replace(body, radius=(np.abs(x0) + FAR * sizes) / body.basis.diagonal())
+        body = body.plus([body.ball(weights, -weights @ x0, LARGEST_CHANGE, "far")])
+        body = replace(body, radius=(np.abs(x0) + LARGEST_CHANGE * sizes) / body.basis.diagonal())
         first = body.least_norm(self.factor, -self.factor @ x0)
         if not first.solution.usable:
             return first
         torque = float(np.linalg.norm(self.factor @ x0))
-        radius = max((1 + self.slack) * first.value, FREE * torque)
+        radius = max((1 + self.slack) * first.value, FREE_SHARE * torque)
         near = body.plus([body.ball(self.factor, -self.factor @ x0, radius, "torque")])
         second = near.least_norm(weights, -weights @ x0)
         cost = float(np.linalg.norm(self.factor @ (second.x - x0)))

@@ -92,14 +92,18 @@ class RowBuilder:
         right = np.asarray(offset, dtype=float) / unit
         self.rows.append(Rows(name, "nonnegative", matrix / unit[:, None], right, size / unit))
 
-    def interval(self, name: str, entries: dict[int, float], low: float, high: float) -> None:
-        """low <= entries'x <= high."""
-        size = high - low if np.isfinite(high - low) else 1.0
-        size = max(size, 0.0)
-        if np.isfinite(low):
-            self._linear(name, [entries], [-low], size)
-        if np.isfinite(high):
-            self._linear(name, [{k: -v for k, v in entries.items()}], [high], size)
+    def interval(
+        self, name: str, entries: dict[int, float], low: float, high: float, per: int | None = None
+    ) -> None:
+        """low <= entries'x <= high; or, per an entry of x, so many times it."""
+        # Tightened by a share of the interval, or of it times a kilogram.
+        size = high - low if np.isfinite(high - low) else float(per is None)
+        for sign, limit in ((1.0, low), (-1.0, high)):
+            if np.isfinite(limit):
+                row, offset = {k: sign * v for k, v in entries.items()}, -sign * limit
+                if per is not None:
+                    row, offset = row | {per: offset}, 0.0
+                self._linear(name, [row], [offset], max(size, 0.0))
 
     def consistency(self, link: int) -> None:
         """Pseudo-inertia >= margin E, in units of length so that its entries are alike."""
@@ -115,13 +119,8 @@ class RowBuilder:
     def com(self, link: int, box: np.ndarray) -> None:
         """m c_min <= mc <= m c_max, axis by axis."""
         for axis, (low, high) in enumerate(box.tolist()):
-            name, moment = f"com_{link + 1}{AXES[axis]}", self.n + 3 * link + axis
-            # Tightened by a share of the box's side times a kilogram.
-            size = max(high - low, 0.0) if np.isfinite(high - low) else 0.0
-            if np.isfinite(low):
-                self._linear(name, [{moment: 1.0, link: -low}], [0.0], size)
-            if np.isfinite(high):
-                self._linear(name, [{moment: -1.0, link: high}], [0.0], size)
+            name = f"com_{link + 1}{AXES[axis]}"
+            self.interval(name, {self._moment(link, axis): 1.0}, low, high, per=link)
 
     def shape(self, link: int, conditions: Conditions) -> None:
         """|mc - m c_0| <= r m in the axes that count."""
@@ -139,30 +138,26 @@ class RowBuilder:
         name = f"shape_{link + 1}"
         self.rows.append(Rows(name, "second_order", matrix, np.zeros(len(rows)), inward))
 
-    def barycentric(self, link: int, box: np.ndarray, bounds: np.ndarray) -> None:
-        """Conditions that every set within the bounds (6, 2) of the barycentric inertia meets."""
-        for k, entry in enumerate(ENTRIES):
-            low, high = bounds[k].tolist()
+    def barycentric(
+        self, link: int, box: np.ndarray, bounds: np.ndarray, com: np.ndarray | None = None
+    ) -> None:
+        """Conditions that every set within the bounds (6, 2) of the barycentric inertia meets; or,
+        with a centre of mass (3,), that only such sets meet: the concave parts are replaced by
+        their tangents there."""
+        for entry, (low, high) in zip(ENTRIES, bounds.tolist(), strict=True):
+            axes, size = list((_DIAGONAL | _MIXED)[entry]), high - low
             if entry in _DIAGONAL:
                 self._diagonal_from_below(link, entry, low, high)
-                own = box[list(_DIAGONAL[entry])]
-                # m c^2 <= its secant over the box.
-                self._diagonal_from_above(link, entry, own.sum(-1), own.prod(-1), high, high - low)
+                # m c^2 <= its secant over the box, or >= its tangent.
+                ends = box[axes].T if com is None else (com[axes], com[axes])
+                self._diagonal_from_above(
+                    link, entry, ends[0] + ends[1], ends[0] * ends[1], high, size
+                )
+            elif com is None:
+                self._envelope(link, entry, box[axes], low, high)
             else:
-                self._envelope(link, entry, box[list(_MIXED[entry])], low, high)
-
-    def barycentric_inside(self, link: int, com: np.ndarray, bounds: np.ndarray) -> None:
-        """Conditions that only sets within the bounds (6, 2) meet: the concave parts are replaced
-        by their tangents at a centre of mass (3,)."""
-        for k, entry in enumerate(ENTRIES):
-            low, high = bounds[k].tolist()
-            if entry in _DIAGONAL:
-                self._diagonal_from_below(link, entry, low, high)
-                own = com[list(_DIAGONAL[entry])]
-                self._diagonal_from_above(link, entry, 2 * own, own * own, high, high - low)
-            else:
-                self._product(link, entry, com[list(_MIXED[entry])], 1.0, high, high - low)
-                self._product(link, entry, com[list(_MIXED[entry])], -1.0, -low, high - low)
+                self._product(link, entry, com[axes], 1.0, high, size)
+                self._product(link, entry, com[axes], -1.0, -low, size)
 
     def _entry(self, link: int, entry: str) -> int:
         return 4 * self.n + 6 * link + ENTRIES.index(entry)
@@ -475,11 +470,8 @@ def convex_sets(
         if bounds is not None:
             builder.interval(f"mass_{link + 1}", {link: 1.0}, *bounds.mass[link].tolist())
         if bounds is not None and inertia_bounds:
-            limits = bounds.inertia[link].cpu().numpy()
-            if inside is None:
-                builder.barycentric(link, box[link], limits)
-            else:
-                builder.barycentric_inside(link, inside[link], limits)
+            com = None if inside is None else inside[link]
+            builder.barycentric(link, box[link], bounds.inertia[link].cpu().numpy(), com)
         if conditions is not None:
             builder.shape(link, conditions)
     if conditions is not None:

@@ -379,7 +379,45 @@ def equal_torque_sets(
     Raises:
         TorchidError: the reference is not feasible, a kind is unknown, sizes do not match.
     """
-    asked = [frozenset(kind.split("+")) - {FEASIBLE} for kind in kinds]
+    _require(robot, base, reference, conditions, kinds)
+    if per_kind < 1 or chains < 1:
+        raise TorchidError(
+            "per_kind and chains must be positive.", got=f"{per_kind} and {chains}", expected=">= 1"
+        )
+    walk = equal_torque_space(reference, base, conditions, outer)
+    parts: list[ParameterSets] = []
+    names: list[str] = []
+    clusters: list[Tensor] = []
+    warnings: list[str] = []
+    for order, kind in enumerate(kinds):
+        relaxed = frozenset(kind.split("+")) - {FEASIBLE}
+        generator = np.random.default_rng([seed, zlib.crc32(kind.encode())])
+        pool, chain = _draw(walk, relaxed, chains, per_kind, generator)
+        rows = _chosen(pool, relaxed, conditions, per_kind, generator)
+        label = kind.replace("+", "_")
+        ids = tuple(f"{label}_{k:04d}" for k in range(1, len(rows) + 1))
+        parts.append(replace(pool.part(rows), ids=ids))
+        names += [kind] * len(rows)
+        clusters.append(chain[rows] + order * chains)
+        if len(rows) < per_kind:
+            warnings.append(f"kind {kind}: {len(rows)} of {per_kind} sets found")
+    return EqualTorqueSets(
+        joined(parts) if parts else reference.part([]),
+        tuple(names),
+        torch.cat(clusters) if clusters else torch.zeros(0, dtype=torch.long),
+        reference,
+        tuple(warnings),
+    )
+
+
+def _require(
+    robot: Robot,
+    base: BaseParameters,
+    reference: ParameterSets,
+    conditions: Conditions,
+    kinds: Sequence[str],
+) -> None:
+    """Raise unless the kinds are known, and the reference is one feasible set of the robot."""
     for kind in kinds:
         if kind != FEASIBLE and not set(kind.split("+")) <= set(RELAXABLE):
             raise TorchidError(
@@ -388,10 +426,6 @@ def equal_torque_sets(
                 available=[FEASIBLE, *RELAXABLE],
                 hint="several kinds are joined by +, e.g. inertia+com",
             )
-    if per_kind < 1 or chains < 1:
-        raise TorchidError(
-            "per_kind and chains must be positive.", got=f"{per_kind} and {chains}", expected=">= 1"
-        )
     expected = robot.n_links, len(base.parameter_names)
     got = reference.parameters.mass.shape[-1], reference.vector.shape[-1]
     if len(reference) != 1 or got != expected:
@@ -407,31 +441,6 @@ def equal_torque_sets(
             got=f"set '{reference.ids[0]}' violates {', '.join(checked.reasons(0))}",
             hint="coefficients of effects stay as they are: correct their signs first",
         )
-    walk = equal_torque_space(reference, base, conditions, outer)
-    parts: list[ParameterSets] = []
-    names: list[str] = []
-    clusters: list[Tensor] = []
-    warnings: list[str] = []
-    for order, (kind, relaxed) in enumerate(zip(kinds, asked, strict=True)):
-        generator = np.random.default_rng([seed, zlib.crc32(kind.encode())])
-        pool, chain = _draw(walk, relaxed, chains, per_kind, generator)
-        rows = _chosen(pool, relaxed, conditions, per_kind, generator)
-        label = kind.replace("+", "_")
-        part = replace(
-            pool.part(rows), ids=tuple(f"{label}_{k:04d}" for k in range(1, len(rows) + 1))
-        )
-        parts.append(part)
-        names += [kind] * len(rows)
-        clusters.append(chain[rows] + order * chains)
-        if len(rows) < per_kind:
-            warnings.append(f"kind {kind}: {len(rows)} of {per_kind} sets found")
-    return EqualTorqueSets(
-        joined(parts) if parts else reference.part([]),
-        tuple(names),
-        torch.cat(clusters) if clusters else torch.zeros(0, dtype=torch.long),
-        reference,
-        tuple(warnings),
-    )
 
 
 def _draw(

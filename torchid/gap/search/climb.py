@@ -8,6 +8,7 @@ having leaves, of several that which closes least in its turn.
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 
@@ -19,27 +20,28 @@ from torchid.gap.search.evidence import (
     Fitted,
     Offer,
     Question,
-    acting,
-    apart,
+    active_share,
+    best_fits,
     cause_groups,
     common_names,
+    comparable,
+    correction_torque,
     cost,
     effective_samples,
-    fit_each,
     fit_terms,
-    in_turn,
-    leading,
+    greedy_shares,
+    log_likelihood_ratio,
     offers_of_each,
     prior_of,
-    refused,
-    relief,
-    risen,
+    refit,
+    refit_each,
     subset_of,
+    unphysical_terms,
 )
-from torchid.gap.search.terms import Term
+from torchid.gap.search.terms import Term, excluding
 from torchid.typing import Float, Tensor
 
-TRIED = 10
+MOVES_TRIED = 10
 """Candidates, best first, whose evidence is computed exactly at each step; 5 and 20 change no
 name."""
 
@@ -47,7 +49,7 @@ FRICTION = ("coulomb_friction", "viscous_friction")
 """What a joint without any friction in its model lacks at once: one alone takes the other's
 part."""
 
-CLOSELY = 3
+LIKELIEST = 3
 """Of these, those whose effective samples are computed."""
 
 FORETOLD = 0.3
@@ -57,20 +59,20 @@ them [1]; of something that is there all the time four folds of five hold 0.8.""
 Move = tuple[Term, ...]
 
 
-def fitted(question: Question, terms: Sequence[Term] = ()) -> Fitted:
+def fit_anew(question: Question, terms: Sequence[Term] = ()) -> Fitted:
     """Terms beside what is always fitted, with the effective samples of what they leave."""
     first = fit_terms(question, terms, torch.ones(question.candidates.gram.n).double())
     effective = effective_samples(question, first)
     return fit_terms(question, terms, effective, effective / first.losses.clamp(min=1e-300))
 
 
-def climbed(question: Question, start: Sequence[Term]) -> Fitted:
+def climb_from(question: Question, start: Sequence[Term]) -> Fitted:
     """Terms from a start on, as long as the evidence rises."""
-    fit = allowed(question, fitted(question, start))
+    fit = drop_unphysical(question, fit_anew(question, start))
     # No explanation is visited twice, so the climb ends.
     seen = {_signature(fit)}
     while True:
-        better = _added(question, fit) or _lighter(question, fit) or swapped(question, fit)
+        better = _added(question, fit) or _lighter(question, fit) or swap_term(question, fit)
         if better is None or _signature(better) in seen:
             return fit
         fit = better
@@ -83,33 +85,31 @@ def climbed(question: Question, start: Sequence[Term]) -> Fitted:
             lighter = _lighter(question, fit)
 
 
-def allowed(question: Question, fit: Fitted, rounds: int = 2) -> Fitted:
+def drop_unphysical(question: Question, fit: Fitted, rounds: int = 2) -> Fitted:
     """Without the terms that physics refuses beside the others; `rounds` as for `fit_terms`."""
     while fit.evidence == -math.inf:
-        gone = refused(fit.terms, Solved(fit.x, fit.root))
-        own = [t for t in _own(question, fit) if all(t is not g for g in gone)]
-        if len(own) == len(_own(question, fit)):
+        gone = unphysical_terms(fit.terms, Solved(fit.x, fit.root))
+        own = excluding(question.own(fit), gone)
+        if len(own) == len(question.own(fit)):
             break
-        fit = fit_terms(question, own, fit.effective, fit.weight, rounds)
+        fit = refit(question, fit, own, rounds)
     return fit
-
-
-def _own(question: Question, fit: Fitted) -> tuple[Term, ...]:
-    return fit.terms[len(question.fixed) :]
 
 
 def _signature(fit: Fitted) -> frozenset[int]:
     return frozenset(id(t) for t in fit.terms)
 
 
-def moves(question: Question, fit: Fitted, instead: Term | None = None) -> list[tuple[float, Move]]:
+def candidate_moves(
+    question: Question, fit: Fitted, instead: Term | None = None
+) -> list[tuple[float, Move]]:
     """What may be added, with the rise of the evidence to first order: terms one by one, dry and
     viscous friction of a joint together, and what most joints have at once, priced as one cause.
     In the place of a term of one joint only what that joint feels is looked at, one by one."""
-    return moves_of_each(question, [fit], [instead])[0]
+    return moves_beside_each(question, [fit], [instead])[0]
 
 
-def moves_of_each(
+def moves_beside_each(
     question: Question, fits: Sequence[Fitted], instead: Sequence[Term | None]
 ) -> list[list[tuple[float, Move]]]:
     """The same beside each of several fits."""
@@ -125,7 +125,7 @@ def _moves(
     question: Question, fit: Fitted, found: Sequence[Offer], *, groups: bool
 ) -> list[tuple[float, Move]]:
     n = question.candidates.gram.n
-    own = _own(question, fit)
+    own = question.own(fit)
     # One by one.
     # A further joint of what most joints have is no further cause.
     free = common_names(own, question.joints)
@@ -163,16 +163,15 @@ def _joint_net(question: Question, fit: Fitted, terms: Sequence[Term]) -> float:
     """Rise of the evidence by terms of one joint together, without the price of a cause; all
     samples count as independent."""
     rows = question.normal.rows
-    weight = rows / fit.losses.clamp(min=1e-300)
-    more = fit_terms(question, (*_own(question, fit), *terms), rows, weight)
+    more = refit(question, replace(fit, effective=rows), (*question.own(fit), *terms))
     paid = sum(t.count * math.log(max(float(rows[t.place]), 2.0)) for t in terms)
-    return float(risen(rows, fit.losses, more.losses).sum()) - paid
+    return float(log_likelihood_ratio(rows, fit.losses, more.losses).sum()) - paid
 
 
 def _lighter(question: Question, fit: Fitted) -> Fitted | None:
     """Without the term that the evidence misses least, if it rises. What a term holds beside the
     others is x' C^-1 x, C the block of the covariance (Wald): the weakest are looked at exactly."""
-    own = _own(question, fit)
+    own = question.own(fit)
     spread = fit.root @ fit.root.T
     held: list[tuple[float, int]] = []
     first = len(fit.x) - sum(t.count for t in own)
@@ -183,65 +182,63 @@ def _lighter(question: Question, fit: Fitted) -> Fitted | None:
         held.append(
             (float(fit.x[rows] @ inner @ fit.x[rows]) - cost(question, [term], fit.effective), k)
         )
-    lighter = [[*own[:k], *own[k + 1 :]] for _, k in sorted(held)[:CLOSELY]]
+    lighter = [[*own[:k], *own[k + 1 :]] for _, k in sorted(held)[:LIKELIEST]]
     best: tuple[float, Fitted] | None = None
-    for without in fit_each(question, lighter, fit.effective, fit.weight):
-        now, then = apart(question, fit, without)
+    for without in refit_each(question, fit, lighter):
+        now, then = comparable(question, fit, without)
         rise = then.evidence - now.evidence
         if rise > 0 and (best is None or rise > best[0]):
             best = rise, then
     return None if best is None else best[1]
 
 
-def swapped(question: Question, fit: Fitted, *, every: bool = False) -> Fitted | None:
+def swap_term(question: Question, fit: Fitted, *, every: bool = False) -> Fitted | None:
     """With one term changed for another, if the evidence rises: another shape, or another effect.
     Those that promise more than the term to first order are tried, or every likely one."""
-    own = _own(question, fit)
+    own = question.own(fit)
     without = [tuple(t for t in own if t is not term) for term in own]
     tried: list[Move] = []
-    fits = fit_each(question, without, fit.effective, fit.weight)
-    found = moves_of_each(question, fits, own)
+    fits = refit_each(question, fit, without)
+    found = moves_beside_each(question, fits, own)
     for term, rest, offered in zip(own, without, found, strict=True):
-        for _, move in offered[: TRIED if every else CLOSELY]:
+        for _, move in offered[: MOVES_TRIED if every else LIKELIEST]:
             if move[0] is term and not every:
                 break
             tried.append((*rest, *move))
     if not tried:
         return None
-    ((_, best),) = leading(question, tried, fit.effective, fit.weight)
-    now, then = apart(question, fit, best)
+    ((_, best),) = best_fits(question, fit, tried)
+    now, then = comparable(question, fit, best)
     return then if then.evidence > now.evidence + 1e-6 else None
 
 
 def _added(question: Question, fit: Fitted) -> Fitted | None:
     """The best addition, if the evidence rises with it; what it leaves is the noise, for one that
     is true makes the rest less dependent. Only the most likely are looked at so closely."""
-    own = _own(question, fit)
+    own = question.own(fit)
     if len(cause_groups(own, question.joints)) >= question.settings.max_effects:
         return None
-    options = [m for _, m in moves(question, fit)][:TRIED]
+    options = [m for _, m in candidate_moves(question, fit)][:MOVES_TRIED]
     # Ranked with all samples.
-    rows = question.normal.rows
-    weight = rows / fit.losses.clamp(min=1e-300)
+    alike = replace(fit, effective=question.normal.rows)
     best: tuple[float, Fitted] | None = None
-    for _, likely in leading(question, [(*own, *m) for m in options], rows, weight, CLOSELY):
-        then, now = apart(question, likely, fit)
+    for _, likely in best_fits(question, alike, [(*own, *m) for m in options], LIKELIEST):
+        then, now = comparable(question, likely, fit)
         rise = then.evidence - now.evidence
         # Of a step it is asked whether its torque is worth it on some joint, not yet whether the
         # error falls by as much: what is still missing may be larger.
-        new = [t for t in _own(question, then) if all(t is not o for o in own)]
-        fall = (now.losses - then.losses).clamp(min=0) / acting(question, new)
-        size = (fall / rows.clamp(min=1.0)).sqrt()
-        least = question.least(now.losses / rows.clamp(min=1.0))
+        new = excluding(question.own(then), own)
+        size = (question.fall(then, now) / active_share(question, new)).sqrt()
+        least = question.least(question.mean(now.losses))
         if question.known:
-            size = torch.maximum(size, relief(question, then, now, new))
-        worth = bool((size >= least).any()) or any(map(question.shows, _own(question, then)))
+            size = torch.maximum(size, correction_torque(question, then, now, new))
+        worth = bool((size >= least).any()) or any(map(question.shows, question.own(then)))
         if rise > 0 and worth and (best is None or rise > best[0]):
             best = rise, then
     if best is None:
         return None
     fit = best[1]
-    return fit_terms(question, _own(question, fit), fit.effective, fit.weight)
+    return refit(question, fit, question.own(fit))
 
 
 def held_out_losses(
@@ -286,7 +283,7 @@ def _energies(equations: Equations, every: Sequence[Sequence[Term]]) -> Float[Te
     return squares
 
 
-def worthy(
+def drop_worthless(
     question: Question,
     folds: Folds,
     fit: Fitted,
@@ -302,27 +299,27 @@ def worthy(
         what is left, and the terms that left.
     """
     left: list[Term] = []
-    fit = allowed(question, fit)
+    fit = drop_unphysical(question, fit)
     rows = folds.rows.sum(0).clamp(min=1.0)
 
     def falls(groups: Sequence[Sequence[Term]]) -> list[Float[Tensor, " m"]]:
         """By how much the held-out error of m joints falls with some terms, group by group, in
         units of the least that is worth a name: of their own joints, or of all; the largest
         first."""
-        rests = [[t for t in own if all(t is not g for g in gone)] for gone in groups]
+        rests = [excluding(own, gone) for gone in groups]
         out = []
         if groups:
             every = held_out_losses_of_each(question, folds, fit, rests) / rows
         for gone, rest, then in zip(groups, rests, every if groups else (), strict=True):
             # The error while they act.
-            lost = (now + (then - now) / acting(question, gone)).clamp(min=0)
+            lost = (now + (then - now) / active_share(question, gone)).clamp(min=0)
             least = question.least(lost)
             fall = (lost.sqrt() - now.sqrt()) / least
             if question.known:
                 # Where the model's own corrections would be stretched in its place, that is its
                 # size.
-                without = fit_terms(question, rest, fit.effective, fit.weight)
-                fall = torch.maximum(fall, relief(question, fit, without, gone) / least)
+                without = refit(question, fit, rest)
+                fall = torch.maximum(fall, correction_torque(question, fit, without, gone) / least)
             places = sorted({t.place for t in gone if t.place is not None})
             out.append((fall[places] if places else fall).sort(descending=True).values)
         return out
@@ -333,7 +330,7 @@ def worthy(
         return {id(t): float(fall[0]) for t, fall in zip(terms, found, strict=True)}
 
     closes: dict[int, float] = {}
-    while own := _own(question, fit):
+    while own := question.own(fit):
         now = held_out_losses(question, folds, fit, own) / rows
         groups = cause_groups(own, question.joints)
         # What most joints have must be worth it on more than half of them.
@@ -346,7 +343,7 @@ def worthy(
         # least in its turn.
         weak = [g for g in asked if worths[id(g)] < 1]
         if weak and not closes:
-            closes = dict(zip(map(id, own), in_turn(question, fit, own)[0], strict=True))
+            closes = dict(zip(map(id, own), greedy_shares(question, fit, own)[0], strict=True))
         gone = min(weak, key=lambda g: sum(closes[id(t)] for t in g), default=[])
         if not gone:
             # A joint whose error does not fall has no part in what most joints have.
@@ -360,6 +357,6 @@ def worthy(
             by = missed(gone)
             gone = [min(gone, key=lambda t: by[id(t)])]
         left += gone
-        keep = [t for t in own if all(t is not c for c in gone)]
-        fit = allowed(question, fit_terms(question, keep, fit.effective, fit.weight))
+        keep = excluding(own, gone)
+        fit = drop_unphysical(question, refit(question, fit, keep))
     return fit, left

@@ -36,7 +36,7 @@ from torchid.statistics.blocks import FEWEST_BLOCKS
 from torchid.statistics.criteria import SET_ODDS
 from torchid.statistics.resampling import LEVEL
 from torchid.statistics.robust import HUBER, robust_std
-from torchid.statistics.tail import beyond
+from torchid.statistics.tail import tail_probability
 from torchid.typing import Bool, Float, Int, Tensor
 
 LAWS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
@@ -45,10 +45,10 @@ LAWS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia"
 LENGTHS = (3, 6, 12, 24, 48, 96, 192)
 """Lengths of windows [samples], up to half of a trajectory."""
 
-MOST = 5
+MOST_CONTACTS = 5
 """Contacts at most; the search decides which of them stay."""
 
-CLOSELY = 3
+WINDOWS_EACH = 3
 """Windows of each length that are looked at closely for each contact."""
 
 ROUNDS = 6
@@ -57,7 +57,7 @@ ROUNDS = 6
 MOST_PLANES = 2
 """Planes that the search is offered."""
 
-FINER = 5
+HEIGHT_STEPS = 5
 """Times that the height of a plane is refined: to 0.4 mm."""
 
 
@@ -196,7 +196,7 @@ def planes(question: Question) -> list[PlaneContact]:
     out = []
     for likely in sorted(best.values(), key=lambda x: -x[0])[:MOST_PLANES]:
         gain, plane = likely
-        for level in range(FINER):
+        for level in range(HEIGHT_STEPS):
             around = plane.around(level, samples.interval)
             gain, plane = max(
                 [(gain, plane), *zip(gains(around), around, strict=True)], key=lambda x: x[0]
@@ -213,7 +213,7 @@ def _beside_laws(question: Question) -> tuple[Float[Tensor, "n N"], Float[Tensor
     """
     candidates = question.candidates
     ones = torch.ones(candidates.columns.n, dtype=torch.float64)
-    laws = [t for t in candidates.terms if t.name in LAWS and len(t.effects) == 1]
+    laws = [t for t in candidates.terms if t.name in LAWS and t.alone]
     base = [t for t in (*candidates.terms, *candidates.fixed) if t.name == BASE]
     fixed = {id(t) for t in candidates.fixed}
     fit = fit_terms(question, [t for t in (*base, *laws) if id(t) not in fixed], ones)
@@ -359,7 +359,7 @@ class Windows:
         usual = max(1.0, float(others.quantile(LEVEL)) / float(chdtri(c, 1 - LEVEL)))
         # The tail of the others leads to how likely so much is, where enough of them are known;
         # else a scale known from so many windows apart does: F in the place of chi^2.
-        chance = beyond(others, gain)
+        chance = tail_probability(others, gain)
         if chance is None:
             chance = float(fdtrc(c, max(apart, 1.0), gain / (c * usual)))
         total = sum(len(g) for g, _, _ in self.looked)
@@ -387,14 +387,14 @@ class Windows:
         likely: list[tuple[int, float, Span]] = []
         spans: Spans = []
         scales: list[float] = []
-        while len(likely) < MOST:
+        while len(likely) < MOST_CONTACTS:
             best: tuple[bool, float, int, int, float] | None = None
             # Windows of each length that gain most, and how long the push is that gains most.
             closely: list[tuple[float, int, int, Span]] = []
             for i, (gain, start, length) in enumerate(self.looked):
                 free = _free(start, length, spans) & self.once(start, start + length)
                 masked = gain.masked_fill(~free, -math.inf)
-                for k in masked.argsort(descending=True)[:CLOSELY].tolist():
+                for k in masked.argsort(descending=True)[:WINDOWS_EACH].tolist():
                     if masked[k] > -math.inf:
                         span = int(start[k]), int(start[k]) + length
                         closely.append((float(gain[k]), i, k, span))

@@ -48,10 +48,10 @@ there."""
 TOGETHER = 32
 """Explanations that are fitted at once: of a hundred columns and seven joints 18 MB."""
 
-CLOSE = 3
+FITTED_BEYOND_BEST = 3
 """Explanations beyond the best that are fitted at once: one more costs less than one by itself."""
 
-TAIL = 0.01
+TAIL_SHARE = 0.01
 """Share of a cause's largest torque that the fit's filter may leave where it does not act [1]."""
 
 
@@ -119,6 +119,18 @@ class Question:
     def fixed(self) -> tuple[Term, ...]:
         """Terms that are always in the model."""
         return self.candidates.fixed
+
+    def mean(self, squares: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """Sums of squares as means over the samples that count."""
+        return squares / self.normal.rows.clamp(min=1.0)
+
+    def fall(self, fit: Fitted, without: Fitted) -> Float[Tensor, " n"]:
+        """By how much a fit leaves less than one without some of its terms, as mean squares."""
+        return self.mean((without.losses - fit.losses).clamp(min=0))
+
+    def own(self, fit: Fitted) -> tuple[Term, ...]:
+        """Terms of a fit beside the fixed ones."""
+        return fit.terms[len(self.fixed) :]
 
     @property
     def known(self) -> bool:
@@ -245,7 +257,7 @@ def residual(
     return torch.from_numpy(left) * question.candidates.keep
 
 
-def acting(question: Question, terms: Sequence[Term]) -> float:
+def active_share(question: Question, terms: Sequence[Term]) -> float:
     """Share of the samples in which terms act: all, but for what acts in a window of time, or
     beyond a limit. How large such a cause is, is its torque while it acts."""
     t = question.candidates.columns.samples.t
@@ -256,7 +268,7 @@ def acting(question: Question, terms: Sequence[Term]) -> float:
             inside |= effect.window(t) > 0
         elif effect is not None and effect.at_ends:
             size = rows_of(question, term)[0].abs().amax(0)
-            inside |= size > TAIL * size.max()
+            inside |= size > TAIL_SHARE * size.max()
         else:
             return 1.0
     return max(float(inside.double().mean()), 1 / len(t)) if terms else 1.0
@@ -270,17 +282,16 @@ def slack_torque(question: Question, fit: Fitted) -> Float[Tensor, "n N"]:
     return -residual(question, taken, x) + question.candidates.gap * question.candidates.keep
 
 
-def relief(
+def correction_torque(
     question: Question, fit: Fitted, without: Fitted, gone: Sequence[Term]
 ) -> Float[Tensor, " n"]:
     """Torque (n,), RMS, that without some terms the model's own corrections make in their place
     [N m; N]; zero where these are as likely then: where what was known of the model does not speak
     for the terms by as much as they cost."""
-    rows = question.normal.rows.clamp(min=1.0)
     if without.known - fit.known <= cost(question, gone, fit.effective):
-        return torch.zeros_like(rows)
+        return torch.zeros_like(fit.losses)
     moved = slack_torque(question, without) - slack_torque(question, fit)
-    return (moved.square().sum(1) / rows).sqrt()
+    return question.mean(moved.square().sum(1)).sqrt()
 
 
 def left_by(question: Question, fit: Fitted) -> tuple[Float[Tensor, "n N"], Float[Tensor, "n _"]]:
@@ -313,7 +324,7 @@ def effective_samples(
     return (question.normal.rows / times.clamp(min=1.0)).clamp(min=1e-9)
 
 
-def apart(question: Question, fit: Fitted, other: Fitted) -> tuple[Fitted, Fitted]:
+def comparable(question: Question, fit: Fitted, other: Fitted) -> tuple[Fitted, Fitted]:
     """Both fits with the evidence of as many samples as tell their torques apart in noise like what
     the one leaves that leaves less: only so can they be compared."""
     weight = question.normal.rows / fit.losses.clamp(min=1e-300)
@@ -323,25 +334,18 @@ def apart(question: Question, fit: Fitted, other: Fitted) -> tuple[Fitted, Fitte
     def again(f: Fitted) -> Fitted:
         if f.evidence == -math.inf:  # refused, beside noise of another size
             weight = n / f.losses.clamp(min=1e-300)
-            return fit_terms(question, f.terms[len(question.fixed) :], n, weight, 1)
-        evidence = evidence_of(question, f.terms, f.losses, f.known, n)
-        return replace(f, effective=n, evidence=evidence)
+            return fit_terms(question, question.own(f), n, weight, 1)
+        return with_evidence(question, replace(f, effective=n))
 
     return again(fit), again(other)
 
 
-def evidence_of(
-    question: Question,
-    terms: Sequence[Term],
-    losses: Float[Tensor, " n"],
-    known: float,
-    effective: Float[Tensor, " n"],
-) -> float:
-    """E of terms, the fixed ones first: what is gained, less the distance from what is known
-    beforehand and the price of the others."""
-    gain = float(risen(effective, question.squares, losses).sum())
-    own = terms[len(question.fixed) :]
-    return gain - known - cost(question, own, effective)
+def with_evidence(question: Question, fit: Fitted) -> Fitted:
+    """A fit with its E: what is gained, less the distance from what is known beforehand and the
+    price of the terms beside the fixed ones."""
+    gain = float(log_likelihood_ratio(fit.effective, question.squares, fit.losses).sum())
+    price = cost(question, question.own(fit), fit.effective)
+    return replace(fit, evidence=gain - fit.known - price)
 
 
 def fit_terms(
@@ -367,49 +371,53 @@ def fit_terms(
     return _fit_each(question, [terms], effective, weight, rounds, conic=conic)[0][0]
 
 
-def fit_each(
-    question: Question,
-    explanations: Sequence[Sequence[Term]],
-    effective: Float[Tensor, " n"],
-    weight: Float[Tensor, " n"] | None = None,
-    rounds: int = 2,
+def refit(
+    question: Question, fit: Fitted, terms: Sequence[Term], rounds: int = 2, *, conic: bool = True
+) -> Fitted:
+    """What `fit_terms` gives with the numbers of samples and the first weights of another fit."""
+    return fit_terms(question, terms, fit.effective, fit.weight, rounds, conic=conic)
+
+
+def refit_each(
+    question: Question, fit: Fitted, explanations: Sequence[Sequence[Term]]
 ) -> list[Fitted]:
-    """What `fit_terms` gives of each of several explanations, all at once."""
+    """What `refit` gives of each of several explanations, all at once."""
     out: list[Fitted] = []
     for k in range(0, len(explanations), TOGETHER):
-        out += _fit_each(question, explanations[k : k + TOGETHER], effective, weight, rounds)[0]
+        some = explanations[k : k + TOGETHER]
+        out += _fit_each(question, some, fit.effective, fit.weight, 2)[0]
     return out
 
 
-def leading(
+def best_fits(
     question: Question,
+    fit: Fitted,
     explanations: Sequence[Sequence[Term]],
-    effective: Float[Tensor, " n"],
-    weight: Float[Tensor, " n"],
     count: int = 1,
     worth: Callable[[Fitted], float] = lambda fit: fit.evidence,
 ) -> list[tuple[int, Fitted]]:
-    """Of several explanations those of most evidence, the best first, as `fit_each` fits them, each
-    with its place among all. To stay bodies can only cost evidence, so the conic programs of those
-    that would have too little without them are never solved.
+    """Of several explanations those of most evidence, the best first, as `refit_each` fits them,
+    each with its place among all. To stay bodies can only cost evidence, so the conic programs of
+    those that would have too little without them are never solved.
 
     Args:
-        question, explanations, effective, weight: as for `fit_each`.
+        question, fit, explanations: as for `refit_each`.
         count: of the best.
         worth: what ranks them in the place of evidence; bodies can only cost it, too.
     """
     bounds: list[tuple[Fitted, bool]] = []
     for k in range(0, len(explanations), TOGETHER):
         some = explanations[k : k + TOGETHER]
-        bounds += zip(*_fit_each(question, some, effective, weight, 2, conic=False), strict=True)
+        found = _fit_each(question, some, fit.effective, fit.weight, 2, conic=False)
+        bounds += zip(*found, strict=True)
     order = sorted(range(len(bounds)), key=lambda k: -worth(bounds[k][0]))
     best: list[tuple[int, Fitted]] = []
-    for first in range(0, len(order), count + CLOSE):
-        near = order[first : first + count + CLOSE]
+    for first in range(0, len(order), count + FITTED_BEYOND_BEST):
+        near = order[first : first + count + FITTED_BEYOND_BEST]
         if len(best) == count and worth(bounds[near[0]][0]) <= worth(best[-1][1]):
             break
         incomplete = [k for k in near if not bounds[k][1]]
-        again = fit_each(question, [explanations[k] for k in incomplete], effective, weight)
+        again = refit_each(question, fit, [explanations[k] for k in incomplete])
         fits = {k: bounds[k][0] for k in near} | dict(zip(incomplete, again, strict=True))
         best = sorted([*best, *fits.items()], key=lambda pair: -worth(pair[1]))[:count]
     return best
@@ -444,7 +452,7 @@ def _fit_each(
     inside = torch.arange(solved.x.shape[1]) < torch.tensor([[s.count] for s in subsets])
     limits = torch.tensor([0.0, -math.inf, math.inf]).double().repeat(*inside.shape, 1)
     limits[inside] = limits_of([t for terms in every for t in terms])
-    refusals = forbidden(limits, solved)
+    refusals = out_of_bounds(limits, solved)
     refusal = refusals.any(1).tolist()
     out = []
     for k, (terms, subset) in enumerate(zip(every, subsets, strict=True)):
@@ -457,12 +465,10 @@ def _fit_each(
             if bool((wrong & ~torch.cat([t.optional for t in terms])).any()):
                 break
             fit = _without(question, fit, wrong, priors.each[k], rounds)
-            wrong = forbidden(limits[k, :own], Solved(fit.x, fit.root))
+            wrong = out_of_bounds(limits[k, :own], Solved(fit.x, fit.root))
             any_wrong = bool(wrong.any())
         else:
-            gain = float(risen(effective, question.squares, fit.losses).sum())
-            evidence = gain - fit.known - cost(question, explanations[k], effective)
-            fit = replace(fit, evidence=evidence)
+            fit = with_evidence(question, fit)
         out.append(fit)
     return out, complete
 
@@ -483,7 +489,7 @@ def _without(
     return replace(fit, subset=subset, x=x, root=solved.root, losses=losses, known=value)
 
 
-def risen(
+def log_likelihood_ratio(
     effective: Float[Tensor, " n"], before: Float[Tensor, " n"], after: Float[Tensor, "*batch n"]
 ) -> Float[Tensor, "*batch n"]:
     """Twice the rise (*batch, n) of each joint's logarithm of the likelihood between two sums of
@@ -496,7 +502,7 @@ def limits_of(terms: Sequence[Term]) -> Float[Tensor, "K 3"]:
     return torch.cat([torch.zeros(0, 3, dtype=torch.float64), *(t.limits for t in terms)])
 
 
-def forbidden(limits: Float[Tensor, "*batch K 3"], solved: Solved) -> Bool[Tensor, "*batch K"]:
+def out_of_bounds(limits: Float[Tensor, "*batch K 3"], solved: Solved) -> Bool[Tensor, "*batch K"]:
     """Which coefficients have a sign that physics forbids, or are larger than on any arm, beyond
     what their own uncertainty explains: a friction that drives, a load of negative mass."""
     # The whole coefficient, with what the model has of it, is what physics bounds.
@@ -505,9 +511,9 @@ def forbidden(limits: Float[Tensor, "*batch K 3"], solved: Solved) -> Bool[Tenso
     return (solved.x + known < least - slack) | (solved.x.abs() > largest + slack)
 
 
-def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
+def unphysical_terms(terms: Sequence[Term], solved: Solved) -> list[Term]:
     """Terms of which physics forbids a coefficient."""
-    parts = forbidden(limits_of(terms), solved).split([t.count for t in terms])
+    parts = out_of_bounds(limits_of(terms), solved).split([t.count for t in terms])
     return [t for t, own in zip(terms, parts, strict=True) if bool(own.any())]
 
 
@@ -548,7 +554,7 @@ def common_names(terms: Iterable[Term], n: int) -> set[str]:
     return {name for name, k in count.items() if KINDS[name].on_all and 2 * k > n}
 
 
-def in_turn(
+def greedy_shares(
     question: Question, fit: Fitted, terms: Sequence[Term]
 ) -> tuple[list[float], list[float]]:
     """What each term closes of what all close, when at every turn the one joins that closes most:
@@ -561,17 +567,15 @@ def in_turn(
     def loss(one: Fitted) -> float:
         return float((weight * one.losses).sum()) + dependent * one.known
 
-    left = [loss(fit_terms(question, (), fit.effective, fit.weight))]
-    each = fit_each(question, [(t,) for t in terms], fit.effective, fit.weight)
+    left = [loss(refit(question, fit, ()))]
+    each = refit_each(question, fit, [(t,) for t in terms])
     alone = [loss(f) for f in each]
     order: list[int] = []
     while len(order) < len(terms):
         joined = [terms[k] for k in order]
         rest = [k for k in range(len(terms)) if k not in order]
         tried = [(*joined, terms[k]) for k in rest]
-        ((k, best),) = leading(
-            question, tried, fit.effective, fit.weight, worth=lambda one: -loss(one)
-        )
+        ((k, best),) = best_fits(question, fit, tried, worth=lambda one: -loss(one))
         order.append(rest[k])
         left.append(loss(best))
     if left[-1] >= left[0]:  # what another sensor alone shows closes nothing
@@ -703,26 +707,26 @@ def _offers(
         paid = (counts + batch.shapes.numpy()) * math.log(max(n, 2.0))
         for m in np.argsort(paid - rise, kind="stable")[:LOOKED_AT].tolist():
             term = batch.terms[m]
-            refused = gains[m] <= 0 or term.key in present or term.name == BASE
-            if not (refused or _beside(term, fit.terms)):
+            idle = gains[m] <= 0 or term.key in present or term.name == BASE
+            if not (idle or _beside(term, fit.terms)):
                 out.append(Offer(term, float(rise[m]), float(paid[m])))
     return sorted(out, key=lambda o: -o.net)
 
 
+def span_of(push: Contact) -> tuple[float, float]:
+    """Start and stop of a push [s], infinite where they are open."""
+    start = -math.inf if push.start is None else push.start
+    return start, math.inf if push.stop is None else push.stop
+
+
 def _beside(term: Term, others: Sequence[Term]) -> bool:
     """Whether a term in a window of time stands in or next to another one's: one push is one."""
-    if not term.effects or not term.effects[0].windowed:
+    if not term.effects or not isinstance(term.effects[0], Contact):
         return False
-    # Start and stop of each, infinite where they are open.
-    windows = []
-    for effect in (t.effects[0] for t in (term, *others) if t.effects):
-        if isinstance(effect, Contact):
-            start = -math.inf if effect.start is None else effect.start
-            windows.append((start, math.inf if effect.stop is None else effect.stop))
-    if not windows:
-        return False
+    start, stop = span_of(term.effects[0])
+    pushes = (t.effects[0] for t in others if t.effects)
+    there = [span_of(effect) for effect in pushes if isinstance(effect, Contact)]
     # Next to each other: nearer than half of the longer one.
-    (start, stop), *there = windows
     return any(
         start < b + 0.5 * max(stop - start, b - a) and a < stop + 0.5 * max(stop - start, b - a)
         for a, b in there

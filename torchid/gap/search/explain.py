@@ -1,6 +1,5 @@
 """The whole search: events, laws from several starts, shapes refined, columns taken anew."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,37 +17,38 @@ from torchid.effects.transient import Contact
 from torchid.gap.data import Data
 from torchid.gap.problem import Problem
 from torchid.gap.search.climb import (
-    CLOSELY,
-    allowed,
-    climbed,
-    fitted,
+    LIKELIEST,
+    candidate_moves,
+    climb_from,
+    drop_unphysical,
+    drop_worthless,
+    fit_anew,
     held_out_losses,
-    moves,
-    moves_of_each,
-    swapped,
-    worthy,
+    moves_beside_each,
+    swap_term,
 )
 from torchid.gap.search.events import Counterparts, contacts, hidden_contacts, planes
 from torchid.gap.search.evidence import (
     Fitted,
     Question,
-    acting,
-    apart,
+    active_share,
     common_names,
-    fit_each,
-    fit_terms,
+    comparable,
+    refit,
+    refit_each,
     residual,
     rows_of,
+    span_of,
 )
-from torchid.gap.search.solve import Solution, at_estimate, corrected, solved
-from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, candidates_of
+from torchid.gap.search.solve import Solution, at_estimate, corrected_model, solve_terms
+from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, candidates_of, excluding
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
 PASSES = 2
 """Times the columns are taken at the model found and the search goes on."""
 
-CHANGED = 0.02
+CHANGED_SHARE = 0.02
 """Relative change of a joint's model torque from which columns are taken anew; at half of it more
 diagnoses take a second pass, at double load-dependent friction is 1 % off."""
 
@@ -57,6 +57,10 @@ LONGEST = 120.0
 
 FINEST = 5
 """Times a shape is searched around the best one, each time three times more closely."""
+
+
+Watch = Callable[[Question, Fitted], None]
+"""Called with each fit that the search goes on from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +84,10 @@ class Explanation:
     @property
     def terms(self) -> tuple[Term, ...]:
         """What is told."""
-        return self.fit.terms[len(self.question.fixed) :]
+        return self.question.own(self.fit)
 
 
-def explained(
-    problem: Problem, watch: Callable[[Question, Fitted], None] | None = None
-) -> Explanation:
+def explain_gap(problem: Problem, watch: Watch | None = None) -> Explanation:
     """Which effects explain the gap between a log and a model.
 
     Args:
@@ -127,36 +129,19 @@ def explained(
             watch(question, fit)
         # Shapes between those of the grid, secants of rivals, and the search once more with both.
         finer = [
-            *refined(question, fit),
+            *refine_shapes(question, fit),
             *at_their_size(question, fit),
-            *sharpened(question, fit, problem),
+            *sharpen_shapes(question, fit, problem),
         ]
         if finer:
             extra += finer
-            again = fit.terms[len(question.fixed) :]
+            again = question.own(fit)
             question = asked(columns)
             again = tuple(_finest(question.candidates, t, finer) or t for t in again)
-            fit = climbed(question, again)
-        # What is worth a name on data that was not fitted; bodies beside it, last.
-        folds = question.candidates.gram.folds()
-        fit, left = worthy(question, folds, fit)
-        # Where a cause has left or bodies have joined, another one may say the rest better.
-        fit, left = improve_by_swaps(question, folds, fit, left)
-        fit, left = search_without_small(question, folds, fit, left)
-        if watch is not None:
-            watch(question, fit)
-        # Without the events that do not stand out any more, the search goes on from the laws.
-        while gone := events_not_standing_out(question, fit, left, repeated):
-            question = replace(question, barred=question.barred | {t.key for t in gone})
-            own = fit.terms[len(question.fixed) :]
-            laws = [t for t in own if all(t is not g for g in gone)]
-            fit, left = worthy(question, folds, climbed(question, laws))
-            fit, left = improve_by_swaps(question, folds, fit, left)
-        whole = with_bodies(question, folds, fit)
-        if whole is not fit:
-            fit, left = improve_by_swaps(question, folds, whole, left)
+            fit = climb_from(question, again)
+        question, fit, left = worth_naming(question, fit, repeated, watch)
         # Once more with the columns of the model found, if they are others.
-        latest = corrected(model, fit.terms, fit.values(), wanted)
+        latest = corrected_model(model, fit.terms, fit.values(), wanted)
         # What scales with the torque must not see the friction that it is to be told from.
         kept = (p for p in latest.effects if p in model.effects or p[0].linearised)
         latest = Model(latest.robot, tuple(kept))
@@ -168,34 +153,57 @@ def explained(
         pairs = zip(fit.terms, fit.values(), strict=True)
         moved = [at_estimate(t, v) for t, v in pairs]
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
-        alone = [t.effects[0] for t in start if len(t.effects) == 1]
-        extra += [e for e in alone if hasattr(e, "at")]
+        extra += [t.alone for t in start if t.alone and hasattr(t.alone, "at")]
+    # The search ends without what vanishes at the model found.
+    folds = question.candidates.gram.folds()
     while True:
         fit = fit_to_convergence(question, fit.terms, fit)
         solution = solve(problem, fit)
         gone = terms_without_torque(question, solution)
         if not gone:
-            return Explanation(question, fitted(question), fit, tuple(left), solution)
-        # The search ends without what vanished at the model found.
+            return Explanation(question, fit_anew(question), fit, tuple(left), solution)
         question = replace(question, barred=question.barred | {t.key for t in gone})
-        rest = [t for t in fit.terms[len(question.fixed) :] if t.key not in question.barred]
-        fit = allowed(question, fit_terms(question, rest, fit.effective, fit.weight))
+        rest = [t for t in question.own(fit) if t.key not in question.barred]
+        fit = drop_unphysical(question, refit(question, fit, rest))
         fit, left = improve_by_swaps(question, folds, fit, left)
+
+
+def worth_naming(
+    question: Question, fit: Fitted, repeated: Counterparts, watch: Watch | None
+) -> tuple[Question, Fitted, list[Term]]:
+    """What is worth a name on data that was not fitted, bodies beside it last; the terms that are
+    not worth one, and the question without events that do not stand out."""
+    folds = question.candidates.gram.folds()
+    fit, left = drop_worthless(question, folds, fit)
+    # Where a cause has left or bodies have joined, another one may say the rest better.
+    fit, left = improve_by_swaps(question, folds, fit, left)
+    fit, left = search_without_small(question, folds, fit, left)
+    if watch is not None:
+        watch(question, fit)
+    # Without the events that do not stand out any more, the search goes on from the laws.
+    while gone := events_not_standing_out(question, fit, left, repeated):
+        question = replace(question, barred=question.barred | {t.key for t in gone})
+        laws = excluding(question.own(fit), gone)
+        fit, left = drop_worthless(question, folds, climb_from(question, laws))
+        fit, left = improve_by_swaps(question, folds, fit, left)
+    whole = with_bodies(question, folds, fit)
+    if whole is not fit:
+        fit, left = improve_by_swaps(question, folds, whole, left)
+    return question, fit, left
 
 
 def terms_without_torque(question: Question, solution: Solution) -> list[Term]:
     """Causes that make less torque at the corrected model than is worth a name, whatever they made
     at the model that their columns were taken at: no error falls by more than the torque that is
     added to a model. What most joints have may be small on one of them."""
-    rows = question.normal.rows.clamp(min=1.0)
+    rows, first = question.normal.rows.clamp(min=1.0), len(question.fixed)
     least = question.least(solution.left.square().sum(1) / rows)
-    common = common_names(solution.terms[len(question.fixed) :], question.joints)
+    common = common_names(solution.terms[first:], question.joints)
     columns = solution.a.split([len(v) for v in solution.values])
+    every = list(zip(solution.terms, solution.values, columns, strict=True))
     gone = []
-    for term, values, a in list(zip(solution.terms, solution.values, columns, strict=True))[
-        len(question.fixed) :
-    ]:
-        there = rows * acting(question, [term])
+    for term, values, a in every[first:]:
+        there = rows * active_share(question, [term])
         torque = (torch.tensordot(values, a, 1).square().sum(1) / there).sqrt()
         small = bool((torque < least).all()) and term.name not in common
         if small and not question.shows(term):
@@ -206,8 +214,7 @@ def terms_without_torque(question: Question, solution: Solution) -> list[Term]:
 def fit_to_convergence(question: Question, terms: Sequence[Term], fit: Fitted) -> Fitted:
     """What is told: terms, the fixed ones first, fitted until the joints' weights settle, without
     those that physics then refuses; samples and first weights are those of a fit."""
-    own = terms[len(question.fixed) :]
-    return allowed(question, fit_terms(question, own, fit.effective, fit.weight, 10), 10)
+    return drop_unphysical(question, refit(question, fit, terms[len(question.fixed) :], 10), 10)
 
 
 def best_explanation(question: Question, start: Sequence[Term]) -> Fitted:
@@ -219,23 +226,23 @@ def best_explanation(question: Question, start: Sequence[Term]) -> Fitted:
         if t.name in ("viscous_friction", "coulomb_friction") and not t.instead
     ]
     starts = [start] if start else [(), friction] if friction else [()]
-    found = [climbed(question, s) for s in starts]
-    best = better(question, found)
+    found = [climb_from(question, s) for s in starts]
+    best = most_evident(question, found)
     # Several bodies at once: all base parameters may say it with less.
-    own = best.terms[len(question.fixed) :]
+    own = question.own(best)
     bodies = [t for t in own if t.inertial or t.name == PAYLOAD]
     base = [t for t in question.candidates.terms if t.name == BASE]
     if len(bodies) > 1 and base:
-        others = [t for t in own if all(t is not b for b in bodies)]
-        found.append(climbed(question, [*base, *others]))
-    return better(question, found)
+        others = excluding(own, bodies)
+        found.append(climb_from(question, [*base, *others]))
+    return most_evident(question, found)
 
 
-def better(question: Question, found: Sequence[Fitted]) -> Fitted:
+def most_evident(question: Question, found: Sequence[Fitted]) -> Fitted:
     """Of several explanations that of most evidence; in doubt the first."""
     best = found[0]
     for other in found[1:]:
-        its, mine = apart(question, other, best)
+        its, mine = comparable(question, other, best)
         best = other if its.evidence > mine.evidence else best
     return best
 
@@ -248,9 +255,9 @@ def improve_by_swaps(
 ) -> tuple[Fitted, list[Term]]:
     """Swap causes for others while the evidence rises; also return those that are too small."""
     out = list(left)
-    while (other := swapped(question, fit, every=True)) is not None:
-        other, more = worthy(question, folds, other)
-        if better(question, [fit, other]) is fit:
+    while (other := swap_term(question, fit, every=True)) is not None:
+        other, more = drop_worthless(question, folds, other)
+        if most_evident(question, [fit, other]) is fit:
             break
         fit, out = other, [*out, *more]
     return fit, out
@@ -266,8 +273,8 @@ def search_without_small(
     out = list(left)
     while out:
         barred = replace(question, barred=frozenset(t.key for t in out))
-        more, gone = worthy(barred, folds, climbed(barred, fit.terms[len(question.fixed) :]))
-        if better(question, [fit, more]) is fit:
+        more, gone = drop_worthless(barred, folds, climb_from(barred, question.own(fit)))
+        if most_evident(question, [fit, more]) is fit:
             break
         fit, out = more, [*out, *gone]
         if not gone:
@@ -280,9 +287,9 @@ def events_not_standing_out(
 ) -> list[Term]:
     """Events that do not stand out from what the laws leave elsewhere in the log: these laws, and
     those that have evidence but are not worth a name."""
-    own = fit.terms[len(question.fixed) :]
+    own = question.own(fit)
     small = [t for t in left if all(t.key != o.key for o in own)]
-    beside = fit_terms(question, [*own, *small], fit.effective, fit.weight)
+    beside = refit(question, fit, [*own, *small])
     gone = hidden_contacts(question, beside, repeated)
     return [t for t in own if any(t is g for g in gone)]
 
@@ -290,33 +297,30 @@ def events_not_standing_out(
 def with_bodies(question: Question, folds: Folds, fit: Fitted) -> Fitted:
     """All base parameters beside what was found, if they are worth it: last, for they hold a share
     of every cause. They displace what the evidence does not need beside them."""
-    own = fit.terms[len(question.fixed) :]
+    own = question.own(fit)
     base = [t for t in question.candidates.terms if t.name == BASE]
     if not base or any(t.name == BASE for t in own):
         return fit
     # Beside the effects, but in the place of other bodies.
     beside = [*(t for t in own if not t.inertial), *base]
-    more = fit_terms(question, beside, fit.effective, fit.weight, 10)
-    one, other = apart(question, more, fit)
+    more = refit(question, fit, beside, 10)
+    one, other = comparable(question, more, fit)
     if one.evidence <= other.evidence:
         return fit
     # They must be worth it on some joint, on data that was not fitted, and do no such harm on any.
-    rows = question.normal.rows.clamp(min=1.0)
-    without = held_out_losses(question, folds, more, own) / rows
-    then = held_out_losses(question, folds, more, more.terms[len(question.fixed) :]) / rows
+    explanations = own, question.own(more)
+    without, then = (question.mean(held_out_losses(question, folds, more, e)) for e in explanations)
     fall = (without.sqrt() - then.sqrt()) / question.least(without)
     if not bool((fall >= 1).any()) or bool((fall <= -1).any()):
         return fit
     # Beside them the causes that the evidence is better without leave, the least needed first; a
     # load stays, for they hold whatever it does.
     while True:
-        kept = more.terms[len(question.fixed) :]
-        rest = [[t for t in kept if t is not s] for s in kept if s.name not in (BASE, PAYLOAD)]
-        lighter = [
-            allowed(question, fit_terms(question, r, more.effective, more.weight, 10)) for r in rest
-        ]
+        kept = question.own(more)
+        rest = [excluding(kept, [s]) for s in kept if s.name not in (BASE, PAYLOAD)]
+        lighter = [drop_unphysical(question, refit(question, more, r, 10)) for r in rest]
         best = max(lighter, key=lambda f: f.evidence, default=more)
-        one, other = apart(question, more, best)
+        one, other = comparable(question, more, best)
         if other.evidence <= one.evidence:
             return more
         more = best
@@ -325,7 +329,7 @@ def with_bodies(question: Question, folds: Folds, fit: Fitted) -> Fitted:
 def solve(problem: Problem, fit: Fitted) -> Solution:
     """The corrected model of a fit."""
     data, wanted, block = problem.data, problem.wanted, problem.block
-    return solved(problem.given, fit.terms, fit.values(), data, wanted, block, fit.effective)
+    return solve_terms(problem.given, fit.terms, fit.values(), data, wanted, block, fit.effective)
 
 
 def without_terms(
@@ -335,9 +339,7 @@ def without_terms(
     if they are small."""
     question, fit = found.question, found.fit
     # The other terms are fitted anew.
-    less = fit_to_convergence(
-        question, [t for t in fit.terms if all(t is not g for g in gone)], fit
-    )
+    less = fit_to_convergence(question, excluding(fit.terms, gone), fit)
     return _with_fit(found, question, less, gone if small else (), problem)
 
 
@@ -364,26 +366,26 @@ def search_again_without(
         return found
     question = replace(found.question, barred=barred)
     folds = question.candidates.gram.folds()
-    more, left = worthy(question, folds, climbed(question, found.terms))
-    if better(question, [fit, more]) is fit:
+    more, left = drop_worthless(question, folds, climb_from(question, found.terms))
+    if most_evident(question, [fit, more]) is fit:
         return replace(found, question=question)
     more, left = improve_by_swaps(question, folds, more, left)
     return _with_fit(found, question, fit_to_convergence(question, more.terms, more), left, problem)
 
 
-def refined(question: Question, fit: Fitted) -> list[Effect]:
+def refine_shapes(question: Question, fit: Fitted) -> list[Effect]:
     """Shapes between those of the grid, where they explain more: of the terms, and of the likeliest
     further cause of each joint, which may lack evidence at the grid's shapes alone."""
     columns = question.candidates.columns
-    own = fit.terms[len(question.fixed) :]
+    own = question.own(fit)
     further: dict[Place, Term] = {}
-    for net, (term, *_) in moves(question, fit):
+    for net, (term, *_) in candidate_moves(question, fit):
         if net > 0 and term.shapes > 0:
             further.setdefault(term.place, term)
     out: list[Effect] = []
     for term in (*own, *further.values()):
         # What another sensor shows already has its shape from there.
-        effect = term.effects[0] if len(term.effects) == 1 and term.seen is None else None
+        effect = term.alone if term.seen is None else None
         if isinstance(effect, JointEffect):
             movable = term.shapes > 0
         else:
@@ -392,13 +394,13 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
         if effect is None or not movable:
             continue
         # The shape that leaves least, all coefficients fitted anew with it.
-        best = _closest(question, fit, [t for t in own if t is not term], effect, columns)
+        best = _closest(question, fit, excluding(own, [term]), effect, columns)
         if best is not None and best != effect:
             out.append(best)
     return out
 
 
-def sharpened(question: Question, fit: Fitted, problem: Problem) -> list[Effect]:
+def sharpen_shapes(question: Question, fit: Fitted, problem: Problem) -> list[Effect]:
     """Causes with impacts or swings, each with the shape that explains most of the gap in the band
     of the report, where these show how they are; all other terms keep their coefficients."""
     start, data, wanted = problem.given.model, problem.data, problem.wanted
@@ -407,12 +409,12 @@ def sharpened(question: Question, fit: Fitted, problem: Problem) -> list[Effect]
     samples = Samples(some, data.band)
     out: list[Effect] = []
     for term, values in own[len(question.fixed) :]:
-        effect = term.effects[0] if len(term.effects) == 1 else None
+        effect = term.alone
         if term.seen is not None or not (isinstance(effect, ModelEffect) and effect.sharp()):
             continue
         # What all other terms leave.
         others = [(t, v) for t, v in own if t is not term]
-        rest = corrected(start, [t for t, _ in others], [v for _, v in others], wanted)
+        rest = corrected_model(start, [t for t, _ in others], [v for _, v in others], wanted)
         left = samples.of([(s.tau - rest.torque(s, data.samples)).T for s in some])
         motions = Columns(rest, samples).motions
         best = replace(effect, at=float(values[0]))  # type: ignore[call-arg]
@@ -443,14 +445,14 @@ def at_their_size(question: Question, fit: Fitted) -> list[Effect]:
     """What is likeliest in the place of each term, with its secant at its own estimate: at any
     other place a large true cause leaves more than rivals that are linear."""
     moved: dict[object, Effect] = {}
-    own = fit.terms[len(question.fixed) :]
-    rests = [[t for t in own if t is not term] for term in own]
-    without = fit_each(question, rests, fit.effective, fit.weight)
-    for rest, offered in zip(rests, moves_of_each(question, without, own), strict=True):
-        for net, (rival, *_) in offered[:CLOSELY]:
-            effect = rival.effects[0] if len(rival.effects) == 1 else None
+    own = question.own(fit)
+    rests = [excluding(own, [term]) for term in own]
+    without = refit_each(question, fit, rests)
+    for rest, offered in zip(rests, moves_beside_each(question, without, own), strict=True):
+        for net, (rival, *_) in offered[:LIKELIEST]:
+            effect = rival.alone
             if net > 0 and effect and effect.linearised and effect.identity not in moved:
-                there = fit_terms(question, (*rest, rival), fit.effective, fit.weight)
+                there = refit(question, fit, (*rest, rival))
                 moved[effect.identity] = at_estimate(rival, there.values()[-1]).effects[0]
     return list(moved.values())
 
@@ -461,7 +463,7 @@ def _closest(
     """The shape of an effect that explains most beside the others."""
     # What the other terms leave, on the joints that the effect is felt on, weighted.
     keep = question.candidates.keep
-    rest = fit_terms(question, others, fit.effective, fit.weight, 1)
+    rest = refit(question, fit, others, 1)
     weight = fit.weight.sqrt().unsqueeze(1) * keep
     own = effect.joint if isinstance(effect, JointEffect) else None
     joints = slice(None) if own is None else slice(own, own + 1)
@@ -510,16 +512,13 @@ def _closest(
 
 def _again(candidates: Candidates, term: Term) -> Term | None:
     """The same term among other candidates."""
-    for other in candidates.terms:
-        same = other.name == term.name and other.wrong == term.wrong
-        if same and other.effects == term.effects:
-            return other
-    return None
+    asked = term.name, term.wrong, term.effects
+    return next((t for t in candidates.terms if (t.name, t.wrong, t.effects) == asked), None)
 
 
 def _finest(candidates: Candidates, term: Term, finer: Sequence[Effect]) -> Term | None:
     """The term with its refined shape, where it has one."""
-    alone = term.effects[0] if len(term.effects) == 1 else None
+    alone = term.alone
     for effect in finer:
         if alone is not None and type(effect) is type(alone) and _near(effect, alone):
             return _again(candidates, replace(term, effects=(effect,)))
@@ -529,9 +528,8 @@ def _finest(candidates: Candidates, term: Term, finer: Sequence[Effect]) -> Term
 def _near(one: Effect, two: Effect) -> bool:
     if isinstance(one, Contact) and isinstance(two, Contact):
         # Of two pushes that overlap one is the other, refined.
-        starts = [c.start or 0.0 for c in (one, two)]
-        stops = [math.inf if c.stop is None else c.stop for c in (one, two)]
-        return one.tip == two.tip and starts[0] < stops[1] and starts[1] < stops[0]
+        (a, b), (c, d) = span_of(one), span_of(two)
+        return one.tip == two.tip and a < d and c < b
     return one.identity == two.identity
 
 
@@ -543,6 +541,6 @@ def _changed(old: Model, new: Model, data: Data) -> bool:
     for segment in data.segments:
         # Columns scale with the model's torque: is it another?
         a, b = old.load(segment.motion), new.load(segment.motion)
-        if bool(((a - b).square().mean(0) > CHANGED**2 * b.square().mean(0) + 1e-300).any()):
+        if bool(((a - b).square().mean(0) > CHANGED_SHARE**2 * b.square().mean(0) + 1e-300).any()):
             return True
     return False

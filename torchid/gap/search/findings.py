@@ -14,35 +14,34 @@ from torchid.effects.registry import KINDS
 from torchid.effects.spring import JointSpring
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
-from torchid.gap.diagnosis import Finding
+from torchid.gap.diagnosis import Finding, unit_of
 from torchid.gap.record import Experiment, Informative, Parametric
-from torchid.gap.search.climb import TRIED, moves
+from torchid.gap.search.climb import MOVES_TRIED, candidate_moves
 from torchid.gap.search.evidence import (
     Fitted,
     Question,
-    apart,
     common_names,
+    comparable,
     directions,
-    fit_each,
-    fit_terms,
-    in_turn,
+    greedy_shares,
+    log_likelihood_ratio,
+    refit,
+    refit_each,
     residual,
-    risen,
 )
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.odds import Misfit, Odds, odds
 from torchid.gap.search.replication import OwnTorque, own_torque, replication
-from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies
+from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excluding
 from torchid.results.answer import NotTestable
 from torchid.robot.inertia import InertialParameters
-from torchid.robot.model import JointType
 from torchid.statistics.criteria import LIKELY, SET_ODDS
 from torchid.typing import Int, Tensor
 
-LARGE = 0.5
+LARGE_SHARE = 0.5
 """Torque, as a share of the joint's own, below which a testable effect must be detectable."""
 
-HOPELESS = 3600.0
+HOPELESS_SECONDS = 3600.0
 """Seconds of the same motion beyond which only another motion can help."""
 
 
@@ -86,9 +85,9 @@ def judge_terms(found: Explanation, misfit: Misfit) -> list[Judged]:
     out = []
     for k, term in enumerate(found.terms):
         # What the others leave, refitted.
-        rest = [t for t in found.terms if t is not term]
-        without = fit_terms(question, rest, fit.effective, fit.weight, 10)
-        tried = likely(question, fit, without, term)
+        rest = excluding(found.terms, [term])
+        without = refit(question, fit, rest, 10)
+        tried = likely_terms(question, fit, without, term)
         others = alternatives(question, fit, without, term, tried)
         own = own_torque(found.solution, fixed + k)
         its = odds(question, (fit, without), found.solution, fixed + k, own, misfit, others)
@@ -128,7 +127,7 @@ def describe_findings(found: Explanation, judged: Sequence[Judged], closed: floa
     """
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
     samples = question.candidates.columns.samples
-    shares, firsts = in_turn(question, fit, found.terms)
+    shares, firsts = greedy_shares(question, fit, found.terms)
     effects, parametric, undecided, rivals = [], [], [], []
     for k, (term, one) in enumerate(zip(found.terms, judged, strict=True)):
         share, first = closed * shares[k], closed * firsts[k]
@@ -148,7 +147,7 @@ def describe_findings(found: Explanation, judged: Sequence[Judged], closed: floa
             Finding(
                 effect=own[0],
                 values=tuple(values.tolist()),
-                joints=_felt(found, fixed + k, own),
+                joints=_felt(found, fixed + k),
                 ambiguous_with=names,
                 std=tuple(std.tolist()),
                 p_value=p,
@@ -173,10 +172,10 @@ def _separable(found: Explanation, one: Judged) -> Term | None:
     """The best alternative that other data could separate from a term: one that leaves the same is
     the same, and no data of this kind tell them apart."""
     question, fit = found.question, found.fit
-    rest = [t for t in found.terms if t is not one.term]
+    rest = excluding(found.terms, [one.term])
     for _, other in one.others:
-        again = fit_terms(question, (*rest, other), fit.effective, fit.weight)
-        differs = risen(fit.effective, again.losses, fit.losses)
+        again = refit(question, fit, (*rest, other))
+        differs = log_likelihood_ratio(fit.effective, again.losses, fit.losses)
         if other.name != BASE and float(differs.abs().sum()) >= 0.1:
             return other
     return None
@@ -187,11 +186,11 @@ def _without_bodies(found: Explanation, one: Judged) -> tuple[Fitted, Fitted]:
     parameters hold whatever it does."""
     question, fit = found.question, found.fit
     if one.term.name != PAYLOAD:
-        return apart(question, fit, one.without)
+        return comparable(question, fit, one.without)
     effects = [t for t in found.terms if t.name != BASE]
-    lighter = [t for t in effects if t is not one.term]
-    both = (fit_terms(question, e, fit.effective, fit.weight, 10) for e in (effects, lighter))
-    return apart(question, *both)
+    lighter = excluding(effects, [one.term])
+    both = (refit(question, fit, e, 10) for e in (effects, lighter))
+    return comparable(question, *both)
 
 
 def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> float:
@@ -199,31 +198,31 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
     number of samples (Wilks 1938), times all candidates. A joint of what most joints have was not
     searched for."""
     # Twice the logarithm of the likelihoods' ratio, over the directions that the term has.
-    ratio = float(risen(fit.effective, without.losses, fit.losses).sum())
+    ratio = float(log_likelihood_ratio(fit.effective, without.losses, fit.losses).sum())
     if term.seen is not None or question.known:
         ratio += without.known - fit.known
     df = directions(question, term) + term.shapes
-    own = fit.terms[len(question.fixed) :]
+    own = question.own(fit)
     searched = term.name not in common_names(own, question.joints)
     looks = question.looks if searched else 1.0
     return min(1.0, looks * float(chdtrc(df, max(0.0, ratio))))
 
 
-def likely(
+def likely_terms(
     question: Question, fit: Fitted, without: Fitted, term: Term
 ) -> list[tuple[float, Term]]:
     """Terms in the place of one, with the rise of the evidence, the best first: in order of what
     they promise, until ten are beyond the odds."""
-    others = without.terms[len(question.fixed) :]
-    found = [m for _, m in moves(question, without, term) if m[0].key != term.key]
+    others = question.own(without)
+    found = [m for _, m in candidate_moves(question, without, term) if m[0].key != term.key]
     tried: list[tuple[float, Term]] = []
     failed = 0
-    while found and failed < TRIED:
+    while found and failed < MOVES_TRIED:
         # As many at once as may still fail.
-        some, found = found[: TRIED - failed], found[TRIED - failed :]
-        fits = fit_each(question, [(*others, *m) for m in some], fit.effective, fit.weight)
+        some, found = found[: MOVES_TRIED - failed], found[MOVES_TRIED - failed :]
+        fits = refit_each(question, fit, [(*others, *m) for m in some])
         for (other, *_), again in zip(some, fits, strict=True):
-            now, then = apart(question, fit, again)
+            now, then = comparable(question, fit, again)
             tried.append((then.evidence - now.evidence, other))
             failed += tried[-1][0] <= -2 * math.log(SET_ODDS)
     return sorted(tried, key=lambda pair: -pair[0])
@@ -239,10 +238,10 @@ def alternatives(
     """Of the likely terms those that explain as much in a term's place, one a name: those within
     the odds; and base parameters that do as well, whatever they cost, for then the effect stands
     only if the parameters are trusted."""
-    others = without.terms[len(question.fixed) :]
+    others = question.own(without)
     found = [pair for pair in tried if pair[0] > -2 * math.log(SET_ODDS)]
     # A shape at the end of its range has become another effect, which is never left out.
-    alone = term.effects[0] if len(term.effects) == 1 else None
+    alone = term.alone
     motions = question.candidates.columns.motions
     if term.shapes and isinstance(alone, JointEffect) and alone.at_an_end(motions):
         found += [f for f in tried[len(found) :] if f[1].name != term.name][:1]
@@ -256,11 +255,9 @@ def alternatives(
         if base.name == BASE and not skip:
             # What does not do as well with any numbers does not with those of bodies.
             for conic in (False, True):
-                again = fit_terms(
-                    question, (*others, base), fit.effective, fit.weight, 10, conic=conic
-                )
-                now, then = apart(question, fit, again)
-                lost = risen(now.effective, then.losses, now.losses)
+                again = refit(question, fit, (*others, base), 10, conic=conic)
+                now, then = comparable(question, fit, again)
+                lost = log_likelihood_ratio(now.effective, then.losses, now.losses)
                 if float(lost.sum()) >= 2 * math.log(SET_ODDS):
                     break
             else:
@@ -268,16 +265,16 @@ def alternatives(
     return list(names.values())
 
 
-def _felt(found: Explanation, k: int, effects: Sequence[Effect]) -> tuple[int, ...]:
-    """The effect's joints; of a global one those whose torque it changes by as much as is worth a
-    name."""
-    if len(effects) == 1 and effects[0].joints:
-        return effects[0].joints
+def _felt(found: Explanation, k: int) -> tuple[int, ...]:
+    """Joints of the k-th term; of a global effect those whose torque it changes by as much as is
+    worth a name."""
     solution = found.solution
+    if joints := solution.terms[k].joints:
+        return joints
     # Where its torque is worth a name.
     torque = torch.tensordot(solution.values[k], solution.a[solution.at(k)], 1)
-    rows = found.question.normal.rows.clamp(min=1)
-    felt = (torque.square().sum(1) / rows).sqrt() >= found.question.least(found.empty.losses / rows)
+    mean = found.question.mean
+    felt = mean(torque.square().sum(1)).sqrt() >= found.question.least(mean(found.empty.losses))
     return tuple(felt.nonzero().flatten().tolist())
 
 
@@ -341,13 +338,13 @@ def next_experiment(
     # Of the ambiguous causes that which holds most.
     held = []
     for term, _ in said.open:
-        rest = [t for t in found.terms if t is not term]
-        without = fit_terms(question, rest, fit.effective, fit.weight)
+        rest = excluding(found.terms, [term])
+        without = refit(question, fit, rest)
         held.append(float((fit.weight * without.losses).sum()))
     term, other = said.open[max(range(len(held)), key=held.__getitem__)]
     # Where the two explanations differ most, block by block.
-    rest = [t for t in found.terms if t is not term]
-    again = fit_terms(question, (*rest, other), fit.effective, fit.weight)
+    rest = excluding(found.terms, [term])
+    again = refit(question, fit, (*rest, other))
     mine = residual(question, fit.terms, fit.x) - residual(question, again.terms, again.x)
     # Squared difference of the two, block by block; the clearest block is named.
     left = torch.zeros(int(block.max()) + 1, dtype=torch.float64)
@@ -373,7 +370,7 @@ def next_experiment(
             to_s=start + float(t[instants[-1]] - t[instants[0]]),
             share=float(left[best]) / max(1e-12, total),
         ),
-        seconds_of_the_same_motion=seconds if seconds < HOPELESS else None,
+        seconds_of_the_same_motion=seconds if seconds < HOPELESS_SECONDS else None,
     )
 
 
@@ -418,14 +415,11 @@ def not_testable(found: Explanation, data: Data) -> list[NotTestable]:
         elif term.place is not None:
             square = size / float(weight[term.place] * normal.rows[term.place].clamp(min=1))
             torque = float(question.torque[term.place].sqrt())
-            if math.sqrt(needed / left * square) > LARGE * torque:
+            if math.sqrt(needed / left * square) > LARGE_SHARE * torque:
                 reason = "noise hides it up to half of the joint's torque"
         if reason:
-            joint = effect.joints[:1]
-            prismatic = bool(joint) and robot.joint_types[joint[0]] is JointType.PRISMATIC
-            unit = effect.coefficients[0].unit_for(prismatic)
-            joints_of = () if len(term.effects) > 1 else effect.joints
-            out.append(NotTestable(effect.name, joints_of, smallest, unit, reason))
+            unit = unit_of(effect.coefficients[0].unit, effect.joints[:1], robot)
+            out.append(NotTestable(effect.name, term.joints, smallest, unit, reason))
     # Effects whose columns need bodies, where only base parameters are known.
     bodies = are_bodies(question.candidates.columns.model.robot)
     for kind in () if bodies else (KINDS[n] for n in wanted.names if KINDS[n].of_bodies):
@@ -441,6 +435,6 @@ def not_testable(found: Explanation, data: Data) -> list[NotTestable]:
         if not issubclass(kind, JointEffect) or kind.needs & data.missing:
             continue
         if (kind.name, (j,)) not in known and wanted.asks(kind.name, (j,)):
-            unit = kind.coefficients[0].unit_for(robot.joint_types[j] is JointType.PRISMATIC)
+            unit = unit_of(kind.coefficients[0].unit, (j,), robot)
             out.append(NotTestable(kind.name, (j,), None, unit, "the motion does not excite it"))
     return out

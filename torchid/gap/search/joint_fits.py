@@ -12,10 +12,10 @@ from torchid.gap.record import Fitted, JointFit
 from torchid.gap.search.explain import Explanation, fit_to_convergence, solve
 from torchid.gap.search.findings import Findings
 from torchid.gap.search.solve import Solution
-from torchid.gap.search.terms import BASE, LINK, Term
+from torchid.gap.search.terms import BASE, LINK, Term, excluding
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 
-MOST = 8
+MOST_ALTERNATIVES = 8
 """Alternatives that are fitted at most, the likeliest first."""
 
 
@@ -33,8 +33,8 @@ def joint_fits(found: Explanation, said: Findings, problem: Problem) -> tuple[Jo
         return ()
     question, fit = found.question, found.fit
     out = [_fit(solution, 0.0, "")]
-    for rise, term, other in sorted(said.rivals, key=lambda r: -r[0])[:MOST]:
-        others = [t for t in fit.terms if t is not term]
+    for rise, term, other in sorted(said.rivals, key=lambda r: -r[0])[:MOST_ALTERNATIVES]:
+        others = excluding(fit.terms, [term])
         again = fit_to_convergence(question, [*others, other], fit)
         # What physics then refuses has left, and with it the alternative.
         if not any(t is other for t in again.terms):
@@ -74,7 +74,7 @@ def _names(term: Term, solution: Solution) -> list[tuple[str, ...]]:
     """Names of each coefficient: bodies' by link; of one that joints share all of theirs."""
     if term.name != BASE:
         return list(zip(*(e.coefficient_names() for e in term.effects), strict=True))
-    entries = term.at.tolist() if term.bodies else solution.wanted.independent
+    entries = term.at.tolist() if term.bodies else solution.wanted.base.by_link
     places = (divmod(k, PARAMETERS_PER_LINK) for k in entries)
     return [(LinkInertia(link).coefficient_names()[k],) for link, k in places]
 
@@ -83,6 +83,5 @@ def _words(term: Term) -> str:
     """`viscous_friction of joint 2`."""
     if term.name == BASE:
         return "all base parameters"
-    at = term.effects[0].joints if len(term.effects) == 1 else ()
-    joints = " and ".join(str(j + 1) for j in at)
-    return f"{term.name} of joint {joints}" if at else term.name
+    joints = " and ".join(str(j + 1) for j in term.joints)
+    return f"{term.name} of joint {joints}" if joints else term.name

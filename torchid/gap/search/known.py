@@ -5,14 +5,13 @@ from dataclasses import replace
 
 import torch
 
-from torchid.effects.base import Effect
+from torchid.gap.diagnosis import unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import Known, KnownCoefficient, Open
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.terms import BASE, LINK
 from torchid.identification.knowledge import BETWEEN, known_names, learned
 from torchid.robot.knowledge import Knowledge
-from torchid.robot.model import JointType, Robot
 from torchid.typing import Float, Tensor
 
 AS_CAD = (
@@ -60,7 +59,7 @@ def known_of(
     named = {n for t in found.terms for e in t.effects for n in known_names(e)}
     # Coefficients, as the model had them and has them now.
     ends = [
-        {name: (v, c.unit_for(_slides(robot, e)))
+        {name: (v, unit_of(c.unit, e.joints, robot))
          for e, values in model.effects
          for name, v, c in zip(known_names(e), values, e.coefficients, strict=True)}
         for model in (solution.start, solution.model)
@@ -82,9 +81,8 @@ def known_of(
     fixed = len(found.question.fixed)
     held = sum(len(v) for v in solution.values[:fixed])
     slack = torch.cat([torch.zeros(0, dtype=torch.float64), *solution.values[:fixed]])
-    rows = found.question.normal.rows.clamp(min=1.0)
-    added = (torch.tensordot(slack, solution.a[:held], 1).square().sum(1) / rows).sqrt()
-    left = (solution.left.square().sum(1) / rows).sqrt()
+    moved = torch.tensordot(slack, solution.a[:held], 1)
+    added, left = (found.question.mean(x.square().sum(1)).sqrt() for x in (moved, solution.left))
     joints = tuple(
         Open(
             joint=j,
@@ -121,8 +119,3 @@ def closing_motion(joint: int) -> str:
 def finite(value: float) -> float | None:
     """None of what is infinite: unknown."""
     return value if math.isfinite(value) else None
-
-
-def _slides(robot: Robot, effect: Effect) -> bool:
-    kinds = {robot.joint_types[j] for j in effect.joints}
-    return kinds == {JointType.PRISMATIC}

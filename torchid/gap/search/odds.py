@@ -18,7 +18,14 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.effects.registry import EVENTS
-from torchid.gap.search.evidence import Fitted, Question, acting, apart, cost, risen
+from torchid.gap.search.evidence import (
+    Fitted,
+    Question,
+    active_share,
+    comparable,
+    cost,
+    log_likelihood_ratio,
+)
 from torchid.gap.search.replication import OwnTorque, motions, regimes
 from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import BASE, LINK, Term
@@ -88,19 +95,23 @@ def odds(
         misfit: that the model leaves.
         others: terms that may stand in its place, with the rise of the evidence.
     """
-    now, then = apart(question, *fits)
+    now, then = comparable(question, *fits)
     term = solution.terms[k]
-    rest = then.terms[len(question.fixed) :]
+    rest = question.own(then)
 
     def price(terms: Sequence[Term]) -> float:
         return cost(question, terms, now.effective, EXPECTED)
 
-    mine = price(now.terms[len(question.fixed) :])
-    gain = float(risen(now.effective, then.losses, now.losses).sum()) + then.known - now.known
+    mine = price(question.own(now))
+    gain = (
+        float(log_likelihood_ratio(now.effective, then.losses, now.losses).sum())
+        + then.known
+        - now.known
+    )
     # What happened once lies in one block, and what acts beyond a limit in few: no others can speak
     # for it.
     local = any(e.event or e.at_ends for e in term.effects)
-    power = 1.0 if local or gain <= 0 else min(1.0, wald(solution, k) / gain)
+    power = 1.0 if local or gain <= 0 else min(1.0, wald_size(solution, k) / gain)
     each = []
     for rise, other in others:
         if other.name == BASE and not question.known:
@@ -112,7 +123,7 @@ def odds(
     return Odds(mine - price(rest) - power * gain, tuple(each), beyond)
 
 
-def wald(solution: Solution, k: int) -> float:
+def wald_size(solution: Solution, k: int) -> float:
     """Squared size of a term's coefficients in standard deviations between blocks (Wald 1943)."""
     values, own = solution.values[k], solution.at(k)
     covariance = solution.covariance[own, own]
@@ -132,11 +143,10 @@ def unknown(
 ) -> float:
     """Twice the logarithm of the odds that something else than the library's is in a term's
     place."""
-    rows = question.normal.rows.clamp(min=1.0)
-    fall = ((fits[1].losses - fits[0].losses) / rows).clamp(min=0) / acting(question, [term])
+    fall = question.fall(*fits) / active_share(question, [term])
     ratio = fall / misfit.squares.clamp(min=1e-12 * float(fall.max()) + 1e-300)
     # Where it acts, or shows most.
-    places = term.effects[0].joints if len(term.effects) == 1 else ()
+    places = term.joints
     joint = places[0] if len(places) == 1 else int(ratio.argmax())
     ways: list[Factors] = []
     if not any(e.name in EVENTS or e.at_ends for e in term.effects):

@@ -27,7 +27,7 @@ from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Int, Tensor
 
 STEPS = 4
-SETTLED = 1e-4
+SETTLED_SHARE = 1e-4
 """Gauss-Newton steps at most, and the share of the loss that one must gain to be followed by
 another."""
 
@@ -90,10 +90,10 @@ class Solution:
         again = prior_of(self.terms).solve(a @ a.T, a @ y).x
         again = torch.where(free, again, x)
         parts = again.split([len(v) for v in self.values])
-        return corrected(self.start, self.terms, parts, self.wanted)
+        return corrected_model(self.start, self.terms, parts, self.wanted)
 
 
-def solved(
+def solve_terms(
     columns: Columns,
     terms: Sequence[Term],
     x: Sequence[Float[Tensor, " _"]],
@@ -124,7 +124,7 @@ def solved(
     for step in range(STEPS + 1):
         # The corrected model at the estimate, and what it leaves.
         taken = [at_estimate(t, v) for t, v in zip(taken, values, strict=True)]
-        model = corrected(start, taken, values, wanted)
+        model = corrected_model(start, taken, values, wanted)
         at = columns.at(model)
         left = at.gap * data.keep
         # Every joint in units of what it leaves; rows far out, at reversals, count as their limit.
@@ -143,7 +143,7 @@ def solved(
         best = Solution(
             start, wanted, tuple(taken), tuple(values), (), unknown, model, of_joint, a, left
         )
-        if (step > 1 and last - loss < SETTLED * last) or step == STEPS or not len(a):
+        if (step > 1 and last - loss < SETTLED_SHARE * last) or step == STEPS or not len(a):
             break
         last = loss if step > 0 else torch.inf
         # Gauss-Newton: what the columns see in what is left, and what is known beforehand.
@@ -152,8 +152,17 @@ def solved(
         whole = within_physics(taken, known, gram, flat @ (left * weight).flatten() + gram @ whole)
         values = list(whole.split([len(v) for v in values]))
     assert best is not None
-    if not len(best.a):
-        return best
+    return _with_deviations(best, data, block, known, weight) if len(best.a) else best
+
+
+def _with_deviations(
+    best: Solution,
+    data: Data,
+    block: Int[Tensor, " N"],
+    known: Prior,
+    weight: Float[Tensor, "n N"],
+) -> Solution:
+    """A solution with the covariance of its coefficients; rows count by their weights."""
     # Standard deviations from the spread of whole blocks of samples, all joints together, and from
     # what is known beforehand. Few blocks tell little of a spread, and one alone nothing: rows are
     # in units of what an independent sample leaves.
@@ -177,7 +186,7 @@ def solved(
         differs = torch.zeros_like(v) if t.seen is None else v - t.centre
         twice.append(torch.tensor(unsure, dtype=torch.float64).square() + differs.square())
     covariance = covariance + torch.diag(torch.cat(twice))
-    std = covariance.diagonal().clamp(min=0).sqrt().split([len(v) for v in values])
+    std = covariance.diagonal().clamp(min=0).sqrt().split([len(v) for v in best.values])
     return replace(best, std=tuple(std), covariance=covariance)
 
 
@@ -239,7 +248,7 @@ def at_estimate(term: Term, values: Float[Tensor, " C"]) -> Term:
     return replace(term, effects=tuple(e.at_estimate(values.tolist()) for e in term.effects))
 
 
-def corrected(
+def corrected_model(
     start: Model, terms: Sequence[Term], values: Sequence[Float[Tensor, " _"]], wanted: Wanted
 ) -> Model:
     """The model with the fitted terms: other inertial parameters, further effects. An effect that
@@ -249,7 +258,7 @@ def corrected(
     pi, effects = nominal.clone(), list[Valued](start.effects)
     for term, v in zip(terms, values, strict=True):
         if term.name == BASE:
-            pi.view(-1)[term.at if term.bodies else wanted.independent] += v
+            pi.view(-1)[term.at if term.bodies else wanted.base.by_link] += v
         elif term.change is not None:
             pi += float(v) * term.change
         elif term.name == LINK:

@@ -123,12 +123,20 @@ class Term:
         """The joint whose torque alone each column is in; -1 where there is none."""
         return torch.full_like(self.at, -1 if self.place is None else self.place)
 
+    @property
+    def alone(self) -> Effect | None:
+        """Its one effect; None of base parameters, and of several that share their coefficients."""
+        return self.effects[0] if len(self.effects) == 1 else None
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Joints, from 0, that it acts at; none of what belongs to the whole arm."""
+        return () if self.alone is None else self.alone.joints
+
     @cached_property
     def key(self) -> tuple[object, ...]:
         """What it is, whatever its shape: effect and place, or that all joints share it."""
-        if len(self.effects) == 1:
-            return self.effects[0].identity
-        return (self.name, len(self.effects))
+        return (self.name, len(self.effects)) if self.alone is None else self.alone.identity
 
     @property
     def inertial(self) -> bool:
@@ -151,6 +159,11 @@ class Term:
         be among them; none of the model's own effect, whose shape is given."""
         own = any(self.known) and not self.inertial
         return len(self.effects[0].shapes) if self.effects and not own else int(self.wrong)
+
+
+def excluding(terms: Sequence[Term], gone: Sequence[Term]) -> list[Term]:
+    """Terms but for some of them."""
+    return [t for t in terms if all(t is not g for g in gone)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +198,6 @@ class Candidates:
         gram: joint by joint, fold by fold; part 0 holds samples between folds.
         terms: candidates.
         fixed: terms that are always in the model.
-        batches: the candidates, by place and number of columns.
     """
 
     columns: Columns
@@ -194,7 +206,11 @@ class Candidates:
     gram: Gram
     terms: tuple[Term, ...]
     fixed: tuple[Term, ...]
-    batches: tuple[Batch, ...]
+
+    @cached_property
+    def batches(self) -> tuple[Batch, ...]:
+        """The candidates, by place and number of columns."""
+        return tuple(_batches(self.terms))
 
 
 def term_columns(columns: Columns, term: Term) -> Float[Tensor, "C n N"]:
@@ -232,108 +248,113 @@ def candidates_of(
         given: the model as given.
         extra: further shapes and windows of effects.
     """
-    n, robot = columns.n, columns.model.robot
-    common: list[Tensor] = [columns.regressor.flatten(0, 1)]
-    local: dict[int, list[Tensor]] = {joint: [] for joint in range(n)}
-    terms: list[Term] = _bodies(columns, wanted)
-    filled = common[0].shape[0]
-    own = [0] * n
-
-    def put(effects: tuple[Effect, ...], place: Place, x: Tensor) -> Term:
-        """Columns take their rows in the matrices, and become a term."""
-        nonlocal filled
-        if place is None:
-            at = torch.arange(filled, filled + len(x))
-            common.append(x)
-            filled += len(x)
-        else:
-            at = torch.arange(own[place], own[place] + len(x))
-            local[place].append(x)
-            own[place] += len(x)
-        effect = effects[0]
-        coefficients, known = effect.coefficients, _known(effects, given.effects)
-        # Another sensor says what a coefficient is, or else physics how large it can be.
-        seen = _seen(columns, data, effect)
-        sizes = [c.largest / 2 for c in coefficients] if seen is None else [seen.std]
-        # A model that was fitted to the arm's own logs is in units of its sensors: a scale that is
-        # another one now has changed, by whatever amount.
-        scale = effect.scale_of_torque and wanted.knowledge is None
-        if scale and data.gain_said:
-            sizes = [data.gain_std]
-        sigma = torch.tensor(sizes, dtype=torch.float64)
-        return Term(
-            effect.name, effects, place, at, coefficients, known, sigma=sigma, seen=seen,
-            wrong=scale and not data.gain_said,
-        )  # fmt: skip
-
-    # Effects of the whole arm, and those that all joints share.
-    there: set[Effect] = set()
-    for every in _model_effects(wanted, data, columns, extra):
-        some = [e for e in every if e not in there]
-        starts = list(zip(some, columns.of_several(some), strict=True))
-        finer = [e for e in _between(columns, gap, data.keep, starts) if e not in there]
-        for effect, (place, x) in (*starts, *zip(finer, columns.of_several(finer), strict=True)):
-            terms.append(put((effect,), place, x))
-        there |= {*some, *finer}
-    for made, change in _file_mistakes(wanted, given.robot):
-        x = torch.tensordot(change, columns.regressor, 2).unsqueeze(0)
-        terms.append(replace(put(made, None, x), change=change))
+    rows = _Rows(columns, data, wanted, given)
+    terms = [*_bodies(columns, wanted), *_of_the_arm(rows, gap, extra)]
     # The model's own, which are corrected within what is known of them, candidates or not.
-    there |= {e for t in terms for e in t.effects}
-    own_effects = [e for e, _ in given.effects if wanted.knowledge is not None and not e.event]
-    beside: list[Term] = []
-    for e in own_effects:
-        if isinstance(e, ModelEffect) and not e.inertial and e not in there:
-            beside.append(put((e,), *columns.of(e)))
+    own = [e for e, _ in given.effects if wanted.knowledge is not None and not e.event]
+    there = {e for t in terms for e in t.effects}
+    beside = [
+        rows.put((e,), *columns.of(e))
+        for e in own
+        if isinstance(e, ModelEffect) and not e.inertial and e not in there
+    ]
     for name in wanted.names:
         if KINDS[name].shared and not issubclass(KINDS[name], FileMistake):
-            shared = tuple(KINDS[name].candidates(robot))  # type: ignore[attr-defined]
-            terms.append(put(shared, None, sum(columns.on_all_joints(e) for e in shared)))  # type: ignore[arg-type]
-    # Effects of one joint: all shapes of the grid, and some that no grid holds. Once they are in
-    # the joint's matrix, its columns are not needed any more.
-    gram = Gram(filled, n, int(parts.max()) + 1)
-    for joint in range(n):
-        for kind in _joint_kinds(wanted, data, joint) if joint in robot.driven else ():
-            shapes = kind.grid(columns.motions, joint, columns.samples.cutoff)
-            if not len(shapes):  # a ripple on a joint that never moves
-                continue
-            names = [s.name for s in kind.shapes]
-            effects = [kind(joint, **dict(zip(names, v, strict=True))) for v in shapes.tolist()]
-            found = columns.of_shapes(kind, joint, shapes)
-            terms += [put((e,), joint, x) for e, x in zip(effects, found, strict=True)]
-        for shaped in _own_shapes(wanted, given.effects, joint, extra):
-            terms.append(put((shaped,), joint, columns.of(shaped)[1]))
+            shared = tuple(KINDS[name].candidates(columns.model.robot))  # type: ignore[attr-defined]
+            terms.append(rows.put(shared, None, sum(columns.on_all_joints(e) for e in shared)))  # type: ignore[arg-type]
+    # Once a joint's columns are in its matrix, they are not needed any more.
+    gram = Gram(rows.filled, columns.n, int(parts.max()) + 1)
+    for joint in range(columns.n):
+        terms += _of_joint(rows, joint, extra)
         there = {t.effects[0] for t in terms if t.place == joint}
-        for e in own_effects:
+        for e in own:
             if isinstance(e, JointEffect) and e.joint == joint and e not in there:
-                beside.append(put((e,), joint, columns.of(e)[1]))
-        rows = [*(x[:, joint] for x in common), *local.pop(joint)]
-        gram.add(joint, rows, gap[joint], data.keep[joint], parts)
+                beside.append(rows.put((e,), joint, columns.of(e)[1]))
+        gram.add(joint, rows.taken(joint), gap[joint], data.keep[joint], parts)
     # Own columns stand behind the common ones.
     terms, beside = (
-        [t if t.place is None else replace(t, at=t.at + filled) for t in some]
+        [t if t.place is None else replace(t, at=t.at + rows.filled) for t in some]
         for some in (terms, beside)
     )
     terms = _standing_in(terms, given.effects)
     if wanted.knowledge is not None:
         fixed = known_terms([*terms, *beside], wanted.knowledge, given.effects)
-        chosen = [t for t in terms if _is_asked(wanted, t)]
-        return Candidates(
-            columns, gap, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen))
-        )
-    # What is always in the model is no candidate, nor are bodies beside free base parameters.
-    asked = [(t.name, t.effects) for t in fixed_terms(columns, wanted)]
-    fixed = tuple(t for t in terms if (t.name, t.effects) in asked)
-    always = {id(t) for t in fixed}
-    chosen = [t for t in terms if _is_asked(wanted, t) and id(t) not in always]
-    if wanted.free:
-        chosen = [t for t in chosen if not t.inertial]
-    return Candidates(columns, gap, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen)))
+    else:
+        # What is always in the model is no candidate, nor are bodies beside free base parameters.
+        asked = [(t.name, t.effects) for t in fixed_terms(columns, wanted)]
+        fixed = tuple(t for t in terms if (t.name, t.effects) in asked)
+        terms = [t for t in excluding(terms, fixed) if not (wanted.free and t.inertial)]
+    chosen = tuple(t for t in terms if wanted.asks(t.name, t.joints))
+    return Candidates(columns, gap, data.keep, gram, chosen, fixed)
 
 
-def _is_asked(wanted: Wanted, term: Term) -> bool:
-    """Whether a term is one of the candidates."""
-    return wanted.asks(term.name, term.effects[0].joints if len(term.effects) == 1 else ())
+class _Rows:
+    """Columns that take their rows in the joints' matrices, one after the other; first the common
+    ones, which all joints have."""
+
+    def __init__(self, columns: Columns, data: Data, wanted: Wanted, given: Model):
+        self.columns, self.data, self.wanted, self.given = columns, data, wanted, given
+        self._common = [columns.regressor.flatten(0, 1)]
+        self._own: list[list[Tensor]] = [[] for _ in range(columns.n)]
+        self.filled = len(self._common[0])
+
+    def put(self, effects: tuple[Effect, ...], place: Place, x: Float[Tensor, "C ..."]) -> Term:
+        """Columns become a term."""
+        first = self.filled if place is None else sum(map(len, self._own[place]))
+        (self._common if place is None else self._own[place]).append(x)
+        self.filled += len(x) if place is None else 0
+        effect, data = effects[0], self.data
+        # Another sensor says what a coefficient is, or else physics how large it can be.
+        seen = _seen(self.columns, data, effect)
+        sizes = [c.largest / 2 for c in effect.coefficients] if seen is None else [seen.std]
+        # A model that was fitted to the arm's own logs is in units of its sensors: a scale that is
+        # another one now has changed, by whatever amount.
+        scale = effect.scale_of_torque and self.wanted.knowledge is None
+        if scale and data.gain_said:
+            sizes = [data.gain_std]
+        return Term(
+            effect.name, effects, place, torch.arange(first, first + len(x)), effect.coefficients,
+            _known(effects, self.given.effects), sigma=torch.tensor(sizes, dtype=torch.float64),
+            seen=seen, wrong=scale and not data.gain_said,
+        )  # fmt: skip
+
+    def taken(self, joint: int) -> list[Tensor]:
+        """All columns of a joint's matrix, its own for the last time."""
+        own, self._own[joint] = self._own[joint], []
+        return [*(x[:, joint] for x in self._common), *own]
+
+
+def _of_the_arm(rows: _Rows, gap: Float[Tensor, "n N"], extra: Sequence[Effect]) -> list[Term]:
+    """Effects of the whole arm, and mistakes of its file."""
+    columns, terms, there = rows.columns, list[Term](), set[Effect]()
+    for every in _model_effects(rows.wanted, rows.data, columns, extra):
+        some = [e for e in every if e not in there]
+        starts = list(zip(some, columns.of_several(some), strict=True))
+        finer = [e for e in _between(columns, gap, rows.data.keep, starts) if e not in there]
+        for effect, (place, x) in (*starts, *zip(finer, columns.of_several(finer), strict=True)):
+            terms.append(rows.put((effect,), place, x))
+        there |= {*some, *finer}
+    for made, change in _file_mistakes(rows.wanted, rows.given.robot):
+        x = torch.tensordot(change, columns.regressor, 2).unsqueeze(0)
+        terms.append(replace(rows.put(made, None, x), change=change))
+    return terms
+
+
+def _of_joint(rows: _Rows, joint: int, extra: Sequence[Effect]) -> list[Term]:
+    """Effects of one joint: all shapes of the grid, and some that no grid holds."""
+    columns, wanted, terms = rows.columns, rows.wanted, list[Term]()
+    driven = joint in columns.model.robot.driven
+    for kind in _joint_kinds(wanted, rows.data, joint) if driven else ():
+        shapes = kind.grid(columns.motions, joint, columns.samples.cutoff)
+        if not len(shapes):  # a ripple on a joint that never moves
+            continue
+        names = [s.name for s in kind.shapes]
+        effects = [kind(joint, **dict(zip(names, v, strict=True))) for v in shapes.tolist()]
+        found = columns.of_shapes(kind, joint, shapes)
+        terms += [rows.put((e,), joint, x) for e, x in zip(effects, found, strict=True)]
+    for shaped in _own_shapes(wanted, rows.given.effects, joint, extra):
+        terms.append(rows.put((shaped,), joint, columns.of(shaped)[1]))
+    return terms
 
 
 def are_bodies(robot: Robot) -> bool:
@@ -381,7 +402,7 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
         out.append(Term(BASE, (), None, at, described * len(at), zero, (), free, every))
         return out
     # A base parameter's prior is that of the parameters grouped into it, link by link.
-    numbers = wanted.independent
+    numbers = wanted.base.by_link
     grouping = wanted.base.grouping[: wanted.base.n_rigid, : wanted.base.n_rigid_parameters]
     spread = (grouping[:, paper_order(n).argsort()] * sigma.flatten()).norm(dim=1)
     base = Term(
@@ -506,10 +527,10 @@ def _known(effects: tuple[Effect, ...], given: Sequence[Valued]) -> tuple[float,
 def _standing_in(terms: Sequence[Term], given: Sequence[Valued]) -> list[Term]:
     """Other shapes of an effect that the model has stand in its place, not beside it."""
     # The model's own effects, as terms.
-    own = {t.effects[0]: t for t in terms if len(t.effects) == 1}
+    own = {t.alone: t for t in terms if t.alone}
     out = []
     for term in terms:
-        alone = term.effects[0] if len(term.effects) == 1 and term.place is not None else None
+        alone = None if term.place is None else term.alone
         joint = -1 if term.place is None else term.place
         instead = [
             (joint, own[effect], torch.tensor(values, dtype=torch.float64))
@@ -533,7 +554,7 @@ def known_terms(
         given: its effects.
     """
     base = next(t for t in terms if t.name == BASE)
-    own = {t.effects[0]: t for t in terms if len(t.effects) == 1}
+    own = {t.alone: t for t in terms if t.alone}
     found = [(own[e], known_names(e)) for e, _ in given if e in own]
     found = [(t, names) for t, names in found if set(names) <= set(knowledge.coefficients)]
     # The base parameters first, in the coordinates of their term, then coefficients by name.

@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Collection
 from dataclasses import replace
 
+import torch
 from msgspec import structs
 
 from torchid.design.columns import Place
@@ -12,13 +13,20 @@ from torchid.effects.base import JointEffect
 from torchid.gap.diagnosis import unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import UnnamedEffect
-from torchid.gap.search.climb import allowed, moves
-from torchid.gap.search.evidence import Fitted, Question, acting, apart, fit_each, fit_terms
+from torchid.gap.search.climb import candidate_moves, drop_unphysical
+from torchid.gap.search.evidence import (
+    Fitted,
+    Question,
+    active_share,
+    comparable,
+    fit_terms,
+    refit,
+    refit_each,
+)
 from torchid.gap.search.explain import Explanation, solve
 from torchid.gap.search.odds import Misfit, odds
 from torchid.gap.search.replication import own_torque, replication
-from torchid.gap.search.solve import solved
-from torchid.gap.search.terms import Term
+from torchid.gap.search.terms import Term, excluding
 from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
 from torchid.robot.model import Robot
@@ -26,10 +34,10 @@ from torchid.statistics.criteria import LIKELY, UNLIKELY
 from torchid.statistics.odds import probability
 from torchid.typing import Tensor
 
-PLACES, EACH = 8, 4
+PLACES_LOOKED_AT, CANDIDATES_EACH = 8, 4
 """Places that are looked at for suspects beside what is named, and candidates of each."""
 
-MOST = 5
+MOST_SUSPECTS = 5
 """Suspects that are listed at most."""
 
 
@@ -47,16 +55,18 @@ def small_effects(
     question, fit = found.question, found.fit
     named = {t.key for t in found.terms}
     last = {t.key: t for t in found.unworthy if t.key not in named and not t.inertial}
-    whole = allowed(question, fit_terms(question, [*found.terms, *last.values()], fit.effective))
+    whole = drop_unphysical(
+        question, fit_terms(question, [*found.terms, *last.values()], fit.effective)
+    )
     # Causes that stand for each other: the least needed leaves first.
     without: dict[int, tuple[float, Tensor, Fitted]] = {}
-    while own := [t for t in whole.terms[len(question.fixed) :] if t.key in last]:
+    while own := [t for t in question.own(whole) if t.key in last]:
         without = {id(t): _without(question, whole, t) for t in own}
         gone = max(own, key=lambda t: without[id(t)][0])
         if probability([without[id(gone)][0]]) >= LIKELY:
             break
-        rest = [t for t in whole.terms[len(question.fixed) :] if t is not gone]
-        whole = allowed(question, fit_terms(question, rest, whole.effective, whole.weight))
+        rest = excluding(question.own(whole), [gone])
+        whole = drop_unphysical(question, refit(question, whole, rest))
     if not own:
         return ()
     # Their sizes, fitted together with what is told.
@@ -79,10 +89,9 @@ def small_effects(
 def _without(question: Question, whole: Fitted, term: Term) -> tuple[float, Tensor, Fitted]:
     """Rise of the evidence without a term, the error (n,) that it takes away [N m; N], and the fit
     without it."""
-    rest = [t for t in whole.terms[len(question.fixed) :] if t is not term]
-    without = fit_terms(question, rest, whole.effective, whole.weight)
-    fall = (without.losses - whole.losses).clamp(min=0) / question.normal.rows.clamp(min=1.0)
-    return _rise(question, without, whole), fall.sqrt(), without
+    rest = excluding(question.own(whole), [term])
+    without = refit(question, whole, rest)
+    return _rise(question, without, whole), question.fall(whole, without).sqrt(), without
 
 
 def suspects(
@@ -102,7 +111,6 @@ def suspects(
         moved: known coefficients that are others than they were, which are suspects at least.
     """
     question, fit = found.question, found.fit
-    rows = question.normal.rows.clamp(min=1.0)
 
     def is_moved(term: Term) -> bool:
         return any(name in moved for e in term.effects for name in known_names(e))
@@ -112,16 +120,15 @@ def suspects(
     if not best:
         return ()
     # The best of each place is asked how sure it is, all beside each other.
-    every = [*fit.terms, *(pairs[0][1] for pairs in best)]
-    start = [*fit.values(), *(pairs[0][0].values()[-1] for pairs in best)]
-    data, wanted, block = problem.data, problem.wanted, problem.block
-    solution = solved(problem.given, every, start, data, wanted, block, fit.effective)
+    every = (*fit.terms, *(pairs[0][1] for pairs in best))
+    start = torch.cat([fit.x, *(pairs[0][0].values()[-1] for pairs in best)])
+    solution = solve(problem, replace(fit, terms=every, x=start))
     # What was seen to be left unexplained before may hide a name, and no suspect.
-    least = replace(question, left=None).least(fit.losses / rows)
+    least = replace(question, left=None).least(question.mean(fit.losses))
     out: list[tuple[bool, UnnamedEffect]] = []
     for k, ((first, term), *others) in enumerate(best, len(fit.terms)):
         rivals = [(_rise(question, f, first), t) for f, t in others]
-        left = misfit.less((fit.losses - first.losses).clamp(min=0) / rows)
+        left = misfit.less(question.fall(first, fit))
         own_part = own_torque(solution, k)
         here = odds(question, (first, fit), solution, k, own_part, left, rivals)
         numbers = [(term, solution.values[k], solution.std[k], first, here.sure)]
@@ -129,13 +136,13 @@ def suspects(
             values, std = f.values()[-1], f.root.norm(dim=1)[-len(other.at) :]
             numbers.append((other, values, std, f, here.sure * math.exp(0.5 * rise)))
         for one, values, std, f, sure in numbers:
-            closes = ((fit.losses - f.losses).clamp(min=0) / rows).sqrt()
-            large = bool((closes / acting(question, [one]) ** 0.5 >= least).any())
+            closes = question.fall(f, fit).sqrt()
+            large = bool((closes / active_share(question, [one]) ** 0.5 >= least).any())
             if large or is_moved(one):
                 out.append((is_moved(one), _entry(one, values, std, closes, sure, problem.robot)))
     # What has moved is listed, however unlikely.
     kept = [pair for pair in out if pair[0] or pair[1].how_sure >= UNLIKELY]
-    kept = sorted(kept, key=lambda pair: (not pair[0], -pair[1].how_sure))[:MOST]
+    kept = sorted(kept, key=lambda pair: (not pair[0], -pair[1].how_sure))[:MOST_SUSPECTS]
     return tuple(sorted((e for _, e in kept), key=lambda e: -e.how_sure))
 
 
@@ -151,11 +158,11 @@ def _likely_places(
         return any(e.at_an_end(question.candidates.columns.motions) for e in shaped)
 
     places: dict[Place, dict[object, Term]] = {}
-    for _, (term, *more) in moves(question, found.fit):
+    for _, (term, *more) in candidate_moves(question, found.fit):
         if more or term.key in listed or is_another(term):
             continue
         own = places.setdefault(term.place, {})
-        if is_moved(term) or (len(places) <= PLACES and len(own) < EACH):
+        if is_moved(term) or (len(places) <= PLACES_LOOKED_AT and len(own) < CANDIDATES_EACH):
             own.setdefault(term.key, term)
     return [list(own.values()) for own in places.values()]
 
@@ -165,14 +172,14 @@ def _fitted_beside(found: Explanation, terms: list[Term]) -> list[tuple[Fitted, 
     refuses."""
     question, fit = found.question, found.fit
     each = [[*found.terms, t] for t in terms]
-    fits = fit_each(question, each, fit.effective, fit.weight) if each else []
+    fits = refit_each(question, fit, each) if each else []
     there = [pair for pair in zip(fits, terms, strict=True) if pair[0].evidence > -math.inf]
     return sorted(there, key=lambda pair: -_rise(question, pair[0], fit))
 
 
 def _rise(question: Question, fit: Fitted, other: Fitted) -> float:
     """Of the evidence of a fit over another one."""
-    one, two = apart(question, fit, other)
+    one, two = comparable(question, fit, other)
     return one.evidence - two.evidence
 
 
@@ -180,14 +187,13 @@ def _entry(
     term: Term, values: Tensor, std: Tensor, closes: Tensor, sure: float, robot: Robot
 ) -> UnnamedEffect:
     effect = term.effects[0]
-    joints = effect.joints if len(term.effects) == 1 else ()
-    felt = joints or (int(closes.argmax()),)
+    felt = term.joints or (int(closes.argmax()),)
     names = [c.name for c in effect.coefficients]
     shapes = dict(zip((s.name for s in effect.shapes), effect.shape_values, strict=True))
     return UnnamedEffect(
         effect=effect.name,
         family=effect.family,
-        joints=joints,
+        joints=term.joints,
         parameters=plain(dict(zip(names, values.tolist(), strict=True)) | shapes),
         std=plain(dict(zip(names, std.tolist(), strict=True))),
         unit={c.name: unit_of(c.unit, felt, robot) for c in effect.coefficients},

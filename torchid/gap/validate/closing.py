@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from torchid.gap.diagnosis import Trace
+from torchid.gap.diagnosis import HowFar, Trace
 from torchid.gap.noise.floor import BLOCK_SECONDS
-from torchid.gap.record import Budget, Interval, NoiseFloor, Residual
+from torchid.gap.record import Budget, NoiseFloor, Residual
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.proportion import HALF_90
 from torchid.statistics.resampling import (
@@ -38,21 +38,14 @@ model's own misfit, and noise measured too large would leave no room for any."""
 
 
 @dataclass(frozen=True)
-class Closing:
-    """Closed share of the closable gap.
+class Closing(HowFar):
+    """How far a gap closes.
 
     Attributes:
-        rms_before, rms_after: (n,) [N m; N].
         improves: whether resampled blocks are better after than before (one-sided 95 %).
-        closed, closed_ci95: share of the error beyond noise that is closed; None where the gap's
-            interval holds zero.
     """
 
-    rms_before: Float[Tensor, " n"]
-    rms_after: Float[Tensor, " n"]
-    improves: bool
-    closed: float | None
-    closed_ci95: Interval | None
+    improves: bool = False
 
 
 def noise_variance(floor: NoiseFloor) -> Float[Tensor, " n"]:
@@ -130,7 +123,7 @@ def closing(
     )
     # A gap that may be zero has no share that could be closed.
     if not excess[0] > 0:
-        return Closing(rms[0], rms[1], improves, None, None)
+        return Closing(rms[0], rms[1], None, None, improves=improves)
     if motions is not None:
         # How far on others: motions are drawn, and then blocks of each.
         own = np.repeat(motions, [len(p[0]) for p in parts])
@@ -150,9 +143,9 @@ def closing(
     left = rms[1].square().sum()
     value = float(closed_share(rms[0].square().sum(), left, torch.minimum(noise.sum(), left)))
     if value != value:
-        return Closing(rms[0], rms[1], improves, None, None)
+        return Closing(rms[0], rms[1], None, None, improves=improves)
     ends_of = [*(x for pair in intervals for x in pair if x == x), value]
-    return Closing(rms[0], rms[1], improves, value, (min(ends_of), max(ends_of)))
+    return Closing(rms[0], rms[1], value, (min(ends_of), max(ends_of)), improves=improves)
 
 
 def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor) -> Budget:

@@ -43,7 +43,7 @@ def decide(found: Explanation, problem: Problem) -> Decision:
     not, the search goes on, until nothing leaves. A held-out log takes part in no choice: it judges
     what was chosen."""
     question = found.question
-    least = question.least(found.empty.losses / question.normal.rows.clamp(min=1.0))
+    least = question.least(question.mean(found.empty.losses))
     taken_back = False
     while True:
         checked = check(found, problem)

@@ -12,12 +12,14 @@ from torchid.gap.folds import FEW
 from torchid.gap.noise.floor import Noise, noise_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import Status
-from torchid.gap.search.evidence import fit_terms
+from torchid.gap.search.evidence import (
+    refit,
+)
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.findings import Findings
 from torchid.gap.search.odds import Misfit
-from torchid.gap.search.solve import Solution, solved
-from torchid.gap.search.terms import BASE, Term, Wanted, fixed_terms
+from torchid.gap.search.solve import Solution, solve_terms
+from torchid.gap.search.terms import BASE, Term, Wanted, excluding, fixed_terms
 from torchid.gap.validate.closing import Closing, closing, known_noise, levels
 from torchid.gap.validate.traces import traces
 from torchid.robot.model import joint_list
@@ -54,7 +56,7 @@ def refitted(columns: Columns, data: Data, wanted: Wanted) -> Solution:
     """The columns' model with base parameters, and the background, fitted anew."""
     terms = fixed_terms(columns, replace(wanted, free=True))
     x = [torch.zeros(len(t.at), dtype=torch.float64) for t in terms]
-    return solved(columns, terms, x, data, wanted, blocks_of(data, None))
+    return solve_terms(columns, terms, x, data, wanted, blocks_of(data, None))
 
 
 def blocks_of(data: Data, columns: Columns | None) -> Int[Tensor, " N"]:
@@ -122,13 +124,13 @@ def check(
 def misfit_of(found: Explanation, checked: Checked, problem: Problem) -> Misfit:
     """What an explanation leaves without a name. Noise is white, or as repeats measure it; without
     them it is not known how much of what is left on other data is noise."""
-    rows, floor = found.question.normal.rows.clamp(min=1.0), checked.noise.floor
+    floor = checked.noise.floor
     noise = known_noise(floor)
     in_band = min(1.0, problem.data.samples.cutoff / problem.data.band) * noise
     measured = noise if floor.source == "repeats" else torch.zeros_like(noise)
     before, after = (x.square() - measured for x in (checked.far.rms_before, checked.far.rms_after))
     share = (after.clamp(min=0) / before.clamp(min=1e-300)).clamp(max=1.0)
-    return Misfit((found.fit.losses / rows - in_band).clamp(min=0), share)
+    return Misfit((found.question.mean(found.fit.losses) - in_band).clamp(min=0), share)
 
 
 def harmful(found: Explanation, checked: Checked, least: Float[Tensor, " n"]) -> list[Term]:
@@ -145,12 +147,11 @@ def harmful(found: Explanation, checked: Checked, least: Float[Tensor, " n"]) ->
         # have torques to say what another sensor shows.
         if any(e.event for e in term.effects) or found.question.shows(term):
             continue
-        at = term.effects[0].joints if len(term.effects) == 1 else ()
         worse = shared if term.place is None else own
         # Resampled stretches may hold none of those in which it acts.
         rare = bool(term.effects) and term.effects[0].at_ends
         no_good = bool(shared) if rare else not far.improves
-        if worse.intersection(at) if at else no_good:
+        if worse.intersection(term.joints) if term.joints else no_good:
             out.append(term)
     return out
 
@@ -269,14 +270,14 @@ def needs_trust(found: Explanation) -> list[str]:
     if not base or any(t.of_links for t in found.terms):
         return []
     # A term is needed if the evidence, base parameters refitted, falls without it.
-    every = fit_terms(question, [*found.terms, *base], fit.effective, fit.weight)
+    every = refit(question, fit, [*found.terms, *base])
     lost = []
     for term in found.terms:
-        rest = [t for t in found.terms if t is not term]
-        without = fit_terms(question, [*rest, *base], fit.effective, fit.weight)
+        rest = excluding(found.terms, [term])
+        without = refit(question, fit, [*rest, *base])
         if without.evidence >= every.evidence:
-            joints = term.effects[0].joints if len(term.effects) == 1 else ()
-            lost.append(f"{term.name} of joint {joints[0] + 1}" if joints else term.name)
+            at = f" of joint {term.joints[0] + 1}" if term.joints else ""
+            lost.append(f"{term.name}{at}")
     if not lost:
         return []
     return [

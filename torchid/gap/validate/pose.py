@@ -11,7 +11,7 @@ from torchid.gap.noise.floor import sliding_only
 from torchid.gap.problem import Problem
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.judge import blocks_of, refitted
-from torchid.gap.wanted import pushes, start_of, wanted_of
+from torchid.gap.wanted import pushes_alone, start_of, wanted_of
 from torchid.log.model import Log
 from torchid.robot.model import Robot
 
@@ -30,7 +30,7 @@ def pose(robot: Robot, log: Log, held_out: Log | None, settings: GapSettings) ->
     wanted = wanted_of(robot, settings)
     given = Columns(start_of(robot), data.samples)
     if data.stands:
-        wanted = pushes(wanted)
+        wanted = pushes_alone(wanted)
         if not wanted.names:
             data.require_motion()
     else:
