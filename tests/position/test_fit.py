@@ -11,7 +11,7 @@ from torchid.log.model import Log
 from torchid.position.data import prepare
 from torchid.position.diagnose import _changes
 from torchid.position.equal import pooled
-from torchid.position.fit import errors, fit, loss, moved, searched, sensitivities
+from torchid.position.fit import _step, errors, fit, loss, moved, searched, sensitivities
 from torchid.position.judge import equations, motion_losses, value_interval
 from torchid.position.model import ServoArm
 from torchid.position.search import plain
@@ -248,3 +248,41 @@ def test_every_motion_wants_what_moved_it():
     assert wanted.tolist() == pytest.approx([2.0, 4.0] * 3, rel=0.25)
     # Nobody knows which of them the next motion has.
     assert 0.2 < again.spread < again.next_std
+
+
+@pytest.mark.parametrize(("delay", "kd"), [(0.05, 40.0), (0.08, 25.0)])
+def test_a_derivative_gain_is_found_beside_a_delay(delay, kd):
+    """From servos without it, of which it makes up for the delay."""
+    servos = true_servos(3, kd=(2, kd))
+    servos.joint[1, INDEX["delay"]] = delay
+    data = prepare(robot(), planted(servos, motions=3, seconds=10.0))
+    windows = windows_of(data.tracks, 2.0)
+    begun = plain(data, windows)
+    on = torch.tensor([False, True, False])
+    joint = begun.servos.joint.clone()
+    joint[1, INDEX["kd"]] = 0.05 * joint[1, INDEX["kp"]]
+    got = fit(
+        data, Servos(joint, begun.servos.plane), {**begun.free, "kd": on}, windows, iterations=20
+    )
+    assert float(got.of("kd")[1] / got.of("kp")[1]) == pytest.approx(15.0 / 260.0, rel=0.15)
+    assert float(got.of("delay")[1]) == pytest.approx(delay, abs=0.002)
+
+
+def test_a_step_ends_at_the_end_of_a_range():
+    """As the bounded least squares of SciPy has it."""
+    from scipy.optimize import lsq_linear
+
+    g = torch.Generator().manual_seed(0)
+    positive = torch.tensor([False, True, False, True])
+    for _ in range(20):
+        a = torch.randn(1, 12, 4, generator=g, dtype=torch.float64)
+        b = torch.randn(1, 12, generator=g, dtype=torch.float64)
+        here = torch.rand(1, 4, generator=g, dtype=torch.float64) * positive
+        pull = (a * b[..., None]).sum(1)
+        step = _step(a.mT @ a, pull, here, positive)
+        low = torch.where(positive, -here, -torch.inf)[0]
+        best = lsq_linear(a[0].numpy(), -b[0].numpy(), (low.numpy(), torch.inf)).x
+        free = -torch.linalg.solve(a.mT @ a, pull)
+        if int((positive & (here + free < 0)).sum()) <= 1:
+            assert torch.allclose(step[0], torch.from_numpy(best), atol=1e-6)
+        assert bool((here + step >= -1e-12)[..., positive].all())

@@ -252,6 +252,27 @@ def test_a_stop_holds(side):
     assert float(q[-1] * side) == pytest.approx(rest, abs=1e-6)
 
 
+def test_motion_changes_with_the_delay_without_a_jump():
+    """A servo that answers to the rate of its set-point, which bends where a command arrives: no
+    delay is a step of the integration better than the next."""
+    model, tracks = arm("3r"), sines(3, 100, 1, seed=5)
+    delays = torch.linspace(0.9 * DT, 1.9 * DT, 101, dtype=torch.float64)
+    base = Servos.neutral(3, kp=80.0, damping=2.0, armature=0.3, kd=6.0)
+    joint = base.joint.repeat(len(delays), 1, 1)
+    joint[:, :, INDEX["delay"]] = delays[:, None]
+    sets = replace(base, joint=joint, plane=base.plane.repeat(len(delays), 1))
+    start = tracks.u[tracks.first]
+    whole = windows_of(tracks, None)
+    ways = torch.stack(
+        [
+            replayed(model, Servos(one, base.plane), tracks, whole, start, torch.zeros_like(start))
+            for one in sets.joint
+        ]
+    )
+    change = ways.diff(dim=0).square().mean((1, 2)).sqrt()
+    assert float(change.max()) < 1.5 * float(change.median())
+
+
 def test_slopes_of_heights_are_their_derivatives():
     robot = arm("mixed")
     q = torch.rand(5, robot.n, dtype=torch.float64)

@@ -269,7 +269,8 @@ def fit(
         at = torch.tensor([INDEX[name] for name in names])
         mask = torch.stack([free[name] for name in names], 1)
         begun = origin[:, at]
-        logs = torch.tensor([PARAMETERS[i].kind == "log" for i in at.tolist()])
+        kinds = [PARAMETERS[i].kind for i in at.tolist()]
+        logs, positive = (torch.tensor([k == kind for k in kinds]) for kind in ("log", "positive"))
         s = sensitivities(data, servos, names, windows, plane=plane)
         w = weights(s.residual, windows)
         square = mean_square(s.residual, w, windows)
@@ -287,7 +288,7 @@ def fit(
         steps = []
         for factor in DAMPINGS:
             extra = (damping * factor)[:, None] * gram.diagonal(dim1=1, dim2=2)
-            step = -torch.linalg.solve(gram + torch.diag_embed(extra), pull[..., None])[..., 0]
+            step = _step(gram + torch.diag_embed(extra), pull, here[:, at], positive)
             steps.append(torch.where(logs, step.clamp(-LONGEST, LONGEST), step))
         tried = here.repeat(len(DAMPINGS) + 1, 1, 1)
         tried[1:, :, at] += torch.stack(steps)
@@ -310,6 +311,25 @@ def fit(
         if gain < HARDLY and not (profiles and not last):
             break
     return servos
+
+
+def _step(
+    gram: Float[Tensor, "n K K"],
+    pull: Float[Tensor, "n K"],
+    here: Float[Tensor, "n K"],
+    positive: Bool[Tensor, " K"],
+) -> Float[Tensor, "n K"]:
+    """Where all pulls end. What would leave its range goes to the end of it, and the others to where
+    they are best beside that: cut off afterwards, their steps would make up for one not made."""
+    step = -torch.linalg.solve(gram, pull)
+    beyond = positive & (here + step < 0)
+    if not bool(beyond.any()):
+        return step
+    to = torch.where(beyond, -here, 0.0)
+    rest = pull + (gram @ to[..., None])[..., 0]
+    within = ~beyond[:, :, None] & ~beyond[:, None, :]
+    gram = torch.where(within, gram, torch.eye(gram.shape[-1], dtype=gram.dtype))
+    return torch.where(beyond, to, -torch.linalg.solve(gram, rest))
 
 
 def _plane_steps(slope: Tensor, residual: Tensor, w: Tensor, damping: float) -> Tensor:

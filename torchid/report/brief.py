@@ -214,4 +214,5 @@ def model_words(answer: Answer, model: str | None, given: str, held_out: Sequenc
     change = f"errs {answer.after:.3g} {answer.unit} {on}, {answer.given} {answer.before:.3g}"
     if model is None:
         return f"The corrected model {change}. --save-model corrected.yaml keeps it."
-    return f"Use {model}: it {change}. Export: torchid export {model} --to urdf --out DIR"
+    target = "mjcf" if answer.unit == "mrad" else "urdf"  # a URDF has no servos
+    return f"Use {model}: it {change}. Export: torchid export {model} --to {target} --out DIR"

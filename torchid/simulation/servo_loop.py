@@ -546,12 +546,15 @@ class _Run:
         shares = []
         for s in range(steps):
             at = 1 - part + (s + THETA) / steps
-            near, far, second = at.clamp(max=1.0), (at - 1).clamp(min=0.0), at >= 1
-            # The torque per difference of knots, of the position and of the rate.
+            near, far = at.clamp(max=1.0), (at - 1).clamp(min=0.0)
+            # The torque per difference of knots, of the position and of the rate; that is the mean
+            # over the step, so that it changes with the delay without a jump.
             rate = p["kd"] / dt
-            first = torch.addcmul(torch.where(second, 0.0, rate), p["kp"], near)
-            last = torch.addcmul(torch.where(second, rate, 0.0), p["kp"], far)
-            shares.append((near, far, torch.where(second, 0.0, rate), first, last))
+            later = rate * (s + 1 - part * steps).clamp(0.0, 1.0)
+            sooner = rate - later
+            first = torch.addcmul(sooner, p["kp"], near)
+            last = torch.addcmul(later, p["kp"], far)
+            shares.append((near, far, sooner, first, last))
         # Those of every part, in which the body stays the same.
         self.shares = [shares[k : k + each] for k in range(0, steps, each)]
         self.rate = p["kd"] / dt
