@@ -259,13 +259,16 @@ def fit(
             takes longer than all the rest.
         iterations: of Gauss-Newton, at most; they end where no joint's loss falls much.
     """
-    if not plane and not any(bool(joints.any()) for joints in free.values()):
+    free = {name: joints for name, joints in free.items() if bool(joints.any())}
+    if not plane and not free:
         return servos
     origin, damping = searched(servos), torch.full((servos.n,), 1e-3, dtype=torch.float64)
     plane_damping = 1e-2
     for k in range(iterations):
         last = k == iterations - 1
         names = tuple(name for name in free if (profiles and last) or name not in PROFILE)
+        if not names and not plane:
+            continue
         at = torch.tensor([INDEX[name] for name in names])
         mask = torch.stack([free[name] for name in names], 1)
         begun = origin[:, at]
@@ -319,8 +322,8 @@ def _step(
     here: Float[Tensor, "n K"],
     positive: Bool[Tensor, " K"],
 ) -> Float[Tensor, "n K"]:
-    """Where all pulls end. What would leave its range goes to the end of it, and the others to where
-    they are best beside that: cut off afterwards, their steps would make up for one not made."""
+    """Where all pulls end. What would leave its range goes to the end of it, and the others to
+    where they are best beside that: cut off afterwards, theirs would make up for a step not made."""
     step = -torch.linalg.solve(gram, pull)
     beyond = positive & (here + step < 0)
     if not bool(beyond.any()):

@@ -18,10 +18,12 @@ from torchid.position.fit import errors_of_one
 from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import Windows, windows_of
 from torchid.statistics.differences import noise_level
-from torchid.typing import Float, Tensor
+from torchid.typing import Float, Int, Tensor
 
 FEWEST = 5.0
 """Independent differences of a joint below which they do not tell its noise [1]."""
+MOST = 250
+"""Windows of either side that are simulated [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,15 +68,19 @@ def noise_of_repeats(data: PositionData, servos: Servos) -> PositionNoise:
     whole = windows_of(data.tracks, None)
     error = whole.on_rows(errors_of_one(data, servos, whole), torch.zeros_like(data.q))
     low, high = _interval(data, [error[b] - error[a] for a, b in pairs], moves)
-    # Windows that begin at once in both; two periods of one motion may overlap.
-    windows = []
-    for side in zip(*pairs, strict=True):
-        own = _windows_in(data, side)
-        parts = errors_of_one(data, servos, own)
-        ends = zip(parts.unbind(1), own.length.tolist(), strict=True)
-        windows.append(torch.cat([part[:length] for part, length in ends]))
-    lengths = [rows.stop - rows.start for rows, _ in pairs]
-    _, again = _interval(data, (windows[1] - windows[0]).split(lengths), moves)
+    # Windows that begin at once in both.
+    size = max(2, round(WINDOW_S / data.tracks.dt))
+    parts = [
+        (k, a.start + row, b.start + row)
+        for k, (a, b) in enumerate(pairs)
+        for row in range(0, a.stop - a.start - size + 1, size)
+    ]
+    parts = parts[:: math.ceil(len(parts) / MOST)] if parts else []
+    if not parts:
+        return PositionNoise(low, high, no_noise(data.robot.n).windows)
+    owner, first, second = torch.tensor(parts).T.contiguous()
+    apart = _errors_from(data, servos, second, size) - _errors_from(data, servos, first, size)
+    _, again = _interval(data, apart.unbind(1), [moves[k] for k in owner.tolist()])
     return PositionNoise(low, high, again)
 
 
@@ -96,13 +102,13 @@ def _same_commands(data: PositionData) -> list[tuple[slice, slice]]:
     return [(of_all(p.a, p.rows_a), of_all(p.b, p.rows_b)) for p in found]
 
 
-def _windows_in(data: PositionData, stretches: Sequence[slice]) -> Windows:
-    """Consecutive windows of stretches; the last one of each may be shorter."""
-    size = max(2, round(WINDOW_S / data.tracks.dt))
-    parts = [(k, min(size, s.stop - k)) for s in stretches for k in range(s.start, s.stop, size)]
-    start, length = torch.tensor(parts).T.contiguous()
+def _errors_from(
+    data: PositionData, servos: Servos, start: Int[Tensor, " W"], size: int
+) -> Float[Tensor, "size W n"]:
+    """Errors in windows that begin at some rows."""
     motion = torch.searchsorted(data.tracks.first, start, right=True) - 1
-    return Windows(start, length, motion, torch.ones(len(start), dtype=torch.float64))
+    one = torch.ones(len(start), dtype=torch.float64)
+    return errors_of_one(data, servos, Windows(start, torch.full_like(start, size), motion, one))
 
 
 def _interval(

@@ -7,7 +7,7 @@ of it are simulated on all joints at once, and a joint takes the best of them if
 """
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -28,7 +28,7 @@ NEAR = 10.0
 """Times the loss that calls for no cause within which a plain servo is fitted to the end [1]."""
 TAKEN = 0.03
 """Share of a joint's loss that a size of an effect without slope must take away to be tried [1]."""
-ROUNDS, SETTLED = 8, 0.01
+ROUNDS, SETTLED = 8, 0.03
 """Of a fit that is brought to its end, at most; and the share of a joint's loss that a round must
 take away [1]."""
 ALIKE = 1.5
@@ -152,7 +152,8 @@ def settled(data: PositionData, found: Found, windows: Windows) -> Found:
     step of theirs simulates the commands' way anew, and are looked for beyond their valleys."""
     before = _one(data, found, windows)
     for _ in range(ROUNDS):
-        found = refit(data, _scanned(data, found, windows), windows, iterations=3)
+        near = _scanned(data, found, windows, _SCANS[1:])
+        found = refit(data, near, windows, iterations=3)
         after = _one(data, found, windows)
         if bool((after > (1 - SETTLED) * before).all()):
             break
@@ -274,10 +275,12 @@ def _with_filter(data: PositionData, now: Found, windows: Windows) -> Found:
     return refit(data, replace(now, servos=servos, free=free), windows, iterations=3)
 
 
-def _scanned(data: PositionData, now: Found, windows: Windows) -> Found:
+def _scanned(
+    data: PositionData, now: Found, windows: Windows, scans: Sequence[Sequence[float]] = _SCANS
+) -> Found:
     """With profiles and filters where simulations are best, farther and nearer about where they
     are: their losses have valleys."""
-    for name, factors in itertools.product(VALLEYS, _SCANS):
+    for name, factors in itertools.product(VALLEYS, scans):
         if name not in now.free:
             continue
         joints = now.free[name]
