@@ -322,8 +322,8 @@ def _step(
     here: Float[Tensor, "n K"],
     positive: Bool[Tensor, " K"],
 ) -> Float[Tensor, "n K"]:
-    """Where all pulls end. What would leave its range goes to the end of it, and the others to
-    where they are best beside that: cut off afterwards, theirs would make up for a step not made."""
+    """Where all pulls end. What would leave its range goes to the end of it, the others to where
+    they are best beside that: cut off afterwards, they would make up for a step not made."""
     step = -torch.linalg.solve(gram, pull)
     beyond = positive & (here + step < 0)
     if not bool(beyond.any()):
