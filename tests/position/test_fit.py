@@ -246,8 +246,9 @@ def test_every_motion_wants_what_moved_it():
     again = known.replication("offset", 1, MOTIONS)
     wanted = float(model.servos.of("offset")[1]) * torch.tensor([m.scale for m in again.motions])
     assert wanted.tolist() == pytest.approx([2.0, 4.0] * 3, rel=0.25)
-    # Nobody knows which of them the next motion has.
-    assert 0.2 < again.spread < again.next_std
+    # Motions disagree on other numbers, too, so that each could be wrong by as much.
+    assert known.beyond_noise > 1
+    assert all(m.std > 0.2 for m in again.motions)
 
 
 @pytest.mark.parametrize(("delay", "kd"), [(0.05, 40.0), (0.08, 25.0)])

@@ -56,7 +56,7 @@ from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, PLANE, TORQUES, 
 from torchid.simulation.servo_loop import Windows, windows_of
 from torchid.statistics.criteria import MOVED_STD, WORTHWHILE
 from torchid.statistics.proportion import HALF_95
-from torchid.typing import Float
+from torchid.typing import Bool, Float
 
 STAGES = 16
 """That are told as progress."""
@@ -122,41 +122,29 @@ def diagnose_positions(
     simple = plain(data, some_of(windows, MOST))
     telling = _telling(data, simple, windows)
     few, more = some_of(windows, MOST, telling), some_of(windows, 3 * MOST, telling)
-    early = (
-        None
-        if watch is None
-        else EarlyAnswer(watch, data, losses_of(data, simple.servos, few).sum(0), few)
-    )
     noise = noise_of_repeats(data, simple.servos)
-    given, still, as_given = data, _still(data), None
-    squares = 1.0 - (1.0 - worthwhile) ** 2
-    answered = None
+    given, still, as_given, answered = data, _still(data), None, None
     if start is not None:
-        own = _as_file(data, start.servos, simple.free, few)
-        # What windows leave alone is their starts'.
-        both = few, windows_of(data.tracks, None)
-        as_given = torch.stack(
-            [
-                losses_of(data, own.servos, w).sum(0) <= GAP * _unclosable(data, noise, w)
-                for w in both
-            ]
-        ).any(0)
+        as_given, own = _follows(data, start.servos, simple, noise, few)
         if bool((as_given | still).all()):
             answered = _Answer(data, own, {}, {}, None)
-    answered = answered or _answer(data, simple, few, more, say, early, squares)
+    if answered is None:
+        early = None
+        if watch is not None:
+            early = EarlyAnswer(watch, data, losses_of(data, simple.servos, few).sum(0), few)
+        squares = 1.0 - (1.0 - worthwhile) ** 2
+        answered = _answer(data, simple, few, more, say, early, squares)
     data, found = answered.data, answered.found
     say("how far it goes")
     known = equations(data, found.servos, found.free, more, trusted=trusted)
-    odd: tuple[str, ...] = ()
     if any(sheets):
         known = with_data_sheets(known, sheets, ~still)
         found = replace(found, servos=known.servos)
-        answered = replace(answered, found=found)
     if len(set(types) - {""}) and data.weighed:
         known, odd = _of_one_type(data, known, found, types, ~still, few)
         found = replace(found, servos=known.servos)
-        answered = replace(answered, found=found)
-    servos = found.servos
+        warnings += odd
+    answered, servos = replace(answered, found=found), found.servos
     ways, errors_of = _accuracies(((given, simple), (data, found)), windows, few)
     deviation = known.deviations()[:, known.names.index("kp")]
     # A joint at rest tells no torque either.
@@ -169,23 +157,6 @@ def diagnose_positions(
         value_interval("kp", k, d)
         for k, d in zip(servos.of("kp").tolist(), deviation.tolist(), strict=True)
     ]
-    names = data.robot.joint_names
-    warnings += tuple(
-        f"joint {j + 1} {names[j]} never moves, so its servo is not identified."
-        for j in torch.nonzero(still).flatten().tolist()
-    )
-    warnings += missing_commands(log) + odd
-    if not data.weighed:
-        warnings += (
-            f"robot '{robot.name}' has no masses: its links were taken for rods of {PER_METRE:g} "
-            "kg per metre, so gains, friction and inertias are right in their ratios alone.",
-        )
-    warnings += tuple(
-        f"joint {j + 1}: dq is {float(s):.3g} times the rate of q, so q and u are taken to be in "
-        f"another unit than radians, by that factor"
-        for j, s in enumerate(data.scale)
-        if s != 1
-    )
     result = PositionDiagnosis(
         data=data,
         servos=servos,
@@ -202,7 +173,7 @@ def diagnose_positions(
         motions=(log.names, _by_motion(data, errors_of[1])),
         errors=errors_of,
         still=still,
-        warnings=warnings,
+        warnings=warnings + missing_commands(log) + _cautions(data, still),
         not_testable=not_testable(data, known, few, ~still),
         closed_ci95=closed_interval(data, *errors_of, ~still, noise.square / data.scale.square()),
         noise=noise,
@@ -219,6 +190,41 @@ def diagnose_positions(
     if held_out is None:
         return result
     return replace(result, held_out=accuracy(result.corrected, held_out, ~still))
+
+
+def _cautions(data: PositionData, still: Tensor) -> tuple[str, ...]:
+    """What to know about joints and robot, one sentence each."""
+    names = data.robot.joint_names
+    out = [
+        f"joint {j + 1} {names[j]} never moves, so its servo is not identified."
+        for j in torch.nonzero(still).flatten().tolist()
+    ]
+    if not data.weighed:
+        out.append(
+            f"robot '{data.robot.name}' has no masses: its links were taken for rods of "
+            f"{PER_METRE:g} kg per metre, so gains, friction and inertias are right in their "
+            "ratios alone."
+        )
+    out += [
+        f"joint {j + 1}: dq is {float(s):.3g} times the rate of q, so q and u are taken to be in "
+        f"another unit than radians, by that factor"
+        for j, s in enumerate(data.scale)
+        if s != 1
+    ]
+    return tuple(out)
+
+
+def _follows(
+    data: PositionData, servos: Servos, simple: Found, noise: PositionNoise, windows: Windows
+) -> tuple[Bool[Tensor, " n"], Found]:
+    """Joints that servos of a robot's file follow, and those servos as they are nearest."""
+    own = _as_file(data, servos, simple.free, windows)
+    # What windows leave alone is their starts'.
+    follows = [
+        losses_of(data, own.servos, w).sum(0) <= GAP * _unclosable(data, noise, w)
+        for w in (windows, windows_of(data.tracks, None))
+    ]
+    return torch.stack(follows).any(0), own
 
 
 def _as_file(
@@ -698,23 +704,10 @@ def _findings(
     out = []
     if answered.load is not None:
         load, light, heavy, others = answered.load
-        # A mass goes with the servos' gains, by factors: its interval is theirs, of a logarithm.
-        half = (HALF_95 * load.std).tolist()
-        factor = math.exp(half[0] / load.mass)
-        mass = Size("mass", "kg", load.mass, (load.mass / factor, load.mass * factor))
-        com = (
-            Size(key, "m", value, (value - h, value + h))
-            for key, value, h in zip("xyz", load.com.tolist(), half[1:], strict=True)
-        )
-        body = (mass, *com)
+        body = _load_sizes(load)
         far, near = (1e3 * float((x.mean() / looked).sqrt()) for x in (light, heavy))
-        out.append(
-            PositionFinding(
-                PAYLOAD.name, PAYLOAD.family, None, body, far, near, others,
-                PAYLOAD.meaning, PAYLOAD.remedy,
-                how_sure=sure((light, heavy, least), len(body)),
-            )
-        )  # fmt: skip
+        by = sure((light, heavy, least), len(body))
+        out.append(PositionFinding.of(PAYLOAD, None, body, (far, near), others, how_sure=by))
     for name, losses in answered.worth.items():
         effect = BY_NAME[name]
         # Errors in the log's unit: of the joint, or of all of them.
@@ -724,42 +717,20 @@ def _findings(
                 Size(key, "N/m" if key == "stiffness" else "m", value, (torch.nan, torch.nan))
                 for key, value in zip(PLANE, found.servos.plane.tolist(), strict=True)
             )
-            ends = float(without.square().mean().sqrt()), float(with_it.square().mean().sqrt())
-            out.append(
-                PositionFinding(
-                    name,
-                    effect.family,
-                    None,
-                    plane,
-                    *ends,
-                    (),
-                    effect.meaning,
-                    effect.remedy,
-                    how_sure=sure((*losses, least), len(plane)),
-                )
-            )
+            far, near = (float(x.square().mean().sqrt()) for x in (without, with_it))
+            by = sure((*losses, least), len(plane))
+            out.append(PositionFinding.of(effect, None, plane, (far, near), how_sure=by))
             continue
         joints = torch.nonzero(without.isfinite() & ~_still(data)).flatten().tolist()
         alike = dict(
             zip(joints, _alike(known, beside_gain, effect.parameters[0], joints), strict=True)
         )
         for j in joints:
-            sizes = []
-            for key in effect.parameters:
-                if key not in known.names or not bool(found.free[key][j]):
-                    continue
-                p, k = PARAMETERS[INDEX[key]], known.names.index(key)
-                # Commands are simulated along straight lines; that they are held until the next one
-                # makes them half a sample late on average, which is no delay of its own.
-                held = 0.5 * data.held if key == "delay" else 0.0
-                value = float(found.servos.of(key)[j]) - held
-                unit, name_of = p.unit, key
-                if bool(shares[j]) and key in TORQUES:
-                    value /= float(found.servos.of("kp")[j])
-                    unit, name_of = PER_KP[unit], as_share(key)
-                spread = value_interval(key, value, float(deviation[j, k]))
-                sizes.append(Size(name_of, unit, value, spread))
-            ends = float(without[j]), float(with_it[j])
+            sizes = [
+                _size(key, known, deviation, j, share=bool(shares[j]), held=data.held)
+                for key in effect.parameters
+                if key in known.names and bool(found.free[key][j])
+            ]
             others = rivals.get((name, j), ())
             neutral = PARAMETERS[INDEX[effect.parameters[0]]].neutral
             again = None
@@ -767,14 +738,45 @@ def _findings(
                 again = known.replication(sizes[0].name.removesuffix(as_share("")), j, motions)
             if effect.twin and (not effect.twin_below or (sizes and sizes[0].value < neutral)):
                 others += (effect.twin,)
-            out.append(
-                PositionFinding(
-                    name, effect.family, j + 1, tuple(sizes), *ends, others,
-                    effect.meaning, effect.remedy, again,
-                    sure((*losses, least), len(sizes), again, j, alike[j]),
-                )
-            )  # fmt: skip
+            ends = float(without[j]), float(with_it[j])
+            by = sure((*losses, least), len(sizes), again, j, alike[j])
+            out.append(PositionFinding.of(effect, j + 1, sizes, ends, others, again, by))
     return tuple(sorted(out, key=lambda f: f.error_with - f.error_without))
+
+
+def _load_sizes(load: Loaded) -> tuple[Size, ...]:
+    """Mass and centre of a load. The mass goes with the servos' gains, by factors: its interval is
+    theirs, of a logarithm."""
+    half = (HALF_95 * load.std).tolist()
+    factor = math.exp(half[0] / load.mass)
+    mass = Size("mass", "kg", load.mass, (load.mass / factor, load.mass * factor))
+    com = (
+        Size(key, "m", value, (value - h, value + h))
+        for key, value, h in zip("xyz", load.com.tolist(), half[1:], strict=True)
+    )
+    return (mass, *com)
+
+
+def _size(
+    name: str,
+    known: Equations,
+    deviation: Float[Tensor, "n K"],
+    joint: int,
+    *,
+    share: bool,
+    held: float,
+) -> Size:
+    """A number of an effect on one joint, of torques as a share of kp if asked for."""
+    value, unit, shown = float(known.servos.of(name)[joint]), PARAMETERS[INDEX[name]].unit, name
+    if name == "delay":
+        # Commands are simulated along straight lines; that they are held until the next one makes
+        # them half a sample late on average, which is no delay of its own.
+        value -= 0.5 * held
+    if share and name in TORQUES:
+        value /= float(known.servos.of("kp")[joint])
+        unit, shown = PER_KP[unit], as_share(name)
+    std = float(deviation[joint, known.names.index(name)])
+    return Size(shown, unit, value, value_interval(name, value, std))
 
 
 def _alike(

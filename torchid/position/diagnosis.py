@@ -1,14 +1,17 @@
 """What a diagnosis of commands and positions answers."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Self
 
 import msgspec
 import torch
 from msgspec import UNSET
 
+from torchid.effects.servo import ServoEffect
 from torchid.position.data import GAP, PositionData
 from torchid.position.judge import closed_share
 from torchid.position.model import ServoArm
@@ -93,6 +96,23 @@ class PositionFinding:
     remedy: str
     replication: Replication | None = None
     how_sure: float | None = None
+
+    @classmethod
+    def of(
+        cls,
+        effect: ServoEffect,
+        joint: int | None,
+        sizes: Sequence[Size],
+        errors: tuple[float, float],
+        ambiguous_with: tuple[str, ...] = (),
+        replication: Replication | None = None,
+        how_sure: float | None = None,
+    ) -> Self:
+        """Of an effect, whose errors [mrad] are without it and with it."""
+        return cls(
+            effect.name, effect.family, joint, tuple(sizes), *errors, ambiguous_with,
+            effect.meaning, effect.remedy, replication, how_sure,
+        )  # fmt: skip
 
     @property
     def cause(self) -> Cause:
