@@ -412,7 +412,7 @@ def _answer(
     found, explained, alike = alone(data, simple, few, early)
     say("a load")
     load, others = None, tuple[str, ...]()
-    if bool((losses_of(data, simple.servos, few).sum(0) > GAP * slight(data, few)).any()):
+    if bool((losses_of(data, simple.servos, few).sum(0) > slight(data, few)).any()):
         load = with_load(data, simple, few) if data.weighed else None
     if load is not None:
         # One cause of what all joints show, where no more is needed, comes before several.
@@ -432,8 +432,7 @@ def _answer(
         else:
             load = None
     if not bool(explained.all()):
-        every = _no_worse(data, simple, full(data, few, say), few, squares)
-        found = _no_worse(data, found, every, few, squares)
+        found = _no_worse(data, found, _no_worse(data, simple, full(data, few, say), few), few)
         found = shared(data, found, few)
         load = with_load(data, found, few) if data.weighed else None
     say("what each effect is worth")
@@ -454,16 +453,11 @@ def _answer(
     return _Answer(data, found, worth, rivals, gain)
 
 
-def _no_worse(
-    data: PositionData, simple: Found, found: Found, windows: Windows, squares: float
-) -> Found:
-    """The model with simple servos on the joints that these follow as well, but for what that many
-    more causes would have to be worth: a search may end where more parameters do no better."""
+def _no_worse(data: PositionData, simple: Found, found: Found, windows: Windows) -> Found:
+    """The model with simple servos on the joints that these follow as well: a search may end where
+    more parameters do no better."""
     before, after = (losses_of(data, model.servos, windows).sum(0) for model in (simple, found))
-    few, many = (_causes_of(model) for model in (simple, found))
-    worth = 1 - (1 - squares) ** (many - few).clamp(min=0)
-    least = slight(data, windows)
-    needless = (before <= GAP * least) | (before - after < torch.maximum(least, worth * before))
+    needless = before - after < slight(data, windows)
     joint = torch.where(needless[:, None], simple.servos.joint, found.servos.joint)
     none = torch.zeros_like(needless)
     free = {
@@ -534,13 +528,8 @@ def _present(found: Found, effect: ServoEffect) -> Tensor:
 
 def _causes(found: Found) -> int:
     """Effects beside plain servos, joint by joint; a plane is one."""
-    return int(_causes_of(found).sum()) + int(found.plane)
-
-
-def _causes_of(found: Found) -> Tensor:
-    """(n,) effects of joints beside plain servos."""
-    named = (e for e in EFFECTS if e.name not in KEPT and e.parameters)
-    return torch.stack([_present(found, e) for e in named]).sum(0)
+    named = (e for e in EFFECTS if e.name not in KEPT)
+    return sum(int(_present(found, e).sum()) if e.parameters else int(found.plane) for e in named)
 
 
 def _without(found: Found, effect: ServoEffect, joints: Tensor, sample: float) -> Found:
@@ -591,7 +580,7 @@ def _needed(
         often = _mostly(gain) if effect.family == "world" else _sure(gain)
         # A plane is there for all joints or for none.
         call = least if effect.parameters else least.sum()
-        keep = on & (gain.sum(0) > squares * total) & (total > GAP * call) & often
+        keep = on & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
         if effect.name == "command_delay":
             keep &= found.servos.of("delay") > data.tracks.dt
         worth[effect.name] = without.sum(0), whole.sum(0)
@@ -632,7 +621,7 @@ def _returned(
 ) -> tuple[Worth, Rivals, Found]:
     """Effects that stood for each other: one of them returns, with the others' names."""
     lean = losses_of(data, now.servos, windows).sum(0)
-    lost = ((1.0 - squares) * lean > whole.sum(0)) & (lean > GAP * least)
+    lost = ((1.0 - squares) * lean > whole.sum(0)) & (lean - whole.sum(0) > least)
     candidates = {
         name: joints & lost
         for name, joints in removed.items()

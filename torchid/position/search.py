@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchid.effects.servo import ServoEffect
-from torchid.position.data import GAP, PositionData
+from torchid.position.data import PositionData
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT
 from torchid.position.fit import VALLEYS, errors, fit, huber, loss
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
@@ -383,8 +383,8 @@ def alone(
         joints (n,) on which no gap is left; what does as well in an effect's place.
     """
     least, before = slight(data, windows), _one(data, simple, windows)
-    if bool((before <= GAP * least).all()):
-        return simple, before <= GAP * least, {}
+    if bool((before <= least).all()):
+        return simple, before <= least, {}
     tried: dict[str, Found] = {}
     cost: dict[str, Tensor] = {}
     calm = _calm(data, simple, windows, before > NEAR * least)
@@ -413,7 +413,7 @@ def alone(
     # The joints that are worst first: what is left on others may be these joints' doing.
     for share in (0.3, 0.0):
         excess = cost_now / least
-        worst = ~given & (excess > GAP) & (excess >= share * excess.amax())
+        worst = ~given & (excess > 1) & (excess >= share * excess.amax())
         best, which = own.min(0)
         worst &= best < (1 - TAKEN) * cost_now
         if not bool(worst.any()):
@@ -449,7 +449,7 @@ def alone(
         servos = fit(data, now.servos, rest, windows, plane=now.plane, iterations=15)
         now = replace(now, servos=servos)
         cost_now = _one(data, now, windows)
-    return now, cost_now <= GAP * least, rivals
+    return now, cost_now <= least, rivals
 
 
 def _calm(data: PositionData, simple: Found, windows: Windows, far: Bool[Tensor, " n"]) -> Found:
