@@ -129,11 +129,7 @@ class Equations:
         to = self.to_values(shares)
         out, (white, spread, freedom) = torch.zeros_like(to), self._by_noise_and_motions(to)
         by_noise, by_motions = (x.diagonal(dim1=1, dim2=2) for x in (white, spread))
-        usual = by_noise * self.beyond_noise
-        sure = USUAL + freedom
-        variance = (USUAL * usual + freedom * by_motions) / sure
-        wide = student_quantile(0.95, sure.flatten()).view_as(sure) / HALF_95
-        std = torch.maximum(variance.sqrt() * wide, by_noise.clamp(min=0).sqrt()) * self.mask
+        std = deviations_of(by_noise, by_motions, freedom, self.beyond_noise) * self.mask
         for j in self.mask.any(1).nonzero().flatten().tolist():
             # How numbers vary together, as motions and noise say it, at those sizes.
             together = white[j] + spread[j]
@@ -150,8 +146,7 @@ class Equations:
         squares; no less than 1. Few motions tell little of one number alone."""
         white, spread, freedom = self._by_noise_and_motions(self.to_values())
         by_noise, by_motions = (x.diagonal(dim1=1, dim2=2) for x in (white, spread))
-        ratio = (freedom * by_motions / by_noise.clamp(min=1e-300)).sum() / freedom.sum()
-        return float(ratio.nan_to_num(1.0).clamp(min=1.0))
+        return usual_excess(by_noise, by_motions, freedom)
 
     def _misfit_of_torques(self) -> Float[Tensor, " n"]:
         """Change of the scale of all torques that a third of what is left would make, were it no
@@ -206,6 +201,32 @@ class Equations:
                 out[:, row, row] = torch.where(whole, gain, 1.0) / SMALL
                 out[:, row, k] = self.servos.of(name) * whole
         return out
+
+
+def usual_excess(by_noise: Tensor, by_motions: Tensor, freedom: Tensor) -> float:
+    """Times by which motions disagree more than noise makes them, in squares; no less than 1."""
+    ratio = (freedom * by_motions / by_noise.clamp(min=1e-300)).sum() / freedom.sum()
+    return float(ratio.nan_to_num(1.0).clamp(min=1.0))
+
+
+def deviations_of(
+    by_noise: Float[Tensor, "*D"],
+    by_motions: Float[Tensor, "*D"],
+    freedom: Float[Tensor, "*D"],
+    excess: float,
+) -> Float[Tensor, "*D"]:
+    """Half of the 95 % intervals over that of a normal variable: what motions say, drawn towards
+    what is usual where they are few, and no less than noise makes it.
+
+    Args:
+        by_noise, by_motions: variances.
+        freedom: degrees of the latter.
+        excess: what is usual over noise, in squares.
+    """
+    sure = USUAL + freedom
+    variance = (USUAL * by_noise * excess + freedom * by_motions) / sure
+    wide = student_quantile(0.95, sure.flatten()).view_as(sure) / HALF_95
+    return torch.maximum(variance.sqrt() * wide, by_noise.clamp(min=0).sqrt())
 
 
 def equations(

@@ -27,7 +27,7 @@ from torchid.position.fit import (
     sensitivities,
     weights,
 )
-from torchid.position.judge import alike_rows
+from torchid.position.judge import alike_rows, deviations_of, usual_excess
 from torchid.position.search import Found
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
@@ -244,9 +244,12 @@ def _deviations(
     rows = float((windows.length * windows.weight).sum())
     noise = alike * float(residual.square().sum()) / rows / len(columns)
     grams, pulls, prior = grams / noise, (pulls - pulls.mean(0)) / noise, prior / noise
-    by_motions = jackknife(grams, pulls, variance=1.0, known=prior).widened()
-    by_noise = torch.linalg.inv(grams.sum(0) + prior)
-    return torch.maximum(by_motions.diagonal(), by_noise.diagonal()).sqrt()
+    found = jackknife(grams, pulls, variance=1.0, known=prior)
+    by_noise = torch.linalg.inv(grams.sum(0) + prior).diagonal()
+    by_motions, freedom = found.covariance.diagonal(), found.freedom
+    freedom = torch.where(found.by_one_block, 0.0, freedom)
+    excess = usual_excess(by_noise, by_motions, freedom)
+    return deviations_of(by_noise, by_motions, freedom, excess)
 
 
 def _carrying(data: PositionData, mass: float, com: Tensor) -> Robot:
