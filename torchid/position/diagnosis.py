@@ -249,7 +249,7 @@ class PositionDiagnosis(Diagnosis):
         return 1e3 * torch.maximum(self.data.slight, noise) / self.data.scale
 
     @property
-    def noise_interval(self) -> Float[Tensor, "n 2"]:
+    def _noise_interval(self) -> Float[Tensor, "n 2"]:
         """Noise of whole motions, 90 %, as repeats tell it; else from zero to what calls for no
         cause [mrad]."""
         told = 1e3 * torch.stack([self.noise.low, self.noise.high], 1) / self.data.scale[:, None]
@@ -268,7 +268,7 @@ class PositionDiagnosis(Diagnosis):
     def answer(self) -> Answer:
         """What each joint's error is, which causes close it, and what to do: errors of whole
         motions that were left out, before them those of a plain servo."""
-        unseen, moves, noise = self.unseen, ~self.still, self.noise_interval
+        unseen, moves, noise = self.unseen, ~self.still, self._noise_interval
         low_noise, high_noise = noise[moves].mean(0).nan_to_num(0.0).tolist()
         given = self.answered if self._right_as_given else self.plain_servo
         before, after = given.whole, self.answered.whole
