@@ -8,6 +8,7 @@ import torch
 from tests.gap.motions import RATE, motion_at, noise, segment_of, times
 from tests.log.examples import log_at, uniform
 from torchid.design.repeats import delayed, find_repeats, repeated_motion
+from torchid.design.segments import Segment
 from torchid.effects.base import Motion
 from torchid.log.model import Log
 
@@ -129,3 +130,15 @@ def test_nothing_where_nothing_repeats_or_all_is_short() -> None:
     one = uniform(samples=800)
     other = one.replace(q=one.q.flip(-1) * torch.linspace(0.2, 2, 800)[:, None], dq=None, ddq=None)
     assert repeated_motion(Log.concatenate([one.replace(dq=None, ddq=None), other])) == ()
+
+
+def test_a_motion_does_not_repeat_itself_at_no_lag() -> None:
+    """A chirp that begins slowly nearly agrees with itself a little later, which leads to itself."""
+    rate, seconds = 50.0, 120.0
+    t = torch.arange(round(seconds * rate), dtype=torch.float64) / rate
+    phase = 2 * math.pi * (0.01 * t + (2.0 - 0.01) / (2 * seconds) * t * t)
+    q = torch.stack([phase.sin(), 0.5 * (phase + 0.3).sin()], 1)
+    dq = torch.gradient(q, dim=0)[0] * rate
+    motion = Motion(q, dq, torch.zeros_like(q))
+    chirp = Segment("chirp", rate, rate / 2, motion, q, own_velocity=False)
+    assert len(find_repeats([chirp])) == 0
