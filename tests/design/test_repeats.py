@@ -133,7 +133,7 @@ def test_nothing_where_nothing_repeats_or_all_is_short() -> None:
 
 
 def test_a_motion_does_not_repeat_itself_at_no_lag() -> None:
-    """A chirp that begins slowly nearly agrees with itself a little later, which leads to itself."""
+    """A chirp that begins slowly nearly agrees with what comes a little later, down to no lag."""
     rate, seconds = 50.0, 120.0
     t = torch.arange(round(seconds * rate), dtype=torch.float64) / rate
     phase = 2 * math.pi * (0.01 * t + (2.0 - 0.01) / (2 * seconds) * t * t)
