@@ -37,7 +37,7 @@ from torchid.results.answer import Size as AnswerSize
 from torchid.results.record import Rows
 from torchid.results.replication import Replication
 from torchid.simulation.servo import INDEX, Servos
-from torchid.statistics.criteria import LIKELY
+from torchid.statistics.criteria import LIKELY, UNLIKELY
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
 
@@ -300,7 +300,7 @@ class PositionDiagnosis(Diagnosis):
                 for j in range(len(names))
             ),
             causes=tuple(sure),
-            suspects=tuple(c for c in every if c not in sure),
+            suspects=tuple(c for c in every if UNLIKELY <= (c.how_sure or 0.0) < LIKELY),
             reason=small if self.status == "no_gap" else "",
             doubt=self.doubt or UNSET,
         )
