@@ -134,15 +134,19 @@ def counterparts(samples: SegmentSamples, repeats: Repeats) -> list[Int[Tensor, 
     return out
 
 
-def find_repeats(segments: Sequence[Segment]) -> Repeats:
+def find_repeats(segments: Sequence[Segment], back: int | None = None) -> Repeats:
     """Repeats among the segments, and periods within each (see the module).
 
     The work grows with the log's length and, for the coarse search, with the number of pairs of
     segments; segments of different rates are not compared.
+
+    Args:
+        segments: in the order of recording.
+        back: how many before each are looked at; None: all.
     """
     pairs: list[Pair] = []
     for b, later in enumerate(segments):
-        for a in reversed(range(b)):
+        for a in reversed(range(0 if back is None else max(0, b - back), b)):
             if segments[a].rate != later.rate:
                 continue
             found = _between(a, segments[a], b, later)

@@ -22,6 +22,8 @@ from torchid.typing import Float, Int, Tensor
 
 FEWEST = 5.0
 """Independent differences of a joint below which they do not tell its noise [1]."""
+BACK = 40
+"""Motions before one that it may repeat [1]: of hundreds of episodes not all are compared."""
 MOST = 250
 """Windows of either side that are simulated [1]."""
 
@@ -98,7 +100,7 @@ def _same_commands(data: PositionData) -> list[tuple[slice, slice]]:
     def of_all(motion: int, rows: slice) -> slice:
         return slice(ends[motion][0] + rows.start, ends[motion][0] + rows.stop)
 
-    found = find_repeats(segments).pairs
+    found = find_repeats(segments, BACK).pairs
     return [(of_all(p.a, p.rows_a), of_all(p.b, p.rows_b)) for p in found]
 
 
