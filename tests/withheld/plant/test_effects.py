@@ -245,7 +245,7 @@ def test_every_effect_reaches_its_size(bench, name):
     one = sized(scene, base, nominal, spec, 5.0)
     limited = KINDS[name].largest(scene, spec) <= one.scale * 1.0001
     assert one.size.max() == pytest.approx(5.0, rel=0.2) or (limited and one.size.max() > 0.2)
-    assert one.parameters
+    assert with_effect(scene, base, spec, one.scale)[1]
     if name in LOCAL:
         joint = spec.joints[0]
         others = np.delete(one.size, joint)
