@@ -142,3 +142,8 @@ def test_a_motion_does_not_repeat_itself_at_no_lag() -> None:
     motion = Motion(q, dq, torch.zeros_like(q))
     chirp = Segment("chirp", rate, rate / 2, motion, q, own_velocity=False)
     assert len(find_repeats([chirp])) == 0
+
+
+@pytest.mark.parametrize("seconds", [1.9, 2.0, 2.04, 2.1])
+def test_a_motion_as_short_as_a_stretch_repeats_nothing(seconds: float) -> None:
+    assert len(find_repeats([segment_of(motion_at(times(seconds)))])) == 0

@@ -205,7 +205,7 @@ def _lags(one: Segment, two: Segment, *, same: bool) -> list[int]:
     spread = _spread(one.motion.q).unsqueeze(-1)
     x, y = x / spread, y / spread
     shortest = round(SHORTEST * one.rate / step)
-    if min(x.shape[-1], y.shape[-1]) < shortest:
+    if min(x.shape[-1], y.shape[-1]) < shortest + same:  # a motion and itself: a lag at least
         return []
     lags, difference = _difference(x, y, shortest)
     if same:
