@@ -293,14 +293,16 @@ def _check_velocity_unit(log: Log, agreement: Sequence[Agreement], slides: Seque
             continue
         q, ratio = f"q{a.joint + 1}", a.ratio
         if near(ratio, DEGREES):
-            named, unit, of = column, "rad/s", f"{ratio:.1f} times the derivative of {q}"
+            named, looks, unit = column, "degrees per second", "rad/s"
+            got = f"{ratio:.1f} times the derivative of {q}"
         elif near(ratio, 1.0 / DEGREES):
-            named, unit, of = q, "rad", f"{column} is 1/{1.0 / ratio:.1f} of its derivative"
+            named, looks, unit = q, "degrees", "rad"
+            got = f"{column} is 1/{1.0 / ratio:.1f} of its derivative"
         else:
             continue
         raise LogError(
-            f"{log.label}: the units of {named} look like degrees{' per second' * (named != q)}.",
-            got=of,
+            f"{log.label}: the units of {named} look like {looks}.",
+            got=got,
             expected=unit,
             hint=f"multiply {named} by pi/180",
         )

@@ -66,7 +66,6 @@ def _needed(simulated: PositionDiagnosis, real: PositionDiagnosis) -> Bool[Tenso
     data, other = real.data, simulated.servos.joint
     now, k, n = real.servos.joint.clone(), len(PARAMETERS), real.servos.n
     windows = some_of(windows_of(data.tracks, WINDOW_S), MOST)
-    rows = float((windows.length * windows.weight).sum())
     taken = torch.zeros(n, k, dtype=torch.bool)
     for _ in range(k):
         # The simulated servo, the real one, and the real one with each parameter of the other.
@@ -77,7 +76,7 @@ def _needed(simulated: PositionDiagnosis, real: PositionDiagnosis) -> Bool[Tenso
         plane = real.servos.plane.repeat(2 + k, 1)
         error = errors(data, replace(real.servos, joint=sets, plane=plane), windows)
         apart = (error - error[..., :1]).square() * windows.weight[:, None, None]
-        square = apart.sum((0, 1)) / rows
+        square = apart.sum((0, 1)) / windows.rows
         best, which = square[:, 2:].min(1)
         better = square[:, 1] > data.slight**2
         better &= square[:, 1] - best > WORTHWHILE * square[:, 1]

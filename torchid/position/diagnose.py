@@ -220,8 +220,9 @@ def _follows(
     """Joints that servos of a robot's file follow, and those servos as they are nearest."""
     own = _as_file(data, servos, simple.free, windows)
     # What windows leave alone is their starts'.
+    least = GAP * noise.at_least(data.slight).square()
     follows = [
-        losses_of(data, own.servos, w).sum(0) <= GAP * _unclosable(data, noise, w)
+        losses_of(data, own.servos, w).sum(0) <= w.rows * least
         for w in (windows, windows_of(data.tracks, None))
     ]
     return torch.stack(follows).any(0), own
@@ -241,12 +242,6 @@ def _as_file(
     used = {p.name: servos.of(p.name) != p.neutral for p in PARAMETERS if p.name not in core}
     free = {**core, **{name: on for name, on in used.items() if bool(on.any())}}
     return Found(replace(servos, joint=joint), free, bool(servos.plane[4] > 0))
-
-
-def _unclosable(data: PositionData, noise: PositionNoise, windows: Windows) -> Tensor:
-    """(n,) losses that call for no cause, or are noise, where repeats tell it [rad^2]."""
-    rows = float((windows.length * windows.weight).sum())
-    return torch.maximum(slight(data, windows), rows * noise.windows.nan_to_num(0.0).square())
 
 
 def _changes(
@@ -667,8 +662,9 @@ def _findings(
 ) -> tuple[PositionFinding, ...]:
     """What is named, by what it was worth in windows; torques of some joints as shares of kp."""
     data, found, rivals = answered.data, answered.found, answered.rivals
-    least = _unclosable(data, noise, windows)
-    rows = float((windows.length * windows.weight).sum()) / known.alike
+    # Losses that call for no cause, or are noise, where repeats tell it [rad^2].
+    least = windows.rows * noise.at_least(data.slight).square()
+    rows = windows.rows / known.alike
 
     def sure(
         losses: Sequence[Tensor],

@@ -245,16 +245,19 @@ class PositionDiagnosis(Diagnosis):
     def unseen(self) -> Float[Tensor, " n"]:
         """RMS errors of joints beside refitted plain servos in windows that call for no cause, or
         are noise, where repeats tell it [mrad]."""
-        noise = self.noise.windows.nan_to_num(0.0)
-        return 1e3 * torch.maximum(self.data.slight, noise) / self.data.scale
+        return 1e3 * self.noise.at_least(self.data.slight) / self.data.scale
+
+    @property
+    def _measured_noise(self) -> Float[Tensor, "n 2"]:
+        """Noise of whole motions, 90 %, as repeats tell it; else NaN [mrad]."""
+        return 1e3 * torch.stack([self.noise.low, self.noise.high], 1) / self.data.scale[:, None]
 
     @property
     def _noise_interval(self) -> Float[Tensor, "n 2"]:
-        """Noise of whole motions, 90 %, as repeats tell it; else from zero to what calls for no
-        cause [mrad]."""
-        told = 1e3 * torch.stack([self.noise.low, self.noise.high], 1) / self.data.scale[:, None]
-        open_ = torch.stack([torch.zeros_like(self.unseen), self.unseen], 1)
-        return torch.where(told.isfinite(), told, open_)
+        """The same; where no repeat tells it from zero to what calls for no cause [mrad]."""
+        measured, unseen = self._measured_noise, self.unseen
+        between = torch.stack([torch.zeros_like(unseen), unseen], 1)
+        return torch.where(measured.isfinite(), measured, between)
 
     @property
     def status(self) -> str:
@@ -339,7 +342,7 @@ class PositionDiagnosis(Diagnosis):
 def position_record(result: PositionDiagnosis) -> PositionRecord:
     """A diagnosis as its JSON has it."""
     kp, intervals = result.gains
-    low, high = (x / result.data.scale for x in (result.noise.low, result.noise.high))
+    noise = result._measured_noise.tolist()
     joints = tuple(
         JointRecord(
             joint=j,
@@ -352,7 +355,7 @@ def position_record(result: PositionDiagnosis) -> PositionRecord:
             ratio_only=bool(result.ratio_only[j]),
             never_moves=bool(result.still[j]),
             unseen_mrad=float(result.unseen[j]),
-            noise_mrad=(1e3 * float(low[j]), 1e3 * float(high[j])),
+            noise_mrad=(noise[j][0], noise[j][1]),
             resolution_mrad=float(1e3 * 12**0.5 * result.data.resolution[j]),
         )
         for j in range(result.servos.n)

@@ -20,13 +20,13 @@ class EarlyAnswer:
         self, watch: Callable[[Answer], None], data: PositionData, plain: Tensor, windows: Windows
     ) -> None:
         self.watch, self.names, self.scale = watch, data.robot.joint_names, data.scale
-        self.seconds = float((windows.length * windows.weight).sum())
+        self.rows = windows.rows
         self.before = self.after = self._errors(plain)
         self.best = [""] * len(self.names)
         self._show()
 
     def _errors(self, losses: Tensor) -> Tensor:
-        return 1e3 * (losses / self.seconds).sqrt() / self.scale
+        return 1e3 * (losses / self.rows).sqrt() / self.scale
 
     def __call__(self, effect: str, losses: Tensor) -> None:
         """An effect beside the plain servos, and the losses that it leaves."""

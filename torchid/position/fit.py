@@ -233,8 +233,7 @@ def prior_deviations(names: tuple[str, ...]) -> Float[Tensor, " K"]:
 
 def mean_square(residual: Tensor, w: Tensor, windows: Windows) -> Float[Tensor, " n"]:
     """Of each joint [rad^2], with Huber's weights (L, W, n)."""
-    rows = float((windows.length * windows.weight).sum())
-    return (residual.square() * w).sum((0, 1)) / rows
+    return (residual.square() * w).sum((0, 1)) / windows.rows
 
 
 def fit(
@@ -273,7 +272,7 @@ def fit(
         mask = torch.stack([free[name] for name in names], 1)
         begun = origin[:, at]
         kinds = [PARAMETERS[i].kind for i in at.tolist()]
-        logs, positive = (torch.tensor([k == kind for k in kinds]) for kind in ("log", "positive"))
+        logs, positive = (torch.tensor([p == kind for p in kinds]) for kind in ("log", "positive"))
         s = sensitivities(data, servos, names, windows, plane=plane)
         w = weights(s.residual, windows)
         square = mean_square(s.residual, w, windows)

@@ -163,15 +163,12 @@ class Equations:
         white, spread = torch.zeros_like(to), torch.zeros_like(to)
         freedom = self.noise.new_zeros(self.mask.shape)
         for j in self.mask.any(1).nonzero().flatten().tolist():
-            # In units of the noise, where what was expected is given.
-            on, noise, way = self.mask[j], self.noise[j].clamp(min=1e-300), to[j][:, self.mask[j]]
-            grams = self.gram[:, j][:, on][:, :, on] / noise
-            pulls = (self.pull[:, j, on] - self.pull[:, j, on].mean(0)) / noise
-            prior = (self.prior[j, on] / noise).diag()
-            found = jackknife(grams, pulls, variance=1.0, combinations=way, known=prior)
-            white[j] = way @ torch.linalg.inv(grams.sum(0) + prior) @ way.T
-            spread[j] = found.covariance
-            freedom[j, on] = torch.where(found.by_one_block, 0.0, found.freedom)[on]
+            on, noise = self.mask[j], self.noise[j].clamp(min=1e-300)
+            white[j], spread[j], told = by_noise_and_motions(
+                self.gram[:, j][:, on][:, :, on], self.pull[:, j, on], self.prior[j, on].diag(),
+                noise, to[j][:, on],
+            )  # fmt: skip
+            freedom[j, on] = told[on]
         return white, spread, freedom
 
     def expected(self) -> Float[Tensor, "n K K"]:
@@ -201,6 +198,30 @@ class Equations:
                 out[:, row, row] = torch.where(whole, gain, 1.0) / SMALL
                 out[:, row, k] = self.servos.of(name) * whole
         return out
+
+
+def by_noise_and_motions(
+    grams: Float[Tensor, "m P P"],
+    pulls: Float[Tensor, "m P"],
+    prior: Float[Tensor, "P P"],
+    noise: float | Tensor,
+    to: Float[Tensor, "Q P"] | None = None,
+) -> tuple[Float[Tensor, "Q Q"], Float[Tensor, "Q Q"], Float[Tensor, " Q"]]:
+    """Covariances of combinations of P numbers by noise alone and by how m motions disagree, and
+    the latter's degrees of freedom, none where one motion alone tells.
+
+    Args:
+        grams, pulls: of the motions' normal equations.
+        prior: precision of what was expected, in the same units.
+        noise: mean square error of an independent row.
+        to: the combinations; the numbers themselves if None.
+    """
+    # In units of the noise, where what was expected is given.
+    grams, pulls, prior = grams / noise, (pulls - pulls.mean(0)) / noise, prior / noise
+    found = jackknife(grams, pulls, variance=1.0, combinations=to, known=prior)
+    white = torch.linalg.inv(grams.sum(0) + prior)
+    white = white if to is None else to @ white @ to.T
+    return white, found.covariance, torch.where(found.by_one_block, 0.0, found.freedom)
 
 
 def usual_excess(by_noise: Tensor, by_motions: Tensor, freedom: Tensor) -> float:
@@ -259,8 +280,7 @@ def equations(
     mask = torch.stack([free[name] for name in names], 1)
     alike, square = alike_rows(s.residual, windows), mean_square(s.residual, w, windows)
     unsure = torch.zeros_like(square) if trusted else data.torque_std
-    rows = float((windows.length * windows.weight).sum())
-    return Equations(servos, names, mask, gram, pull, square, rows, alike, unsure)
+    return Equations(servos, names, mask, gram, pull, square, windows.rows, alike, unsure)
 
 
 def alike_rows(residual: Float[Tensor, "L W n"], windows: Windows) -> Float[Tensor, " n"]:

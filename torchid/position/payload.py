@@ -27,13 +27,12 @@ from torchid.position.fit import (
     sensitivities,
     weights,
 )
-from torchid.position.judge import alike_rows, deviations_of, usual_excess
+from torchid.position.judge import alike_rows, by_noise_and_motions, deviations_of, usual_excess
 from torchid.position.search import Found
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import PROFILE, Body, Windows, body_near
-from torchid.statistics.jackknife import jackknife
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Float
 
@@ -241,13 +240,9 @@ def _deviations(
     pulls = torch.zeros(motions, 4, dtype=columns.dtype)
     grams.index_add_(0, of, torch.einsum("jri,jrk->rik", columns, columns))
     pulls.index_add_(0, of, torch.einsum("jri,jr->ri", columns, residual[..., 0]))
-    rows = float((windows.length * windows.weight).sum())
-    noise = alike * float(residual.square().sum()) / rows / len(columns)
-    grams, pulls, prior = grams / noise, (pulls - pulls.mean(0)) / noise, prior / noise
-    found = jackknife(grams, pulls, variance=1.0, known=prior)
-    by_noise = torch.linalg.inv(grams.sum(0) + prior).diagonal()
-    by_motions, freedom = found.covariance.diagonal(), found.freedom
-    freedom = torch.where(found.by_one_block, 0.0, freedom)
+    noise = alike * float(residual.square().sum()) / windows.rows / len(columns)
+    white, spread, freedom = by_noise_and_motions(grams, pulls, prior, noise)
+    by_noise, by_motions = white.diagonal(), spread.diagonal()
     excess = usual_excess(by_noise, by_motions, freedom)
     return deviations_of(by_noise, by_motions, freedom, excess)
 

@@ -46,6 +46,10 @@ class PositionNoise:
         """Squared noise of whole motions [rad^2]; 0 where no repeat tells it."""
         return (0.5 * (self.low.square() + self.high.square())).nan_to_num(0.0)
 
+    def at_least(self, slight: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """Errors in windows that are noise, no less than what calls for no cause [rad]."""
+        return torch.maximum(slight, self.windows.nan_to_num(0.0))
+
 
 def no_noise(joints: int) -> PositionNoise:
     """Of a log that repeats nothing."""
@@ -61,7 +65,13 @@ def noise_of_repeats(data: PositionData, servos: Servos) -> PositionNoise:
         servos: whose errors are compared; what they do not know is the same each time.
     """
     pairs = _same_commands(data)
-    if not pairs:
+    size = max(2, round(WINDOW_S / data.tracks.dt))
+    parts = [
+        (k, a.start + row, b.start + row)
+        for k, (a, b) in enumerate(pairs)
+        for row in range(0, a.stop - a.start - size + 1, size)
+    ]
+    if not parts:
         return no_noise(data.robot.n)
     # Joints whose command moves in a stretch as it does in others.
     ends = zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True)
@@ -71,15 +81,7 @@ def noise_of_repeats(data: PositionData, servos: Servos) -> PositionNoise:
     error = whole.on_rows(errors_of_one(data, servos, whole), torch.zeros_like(data.q))
     low, high = _interval(data, [error[b] - error[a] for a, b in pairs], moves)
     # Windows that begin at once in both.
-    size = max(2, round(WINDOW_S / data.tracks.dt))
-    parts = [
-        (k, a.start + row, b.start + row)
-        for k, (a, b) in enumerate(pairs)
-        for row in range(0, a.stop - a.start - size + 1, size)
-    ]
-    parts = parts[:: math.ceil(len(parts) / MOST)] if parts else []
-    if not parts:
-        return PositionNoise(low, high, no_noise(data.robot.n).windows)
+    parts = parts[:: math.ceil(len(parts) / MOST)]
     owner, first, second = torch.tensor(parts).T.contiguous()
     apart = _errors_from(data, servos, second, size) - _errors_from(data, servos, first, size)
     _, again = _interval(data, apart.unbind(1), [moves[k] for k in owner.tolist()])

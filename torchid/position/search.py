@@ -163,7 +163,7 @@ def settled(data: PositionData, found: Found, windows: Windows) -> Found:
 
 def least_loss(data: PositionData, windows: Windows) -> Tensor:
     """(n,) losses that are no more than what rounding to an encoder's count leaves [rad^2]."""
-    return data.resolution**2 * float((windows.length * windows.weight).sum())
+    return data.resolution**2 * windows.rows
 
 
 def _tried(data: PositionData, sets: Servos, windows: Windows) -> Tensor:
@@ -357,7 +357,7 @@ _SIZES: dict[str, Callable[[PositionData, Servos], Tensor]] = {
 
 def slight(data: PositionData, windows: Windows) -> Tensor:
     """(n,) losses that call for no cause [rad^2]."""
-    return data.slight**2 * float((windows.length * windows.weight).sum())
+    return data.slight**2 * windows.rows
 
 
 Rivals = dict[tuple[str, int], tuple[str, ...]]

@@ -233,6 +233,11 @@ class Windows:
     motion: Int[Tensor, " W"]
     weight: Float[Tensor, " W"]
 
+    @property
+    def rows(self) -> float:
+        """Rows that all windows stand for [1]."""
+        return float((self.length * self.weight).sum())
+
     def some(self, rows: Int[Tensor, " V"]) -> "Windows":
         """Some of them."""
         return Windows(self.start[rows], self.length[rows], self.motion[rows], self.weight[rows])
