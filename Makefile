@@ -18,7 +18,7 @@ HALF := $(addprefix tests/,$(SHAPES) excitation export extraction feasibility lo
 SHELL := bash
 .SHELLFLAGS := -o pipefail -c
 
-.PHONY: demo test test-one test-two test-slow nightly golden durations coverage lint format docs docs-site fuzz test-lowest test-newest bench clean
+.PHONY: demo test test-one test-two test-slow nightly criteria golden durations coverage lint format docs docs-site fuzz test-lowest test-newest bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
@@ -43,6 +43,13 @@ nightly: SEED ?= $(shell date +%Y%m%d)
 nightly: $(VENV)/.dev
 	TORCHID_TYPES=torchid $(PYTEST) $(TWO) $(QUICK) --hypothesis-seed=$(SEED)
 	TORCHID_SEED=$(SEED) $(PYTEST) $(TWO) -m nightly --hypothesis-seed=$(SEED)
+
+# What doubling and halving the numbers that decide an answer does to simulated cases: hours.
+criteria: COUNT ?= 60
+criteria: $(VENV)/.dev
+	rm -rf build/cases && mkdir -p build
+	$(BIN)/torchid withheld make --out build/cases --cases $(COUNT) --seed 5757 --quiet
+	$(BIN)/python benchmarks/criteria.py build/cases --jobs $(shell nproc) --out build/criteria.md
 
 # Answers to twelve small logs beside the stored ones: code that was only moved changes none of them.
 golden: $(VENV)/.dev

@@ -15,7 +15,6 @@ from torchid.identification import rows as rows_module
 from torchid.identification.base_parameters import base_parameters, stacked_regressor
 from torchid.identification.rows import Layout, RowSource, layout
 from torchid.log.model import Log
-from torchid.log.sampling import sampling_rate
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 
@@ -105,7 +104,7 @@ def test_several_trajectories_of_other_length_and_rate():
     robot = load_robot("3r_friction")
     columns = layout_of(robot)
     log = a_log(robot, rates=(100.0, 250.0, 1000.0), durations=(20.0, 12.0, 5.0))
-    assert sampling_rate(log) == pytest.approx([100.0, 250.0, 1000.0])
+    assert log.rates == pytest.approx([100.0, 250.0, 1000.0])
     found = measurements(log, 5.0)
     source = RowSource(found, columns)
     a, tau, _, instant = collected(source)

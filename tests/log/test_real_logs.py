@@ -14,7 +14,7 @@ from tests.real_logs import FOLDER, NO_LOGS, SOUND
 from torchid.errors import LogError
 from torchid.log.checks import check_log
 from torchid.log.readers import read_log
-from torchid.log.sampling import resample, sampling_rate
+from torchid.log.sampling import resample
 from torchid.robot.library import load_robot
 
 JOINTS = {
@@ -59,8 +59,8 @@ def test_real_log(path: Path) -> None:
     result = resample(log)
     assert is_uniform(result)
     assert result.trajectory_count == log.trajectory_count == 1
-    assert result.duration == pytest.approx(log.duration, abs=1.01 / sampling_rate(result)[0])
-    assert sampling_rate(result) == [pytest.approx(RATE_HZ[arm], rel=1e-3)]
+    assert result.duration == pytest.approx(log.duration, abs=1.01 / result.rates[0])
+    assert result.rates == (pytest.approx(RATE_HZ[arm], rel=1e-3),)
     assert all(torch.isfinite(signal).all() for signal in result.signals.values())
     assert (result.warnings == ()) == is_uniform(log)
     assert check_log(result, n=n, robot_name=arm, prismatic=slides) == warnings

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from torchid.errors import LogError
 from torchid.log.model import Log
-from torchid.log.sampling import resample, sampling_rate, time_steps
+from torchid.log.sampling import resample, time_steps
+from torchid.log.stamps import rates_of
 
 from .examples import is_uniform, log_at, motion, same, snapshot, uniform
 
@@ -34,7 +35,7 @@ def test_uniform_log_is_returned_as_it_was() -> None:
     assert same(result, snapshot(log))
     assert result.warnings == ()
     assert is_uniform(log)
-    assert sampling_rate(log) == [pytest.approx(100.0)]
+    assert log.rates == (pytest.approx(100.0),)
 
 
 def test_tiny_jitter_moves_only_the_stamps() -> None:
@@ -71,7 +72,7 @@ def test_jitter(seed: int) -> None:
 def test_alternating_steps_as_on_a_ur10e() -> None:
     t = np.concatenate([[0.0], np.cumsum(np.tile([0.010, 0.012, 0.010], 1000))])
     result = resample(log_at(t))
-    assert sampling_rate(result) == [pytest.approx(100.0)]
+    assert result.rates == (pytest.approx(100.0),)
     assert errors(result)["q"] < 1e-7
     assert result.duration[0] == pytest.approx(t[-1], abs=0.01)
 
@@ -135,7 +136,7 @@ def test_nothing_left() -> None:
 def test_one_step_for_trajectories_that_agree() -> None:
     log = Log.concatenate([uniform(step=0.01), uniform(step=0.01005), uniform(step=0.01)])
     result = resample(log)
-    assert sampling_rate(result) == pytest.approx([100.0] * 3)
+    assert result.rates == pytest.approx([100.0] * 3)
     assert errors(result)["q"] < 1e-6
     assert len(result.warnings) == 1
 
@@ -144,7 +145,7 @@ def test_stamps_far_from_zero_have_one_rate() -> None:
     parts = [
         log_at(start + 0.001 * np.arange(4001 + k)) for k, start in enumerate((843.513, 1.7e9))
     ]
-    rates = sampling_rate(resample(Log.concatenate(parts)))
+    rates = resample(Log.concatenate(parts)).rates
     assert rates[0] == rates[1]
     assert rates[0] == pytest.approx(1000.0, rel=1e-6)
 
@@ -152,7 +153,7 @@ def test_stamps_far_from_zero_have_one_rate() -> None:
 def test_a_step_each_for_those_that_do_not() -> None:
     log = Log.concatenate([uniform(step=0.01), uniform(step=0.02), log_at(stamps(0))])
     result = resample(log)
-    assert sampling_rate(result)[:2] == pytest.approx([100.0, 50.0])
+    assert result.rates[:2] == pytest.approx([100.0, 50.0])
     assert torch.equal(result.q[:1002], log.q[:1002])
     assert result.trajectory_count == 3
 
@@ -177,7 +178,7 @@ def test_nan_stays_where_it_is() -> None:
     assert 1 <= int(result.q.isnan().sum()) <= 3
 
 
-@pytest.mark.parametrize("function", [resample, sampling_rate, time_steps])
+@pytest.mark.parametrize("function", [resample, rates_of, time_steps])
 def test_time_must_increase(function: object) -> None:
     t = uniform().t.clone()
     t[10] = t[9]
@@ -210,7 +211,7 @@ def test_grid_covers_the_log_and_resampling_twice_changes_nothing(
 ) -> None:
     t = start + stamps(seed, 400, low, 2.0 - low)
     result = resample(log_at(t))
-    step = 1.0 / sampling_rate(result)[0]
+    step = 1.0 / result.rates[0]
     assert result.t[0] == t[0]
     assert t[-1] - step * 1.001 < result.t[-1] <= t[-1] + 1e-4 * step
     again = resample(result)
@@ -223,4 +224,4 @@ def test_parts_of_one_uneven_trajectory_have_one_step() -> None:
     t = np.r_[np.arange(0, 10, 0.02), np.arange(11, 21, 0.01)]
     even = resample(log_at(t))
     assert len(even.names) == 2
-    assert len(set(sampling_rate(even))) == 1
+    assert len(set(even.rates)) == 1

@@ -135,21 +135,6 @@ def test_repeated_rows_tell_nothing_new(seed, copies):
     assert torch.allclose(found.covariance, plain.covariance, rtol=1e-8, atol=1e-15)
 
 
-def test_rows_beyond_hubers_limit_pull_but_inform_not():
-    columns, y, _ = problem()
-    robust = torch.ones(len(y))
-    plain = fit_statistics(columns, y, BLOCK)
-    assert torch.equal(fit_statistics(columns, y, BLOCK, robust).covariance, plain.covariance)
-    robust[::7] = 0.5
-    hessians = torch.stack(
-        [columns[own].T @ columns[own] for own in ((k == BLOCK) & (robust == 1) for k in range(12))]
-    )
-    pulls = columns * (robust.square() * y).unsqueeze(1)
-    gradients = torch.stack([pulls[k == BLOCK].sum(0) for k in range(BLOCKS)])
-    found = fit_statistics(columns, y, BLOCK, robust)
-    assert torch.allclose(found.covariance, jackknife(hessians, gradients).covariance, rtol=1e-9)
-
-
 def test_combinations_are_those_of_the_covariance():
     columns, y, x = problem()
     hessians = torch.stack([columns[k == BLOCK].T @ columns[k == BLOCK] for k in range(BLOCKS)])

@@ -14,7 +14,6 @@ from torchid.design.segments import HARDLY, Samples, Segment, widened
 from torchid.dynamics.forward import mass_matrix
 from torchid.errors import LogError
 from torchid.log.model import Log
-from torchid.log.sampling import sampling_rate
 from torchid.robot.model import Robot
 from torchid.statistics.robust import robust_std
 from torchid.typing import Float, Tensor
@@ -65,7 +64,7 @@ def position_noise(log: Log, robot: Robot) -> Float[Tensor, " n"]:
     from scipy.signal import welch
 
     # Level at which each joint's spectrum ends [rad^2/Hz], trajectories by their length.
-    for rows, rate in zip(log.slices(), sampling_rate(log), strict=True):
+    for rows, rate in zip(log.slices(), log.rates, strict=True):
         q = log.q[rows].double().numpy()
         frequency, power = welch(q, rate, nperseg=min(len(q), round(4 * rate)), axis=0)
         top = (frequency > 0.375 * rate) & (frequency < 0.475 * rate)
@@ -83,7 +82,7 @@ def position_noise(log: Log, robot: Robot) -> Float[Tensor, " n"]:
 def _noise_of_differences(log: Log, joint: int) -> float:
     """Spectral density [rad^2/Hz; m^2/Hz] of white noise as third differences have it."""
     out = 0.0
-    for rows, rate in zip(log.slices(), sampling_rate(log), strict=True):
+    for rows, rate in zip(log.slices(), log.rates, strict=True):
         jumps = log.q[rows, joint].double().diff(n=3)
         if len(jumps):
             share = (rows.stop - rows.start) / log.samples
@@ -102,7 +101,7 @@ def resolved(log: Log, noise: Float[Tensor, " n"], free: Sequence[int] = ()) -> 
     """
     # How much of the time each joint moves, over steps that its noise does not reach.
     moving = torch.zeros_like(noise)
-    for rows, rate in zip(log.slices(), sampling_rate(log), strict=True):
+    for rows, rate in zip(log.slices(), log.rates, strict=True):
         q, step = log.q[rows], max(1, round(DWELL * rate))
         moving += ((q[step:] - q[:-step]).abs() > MOVING * step / rate).sum(0) / log.samples
     slides = (moving >= HARDLY) & (noise > 0)
@@ -120,7 +119,7 @@ def bands(log: Log, cutoff: float | None, highest: float = math.inf) -> tuple[fl
     Raises:
         LogError: trajectories at different rates, or a cut-off that the log cannot hold.
     """
-    rates = sampling_rate(log)
+    rates = log.rates
     rate = min(rates)
     if max(rates) > (1 + SAME_RATE) * rate:
         listed = ", ".join(f"{n} {r:.4g} Hz" for n, r in zip(log.names, rates, strict=True))

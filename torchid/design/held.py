@@ -16,7 +16,6 @@ from torchid.design.motion import MOVING
 from torchid.design.segments import Segment
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
-from torchid.log.sampling import sampling_rate
 from torchid.typing import Bool, Float, Int, Tensor
 
 FEWEST = 3
@@ -45,7 +44,7 @@ def held_ages(log: Log) -> Float[Tensor, "T n"]:
     """
     assert log.tau is not None
     ages = torch.zeros_like(log.tau)
-    for rows, rate in zip(log.slices(), sampling_rate(log), strict=True):
+    for rows, rate in zip(log.slices(), log.rates, strict=True):
         speed = central_difference(log.q[rows].T, rate).abs().amax(0)
         for j in range(log.n):
             ages[rows, j] = _ages(log.tau[rows, j], speed) / rate
@@ -62,7 +61,7 @@ def held_ages_of(log: Log, segments: Sequence[Segment]) -> list[Float[Tensor, "_
         segments: its trajectories in order; some may have been left out as too short.
     """
     ages = held_ages(log)
-    parts = iter(zip(log.names, log.slices(), sampling_rate(log), strict=True))
+    parts = iter(zip(log.names, log.slices(), log.rates, strict=True))
     out = []
     for segment in segments:
         # The segment's trajectory is the next one of this name and length.

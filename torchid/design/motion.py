@@ -12,7 +12,6 @@ from torchid.errors import LogError
 from torchid.log.columns import column_names
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
-from torchid.log.sampling import sampling_rate
 from torchid.typing import Bool, Float, Int, Tensor
 
 MOVING = RESTING
@@ -94,7 +93,7 @@ def measurements(
     if log.tau is None:
         raise no_torque(log)
     threshold = torch.zeros(log.n, dtype=torch.float64) if reversal is None else reversal
-    parts = list(zip(log.trajectories(), sampling_rate(log), strict=True))
+    parts = list(zip(log.trajectories(), log.rates, strict=True))
     long = [p for p in parts if p[0].samples >= _needed(p[1], cutoff)]
     if not long:
         raise _too_short(*max(parts, key=lambda p: p[0].samples / p[1]), cutoff)

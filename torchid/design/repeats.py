@@ -19,7 +19,7 @@ from torchid.design.segments import Samples as SegmentSamples
 from torchid.design.segments import Segment, segments_of
 from torchid.errors import LogError
 from torchid.log.model import Log
-from torchid.log.sampling import resample, sampling_rate
+from torchid.log.sampling import resample
 from torchid.typing import Bool, Float, Int, Samples, Signals, Tensor
 
 POSITION_AGREES = 0.01
@@ -382,7 +382,7 @@ def repeated_motion(log: Log) -> tuple[Repeat, ...]:
     still = torch.zeros_like(log.q)
     try:
         even = resample(log.replace(tau=still))
-        band = min(_BAND, 0.2 * min(sampling_rate(even)))
+        band = min(_BAND, 0.2 * min(even.rates))
         segments = segments_of(measurements(even, band), band)
     except LogError:
         return ()

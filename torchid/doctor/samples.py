@@ -7,7 +7,7 @@ import torch
 from torchid.log.checks import MOVING
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
-from torchid.log.sampling import resample, sampling_rate
+from torchid.log.sampling import resample
 from torchid.typing import Bool, Float, Int, Tensor
 
 BLOCKS = 8
@@ -93,7 +93,7 @@ def samples(log: Log) -> Samples | str:
         return "there is no torque"
     # Numbers in place of names, which need not differ: a run may be split at long gaps.
     even = resample(log.replace(names=tuple(map(str, range(log.trajectory_count)))))
-    parts = list(zip(even.trajectories(), sampling_rate(even), strict=True))
+    parts = list(zip(even.trajectories(), even.rates, strict=True))
     usable = [(p, r) for p, r in parts if p.samples > _FEWEST]
     if not usable:
         return f"no trajectory has more than {_FEWEST} samples"

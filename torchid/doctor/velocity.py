@@ -12,7 +12,7 @@ from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
 from torchid.log.checks import FOLLOWS, MOVING, named_ratio, own_units, velocity_agreement
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
-from torchid.log.sampling import resample, sampling_rate
+from torchid.log.sampling import resample
 from torchid.robot.model import joint_list
 
 LATE_S = 0.015
@@ -165,7 +165,7 @@ def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
     even = resample(log)
     assert even.dq is not None
     sums = []
-    for part, rate in zip(even.trajectories(), sampling_rate(even), strict=True):
+    for part, rate in zip(even.trajectories(), even.rates, strict=True):
         assert part.dq is not None
         low = ZeroPhaseFilter(rate, min(_BAND_HZ, 0.3 * rate))
         reference = low.apply(central_difference(part.q.T, rate))

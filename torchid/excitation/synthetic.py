@@ -26,7 +26,6 @@ from torchid.errors import LogError, TorchidError
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.columns import JOINT_SIGNALS
 from torchid.log.model import Log
-from torchid.log.sampling import sampling_rate
 from torchid.robot.model import Robot
 from torchid.simulation.closed_loop import closed_loop as under_control
 from torchid.simulation.controller import Controller
@@ -229,7 +228,7 @@ def synthetic_log(
     _check(robot, motion)
     generator = torch.Generator().manual_seed(seed)
     parts = motion.trajectories()
-    rates = sampling_rate(motion) if isinstance(noise, HonestNoise) else [0.0] * len(parts)
+    rates = motion.rates if isinstance(noise, HonestNoise) else [0.0] * len(parts)
     made = [
         _one(robot, _motion(part), noise, rate, generator, device)
         for part, rate in zip(parts, rates, strict=True)

@@ -36,7 +36,7 @@ from torchid.errors import LogError
 from torchid.gap.settings import GapSettings
 from torchid.identification.logs import prepared, refuse_repeated
 from torchid.log.model import Log
-from torchid.log.sampling import at_rate, sampling_rate
+from torchid.log.sampling import at_rate
 from torchid.robot.model import Robot, joint_list
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -211,7 +211,7 @@ def prepare(
         LogError: what `torchid.identification.logs.prepared` refuses.
     """
     even, warnings = prepared(log, robot, standing=True)
-    even = at_rate(even, min(rate, *sampling_rate(even)))
+    even = at_rate(even, min(rate, *even.rates))
     warnings = tuple(dict.fromkeys([*warnings, *even.warnings]))
     even, spread = spread_over(even, LONGEST / log.n)
     # Differentiated in a wide band, from which all is filtered later.
@@ -299,7 +299,7 @@ def read(
         refuse_repeated(log, held_out)
     cutoff = None if settings.cutoff == "auto" else settings.cutoff
     # What is searched and what is held out have one rate, the lower of the two.
-    rates = [] if held_out is None else [*sampling_rate(log), *sampling_rate(held_out)]
+    rates = [] if held_out is None else [*log.rates, *held_out.rates]
     rate = min(rates, default=math.inf)
     data = prepare(
         robot, log, cutoff, widest=settings.report_band, gain_std=settings.gain_std, rate=rate

@@ -27,7 +27,6 @@ from torchid.identification.rows import Layout, RowSource, layout
 from torchid.identification.settings import Settings
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
-from torchid.log.sampling import sampling_rate
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
 
@@ -132,7 +131,7 @@ def choose_cutoff(training: Training, report: Report = None) -> CutoffChoice:
     rate; no filter is one of them where the log has accelerations.
     """
     log = shortened(training.log)
-    rate, seconds = min(sampling_rate(log)), max(log.duration)
+    rate, seconds = min(log.rates), max(log.duration)
     tried: list[float | None] = [f for f in CUTOFFS if 20 / seconds <= f <= rate / 5]
     if log.ddq is not None:
         tried.append(None)

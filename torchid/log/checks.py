@@ -14,6 +14,7 @@ from torchid.errors import LogError
 from torchid.log.base_motion import COORDINATES, POSITION, QUATERNION
 from torchid.log.columns import PREFIXES, columns_of
 from torchid.log.model import Log
+from torchid.log.stamps import check_increasing, place_of
 from torchid.log.units import STEPS
 from torchid.statistics.robust import column_quantile
 from torchid.typing import Float, Tensor
@@ -102,13 +103,6 @@ def check_log(
     )
 
 
-def _where(log: Log, row: int) -> str:
-    """Which sample of which trajectory, counted from 1."""
-    rows = log.slices()[int(log.trajectory[row])]
-    name = log.names[int(log.trajectory[row])]
-    return f"row {row - rows.start + 1} of '{name}'"
-
-
 def _check_finite(log: Log) -> None:
     bad = {name: ~np.isfinite(column) for name, column in columns_of(log).items()}
     wrong = {name: mask for name, mask in bad.items() if mask.any()}
@@ -119,33 +113,11 @@ def _check_finite(log: Log) -> None:
     more = f", and {len(wrong) - 1} more columns have some" if len(wrong) > 1 else ""
     raise LogError(
         f"{log.label}: column {name} has {int(mask.sum())} values that are empty, NaN or "
-        f"infinite, the first in {_where(log, first)}{more}.",
+        f"infinite, the first in {place_of(log, first)}{more}.",
         got=", ".join(f"{key}: {int(m.sum())}" for key, m in list(wrong.items())[:10]),
         expected="a number in every row",
         hint="cut out those rows; resampling bridges the gap or splits the trajectory there",
     )
-
-
-def check_increasing(log: Log) -> None:
-    """Refuse a log whose time does not increase within each trajectory, or has one sample there."""
-    for name, rows in zip(log.names, log.slices(), strict=True):
-        t = log.t[rows]
-        steps = t.diff()
-        # Not `<= 0`: this way NaN is refused too.
-        wrong = (~(steps > 0)).nonzero().flatten()
-        if len(t) < 2:
-            raise LogError(f"trajectory '{name}' has one sample only.", got=1, expected="many")
-        if len(wrong) == 0:
-            continue
-        k = int(wrong[0])
-        repeated, back = int((steps == 0).sum()), int((steps < 0).sum())
-        raise LogError(
-            f"{log.label}: time does not increase in {_where(log, rows.start + k + 1)}.",
-            got=f"{float(t[k]):.9g} s, then {float(t[k + 1]):.9g} s; in all {repeated} repeated "
-            f"and {back} decreasing time stamps",
-            expected="increasing time within a trajectory",
-            hint="delete repeated rows, or number the trajectories in an integer column `traj`",
-        )
 
 
 def _check_position_units(

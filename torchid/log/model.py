@@ -9,6 +9,7 @@ interpolated across the border between two.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from html import escape
 from importlib import import_module
 from itertools import accumulate
@@ -19,6 +20,7 @@ import torch
 
 from torchid.errors import LogError
 from torchid.log.columns import JOINT_SIGNALS
+from torchid.log.stamps import rates_of
 from torchid.notebooks import data_frame, html_table
 from torchid.tensors import as_tensor
 from torchid.typing import Bool, Float, Int, Tensor
@@ -161,19 +163,31 @@ class Log:
         runs = "" if len(self.names) == 1 else f"{len(self.names)} trajectories of "
         return (
             f"Log({runs}{joints}, {self.samples} samples of {', '.join(self.signals)}, "
-            f"{sum(self.duration):.4g} s at {self._rate(0):.4g} Hz)"
+            f"{sum(self.duration):.4g} s at {self._shown_rates[0]:.4g} Hz)"
         )
 
-    def _rate(self, run: int) -> float:
-        """Samples a second of a trajectory, by its median step."""
-        steps = self.t[self.slices()[run]].diff()
-        return 1.0 / float(steps.median()) if len(steps) and steps.median() > 0 else math.nan
+    @cached_property
+    def rates(self) -> tuple[float, ...]:
+        """Samples a second of each trajectory [Hz], from its median step.
+
+        Raises:
+            LogError: a trajectory has one sample only, or its time does not increase.
+        """
+        return rates_of(self)
+
+    @property
+    def _shown_rates(self) -> tuple[float, ...]:
+        """Rates to be printed: nan where a log is refused for its time."""
+        try:
+            return self.rates
+        except LogError:
+            return (math.nan,) * len(self.names)
 
     def _repr_html_(self) -> str:
         """In a notebook: a row a trajectory, and the range of each signal of each joint."""
         joints = range(1, self.n + 1)
         runs = [
-            (name, rows.stop - rows.start, f"{seconds:.4g}", f"{self._rate(k):.4g}")
+            (name, rows.stop - rows.start, f"{seconds:.4g}", f"{self._shown_rates[k]:.4g}")
             for k, (name, rows, seconds) in enumerate(
                 zip(self.names, self.slices(), self.duration, strict=True)
             )

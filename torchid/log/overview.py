@@ -15,7 +15,8 @@ from torchid.log.checks import check_log
 from torchid.log.columns import JOINT_SIGNALS, PREFIXES
 from torchid.log.model import Log, finite_range
 from torchid.log.readers import open_logs
-from torchid.log.sampling import ROUNDING, SMALL_GAP
+from torchid.log.sampling import SMALL_GAP
+from torchid.log.stamps import ROUNDING
 from torchid.log.table import Request, Table
 from torchid.log.units import unit_factor
 from torchid.typing import Float, Tensor

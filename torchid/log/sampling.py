@@ -15,13 +15,11 @@ import numpy as np
 import torch
 
 from torchid.errors import LogError
-from torchid.log.checks import check_increasing
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
+from torchid.log.stamps import UNIFORM, off_grid, stamps_of, typical_step
 
-UNIFORM = 1e-3  # largest deviation from a uniform grid, in steps
 SAME_STEP = 0.01  # trajectories whose steps differ by less share one step
-ROUNDING = 1e-6  # steps that differ by less are one: stamps far from zero are rounded
 SMALL_GAP = 3.0  # longer steps are counted as gaps, in steps
 LONG_GAP_STEPS = 20.0  # a gap longer than this, or
 LONG_GAP_S = 0.25  # than this, splits the trajectory
@@ -29,19 +27,6 @@ SHORTEST_PIECE_S = 1.0  # shorter pieces are dropped
 BELOW_NYQUIST = 0.4  # what stays of a faster log, as a share of the new rate
 
 _SMOOTH = ("q", "dq", "ddq", "ql")
-
-
-def sampling_rate(log: Log) -> list[float]:
-    """Samples per second of each trajectory [Hz], from its median step; exactly the same where
-    only the stamps' rounding differs.
-
-    Raises:
-        LogError: a trajectory has one sample only.
-    """
-    rates = [1.0 / _typical_step(t) for t in _stamps(log)]
-    if max(rates) <= (1.0 + ROUNDING) * min(rates):
-        return [float(np.median(rates))] * len(rates)
-    return rates
 
 
 def resample(log: Log) -> Log:
@@ -58,10 +43,10 @@ def resample(log: Log) -> Log:
     warnings: list[str] = []
     pieces: list[Log] = []
     steps: list[float] = []
-    for trajectory, t in zip(log.trajectories(), _stamps(log), strict=True):
+    for trajectory, t in zip(log.trajectories(), stamps_of(log), strict=True):
         own = _split_at_gaps(trajectory, t, warnings)
         # What was one trajectory has one step, however uneven its parts are.
-        typical = [_typical_step(x) for piece in own for x in _stamps(piece)]
+        typical = [typical_step(x) for piece in own for x in stamps_of(piece)]
         pieces += own
         steps += [float(np.median(typical))] * len(own) if own else []
     if not pieces:
@@ -94,7 +79,7 @@ def at_rate(log: Log, rate: float) -> Log:
     """
     pieces: list[Log] = []
     warnings: list[str] = []
-    for piece, own in zip(log.trajectories(), sampling_rate(log), strict=True):
+    for piece, own in zip(log.trajectories(), log.rates, strict=True):
         if own <= (1.0 + SAME_STEP) * rate:
             pieces.append(piece)
             continue
@@ -139,30 +124,13 @@ def time_steps(log: Log) -> list[Steps]:
     Raises:
         LogError: time does not increase, or a trajectory has one sample only.
     """
-    return [_steps(t) for t in _stamps(log)]
+    return [_steps(t) for t in stamps_of(log)]
 
 
 def _steps(t: np.ndarray) -> Steps:
     d = np.diff(t)
     median = float(np.median(d))
     return Steps(float(d.min()), median, float(d.max()), int((d > SMALL_GAP * median).sum()))
-
-
-def _stamps(log: Log) -> list[np.ndarray]:
-    """The time stamps of each trajectory, which must increase."""
-    check_increasing(log)
-    return [log.t[rows].detach().cpu().numpy() for rows in log.slices()]
-
-
-def _off_grid(t: np.ndarray, step: float) -> float:
-    """Largest distance of the stamps from t[0], t[0] + step, ..., in steps."""
-    return float(np.abs((t - t[0]) / step - np.arange(len(t))).max())
-
-
-def _typical_step(t: np.ndarray) -> float:
-    """The median step; the mean, which is more exact, where all steps are alike."""
-    mean = float((t[-1] - t[0]) / (len(t) - 1))
-    return mean if _off_grid(t, mean) <= UNIFORM else float(np.median(np.diff(t)))
 
 
 def _split_at_gaps(log: Log, t: np.ndarray, warnings: list[str]) -> list[Log]:
@@ -201,7 +169,7 @@ def _split_at_gaps(log: Log, t: np.ndarray, warnings: list[str]) -> list[Log]:
 def _onto_grid(log: Log, step: float, warnings: list[str]) -> Log:
     """A log of one trajectory on the grid t[0], t[0] + step, ..."""
     t = log.t.detach().cpu().numpy()
-    if _off_grid(t, step) <= UNIFORM:
+    if off_grid(t, step) <= UNIFORM:
         grid = t[0] + step * np.arange(len(t))
         return log.replace(t=torch.from_numpy(grid).to(log.t.device))
     # The last grid point may lie on the last sample, but for rounding.

@@ -21,7 +21,7 @@ from torchid.doctor.samples import samples
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.log.filtering import central_difference, low_passed
 from torchid.log.model import Log
-from torchid.log.sampling import resample, sampling_rate
+from torchid.log.sampling import resample
 from torchid.pair.align import SAME_CLOCK, Both, correlations
 from torchid.pair.record import Fault, FaultName, Side
 from torchid.robot.model import Robot, joint_list
@@ -238,7 +238,7 @@ def _limit(own: Tensor, other: Tensor, exact: float, absolute: bool) -> float | 
 
 def held_control(simulated: Log, real: Log, rate: float) -> list[Fault]:
     """Commands or torques that change more seldom on one side."""
-    steps = [1 / float(np.median(sampling_rate(log))) for log in (simulated, real)]
+    steps = [1 / float(np.median(log.rates)) for log in (simulated, real)]
     steps[0] /= rate
     for name, what in (("u", "commands"), ("tau", "torques")):
         if name not in simulated.signals or name not in real.signals:
@@ -316,7 +316,7 @@ def servo_laws(log: Log, robot: Robot | None) -> list[Law] | None:
     for one in resample(log).trajectories():
         assert one.u is not None
         assert one.tau is not None
-        rate = sampling_rate(one)[0]
+        rate = one.rates[0]
         band = min(SERVO_BAND, 0.2 * rate)
         gravity = torch.zeros_like(one.q)
         if robot is not None and robot.parameters is not None:

@@ -11,12 +11,12 @@ from torchid.errors import LogError
 from torchid.log.checks import (
     DEGREES,
     SLOW_STEP_S,
-    check_increasing,
     check_joints,
     largest_angle,
     own_units,
 )
 from torchid.log.model import Log
+from torchid.log.stamps import check_increasing
 from torchid.position.rods import with_rods
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot

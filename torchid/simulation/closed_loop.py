@@ -11,7 +11,6 @@ from torchid.effects.base import ModelEffect, Motion
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.errors import LogError, TorchidError
 from torchid.log.model import Log
-from torchid.log.sampling import sampling_rate
 from torchid.robot.model import Robot
 from torchid.simulation.controller import Controller
 from torchid.simulation.course import Course, course
@@ -62,7 +61,7 @@ def closed_loop(
     """
     controller = controller or Controller()
     _check(robot, references, effects)
-    rate = sampling_rate(references[0])[0] if rate is None else rate
+    rate = references[0].rates[0] if rate is None else rate
     if not 0 < rate < math.inf:
         raise TorchidError("a sampling rate is a frequency.", got=rate, expected="> 0 Hz")
     longest = max(float(log.t[-1] - log.t[0]) for log in references)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,9 +16,6 @@ from torchid.simulation.course import course
 from torchid.simulation.integrate import LONGEST_STEP, Drive
 from torchid.simulation.loads import adds_torque, changes_measurement
 from torchid.typing import Bool, Float
-
-Hold = Literal["linear", "zero_order"]
-"""Torque between samples: a straight line, or the last sample's."""
 
 
 class Rollout(NamedTuple):
@@ -46,7 +43,6 @@ def rollout(
     dt: float,
     t0: float | Float[Tensor, " B"] = 0.0,
     *,
-    hold: Hold = "linear",
     longest_step: float = LONGEST_STEP,
 ) -> Rollout:
     """Motions that measured torques give.
@@ -60,10 +56,9 @@ def rollout(
         robot: with parameters; its own nominal effects count too.
         effects: beyond the nominal ones.
         q0, dq0: state at the first sample [rad, rad/s; m, m/s].
-        tau: measured torque at the samples [N m; N].
+        tau: measured torque at the samples [N m; N], on straight lines between them.
         dt: seconds between samples.
         t0: time of the first sample, on the clock of the effects [s].
-        hold: torque between samples.
         longest_step: of the integration [s].
 
     Returns:
@@ -83,8 +78,8 @@ def rollout(
     h = dt / steps
     t = torch.as_tensor(t0).to(q0).expand(arms)
     state = plant.start(begin.q, begin.dq, begin.ddq, t)
-    share = (torch.arange(steps).to(true) + 0.5) / steps if hold == "linear" else torch.zeros(steps)
-    between = torch.lerp(true[:, :-1, None], true[:, 1:, None], share.to(true)[:, None])
+    share = (torch.arange(steps).to(true) + 0.5) / steps
+    between = torch.lerp(true[:, :-1, None], true[:, 1:, None], share[:, None])
     feeds = between.flatten(1, 2).transpose(0, 1)
     run = course(
         plant, state, Drive(true[:, 0]), feeds, t + h / 2, h,

@@ -12,7 +12,6 @@ from torchid.effects.registry import Valued
 from torchid.effects.transient import DroppedSamples
 from torchid.errors import LogError, TorchidError
 from torchid.log.model import Log
-from torchid.log.sampling import sampling_rate
 from torchid.robot.model import Robot
 from torchid.simulation.loads import changes_measurement
 
@@ -155,7 +154,7 @@ def _held(log: Log, lost: Sequence[Valued]) -> Log:
 def _measured(robot: Robot, log: Log, sensors: Sensors, generator: torch.Generator) -> Log:
     t, q, dq, tau = _sampled(log, sensors, generator)
     noise = sensors.noise
-    rate = sampling_rate(Log(t, q))[0] if len(t) > 1 else 1.0
+    rate = Log(t, q).rates[0] if len(t) > 1 else 1.0
     size = noise.torque_relative * rms(tau)
     if sensors.torque_std is not None:
         size = _one_a_joint(sensors.torque_std, robot, "size of torque noise")

@@ -201,7 +201,6 @@ def fit_statistics(
     columns: Float[Tensor, "R C"],
     residual: Float[Tensor, " R"],
     block: Int[Tensor, " R"],
-    robust: Float[Tensor, " R"] | None = None,
     variance: float | None = None,
     known: Float[Tensor, "C C"] | None = None,
 ) -> Jackknife:
@@ -211,21 +210,15 @@ def fit_statistics(
         columns: (R, C), weighted as in the fit; they may be dependent.
         residual: (R,) what the fit leaves, weighted likewise.
         block: (R,) block of each row, from 0; rows of several joints at an instant share theirs.
-        robust: (R,) square roots of Huber's weights, 1 of rows that are not clipped; columns and
-            residual without them.
         variance: of a row, for parameters that one block alone determines; as if the residual were
             white if None.
         known: (C, C) inverse covariance of what was known beforehand; see `jackknife`.
     """
-    pull, informative = residual, columns
-    if robust is not None:
-        pull = robust.square() * residual
-        informative = columns * (robust == 1).to(columns).unsqueeze(1)
     count = int(block.max()) + 1
-    hessians = block_products(informative, columns, block, count)
-    gradients = block_products(columns, pull.unsqueeze(1), block, count).squeeze(-1)
+    hessians = block_products(columns, columns, block, count)
+    gradients = block_products(columns, residual.unsqueeze(1), block, count).squeeze(-1)
     if variance is None:
-        variance = float((pull * residual).sum()) / max(1, len(residual) - columns.shape[1])
+        variance = float(residual.square().sum()) / max(1, len(residual) - columns.shape[1])
     return jackknife(hessians, gradients, variance=variance, known=known)
 
 
