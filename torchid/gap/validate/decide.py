@@ -39,9 +39,10 @@ class Decision:
 
 
 def decide(found: Explanation, problem: Problem) -> Decision:
-    """Without what makes a fold worse that it was not fitted on, and what is less likely there than
-    not, the search goes on, until nothing leaves. A held-out log takes part in no choice: it judges
-    what was chosen."""
+    """Without what makes a fold worse that it was not fitted on, and what is least likely there, if
+    it is less likely than not, the search goes on, until nothing leaves: one at a time, for others
+    are likelier beside what the search finds in its place. A held-out log takes part in no choice:
+    it judges what was chosen."""
     question = found.question
     least = question.least(question.mean(found.empty.losses))
     taken_back = False
@@ -53,10 +54,9 @@ def decide(found: Explanation, problem: Problem) -> Decision:
             found = without_terms(found, refused, problem)
         misfit = misfit_of(found, checked, problem)
         judged = judge_terms(found, misfit)
-        while unsure := unsure_terms(judged):
-            refused += unsure[:1]
-            found = without_terms(found, unsure[:1], problem, small=True)
-            judged = judge_terms(found, misfit)
+        if unsure := unsure_terms(judged)[:1]:
+            refused += unsure
+            found = without_terms(found, unsure, problem, small=True)
         if not refused:
             break
         found = search_again_without(found, refused, problem)
