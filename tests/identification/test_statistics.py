@@ -21,7 +21,7 @@ from torchid.identification.statistics import (
 from torchid.robot.library import load_robot
 from torchid.statistics.autocorrelation import correlation_instants
 from torchid.statistics.blocks import FEWEST_BLOCKS, block_length, block_numbers
-from torchid.statistics.jackknife import fit_statistics
+from torchid.statistics.jackknife import jackknife as blocks_jackknife
 
 ROBOT = load_robot("3r_friction")
 LAYOUT = layout_of(ROBOT)
@@ -149,8 +149,14 @@ def test_normal_equations_are_those_of_the_rows(covariance, moving_only, method,
     stack = torch.cat([a, tau.unsqueeze(-1)], -1) * keep.unsqueeze(-1)
     rows = torch.einsum("ij,mjb->mib", found.whitening, stack) * keep.unsqueeze(-1)
     columns, residual = rows[..., :-1].flatten(0, 1), (rows[..., -1] - rows[..., :-1] @ found.x)
-    dense = fit_statistics(
-        columns, residual.flatten(), block.repeat_interleave(rows.shape[1]), found.robust.flatten()
+    # Rows that Huber's weights clip pull, but inform not.
+    own, residual, robust = block.repeat_interleave(rows.shape[1]), residual.flatten(), found.robust
+    whole, pull = (robust.flatten() == 1).unsqueeze(1), robust.flatten().square() * residual
+    mine = [own == k for k in range(int(own.max()) + 1)]
+    dense = blocks_jackknife(
+        torch.stack([(columns * whole)[k].T @ columns[k] for k in mine]),
+        torch.stack([columns[k].T @ pull[k] for k in mine]),
+        variance=float(pull @ residual) / (len(residual) - columns.shape[1]),
     )
     assert dense.blocks == uncertainty.blocks
     assert torch.allclose(uncertainty.covariance, dense.covariance, rtol=1e-6, atol=1e-12)
