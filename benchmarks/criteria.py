@@ -38,7 +38,7 @@ def answer_all(cases: Path, number: str, factor: float, count: int | None, folde
 
 
 def _changed(value: float, factor: float) -> float:
-    """A number times a factor; of a probability its odds."""
+    """A number times a factor; of what lies between 0 and 1 its odds, so that it stays there."""
     if not 0 < value < 1:
         return value * factor
     odds = factor * value / (1 - value)
@@ -107,10 +107,11 @@ def main() -> None:
         command += ["--one", number, str(factor), str(beside / f"{number}-{factor:g}")]
         command += ["--count", str(given.count)] if given.count else []
         running.append(subprocess.Popen(command))
-    if max(one.wait() for one in running):
+    if sum(one.wait() != 0 for one in running):
         raise SystemExit("a process failed")
 
     from torchid.json_data import read_json
+    from torchid.report.table import pipe_table
     from torchid.withheld.case_set import keys_beside, read_cases, read_keys
 
     found = read_cases(given.cases)
@@ -124,8 +125,7 @@ def main() -> None:
 
     plain = counted("none", 1.0)
     lines = [row(n, getattr(criteria, n), f, counted(n, f), plain) for n, f in variants[1:]]
-    table = [HEADINGS, tuple("---" for _ in HEADINGS), *lines]
-    text = "\n".join("| " + " | ".join(cells) + " |" for cells in table)
+    text = pipe_table(HEADINGS, lines)
     said = (
         f"{len(keys)} cases: right {plain['right']}, alarms {plain['alarms']}, "
         f"wrong for sure {plain['for_sure_wrong']} with the numbers as they are.\n\n{text}\n"
