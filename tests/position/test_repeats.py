@@ -2,10 +2,12 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import pytest
 import torch
 
+from tests.marks import some
 from tests.position.diagnosed import diagnosis
 from tests.position.planted import COUNT, planted, robot, true_servos
 from torchid.log.model import Log
@@ -18,6 +20,7 @@ SIZES = (1.0, 3.0, 8.0)
 """RMS of what does not repeat, of each joint [mrad]."""
 
 
+@cache
 def repeated(seed: int) -> Log:
     """Three motions, each made three times, with slow noise of its own each time."""
     once = planted(true_servos(3), motions=3, seconds=12.0, seed=seed)
@@ -35,7 +38,7 @@ def repeated(seed: int) -> Log:
     return log.replace(q=log.q + 1e-3 * torch.tensor(SIZES).double() * slow.T)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", some(range(4), slow=1, quick=1))
 @pytest.mark.parametrize("wrong", [False, True])
 def test_noise_is_what_does_not_repeat(seed: int, wrong: bool) -> None:
     """However wrong the servos are whose errors are compared."""
