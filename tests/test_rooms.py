@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from tests.rooms import above, budgets, code_lines, rooms
+from tests.rooms import above, code_lines
 
 TEXT = '''"""A module.
 
@@ -29,7 +29,3 @@ def test_a_room_above_its_budget_or_without_one_is_named():
     assert above(Counter(a=5, b=1), {"a": 4}) == [
         "a: 5 lines of code, budget 4", "b: 1 lines of code, budget none",
     ]  # fmt: skip
-
-
-def test_rooms_keep_their_budgets():
-    assert above(rooms(), budgets()) == []

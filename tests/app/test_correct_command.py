@@ -49,6 +49,7 @@ def test_one_call(command, runs, tmp_path, types_unchecked):
     assert load_robot(tmp_path / "3r_corrected.xml").n == 3
 
 
+@pytest.mark.slow
 def test_a_diagnosis_is_carried_out_into_the_simulator(command, runs, tmp_path, types_unchecked):
     """`gap --for` judges by folds, and its JSON with the logs gives the same file."""
     record, out = tmp_path / "gap.json", tmp_path / "out"

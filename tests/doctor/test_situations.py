@@ -142,7 +142,7 @@ def test_torques_of_motors_before_their_gears_are_named_together():
     ("name", "parts", "external"),
     [
         ("panda", (1.0, 1.0), True),  # Franka's tau_ext_hat_filtered
-        ("panda", (1.0, 0.0), False),  # Franka's tau_J_d
+        pytest.param("panda", (1.0, 0.0), False, marks=pytest.mark.slow),  # Franka's tau_J_d
     ],
 )
 def test_torques_that_a_controller_gives(name, parts, external):

@@ -238,6 +238,7 @@ def test_clusters_are_chains_of_one_kind() -> None:
         assert len(set(own)) > 4
 
 
+@pytest.mark.slow
 def test_analytic_centre_does_not_depend_on_the_start() -> None:
     case = setting("3r")
     asked = case.base, case.conditions, case.geometry

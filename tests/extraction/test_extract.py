@@ -257,6 +257,7 @@ def test_impossible_problems_are_named_before_the_search() -> None:
     assert caught.value.got == "total_mass"
 
 
+@pytest.mark.slow
 def test_impossible_problems_can_be_searched_all_the_same() -> None:
     """The report's loose sets: all violate com_7z, and only that."""
     p = problem_of("kuka_lwr4", "loose")

@@ -430,7 +430,7 @@ def weak_log(robot: Robot, moving: list[int], seed: int, digits: int = 0, rate: 
     return Log(motion.t, q, tau=tau)
 
 
-@pytest.mark.parametrize("model", ["general", "point_mass"])
+@pytest.mark.parametrize("model", quick_first(["general", "point_mass"], 1))
 def test_a_joint_that_moves_alone_leaves_the_mass_open_and_says_which_others_tell_it(model):
     robot = load_robot("3r")
     logs = [weak_log(arm, [0], k) for k, arm in enumerate((robot, with_payload(robot, BOX)))]

@@ -265,6 +265,23 @@ def test_a_mapping_is_proposed_in_the_order_of_the_robot(
     assert read.signals["tau"][0].tolist() == pytest.approx([0.1 * k for k in range(4)])
 
 
+@pytest.mark.parametrize("joints", [(), ("pivot",), ("shoulder", "elbow")])
+def test_a_mapping_of_the_only_joint_is_proposed(tmp_path: Path, joints: tuple[str, ...]) -> None:
+    """Without a number or a name; of several joints such columns are none's."""
+    names = ["time", "position", "desired position", "velocity", "torque [mNm]", "temperature"]
+    path = save(tmp_path / "a.csv", {name: k + T for k, name in enumerate(names)})
+    with pytest.raises(LogError) as info:
+        read_log(path, joints=joints)
+    if len(joints) > 1:
+        assert info.value.hint is None
+        return
+    mapping = "t=time,q=position,dq=velocity,tau='torque [mNm]' mNm,u='desired position'"
+    assert info.value.hint == f'perhaps `columns="{mapping}"`'
+    read = read_log(path, columns=mapping, joints=joints)
+    assert read.n == 1
+    assert read.q[:, 0].tolist() == pytest.approx(list(1 + T))
+
+
 def test_names_that_a_shell_would_change_are_not_proposed(tmp_path: Path) -> None:
     path = save(tmp_path / "a.csv", {"time": T, "$a pos": T, "$b pos": T})
     with pytest.raises(LogError) as info:

@@ -112,6 +112,7 @@ def test_faults_of_the_set_up_without_a_model(simulated, answer):
     assert any("mend" in w for w in found.record.warnings)
 
 
+@pytest.mark.slow
 def test_gravity_that_the_simulator_lacks():
     robot, arm = load_robot("3r"), log(("all", "rotors"))
     clean, zero = log(("all", "rotors"), noise=1e-4), torch.zeros_like(arm.q)

@@ -139,6 +139,7 @@ def test_a_log_in_another_unit_than_the_servos_is_refused(log: Log, tmp_path: Pa
         correct(robot(), arm, other, "mjcf", tmp_path)
 
 
+@pytest.mark.slow
 def test_servos_of_the_file_that_are_right_leave_no_gap(log: Log, tmp_path: Path) -> None:
     """A second session of an arm that is as it was: nothing is sought, and nothing has changed."""
     std = torch.full_like(true_servos(3).joint, torch.nan)

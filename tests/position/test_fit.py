@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from tests.marks import quick_first
 from tests.position.planted import DT, planted, robot, true_servos
 from torchid.errors import LogError
 from torchid.log.model import Log
@@ -251,7 +252,9 @@ def test_every_motion_wants_what_moved_it():
     assert all(m.std > 0.2 for m in again.motions)
 
 
-@pytest.mark.parametrize(("delay", "kd"), [(0.05, 40.0), (0.08, 25.0)])
+@pytest.mark.parametrize(
+    ("delay", "kd"), quick_first([(0.05, 40.0), (0.08, 25.0)], 1, several=True)
+)
 def test_a_derivative_gain_is_found_beside_a_delay(delay, kd):
     """From servos without it, of which it makes up for the delay."""
     servos = true_servos(3, kd=(2, kd))

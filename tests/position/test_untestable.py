@@ -58,6 +58,7 @@ def test_smallest_sizes_scale_with_what_calls_for_a_cause() -> None:
         assert USUAL[name] / size <= 1.05 * seen / float(data.slight[joint])
 
 
+@pytest.mark.slow
 def test_positions_at_a_soft_stop_are_near_it() -> None:
     servos = true_servos(3, stop_high=(3, 0.25))
     data = prepare(robot(), planted(servos, motions=6, seconds=16.0, seed=4))

@@ -105,6 +105,8 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
         if quantity_of(words_of(last)) == "t" and not re.search(r"\d", last):
             found.append(_Group((name,), "t", 1, looks_measured(words_of(name))))
     groups = [*found, *_arrays(table, names), *whole, *named]
+    if len(joints) < 2 and not any(_is_of(g, "q") for g in groups):
+        groups += _of_one_joint(names)
     chosen: dict[str, _Group] = {}
     for key in ("t", "q", "dq", "tau", "i", "ql", "u"):
         fitting = [g for g in groups if _is_of(g, key)]
@@ -225,6 +227,12 @@ def _numbered(names: list[str]) -> list[_Group]:
         columns = frozenset(members.values())
         found.append(_Group((pattern,), key, count, looks_measured(words), columns=columns))
     return found
+
+
+def _of_one_joint(names: list[str]) -> list[_Group]:
+    """Columns without a number or a joint's name, each a signal of the only joint."""
+    pairs = ((name, words_of(name)) for name in names)
+    return [_Group((n,), key, 1, looks_measured(w)) for n, w in pairs if (key := quantity_of(w))]
 
 
 def _named(names: list[str]) -> list[_Group]:
