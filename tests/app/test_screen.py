@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.app.test_start_up import ROOT, _loaded
+from tests.marks import some
 from tests.terminal import on_a_terminal
 
 RUN = "import sys; sys.argv = ['torchid', *sys.argv[1:]]; from torchid.app import main; main()"
@@ -45,8 +46,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("columns", [60, 80, 120])
+@pytest.mark.parametrize("columns", some([60, 80, 120], 1))
 def test_the_answer_is_one_screen(log: Path, columns: int, tmp_path: Path) -> None:
     """Headline to the files' names; no line is broken by the terminal; the names are whole."""
     effects = "viscous_friction,coulomb_friction,torque_offset"

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.doctor.synthetic import clean
-from tests.marks import quick_first
+from tests.marks import some
 from torchid.doctor.examine import examine
 from torchid.doctor.first import WrongLogError, ask_first
 from torchid.doctor.kind import holds_no_gravity
@@ -14,7 +14,7 @@ from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.robot.inertia import InertialParameters
 
-ARMS = quick_first(["3r", "ur10e", "panda", "kuka_lwr4"], 1)
+ARMS = some(["3r", "ur10e", "panda", "kuka_lwr4"], 1, 1)
 ZERO = torch.zeros(3, dtype=torch.float64)
 
 

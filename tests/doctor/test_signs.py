@@ -40,7 +40,7 @@ def test_the_smallest_of_equal_groups_is_first_and_free_axes_are_left():
     assert alternatives(frozenset({0, 1}), groups("3r")) == [frozenset({1})]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_equal_groups_are_named_and_none_is_applied():
     robot, log = clean("panda", 0)
     result = examine(robot, turned(log, (1, 3)), first=True)

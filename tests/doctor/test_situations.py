@@ -7,6 +7,7 @@ import torch
 
 from tests.doctor.synthetic import clean
 from tests.doctor.test_kind import torques
+from tests.marks import some
 from torchid.doctor.examine import examine
 from torchid.doctor.kind import holds_no_gravity
 from torchid.errors import LogError
@@ -96,8 +97,7 @@ SITUATIONS = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SITUATIONS)
+@pytest.mark.parametrize("name", some(SITUATIONS, 2))
 def test_a_situation_is_named_and_mended(name):
     arm_name, change, names, mends = SITUATIONS[name]
     robot, log = arm(arm_name)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.marks import some
 from tests.real_logs import FOLDER, NEEDS_LOGS
 from torchid.robot.library import load_robot
 
@@ -33,7 +34,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "sets" / "extraction.json"
 
 
-@pytest.mark.parametrize("to", ["urdf", "mjcf", "c"])
+@pytest.mark.parametrize("to", some(["urdf", "mjcf", "c"], 1))
 def test_a_ur10e_goes_back_into_its_urdf(tmp_path, sets, to):
     pytest.importorskip("mujoco")
     run("export", sets, "--to", to, "--out", tmp_path / to)
