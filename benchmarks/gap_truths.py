@@ -114,11 +114,12 @@ def table_row(name: str, question: Question, found: dict[str, Any]) -> str:
     others = [w for k, w in enumerate(found["which"]) if k not in true]
     wrong = [w for w in others if set(w["joints"]) & set(question.silent)]
     listed = ", ".join(f"{w['effect']} {' '.join(map(str, w['joints']))}".strip() for w in others)
-    closed = found["how_far"]["closed"]
+    before, after = (found["how_far"][k] for k in ("rms_before", "rms_after"))
     cells = (
         name,
         question.known,
-        f"`{found['status']}`" + ("" if closed is None else f", {100 * closed:.1f} %"),
+        f"`{found['status']}`",
+        f"{before:.3g} -> {after:.3g}",
         f"{named} of {len(question.truths)}" if question.truths else f"{len(wrong)} false",
         f"{held} of {len(question.truths)}" if question.truths else "",
         "; ".join(values),
@@ -135,8 +136,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the answers to this folder")
     given = parser.parse_args()
     torch.set_num_threads(1)
-    print("| log | known | answer, closed | named | in a set | value (known) | beside it | CPU s |")
-    print("|---|---|---|---|---|---|---|--:|")
+    headings = "log", "known", "answer", "error", "named", "in a set", "value (known)", "beside it"
+    print("| " + " | ".join((*headings, "CPU s")) + " |")
+    print("|---|---|---|---|---|---|---|---|--:|")
     for name in given.questions.split(","):
         found = asked(QUESTIONS[name], given.data)
         if given.json:
