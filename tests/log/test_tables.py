@@ -225,6 +225,7 @@ def test_text_without_header(tmp_path: Path) -> None:
         (["t", "q1", "q2", "effort_1", "effort_2", "x"], None),
         (["a", "b", "c"], None),
         (["time", "b1", "c1"], None),
+        (["time", "pos_7"], None),
     ],
 )  # fmt: skip
 def test_a_mapping_is_proposed(tmp_path: Path, names: list[str], mapping: str | None) -> None:
@@ -268,18 +269,21 @@ def test_a_mapping_is_proposed_in_the_order_of_the_robot(
 @pytest.mark.parametrize("joints", [(), ("pivot",), ("shoulder", "elbow")])
 def test_a_mapping_of_the_only_joint_is_proposed(tmp_path: Path, joints: tuple[str, ...]) -> None:
     """Without a number or a name; of several joints such columns are none's."""
-    names = ["time", "position", "desired position", "velocity", "torque [mNm]", "temperature"]
+    names = ["position", "desired position", "velocity [deg/sec]", "time", "torque [mNm]", "pos_7"]
     path = save(tmp_path / "a.csv", {name: k + T for k, name in enumerate(names)})
     with pytest.raises(LogError) as info:
         read_log(path, joints=joints)
     if len(joints) > 1:
         assert info.value.hint is None
         return
-    mapping = "t=time,q=position,dq=velocity,tau='torque [mNm]' mNm,u='desired position'"
+    mapping = (
+        "t=time,q=position,dq='velocity [deg/sec]' deg/sec,tau='torque [mNm]' mNm,"
+        "u='desired position'"
+    )
     assert info.value.hint == f'perhaps `columns="{mapping}"`'
     read = read_log(path, columns=mapping, joints=joints)
     assert read.n == 1
-    assert read.q[:, 0].tolist() == pytest.approx(list(1 + T))
+    assert read.q[:, 0].tolist() == pytest.approx(list(T))
 
 
 def test_names_that_a_shell_would_change_are_not_proposed(tmp_path: Path) -> None:

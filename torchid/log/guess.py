@@ -98,15 +98,11 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
     named = _named(names)
     whole = [g for g in _numbered(names) if not any(g.columns < other.columns for other in named)]
     named = [_placed(g, joints) or g for g in named]
-    # Columns that may be the time.
-    found = []
-    for name in names:
-        last = name.rsplit("/", 1)[-1]
-        if quantity_of(words_of(last)) == "t" and not re.search(r"\d", last):
-            found.append(_Group((name,), "t", 1, looks_measured(words_of(name))))
-    groups = [*found, *_arrays(table, names), *whole, *named]
+    single = _unnumbered(names)
+    times = [g for g in single if g.key == "t"]
+    groups = [*times, *_arrays(table, names), *whole, *named]
     if len(joints) < 2 and not any(_is_of(g, "q") for g in groups):
-        groups += _of_one_joint(names)
+        groups = [*single, *groups]  # of the only joint
     chosen: dict[str, _Group] = {}
     for key in ("t", "q", "dq", "tau", "i", "ql", "u"):
         fitting = [g for g in groups if _is_of(g, key)]
@@ -156,14 +152,8 @@ def _arrays(table: Table, names: Sequence[str]) -> list[_Group]:
 
 def _is_of(group: _Group, key: str) -> bool:
     """Whether a group may be the signal of a key; commanded positions are u."""
-    if key not in ("q", "u"):
-        return group.key == key
-    commanded = is_commanded(words_of(group.names[0]))
-    return (
-        group.key == key
-        if key == "q" and not commanded
-        else key == "u" and (group.key == "u" or (group.key == "q" and commanded))
-    )
+    commanded = group.key == "q" and is_commanded(words_of(group.names[0]))
+    return key == ("u" if commanded else group.key)
 
 
 def _placed(group: _Group, joints: Sequence[str]) -> _Group | None:
@@ -229,10 +219,15 @@ def _numbered(names: list[str]) -> list[_Group]:
     return found
 
 
-def _of_one_joint(names: list[str]) -> list[_Group]:
-    """Columns without a number or a joint's name, each a signal of the only joint."""
-    pairs = ((name, words_of(name)) for name in names)
-    return [_Group((n,), key, 1, looks_measured(w)) for n, w in pairs if (key := quantity_of(w))]
+def _unnumbered(names: list[str]) -> list[_Group]:
+    """Columns by themselves, without a number: the time, and signals of a single joint."""
+    found = []
+    for name in names:
+        last = without_unit(name)[0].rsplit("/", 1)[-1]
+        key = quantity_of(words_of(last))
+        if key is not None and not re.search(r"\d", last):
+            found.append(_Group((name,), key, 1, looks_measured(words_of(name))))
+    return found
 
 
 def _named(names: list[str]) -> list[_Group]:
