@@ -158,7 +158,7 @@ def test_damaged_logs_are_rows_and_stop_nothing(model, logs, store, found, tmp_p
     more = [FleetLog("arm-bad", name, str(tmp_path / name)) for name in (*bad, "copy.parquet")]
     more.append(FleetLog("arm-bad", "none", str(tmp_path / "none.parquet")))
     whole = fleet_identify(model, [*logs, *more], store=store)
-    rows = {a.log.session: a for a in whole.logs if a.log.unit == "arm-bad"}
+    rows = {a.session: a for a in whole.logs if a.unit == "arm-bad"}
     assert {a.verdict for a in rows.values()} == {"refused"}
     assert "0 bytes" in rows["empty.parquet"].evidence[0]
     assert "same content as" in rows["copy.parquet"].evidence[0]

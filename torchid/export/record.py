@@ -5,20 +5,9 @@ import math
 import msgspec
 from msgspec import UNSET, UnsetType
 
+from torchid.export.checks import Comparison
 from torchid.results.record import Joint, Part, Real, Record, Rows, Values
 from torchid.typing import Float, Tensor
-
-
-class Reader(Part, frozen=True, kw_only=True, rename={"difference": "largest_relative_difference"}):
-    """One reader of a file, against the result's model; see `export.checks.Comparison`."""
-
-    reader: str
-    compared: str
-    states: int
-    difference: float | None
-    limit: float
-    ok: bool | None
-    note: str
 
 
 class Places(Part, frozen=True, kw_only=True):
@@ -50,13 +39,13 @@ class ExportRecord(Record, frozen=True, kw_only=True, tag="torchid.export/1"):
     original: str | None
     feasible: bool | None
     reasons: tuple[str, ...]
-    checks: tuple[Reader, ...]
+    checks: tuple[Comparison, ...]
     effects: Places
     warnings: tuple[str, ...]
     seed: int | UnsetType = UNSET
 
     @property
-    def table(self) -> Rows[Reader]:
+    def table(self) -> Rows[Comparison]:
         """The readers."""
         return Rows(self.checks)
 

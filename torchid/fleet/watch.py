@@ -232,5 +232,5 @@ def _temperatures(fleet: Fleet) -> dict[tuple[str, str], float]:
     found: dict[tuple[str, str], list[float]] = defaultdict(list)
     for a in fleet.logs:
         if a.verdict in USED and a.temperature is not None:
-            found[a.log.unit, a.log.session].append(a.temperature)
+            found[a.unit, a.session].append(a.temperature)
     return {key: sum(own) / len(own) for key, own in found.items()}
