@@ -76,7 +76,7 @@ def test_clocks_of_another_start_and_rate_are_found():
     later = one.select(slice(150, 1900)).replace(t=one.t[150:1900] * 0.5 + 77.0)
     both = aligned_trajectories(later, one)[0]
     assert both.clock.rate == pytest.approx(0.5, rel=1e-4)
-    assert both.clock.start == pytest.approx(-0.5 * 0.75, abs=2e-3)
+    assert both.clock.start_s == pytest.approx(-0.5 * 0.75, abs=2e-3)
     left = both.real["q"] - both.simulated["q"]
     assert float(left.abs().max()) < 1e-3
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from msgspec import structs
 
 from tests.report.page.reading import parsed, rows_of, text_of
 from tests.report.test_gap_page import made
@@ -60,7 +61,7 @@ def changed(study: Study, found: tuple[bool, ...], **certificate: object) -> Stu
         }
         none["violated_total"][s.extraction.best] = not good
         scenarios.append(replace(s, feasibility=replace(was, **none)))
-    proofs = {b: replace(c, **certificate) for b, c in study.certificates.items()}
+    proofs = {b: structs.replace(c, **certificate) for b, c in study.certificates.items()}
     return replace(study, scenarios=tuple(scenarios), certificates=proofs)
 
 

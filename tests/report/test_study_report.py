@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 import pytest
 import torch
+from msgspec import structs
 from rich.console import Console
 
 from tests.report.test_gap_page import made
@@ -210,7 +211,7 @@ def test_an_impossible_certificate_has_a_report(study):
     c = next(iter(study.certificates.values()), None)
     if c is None:
         pytest.skip("no solver of semidefinite programs")
-    none = replace(
+    none = structs.replace(
         c, feasible=False, phi_min=torch.inf, phi_strict=torch.nan, sets=None, conflict=("com_1x",)
     )
     changed = replace(study, certificates=MappingProxyType({"normal": none}))

@@ -54,7 +54,17 @@ _ERRORS = {"claim": "file_claimed", "engine": "file_in_engine", "run_time": "wit
 
 
 class Errors(Part, frozen=True, kw_only=True, rename=_ERRORS):
-    """Errors of the torque [%], or of positions [mrad], (n,); see `export.correction.Judged`."""
+    """Errors of each joint: of torque in percent of it, while the joint moves and below the
+    report's band; of positions in mrad, begun anew at the measured position every 10 s.
+
+    Attributes:
+        nominal: (n,) of the robot as given; of positions, of the command itself; nan of joints
+            whose torque holds no signal.
+        full: (n,) of all that was diagnosed, by torchid.
+        claim: (n,) of the file, by its own numbers.
+        engine: (n,) of the file, by the engine that runs it.
+        run_time: (n,) of a file with the effects that are added to it at run time.
+    """
 
     nominal: Float[Tensor, " n"]
     full: Float[Tensor, " n"]
