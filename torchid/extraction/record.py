@@ -1,12 +1,14 @@
 """Extractions and atlases as their JSON has them: the schemas torchid.extraction/1 and atlas/1."""
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from msgspec import UNSET, UnsetType, field
 
 from torchid.extraction.problem import Problem
+from torchid.extraction.settings import SearchSettings
 from torchid.feasibility.sets import SetEntry, SetsFile
 from torchid.results.record import Ends, Part, Real, RobotRecord, Rows
 from torchid.robot.library import named_record
@@ -59,16 +61,10 @@ def certificate_record(proof: CertificateRecord | None) -> CertificateRecord | N
     return CertificateRecord.of(proof, feasible=proof.feasible and proof.with_conditions)
 
 
-class SearchRecord(Part, frozen=True, kw_only=True):
+@dataclass(frozen=True, kw_only=True)
+class SearchRecord(SearchSettings):
     """Settings of a population search, and conditions that no point of the bounds meets."""
 
-    runs: int
-    stages: int
-    generations: int
-    population: int | None
-    penalty: str
-    schedule: str
-    seed: int
     contradictions: tuple[str, ...]
 
 
