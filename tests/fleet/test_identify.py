@@ -132,7 +132,8 @@ def test_what_is_unchanged_is_not_computed_again(found, model, logs, store, monk
 def test_parts_of_a_batch_system_make_the_whole(found, model, logs, tmp_path, monkeypatch) -> None:
     place = Store(str(tmp_path))
     parts = [reduce_fleet(model, logs, place, part=(i, 3)) for i in (1, 2, 3)]
-    assert sorted(a.log for part in parts for a in part) == sorted(logs)
+    answered = [FleetLog(a.unit, a.session, a.log) for part in parts for a in part]
+    assert sorted(answered) == sorted(logs)
     monkeypatch.setattr(tasks, "_reduced", None)
     assert fleet_identify(model, logs, store=place).plain() == found.plain()
     with pytest.raises(TorchidError, match="no such part"):
