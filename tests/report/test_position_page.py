@@ -7,7 +7,7 @@ import torch
 
 from tests.position.diagnosed import diagnosis, finding
 from tests.report.page.reading import parsed, rows_of, text_of
-from torchid.position.diagnosis import Accuracy
+from torchid.position.record import Accuracy
 from torchid.report.diagnosis import page
 from torchid.report.over_time import motion_over_time
 from torchid.report.page.document import origin, render
@@ -92,7 +92,9 @@ def test_nominal_beside_found(found):
 @pytest.mark.slow
 def test_a_plain_servo_that_is_enough_hides_what_is_small():
     made = diagnosis()
-    tiny = Accuracy(torch.tensor([0.1, 0.1, torch.nan]), torch.tensor([0.1, 0.1, torch.nan]))
+    tiny = Accuracy.of_joints(
+        torch.tensor([0.1, 0.1, torch.nan]), torch.tensor([0.1, 0.1, torch.nan])
+    )
     enough = replace(made, plain_servo=tiny, answered=tiny)
     assert enough.status == "no_gap"
     low, high = (float(x) for x in enough.unseen[:2].sort().values)

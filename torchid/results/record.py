@@ -206,6 +206,15 @@ class Part(msgspec.Struct, frozen=True):
         return msgspec.convert(_View(live, own), cls, from_attributes=True, dec_hook=_computed)
 
 
+def by_joint(part: type[_P], **columns: "Tensor | Sequence[Any]") -> tuple[_P, ...]:
+    """A part a joint, of columns of n entries each: tensors (n,), (n, 2) of intervals, or
+    sequences."""
+    lists = (x.tolist() if hasattr(x, "tolist") else x for x in columns.values())
+    each = ([tuple(x) if isinstance(x, list) else x for x in column] for column in lists)
+    rows = enumerate(zip(*each, strict=True))
+    return tuple(part(joint=j, **dict(zip(columns, row, strict=True))) for j, row in rows)
+
+
 class Record(Part, Result, frozen=True, eq=False, kw_only=True, tag_field="schema"):
     """A result as its JSON has it; see torchid.results."""
 
