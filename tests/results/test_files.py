@@ -11,8 +11,7 @@ import torchid
 from tests.arms import arm
 from tests.fleet.records import identification
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.gap.record import GapRecord, GapSettingsRecord
-from torchid.gap.settings import GapSettings
+from torchid.gap.record import GapRecord
 from torchid.identification.record import SettingsRecord
 from torchid.identification.settings import Settings
 from torchid.results.files import RECORDS
@@ -27,12 +26,8 @@ def test_every_schema_has_a_record() -> None:
         assert kind.partition(" ")[0] == record.__struct_config__.tag
 
 
-@pytest.mark.parametrize(
-    ("record", "settings", "left_out"),
-    [(GapSettingsRecord, GapSettings(), {"refitted"}), (SettingsRecord, Settings(), set())],
-)
-def test_settings_are_recorded_whole(record, settings, left_out) -> None:
-    assert set(record.__struct_fields__) - left_out == set(vars(settings))
+def test_settings_are_recorded_whole() -> None:
+    assert set(SettingsRecord.__struct_fields__) == set(vars(Settings()))
 
 
 @pytest.mark.slow
