@@ -222,6 +222,15 @@ def recorded(settings: type[_T], later: Sequence[str] = (), **keys: str) -> type
     return msgspec.defstruct(f"{settings.__name__}Record", parts, **how)  # type: ignore[return-value]
 
 
+def by_joint(part: type[_P], **columns: "Tensor | Sequence[Any]") -> tuple[_P, ...]:
+    """A part a joint, of columns of n entries each: tensors (n,), (n, 2) of intervals, or
+    sequences."""
+    lists = (x.tolist() if hasattr(x, "tolist") else x for x in columns.values())
+    each = ([tuple(x) if isinstance(x, list) else x for x in column] for column in lists)
+    rows = enumerate(zip(*each, strict=True))
+    return tuple(part(joint=j, **dict(zip(columns, row, strict=True))) for j, row in rows)
+
+
 class Record(Part, Result, frozen=True, eq=False, kw_only=True, tag_field="schema"):
     """A result as its JSON has it; see torchid.results."""
 
