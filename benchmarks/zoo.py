@@ -1,0 +1,627 @@
+"""The zoo: logs of real arms, the commands that their owners would type, and whether the answer is right.
+
+    python benchmarks/zoo.py [--data DATA] [--rows emps,kuka] [--jobs 2] [--page docs/zoo.md]
+
+DATA holds folders of public logs, which are not part of this project: most of their licences do not
+allow it. What is known of them is in gap_truths.yaml, written from their sources before any run. Each
+command runs as a process of its own in a folder of links to the logs. Results are kept a row at a time
+below --work, so that an interrupted zoo goes on. The exit code is 1 where a command crashed, a good log
+was refused, or an answer is surely wrong.
+"""
+
+import argparse
+import json
+import os
+import resource
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from torchid.yaml_data import parsed_yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+TRUTHS = Path(__file__).with_name("gap_truths.yaml")
+DATA = Path(os.environ.get("TORCHID_REAL_DATA") or ROOT.parent / "shared" / "data")
+SURE = 0.9
+"""Probability above which an answer claims a cause."""
+FAULT = 70
+"""Exit code of a fault of torchid."""
+VERDICTS = ("right", "honest", "missed", "wrong", "refused", "crash")
+"""From the best to the worst; a row is as good as the worst of its truths."""
+FAILS = ("wrong", "refused", "crash")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What an answer has to say.
+
+    Attributes:
+        names: any of these says it.
+        joints: from 1, at one of which it has to be; at all of them for `equal`; none: anywhere.
+        of: parameter of which a value is known; empty where none is.
+        value: that value, or the largest one for `at_most`.
+        within: how exactly, as a share of the value.
+        kind: `named`, `value`, `at_most` or `equal`.
+    """
+
+    names: tuple[str, ...]
+    joints: tuple[int, ...] = ()
+    of: str = ""
+    value: float = 0.0
+    within: float = 0.0
+    kind: str = "named"
+
+    @property
+    def words(self) -> str:
+        """`coulomb_friction 2 Fc`."""
+        return " ".join((self.names[0], *map(str, self.joints), *([self.of] if self.of else [])))
+
+
+@dataclass(frozen=True)
+class Absent:
+    """What is known not to be there: names, or all that no truth holds where there are none; at
+    these joints, or anywhere where there are none."""
+
+    names: tuple[str, ...] = ()
+    joints: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the zoo; see the head of gap_truths.yaml.
+
+    Attributes:
+        log: words for what is wrong with it; none of a good one.
+    """
+
+    name: str
+    folder: str
+    known: str
+    commands: tuple[str, ...]
+    log: tuple[str, ...] = ()
+    truths: tuple[Truth, ...] = ()
+    absent: tuple[Absent, ...] = ()
+    files: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What an answer says is there.
+
+    Attributes:
+        name: of an effect, a check, or a quantity.
+        joints: from 1; none of the whole arm.
+        sizes: value and standard deviation by name; None where none is known.
+        sure: probability; 0 of what the answer leaves open.
+        instead: names from which it cannot be told.
+    """
+
+    name: str
+    joints: tuple[int, ...] = ()
+    sizes: tuple[tuple[str, float, float | None], ...] = ()
+    sure: float = 0.0
+    instead: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Step:
+    """One command that ran.
+
+    Attributes:
+        command: as typed.
+        exit: its code; negative for a signal; None where the time was over.
+        seconds: of CPU, with its children.
+        headline: the sentence that its user reads first.
+        complaints: what it says against the log.
+        trouble: the end of its standard error where it failed.
+        claims: what it says; none where it wrote no answer.
+    """
+
+    command: str
+    exit: int | None
+    seconds: float
+    headline: str = ""
+    complaints: str = ""
+    trouble: str = ""
+    claims: tuple[Claim, ...] = ()
+
+
+def _truths(entry: dict[str, Any]) -> Iterator[Truth]:
+    """Truths of one entry: one a joint, but one of all joints where these are alike."""
+    names, joints = tuple(entry["is"]), tuple(entry.get("joints", ()))
+    of, within = entry.get("of", ""), float(entry.get("within", 0.0))
+    if "equal" in entry:
+        yield Truth(names, joints, of, 0.0, float(entry["equal"]), "equal")
+        return
+    kind = (
+        "at_most" if "at_most" in entry else "value" if {"value", "values"} & {*entry} else "named"
+    )
+    values = entry.get("at_most", entry.get("values", entry.get("value", 0.0)))
+    places = [(j,) for j in joints] or [()]
+    every = values if isinstance(values, list) else [values] * len(places)
+    for place, value in zip(places, every, strict=True):
+        yield Truth(names, place, of, float(value), within, kind)
+
+
+def row_of(name: str, entry: dict[str, Any]) -> Row:
+    """A row from its entry of the yaml.
+
+    Raises:
+        TypeError, KeyError, ValueError: the entry is not of the schema in the yaml's head.
+    """
+    unknown = {*entry} - {
+        "folder",
+        "known",
+        "files",
+        "commands",
+        "log",
+        "truths",
+        "absent",
+        "silent",
+    }
+    if unknown:
+        raise ValueError(f"{name}: unknown keys {', '.join(sorted(unknown))}")
+    absent = [
+        Absent(() if a["names"] == "all" else tuple(a["names"]), tuple(a.get("joints", ())))
+        for a in entry.get("absent", ())
+    ]
+    if entry.get("silent"):
+        absent.append(Absent((), tuple(entry["silent"])))
+    return Row(
+        name=name,
+        folder=entry["folder"],
+        known=entry["known"],
+        commands=tuple(entry["commands"]),
+        log=() if entry["log"] == "good" else tuple(entry["log"]),
+        truths=tuple(t for own in entry.get("truths", ()) for t in _truths(own)),
+        absent=tuple(absent),
+        files=tuple(entry.get("files", {}).items()),
+    )
+
+
+def rows() -> dict[str, Row]:
+    """All rows by name."""
+    return {name: row_of(name, own) for name, own in parsed_yaml(TRUTHS.read_text()).items()}
+
+
+# What an answer says
+
+
+def claims(document: dict[str, Any]) -> tuple[Claim, ...]:
+    """What a result's JSON says, in one form for all commands."""
+    if "answer" in document:
+        return (*_causes(document), *_servos(document))
+    if "checks" in document:
+        sure = {"wrong": 1.0, "doubtful": 0.5, "cannot tell": 0.0}
+        told = [c for c in document["checks"] if c["verdict"] in sure]
+        return tuple(Claim(c["name"], tuple(c["joints"]), (), sure[c["verdict"]]) for c in told)
+    if "frames" in document:
+        return _payload(document)
+    return (*_identified(document), *_errors(document))
+
+
+def _causes(document: dict[str, Any]) -> Iterator[Claim]:
+    """Causes, as sure as they are; suspects, small ones and those not testable are left open."""
+    answer = document["answer"]
+    for key in ("causes", "suspects", "small"):
+        for c in answer[key]:
+            sizes = tuple((s["name"], s["value"], s["std"]) for s in c["sizes"])
+            sure = c["how_sure"] if key == "causes" and c["how_sure"] is not None else 0.0
+            yield Claim(c["effect"], tuple(c["joints"]), sizes, sure, tuple(c["ambiguous_with"]))
+    for c in document.get("not_testable") or ():
+        yield Claim(c["effect"], tuple(c["joints"]))
+
+
+def _servos(document: dict[str, Any]) -> Iterator[Claim]:
+    """Gains of servos; those that are ratios, or of joints that never move, are left open."""
+    for j in document["where"]["joints"]:
+        if "ratio_only" in j:
+            if j["ratio_only"] or j["never_moves"] or j["kp"] is None:
+                yield Claim("kp", (j["joint"],))
+            else:
+                low, high = j["kp_ci95"]
+                std = None if low is None or high is None else (high - low) / 4
+                yield Claim("kp", (j["joint"],), (("kp", j["kp"], std),), 1.0)
+
+
+def _payload(document: dict[str, Any]) -> tuple[Claim, ...]:
+    """The load; numbers that no motion determines are left out, and the load open where none of it
+    is seen."""
+    own = document["parameters"]
+    sizes = tuple(
+        (name, value, row[k] ** 0.5)
+        for k, (name, value, row, known) in enumerate(
+            zip(own["names"], own["value"], own["covariance"], own["determined"], strict=True)
+        )
+        if known and value is not None and row[k] is not None
+    )
+    return (Claim("payload", (), sizes, 1.0 if document["seen"] else 0.0),)
+
+
+def _identified(document: dict[str, Any]) -> Iterator[Claim]:
+    """Base parameters and friction, those that were estimated for sure."""
+    for p in document["parameters"]:
+        sure = 1.0 if p["estimated"] else 0.0
+        yield Claim("base_parameter", (), ((p["name"], p["value"], p["std"]),), sure)
+    for e in document["effects"]:
+        for name, values in e["parameters"].items():
+            every = zip(e["joints"], values, e["std"].get(name, [None] * len(values)), strict=True)
+            for joint, value, std in every:
+                yield Claim(e["effect"], (joint,), ((name, value, std),), 1.0)
+
+
+def _errors(document: dict[str, Any]) -> Iterator[Claim]:
+    """Shares of the torque that are missed [%]: of what was held out, else of the fit."""
+    own = document.get("held_out") or document["fit"]
+    for ending in ("", "_moving"):
+        for k, value in enumerate(own[f"relative_error_percent{ending}"]):
+            if value is not None:
+                yield Claim(f"relative_error{ending}", (k + 1,), (("", value, None),), 1.0)
+
+
+# Whether it is right
+
+
+def _speaks_of(claim: Claim, truth: Truth) -> bool:
+    """Whether a claim is of what a truth is of; one of the whole arm is of every joint."""
+    here = not claim.joints or not truth.joints or bool({*claim.joints} & {*truth.joints})
+    named = bool({claim.name, *claim.instead} & {*truth.names})
+    return here and named and (truth.of != "" or truth.kind != "value")
+
+
+def _value(claim: Claim, name: str) -> tuple[float, float] | None:
+    """A claim's number of that name, and its standard deviation (0 where none is known)."""
+    for own, value, std in claim.sizes:
+        if own == name and value is not None:
+            return value, std or 0.0
+    return None
+
+
+def verdict_of_truth(truth: Truth, said: Sequence[Claim]) -> tuple[str, str]:
+    """How an answer meets one truth, and the number that it gives.
+
+    `right` is said above `SURE`, with a value within its tolerance; `honest` is said as one of a set,
+    as a suspect or as what the log does not tell, or with an interval (95 %) that reaches the
+    tolerance; `wrong` is a sure value outside of both; `missed` is not said at all.
+    """
+    if truth.kind == "equal":
+        return _alike(truth, said)
+    verdict, shown = "missed", ""
+    for claim in (c for c in said if _speaks_of(c, truth)):
+        of_it = claim.name in truth.names
+        size = _value(claim, truth.of) if truth.kind in ("value", "at_most") else None
+        if truth.kind in ("value", "at_most") and size is None and claim.sizes and truth.of:
+            continue  # other numbers of the same thing
+        own = "right" if of_it and claim.sure > SURE else "honest"
+        if size is not None:
+            text = f"{size[0]:.3g}" + (f" ± {size[1]:.2g}" if size[1] else "")
+            if own == "right":
+                own = _of_number(truth, *size)
+            if own == "wrong" or not shown:
+                shown = text
+        elif truth.kind in ("value", "at_most"):
+            own = "honest"
+        if own == "wrong":
+            return own, shown
+        verdict = min(verdict, own, key=VERDICTS.index)
+    return verdict, shown
+
+
+def _of_number(truth: Truth, value: float, std: float) -> str:
+    """Whether a number is within its tolerance, or its interval reaches it."""
+    room = truth.within * abs(truth.value)
+    if truth.kind == "at_most":
+        return "right" if value <= truth.value + room else "wrong"
+    off = abs(value - truth.value)
+    return "right" if off <= room else "honest" if off <= room + 2 * std else "wrong"
+
+
+def _alike(truth: Truth, said: Sequence[Claim]) -> tuple[str, str]:
+    """Whether numbers of several joints are the same, of those that are sure."""
+    sure = [c for c in said if _speaks_of(c, truth) and c.sure > SURE]
+    found = [v for c in sure if (v := _value(c, truth.of)) is not None]
+    if not found:
+        return ("honest" if any(_speaks_of(c, truth) for c in said) else "missed"), ""
+    low, high = min(found), max(found)
+    shown = f"{low[0]:.3g} to {high[0]:.3g}"
+    if high[0] <= low[0] * (1 + truth.within):
+        return ("right" if len(found) == len(truth.joints) else "honest"), shown
+    reach = high[0] - 2 * high[1] <= (low[0] + 2 * low[1]) * (1 + truth.within)
+    return ("honest" if reach else "wrong"), shown
+
+
+def false_claims(row: Row, said: Sequence[Claim]) -> tuple[Claim, ...]:
+    """What is named for sure and known not to be there. Of a set all has to be absent."""
+    true = {name for t in row.truths for name in t.names}
+    quantities = {"kp", "base_parameter", "relative_error", "relative_error_moving"}
+
+    def absent(name: str, claim: Claim, rule: Absent) -> bool:
+        named = name in rule.names if rule.names else name not in true | quantities
+        if not rule.joints:
+            return named
+        return named and bool({*claim.joints} & {*rule.joints})
+
+    return tuple(
+        claim
+        for claim in said
+        if claim.sure > SURE
+        and any(all(absent(n, claim, a) for n in (claim.name, *claim.instead)) for a in row.absent)
+    )
+
+
+def judged(row: Row, steps: Sequence[Step]) -> tuple[str, str]:
+    """The verdict of a row, and why."""
+    for step in steps:
+        if step.exit is None:
+            return "crash", f"no answer after {step.seconds:.0f} s"
+        if step.exit < 0 or step.exit == FAULT or "Traceback" in step.trouble:
+            return "crash", step.trouble
+    failed = [s for s in steps if s.exit]
+    if not row.log and failed:
+        return "refused", failed[0].headline or failed[0].trouble
+    if row.log:
+        text = " ".join(f"{s.complaints} {s.trouble}" for s in steps).lower()
+        if not any(word.lower() in text for word in row.log):
+            return "missed", f"not said of the log: {' or '.join(row.log)}"
+    last = steps[-1]
+    if row.log and last.exit and not last.claims:
+        return "right", "refused, as it should be"
+    false = false_claims(row, last.claims)
+    worst, parts = "right", []
+    by: dict[str, list[str]] = {}
+    for truth in row.truths:
+        own, shown = verdict_of_truth(truth, last.claims)
+        worst = max(worst, own, key=VERDICTS.index)
+        known = f" ({truth.value:.4g})" if truth.kind in ("value", "at_most") else ""
+        by.setdefault(own, []).append(
+            f"{truth.words} {shown}{known}".strip() if shown else truth.words
+        )
+    if row.truths:
+        parts.append(f"{len(by.get('right', ()))} of {len(row.truths)} right")
+    few = len(row.truths) <= 4
+    for verdict in (("right",) if few else ()) + ("honest", "missed", "wrong"):
+        if by.get(verdict):
+            word = "open" if verdict == "honest" else verdict
+            parts.append(f"{word}: {', '.join(by[verdict])}")
+    if false:
+        worst = "wrong"
+        parts.append(f"absent, named: {names(false)}")
+    return worst, "; ".join(parts)
+
+
+def names(said: Iterable[Claim]) -> str:
+    """Names with their joints: `coulomb_friction 1 2 5, payload`; a set with `|`."""
+    by: dict[str, list[int]] = {}
+    for claim in said:
+        key = " \\| ".join((claim.name, *claim.instead))
+        by.setdefault(key, []).extend(claim.joints)
+    return ", ".join(" ".join((name, *map(str, sorted(set(at))))) for name, at in by.items())
+
+
+# Running
+
+
+def run_row(row: Row, data: Path, work: Path, limit: float) -> tuple[Step, ...]:
+    """Run a row's commands one after the other until one fails, in a folder of links."""
+    folder = work / row.name
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for other in (p for p in data.iterdir() if p.is_dir()):
+        (folder / other.name).symlink_to(other.resolve())
+    for file in (data / row.folder).iterdir():
+        (folder / file.name).symlink_to(file.resolve())
+    for name, text in row.files:
+        (folder / name).write_text(text)
+    steps: list[Step] = []
+    for k, command in enumerate(row.commands):
+        steps.append(run_command(command, folder, f"answer{k}.json", limit))
+        if steps[-1].exit and not ("doctor" in command and steps[-1].exit == 1):
+            break
+        if steps[-1].exit is None:
+            break
+    return tuple(steps)
+
+
+def run_command(command: str, folder: Path, answer: str, limit: float) -> Step:
+    """Run one command line of `torchid` in a folder, for at most so many seconds."""
+    arguments = [sys.executable, "-m", *shlex.split(command), "--json", answer]
+    before = _cpu_seconds()
+    with subprocess.Popen(
+        arguments, cwd=folder, text=True, start_new_session=True, env=os.environ | {"COLUMNS": "200"},
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        try:
+            out, err = process.communicate(timeout=limit)
+            code: int | None = process.returncode
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)  # its children, too
+            out, err = process.communicate()
+            code = None
+    seconds = _cpu_seconds() - before
+    (folder / answer).with_suffix(".txt").write_text(out + err)
+    file = folder / answer
+    document = json.loads(file.read_text()) if file.exists() else {}
+    return Step(
+        command=command,
+        exit=code,
+        seconds=seconds,
+        headline=_headline(file if document else None, document, out, err),
+        complaints=_complaints(document),
+        trouble=err[-1500:] if code != 0 else "",
+        claims=claims(document) if document else (),
+    )
+
+
+def _cpu_seconds() -> float:
+    """Of all children that ended so far, user and system."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def _headline(file: Path | None, document: dict[str, Any], out: str, err: str) -> str:
+    """A diagnosis' headline, the doctor's conclusion, or the last sentence before what was written."""
+    if file is not None and "answer" in document:
+        import torchid
+
+        return str(torchid.load(file).answer.headline)
+    if "conclusion" in document:
+        return str(document["conclusion"])
+    skipped = ("written", "For a simulator", "!")
+    lines = [line.strip() for line in (out if document else err).splitlines()]
+    told = [line for line in lines if line and not line.startswith(skipped)]
+    if document:
+        return told[-1] if told else ""
+    errors = [line for line in told if line.lower().startswith("error")]
+    return (errors or told[-1:] or [""])[0]
+
+
+def _complaints(document: dict[str, Any]) -> str:
+    """What an answer says against its log."""
+    doubt = document.get("answer", {}).get("doubt", "")
+    checks = [c for c in document.get("checks", ()) if c["verdict"] in ("wrong", "doubtful")]
+    told = [f"{c['name']}: {c['evidence']}" for c in checks]
+    return " ".join((doubt or "", *document.get("warnings", ()), *told))
+
+
+def measured(row: Row, data: Path, work: Path, limit: float) -> None:
+    """Run a row, and keep its result."""
+    steps = run_row(row, data, work, limit)
+    kept = work / f"{row.name}.json"
+    kept.with_suffix(".part").write_text(json.dumps([asdict(s) for s in steps], indent=1))
+    kept.with_suffix(".part").replace(kept)
+
+
+def kept_steps(row: Row, work: Path) -> tuple[Step, ...]:
+    """A row's result of an earlier run; none where there is none, or its commands were others."""
+    file = work / f"{row.name}.json"
+    if not file.exists():
+        return ()
+    steps = tuple(
+        Step(**{**s, "claims": tuple(_claim(c) for c in s["claims"])})
+        for s in json.loads(file.read_text())
+    )
+    return steps if tuple(s.command for s in steps) == row.commands[: len(steps)] else ()
+
+
+def _claim(kept: dict[str, Any]) -> Claim:
+    lists = {key: tuple(kept[key]) for key in ("joints", "instead")}
+    return Claim(**{**kept, **lists, "sizes": tuple(tuple(s) for s in kept["sizes"])})
+
+
+# The page
+
+HEAD = """# The zoo
+
+Logs of real arms that nobody here made, the commands that their owners would type, and what is known of them from their
+sources, written down before any run (`benchmarks/gap_truths.yaml`). Made by
+
+```
+{command}
+```
+
+on torchid {version}. CPU seconds are those of all commands of a row. A name counts from a probability of {sure:g}, on its joints; `|`
+parts names of a set.
+
+| verdict | meaning |
+|---|---|
+| right | all that is known is said, values within their tolerance, and nothing that is known to be absent |
+| honest | the rest is said to be open: one of a set, a suspect, not told by this log, an interval that reaches the truth |
+| missed | something that is known is not said |
+| wrong | something that is known to be absent is said for sure, or a value for sure outside of its tolerance |
+| refused | a good log |
+| crash | a fault of torchid, or no answer in time |
+"""
+
+
+def page(measured_rows: dict[str, tuple[Row, tuple[Step, ...]]], every: Sequence[str]) -> str:
+    """The page in Markdown."""
+    import torchid
+
+    counts = dict.fromkeys(VERDICTS, 0)
+    head = HEAD.format(
+        command="python benchmarks/zoo.py --page docs/zoo.md",
+        version=torchid.__version__,
+        sure=SURE,
+    )
+    lines = ["| row | log | known | CPU s | exit | headline | names above 0.9 | truths | verdict |"]
+    lines.append("|---|---|---|--:|---|---|---|---|---|")
+    total = 0.0
+    for name, (row, steps) in measured_rows.items():
+        verdict, why = judged(row, steps)
+        counts[verdict] += 1
+        seconds = sum(s.seconds for s in steps)
+        total += seconds
+        last = steps[-1]
+        sure = [c for c in last.claims if c.sure > SURE and _named(c)]
+        codes = " ".join("-" if s.exit is None else str(s.exit) for s in steps)
+        cells = (name, row.folder, row.known, f"{seconds:.0f}", codes, _text(last.headline))
+        lines.append("| " + " | ".join((*cells, names(sure), _text(why), f"**{verdict}**")) + " |")
+    listed = ", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n)
+    lines += ["", f"**{len(measured_rows)} rows: {listed}; {total:.0f} CPU s.**"]
+    left = [name for name in every if name not in measured_rows]
+    if left:
+        lines += ["", f"Not measured yet: {', '.join(left)}."]
+    lines += ["", "## Commands"]
+    for name, (row, _) in measured_rows.items():
+        lines += ["", f"{name}:", "", "```", *row.commands, "```"]
+    return head + "\n" + "\n".join(lines) + "\n"
+
+
+def _named(claim: Claim) -> bool:
+    """Whether a name says something by itself: no number of a fit, no error."""
+    return not claim.name.startswith(("base_parameter", "relative_error"))
+
+
+def _text(text: str, longest: int = 400) -> str:
+    """Text of a cell: one line, no markup, not endless."""
+    one = " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*")
+    return one if len(one) <= longest else one[: longest - 1] + "…"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, default=DATA)
+    parser.add_argument("--rows", help="names, comma-separated; all if absent")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--limit", type=float, default=3600.0, help="seconds of a command")
+    parser.add_argument("--work", type=Path, default=ROOT / "build" / "zoo")
+    parser.add_argument("--again", action="store_true", help="measure what is kept, too")
+    parser.add_argument("--page", type=Path, help="write the page of all kept rows")
+    given = parser.parse_args()
+    if not given.data.is_dir():
+        print(
+            f"The zoo is skipped: no folder of real logs at {given.data} (TORCHID_REAL_DATA names one)."
+        )
+        return 0
+    every = rows()
+    asked = given.rows.split(",") if given.rows else list(every)
+    if unknown := [name for name in asked if name not in every]:
+        parser.error(f"no row {', '.join(unknown)}; there are {', '.join(every)}")
+    given.work.mkdir(parents=True, exist_ok=True)
+    waiting = [n for n in asked if given.again or not kept_steps(every[n], given.work)]
+    started = time.monotonic()
+    with ProcessPoolExecutor(given.jobs) as pool:
+        runs = {
+            name: pool.submit(measured, every[name], given.data, given.work.resolve(), given.limit)
+            for name in waiting
+        }
+        for name, run in runs.items():
+            run.result()
+            verdict, why = judged(every[name], kept_steps(every[name], given.work))
+            print(f"{time.monotonic() - started:6.0f} s  {name}: {verdict}; {why}", flush=True)
+    kept = {n: (row, steps) for n, row in every.items() if (steps := kept_steps(row, given.work))}
+    if given.page:
+        given.page.write_text(page(kept, list(every)))
+    return int(any(judged(*kept[name])[0] in FAILS for name in asked))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
