@@ -34,6 +34,8 @@ SURE = 0.9
 """Probability above which an answer claims a cause."""
 FAULT = 70
 """Exit code of a fault of torchid."""
+ANSWER = "answer{}.json"
+"""Where a row's k-th command writes its JSON."""
 VERDICTS = ("right", "honest", "missed", "wrong", "refused", "crash")
 """From the best to the worst; a row is as good as the worst of its truths."""
 FAILS = ("wrong", "refused", "crash")
@@ -410,7 +412,8 @@ def names(said: Iterable[Claim]) -> str:
 
 
 def run_row(row: Row, data: Path, work: Path, limit: float) -> tuple[Step, ...]:
-    """Run a row's commands one after the other until one fails, in a folder of links."""
+    """Run a row's commands one after the other until one fails, in a folder of links; a doctor that
+    finds something wrong ends nothing. The steps are without their claims."""
     folder = work / row.name
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -422,10 +425,8 @@ def run_row(row: Row, data: Path, work: Path, limit: float) -> tuple[Step, ...]:
         (folder / name).write_text(text)
     steps: list[Step] = []
     for k, command in enumerate(row.commands):
-        steps.append(run_command(command, folder, f"answer{k}.json", limit))
-        if steps[-1].exit and not ("doctor" in command and steps[-1].exit == 1):
-            break
-        if steps[-1].exit is None:
+        steps.append(run_command(command, folder, ANSWER.format(k), limit))
+        if steps[-1].exit not in ((0, 1) if "doctor" in command else (0,)):
             break
     return tuple(steps)
 
@@ -456,7 +457,6 @@ def run_command(command: str, folder: Path, answer: str, limit: float) -> Step:
         headline=_headline(file if document else None, document, out, err),
         complaints=_complaints(document),
         trouble=err[-1500:] if code != 0 else "",
-        claims=claims(document) if document else (),
     )
 
 
@@ -495,25 +495,23 @@ def measured(row: Row, data: Path, work: Path, limit: float) -> None:
     """Run a row, and keep its result."""
     steps = run_row(row, data, work, limit)
     kept = work / f"{row.name}.json"
-    kept.with_suffix(".part").write_text(json.dumps([asdict(s) for s in steps], indent=1))
+    plain = [{k: v for k, v in asdict(s).items() if k != "claims"} for s in steps]
+    kept.with_suffix(".part").write_text(json.dumps(plain, indent=1))
     kept.with_suffix(".part").replace(kept)
 
 
 def kept_steps(row: Row, work: Path) -> tuple[Step, ...]:
-    """A row's result of an earlier run; none where there is none, or its commands were others."""
+    """A row's result of an earlier run, its claims read from the answers that are kept beside it;
+    none where there is none, or its commands were others."""
     file = work / f"{row.name}.json"
     if not file.exists():
         return ()
-    steps = tuple(
-        Step(**{**s, "claims": tuple(_claim(c) for c in s["claims"])})
-        for s in json.loads(file.read_text())
-    )
-    return steps if tuple(s.command for s in steps) == row.commands[: len(steps)] else ()
-
-
-def _claim(kept: dict[str, Any]) -> Claim:
-    lists = {key: tuple(kept[key]) for key in ("joints", "instead")}
-    return Claim(**{**kept, **lists, "sizes": tuple(tuple(s) for s in kept["sizes"])})
+    kept = json.loads(file.read_text())
+    if tuple(s["command"] for s in kept) != row.commands[: len(kept)]:
+        return ()
+    answers = [work / row.name / ANSWER.format(k) for k in range(len(kept))]
+    told = [claims(json.loads(a.read_text())) if a.exists() else () for a in answers]
+    return tuple(Step(**s, claims=c) for s, c in zip(kept, told, strict=True))
 
 
 # The page
