@@ -249,7 +249,9 @@ def _payload(document: dict[str, Any]) -> tuple[Claim, ...]:
 
 
 def _identified(document: dict[str, Any]) -> Iterator[Claim]:
-    """Base parameters and friction, those that were estimated for sure."""
+    """Base parameters and friction, those that were estimated for sure; a coefficient that is held
+    at a bound is open."""
+    held = document["bounded"]
     for p in document["parameters"]:
         sure = 1.0 if p["estimated"] else 0.0
         yield Claim("base_parameter", (), ((p["name"], p["value"], p["std"]),), sure)
@@ -257,7 +259,8 @@ def _identified(document: dict[str, Any]) -> Iterator[Claim]:
         for name, values in e["parameters"].items():
             every = zip(e["joints"], values, e["std"].get(name, [None] * len(values)), strict=True)
             for joint, value, std in every:
-                yield Claim(e["effect"], (joint,), ((name, value, std),), 1.0)
+                sure = 0.0 if f"{name}{joint}" in held else 1.0
+                yield Claim(e["effect"], (joint,), ((name, value, std),), sure)
 
 
 def _errors(document: dict[str, Any]) -> Iterator[Claim]:
@@ -321,7 +324,7 @@ def _of_number(truth: Truth, value: float, std: float) -> str:
     """Whether a number is within its tolerance, or its interval reaches it."""
     room = truth.within * abs(truth.value)
     if truth.kind == "at_most":
-        return "right" if value <= truth.value + room else "wrong"
+        return "right" if value <= truth.value + room else "missed"
     off = abs(value - truth.value)
     return "right" if off <= room else "honest" if off <= room + 2 * std else "wrong"
 
@@ -467,20 +470,19 @@ def _cpu_seconds() -> float:
 
 
 def _headline(file: Path | None, document: dict[str, Any], out: str, err: str) -> str:
-    """A diagnosis' headline, the doctor's conclusion, or the last sentence before what was written."""
+    """A diagnosis' headline, the doctor's conclusion, the last paragraph of others, or the error."""
     if file is not None and "answer" in document:
         import torchid
 
         return str(torchid.load(file).answer.headline)
     if "conclusion" in document:
         return str(document["conclusion"])
-    skipped = ("written", "For a simulator", "!")
-    lines = [line.strip() for line in (out if document else err).splitlines()]
-    told = [line for line in lines if line and not line.startswith(skipped)]
-    if document:
-        return told[-1] if told else ""
-    errors = [line for line in told if line.lower().startswith("error")]
-    return (errors or told[-1:] or [""])[0]
+    if not document:
+        errors = [line for line in err.splitlines() if line.lower().startswith("error")]
+        return (errors or err.splitlines()[-1:] or [""])[0]
+    skipped = ("written", "For a simulator")
+    lines = "\n".join(line for line in out.splitlines() if not line.startswith(skipped))
+    return " ".join(lines.strip().split("\n\n")[-1].split())
 
 
 def _complaints(document: dict[str, Any]) -> str:

@@ -147,10 +147,10 @@ def test_errors_may_be_no_larger_than_a_baselines() -> None:
     truths = [{"is": ["relative_error"], "joints": [1, 2], "at_most": [4.0, 8.0], "within": 0.1}]
     row = zoo.row_of("row", entry(truths=truths))
     errors = {"relative_error_percent": [4.3, 8.0], "relative_error_percent_moving": [9.0, 9.0]}
-    fit = {"parameters": [], "effects": [], "fit": errors}
+    fit = {"parameters": [], "effects": [], "bounded": [], "fit": errors}
     assert zoo.judged(row, [step(fit)])[0] == "right"
     fit["held_out"] = errors | {"relative_error_percent": [4.5, 8.0]}
-    assert zoo.judged(row, [step(fit)])[0] == "wrong"
+    assert zoo.judged(row, [step(fit)])[0] == "missed"
 
 
 def test_a_payload_that_no_motion_tells_is_open() -> None:
