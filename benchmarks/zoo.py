@@ -5,11 +5,12 @@
 DATA holds folders of public logs, which are not part of this project: most of their licences do not
 allow it. What is known of them is in gap_truths.yaml, written from their sources before any run. Each
 command runs as a process of its own in a folder of links to the logs. Results are kept a row at a time
-below --work, so that an interrupted zoo goes on. The exit code is 1 where a command crashed, a good log
+below --work, so that an interrupted zoo goes on while torchid's code is the same. The exit code is 1 where a command crashed, a good log
 was refused, or an answer is surely wrong.
 """
 
 import argparse
+import hashlib
 import json
 import os
 import resource
@@ -22,6 +23,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -235,8 +237,8 @@ def _servos(document: dict[str, Any]) -> Iterator[Claim]:
 
 
 def _payload(document: dict[str, Any]) -> tuple[Claim, ...]:
-    """The load; numbers that no motion determines are left out, and the load open where none of it
-    is seen."""
+    """The load; numbers that no motion determines are left out, and the load open where all of the
+    others may be zero."""
     own = document["parameters"]
     sizes = tuple(
         (name, value, row[k] ** 0.5)
@@ -245,7 +247,8 @@ def _payload(document: dict[str, Any]) -> tuple[Claim, ...]:
         )
         if known and value is not None and row[k] is not None
     )
-    return (Claim("payload", (), sizes, 1.0 if document["seen"] else 0.0),)
+    seen = document["seen"] or any(abs(value) > 2 * std for _, value, std in sizes)
+    return (Claim("payload", (), sizes, 1.0 if seen else 0.0),)
 
 
 def _identified(document: dict[str, Any]) -> Iterator[Claim]:
@@ -375,7 +378,7 @@ def judged(row: Row, steps: Sequence[Step]) -> tuple[str, str]:
     if row.log:
         text = " ".join(f"{s.complaints} {s.trouble}" for s in steps).lower()
         if not any(word.lower() in text for word in row.log):
-            return "missed", f"not said of the log: {' or '.join(row.log)}"
+            return "missed", f"no word of {' or '.join(row.log)}"
     last = steps[-1]
     if row.log and last.exit and not last.claims:
         return "right", "refused, as it should be"
@@ -493,23 +496,32 @@ def _complaints(document: dict[str, Any]) -> str:
     return " ".join((doubt or "", *document.get("warnings", ()), *told))
 
 
+@cache
+def code() -> str:
+    """A fingerprint of torchid's files: results of other code are not kept."""
+    files = sorted(p for p in (ROOT / "torchid").rglob("*") if p.suffix in (".py", ".yaml"))
+    return hashlib.sha256(b"".join(p.read_bytes() for p in files)).hexdigest()
+
+
 def measured(row: Row, data: Path, work: Path, limit: float) -> None:
     """Run a row, and keep its result."""
     steps = run_row(row, data, work, limit)
     kept = work / f"{row.name}.json"
     plain = [{k: v for k, v in asdict(s).items() if k != "claims"} for s in steps]
-    kept.with_suffix(".part").write_text(json.dumps(plain, indent=1))
+    kept.with_suffix(".part").write_text(json.dumps({"code": code(), "steps": plain}, indent=1))
     kept.with_suffix(".part").replace(kept)
 
 
 def kept_steps(row: Row, work: Path) -> tuple[Step, ...]:
     """A row's result of an earlier run, its claims read from the answers that are kept beside it;
-    none where there is none, or its commands were others."""
+    none where there is none, or its commands or torchid's code were others."""
     file = work / f"{row.name}.json"
     if not file.exists():
         return ()
-    kept = json.loads(file.read_text())
-    if tuple(s["command"] for s in kept) != row.commands[: len(kept)]:
+    result = json.loads(file.read_text())
+    kept = result["steps"]
+    asked = tuple(s["command"] for s in kept) == row.commands[: len(kept)]
+    if not asked or result["code"] != code():
         return ()
     answers = [work / row.name / ANSWER.format(k) for k in range(len(kept))]
     told = [claims(json.loads(a.read_text())) if a.exists() else () for a in answers]
@@ -532,11 +544,11 @@ parts names of a set.
 
 | verdict | meaning |
 |---|---|
-| right | all that is known is said, values within their tolerance, and nothing that is known to be absent |
-| honest | the rest is said to be open: one of a set, a suspect, not told by this log, an interval that reaches the truth |
-| missed | something that is known is not said |
-| wrong | something that is known to be absent is said for sure, or a value for sure outside of its tolerance |
-| refused | a good log |
+| right | the answer has all that is known, values within their tolerance, and nothing that is known to be absent |
+| honest | it leaves the rest open: one of a set, a suspect, not testable, an interval (95 %) that reaches the truth |
+| missed | it lacks something that is known |
+| wrong | it is sure of something that is known to be absent, or of a value outside of its tolerance |
+| refused | a good log was refused |
 | crash | a fault of torchid, or no answer in time |
 """
 
@@ -560,7 +572,11 @@ def page(measured_rows: dict[str, tuple[Row, tuple[Step, ...]]], every: Sequence
         seconds = sum(s.seconds for s in steps)
         total += seconds
         last = steps[-1]
-        sure = [c for c in last.claims if c.sure > SURE and _named(c)]
+        sure = [c for c in last.claims if c.sure > SURE]
+        if any(c.name == "base_parameter" for c in sure):
+            sure = []  # numbers of a fit are no names of causes
+        if why == last.headline:
+            why = ""
         codes = " ".join("-" if s.exit is None else str(s.exit) for s in steps)
         cells = (name, row.folder, row.known, f"{seconds:.0f}", codes, _text(last.headline))
         lines.append("| " + " | ".join((*cells, names(sure), _text(why), f"**{verdict}**")) + " |")
@@ -573,11 +589,6 @@ def page(measured_rows: dict[str, tuple[Row, tuple[Step, ...]]], every: Sequence
     for name, (row, _) in measured_rows.items():
         lines += ["", f"{name}:", "", "```", *row.commands, "```"]
     return head + "\n" + "\n".join(lines) + "\n"
-
-
-def _named(claim: Claim) -> bool:
-    """Whether a name says something by itself: no number of a fit, no error."""
-    return not claim.name.startswith(("base_parameter", "relative_error"))
 
 
 def _text(text: str, longest: int = 400) -> str:

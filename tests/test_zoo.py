@@ -1,6 +1,5 @@
 """What the zoo calls right, honest, missed, wrong, refused and a crash; its truths; its runner."""
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -153,12 +152,18 @@ def test_errors_may_be_no_larger_than_a_baselines() -> None:
     assert zoo.judged(row, [step(fit)])[0] == "missed"
 
 
-def test_a_payload_that_no_motion_tells_is_open() -> None:
+@pytest.mark.parametrize(
+    ("verdict", "mass", "determined"),
+    [("right", 2.1, True), ("wrong", 9.0, True), ("wrong", -0.9, True), ("honest", 9.0, False)],
+)
+def test_a_payload_is_open_where_no_motion_tells_it(
+    verdict: str, mass: float, determined: bool
+) -> None:
+    """A load below zero is said for sure, too."""
     row = zoo.row_of("row", entry(truths=MASS))
-    own = {"names": ["m"], "value": [9.0], "covariance": [[0.01]], "determined": [True]}
-    assert zoo.judged(row, [step({"frames": {}, "parameters": own, "seen": True})])[0] == "wrong"
-    own = own | {"determined": [False]}
-    assert zoo.judged(row, [step({"frames": {}, "parameters": own, "seen": True})])[0] == "honest"
+    own = {"names": ["m"], "value": [mass], "covariance": [[0.01]], "determined": [determined]}
+    document = {"frames": {}, "parameters": own, "seen": mass > 0}
+    assert zoo.judged(row, [step(document)])[0] == verdict
 
 
 def test_the_doctor_claims_what_is_wrong_alone() -> None:
@@ -225,7 +230,8 @@ def test_a_row_runs_and_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert (
         zoo.kept_steps(zoo.row_of("row", entry(commands=["torchid gap a.urdf c.csv"])), work) == ()
     )
-    assert json.loads((work / "row.json").read_text())[0]["command"] == row.commands[0]
+    monkeypatch.setattr(zoo, "code", lambda: "other")
+    assert zoo.kept_steps(row, work) == ()
 
 
 def test_a_command_that_takes_too_long_is_a_crash(
