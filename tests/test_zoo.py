@@ -240,3 +240,11 @@ def test_a_command_that_takes_too_long_is_a_crash(
     (tmp_path / "torchid.py").write_text("import time\ntime.sleep(60)\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     assert zoo.run_command("torchid gap", tmp_path, "answer.json", limit=0.1).exit is None
+
+
+def test_without_logs_it_says_so_and_ends_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["zoo.py", "--data", str(tmp_path / "absent")])
+    assert zoo.main() == 0
+    assert capsys.readouterr().out.startswith("The zoo is skipped: no folder of real logs at")
