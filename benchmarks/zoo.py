@@ -366,32 +366,39 @@ def false_claims(row: Row, said: Sequence[Claim]) -> tuple[Claim, ...]:
 
 
 def judged(row: Row, steps: Sequence[Step]) -> tuple[str, str]:
-    """The verdict of a row, and why."""
+    """The verdict of a row, and why. A doctor that refuses a good log does not hide whether the
+    answer after it is right: that is in the reason."""
     for step in steps:
         if step.exit is None:
             return "crash", f"no answer after {step.seconds:.0f} s"
         if step.exit < 0 or step.exit == FAULT or "Traceback" in step.trouble:
             return "crash", step.trouble
+    last = steps[-1]
+    verdict, parts = met(row, last.claims)
     failed = [s for s in steps if s.exit]
     if not row.log and failed:
-        return "refused", failed[0].headline or failed[0].trouble
+        reason = failed[0].headline or failed[0].trouble
+        return "refused", reason if last.exit else "; ".join([reason, *parts])
     if row.log:
         text = " ".join(f"{s.complaints} {s.trouble}" for s in steps).lower()
         if not any(word.lower() in text for word in row.log):
-            return "missed", f"no word of {' or '.join(row.log)}"
-    last = steps[-1]
-    if row.log and last.exit and not last.claims:
-        return "right", "refused, as it should be"
-    false = false_claims(row, last.claims)
+            return max(verdict, "missed", key=VERDICTS.index), "; ".join(
+                [f"no word of {' or '.join(row.log)}", *parts]
+            )
+        if last.exit and not last.claims:
+            return "right", "refused, as it should be"
+    return verdict, "; ".join(parts)
+
+
+def met(row: Row, said: Sequence[Claim]) -> tuple[str, list[str]]:
+    """How an answer meets all truths of a row: the worst verdict, and phrases about them."""
     worst, parts = "right", []
     by: dict[str, list[str]] = {}
     for truth in row.truths:
-        own, shown = verdict_of_truth(truth, last.claims)
+        own, shown = verdict_of_truth(truth, said)
         worst = max(worst, own, key=VERDICTS.index)
         known = f" ({truth.value:.4g})" if truth.kind in ("value", "at_most") else ""
-        by.setdefault(own, []).append(
-            f"{truth.words} {shown}{known}".strip() if shown else truth.words
-        )
+        by.setdefault(own, []).append(f"{truth.words} {shown}{known}" if shown else truth.words)
     if row.truths:
         parts.append(f"{len(by.get('right', ()))} of {len(row.truths)} right")
     few = len(row.truths) <= 4
@@ -399,10 +406,10 @@ def judged(row: Row, steps: Sequence[Step]) -> tuple[str, str]:
         if by.get(verdict):
             word = "open" if verdict == "honest" else verdict
             parts.append(f"{word}: {', '.join(by[verdict])}")
-    if false:
+    if false := false_claims(row, said):
         worst = "wrong"
         parts.append(f"absent, named: {names(false)}")
-    return worst, "; ".join(parts)
+    return worst, parts
 
 
 def names(said: Iterable[Claim]) -> str:
