@@ -20,6 +20,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
@@ -63,10 +64,14 @@ class Truth:
     within: float = 0.0
     kind: str = "named"
 
-    @property
-    def words(self) -> str:
-        """`coulomb_friction 2 Fc`."""
-        return " ".join((self.names[0], *map(str, self.joints), *([self.of] if self.of else [])))
+    def words(self, number: str = "") -> tuple[str, str]:
+        """What it is of, and where with which number: `coulomb_friction Fc`, `2: 21 ± 1 (20)`."""
+        of = "" if self.of in ("", self.names[0]) else f" {self.of}"
+        joints = " ".join(map(str, self.joints))
+        if not number:
+            return f"{self.names[0]}{of}", joints
+        known = f" ({self.value:.4g})" if self.kind in ("value", "at_most") else ""
+        return f"{self.names[0]}{of}", f"{joints}: {number}{known}".removeprefix(": ")
 
 
 @dataclass(frozen=True)
@@ -393,23 +398,31 @@ def judged(row: Row, steps: Sequence[Step]) -> tuple[str, str]:
 def met(row: Row, said: Sequence[Claim]) -> tuple[str, list[str]]:
     """How an answer meets all truths of a row: the worst verdict, and phrases about them."""
     worst, parts = "right", []
-    by: dict[str, list[str]] = {}
+    by: dict[str, dict[str, list[str]]] = {}
+    count: Counter[str] = Counter()
     for truth in row.truths:
         own, shown = verdict_of_truth(truth, said)
         worst = max(worst, own, key=VERDICTS.index)
-        known = f" ({truth.value:.4g})" if truth.kind in ("value", "at_most") else ""
-        by.setdefault(own, []).append(f"{truth.words} {shown}{known}" if shown else truth.words)
+        what, where = truth.words(shown)
+        by.setdefault(own, {}).setdefault(what, []).append(where)
+        count[own] += 1
     if row.truths:
-        parts.append(f"{len(by.get('right', ()))} of {len(row.truths)} right")
+        parts.append(f"{count['right']} of {len(row.truths)} right")
     few = len(row.truths) <= 4
     for verdict in (("right",) if few else ()) + ("honest", "missed", "wrong"):
         if by.get(verdict):
             word = "open" if verdict == "honest" else verdict
-            parts.append(f"{word}: {', '.join(by[verdict])}")
+            each = (f"{what} {_listed(where)}".strip() for what, where in by[verdict].items())
+            parts.append(f"{word}: {'; '.join(each)}")
     if false := false_claims(row, said):
         worst = "wrong"
         parts.append(f"absent, named: {names(false)}")
     return worst, parts
+
+
+def _listed(where: Sequence[str]) -> str:
+    """Joints alone as `1 2 3`, with numbers as `1: 21 (20), 2: 33 (40)`."""
+    return (", " if any(":" in w or "(" in w for w in where) else " ").join(where)
 
 
 def names(said: Iterable[Claim]) -> str:
