@@ -35,6 +35,10 @@ TRUTHS = Path(__file__).with_name("gap_truths.yaml")
 DATA = Path(os.environ.get("TORCHID_REAL_DATA") or ROOT.parent / "shared" / "data")
 SURE = 0.9
 """Probability above which an answer claims a cause."""
+UNKNOWN = ("detected_unexplained", "not_testable")
+"""Statuses of an answer that has a gap, and that may have no cause for it."""
+ANYTHING = "no known effect"
+"""Name of what may be any effect."""
 FAULT = 70
 """Exit code of a fault of torchid."""
 ANSWER = "answer{}.json"
@@ -218,7 +222,8 @@ def claims(document: dict[str, Any]) -> tuple[Claim, ...]:
 
 
 def _causes(document: dict[str, Any]) -> Iterator[Claim]:
-    """Causes, as sure as they are; suspects, small ones and those not testable are left open."""
+    """Causes, as sure as they are; suspects, small ones and those not testable are left open, and
+    anything is where a gap is there that no known effect explains."""
     answer = document["answer"]
     for key in ("causes", "suspects", "small"):
         for c in answer[key]:
@@ -227,6 +232,8 @@ def _causes(document: dict[str, Any]) -> Iterator[Claim]:
             yield Claim(c["effect"], tuple(c["joints"]), sizes, sure, tuple(c["ambiguous_with"]))
     for c in document.get("not_testable") or ():
         yield Claim(c["effect"], tuple(c["joints"]))
+    if not answer["causes"] and answer["status"] in UNKNOWN:
+        yield Claim(ANYTHING)
 
 
 def _servos(document: dict[str, Any]) -> Iterator[Claim]:
@@ -286,7 +293,7 @@ def _errors(document: dict[str, Any]) -> Iterator[Claim]:
 def _speaks_of(claim: Claim, truth: Truth) -> bool:
     """Whether a claim is of what a truth is of; one of the whole arm is of every joint."""
     here = not claim.joints or not truth.joints or bool({*claim.joints} & {*truth.joints})
-    named = bool({claim.name, *claim.instead} & {*truth.names})
+    named = bool({claim.name, *claim.instead} & {*truth.names, ANYTHING})
     return here and named and (truth.of != "" or truth.kind != "value")
 
 
@@ -329,12 +336,14 @@ def verdict_of_truth(truth: Truth, said: Sequence[Claim]) -> tuple[str, str]:
 
 
 def _of_number(truth: Truth, value: float, std: float) -> str:
-    """Whether a number is within its tolerance, or its interval reaches it."""
+    """Whether a number is determined and within its tolerance, or its interval reaches it."""
     room = truth.within * abs(truth.value)
     if truth.kind == "at_most":
         return "right" if value <= truth.value + room else "missed"
     off = abs(value - truth.value)
-    return "right" if off <= room else "honest" if off <= room + 2 * std else "wrong"
+    if off <= room and std < abs(truth.value):
+        return "right"
+    return "honest" if off <= room + 2 * std else "wrong"
 
 
 def _alike(truth: Truth, said: Sequence[Claim]) -> tuple[str, str]:
@@ -565,7 +574,7 @@ parts names of a set.
 | verdict | meaning |
 |---|---|
 | right | the answer has all that is known, values within their tolerance, and nothing that is known to be absent |
-| honest | it leaves the rest open: one of a set, a suspect, not testable, an interval (95 %) that reaches the truth |
+| honest | it leaves the rest open: one of a set, a suspect, not testable, no known effect, an interval (95 %) that reaches the truth |
 | missed | it lacks something that is known |
 | wrong | it is sure of something that is known to be absent, or of a value outside of its tolerance |
 | refused | a good log was refused |

@@ -38,7 +38,8 @@ def cause(
 
 def answer(*causes: dict[str, Any], suspects: tuple[Any, ...] = (), **more: Any) -> dict[str, Any]:
     """A diagnosis' JSON, as far as the zoo reads it."""
-    own = {"causes": causes, "suspects": suspects, "small": ()}
+    status = more.pop("status", "explained")
+    own = {"causes": causes, "suspects": suspects, "small": (), "status": status}
     return {"answer": own, "where": {"joints": ()}} | more
 
 
@@ -84,6 +85,9 @@ GAINS = [{"is": ["kp"], "joints": [1, 2, 3], "of": "kp", "equal": 0.1}]
         ("honest", {"truths": SPRING}, answer(suspects=(cause("joint_spring", (2,), 0.4),))),
         ("honest", {"truths": SPRING}, answer(cause("payload", instead=("joint_spring",)))),
         ("honest", {"truths": SPRING}, answer(not_testable=(NOT_TESTABLE,))),
+        ("honest", {"truths": SPRING}, answer(status="detected_unexplained")),
+        ("missed", {"truths": SPRING}, answer(FC1, status="detected_unexplained")),
+        ("missed", {"truths": SPRING}, answer(status="no_gap")),
         ("missed", {"truths": SPRING}, answer(cause("joint_spring", (3,)))),
         ("missed", {"truths": SPRING}, answer()),
         ("right", {"truths": FRICTION}, answer(FC1, FC2)),
@@ -92,6 +96,7 @@ GAINS = [{"is": ["kp"], "joints": [1, 2, 3], "of": "kp", "equal": 0.1}]
         ("wrong", {"truths": FRICTION}, answer(FC1, FC2_OTHER)),
         ("honest", {"truths": FRICTION}, answer(FC1, FC2_OPEN)),
         ("right", {"truths": MASS}, answer(cause("payload", m=(2.1, 0.01)))),
+        ("honest", {"truths": MASS}, answer(cause("payload", m=(2.0, 3.0)))),  # not determined
         ("wrong", {"truths": MASS}, answer(cause("payload", m=(-2.0, 0.01)))),
         ("right", NO_LOAD, answer(FC1)),
         ("right", NO_LOAD, answer(cause("payload", sure=0.8))),
