@@ -46,7 +46,7 @@ nightly: $(VENV)/.dev
 	$(MAKE) --no-print-directory zoo
 
 # Public logs of real arms, with the commands that their owners would type and what is known of them:
-# an hour or two, and one line where the logs are absent. What is in build/zoo is not run again; an
+# half an hour of CPU, and one line where the logs are absent. What is in build/zoo is not run again; an
 # answer that is surely wrong, a good log refused, and a crash are errors. ROWS=emps,kuka are some.
 zoo: $(VENV)/.dev
 	$(BIN)/python benchmarks/zoo.py --jobs $(shell nproc) --page docs/zoo.md $(if $(ROWS),--rows $(ROWS))
