@@ -18,7 +18,7 @@ HALF := $(addprefix tests/,$(SHAPES) excitation export extraction feasibility lo
 SHELL := bash
 .SHELLFLAGS := -o pipefail -c
 
-.PHONY: demo test test-one test-two test-slow nightly criteria golden durations coverage lint format docs docs-site fuzz test-lowest test-newest bench clean
+.PHONY: demo test test-one test-two test-slow nightly zoo criteria golden durations coverage lint format docs docs-site fuzz test-lowest test-newest bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
@@ -43,6 +43,13 @@ nightly: SEED ?= $(shell date +%Y%m%d)
 nightly: $(VENV)/.dev
 	TORCHID_TYPES=torchid $(PYTEST) $(TWO) $(QUICK) --hypothesis-seed=$(SEED)
 	TORCHID_SEED=$(SEED) $(PYTEST) $(TWO) -m nightly --hypothesis-seed=$(SEED)
+	$(MAKE) --no-print-directory zoo
+
+# Public logs of real arms, with the commands that their owners would type and what is known of them:
+# half an hour of CPU, and one line where the logs are absent. What is in build/zoo is not run again; an
+# answer that is surely wrong, a good log refused, and a crash are errors. ROWS=emps,kuka are some.
+zoo: $(VENV)/.dev
+	$(BIN)/python benchmarks/zoo.py --jobs $(shell nproc) --page docs/zoo.md $(if $(ROWS),--rows $(ROWS))
 
 # What doubling and halving the numbers that decide an answer does to simulated cases: hours.
 criteria: COUNT ?= 60
