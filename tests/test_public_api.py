@@ -16,7 +16,7 @@ import pytest
 import torch
 
 import torchid
-from tests.documents import ROOT
+from tests.documents import PACKAGES, ROOT, sources
 from torchid.next_motion.settings import MotionSettings
 from torchid.robot.model import Robot
 
@@ -71,6 +71,14 @@ def test_import_is_quick_and_loads_no_numerics() -> None:
     assert float(line.split("|")[1]) < 2e6, "microseconds"
 
 
+def test_import_loads_nothing_of_the_packages_beside() -> None:
+    code = (
+        "import sys, torchid; assert not any(m.startswith('torchid_study') for m in sys.modules); "
+        "assert torchid.equal_torque_study.__module__ in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no_such_name"):
         _ = torchid.no_such_name
@@ -94,7 +102,7 @@ def _held(thing: object) -> set[type]:
         while hints:
             hint = hints.pop()
             hints += typing.get_args(hint)
-            if inspect.isclass(hint) and hint.__module__.startswith("torchid."):
+            if inspect.isclass(hint) and hint.__module__.partition(".")[0] in PACKAGES:
                 found.add(hint)
     return found
 
@@ -178,8 +186,7 @@ def _messages(source: str) -> list[str]:
 def test_messages_speak_of_arguments() -> None:
     """Only the command line has options; a message elsewhere names one in a whole command, or
     beside what it is in Python."""
-    modules = list(Path(torchid.__file__).parent.rglob("*.py"))
-    below = [p for p in modules if not {"app", "report"} & set(p.parts)]
+    below = [p for p in sources() if not {"app", "report"} & set(p.parts)]
     assert len(below) > 200
     option = re.compile(r"(?<![\w-])--[a-z]")
     both = ("torchid ", "on the command line", "Log.with_torque", "xcode-select")

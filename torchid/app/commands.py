@@ -24,9 +24,8 @@ from torchid.app.project import Group, add
 from torchid.app.show import effects_command, explain_command, robot_command
 from torchid.app.signature import Debug
 from torchid.app.simulate import simulate_command
-from torchid.app.study import study_command
 from torchid.app.withheld import withheld_app
-from torchid.app.wrenches import wrenches_command
+from torchid.other_packages import COMMANDS, loaded
 
 app = typer.Typer(
     name="torchid",
@@ -37,9 +36,9 @@ app = typer.Typer(
 )
 for _one in (
     init_command, robot_command, excite_command, simulate_command, log_app, identify_command,
-    extract_command, check_command, atlas_command, wrenches_command, payload_command, gap_command,
-    correct_command, explain_command, effects_command, export_command, compare_command,
-    study_command, fleet_app, withheld_app, demo_command,
+    extract_command, check_command, atlas_command, loaded(COMMANDS["wrenches"]), payload_command,
+    gap_command, correct_command, explain_command, effects_command, export_command,
+    compare_command, loaded(COMMANDS["study"]), fleet_app, withheld_app, demo_command,
 ):  # fmt: skip
     if isinstance(_one, typer.Typer):
         app.add_typer(_one, name=_one.info.name)
