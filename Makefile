@@ -14,7 +14,9 @@ QUICK := -m "not slow and not nightly and not real"
 # made twice. In the first half annotations are checked where shapes are the subject.
 SHAPES := design dynamics effects robot statistics
 HALF := $(addprefix tests/,$(SHAPES) excitation export extraction feasibility log parallel simulation \
-  simulators wrenches test_types_are_checked.py)
+  simulators torchid_study/equal_torque/test_sample.py torchid_study/wrenches wrenches \
+  test_types_are_checked.py)
+PACKAGES := torchid torchid_study
 SHELL := bash
 .SHELLFLAGS := -o pipefail -c
 
@@ -41,7 +43,7 @@ test-slow: $(VENV)/.dev
 # tests draw from a seed of the day, which pytest prints; SEED=20261126 repeats that night's.
 nightly: SEED ?= $(shell date +%Y%m%d)
 nightly: $(VENV)/.dev
-	TORCHID_TYPES=torchid $(PYTEST) $(TWO) $(QUICK) --hypothesis-seed=$(SEED)
+	TORCHID_TYPES="$(PACKAGES)" $(PYTEST) $(TWO) $(QUICK) --hypothesis-seed=$(SEED)
 	TORCHID_SEED=$(SEED) $(PYTEST) $(TWO) -m nightly --hypothesis-seed=$(SEED)
 
 # What doubling and halving the numbers that decide an answer does to simulated cases: hours.
@@ -62,7 +64,7 @@ durations: $(VENV)/.dev
 	$(BIN)/python -m tests.durations
 
 coverage: $(VENV)/.dev
-	$(PYTEST) $(TWO) $(QUICK) --cov=torchid --cov-branch --cov-report=term
+	$(PYTEST) $(TWO) $(QUICK) $(addprefix --cov=,$(PACKAGES)) --cov-branch --cov-report=term
 
 # The same with other versions of what torchid needs: the lowest that pyproject.toml allows, and the
 # newest that there are, each in an environment of its own. TORCH=torch==2.13.0 takes that torch;

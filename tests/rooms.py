@@ -1,5 +1,4 @@
-"""Lines of code of torchid by room, each beside the budget that it may have; a package beside torchid
-is one room.
+"""Lines of code of torchid by room, beside the budget of each; a package beside torchid is one room.
 
 python -m tests.rooms [--write]
 
@@ -72,7 +71,7 @@ def main() -> None:
     for room, lines in sorted(found.items(), key=lambda item: -item[1]):
         print(f"{lines:6d} of {allowed.get(room, 0):6d}  {room}")
     for of, rooms_of in (("torchid", found.keys() - PACKAGES), ("all packages", found.keys())):
-        lines, budget = (sum(counts.get(room, 0) for room in rooms_of) for counts in (found, allowed))
+        lines, budget = (sum(n.get(room, 0) for room in rooms_of) for n in (found, allowed))
         print(f"{lines:6d} of {budget:6d}  lines of code of {of}")
     if wrong := above(found, allowed):
         raise SystemExit("above budget: " + "; ".join(wrong))

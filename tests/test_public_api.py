@@ -71,14 +71,6 @@ def test_import_is_quick_and_loads_no_numerics() -> None:
     assert float(line.split("|")[1]) < 2e6, "microseconds"
 
 
-def test_import_loads_nothing_of_the_packages_beside() -> None:
-    code = (
-        "import sys, torchid; assert not any(m.startswith('torchid_study') for m in sys.modules); "
-        "assert torchid.equal_torque_study.__module__ in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
-
-
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no_such_name"):
         _ = torchid.no_such_name
