@@ -16,7 +16,7 @@ SHAPES := design dynamics effects robot statistics
 HALF := $(addprefix tests/,$(SHAPES) excitation export extraction feasibility log parallel simulation \
   simulators torchid_study/equal_torque/test_sample.py torchid_study/wrenches wrenches \
   test_types_are_checked.py)
-PACKAGES := torchid torchid_study
+PACKAGES := torchid torchid_study torchid_bench
 SHELL := bash
 .SHELLFLAGS := -o pipefail -c
 
@@ -43,7 +43,7 @@ test-slow: $(VENV)/.dev
 # tests draw from a seed of the day, which pytest prints; SEED=20261126 repeats that night's.
 nightly: SEED ?= $(shell date +%Y%m%d)
 nightly: $(VENV)/.dev
-	TORCHID_TYPES="$(PACKAGES)" $(PYTEST) $(TWO) $(QUICK) --hypothesis-seed=$(SEED)
+	TORCHID_TYPES="torchid torchid_study torchid_bench.withheld" $(PYTEST) $(TWO) $(QUICK) --hypothesis-seed=$(SEED)
 	TORCHID_SEED=$(SEED) $(PYTEST) $(TWO) -m nightly --hypothesis-seed=$(SEED)
 
 # What doubling and halving the numbers that decide an answer does to simulated cases: hours.
@@ -51,7 +51,7 @@ criteria: COUNT ?= 60
 criteria: $(VENV)/.dev
 	rm -rf build/cases && mkdir -p build
 	$(BIN)/torchid withheld make --out build/cases --cases $(COUNT) --seed 5757 --quiet
-	$(BIN)/python benchmarks/criteria.py build/cases --jobs $(shell nproc) --out build/criteria.md
+	$(BIN)/python -m torchid_bench.benchmarks.criteria build/cases --jobs $(shell nproc) --out build/criteria.md
 
 # Answers to twelve small logs beside the stored ones: code that was only moved changes none of them.
 golden: $(VENV)/.dev
@@ -100,9 +100,9 @@ docs: $(VENV)/.dev
 docs-site: $(VENV)/.dev
 	$(BIN)/python -m sphinx -b html -E -W --keep-going -q -c docs . build/site
 
-# Torchid beside its peers, a minute or two; what became a fifth slower than benchmarks/ratios.json is printed.
+# Torchid beside its peers, a minute or two; what became a fifth slower than torchid_bench/benchmarks/ratios.json is printed.
 bench: $(VENV)/.dev
-	$(BIN)/python benchmarks/ratios.py --compile
+	$(BIN)/python -m torchid_bench.benchmarks.ratios --compile
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("torchid", "torchid_study")
+PACKAGES = ("torchid", "torchid_study", "torchid_bench")
 """That come with one installation."""
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -14,8 +14,9 @@ _LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 
 
 def sources() -> list[Path]:
-    """The packages' modules."""
-    return sorted(path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
+    """The packages' modules, but for benchmarks, which are scripts."""
+    every = (path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
+    return sorted(path for path in every if path.parent.name != "benchmarks")
 
 
 def blocks(page: Path, language: str) -> list[str]:

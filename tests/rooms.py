@@ -1,4 +1,4 @@
-"""Lines of code of torchid by room, beside the budget of each; a package beside torchid is one room.
+"""Lines of code of torchid by room beside the budget of each; a package beside torchid is a room.
 
 python -m tests.rooms [--write]
 

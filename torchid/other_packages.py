@@ -1,7 +1,7 @@
 """What the packages beside torchid have, by name: where it stands, loaded when it is asked for.
 
-`torchid_study` comes with torchid and imports it. Torchid has nothing of it but these texts, so
-that whoever needs none of it loads none of it.
+`torchid_study` and `torchid_bench` come with torchid and import it. Torchid has nothing of them but
+these texts, so that whoever needs none of them loads none of them.
 """
 
 from importlib import import_module
@@ -10,6 +10,9 @@ from typing import Any
 COMMANDS = {
     "wrenches": "torchid_study.app.wrenches:wrenches_command",
     "study": "torchid_study.app.study:study_command",
+    "withheld make": "torchid_bench.app.withheld:make_command",
+    "withheld run": "torchid_bench.app.withheld:run_command",
+    "withheld score": "torchid_bench.app.withheld:score_command",
 }
 """Functions of commands, by what is typed behind `torchid`."""
 WORKERS = {"study": "torchid_study.study"}
@@ -23,6 +26,7 @@ RECORDS = {
     "torchid.wrenches/1 equal_torque": "torchid_study.equal_torque.study:EqualTorqueRecord",
     "torchid.wrenches/1 sets": "torchid_study.equal_torque.study:GivenSetsRecord",
     "torchid.study/1": "torchid_study.result:StudyRecord",
+    "torchid.withheld.score/1": "torchid_bench.withheld.score_record:ScoreRecord",
 }
 """Records of results, see `torchid.results.files`."""
 FIGURES = {

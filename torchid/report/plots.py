@@ -24,7 +24,6 @@ DRAWN = other_packages.FIGURES | {
     "Found": "torchid.report.extraction:figures",
     "Examination": "torchid.report.doctor:torque_figure torque",
     "Comparison": "torchid.report.compare:forest_figure parameters",
-    "ScoreRecord": "torchid.report.withheld:figures",
 }
 """By the name of a result's class what gives its figures by kind, or draws the only one, whose
 kind stands behind it; loaded when it is needed."""

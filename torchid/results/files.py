@@ -36,7 +36,6 @@ RECORDS = other_packages.RECORDS | {
     "torchid.fleet_gap/1": "torchid.fleet.gap:FleetGapRecord",
     "torchid.fleet_watch/1": "torchid.fleet.watch:WatchRecord",
     "torchid.withheld.own/1": "torchid.withheld.own:OwnRecord",
-    "torchid.withheld.score/1": "torchid.withheld.score_record:ScoreRecord",
 }
 """Where the record of each schema stands; of several of one schema, with what tells them apart."""
 
