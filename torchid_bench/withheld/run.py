@@ -18,9 +18,9 @@ ERROR = "error"
 """Status of a case whose diagnosis failed."""
 
 NOT_THE_DIAGNOSIS = (
-    "app", "report", "withheld", "fleet", "study", "extraction", "wrenches", "parallel",
+    "app", "report", "withheld", "fleet", "extraction", "wrenches", "parallel",
 )  # fmt: skip
-"""Rooms that a diagnosis does not depend on."""
+"""Rooms of torchid that a diagnosis does not depend on."""
 
 
 @dataclass(frozen=True)

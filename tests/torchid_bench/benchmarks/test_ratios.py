@@ -1,26 +1,16 @@
 """What `make bench` says became slower."""
 
-import importlib.util
 import json
-import sys
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
-
 
 @pytest.fixture
-def ratios(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    spec = importlib.util.spec_from_file_location("ratios", BENCHMARKS / "ratios.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, spec.name, module)
-    spec.loader.exec_module(module)
-    return module
+def ratios() -> ModuleType:
+    return import_module("torchid_bench.benchmarks.ratios")
 
 
 def test_what_fell_by_more_than_a_fifth_is_said(ratios: ModuleType) -> None:
@@ -45,7 +35,7 @@ def test_ratios_are_of_medians_a_call(ratios: ModuleType, monkeypatch: pytest.Mo
 
 
 def test_every_committed_ratio_is_of_a_line(ratios: ModuleType) -> None:
-    source = (BENCHMARKS / "ratios.py").read_text()
+    source = Path(str(ratios.__file__)).read_text()
     for name in json.loads(ratios.COMMITTED.read_text()):
         assert name.rpartition(" / ")[2] in source
         assert name.partition(",")[0] in source
