@@ -7,6 +7,10 @@ import yaml
 
 from torchid.doctor.examine import examine
 from torchid.doctor.kind import holds_no_gravity
+from torchid_bench.benchmarks import log_faults
+from torchid_bench.benchmarks.log_clean import clean
+
+__all__ = ["clean", "log_faults", "mounted", "settled"]
 
 
 def settled(result):
