@@ -1,5 +1,5 @@
 """A simulator's log against the arm's: clocks, faults of the set-up, effects of one side. The whole
-withheld suite is benchmarks/pairs.py."""
+withheld suite is torchid_bench.benchmarks.pairs."""
 
 import runpy
 from dataclasses import replace
@@ -194,7 +194,7 @@ def test_bad_pairs():
         compare_pair(one, one, load_robot("ur10e"))
 
 
-PAIRS = Path(__file__).parents[2] / "benchmarks" / "pairs.py"
+PAIRS = Path(__file__).parents[2] / "torchid_bench/benchmarks/pairs.py"
 
 
 @pytest.mark.parametrize("number", some([0, 3, 4, 5, 7], 2))
