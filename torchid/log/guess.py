@@ -59,7 +59,7 @@ class _Group:
 
     def in_order(self, labels: Sequence[str]) -> "_Group":
         """With these joints only, in this order, where all of them are there."""
-        if not self.labels or not set(labels) <= set(self.labels):
+        if not labels or not set(labels) <= set(self.labels):
             return self
         names = tuple(self.names[self.labels.index(label)] for label in labels)
         return replace(self, names=names, joints=len(names), labels=tuple(labels))
