@@ -194,8 +194,9 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
 
 
 def _counts(checks: Sequence[Check]) -> bool:
-    """Whether positions are counts of an unknown part of a turn."""
-    return any(c.name == "position unit" and "COUNTS" in (c.fix or "") for c in checks)
+    """Whether positions are counts of an unknown part of a turn, or in another unknown unit."""
+    units = [c for c in checks if c.name == "position unit" and c.verdict == "wrong"]
+    return any("COUNTS" in (c.fix or "") and not (c.choices and c.repairs) for c in units)
 
 
 def _with_model(
@@ -203,7 +204,7 @@ def _with_model(
 ) -> Examination:
     rows = samples(now)
     if _counts(checks):
-        rows = "positions are in counts of an unknown part of a turn"
+        rows = "positions are in counts or another unit that is not known"
     if isinstance(rows, str):
         none = tuple(Check(name, "cannot tell", rows) for name in MODEL_CHECKS)
         return Examination(robot, log, (*checks, *none))

@@ -40,7 +40,7 @@ def check_velocity(log: Log, fixes: Collection[str] = (), *, counts: bool = Fals
     log = _reorder(log, repairs, said, joints)
     factors = _velocity_factors(log, said, joints)
     if counts:
-        text = "positions are in counts of an unknown part of a turn"
+        text = "positions are in counts or another unit that is not known"
         return Check("velocity", "cannot tell", text)
     if isinstance(factors, float):
         return with_choices(*_wrong_rate(factors, log.n), fixes)
