@@ -8,7 +8,7 @@ import numpy as np
 
 from torchid.doctor import clock, motion, torque, velocity
 from torchid.doctor.check import Check
-from torchid.doctor.estimates import check_excitation, check_gravity, check_lag
+from torchid.doctor.estimates import check_excitation, check_gravity, check_lag, looped
 from torchid.doctor.faults import fault_checks, unseen_faults
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
@@ -210,6 +210,8 @@ def _with_model(
         return Examination(robot, log, (*checks, *none))
     judge = Judge(robot, rows)
     found = search(judge, Hypothesis.literal(robot), fixes)
+    if (loop := looped(judge, found)) is not None:
+        judge, found = loop, search(loop, Hypothesis.literal(robot), fixes)
     kind = check_kind(judge, found.final.hypothesis)
     if kind is not None and not holds_no_gravity(kind):
         # Nothing else can be said of what is left once the model has been taken out.
