@@ -212,7 +212,8 @@ def _with_model(
     found = search(judge, Hypothesis.literal(robot), fixes)
     if (loop := looped(judge, found)) is not None:
         judge, found = loop, search(loop, Hypothesis.literal(robot), fixes)
-    kind = check_kind(judge, found.final.hypothesis)
+    # What currents without gains hold is asked when there are gains.
+    kind = None if now.tau is None else check_kind(judge, found.final.hypothesis)
     if kind is not None and not holds_no_gravity(kind):
         # Nothing else can be said of what is left once the model has been taken out.
         none = tuple(Check(n, "cannot tell", "the torque is external") for n in MODEL_CHECKS)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from torchid.log.checks import MOVING
+from torchid.log.checks import MOVING, NO_TORQUE
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import resample
@@ -106,7 +106,7 @@ def samples(log: Log, loop: float = 0.0) -> Samples | str:
     """
     signals, given = tuple(log.signals), log
     log = log if log.tau is not None else log.replace(tau=log.current)
-    if log.tau is None:
+    if log.tau is None or float(log.tau.abs().max()) < NO_TORQUE:
         return "there is no torque"
     # Numbers in place of names, which need not differ: a run may be split at long gaps.
     even = resample(log.replace(names=tuple(map(str, range(log.trajectory_count)))))

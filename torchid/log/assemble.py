@@ -16,7 +16,7 @@ from torchid.log.columns import (
     log_from_columns,
 )
 from torchid.log.guess import commanded_columns, proposed_mapping
-from torchid.log.mapping import ColumnMapping, Source, read_mapping
+from torchid.log.mapping import SENSORLESS, ColumnMapping, Source, read_mapping
 from torchid.log.sources import (
     Piece,
     labels_of,
@@ -135,7 +135,26 @@ def _read(table: Table, mapping: ColumnMapping) -> "torchid.Log":
     for key in [key for key in sources if key not in ("t", "traj")]:
         values = signal_of(key, sources[key], pieces[key], arrays, samples, table)
         columns |= {f"{key}{k + 1}": values[:, k] for k in range(values.shape[1])}
-    return log_from_columns(columns, table.path)
+    return log_from_columns(_with_sensorless(columns, sources, mapping), table.path)
+
+
+def _with_sensorless(
+    columns: dict[str, np.ndarray], sources: Mapping[str, Source], mapping: ColumnMapping
+) -> dict[str, np.ndarray]:
+    """Columns with zeros for the torque of joints that have no sensor; where a mapping lists the
+    others alone, they are in their order."""
+    none = [key for key in mapping.sources if SENSORLESS.fullmatch(key)]
+    for prefix in dict.fromkeys(key.rstrip("0123456789") for key in none):
+        joints = sum(re.fullmatch(r"q\d+", name) is not None for name in columns)
+        names = [f"{prefix}{k + 1}" for k in range(joints)]
+        listed = [name for name in names if name in columns]
+        measured = [name for name in names if name not in none]
+        if prefix in sources and len(listed) == len(measured):
+            values = [columns.pop(name) for name in listed]
+            columns |= dict(zip(measured, values, strict=True))
+        if measured and all(name in columns for name in measured):
+            columns |= {name: np.zeros(len(columns["q1"])) for name in names if name in none}
+    return columns
 
 
 class _Columns(Mapping[str, np.ndarray]):
@@ -179,6 +198,7 @@ def _plan(
         for name in table.columns
         if (is_wanted(name) or name in arrays)
         and _ARRAYS.get(name, re.sub(r"\d+$", "", name)) not in mapping.sources
+        and name not in mapping.sources
     ]
     return sources, pieces, own
 

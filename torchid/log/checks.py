@@ -19,6 +19,7 @@ from torchid.log.units import STEPS
 from torchid.statistics.robust import column_quantile
 from torchid.typing import Float, Tensor
 
+NO_TORQUE = 1e-9  # what is below is no torque: zero, or what a driver leaves there [N m, N or A]
 STILL = 1e-4  # a joint whose position varies less does not move [rad or m]
 MOVING = 1e-2  # a joint must vary this much to compare its dq with the change of q [rad or m]
 SLOW_STEP_S = 0.5  # no arm's dynamics are logged with longer steps
@@ -281,6 +282,14 @@ def velocity_agreement(log: Log) -> list[Agreement]:
     return records
 
 
+def dead_velocities(log: Log) -> list[int]:
+    """Joints (from 0) that move while their dq never changes."""
+    if log.dq is None:
+        return []
+    moves = log.q.amax(0) - log.q.amin(0) > MOVING
+    return (moves & (log.dq.amax(0) == log.dq.amin(0))).nonzero().flatten().tolist()
+
+
 def _refuse_time(log: Log, why: str, step: float) -> None:
     raise LogError(
         f"{log.label}: t {why}.",
@@ -401,12 +410,13 @@ def _no_torque(log: Log, first: int) -> list[str]:
     signal, name = (log.tau, "tau") if log.tau is not None else (log.current, "i")
     if signal is None:
         return []
-    zero = (signal == 0).all(0)
+    zero = signal.abs().amax(0) < NO_TORQUE
     if zero.all():
         raise LogError(
             f"{log.label}: all torques are zero.",
             got=f"0 in {name}1..{name}{log.n}" if log.n > 1 else f"0 in {name}1",
             expected="measured torques or currents",
+            hint=f'there is no torque here: with commands u1.. `columns="{name}=none"`',
         )
     return [
         f"joint {k + 1} has no torque: {name}{k + 1} is zero throughout."
@@ -417,7 +427,7 @@ def _no_torque(log: Log, first: int) -> list[str]:
 
 def _velocity_warnings(log: Log, agreement: Sequence[Agreement]) -> list[str]:
     """What is odd about dq, the joints for which it is odd in the same way in one sentence."""
-    warnings = []
+    warnings = [f"dq{k + 1} never changes, while q{k + 1} does." for k in dead_velocities(log)]
     scaled = [a for a in agreement if a.correlation >= FOLLOWS and not 0.5 < a.ratio < 2.0]
     if scaled:
         low, high = min(a.ratio for a in scaled), max(a.ratio for a in scaled)
