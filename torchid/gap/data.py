@@ -225,10 +225,12 @@ def prepare(
     # Trajectories that the filter's edges leave something of.
     long = [s for s in segments if s.length > SHORTEST * s.rate / narrow]
     if not long:
+        longest = max(s.length / s.rate for s in segments)
         raise LogError(
             "every trajectory is too short for the diagnosis.",
-            got=f"{max(s.length / s.rate for s in segments):.3g} s",
+            got=f"{longest:.3g} s",
             expected=f"more than {SHORTEST / narrow:.3g} s at a cut-off of {narrow:g} Hz",
+            hint=f"`cutoff={1.1 * SHORTEST / longest:.2g}` takes it, and more of the noise",
         )
     # Joints that never move.
     still = still_joints(long)

@@ -65,7 +65,17 @@ def log_from_table(
             except LogError:  # of other joints, or no numbers: no reason to refuse the rest
                 log = _read(table, mapping)
     except LogError as error:
-        raise _with_help(error, table, joints) if error.available is not None else error from None
+        if error.available is None:
+            raise
+        guessed = None if mapping.sources else proposed_mapping(table, joints)
+        if guessed is None or guessed[1]:
+            raise _with_help(error, table, joints) from None
+        # The names leave one way to read it.
+        try:
+            log = log_from_table(table, read_mapping(guessed[0]), joints)
+        except LogError:
+            raise _with_help(error, table, joints) from None
+        notes = (*notes, f"'{table.path}' is read by the names of its columns: {guessed[0]}")
     warnings = tuple(dict.fromkeys((*log.warnings, *notes)))
     return log.replace(source=str(table.path), warnings=warnings, servos=table.servos)
 
@@ -274,6 +284,11 @@ def _with_help(error: LogError, table: Table, joints: Sequence[str]) -> LogError
         hints.append(f'perhaps `columns="{text}"`' + (f" ({remark})" if remark else ""))
     elif isinstance(error, AbsentColumnError) and {"t", "q1"} <= table.columns.keys():
         hints.append(f"this log needs no mapping; {one_for_all('columns')}")
+    elif not isinstance(error, AbsentColumnError) and not error.hint:
+        hints.append(
+            'say which are which: `columns="t=NAME s,q=NAME_{j} deg,tau=[NAME, ..]"`; without time '
+            "stamps t=HZ Hz"
+        )
     return with_hint(error, *hints, available=first_names(table.described, 60))
 
 
