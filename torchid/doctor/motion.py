@@ -148,9 +148,10 @@ def _unit_of(
     degrees = ratio is not None and near(ratio, 1.0 / DEGREES)
     whole = bool((q == q.round()).all()) and reached > COUNTS
     # A turn or two off the limits they are radians all the same; without limits they turn on.
-    limited = own is not None and bool(torch.isfinite(own).all())
-    far = limited and reached > largest_angle(own) and _turned_back(own, low, high)[1] > _BEYOND
-    if not (far or degrees or (whole and not limited)):
+    far = whole
+    if own is not None and bool(torch.isfinite(own).all()):
+        far = reached > largest_angle(own) and _turned_back(own, low, high)[1] > _BEYOND
+    if not (far or degrees):
         return _Unit()
     if not whole:
         why = f", d{name} is 1/{1 / ratio:.1f} of its derivative" if ratio and degrees else ""

@@ -299,5 +299,5 @@ def _one(
 
 def _noisy_motion(true: Motion, noise: PaperNoise, generator: torch.Generator) -> Motion:
     size = 10 ** (-noise.snr_db / 20)
-    noisy = (x + size * rms(x) * standard(x, None, 0.0, generator) for x in true.state)
-    return Motion(*noisy, t=true.t)
+    noisy = [x + size * rms(x) * standard(x, None, 0.0, generator) for x in true.state]
+    return Motion(*noisy)._replace(t=true.t)

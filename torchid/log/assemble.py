@@ -37,14 +37,15 @@ def log_from_table(
 
     Args:
         table: of any format.
-        mapping: for columns that do not have our names; it goes before those that do.
+        mapping: for columns that do not have our names; it goes before those that do. Without one,
+            names that leave one way to read them are read so.
         joints: names of the robot's, by which a mapping is proposed; empty where it is not known.
 
     Raises:
         LogError: a column is missing (the message proposes a mapping where it can guess one),
             or is not what `log_from_columns` expects.
     """
-    mapping = mapping or ColumnMapping({})
+    free, mapping = mapping is None, mapping or ColumnMapping({})
     commands, notes = _commands(table, mapping), table.warnings
     try:
         values = _wildcards(table, mapping)
@@ -67,7 +68,7 @@ def log_from_table(
     except LogError as error:
         if error.available is None:
             raise
-        guessed = None if mapping.sources else proposed_mapping(table, joints)
+        guessed = proposed_mapping(table, joints) if free else None
         if guessed is None or guessed[1]:
             raise _with_help(error, table, joints) from None
         # The names leave one way to read it.
