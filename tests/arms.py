@@ -82,3 +82,25 @@ def states(robot: Robot, *batch: int, seed: int = 7) -> tuple[Tensor, Tensor, Te
 def relative(a: Tensor, b: Tensor) -> float:
     """Largest difference, relative to the largest entry of b."""
     return float((a - b).abs().max() / b.abs().max())
+
+
+def single_axis(
+    kind: str = "R", inertia: float = 1.2e-3, mass: float = 0.5, *, known: bool = True
+) -> Robot:
+    """One joint along the vertical that turns or slides without limits: a motor, or a table on
+    its side, which gravity does not load."""
+    one = torch.eye(4, dtype=torch.float64)
+    pi = torch.tensor([[mass, 0, 0, 0, inertia, 0, 0, inertia, 0, inertia]], dtype=torch.float64)
+    gravity = (0.0, 0.0, -9.81) if kind == "R" else (0.0, -9.81, 0.0)
+    return Robot(
+        name="axis",
+        joint_names=("hub",),
+        link_names=("rotor",),
+        joint_types=(JointType(kind),),
+        before=one[None],
+        after=one[None],
+        gravity=torch.tensor(gravity, dtype=torch.float64),
+        tool=one,
+        limits=Limits(),
+        parameters=InertialParameters(pi) if known else None,
+    )

@@ -31,6 +31,8 @@ def gripper(table):
 
 
 def named(table):
+    """In milliseconds, which is guessed and therefore asked."""
+    milliseconds(table)
     new = {"t": "time", "q": "pos_j", "tau": "eff_j"}
     return {
         new[name.rstrip("123")] + name.lstrip("tqau"): v
@@ -99,7 +101,7 @@ MISTAKES = [
     ("gap 3r log.csv", milliseconds, ["milliseconds", '--columns "t=t ms"']),
     ("identify 3r log.csv", gripper, ["got: 4", '--columns "q=q{1..3},tau=tau{1..3}"']),
     ("identify kuka_lwr4 good.csv", None, ["got: 3", "expected: 7", "--lock", "--tip"]),
-    ("identify 3r log.csv", named, ["no column t", '"t=time,q=pos_j{j},tau=eff_j{j}"']),
+    ("identify 3r log.csv", named, ["no column t", '"t=time ms,q=pos_j{j},tau=eff_j{j}"']),
     ("robot odd.urdf", None, ["<sdf>", "convert it to URDF"]),
     ("robot odd.xml", None, ["<html>", "<mujoco>"]),
     ("identify 3r log.csv", currents, ["no torque", "--gain K1,K2,K3"]),

@@ -1,5 +1,7 @@
 """What a diagnosis asks of a log first."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -54,3 +56,14 @@ def test_forced_the_fault_is_said_first():
     assert len(found.doubt) < LONGEST + 15
     assert found.warnings[0].startswith("Caution: torque has the wrong sign in joint 2")
     assert found.record.answer.doubt == found.doubt
+
+
+@pytest.mark.slow
+def test_forced_a_unit_that_looks_wrong_is_not_refused_again():
+    few = GapSettings(effects=("coulomb_friction",), rollout=False)
+    degrees = SOUND.replace(q=SOUND.q.rad2deg(), dq=None)
+    limits = torch.tensor([[-3.0, 3.0]] * 3, dtype=torch.float64)
+    robot = replace(ROBOT, limits=replace(ROBOT.limits, position=limits))
+    found = diagnose(robot, degrees, settings=few, force=True)
+    assert found.doubt.startswith("Wrong log: position unit")
+    assert any("looks like degrees" in said for said in found.warnings)

@@ -9,7 +9,8 @@ from scipy.signal import welch
 
 from tests.doctor.synthetic import clean, log_faults
 from torchid.doctor import torque
-from torchid.doctor.examine import signal_checks
+from torchid.doctor.examine import MODEL_CHECKS, examine, signal_checks
+from torchid.doctor.first import ask_first
 from torchid.doctor.repair import repaired
 from torchid.log.filtering import low_passed
 from torchid.log.model import Log
@@ -207,3 +208,38 @@ def test_a_density_is_that_of_welch(samples, monkeypatch):
     expected = welch(x, 250.0, nperseg=128, axis=0)
     assert np.array_equal(frequency, expected[0])
     assert np.allclose(power, expected[1], rtol=1e-9, atol=0)
+
+
+def test_a_dead_velocity_names_its_joint():
+    robot, log = clean("3r", 0)
+    dq = log.dq.clone()
+    dq[:, 2] = 0.0
+    checks, mended = signal_checks(robot, log.replace(dq=dq))
+    (wrong,) = [c for c in checks if c.verdict != "fine"]
+    assert (wrong.name, wrong.joints) == ("velocity", (2,))
+    assert wrong.fix == "dq3 = the derivative of q3"
+    assert torch.equal(mended.dq[:, :2], log.dq[:, :2])
+    error = (mended.dq - log.dq)[1:-1, 2]
+    assert float(error.std()) < 0.1 * float(log.dq[:, 2].std())
+
+
+@pytest.mark.parametrize("left", [0.0, 1e-308])
+def test_what_a_driver_leaves_is_no_torque(left):
+    robot, log = clean("3r", 0)
+    empty = log.replace(tau=torch.full_like(log.tau, left) * torch.sign(log.tau))
+    result = examine(robot, empty)
+    (columns,) = [c for c in result.checks if c.name == "torque columns"]
+    assert columns.verdict == "wrong"
+    assert "tau=none" in columns.fix
+    assert {c.verdict for c in result.checks if c.name in MODEL_CHECKS} == {"cannot tell"}
+
+
+def test_currents_without_gains_ask_for_gains():
+    robot, log = clean("ur10e", 1, nominal=True)
+    gains = torch.tensor([14.9, 13.3, 11.1, 10.6, 11.0, 11.5], dtype=torch.float64)
+    result = examine(robot, log.replace(tau=None, current=0.1 * log.tau / gains), first=True)
+    (unit,) = [c for c in result.checks if c.name == "torque unit"]
+    assert "--gain" in unit.fix
+    assert "gravity" not in {c.name for c in result.checks if c.verdict == "wrong"}
+    assert not {c.name for c in result.checks} & {"torque kind"}
+    assert ask_first(robot, result.log).short == ""

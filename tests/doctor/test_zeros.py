@@ -1,6 +1,7 @@
 """Zeros, whole turns, counts and the units of servos."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -93,3 +94,32 @@ def test_a_position_a_little_beyond_its_limit_is_no_fault():
     q[:, 3] += float(limits[3, 1] - q[:, 3].max()) + 0.1
     checks, _ = signal_checks(robot, log.replace(q=q))
     assert all(c.verdict == "fine" for c in checks if c.name == "zero of positions")
+
+
+def test_angles_of_motors_are_not_degrees_where_those_leave_the_limits():
+    robot, log = clean("panda", 0)
+    gears = torch.tensor([100.0, -100, 100, 100, -50, 50, 50], dtype=torch.float64)
+    motors = log.replace(q=gears * (log.q + 0.4), dq=gears * log.dq, ddq=None, tau=log.tau / gears)
+    checks, mended = signal_checks(robot, motors)
+    (unit,) = [c for c in checks if c.name == "position unit"]
+    assert unit.verdict == "wrong"
+    assert "as degrees leave the limits" in unit.evidence
+    assert "GEAR" in unit.fix
+    assert unit.repairs == ()
+    assert torch.equal(mended.q, motors.q)
+    # Where velocities say degrees, they are, limits or not.
+    away = log.replace(q=180 / math.pi * (log.q + 1.5), ddq=None)
+    (unit,) = [c for c in signal_checks(robot, away)[0] if c.name == "position unit"]
+    assert unit.repairs
+
+
+def test_limits_wider_than_two_turns_count():
+    robot, log = clean("panda", 0)
+    limits = robot.limits.position.clone()
+    limits[0] = torch.tensor([-100.0, 100.0])
+    wide = replace(robot, limits=replace(robot.limits, position=limits))
+    q = log.q.clone()
+    q[:, 0] += 28.0
+    checks, mended = signal_checks(wide, log.replace(q=q))
+    assert {c.name for c in checks if c.verdict in ("wrong", "doubtful")} == set()
+    assert torch.equal(mended.q, q)

@@ -43,6 +43,16 @@ def test_without_noise_it_is_the_model():
     assert log.source == "simulated 3r_friction"
 
 
+def test_a_delay_of_the_robots_own():
+    """The product's own corrected model: effects that need the time are simulated, too."""
+    late = replace(ROBOT, effects=({"effect": "time_delay", "joint": 2, "delay": 0.004},))
+    log, rigid = (synthetic_log(r, PLAN).tau[:, 1] for r in (late, replace(ROBOT, effects=())))
+    inside = slice(10, 9000)
+    assert torch.allclose(log[inside], rigid[8:8998], atol=2e-3 * float(rigid.std()))
+    noisy = synthetic_log(late, PLAN, PaperNoise(60.0))
+    assert noisy.samples == log.shape[0]
+
+
 def test_the_papers_noise_is_in_the_trajectory():
     log = synthetic_log(ROBOT, PLAN, PaperNoise(30.0), seed=1)
     expected = nominal_torque(ROBOT, Motion(log.q, log.dq, log.ddq))

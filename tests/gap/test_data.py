@@ -51,6 +51,13 @@ def test_faster_trajectories_are_resampled_to_the_slowest():
     assert float((q.std(0) / first.std(0) - 1).abs().max()) < 0.01
 
 
+def test_rates_that_differ_by_less_and_more_than_one_percent_become_one():
+    rates = [(165.5, (0,)), (166.7, (1,)), (168.4, (2,))]
+    data = prepare(ROBOT, Log.concatenate([log(rate, 6.0, seeds) for rate, seeds in rates]), None)
+    assert data.samples.rate == pytest.approx(165.5)
+    assert len(data.segments) == 3
+
+
 def test_another_robot_is_refused():
     with pytest.raises(LogError, match="2"):
         prepare(ROBOT, log().replace(q=log().q[:, :2], tau=log().tau[:, :2]), None)

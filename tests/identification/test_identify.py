@@ -524,3 +524,15 @@ def test_a_fit_that_is_lost_in_rounding_is_refused() -> None:
     assert "0.002" in str(caught.value)
     found = identify(load_robot("3r"), hardly_moving(0.5), settings=settings)
     assert found.scaled_condition_number < 1e4
+
+
+def test_a_joint_without_a_torque_sensor_is_not_fitted():
+    log = honest()
+    silent = log.tau.clone()
+    silent[:, 0] = 0.0
+    found = identify(ROBOT, log.replace(tau=silent), settings=QUICK)
+    whole = identify(ROBOT, log, settings=QUICK)
+    assert any("joint 1 has no torque" in said for said in found.warnings)
+    assert not any("inf" in said for said in found.warnings)
+    worst = [float(f.fit.relative_percent[1:].max()) for f in (found, whole)]
+    assert worst[0] < 1.05 * worst[1]

@@ -1,11 +1,15 @@
 """Logs of known motions, for the tests of torchid.log."""
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from torchid.errors import LogError
 from torchid.log.model import Log
+from torchid.log.readers import read_log
 
 
 def motion(t: np.ndarray, n: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -60,3 +64,16 @@ def is_uniform(log: Log) -> bool:
         if not np.abs((t - t[0]) / step - np.arange(len(t))).max() <= 1e-3:
             return False
     return True
+
+
+def proposed(path: Path, joints: Sequence[str] = ()) -> str | None:
+    """The mapping that is proposed for a table, with what in it is guessed; one that names leave no
+    choice about is taken at once, and said."""
+    try:
+        log = read_log(path, joints=tuple(joints))
+    except LogError as error:
+        return error.hint
+    (said,) = [w for w in log.warnings if "is read by the names of its columns" in w]
+    mapping = said.partition("its columns: ")[2]
+    assert torch.equal(log.q, read_log(path, columns=mapping).q)
+    return f'perhaps `columns="{mapping}"`'

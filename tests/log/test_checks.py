@@ -88,10 +88,25 @@ def in_degrees(log: Log, *names: str) -> Log:
     return log.replace(**{name: getattr(log, name) * DEGREES for name in names})
 
 
+LIMITS = torch.tensor([[-3.0, 3.0]] * 2, dtype=torch.float64)
+
+
 def test_everything_in_degrees() -> None:
     with pytest.raises(LogError, match="q1 looks like degrees") as info:
-        check(in_degrees(uniform(), "q", "dq", "ddq"))
+        check(in_degrees(uniform(), "q", "dq", "ddq"), position_limits=LIMITS)
     assert "deg/s" in str(info.value)
+
+
+def test_units_that_look_wrong_are_said_where_they_are_forced() -> None:
+    for log in (
+        in_degrees(uniform(), "q", "dq"),
+        in_degrees(uniform(), "q"),
+        uniform().replace(t=1000 * uniform().t),
+    ):
+        with pytest.raises(LogError) as info:
+            check(log, position_limits=LIMITS)
+        first, *_ = check(log, position_limits=LIMITS, force=True)
+        assert first.startswith(info.value.problem)
 
 
 def test_degrees_within_known_limits() -> None:
@@ -103,23 +118,27 @@ def test_degrees_within_known_limits() -> None:
     assert check(uniform(), position_limits=limits) == ()
 
 
-def test_joints_that_turn_far() -> None:
+@pytest.mark.parametrize("unknown", [math.nan, math.inf])
+def test_joints_without_limits_turn_on(unknown: float) -> None:
+    """Motors, and a joint that a file calls continuous: radians, which are said to be taken."""
     log = uniform(dq=None)
-    wound = log.replace(q=log.q + torch.tensor([20.0, 0.0], dtype=torch.float64))
+    wound = log.replace(q=log.q + torch.tensor([4000.0, 0.0], dtype=torch.float64))
+    own = torch.tensor([[-unknown, unknown], [-2.0, 2.0]], dtype=torch.float64)
+    for limits in (None, own):
+        (said,) = check(wound, position_limits=limits)
+        assert "q1 up to 4001, without limits: taken for radians" in said
+    # Velocities tell degrees all the same.
+    with pytest.raises(LogError, match="units of q1 look like degrees"):
+        check(in_degrees(uniform(), "q"), position_limits=None)
+
+
+def test_the_limits_of_the_file_count() -> None:
+    log = uniform(dq=None)
+    wound = log.replace(q=log.q + torch.tensor([90.0, 0.0], dtype=torch.float64))
+    own = torch.tensor([[-100.0, 100.0], [-2.0, 2.0]], dtype=torch.float64)
+    assert check(wound, position_limits=own) == ()
     with pytest.raises(LogError, match="q1 looks like degrees"):
-        check(wound)
-    with pytest.raises(LogError, match="q1 looks like degrees"):
-        check(wound, position_limits=torch.full((2, 2), math.nan, dtype=torch.float64))
-    endless = torch.tensor([[-math.inf, math.inf], [-2.0, 2.0]], dtype=torch.float64)
-    assert check(wound, position_limits=endless) == ()
-    assert (
-        check(
-            wound, position_limits=torch.tensor([[-25.0, 25.0], [-2.0, 2.0]], dtype=torch.float64)
-        )
-        == ()
-    )
-    with pytest.raises(LogError, match="q1 looks like degrees"):
-        check(in_degrees(wound, "q"), position_limits=endless)
+        check(wound, position_limits=LIMITS)
 
 
 def test_a_sliding_joint_has_no_degrees() -> None:
@@ -127,7 +146,7 @@ def test_a_sliding_joint_has_no_degrees() -> None:
     log = log.replace(q=log.q * 5 / log.q.abs().amax(0))
     scaled = torch.tensor([1.0, DEGREES], dtype=torch.float64)
     with pytest.raises(LogError, match="q2 looks like degrees"):
-        check(log.replace(q=log.q * scaled), prismatic=[True, False])
+        check(log.replace(q=log.q * scaled), prismatic=[True, False], position_limits=LIMITS)
     with pytest.raises(LogError, match="every measured velocity"):  # not degrees: the clock
         check(log.replace(dq=log.dq / 2), prismatic=[True, True])
 

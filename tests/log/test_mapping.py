@@ -313,3 +313,22 @@ def test_motors_of_a_quadruped_in_the_robots_order(tmp_path: Path) -> None:
     log = read_log(path, columns=f"t=time_ms ms,q='motor_state[{{{motors}}}].q'")
     assert log.n == 12
     np.testing.assert_allclose(log.q[-1], [38e-3 * (m + 1) for m in order])
+
+
+@pytest.mark.parametrize(
+    ("columns", "torque"),
+    [
+        ("tau1=none", [0.0, 2.0, 3.0]),
+        ("tau=e{j},tau2=none", [5.0, 0.0, 7.0]),
+        ("tau=[e1,e3],tau2=none", [5.0, 0.0, 7.0]),
+        ("tau=e{j},tau1=none,tau3=none", [0.0, 6.0, 0.0]),
+    ],
+)
+def test_joints_without_a_torque_sensor(tmp_path: Path, columns: str, torque: list) -> None:
+    """Their torque is in no column, or in one that holds something else."""
+    path = tmp_path / "a.csv"
+    rows = [f"{0.01 * k},{k},{k},{k},2,3,5,6,7" for k in range(5)]
+    path.write_text("\n".join(["t,q1,q2,q3,tau2,tau3,e1,e2,e3", *rows]))
+    assert read_log(path, columns=columns).tau[0].tolist() == torque
+    with pytest.raises(LogError, match="only that there is none"):
+        read_log(path, columns="tau1=e1")

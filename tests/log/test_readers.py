@@ -192,10 +192,11 @@ def test_bad_columns(path: Path, case: str) -> None:
 
 
 def test_available_columns_are_listed(path: Path) -> None:
-    save(path, {"time": T, "pos": T})
+    save(path, {"time": T, "place": T})
     with pytest.raises(LogError, match="no column t") as info:
         read_log(path)
-    assert info.value.available == ["time", "pos"]
+    assert info.value.available == ["time", "place"]
+    assert "say which are which" in str(info.value.hint)
 
 
 def test_offending_value_is_shown(tmp_path: Path) -> None:

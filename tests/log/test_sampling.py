@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from torchid.errors import LogError
 from torchid.log.model import Log
-from torchid.log.sampling import resample, time_steps
+from torchid.log.sampling import at_rate, resample, time_steps
 from torchid.log.stamps import rates_of
 
 from .examples import is_uniform, log_at, motion, same, snapshot, uniform
@@ -156,6 +156,16 @@ def test_a_step_each_for_those_that_do_not() -> None:
     assert result.rates[:2] == pytest.approx([100.0, 50.0])
     assert torch.equal(result.q[:1002], log.q[:1002])
     assert result.trajectory_count == 3
+
+
+def test_rates_on_either_side_of_one_percent_become_one() -> None:
+    log = Log.concatenate([uniform(step=1 / rate) for rate in (165.5, 166.7, 168.4)])
+    even = resample(log)
+    result = at_rate(even, min(even.rates))
+    assert len(set(result.rates)) == 1
+    assert result.rates[0] == pytest.approx(165.5)
+    assert errors(result)["q"] < 1e-3
+    assert at_rate(result, 165.5) is result
 
 
 def test_trajectories_are_not_interpolated_across() -> None:

@@ -1,6 +1,7 @@
 """Servos are found again from what they commanded and where the arm went."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -123,6 +124,23 @@ def test_what_is_new_changed_and_as_known(found):
     assert states[1, "armature"] == states[0, "damping/kp"] == "as known"
     assert (0, "kp") not in states
     assert {j for j, _ in states} == {0, 1}
+
+
+def test_a_limit_that_the_file_leaves_at_infinity_is_new(found, monkeypatch):
+    servos, data, windows, model = found
+    joint = model.servos.joint.clone()
+    joint[1, INDEX["clip"]] = 6.0
+    clipped = torch.tensor([False, True, False])
+    limited = replace(model.servos, joint=joint)
+    known = equations(data, limited, {**model.free, "clip": clipped}, windows)
+    sure = 0.05 * torch.ones_like(known.deviations())  # as of a log that reached it
+    monkeypatch.setattr(type(known), "deviations", lambda *_: sure)
+    start = ServoArm(robot(), servos, torch.ones(3).double())
+    none = torch.tensor([False] * 3)
+    assert math.isinf(float(servos.joint[1, INDEX["clip"]]))
+    (change,) = [c for c in _changes(start, known, none, none) if c.parameter == "clip"]
+    assert (change.joint, change.state, change.now) == (1, "new", 6.0)
+    assert math.isnan(change.was)
 
 
 def test_torques_are_as_sure_as_the_masses(found):

@@ -10,6 +10,7 @@ from torchid.errors import RobotError
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import JointType, link_poses, tool_pose
+from torchid.robot.shapes import link_shapes
 from torchid.robot.urdf import read_urdf
 
 EXACT = 1e-12
@@ -332,6 +333,15 @@ def test_two_fixed_ends_leave_the_tool_at_the_link(tmp_path):
     assert "(c, d)" in robot.warnings[0]
     assert read_urdf(path, tip="d").tool[:3, 3].tolist() == [0.0, 1.0, 0.0]
     assert read_urdf(path, tip="d").warnings == ()
+
+
+def test_a_world_that_is_nowhere_declared_is_what_the_base_stands_on(tmp_path):
+    parts = (joint("stand", "world", "a", "fixed"), link("a"), link("b"), joint("j", "a", "b"))
+    path = write(tmp_path, *parts)
+    robot = read_urdf(path)
+    assert (robot.n, robot.root) == (1, None)
+    assert any("'world' is nowhere declared" in said for said in robot.warnings)
+    assert link_shapes(robot) is not None
 
 
 def test_unknown_tip_lists_the_links(tmp_path):

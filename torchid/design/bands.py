@@ -106,7 +106,7 @@ def resolved(log: Log, noise: Float[Tensor, " n"], free: Sequence[int] = ()) -> 
         moving += ((q[step:] - q[:-step]).abs() > MOVING * step / rate).sum(0) / log.samples
     slides = (moving >= HARDLY) & (noise > 0)
     slides[list(free)] = False
-    if log.tau is None or not bool(slides.any()):
+    if log.tau is None or not bool((slides := slides & log.tau.any(0)).any()):
         return math.inf
     highest = (ATTENUATED * log.tau.double().var(0) / noise.square()) ** 0.2
     return max(LOWEST, float(highest[slides].min()))

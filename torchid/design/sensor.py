@@ -13,6 +13,7 @@ from typing import Literal
 import torch
 
 from torchid.errors import LogError
+from torchid.log.checks import NO_TORQUE
 from torchid.log.model import Log
 from torchid.robot.model import Robot
 from torchid.tensors import as_tensor
@@ -29,7 +30,7 @@ def sensor_of(log: Log, robot: Robot) -> Sensor:
     >>> sensor_of(torchid.Log(t, q=np.zeros((3, 3)), u=np.ones((3, 3))), torchid.load_robot("3r"))
     'position'
     """
-    if log.tau is not None and (log.u is None or bool(log.tau.any())):
+    if log.tau is not None and (log.u is None or float(log.tau.abs().max()) > NO_TORQUE):
         return "torque"
     if log.tau is None and log.current is not None and robot.drive_gain is not None:
         return "current"

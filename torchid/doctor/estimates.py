@@ -10,7 +10,7 @@ from msgspec import structs
 from torchid.doctor.check import Check, judged, said, with_choices
 from torchid.doctor.cone import OWN
 from torchid.doctor.faults import choices_of, gravity_fix, improvement_text
-from torchid.doctor.hypothesis import Hypothesis, Judge, profile
+from torchid.doctor.hypothesis import Hypothesis, Judge, minimum, profile
 from torchid.doctor.repair import ShiftTorque
 from torchid.doctor.search import CLEAR, TIE, Search
 from torchid.log.model import Log
@@ -27,6 +27,8 @@ LATE_STEPS = 0.5
 LIKELY = 0.5 * CLEAR
 """What a lag must be worth when its interval lies beyond those: heavy friction, which no lag of
 this size explains away, leaves less to gain. On healthy logs it was 0.12 at most."""
+_LOOPS = tuple(math.log(0.03 * 2**k) for k in range(6))
+"""Logarithms of the shares of half a joint's range that are tried for a loop over position."""
 _GRID = (-0.04, -0.02, 0.02, 0.04)
 
 
@@ -98,6 +100,28 @@ def _estimate(judge: Judge, end: Hypothesis) -> tuple[np.ndarray, float, float, 
     return found, tilt, half, first.gain + second.gain
 
 
+def looped(judge: Judge, result: Search) -> Judge | None:
+    """A judge with a loop over position in the place of dry friction that steps, where a log's
+    torque looks late and this explains it better: a lag is one time at all speeds and amplitudes,
+    a loop is one distance. None where the torque is late, or nothing is."""
+    lag, end = check_lag(judge, result), result.final.hypothesis
+    if lag.verdict not in ("wrong", "doubtful") or not isinstance(lag.estimate, float):
+        return None
+    late = judge.score(replace(end, late=lag.estimate)).loss
+    starts = {Hypothesis.literal(judge.robot), replace(end, late=0.0)}
+    found: list[tuple[float, float]] = []
+    for sign in (1.0, -1.0):
+
+        def loss(share: float, sign: float = sign) -> float:
+            loop = Judge(judge.robot, judge.samples.looped(sign * math.exp(share)))
+            found.append((min(loop.score(start).loss for start in starts), loop.samples.loop))
+            return found[-1][0]
+
+        minimum(loss, _LOOPS, 0.2)
+    least, share = min(found)
+    return Judge(judge.robot, judge.samples.looped(share)) if least < late else None
+
+
 def check_lag(judge: Judge, result: Search) -> Check:
     """Lag of torque behind position [s], with an interval."""
     end = result.final.hypothesis
@@ -115,6 +139,7 @@ def check_lag(judge: Judge, result: Search) -> Check:
     text = (
         f"torque is {1e3 * found.value:.1f} ms late ({1e3 * found.low:.1f} to "
         f"{1e3 * found.high:.1f} ms)"
+        + ("; a loop over position explains more than a lag" if judge.samples.loop else "")
     )
     least = max(LATE_S, LATE_STEPS * judge.samples.step)
     away = max(found.low, -found.high, 0.0)

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from torchid.doctor import clock, motion, torque, velocity
 from torchid.doctor.check import Check, judged
-from torchid.doctor.estimates import check_excitation, check_gravity, check_lag
+from torchid.doctor.estimates import check_excitation, check_gravity, check_lag, looped
 from torchid.doctor.faults import fault_checks, unseen_faults
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
@@ -195,8 +195,9 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
 
 
 def _counts(checks: Sequence[Check]) -> bool:
-    """Whether positions are counts of an unknown part of a turn."""
-    return any(c.name == "position unit" and "COUNTS" in (c.fix or "") for c in checks)
+    """Whether positions are counts of an unknown part of a turn, or in another unknown unit."""
+    units = [c for c in checks if c.name == "position unit" and c.verdict == "wrong"]
+    return any("COUNTS" in (c.fix or "") and not (c.choices and c.repairs) for c in units)
 
 
 def _with_model(
@@ -204,13 +205,16 @@ def _with_model(
 ) -> Examination:
     rows = samples(now)
     if _counts(checks):
-        rows = "positions are in counts of an unknown part of a turn"
+        rows = "positions are in counts or another unit that is not known"
     if isinstance(rows, str):
         none = tuple(judged(name, "cannot tell", rows) for name in MODEL_CHECKS)
         return Examination(robot, log, (*checks, *none))
     judge = Judge(robot, rows)
     found = search(judge, Hypothesis.literal(robot), fixes)
-    kind = check_kind(judge, found.final.hypothesis)
+    if (loop := looped(judge, found)) is not None:
+        judge, found = loop, search(loop, Hypothesis.literal(robot), fixes)
+    # What currents without gains hold is asked when there are gains.
+    kind = None if now.tau is None else check_kind(judge, found.final.hypothesis)
     if kind is not None and not holds_no_gravity(kind):
         # Nothing else can be said of what is left once the model has been taken out.
         none = tuple(judged(n, "cannot tell", "the torque is external") for n in MODEL_CHECKS)

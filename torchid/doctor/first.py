@@ -70,8 +70,9 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False) -> Doubts:
         WrongLogError: a decisive check says that the log is wrong.
     """
     longest = max(rows.stop - rows.start for rows in log.slices())
-    if robot.floating or log.n != robot.n or longest < LEAST_SAMPLES:
-        return Doubts()
+    gains = log.tau is not None or log.current is None or robot.drive_gain is not None
+    if robot.floating or log.n != robot.n or longest < LEAST_SAMPLES or not gains:
+        return Doubts()  # without gains the diagnosis asks for them
     try:
         found = examine(robot, log, first=True)
     except LogError:  # which the diagnosis says, if it matters there

@@ -50,10 +50,12 @@ _MIDDLES = {
     math.radians(150.0): "zero at 150 degrees",
 }
 """Middles of the range that a counter has, a turn or 300 degrees."""
+_OWN_UNIT = (
+    "say what they are: q=q{j} *[1/GEAR,..] +[ZERO,..] of motors before their gears (tau times "
+    "GEAR), q=q{j} rev/COUNTS of counts"
+)
 _FULL = 100.5
 """Positions in percent of a range are below."""
-_FREE = 4.0 * math.pi
-"""Angle of a joint without limits that is taken for radians, as `largest_angle` has it."""
 
 
 def check_position_unit(robot: Robot, log: Log, fixes: Collection[str] = ()) -> Check:
@@ -92,6 +94,13 @@ def check_position_unit(robot: Robot, log: Log, fixes: Collection[str] = ()) -> 
         text = "positions leave the limits in degrees, and are all within 100: percent of a range"
         check = judged("position unit", "wrong", text, joints)
         choices = [percent, Choice.by("degrees", *repairs)]
+        return with_choices(check, choices, fixes)
+    odd = _no_degrees(robot, log, factors, ratio)
+    if odd is not None:
+        text, possible = odd
+        check = judged("position unit", "wrong", text, joints)
+        own = Choice.by("unit of its own", _OWN_UNIT)
+        choices = [Choice.by("degrees", *repairs), own] if possible else [own]
         return with_choices(check, choices, fixes)
     ask = f"say how many counts make a turn in {joint_list(unknown)}: q=q{{j}} rev/COUNTS -ZERO"
     return judged(
@@ -136,14 +145,15 @@ def _unit_of(
         if not (reached > largest_slide(own) or (ratio and near(ratio, 1.0 / MILLIMETRES))):
             return _Unit()
         return _Unit(1.0 / MILLIMETRES, evidence=f"{name} {span}: millimetres")
-    far = reached > largest_angle(own)
-    if own is not None and bool(torch.isfinite(own).all()):
-        # A turn or two off the limits they are radians all the same.
-        far = far and _turned_back(own, low, high)[1] > _BEYOND
     degrees = ratio is not None and near(ratio, 1.0 / DEGREES)
+    whole = bool((q == q.round()).all()) and reached > COUNTS
+    # A turn or two off the limits they are radians all the same; without limits they turn on.
+    far = whole
+    if own is not None and bool(torch.isfinite(own).all()):
+        far = reached > largest_angle(own) and _turned_back(own, low, high)[1] > _BEYOND
     if not (far or degrees):
         return _Unit()
-    if not (bool((q == q.round()).all()) and reached > COUNTS):
+    if not whole:
         why = f", d{name} is 1/{1 / ratio:.1f} of its derivative" if ratio and degrees else ""
         return _Unit(1.0 / DEGREES, evidence=f"{name} {span}: degrees{why}")
     counts = f"{name} {low:g} to {high:g}, whole numbers: encoder counts"
@@ -187,6 +197,29 @@ def _percent(
     )
 
 
+def _no_degrees(
+    robot: Robot, log: Log, factors: Sequence[float], ratio: Mapping[int, float]
+) -> tuple[str, bool] | None:
+    """What speaks against degrees, and whether another zero would still make them such: positions
+    that leave their limits as degrees, where no velocity says that they are; None for nothing."""
+    limits = robot.limits.position
+    found, possible = [], True
+    for k, factor in enumerate(factors):
+        if limits is None or factor != 1.0 / DEGREES or near(ratio.get(k, 0.0), factor):
+            continue
+        low, high = float(log.q[:, k].min()) * factor, float(log.q[:, k].max()) * factor
+        if _turned_back(limits[k], low, high)[1] > _BEYOND:
+            found.append(
+                f"q{k + 1} {low:.3g} to {high:.3g} rad, limits {float(limits[k, 0]):.3g} to "
+                f"{float(limits[k, 1]):.3g}"
+            )
+            possible &= high - low < float(limits[k, 1] - limits[k, 0]) + 2 * _BEYOND
+    if not found:
+        return None
+    text = "positions are beyond what is taken for radians, and as degrees leave the limits: "
+    return f"{text}{'; '.join(found[:3])}: another unit, or the motors' side of gears?", possible
+
+
 def _beyond(limits: Tensor, low: float, high: float) -> float:
     """How far positions from low to high leave their limits (2,) [rad]."""
     return max(float(limits[0]) - low, high - float(limits[1]), 0.0)
@@ -223,20 +256,14 @@ def check_zeros(robot: Robot, log: Log, fixes: Collection[str] = ()) -> Check:
     }  # fmt: skip
     low, high = log.q.amin(0).tolist(), log.q.amax(0).tolist()
     out = [k for k, own in ranges.items() if _beyond(own, low[k], high[k]) > _BEYOND]
-    # Without limits an angle may wind up, but not begin turns away.
-    away = {
-        k: -_TURN * round((low[k] + high[k]) / 2 / _TURN)
-        for k in turning
-        if k not in ranges and max(-low[k], high[k]) > _FREE
-    }
-    if not out and not any(away.values()):
+    if not out:
         return said("zero of positions", "fine")
 
     def moved_by(common: float) -> tuple[float, ...] | None:
         """An offset of all joints, and whole turns; None where it leaves one beyond its limits."""
         offsets = [0.0] * log.n
         for k in turning:
-            offsets[k] = common + away.get(k, 0.0)
+            offsets[k] = common
             if k in ranges:
                 turns, beyond = _turned_back(ranges[k], low[k] + common, high[k] + common)
                 if common and beyond > _BEYOND:
@@ -257,8 +284,8 @@ def check_zeros(robot: Robot, log: Log, fixes: Collection[str] = ()) -> Check:
     choices = [Choice.by(n, Shift(places, x)) for n, x in options.items() if x is not None]
     evidence = "; ".join(
         f"q{k + 1} {low[k]:.3g} to {high[k]:.3g}"
-        + (f", limits {float(ranges[k][0]):.3g} to {float(ranges[k][1]):.3g}" if k in out else "")
-        for k in [*out, *away][:3]
+        f", limits {float(ranges[k][0]):.3g} to {float(ranges[k][1]):.3g}"
+        for k in out[:3]
     )
     if choices:
         joints = tuple(k for k, x in enumerate(options[choices[0].name] or ()) if x)

@@ -281,6 +281,29 @@ class DropSignal(Repair):
 
 
 @dataclass(frozen=True)
+class Differentiate(Repair):
+    """Velocities of some joints from their positions, where a channel is dead.
+
+    Attributes:
+        joints: from 0.
+    """
+
+    joints: tuple[int, ...]
+
+    def apply(self, log: Log) -> Log:
+        """With differences of the positions on either side of each row."""
+        assert log.dq is not None
+        dq, joints = log.dq.clone(), list(self.joints)
+        for rows in log.slices():
+            (slope,) = torch.gradient(log.q[rows][:, joints], spacing=(log.t[rows],), dim=0)
+            dq[rows, joints] = slope
+        return log.replace(dq=dq)
+
+    def __str__(self) -> str:
+        return ", ".join(f"dq{k + 1} = the derivative of q{k + 1}" for k in self.joints)
+
+
+@dataclass(frozen=True)
 class ScaleTime(Repair):
     """Time stamps multiplied by a factor."""
 

@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
-from torchid.log.checks import MOVING
+from torchid.log.checks import MOVING, NO_TORQUE
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import resample
@@ -65,6 +66,9 @@ class Samples:
         reach: how far torque may be shifted [s].
         step: of the log [s].
         signals: that the log has.
+        log: that they are of.
+        loop: share of half a joint's range over which dry friction builds up; 0: at once; negative:
+            as bristles bend (Dahl), and not along a straight line.
     """
 
     stretches: tuple[Stretch, ...]
@@ -76,20 +80,33 @@ class Samples:
     reach: float
     step: float
     signals: tuple[str, ...]
+    log: Log
+    loop: float = 0.0
+
+    def looped(self, share: float) -> "Samples":
+        """The same, with a loop over position in the place of the direction of motion: dry friction
+        that builds up after each reversal (presliding, play, a brake's band)."""
+        found = samples(self.log, share)
+        assert isinstance(found, Samples)
+        return found
 
     def torque(self, late: float = 0.0) -> Float[Tensor, "T n"]:
         """Torque of the rows, read `late` seconds later than their motion."""
         return torch.cat([s.torque(late) for s in self.stretches])
 
 
-def samples(log: Log) -> Samples | str:
+def samples(log: Log, loop: float = 0.0) -> Samples | str:
     """Rows for the model checks, or in words why there are none: no torque, or too short a log.
+
+    Args:
+        log: with torques or currents.
+        loop: as `Samples.looped` has it; 0 for the direction of motion.
 
     The cut-off is four times the frequency below which 98 % of the motion's velocity lies.
     """
-    signals = tuple(log.signals)
+    signals, given = tuple(log.signals), log
     log = log if log.tau is not None else log.replace(tau=log.current)
-    if log.tau is None:
+    if log.tau is None or float(log.tau.abs().max()) < NO_TORQUE:
         return "there is no torque"
     # Numbers in place of names, which need not differ: a run may be split at long gaps.
     even = resample(log.replace(names=tuple(map(str, range(log.trajectory_count)))))
@@ -99,7 +116,8 @@ def samples(log: Log) -> Samples | str:
         return f"no trajectory has more than {_FEWEST} samples"
     cutoff = max(_cutoff(p, r) for p, r in usable)
     total = sum(p.samples / r for p, r in usable)
-    made = [(_stretch(p, r, cutoff, MOST / total), p.names[0]) for p, r in usable]
+    lengths = 0.5 * loop * (even.q.amax(0) - even.q.amin(0))
+    made = [(_stretch(p, r, cutoff, MOST / total, lengths), p.names[0]) for p, r in usable]
     kept = [s for s, _ in made if s is not None]
     runs = [torch.full_like(s.t[s.inside], int(name.partition("[")[0])) for s, name in made if s]
     count = sum(len(s.t[s.inside]) for s in kept)
@@ -120,6 +138,8 @@ def samples(log: Log) -> Samples | str:
         reach=min(float(s.t[s.inside.start] - s.t[0]) for s in kept),
         step=1.0 / max(r for _, r in usable),
         signals=signals,
+        log=given,
+        loop=loop,
     )
 
 
@@ -134,18 +154,23 @@ def _cutoff(log: Log, rate: float) -> float:
     return min(max(4.0 * top, low), high, 0.2 * rate)
 
 
-def _stretch(log: Log, rate: float, cutoff: float, most_per_second: float) -> Stretch | None:
+def _stretch(
+    log: Log, rate: float, cutoff: float, most_per_second: float, lengths: Tensor
+) -> Stretch | None:
     low = ZeroPhaseFilter(rate, cutoff)
     assert log.tau is not None
     q = low.apply(log.q.T)
     dq = central_difference(q, rate)
     wide = min(5.0 * cutoff, 0.4 * rate)
-    sharp = central_difference(ZeroPhaseFilter(rate, wide).apply(log.q.T), rate)
+    smooth = ZeroPhaseFilter(rate, wide).apply(log.q.T)
+    sharp = central_difference(smooth, rate)
     fast = torch.quantile(sharp.abs(), 0.95, dim=-1, keepdim=True)
     sign = low.apply(torch.tanh(sharp / (0.02 * fast).clamp(min=SLOW)))
     extent = q.amax(-1, keepdim=True) - q.amin(-1, keepdim=True)
     moving = (sign.abs() > 0.5) & (extent > MOVING)
     every = max(1, int(rate / max(_PER_PERIOD * cutoff, 0.0)), int(rate / most_per_second))
+    if bool(lengths.any()):
+        sign = low.apply(_loop(smooth, lengths))
     # Torque is interpolated between kept samples, which must not be sparser than its band.
     fine = max(1, int(rate / (_PER_PERIOD * cutoff)))
     every = fine if every < 2 * fine else every
@@ -160,3 +185,16 @@ def _stretch(log: Log, rate: float, cutoff: float, most_per_second: float) -> St
     if count < 2 * edge + 10:
         return None
     return Stretch(log.t[picked], motion, moving, tau, slice(edge, count - edge))
+
+
+def _loop(q: Float[Tensor, "n T"], lengths: Float[Tensor, " n"]) -> Float[Tensor, "n T"]:
+    """What follows each joint's position within -1 and 1, one per length [rad or m], and stays
+    there while it moves on; of a negative length it comes near as Dahl's friction does."""
+    size = lengths.abs().clamp(min=1e-12).unsqueeze(-1)
+    step = (q.diff(dim=-1, prepend=q[:, :1]) / size).T.numpy()
+    loop, z, bent = np.zeros(step.shape), np.zeros(len(q)), bool((lengths < 0).any())
+    kept, end = np.exp(-np.abs(step)), np.sign(step)
+    for k, change in enumerate(step):
+        z = end[k] + (z - end[k]) * kept[k] if bent else np.clip(z + change, -1.0, 1.0)
+        loop[k] = z
+    return torch.from_numpy(loop.T.copy())

@@ -25,6 +25,9 @@ BEYOND_LIMIT, BELOW_LIMIT = 5.0, 5e-3
 DENSITY = (0.03, 250.0)
 """Mass that the largest torque holds at arm's length, over the cube of the reach [kg/m^3]: 1 to 60
 on arms from a desk to a foundry, a thousand times that in N mm."""
+_SHOWN = 0.1
+"""Spread of a joint's nominal torque, at the size that fits, over that of the measured one: 0.5 and
+more on arms, but of wrists that no parameter moves."""
 _LEAST_REACH = 0.2
 MOST_OF_LIMIT = 2.0
 """Peaks above a rated torque."""
@@ -70,10 +73,13 @@ def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
         use = moving[:, j]
         x, y = columns[use, j], tau[use, j]
         owner = np.unique(block[use], return_inverse=True)[1]
-        # Says nothing where the nominal torque is constant, or in fewer than three blocks of time.
+        # Says nothing where the nominal torque is constant, in fewer than three blocks of time, or
+        # beside friction that is many times larger.
         if x[:, 0].std() == 0.0 or owner.max() < 2:
             continue
         values = np.linalg.lstsq(x, y, rcond=1e-9)[0]
+        if abs(values[0]) * x[:, 0].std() < _SHOWN * y.std():
+            continue
         left = torch.from_numpy(y - x @ values)
         found = fit_statistics(torch.from_numpy(x), left, torch.from_numpy(owner))
         low, high = found.interval(torch.from_numpy(values))[0].tolist()

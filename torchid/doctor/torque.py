@@ -3,6 +3,7 @@
 import numpy as np
 
 from torchid.doctor.check import Check, said
+from torchid.log.checks import NO_TORQUE
 from torchid.log.model import Log
 from torchid.typing import Float, Tensor
 
@@ -38,7 +39,7 @@ def check_torque(log: Log) -> Check:
         return said("torque columns", "cannot tell")
     if signal is None:
         return said("torque columns", "wrong")
-    dead = tuple(k for k in range(log.n) if float(np.ptp(signal[:, k].numpy())) == 0.0)
+    dead = tuple(k for k in range(log.n) if float(np.ptp(signal[:, k].numpy())) < NO_TORQUE)
     if dead:
         verdict = "wrong dead" if len(dead) == log.n else "doubtful dead"
         values = ", ".join(f"{float(signal[0, k]):.4g}" for k in dead)

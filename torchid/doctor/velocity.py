@@ -8,8 +8,15 @@ import torch
 from scipy.optimize import linear_sum_assignment
 
 from torchid.doctor.check import Check, Choice, judged, said, with_choices
-from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
-from torchid.log.checks import FOLLOWS, MOVING, named_ratio, own_units, velocity_agreement
+from torchid.doctor.repair import Differentiate, DropSignal, Reorder, Repair, Scale, ScaleTime
+from torchid.log.checks import (
+    FOLLOWS,
+    MOVING,
+    dead_velocities,
+    named_ratio,
+    own_units,
+    velocity_agreement,
+)
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import resample
@@ -36,11 +43,15 @@ def check_velocity(log: Log, fixes: Collection[str] = (), *, counts: bool = Fals
         return judged("velocity", "fine", "no dq in the log: the derivative of q is used")
     repairs: list[Repair] = []
     said: list[str] = []
-    joints: list[int] = []
+    joints: list[int] = dead_velocities(log)
+    if joints:
+        said += [f"dq{k + 1} is {float(log.dq[0, k]):.3g} in every row: dead" for k in joints]
+        repairs.append(Differentiate(tuple(joints)))
+        log = repairs[-1].apply(log)
     log = _reorder(log, repairs, said, joints)
     factors = _velocity_factors(log, said, joints)
     if counts:
-        text = "positions are in counts of an unknown part of a turn"
+        text = "positions are in counts or another unit that is not known"
         return judged("velocity", "cannot tell", text)
     if isinstance(factors, float):
         return with_choices(*_wrong_rate(factors, log.n), fixes)

@@ -268,7 +268,7 @@ def _check(robot: Robot, motion: Log) -> None:
 def _motion(part: Log) -> Motion:
     assert part.dq is not None
     assert part.ddq is not None
-    return Motion(part.q, part.dq, part.ddq)
+    return Motion(part.q, part.dq, part.ddq, t=part.t - part.t[0])
 
 
 def _one(
@@ -299,4 +299,5 @@ def _one(
 
 def _noisy_motion(true: Motion, noise: PaperNoise, generator: torch.Generator) -> Motion:
     size = 10 ** (-noise.snr_db / 20)
-    return Motion(*(x + size * rms(x) * standard(x, None, 0.0, generator) for x in true.state))
+    noisy = [x + size * rms(x) * standard(x, None, 0.0, generator) for x in true.state]
+    return Motion(*noisy)._replace(t=true.t)

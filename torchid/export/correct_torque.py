@@ -57,7 +57,8 @@ def correct_torque(asked: CorrectionRequest, full: Robot | TorqueDiagnosis) -> C
     require_same_arm(corrected, robot, "result is")
     if held_out is None and settings.held_out_fraction > 0:
         log, held_out = log.split(1 - settings.held_out_fraction)
-    data, apart = read(robot, log, held_out, settings)
+    # Units were asked when the log was diagnosed.
+    data, apart = read(robot, log, held_out, settings, force=True)
     repeats = find_repeats(data.segments).groups(len(data.segments))
     folds = make_folds(data.samples, settings.folds, repeats)
     data = data.without_silent(Columns(Model.of(before), data.samples), folds.parts)

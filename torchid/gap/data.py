@@ -194,6 +194,7 @@ def prepare(
     widest: float = math.inf,
     gain_std: float | None = None,
     rate: float = math.inf,
+    force: bool = False,
 ) -> Data:
     """Check, resample, differentiate and filter logs.
 
@@ -206,11 +207,12 @@ def prepare(
         gain_std: how well the scale of each joint's torque is known, as a share of it; None for the
             default.
         rate: to which faster trajectories are resampled [Hz]; that of the slowest at most.
+        force: whether units that look wrong are said, and not refused.
 
     Raises:
         LogError: what `torchid.identification.logs.prepared` refuses.
     """
-    even, warnings = prepared(log, robot, standing=True)
+    even, warnings = prepared(log, robot, standing=True, force=force)
     even = at_rate(even, min(rate, *even.rates))
     warnings = tuple(dict.fromkeys([*warnings, *even.warnings]))
     even, spread = spread_over(even, LONGEST / log.n)
@@ -223,10 +225,12 @@ def prepare(
     # Trajectories that the filter's edges leave something of.
     long = [s for s in segments if s.length > SHORTEST * s.rate / narrow]
     if not long:
+        longest = max(s.length / s.rate for s in segments)
         raise LogError(
             "every trajectory is too short for the diagnosis.",
-            got=f"{max(s.length / s.rate for s in segments):.3g} s",
+            got=f"{longest:.3g} s",
             expected=f"more than {SHORTEST / narrow:.3g} s at a cut-off of {narrow:g} Hz",
+            hint=f"`cutoff={1.1 * SHORTEST / longest:.2g}` takes it, and more of the noise",
         )
     # Joints that never move.
     still = still_joints(long)
@@ -288,7 +292,7 @@ def _segments(log: Log, measured: list[Measurement], wide: float, clock: float) 
 
 
 def read(
-    robot: Robot, log: Log, held_out: Log | None, settings: GapSettings
+    robot: Robot, log: Log, held_out: Log | None, settings: GapSettings, force: bool = False
 ) -> tuple[Data, Data | None]:
     """The logs as data: the one searched, and the one held out.
 
@@ -301,12 +305,10 @@ def read(
     # What is searched and what is held out have one rate, the lower of the two.
     rates = [] if held_out is None else [*log.rates, *held_out.rates]
     rate = min(rates, default=math.inf)
-    data = prepare(
-        robot, log, cutoff, widest=settings.report_band, gain_std=settings.gain_std, rate=rate
-    )
+    data = prepare(robot, log, cutoff, 0.0, settings.report_band, settings.gain_std, rate, force)
     if held_out is None:
         return data, None
     judged = prepare(
-        robot, held_out, data.samples.cutoff, data.end + 1.0, data.band, data.gain_std, rate
+        robot, held_out, data.samples.cutoff, data.end + 1.0, data.band, data.gain_std, rate, force
     )
     return data, judged

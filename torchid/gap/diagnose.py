@@ -91,8 +91,9 @@ def diagnose(
         found: TorqueDiagnosis | PositionDiagnosis
         if torques:
             found = diagnose_torque(
-                robot, log, held_out=held_out, settings=settings, progress=say, watch=watch
-            )
+                robot, log, held_out=held_out, settings=settings, progress=say, watch=watch,
+                force=force,
+            )  # fmt: skip
         else:
             found = _of_positions(robot, log, held_out, settings, servo, say, watch)
     if not doubts.short:

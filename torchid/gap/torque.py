@@ -51,6 +51,7 @@ def diagnose_torque(
     settings: GapSettings | None = None,
     progress: Progress | None = None,
     watch: Watch | None = None,
+    force: bool = False,
 ) -> TorqueDiagnosis:
     """A diagnosis of logs with torques; arguments and errors are those of `torchid.diagnose`.
 
@@ -66,7 +67,7 @@ def diagnose_torque(
         )
     say = progress or (lambda stage, done, total: None)
     say("preparing", 0, 1)
-    problem = pose(robot, log, held_out, settings)
+    problem = pose(robot, log, held_out, settings, force)
     del log, held_out  # a long one is searched in part, and may now be let go
     say("searching for effects", 0, 1)
     if watch is not None and not problem.data.stands:

@@ -322,7 +322,7 @@ def refuse_useless(
         IdentificationError: what the log lacks.
     """
     percent = errors(fitted, free).relative_percent
-    worse = (percent > NO_BETTER).nonzero().flatten().tolist()
+    worse = ((percent > NO_BETTER) & percent.isfinite()).nonzero().flatten().tolist()
     if 2 * len(worse) <= int(percent.isfinite().sum()):
         return
     moved, said = _travel(log)

@@ -13,13 +13,16 @@ BEYOND_LIMIT = 5.0
 """Times the torque limit from which a torque is taken for one in another unit."""
 
 
-def prepared(log: Log, robot: Robot, *, standing: bool = False) -> tuple[Log, tuple[str, ...]]:
+def prepared(
+    log: Log, robot: Robot, *, standing: bool = False, force: bool = False
+) -> tuple[Log, tuple[str, ...]]:
     """A log checked against the robot, with torques, on a uniform grid; and its warnings.
 
     Args:
         log: as it was read.
         robot: that it is of.
         standing: whether a log in which nothing moves may be of use.
+        force: whether units that look wrong are said, and not refused.
 
     Raises:
         LogError: see `check_log`; or no torque and no gain.
@@ -34,6 +37,7 @@ def prepared(log: Log, robot: Robot, *, standing: bool = False) -> tuple[Log, tu
         prismatic=[t is JointType.PRISMATIC for t in robot.joint_types],
         standing=standing,
         moving_base=robot.floating,
+        force=force,
     )
     even = resample(log)
     if even.tau is None:

@@ -238,7 +238,9 @@ def _of_the_errors(result: Identification) -> list[str]:
         (result.fit, "fitted") if result.held_out is None else (result.held_out, "held-out")
     )
     moving = shown.relative_percent_moving.tolist()
-    useless = [f"{j} ({v:.0f} %)" for j, v in enumerate(moving, start=1) if v > UNEXPLAINED]
+    useless = [
+        f"{j} ({v:.0f} %)" for j, v in enumerate(moving, start=1) if UNEXPLAINED < v < math.inf
+    ]
     if useless:
         said.append(
             f"the model leaves more than half of the {label} torque unexplained on joint "

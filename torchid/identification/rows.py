@@ -24,6 +24,7 @@ from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.friction import TorqueOffset, ViscousFriction
 from torchid.effects.inertia import RotorInertia
 from torchid.identification.base_parameters import BaseParameters, non_negative
+from torchid.log.checks import NO_TORQUE
 from torchid.log.filtering import ZeroPhaseFilter, extended
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
 from torchid.robot.model import Robot
@@ -282,6 +283,7 @@ def _blocks(
     m: Measurement, layout: Layout, chunks: Chunks, moving_only: bool, first_instant: int
 ) -> Iterator[RowBlock]:
     step, tail, pieces = _step(m), _tail(m), _pieces(m)
+    silent = (m.tau.abs().amax(0) < NO_TORQUE).cpu()  # where none is measured
     # What remembers the past is evaluated from the trajectory's beginning, once a pass.
     whole: dict[Effect, Tensor] = {
         e: e.columns(m.whole) for e in layout.effects if isinstance(e, JointEffect) and e.memory
@@ -310,6 +312,7 @@ def _blocks(
             # Nothing rubs on a base that nothing holds: its rows count at rest, too.
             keep[:, list(layout.robot.free)] = True
             keep = keep if moving_only else torch.ones_like(keep)
+            keep[:, silent] = False
             instant = torch.arange(len(keep)) + first_instant
             first_instant += len(keep)
             yield RowBlock(tuple(x.T for x in augmented), keep, instant)

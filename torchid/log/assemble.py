@@ -16,7 +16,7 @@ from torchid.log.columns import (
     log_from_columns,
 )
 from torchid.log.guess import commanded_columns, proposed_mapping
-from torchid.log.mapping import ColumnMapping, Source, read_mapping
+from torchid.log.mapping import SENSORLESS, ColumnMapping, Source, read_mapping
 from torchid.log.sources import (
     Piece,
     labels_of,
@@ -37,14 +37,15 @@ def log_from_table(
 
     Args:
         table: of any format.
-        mapping: for columns that do not have our names; it goes before those that do.
+        mapping: for columns that do not have our names; it goes before those that do. Without one,
+            names that leave one way to read them are read so.
         joints: names of the robot's, by which a mapping is proposed; empty where it is not known.
 
     Raises:
         LogError: a column is missing (the message proposes a mapping where it can guess one),
             or is not what `log_from_columns` expects.
     """
-    mapping = mapping or ColumnMapping({})
+    free, mapping = mapping is None, mapping or ColumnMapping({})
     commands, notes = _commands(table, mapping), table.warnings
     try:
         values = _wildcards(table, mapping)
@@ -65,7 +66,17 @@ def log_from_table(
             except LogError:  # of other joints, or no numbers: no reason to refuse the rest
                 log = _read(table, mapping)
     except LogError as error:
-        raise _with_help(error, table, joints) if error.available is not None else error from None
+        if error.available is None:
+            raise
+        guessed = proposed_mapping(table, joints) if free else None
+        if guessed is None or guessed[1]:
+            raise _with_help(error, table, joints) from None
+        # The names leave one way to read it.
+        try:
+            log = log_from_table(table, read_mapping(guessed[0]), joints)
+        except LogError:
+            raise _with_help(error, table, joints) from None
+        notes = (*notes, f"'{table.path}' is read by the names of its columns: {guessed[0]}")
     warnings = tuple(dict.fromkeys((*log.warnings, *notes)))
     return log.replace(source=str(table.path), warnings=warnings, servos=table.servos)
 
@@ -135,7 +146,26 @@ def _read(table: Table, mapping: ColumnMapping) -> "torchid.Log":
     for key in [key for key in sources if key not in ("t", "traj")]:
         values = signal_of(key, sources[key], pieces[key], arrays, samples, table)
         columns |= {f"{key}{k + 1}": values[:, k] for k in range(values.shape[1])}
-    return log_from_columns(columns, table.path)
+    return log_from_columns(_with_sensorless(columns, sources, mapping), table.path)
+
+
+def _with_sensorless(
+    columns: dict[str, np.ndarray], sources: Mapping[str, Source], mapping: ColumnMapping
+) -> dict[str, np.ndarray]:
+    """Columns with zeros for the torque of joints that have no sensor; where a mapping lists the
+    others alone, they are in their order."""
+    none = [key for key in mapping.sources if SENSORLESS.fullmatch(key)]
+    for prefix in dict.fromkeys(key.rstrip("0123456789") for key in none):
+        joints = sum(re.fullmatch(r"q\d+", name) is not None for name in columns)
+        names = [f"{prefix}{k + 1}" for k in range(joints)]
+        listed = [name for name in names if name in columns]
+        measured = [name for name in names if name not in none]
+        if prefix in sources and len(listed) == len(measured):
+            values = [columns.pop(name) for name in listed]
+            columns |= dict(zip(measured, values, strict=True))
+        if measured and all(name in columns for name in measured):
+            columns |= {name: np.zeros(len(columns["q1"])) for name in names if name in none}
+    return columns
 
 
 class _Columns(Mapping[str, np.ndarray]):
@@ -179,6 +209,7 @@ def _plan(
         for name in table.columns
         if (is_wanted(name) or name in arrays)
         and _ARRAYS.get(name, re.sub(r"\d+$", "", name)) not in mapping.sources
+        and name not in mapping.sources
     ]
     return sources, pieces, own
 
@@ -254,6 +285,11 @@ def _with_help(error: LogError, table: Table, joints: Sequence[str]) -> LogError
         hints.append(f'perhaps `columns="{text}"`' + (f" ({remark})" if remark else ""))
     elif isinstance(error, AbsentColumnError) and {"t", "q1"} <= table.columns.keys():
         hints.append(f"this log needs no mapping; {one_for_all('columns')}")
+    elif not isinstance(error, AbsentColumnError) and not error.hint:
+        hints.append(
+            'say which are which: `columns="t=NAME s,q=NAME_{j} deg,tau=[NAME, ..]"`; without time '
+            "stamps t=HZ Hz"
+        )
     return with_hint(error, *hints, available=first_names(table.described, 60))
 
 

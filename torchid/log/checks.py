@@ -19,11 +19,13 @@ from torchid.log.units import STEPS
 from torchid.statistics.robust import column_quantile
 from torchid.typing import Float, Tensor
 
+NO_TORQUE = 1e-9  # what is below is no torque: zero, or what a driver leaves there [N m, N or A]
 STILL = 1e-4  # a joint whose position varies less does not move [rad or m]
 MOVING = 1e-2  # a joint must vary this much to compare its dq with the change of q [rad or m]
 SLOW_STEP_S = 0.5  # no arm's dynamics are logged with longer steps
 JUMP = 0.05  # a step of a position below this is never called a jump [rad or m]
 FOLLOWS = 0.95  # correlation above which dq is the velocity, up to its unit
+FAR = 4.0 * math.pi  # an angle beyond may be in degrees, if the joint does not turn on [rad]
 DEGREES = 180.0 / math.pi
 MILLIMETRES = 1000.0
 RPM = 30.0 / math.pi
@@ -41,6 +43,7 @@ def check_log(
     prismatic: Sequence[bool] = (),
     standing: bool = False,
     moving_base: bool = False,
+    force: bool = False,
 ) -> tuple[str, ...]:
     """Refuse a log that cannot be what it should be; return what is odd about the others.
 
@@ -52,6 +55,7 @@ def check_log(
         prismatic: n times whether the joint slides; empty: none does.
         standing: whether a log in which nothing moves may be of use.
         moving_base: whether the first six coordinates are those of a base that moves.
+        force: whether units that look wrong are said, and not refused.
 
     Returns:
         Warnings, one sentence each: joints that never move or have no torque, or those of another
@@ -68,8 +72,46 @@ def check_log(
     _check_finite(log)
     check_increasing(log)
     first = COORDINATES if moving_base else 0
-    _check_position_units(log, position_limits, slides, first)
     agreement = velocity_agreement(log)
+    forced = []
+    try:
+        _check_units(log, agreement, position_limits, slides, first)
+    except LogError as error:
+        if not force:
+            raise
+        forced = [f"{error.problem} It is taken as it is all the same."]
+    extent = log.q.amax(0) - log.q.amin(0)
+    if float(extent.max()) < STILL and not standing:
+        raise LogError(
+            f"{log.label}: no joint moves.",
+            got=f"positions that vary by {float(extent.max()):.1g} at most",
+            expected="a motion, which alone shows masses and friction",
+        )
+    return (
+        *forced,
+        *_turning_on(log, position_limits, slides, first),
+        *position_jumps(log),
+        *[
+            f"joint {k + 1} never moves (q{k + 1} varies by {float(extent[k]):.1g}): "
+            "its parameters cannot be identified from this log."
+            for k in range(log.n)
+            if float(extent[k]) < STILL and k >= first
+        ],
+        *_copied(log),
+        *_no_torque(log, first),
+        *([] if forced else _velocity_warnings(log, agreement)),
+    )
+
+
+def _check_units(
+    log: Log,
+    agreement: "Sequence[Agreement]",
+    limits: Tensor | None,
+    slides: Sequence[bool],
+    first: int,
+) -> None:
+    """Refuse positions, time and velocities in other units."""
+    _check_position_units(log, limits, slides, first)
     # Refuse time in milli-, micro- or nanoseconds, or counted in samples.
     step = max(float(log.t[rows].diff().median()) for rows in log.slices())
     clear = [a for a in agreement if a.correlation > FOLLOWS]
@@ -82,25 +124,6 @@ def check_log(
         why = "and dq disagrees" if clear else "too long for a robot"
         _refuse_time(log, f"does not look like seconds: its median step is {step:g}, {why}", step)
     _check_velocity_unit(log, agreement, slides)
-    extent = log.q.amax(0) - log.q.amin(0)
-    if float(extent.max()) < STILL and not standing:
-        raise LogError(
-            f"{log.label}: no joint moves.",
-            got=f"positions that vary by {float(extent.max()):.1g} at most",
-            expected="a motion, which alone shows masses and friction",
-        )
-    return (
-        *position_jumps(log),
-        *[
-            f"joint {k + 1} never moves (q{k + 1} varies by {float(extent[k]):.1g}): "
-            "its parameters cannot be identified from this log."
-            for k in range(log.n)
-            if float(extent[k]) < STILL and k >= first
-        ],
-        *_copied(log),
-        *_no_torque(log, first),
-        *_velocity_warnings(log, agreement),
-    )
 
 
 def _check_finite(log: Log) -> None:
@@ -151,6 +174,24 @@ def _check_position_units(
         )
 
 
+def _turning_on(log: Log, limits: Tensor | None, slides: Sequence[bool], first: int) -> list[str]:
+    """Joints without limits that reach far: of motors, or in degrees."""
+    reach = log.q.abs().amax(0).tolist()
+    far = [
+        k
+        for k, slide in enumerate(slides)
+        if k >= first and not slide and reach[k] > FAR
+        and math.isinf(largest_angle(None if limits is None else limits[k]))
+    ]  # fmt: skip
+    if not far:
+        return []
+    names = ", ".join(f"q{k + 1}" for k in far)
+    return [
+        f"{log.label}: {names} up to {max(reach[k] for k in far):.4g}, without limits: taken for "
+        f"radians of what turns on. Of degrees: {_in_degrees(log).format()}"
+    ]
+
+
 def check_joints(log: Log, robot_name: str, n: int, moving_base: bool = False) -> None:
     """Refuse a log of another number of joints than a robot's n."""
     if log.n == n:
@@ -187,18 +228,18 @@ def _in_degrees(log: Log) -> str:
 
 
 def largest_angle(limits: Tensor | None) -> float:
-    """The largest |q| of a revolute joint that is taken for radians."""
-    if limits is None or torch.isnan(limits).any():
-        return 4.0 * math.pi
-    # A joint without end (infinite limits) may wind up, but hardly more than eight turns.
-    return min(max(2.0 * math.pi, 2.0 * float(limits.abs().max())), 16.0 * math.pi)
+    """The largest |q| of a revolute joint that is taken for radians: what its file says. One
+    without limits turns on, as motors do."""
+    if limits is None or not torch.isfinite(limits).all():
+        return math.inf
+    return max(2.0 * math.pi, 2.0 * float(limits.abs().max()))
 
 
 def largest_slide(limits: Tensor | None) -> float:
     """The largest |q| of a prismatic joint that is taken for metres."""
     if limits is None or torch.isnan(limits).any():
         return 10.0
-    return min(max(1.0, 10.0 * float(limits.abs().max())), 100.0)
+    return max(1.0, 10.0 * float(limits.abs().max()))
 
 
 @dataclass(frozen=True)
@@ -239,6 +280,14 @@ def velocity_agreement(log: Log) -> list[Agreement]:
         if float(q.max() - q.min()) > MOVING and a > 0.0:
             records.append(Agreement(k, a / b, float(moved @ q) / (a * b)))
     return records
+
+
+def dead_velocities(log: Log) -> list[int]:
+    """Joints (from 0) that move while their dq never changes."""
+    if log.dq is None:
+        return []
+    moves = log.q.amax(0) - log.q.amin(0) > MOVING
+    return (moves & (log.dq.amax(0) == log.dq.amin(0))).nonzero().flatten().tolist()
 
 
 def _refuse_time(log: Log, why: str, step: float) -> None:
@@ -361,12 +410,13 @@ def _no_torque(log: Log, first: int) -> list[str]:
     signal, name = (log.tau, "tau") if log.tau is not None else (log.current, "i")
     if signal is None:
         return []
-    zero = (signal == 0).all(0)
+    zero = signal.abs().amax(0) < NO_TORQUE
     if zero.all():
         raise LogError(
             f"{log.label}: all torques are zero.",
             got=f"0 in {name}1..{name}{log.n}" if log.n > 1 else f"0 in {name}1",
             expected="measured torques or currents",
+            hint=f'there is no torque here: with commands u1.. `columns="{name}=none"`',
         )
     return [
         f"joint {k + 1} has no torque: {name}{k + 1} is zero throughout."
@@ -377,7 +427,7 @@ def _no_torque(log: Log, first: int) -> list[str]:
 
 def _velocity_warnings(log: Log, agreement: Sequence[Agreement]) -> list[str]:
     """What is odd about dq, the joints for which it is odd in the same way in one sentence."""
-    warnings = []
+    warnings = [f"dq{k + 1} never changes, while q{k + 1} does." for k in dead_velocities(log)]
     scaled = [a for a in agreement if a.correlation >= FOLLOWS and not 0.5 < a.ratio < 2.0]
     if scaled:
         low, high = min(a.ratio for a in scaled), max(a.ratio for a in scaled)

@@ -15,6 +15,7 @@ import pyarrow.csv
 from torchid.errors import LogError
 from torchid.log.columns import EXPECTED
 from torchid.log.formats import from_arrow, repeated
+from torchid.log.ros_echo import echo_table
 from torchid.log.table import Request, Shape, Table
 
 _LINES_LOOKED_AT = 100
@@ -43,13 +44,16 @@ class _Dialect:
 
 
 def csv_table(path: Path, request: Request) -> Table:
-    """The table of a text file with a header line; comments (#, %) before it are skipped.
+    """The table of a text file with a header line; comments (#, %) before it are skipped. What ROS
+    echoes is read by the names in its rows, if no mapping says otherwise.
 
     Without a header line all columns are one array `data`, if a mapping says which is which.
 
     Raises:
         LogError: no text, or no header line and no mapping.
     """
+    if request.columns is None and (echo := echo_table(path, request)) is not None:
+        return echo
     dialect = _dialect(path)
     if dialect.names:
         names = dialect.names
@@ -92,9 +96,10 @@ def _dialect(path: Path) -> _Dialect:
     decimal_comma = delimiter != "," and re.search(r"\d,\d", "".join(lines[comments + 1 :][:1]))
     decimal = "," if decimal_comma else "."
     names, skipped = _names(first, delimiter), comments + 1
-    if all(_is_number(name, decimal) for name in names):
-        # The names may stand in the last comment.
-        above = _names(lines[comments - 1].lstrip("#% "), delimiter) if comments else []
+    numbers = sum(_is_number(name, decimal) for name in names)
+    # The names may stand in the last comment.
+    above = _names(lines[comments - 1].lstrip("#% "), delimiter) if comments else []
+    if numbers == len(names) or (2 * numbers > len(names) == len(above)):
         names, skipped = above if len(above) == len(names) else [], comments
     width = len(_names(first, delimiter))
     return _Dialect(tuple(names), width, delimiter, decimal, skipped, first)

@@ -59,10 +59,25 @@ class _Group:
 
     def in_order(self, labels: Sequence[str]) -> "_Group":
         """With these joints only, in this order, where all of them are there."""
-        if not self.labels or not set(labels) <= set(self.labels):
+        if not labels or not set(labels) <= set(self.labels):
             return self
         names = tuple(self.names[self.labels.index(label)] for label in labels)
         return replace(self, names=names, joints=len(names), labels=tuple(labels))
+
+    def first(self, count: int) -> "_Group":
+        """Of these joints the first ones only."""
+        if self.joints <= count or self.key == "t":
+            return self
+        pattern = re.sub(
+            r"\{j(0?)\}", lambda m: f"{{{0 if m[1] else 1}..{count - bool(m[1])}}}", self.names[0]
+        )
+        one = len(self.names) == 1
+        names = (
+            (pattern if pattern != self.names[0] else f"{pattern}[:,0:{count}]",)
+            if one
+            else self.names[:count]
+        )
+        return replace(self, names=names, joints=count)
 
 
 def proposed_mapping(table: Table, joints: Sequence[str] = ()) -> tuple[str, str] | None:
@@ -77,8 +92,8 @@ def proposed_mapping(table: Table, joints: Sequence[str] = ()) -> tuple[str, str
     """
     # Quotes, and what a shell takes for its own, cannot be written between quotes.
     names = [n for n in table.columns if not is_wanted(n) and not re.search(r"[\"'`$\\!]", n)]
-    chosen = _chosen(table, names, joints)
-    if any(key not in chosen and not _own(table, key) for key in ("t", "q")) or not chosen:
+    chosen, clear = _chosen(table, names, joints)
+    if not chosen or ("q" not in chosen and not _own(table, "q")):
         return None
     silent = {key for key, group in chosen.items() if group.unit is None}
     units: dict[str, str] = {}
@@ -87,14 +102,23 @@ def proposed_mapping(table: Table, joints: Sequence[str] = ()) -> tuple[str, str
     remarks = [f"{', '.join(units.values())}: guessed from the numbers"] if units else []
     if any(group.labels and _placed(group, joints) is None for group in chosen.values()):
         remarks.append("joints in the order of the file")
+    if joints and "q" in chosen and (count := chosen["q"].joints) > len(joints):
+        chosen = {key: group.first(len(joints)) for key, group in chosen.items()}
+        remarks.append(f"the first {len(joints)} of {count} columns")
     text = _text(chosen, units)
     if "t" in chosen:
         text = _every_group(text, chosen["t"].names[0], names)
-    return text, "; ".join(remarks)
+        clear |= "*" in text
+    elif not _own(table, "t"):
+        text = f"t=HZ Hz,{text}"
+        remarks.append("HZ: samples a second")
+    return text, "; ".join(remarks if remarks or clear else ["several columns may be meant"])
 
 
-def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, _Group]:
-    """The group of each key, their joints in one order."""
+def _chosen(
+    table: Table, names: list[str], joints: Sequence[str]
+) -> tuple[dict[str, _Group], bool]:
+    """The group of each key, their joints in one order; and whether no other looks as good."""
     named = _named(names)
     whole = [g for g in _numbered(names) if not any(g.columns < other.columns for other in named)]
     named = [_placed(g, joints) or g for g in named]
@@ -104,6 +128,7 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
     if len(joints) < 2 and not any(_is_of(g, "q") for g in groups):
         groups = [*single, *groups]  # of the only joint
     chosen: dict[str, _Group] = {}
+    clear = True
     for key in ("t", "q", "dq", "tau", "i", "ql", "u"):
         fitting = [g for g in groups if _is_of(g, key)]
         if key == "q" and joints:
@@ -114,9 +139,10 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
             fitting = [g for g in fitting if not q.joints or g.joints in (0, q.joints)]
         if fitting and not _own(table, key):
             chosen[key] = max(fitting, key=lambda g: g.score)
+            clear &= len({g.names for g in fitting if g.score == chosen[key].score}) == 1
     if "tau" in chosen:
         chosen.pop("i", None)
-    return chosen
+    return chosen, clear
 
 
 def commanded_columns(table: Table) -> str | None:

@@ -16,7 +16,8 @@ factor `*0.001` (or ` /1000`), and at the end, after a space, what is added to t
     'Joint {j} (deg)'      a name with spaces, commas or brackets
 
 `*` in a source stands for anything, and every value of it is a trajectory (`demo_*/q`); `t=500 Hz`
-makes up the time where none is recorded; `none` leaves out what would be taken by its name.
+makes up the time where none is recorded; `none` leaves out what would be taken by its name, and
+`tau1=none` says that joint 1 has no torque sensor, whether or not there is a column for it.
 """
 
 import re
@@ -32,6 +33,8 @@ from torchid.log.units import UNITS, unit_factor
 from torchid.yaml_data import parsed_yaml
 
 KEYS = tuple(UNITS)
+SENSORLESS = re.compile(r"(?:tau|i)([1-9]\d*)")
+"""Key of a joint whose torque or current is not measured."""
 _ALIASES = {"current": "i", "time": "t"}
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FACTOR = re.compile(rf"(?:\s*\*|\s+/|(?<=\s(?:rev|deg|rpm|rad))/)\s*({_NUMBER}|\[[^\]]*\])\s*$")
@@ -166,7 +169,7 @@ def _listed(value: Any) -> list[Any]:
 
 def _key(text: str, name: str) -> str:
     key = _ALIASES.get(text.strip(), text.strip())
-    if key not in KEYS:
+    if key not in KEYS and not SENSORLESS.fullmatch(key):
         raise LogError(f"{name} maps an unknown column.", got=text.strip(), available=KEYS)
     return key
 
@@ -176,6 +179,8 @@ def _source(key: str, text: str) -> Source | None:
     rest = text.strip()
     if rest == "none":
         return None
+    if SENSORLESS.fullmatch(key):
+        raise LogError("of a single joint the mapping says only that there is none.", got=rest)
     offsets: tuple[float, ...] = (0.0,)
     if found := _OFFSET.search(rest):
         sign = -1.0 if found[1] == "-" else 1.0

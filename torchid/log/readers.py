@@ -231,7 +231,7 @@ def proposed_columns(path: Path, request: Request) -> tuple[str, str] | None:
     """
     found = require_log(path)
     try:
-        log_from_table(_table(found, path, request), None, request.joints)
+        log_from_table(_table(found, path, request), ColumnMapping({}), request.joints)
     except LogError:
         return proposed_mapping(_table(found, path, request), request.joints)
     return None

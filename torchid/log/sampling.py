@@ -17,7 +17,7 @@ import torch
 from torchid.errors import LogError
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
-from torchid.log.stamps import UNIFORM, off_grid, stamps_of, typical_step
+from torchid.log.stamps import ROUNDING, UNIFORM, off_grid, stamps_of, typical_step
 
 SAME_STEP = 0.01  # trajectories whose steps differ by less share one step
 SMALL_GAP = 3.0  # longer steps are counted as gaps, in steps
@@ -64,11 +64,12 @@ def resample(log: Log) -> Log:
 
 def at_rate(log: Log, rate: float) -> Log:
     """Trajectories on uniform grids, those sampled faster at a lower rate: low-passed without phase
-    so that nothing folds, and interpolated. What was done is said in the warnings.
+    so that nothing folds, and interpolated. Those that are within 1 % of it are interpolated only
+    where one rate must come of several. What was done is said in the warnings.
 
     Args:
         log: on a uniform grid, see `resample`.
-        rate: [Hz]; trajectories that are within 1 % of it stay as they are.
+        rate: [Hz]; trajectories that are all within 1 % of it and have one rate stay as they are.
 
     >>> import torch
     >>> t = torch.arange(5000, dtype=torch.float64) / 1000
@@ -79,17 +80,17 @@ def at_rate(log: Log, rate: float) -> Log:
     """
     pieces: list[Log] = []
     warnings: list[str] = []
+    near, one = (1.0 + SAME_STEP) * rate, (1.0 + ROUNDING) * min(log.rates)
+    if max(log.rates) <= min(near, one):
+        return log
     for piece, own in zip(log.trajectories(), log.rates, strict=True):
-        if own <= (1.0 + SAME_STEP) * rate:
-            pieces.append(piece)
-            continue
-        low = ZeroPhaseFilter(own, BELOW_NYQUIST * rate)
-        signals: dict[str, Any] = {k: low.apply(x.T).T for k, x in piece.signals.items()}
+        signals: dict[str, Any] = {}
+        if own > near:
+            low = ZeroPhaseFilter(own, BELOW_NYQUIST * rate)
+            signals = {k: low.apply(x.T).T for k, x in piece.signals.items()}
         name = piece.names[0]
         warnings.append(f"{name}: sampled at {own:.4g} Hz, and resampled to {rate:.4g} Hz.")
         pieces.append(_onto_grid(piece.replace(**signals), 1.0 / rate, []))
-    if not warnings:
-        return log
     everything = tuple(dict.fromkeys([*log.warnings, *warnings]))
     return Log.concatenate(pieces).replace(source=log.source, warnings=everything)
 

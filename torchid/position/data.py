@@ -12,14 +12,13 @@ from torchid.log.checks import (
     DEGREES,
     SLOW_STEP_S,
     check_joints,
-    largest_angle,
     own_units,
 )
 from torchid.log.model import Log
 from torchid.log.stamps import check_increasing
 from torchid.position.rods import with_rods
 from torchid.robot.inertia import InertialParameters
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS
 from torchid.simulation.servo_loop import Body, Tracks, Windows, body_near
 from torchid.statistics.criteria import BODY_STD
@@ -336,8 +335,8 @@ def prepare(
         all_rows: whether a fast log is taken as it is, and not at `RATE`.
 
     Raises:
-        LogError: other joints than the robot's, as `tracks_of`, positions that are not finite or
-            in degrees, no joint that moves, or less than `SHORTEST_S`.
+        LogError: other joints than the robot's, as `tracks_of`, positions that are not finite, no
+            joint that moves, or less than `SHORTEST_S`.
     """
     check_joints(log, robot.name, robot.n)
     if not bool(log.q.isfinite().all()):
@@ -350,17 +349,6 @@ def prepare(
         )
     scale = scale_of(log) if scale is None else scale
     tracks = tracks_of(log, scale)
-    for j, kind in enumerate(robot.joint_types):
-        limits = robot.limits.position
-        most = largest_angle(None if limits is None else limits[j])
-        reached = float((log.q[:, j] * scale[j]).abs().max())
-        if kind is JointType.REVOLUTE and reached > most:
-            raise LogError(
-                f"{log.label}: q{j + 1} looks like degrees.",
-                got=f"up to {reached:.4g}",
-                expected=f"radians, at most {most:.3g} for this joint",
-                hint='`columns="q=q{j} deg,u=u{j} deg"`',
-            )
     if sum(log.duration) < SHORTEST_S:
         raise LogError(
             f"{log.label} is too short to tell servos from.",

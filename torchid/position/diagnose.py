@@ -265,7 +265,7 @@ def _changes(
             was, now = (
                 x / float(one.of("kp")[j]) for x, one in ((was, start.servos), (now, known.servos))
             )
-        log = p.kind == "log" and min(now, was) > 0
+        log = p.kind == "log" and 0 < min(now, was) <= max(now, was) < math.inf
         apart = abs(math.log(now / was)) if log else abs(now - was)
         if new and not (std < OPEN if p.kind == "log" else abs(now - was) > MOVED_STD * std):
             continue  # nothing, as far as the log says

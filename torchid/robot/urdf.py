@@ -110,6 +110,10 @@ def urdf_tree(root: Any, source: str, warnings: list[str]) -> Tree:
         joints[joint.name] = joint
     if not links:
         raise RobotError(f"{source}: the robot has no links.")
+    if "world" not in links and any(joint.parent == "world" for joint in joints.values()):
+        links["world"] = None
+        root.append(root.makeelement("link", {"name": "world"}))
+        warnings.append("its link 'world' is nowhere declared: taken for what the base stands on")
     # A sentence on limits of 0, which exporters write when nothing was entered.
     limited = [
         (joint, limit)

@@ -16,14 +16,16 @@ from torchid.log.model import Log
 from torchid.robot.model import Robot
 
 
-def pose(robot: Robot, log: Log, held_out: Log | None, settings: GapSettings) -> Problem:
+def pose(
+    robot: Robot, log: Log, held_out: Log | None, settings: GapSettings, force: bool = False
+) -> Problem:
     """The gap of a robot's model on a log.
 
     Raises:
         LogError: logs that do not fit the robot or cannot be used.
     """
     # Trajectories, what they repeat, and which of them are held out together.
-    data, judged = read(robot, log, held_out, settings)
+    data, judged = read(robot, log, held_out, settings, force)
     repeats = find_repeats(data.segments)
     folds = make_folds(data.samples, settings.folds, repeats.groups(len(data.segments)))
     # What is looked for, and the model whose gap is to be explained.

@@ -1,0 +1,106 @@
+"""Single axes by formula: what turns on, and a loop over position."""
+
+import numpy as np
+import pytest
+
+import torchid
+from tests.arms import single_axis
+from tests.marks import some
+
+
+def turning(seconds: float = 40.0, *, velocity: bool = True) -> torchid.Log:
+    """A motor of 1.2 g m^2 with dry friction .1 N m and viscous .002 N m s, up to 150 rad/s and
+    1,500 rad away."""
+    t = np.arange(0.0, seconds, 1 / 200)
+    q = 40 * t - 180 * np.cos(0.5 * t) - 20 / 1.3 * np.cos(1.3 * t)
+    dq = 40 + 90 * np.sin(0.5 * t) + 20 * np.sin(1.3 * t)
+    ddq = 45 * np.cos(0.5 * t) + 26 * np.cos(1.3 * t)
+    noise = 0.002 * np.random.default_rng(0).standard_normal(len(t))
+    tau = 1.2e-3 * ddq + 0.1 * np.tanh(dq / 0.5) + 0.002 * dq + noise
+    return torchid.Log(t, q[:, None], dq=dq[:, None] if velocity else None, tau=tau[:, None])
+
+
+@pytest.mark.parametrize("velocity", [True, False])
+def test_a_motor_that_turns_on_is_no_fault(velocity):
+    result = torchid.examine(single_axis(), turning(velocity=velocity))
+    assert result.silent
+    assert result.repairs == ()
+
+
+@pytest.mark.slow
+def test_friction_of_a_motor_that_turns_on():
+    settings = torchid.GapSettings(rollout=False)
+    found = torchid.diagnose(single_axis(), turning(), settings=settings)
+    sizes = {c.effect: c.sizes[0].value for c in found.answer.causes}
+    assert sizes == {
+        "viscous_friction": pytest.approx(0.002, rel=0.01),
+        "coulomb_friction": pytest.approx(0.1, rel=0.02),
+    }
+    assert not found.doubt
+
+
+def steps(q: np.ndarray, length: float, bent: bool) -> np.ndarray:
+    """A loop over position between -1 and 1: along a line, or as Dahl's friction bends."""
+    z = np.zeros(len(q))
+    for k, change in enumerate(np.diff(q) / length, start=1):
+        end = np.sign(change)
+        line = np.clip(z[k - 1] + change, -1.0, 1.0)
+        z[k] = end + (z[k - 1] - end) * np.exp(-abs(change)) if bent else line
+    return z
+
+
+def looping(length: float = 0.004, *, bent: bool = False, amplitudes=(0.012, 0.018, 0.030)):
+    """A slide with 6 kN of friction that builds up over 4 mm."""
+    t, random, logs = np.arange(0.0, 20.0, 1 / 200), np.random.default_rng(0), []
+    for amplitude in amplitudes:
+        q = amplitude * (np.sin(np.pi * t) + 0.2 * np.sin(1.07 * t))
+        noise = 20 * random.standard_normal(len(t))
+        tau = 6000 * steps(q, length, bent) + noise
+        logs.append(torchid.Log(t, q[:, None], tau=tau[:, None]))
+    return torchid.Log.concatenate(logs)
+
+
+def late(seconds: float):
+    """Plain friction on the same slide, logged late."""
+    t, random, logs = np.arange(0.0, 20.0, 1 / 200), np.random.default_rng(1), []
+    for amplitude in (0.012, 0.018, 0.030):
+        q = amplitude * (np.sin(np.pi * t) + 0.2 * np.sin(1.07 * t))
+        s = t - seconds
+        dq = amplitude * (np.pi * np.cos(np.pi * s) + 0.2 * 1.07 * np.cos(1.07 * s))
+        noise = 20 * random.standard_normal(len(t))
+        tau = 800 * np.tanh(dq / 0.002) + 2000 * dq + noise
+        logs.append(torchid.Log(t, q[:, None], tau=tau[:, None]))
+    return torchid.Log.concatenate(logs)
+
+
+LOOPS = {
+    "a line": looping(),
+    "bristles": looping(0.006, bent=True),
+    "bristles longer than the way": looping(0.03, bent=True),
+    "one amplitude": looping(0.006, bent=True, amplitudes=(0.02,)),
+}
+
+
+@pytest.mark.parametrize("kind", some(LOOPS, 1))
+def test_a_loop_over_position_is_no_lag(kind):
+    result = torchid.examine(single_axis("P", mass=5.0), LOOPS[kind], first=True)
+    assert [c.name for c in result.checks if c.verdict == "wrong"] == []
+    (lag,) = [c for c in result.checks if c.name == "lag"]
+    assert lag.verdict == "fine"
+    assert "a loop over position explains more" in lag.evidence
+
+
+@pytest.mark.parametrize("seconds", some([0.02, 0.15], 1))
+def test_a_lag_is_still_a_lag(seconds):
+    result = torchid.examine(single_axis("P", known=False), late(seconds), first=True)
+    (lag,) = [c for c in result.checks if c.name == "lag"]
+    assert lag.verdict == "wrong"
+    assert lag.estimate == pytest.approx(seconds, abs=0.002)
+
+
+@pytest.mark.slow
+def test_a_loop_over_position_is_presliding_hysteresis():
+    settings = torchid.GapSettings(rollout=False)
+    found = torchid.diagnose(single_axis("P", mass=5.0), looping(), settings=settings)
+    assert [c.effect for c in found.answer.causes] == ["presliding_hysteresis"]
+    assert not found.doubt
