@@ -99,7 +99,7 @@ def check_position_unit(robot: Robot, log: Log, fixes: Collection[str] = ()) -> 
     if odd is not None:
         text, possible = odd
         check = judged("position unit", "wrong", text, joints)
-        own = Choice.by("unit of its own", _OWN_UNIT)
+        own = Choice("unit of its own", _OWN_UNIT)
         choices = [Choice.by("degrees", *repairs), own] if possible else [own]
         return with_choices(check, choices, fixes)
     ask = f"say how many counts make a turn in {joint_list(unknown)}: q=q{{j}} rev/COUNTS -ZERO"
