@@ -111,9 +111,10 @@ class Finding:
         changed: coefficients that the model knew otherwise; none of an effect that is new.
         replication: whether it is the same in every motion.
         one_of_a_set: whether it is the likeliest of a set none of which is likely by itself.
-        share: of the error that it closes in its turn: at every turn that cause joins which closes
-            most, all refitted, so that the shares add up to that of the answered model.
-        first: share of the error that it closes alone.
+        share: of the error that it takes away, the mean over all orders in which causes may join
+            (`torchid.gap.search.shares`), so that the shares add up to that of the answered model.
+        alone: share of the error that it takes away by itself.
+        removes: (n,) what it takes away of each joint's error [N m; N]; they add up, too.
         notes: sentences, e.g. a coefficient that is not determined.
         common: whether one coefficient is common to all joints.
     """
@@ -126,7 +127,8 @@ class Finding:
     p_value: float
     how_sure: float
     share: float
-    first: float
+    alone: float
+    removes: tuple[float, ...]
     notes: tuple[str, ...] = ()
     common: bool = False
     one_of_a_set: bool = False
@@ -189,6 +191,11 @@ class HowFar:
     closed_ci95: tuple[float, float] | None
     rollout: Rollout | None = None
     motions: tuple[SimulatedMotion, ...] = ()
+
+    @property
+    def less(self) -> float:
+        """Share of the error that is gone, whatever of it is noise; none where it grows."""
+        return max(0.0, float(1 - self.rms_after.norm() / self.rms_before.norm()))
 
 
 def _link(changed: Parametric) -> FoundEffect:

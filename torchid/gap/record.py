@@ -129,7 +129,7 @@ class FoundEffect(Part, frozen=True, kw_only=True):
         located: joints that it acts at; none of one that belongs to the whole arm.
         ambiguous_with: names of effects the data do not separate it from.
         parameters: coefficients, shapes and places.
-        p_value, how_sure, one_of_a_set, share, first: as Finding's.
+        p_value, how_sure, one_of_a_set, share, alone, removes: as Finding's.
         std, unit: of the coefficients, and units of shapes too.
         shape, places: which of the parameters are shapes, and which places.
         changed: coefficients that the model knew otherwise; none of an effect that is new.
@@ -153,7 +153,8 @@ class FoundEffect(Part, frozen=True, kw_only=True):
     shape: tuple[str, ...]
     places: tuple[str, ...]
     share: float | None = None
-    first: float | None = None
+    alone: float | None = None
+    removes: tuple[Real, ...] = ()
     changed: tuple[KnownCoefficient, ...] = ()
     replication: Replication | None = None
     meaning: str = ""
@@ -175,6 +176,7 @@ class FoundEffect(Part, frozen=True, kw_only=True):
             how_sure=self.how_sure,
             ambiguous_with=self.ambiguous_with,
             closes=math.nan if self.share is None else self.share,
+            alone=math.nan if self.alone is None else self.alone,
             remedy=self.remedy,
         )
 
@@ -273,7 +275,8 @@ class Parametric(Part, frozen=True):
 
     Attributes:
         links: empty for all base parameters.
-        share, p_value, how_sure: as Finding's; None where the parameters are always refitted.
+        share, p_value, how_sure, alone, removes: as Finding's; p_value and how_sure are None where
+            the parameters are always refitted.
         ambiguous_with: names of effects.
         all_base_parameters: whether there is no link.
     """
@@ -283,6 +286,8 @@ class Parametric(Part, frozen=True):
     p_value: float | None
     ambiguous_with: tuple[str, ...] = ()
     how_sure: float | None = None
+    alone: float | None = None
+    removes: tuple[Real, ...] = ()
     all_base_parameters: bool = False
 
     def __post_init__(self) -> None:

@@ -85,7 +85,9 @@ class Cause(Part, frozen=True, kw_only=True):
         sizes: its numbers.
         how_sure: probability of it, or of the set with `ambiguous_with`; None where none is known.
         ambiguous_with: effects that this log cannot separate from it.
-        closes: share of the error that it closes, in the order of the causes [1].
+        closes: share of the error that it takes away, the mean over all orders of the causes; the
+            shares of all causes add up [1].
+        alone: the share that it takes away by itself [1].
         remedy: what to do, one sentence.
     """
 
@@ -95,6 +97,7 @@ class Cause(Part, frozen=True, kw_only=True):
     how_sure: float | None = None
     ambiguous_with: tuple[str, ...] = ()
     closes: Real = math.nan
+    alone: Real = math.nan
     remedy: str = ""
 
     @property

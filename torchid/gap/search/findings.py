@@ -14,7 +14,7 @@ from torchid.effects.registry import KINDS
 from torchid.effects.spring import JointSpring
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
-from torchid.gap.diagnosis import Finding, unit_of
+from torchid.gap.diagnosis import Finding, HowFar, unit_of
 from torchid.gap.record import Experiment, Informative, Parametric
 from torchid.gap.search.climb import MOVES_TRIED, candidate_moves
 from torchid.gap.search.evidence import (
@@ -23,7 +23,6 @@ from torchid.gap.search.evidence import (
     common_names,
     comparable,
     directions,
-    greedy_shares,
     log_likelihood_ratio,
     refit,
     refit_each,
@@ -32,6 +31,7 @@ from torchid.gap.search.evidence import (
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.odds import Misfit, Odds, odds
 from torchid.gap.search.replication import OwnTorque, own_torque, replication
+from torchid.gap.search.shares import Shares
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excluding
 from torchid.results.answer import NotTestable
 from torchid.robot.inertia import InertialParameters
@@ -117,26 +117,30 @@ class Findings:
     rivals: tuple[tuple[float, Term, Term], ...]
 
 
-def describe_findings(found: Explanation, judged: Sequence[Judged], closed: float) -> Findings:
+def describe_findings(
+    found: Explanation, judged: Sequence[Judged], taken: Shares, far: HowFar
+) -> Findings:
     """Findings of an explanation, each with what it cannot be told from.
 
     Args:
         found: the explanation.
         judged: its terms.
-        closed: share of the error that they close together.
+        taken: what each takes of the error.
+        far: how far all of them close it together.
     """
-    question, fit, fixed = found.question, found.fit, len(found.question.fixed)
+    question, fixed = found.question, len(found.question.fixed)
     samples = question.candidates.columns.samples
-    shares, firsts = greedy_shares(question, fit, found.terms)
+    shares, alone = taken.of_all(far.less)
+    removes = taken.of_bars(far.rms_before, far.rms_after).tolist()
     effects, parametric, undecided, rivals = [], [], [], []
     for k, (term, one) in enumerate(zip(found.terms, judged, strict=True)):
-        share, first = closed * shares[k], closed * firsts[k]
         names = tuple(dict.fromkeys(LINK if t.name == BASE else t.name for _, t in one.others))
         rivals += [(r, term, other) for r, other in one.others if r > -2 * math.log(SET_ODDS)]
         p = p_value(question, *_without_bodies(found, one), term)
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()
-            parametric.append(Parametric(links, share, p, names, one.sure))
+            took = alone[k], tuple(removes[k])
+            parametric.append(Parametric(links, shares[k], p, names, one.sure, *took))
             continue
         separable = _separable(found, one)
         if separable is not None:
@@ -154,8 +158,9 @@ def describe_findings(found: Explanation, judged: Sequence[Judged], closed: floa
                 how_sure=one.sure,
                 one_of_a_set=one.one_of_a_set,
                 replication=replication(one.own, found.solution, fixed + k, samples),
-                share=share,
-                first=first,
+                share=shares[k],
+                alone=alone[k],
+                removes=tuple(removes[k]),
                 notes=_notes(found, term, own[0], values, std),
                 common=len(own) > 1,
             )

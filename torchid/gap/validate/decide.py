@@ -31,12 +31,6 @@ class Decision:
     least: Float[Tensor, " n"]
     taken_back: bool
 
-    @property
-    def closed(self) -> float:
-        """Share of the error that is closed; none where it grows."""
-        far = self.checked.far
-        return max(0.0, float(1 - far.rms_after.norm() / far.rms_before.norm()))
-
 
 def decide(found: Explanation, problem: Problem) -> Decision:
     """Without what makes a fold worse that it was not fitted on, and what is least likely there, if
