@@ -52,7 +52,8 @@ def cause_table(record: GapRecord | PositionRecord) -> Table:
     columns = ("effect", "joints", "value", "could also be", "removes", "sure", "found in")
     note = (
         "or: could also be; removes: share of the error that this cause takes away, the mean over "
-        "all orders in which the causes may join (shares add up), and by itself; found in: motions with the same size, of those that can show it"
+        "all orders in which the causes may join (shares add up), and by itself; found in: motions "
+        "with the same size, of those that can show it"
     )
     return Table("which: causes of the error (value ± std)", columns, rows, "lllp", note)
 
