@@ -14,11 +14,13 @@ QUICK := -m "not slow and not nightly and not real"
 # made twice. In the first half annotations are checked where shapes are the subject.
 SHAPES := design dynamics effects robot statistics
 HALF := $(addprefix tests/,$(SHAPES) excitation export extraction feasibility log parallel simulation \
-  simulators wrenches test_types_are_checked.py)
+  simulators torchid_study/equal_torque/test_sample.py torchid_study/wrenches wrenches \
+  test_types_are_checked.py)
+PACKAGES := torchid torchid_study torchid_bench
 SHELL := bash
 .SHELLFLAGS := -o pipefail -c
 
-.PHONY: demo test test-one test-two test-slow nightly criteria golden durations coverage lint format docs docs-site fuzz test-lowest test-newest bench clean
+.PHONY: demo test test-one test-two test-slow nightly zoo criteria golden durations coverage lint format docs docs-site fuzz test-lowest test-newest bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
@@ -41,15 +43,22 @@ test-slow: $(VENV)/.dev
 # tests draw from a seed of the day, which pytest prints; SEED=20261126 repeats that night's.
 nightly: SEED ?= $(shell date +%Y%m%d)
 nightly: $(VENV)/.dev
-	TORCHID_TYPES=torchid $(PYTEST) $(TWO) $(QUICK) --hypothesis-seed=$(SEED)
+	TORCHID_TYPES="torchid torchid_study torchid_bench.withheld" $(PYTEST) $(TWO) $(QUICK) --hypothesis-seed=$(SEED)
 	TORCHID_SEED=$(SEED) $(PYTEST) $(TWO) -m nightly --hypothesis-seed=$(SEED)
+	$(MAKE) --no-print-directory zoo
+
+# Public logs of real arms, with the commands that their owners would type and what is known of them:
+# half an hour of CPU, and one line where the logs are absent. What is in build/zoo is not run again; an
+# answer that is surely wrong, a good log refused, and a crash are errors. ROWS=emps,kuka are some.
+zoo: $(VENV)/.dev
+	$(BIN)/python -m torchid_bench.benchmarks.zoo --jobs $(shell nproc) --page docs/zoo.md $(if $(ROWS),--rows $(ROWS))
 
 # What doubling and halving the numbers that decide an answer does to simulated cases: hours.
 criteria: COUNT ?= 60
 criteria: $(VENV)/.dev
 	rm -rf build/cases && mkdir -p build
 	$(BIN)/torchid withheld make --out build/cases --cases $(COUNT) --seed 5757 --quiet
-	$(BIN)/python benchmarks/criteria.py build/cases --jobs $(shell nproc) --out build/criteria.md
+	$(BIN)/python -m torchid_bench.benchmarks.criteria build/cases --jobs $(shell nproc) --out build/criteria.md
 
 # Answers to twelve small logs beside the stored ones: code that was only moved changes none of them.
 golden: $(VENV)/.dev
@@ -62,7 +71,7 @@ durations: $(VENV)/.dev
 	$(BIN)/python -m tests.durations
 
 coverage: $(VENV)/.dev
-	$(PYTEST) $(TWO) $(QUICK) --cov=torchid --cov-branch --cov-report=term
+	$(PYTEST) $(TWO) $(QUICK) $(addprefix --cov=,$(PACKAGES)) --cov-branch --cov-report=term
 
 # The same with other versions of what torchid needs: the lowest that pyproject.toml allows, and the
 # newest that there are, each in an environment of its own. TORCH=torch==2.13.0 takes that torch;
@@ -98,9 +107,9 @@ docs: $(VENV)/.dev
 docs-site: $(VENV)/.dev
 	$(BIN)/python -m sphinx -b html -E -W --keep-going -q -c docs . build/site
 
-# Torchid beside its peers, a minute or two; what became a fifth slower than benchmarks/ratios.json is printed.
+# Torchid beside its peers, a minute or two; what became a fifth slower than torchid_bench/benchmarks/ratios.json is printed.
 bench: $(VENV)/.dev
-	$(BIN)/python benchmarks/ratios.py --compile
+	$(BIN)/python -m torchid_bench.benchmarks.ratios --compile
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

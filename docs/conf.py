@@ -42,7 +42,7 @@ NAVIGATION = {
     "Tutorial": ("tutorial",),
     "How to": ("your-log", "lerobot", "your-quadruped", "log-doctor", "python", "export", "pair",
                "report", "compare", "fleet", "next-experiment"),
-    "Reference": ("robots", "effects", "glossary", "equations", "results", "gap-results",
+    "Reference": ("robots", "effects", "glossary", "equations", "results", "zoo", "gap-results",
                   "position-results", "speed", "withheld", "trust", "api/*", "../CHANGELOG"),
     "Explanation": ("concepts", "knowledge", "equal-torque", "design", "../CONTRIBUTING"),
 }  # fmt: skip

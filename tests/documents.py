@@ -5,10 +5,18 @@ import shlex
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("torchid", "torchid_study", "torchid_bench")
+"""That come with one installation."""
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _INLINE = re.compile(r"`[^`\n]*`")
 _LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+
+
+def sources() -> list[Path]:
+    """The packages' modules, but for benchmarks, which are scripts."""
+    every = (path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
+    return sorted(path for path in every if path.parent.name != "benchmarks")
 
 
 def blocks(page: Path, language: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Lines of code of the package by room, beside the budget that each may have.
+"""Lines of code of torchid by room beside the budget of each; a package beside torchid is a room.
 
 python -m tests.rooms [--write]
 
@@ -14,7 +14,7 @@ import tomllib
 from collections import Counter
 from pathlib import Path
 
-from tests.documents import ROOT
+from tests.documents import PACKAGES, ROOT, sources
 
 BUDGETS = Path(__file__).with_suffix(".toml")
 _NO_CODE = {
@@ -36,12 +36,12 @@ def code_lines(text: str) -> int:
 
 
 def rooms() -> Counter[str]:
-    """Lines of code of each room; files of the package's top are the room `top`."""
+    """Lines of code of each room: folders of torchid, files of its top as `top`, other packages."""
     found: Counter[str] = Counter()
-    package = ROOT / "torchid"
-    for path in sorted(package.rglob("*.py")):
-        parts = path.relative_to(package).parts
-        found[parts[0] if len(parts) > 1 else "top"] += code_lines(path.read_text())
+    for path in sources():
+        package, *folders = path.relative_to(ROOT).parts[:-1]
+        room = package if package != "torchid" else folders[0] if folders else "top"
+        found[room] += code_lines(path.read_text())
     return found
 
 
@@ -65,12 +65,14 @@ def main() -> None:
     found = rooms()
     if parser.parse_args().write:
         lines = [f"{room} = {-(-lines // 10) * 10}" for room, lines in sorted(found.items())]
-        head = "# Lines of code that a room of torchid/ may have (tests/rooms.py)."
+        head = "# Lines of code that a room may have (tests/rooms.py)."
         BUDGETS.write_text("\n".join([head, *lines, ""]))
     allowed = budgets()
     for room, lines in sorted(found.items(), key=lambda item: -item[1]):
         print(f"{lines:6d} of {allowed.get(room, 0):6d}  {room}")
-    print(f"{sum(found.values()):6d} of {sum(allowed.values()):6d}  lines of code")
+    for of, rooms_of in (("torchid", found.keys() - PACKAGES), ("all packages", found.keys())):
+        lines, budget = (sum(n.get(room, 0) for room in rooms_of) for n in (found, allowed))
+        print(f"{lines:6d} of {budget:6d}  lines of code of {of}")
     if wrong := above(found, allowed):
         raise SystemExit("above budget: " + "; ".join(wrong))
 

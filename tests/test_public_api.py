@@ -16,7 +16,7 @@ import pytest
 import torch
 
 import torchid
-from tests.documents import ROOT
+from tests.documents import PACKAGES, ROOT, sources
 from torchid.next_motion.settings import MotionSettings
 from torchid.robot.model import Robot
 
@@ -94,7 +94,7 @@ def _held(thing: object) -> set[type]:
         while hints:
             hint = hints.pop()
             hints += typing.get_args(hint)
-            if inspect.isclass(hint) and hint.__module__.startswith("torchid."):
+            if inspect.isclass(hint) and hint.__module__.partition(".")[0] in PACKAGES:
                 found.add(hint)
     return found
 
@@ -178,8 +178,7 @@ def _messages(source: str) -> list[str]:
 def test_messages_speak_of_arguments() -> None:
     """Only the command line has options; a message elsewhere names one in a whole command, or
     beside what it is in Python."""
-    modules = list(Path(torchid.__file__).parent.rglob("*.py"))
-    below = [p for p in modules if not {"app", "report"} & set(p.parts)]
+    below = [p for p in sources() if not {"app", "report"} & set(p.parts)]
     assert len(below) > 200
     option = re.compile(r"(?<![\w-])--[a-z]")
     both = ("torchid ", "on the command line", "Log.with_torque", "xcode-select")

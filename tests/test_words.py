@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.documents import ROOT, blocks, prose
+from tests.documents import ROOT, blocks, prose, sources
 
 GLOSSARY = ROOT / "docs/glossary.md"
 README = ROOT / "README.md"
@@ -84,7 +84,7 @@ def test_the_readme_is_short() -> None:
 def _strings() -> list[tuple[str, str]]:
     """What the program prints: strings of its sources that are no docstrings, with their places."""
     out = []
-    for path in sorted((ROOT / "torchid").rglob("*.py")):
+    for path in sources():
         tree = ast.parse(path.read_text())
         alone = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
         out += [

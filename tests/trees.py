@@ -16,7 +16,7 @@ from torchid.log.model import Log
 from torchid.robot.library import load_robot
 from torchid.robot.model import JointType, Limits, Mimic, Robot, Tip
 from torchid.robot.placement import pose
-from torchid.withheld.plant.arms import arm_named, urdf
+from torchid_bench.withheld.plant.arms import arm_named, urdf
 
 _BODY = (
     '<inertial><origin xyz="0.02 -0.01 {reach}" rpy="0.1 0.2 0.3"/><mass value="{mass}"/>'

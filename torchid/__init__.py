@@ -6,9 +6,11 @@ still be made before torch loads. Their types are in __init__.pyi.
 
 from importlib import import_module
 
+from torchid.other_packages import PUBLIC
+
 __version__ = "0.3.0"
 
-_PUBLIC = {
+_PUBLIC = PUBLIC | {
     "Robot": "torchid.robot.model",
     "InertialParameters": "torchid.robot.inertia",
     "load_robot": "torchid.robot.library",
@@ -40,8 +42,6 @@ _PUBLIC = {
     "ParameterSets": "torchid.feasibility.sets",
     "read_sets": "torchid.feasibility.sets",
     "check": "torchid.feasibility.record",
-    "equal_torque_study": "torchid.study.equal_torque.study",
-    "compare_wrenches": "torchid.study.equal_torque.given_sets",
     "export_dynamics": "torchid.export.export",
     "correct": "torchid.export.correct",
     "randomise": "torchid.export.randomise",

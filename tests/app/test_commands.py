@@ -308,7 +308,7 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path, more: tuple[str, ...])
     ("arguments", "module"),
     [
         (("fleet", "identify", "panda", "logs", "--workers", "4"), "torchid.fleet.tasks"),
-        (("study", "3r", "--workers=2"), "torchid.study.study"),
+        (("study", "3r", "--workers=2"), "torchid_study.study"),
         (("fleet", "identify", "panda", "logs"), None),
         (("gap", "panda", "--workers", "4"), None),
         ((), None),

@@ -7,12 +7,13 @@ import pytest
 
 from torchid.files import write_text
 from torchid.results.files import load
+from torchid.robot.config_files import config_folder
+from torchid.robot.library import load_robot
 from torchid.withheld.demo import demonstrate, withheld_cause, write_files
-from torchid.withheld.plant.arms import arm_named
 
 
 def test_causes_differ_by_their_seeds_and_are_those_of_their_seed() -> None:
-    arm = arm_named("6r")
+    arm = load_robot(config_folder("demonstration") / "arm.urdf")
     drawn = [withheld_cause(arm, seed) for seed in range(60)]
     assert drawn == [withheld_cause(arm, seed) for seed in range(60)]
     assert len({cause["effect"] for cause in drawn}) == 4

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from tests.arms import arm
-from tests.documents import ROOT
+from tests.documents import ROOT, sources
 from tests.export.arms import exported, with_other
 from tests.simulation.bodies import bare, reference
 from torchid.digits import number
@@ -143,9 +143,9 @@ def test_no_other_source_file_knows_them():
     """But the withheld plant, which shares nothing with the library, and had a ripple before."""
     folder = ROOT / "torchid"
     others = [
-        path.relative_to(folder).as_posix()
-        for path in sorted(folder.rglob("*.py"))
-        if path.parent not in (folder / "effects", folder / "withheld" / "plant")
+        path.relative_to(ROOT).as_posix()
+        for path in sources()
+        if path.parent not in (folder / "effects", ROOT / "torchid_bench/withheld/plant")
         and any(word in path.read_text() for word in (*NEW, "MotorRipple", "PositionDependent"))
     ]
     assert others == []

@@ -5,8 +5,8 @@ from lxml import etree
 from lxml.builder import E
 
 from torchid.robot.library import load_robot
-from torchid.withheld.plant.arms import arm_named, spaced, urdf
-from torchid.withheld.plant.bodies import Box
+from torchid_bench.withheld.plant.arms import arm_named, spaced, urdf
+from torchid_bench.withheld.plant.bodies import Box
 
 TURN = {"x": "0 1.5707963267948966 0", "y": "1.5707963267948966 0 0", "z": "0 0 0"}
 

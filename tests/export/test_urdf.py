@@ -184,7 +184,7 @@ def test_a_branch_off_the_chain_keeps_its_inertials_and_is_told(tmp_path):
     robot = load_robot(original, tip="l4")
     done = exported(with_other(robot), "urdf", tmp_path, original, tip="l4")
     assert any("count twice" in note for note in done.notes)
-    assert all(c.ok for c in done.comparisons)
+    assert all(c.ok is not False for c in done.comparisons)
     aside = [c for c in done.comparisons if "left aside" in c.note]
     assert len(aside) == 2
     root = etree.parse(str(done.files[0])).getroot()

@@ -132,7 +132,8 @@ def test_what_is_unchanged_is_not_computed_again(found, model, logs, store, monk
 def test_parts_of_a_batch_system_make_the_whole(found, model, logs, tmp_path, monkeypatch) -> None:
     place = Store(str(tmp_path))
     parts = [reduce_fleet(model, logs, place, part=(i, 3)) for i in (1, 2, 3)]
-    assert sorted(a.log for part in parts for a in part) == sorted(logs)
+    answered = [FleetLog(a.unit, a.session, a.log) for part in parts for a in part]
+    assert sorted(answered) == sorted(logs)
     monkeypatch.setattr(tasks, "_reduced", None)
     assert fleet_identify(model, logs, store=place).plain() == found.plain()
     with pytest.raises(TorchidError, match="no such part"):
@@ -158,7 +159,7 @@ def test_damaged_logs_are_rows_and_stop_nothing(model, logs, store, found, tmp_p
     more = [FleetLog("arm-bad", name, str(tmp_path / name)) for name in (*bad, "copy.parquet")]
     more.append(FleetLog("arm-bad", "none", str(tmp_path / "none.parquet")))
     whole = fleet_identify(model, [*logs, *more], store=store)
-    rows = {a.log.session: a for a in whole.logs if a.log.unit == "arm-bad"}
+    rows = {a.session: a for a in whole.logs if a.unit == "arm-bad"}
     assert {a.verdict for a in rows.values()} == {"refused"}
     assert "0 bytes" in rows["empty.parquet"].evidence[0]
     assert "same content as" in rows["copy.parquet"].evidence[0]

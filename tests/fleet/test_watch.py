@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import msgspec
 import pytest
 
 from tests.fleet.simulated import Plan, make, session_name, typical, unit_name
@@ -43,7 +44,7 @@ def test_a_temperature_that_went_along_takes_the_blame(fleet) -> None:
     """Warm since the change: what both explain is no one's, and no alarm."""
     late = [session_name(s) for s in range(4, 7)]
     warm = [
-        dataclasses.replace(a, temperature=38.0 if a.log.session in late else 24.0)
+        msgspec.structs.replace(a, temperature=38.0 if a.session in late else 24.0)
         for a in fleet.logs
     ]
     found = watch(dataclasses.replace(fleet, logs=tuple(warm)), every=100)
@@ -58,7 +59,7 @@ def test_a_temperature_is_read_from_the_log(fleet, tmp_path) -> None:
 
     from torchid.fleet.reading import temperature_of
 
-    path = fleet.logs[0].log.path
+    path = fleet.logs[0].log
     from pathlib import Path
 
     assert temperature_of(Path(path)) is None

@@ -50,7 +50,7 @@ def names(found: TorqueDiagnosis) -> set[tuple[str, tuple[int, ...]]]:
 
 
 def contradictions() -> ModuleType:
-    path = Path(__file__).resolve().parents[2] / "benchmarks" / "gap_consistent.py"
+    path = Path(__file__).resolve().parents[2] / "torchid_bench/benchmarks/gap_consistent.py"
     spec = importlib.util.spec_from_file_location("gap_consistent", path)
     assert spec is not None
     assert spec.loader is not None

@@ -8,11 +8,13 @@ from typing import get_args
 import pytest
 import torch
 
+import torchid
 from tests.arms import mixed_arm
 from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis
 from torchid.effects.friction import ViscousFriction
 from torchid.effects.registry import effect_from_record
 from torchid.gap.record import Parametric, RegimeGap, Status
+from torchid.gap.settings import GapSettings
 from torchid.json_data import plain
 
 
@@ -37,6 +39,19 @@ def test_keys_of_the_contract(status):
         assert {"effect", "joint", "smallest_detectable"} <= set(entry)
     assert "next_experiment" in data
     assert data["settings"]["only"] is None
+    assert list(data["settings"]) == [*vars(GapSettings()), "refitted"]
+
+
+def test_settings_of_an_older_file_are_not_judged_again(tmp_path):
+    """They may name effects that are no more, and do not say whether parameters were refitted."""
+    data = diagnosis().plain()
+    data["settings"] |= {"effects": ["no_more"], "parameters": "free"}
+    del data["settings"]["refitted"]
+    (tmp_path / "gap.json").write_text(json.dumps(data))
+    settings = torchid.load(tmp_path / "gap.json").settings
+    assert settings.effects == ("no_more",)
+    assert settings.refitted is None
+    assert settings.free
 
 
 def test_joints_count_from_one():

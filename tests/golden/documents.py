@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from tests.fleet.simulated import Plan, make
 from tests.gap_files import diagnosis, named
 from tests.gap_files import hidden as untested
-from tests.withheld.fakes import answer, entry
+from tests.torchid_bench.withheld.fakes import answer, entry
 from torchid.app.commands import app
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
@@ -164,7 +164,7 @@ def _score(bench: Bench) -> dict[str, Any]:
         "case-0002": answer("detected_unexplained"),
         "case-0003": answer("no_gap"),
     }
-    from torchid.withheld import run as running
+    from torchid_bench.withheld import run as running
 
     before, running._answer = running._answer, lambda job: dict(said[job.case])
     try:

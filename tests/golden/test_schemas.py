@@ -9,7 +9,7 @@ import pytest
 import torchid
 from tests.golden.documents import DOCUMENTS, LONG, SLOW, Bench
 from tests.golden.shapes import losses, shape
-from tests.withheld.fakes import plant
+from tests.torchid_bench.withheld.fakes import plant
 from torchid.app.output import Output
 
 __all__ = ["plant"]

@@ -9,7 +9,7 @@ from types import ModuleType
 from tests.golden.documents import DOCUMENTS, Bench
 from tests.golden.options import STORED, table
 from tests.golden.shapes import shape
-from tests.withheld.fakes import draw_case, simulate_case
+from tests.torchid_bench.withheld.fakes import draw_case, simulate_case
 
 
 def write_options() -> None:
@@ -18,7 +18,7 @@ def write_options() -> None:
 
 def write_schemas(names: list[str]) -> None:
     """Of these documents, or of all."""
-    stand_in = ModuleType("torchid.withheld.plant.case")
+    stand_in = ModuleType("torchid_bench.withheld.plant.case")
     stand_in.draw_case = draw_case  # type: ignore[attr-defined]
     stand_in.simulate_case = simulate_case  # type: ignore[attr-defined]
     sys.modules[stand_in.__name__] = stand_in

@@ -149,7 +149,7 @@ def test_the_conditioned_basis_is_well_conditioned(name):
 
 def test_the_conditioned_base_parameters_of_the_panda_are_the_published_ones():
     """Gaz et al. 2019, supplementary material, table III: 43 groupings made by hand."""
-    logs = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "real_logs.py"))
+    logs = runpy.run_path(str(Path(__file__).parents[2] / "torchid_bench/benchmarks/real_logs.py"))
     robot = load_robot("panda")
     base = base_parameters(robot)
     assert base.basis == robot.basis == "conditioned"

@@ -176,6 +176,6 @@ def test_values_that_no_body_has_are_named(quick):
     [(8.0, (9.0, 8.0, 7.0), True), (6.0, (9.0, 7.0, 8.0), False), (None, (9.0, 8.0, 7.0), False)],
 )
 def test_the_highest_cutoff_tried_is_said_to_be_it(quick, cutoff, scores, said):
-    choice = CutoffChoice(cutoff, (4.0, 6.0, 8.0), scores)
+    choice = CutoffChoice((4.0, 6.0, 8.0), scores, cutoff=cutoff)
     found = findings(replace(quick, cutoff_choice=choice))
     assert any("highest that was tried" in w for w in found) == said

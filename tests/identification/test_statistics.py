@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import pytest
 import torch
+from msgspec import structs
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
@@ -198,9 +199,11 @@ def test_seconds_are_seconds():
 
 def test_quantiles_are_students():
     made = Uncertainty(
-        torch.eye(2, dtype=torch.float64), torch.zeros(2, dtype=torch.bool), 25, 1.0, 0.1, ()
-    )
+        method="", blocks=25, block_seconds=1.0, correlation_seconds=0.1, quantile95=2.06,
+        covariance=torch.eye(2, dtype=torch.float64), warnings=(),
+        by_one_block=torch.zeros(2, dtype=torch.bool),
+    )  # fmt: skip
     assert made.quantile(0.95) == pytest.approx(student.ppf(0.975, 24))
     assert made.quantile(0.5) == pytest.approx(student.ppf(0.75, 24))
     assert made.std.tolist() == [1.0, 1.0]
-    assert math.isfinite(replace(made, blocks=1).quantile())
+    assert math.isfinite(structs.replace(made, blocks=1).quantile())

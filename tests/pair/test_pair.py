@@ -1,5 +1,5 @@
 """A simulator's log against the arm's: clocks, faults of the set-up, effects of one side. The whole
-withheld suite is benchmarks/pairs.py."""
+withheld suite is torchid_bench.benchmarks.pairs."""
 
 import runpy
 from dataclasses import replace
@@ -76,7 +76,7 @@ def test_clocks_of_another_start_and_rate_are_found():
     later = one.select(slice(150, 1900)).replace(t=one.t[150:1900] * 0.5 + 77.0)
     both = aligned_trajectories(later, one)[0]
     assert both.clock.rate == pytest.approx(0.5, rel=1e-4)
-    assert both.clock.start == pytest.approx(-0.5 * 0.75, abs=2e-3)
+    assert both.clock.start_s == pytest.approx(-0.5 * 0.75, abs=2e-3)
     left = both.real["q"] - both.simulated["q"]
     assert float(left.abs().max()) < 1e-3
 
@@ -194,7 +194,7 @@ def test_bad_pairs():
         compare_pair(one, one, load_robot("ur10e"))
 
 
-PAIRS = Path(__file__).parents[2] / "benchmarks" / "pairs.py"
+PAIRS = Path(__file__).parents[2] / "torchid_bench/benchmarks/pairs.py"
 
 
 @pytest.mark.parametrize("number", some([0, 3, 4, 5, 7], 2))

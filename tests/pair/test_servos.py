@@ -94,7 +94,7 @@ def test_short_motions_have_one_clock(kinds):
     assert {b.clock.by for b in both} == {"u"}
     for b in both:
         assert b.clock.rate == pytest.approx(1.0, abs=1e-6)
-        assert b.clock.start == pytest.approx(0.0, abs=1e-6)
+        assert b.clock.start_s == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.nightly

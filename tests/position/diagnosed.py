@@ -4,19 +4,18 @@ import torch
 
 from tests.position.planted import planted, robot, true_servos
 from torchid.position.data import prepare
-from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
+from torchid.position.diagnosis import Number, PositionDiagnosis, finding_of
 from torchid.position.effects import BY_NAME
 from torchid.position.nominal import read_servos
+from torchid.position.record import Accuracy, PositionFinding
 from torchid.position.repeats import no_noise
 
 
 def finding(name: str, joint: int | None, without: float, with_it: float, **size: float):
-    effect = BY_NAME[name]
-    sizes = tuple(Size(k, "rad/s^2", v, (0.9 * v, 1.1 * v)) for k, v in size.items())
-    ends = without, with_it
-    return PositionFinding(
-        name, effect.family, joint, sizes, *ends, (), effect.meaning, effect.remedy
-    )
+    """On a joint from 1."""
+    sizes = [Number(k, "rad/s^2", v, (0.9 * v, 1.1 * v)) for k, v in size.items()]
+    place = None if joint is None else joint - 1
+    return finding_of(BY_NAME[name], place, sizes, (without, with_it))
 
 
 def diagnosis(*findings: PositionFinding, servo: str | None = None) -> PositionDiagnosis:
@@ -27,7 +26,7 @@ def diagnosis(*findings: PositionFinding, servo: str | None = None) -> PositionD
     plain = 1e-3 * torch.randn(log.q.shape, generator=g, dtype=torch.float64)
     plain[400:600, 1] += 0.03
     ways = [
-        Accuracy(torch.tensor(x).double(), torch.tensor(x).double() / 2)
+        Accuracy.of_joints(torch.tensor(x).double(), torch.tensor(x).double() / 2)
         for x in ((30.0, 40.0, torch.nan), (9.0, 14.0, torch.nan), (4.0, 6.0, torch.nan))
     ]
     regimes = {

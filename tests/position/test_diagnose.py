@@ -10,9 +10,9 @@ from tests.position.diagnosed import diagnosis, finding
 from tests.position.planted import COUNT, planted, robot, true_servos
 from torchid.position.data import prepare
 from torchid.position.diagnose import _parted, _still, _without, diagnose_positions, some_of
-from torchid.position.diagnosis import Accuracy
 from torchid.position.effects import BY_NAME
 from torchid.position.model import replay
+from torchid.position.record import Accuracy
 from torchid.position.search import Found
 from torchid.report.position import remarks, tables
 from torchid.results.files import load
@@ -76,7 +76,8 @@ def test_a_load_is_found_beside_servos():
     assert named["payload"].joint is None
     # No torque is measured: what is heavier and stronger by one factor moves alike.
     mass = named["payload"].sizes[0]
-    assert mass.interval[0] <= 2.5 <= mass.interval[1]
+    low, high = named["payload"].ci95["mass"]
+    assert low <= 2.5 <= high
     assert result.status == "explained"
     # The corrected arm carries it, and a plain servo is judged on the arm as given.
     own, found = (x.require_parameters("a test").mass for x in (arm, result.corrected.robot))
@@ -129,14 +130,14 @@ def test_an_answer_says_whether_what_it_names_is_all():
     # Of (14 + 9) / 2 mrad of whole motions (6 + 4) / 2 are left; joint 3 never moves.
     assert found.closed == pytest.approx(1 - 5.0 / 11.5)
     assert found.status == "partly_explained"
-    near = Accuracy(*(0.2 * x for x in (found.answered.whole, found.answered.windows)))
+    near = Accuracy.of_joints(*(0.2 * x for x in (found.answered.whole, found.answered.windows)))
     assert replace(found, answered=near).status == "explained"
     assert replace(found, findings=()).status == "detected_unexplained"
     quiet = replace(found, findings=(), plain_servo=near, answered=near)
     assert quiet.status == "no_gap"
     assert "The rest has no known cause" in found.answer.headline
     # A joint that never moves is neither a success nor a failure.
-    assert found.answered.mean == (5.0, 2.5)
+    assert (found.answered.whole_mrad, found.answered.windows_2s_mrad) == (5.0, 2.5)
     assert found.record.how_far.answered.whole_mrad == 5.0
 
 

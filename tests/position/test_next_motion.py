@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from msgspec import structs
 
 from tests.position.diagnosed import diagnosis, finding
 from tests.position.planted import robot
@@ -23,11 +24,11 @@ FOUND = (
 @pytest.fixture(scope="module")
 def unsure():
     """A diagnosis whose second finding has an interval from a tenth to tenfold."""
-    size = replace(FOUND[1].sizes[0], interval=(2.5, 250.0))
+    wide = structs.replace(FOUND[1], ci95={"kd": (2.5, 250.0)})
     servos = diagnosis().servos
     servos.of("kd")[0] = 25.0
     servos.of("acceleration")[1] = 4.0
-    return replace(diagnosis(FOUND[0], replace(FOUND[1], sizes=(size,))), servos=servos)
+    return replace(diagnosis(FOUND[0], wide), servos=servos)
 
 
 @pytest.mark.slow

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import pytest
 import torch
+from msgspec import structs
 
 from tests.position.diagnosed import diagnosis, finding
 from tests.report.page.reading import parsed, rows_of, text_of
-from torchid.position.diagnosis import Accuracy
+from torchid.position.record import Accuracy
 from torchid.report.diagnosis import page
 from torchid.report.over_time import motion_over_time
 from torchid.report.page.document import origin, render
@@ -92,7 +93,9 @@ def test_nominal_beside_found(found):
 @pytest.mark.slow
 def test_a_plain_servo_that_is_enough_hides_what_is_small():
     made = diagnosis()
-    tiny = Accuracy(torch.tensor([0.1, 0.1, torch.nan]), torch.tensor([0.1, 0.1, torch.nan]))
+    tiny = Accuracy.of_joints(
+        torch.tensor([0.1, 0.1, torch.nan]), torch.tensor([0.1, 0.1, torch.nan])
+    )
     enough = replace(made, plain_servo=tiny, answered=tiny)
     assert enough.status == "no_gap"
     low, high = (float(x) for x in enough.unseen[:2].sort().values)
@@ -110,7 +113,7 @@ def test_where_an_answer_is_worse_than_a_plain_servo_is_said():
     changed = replace(found, regimes=regimes)
     said = " ".join(remarks(changed.record))
     assert "worse than a plain servo on joint 1 (holding), 9.0 -> 60.0 mrad" in said
-    joint = replace(changed, answered=replace(found.answered, whole=after))
+    joint = replace(changed, answered=Accuracy.of_joints(after, found.answered.windows))
     said = " ".join(remarks(joint.record))
     assert "worse than a plain servo on joint 1, 9.0 -> 60.0 mrad." in said
 
@@ -118,6 +121,6 @@ def test_where_an_answer_is_worse_than_a_plain_servo_is_said():
 @pytest.mark.slow
 def test_a_size_whose_interval_holds_nothing_is_not_determined():
     one = finding("end_stop", 2, 14.0, 6.0, stop_high=0.4)
-    unsure = replace(one, sizes=(replace(one.sizes[0], interval=(-0.1, 0.9)),))
+    unsure = structs.replace(one, ci95={"stop_high": (-0.1, 0.9)})
     texts = [str(c) for row in tables(diagnosis(unsure).record)[1].rows for c in row]
     assert any("not determined" in text for text in texts)

@@ -11,10 +11,7 @@ import torchid
 from tests.arms import arm
 from tests.fleet.records import identification
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.gap.record import GapRecord, GapSettingsRecord
-from torchid.gap.settings import GapSettings
-from torchid.identification.record import SettingsRecord
-from torchid.identification.settings import Settings
+from torchid.gap.record import GapRecord
 from torchid.results.files import RECORDS
 
 
@@ -25,14 +22,6 @@ def test_every_schema_has_a_record() -> None:
         module, _, name = place.partition(":")
         record = getattr(import_module(module), name)
         assert kind.partition(" ")[0] == record.__struct_config__.tag
-
-
-@pytest.mark.parametrize(
-    ("record", "settings", "left_out"),
-    [(GapSettingsRecord, GapSettings(), {"refitted"}), (SettingsRecord, Settings(), set())],
-)
-def test_settings_are_recorded_whole(record, settings, left_out) -> None:
-    assert set(record.__struct_fields__) - left_out == set(vars(settings))
 
 
 @pytest.mark.slow

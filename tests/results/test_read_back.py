@@ -9,7 +9,7 @@ from typing import get_args
 
 import pytest
 
-import torchid
+from tests.documents import PACKAGES
 from torchid.results.answer import Diagnosis
 from torchid.results.files import RECORDS
 from torchid.results.record import Record, Result
@@ -34,9 +34,10 @@ CANNOT = {
 
 def _all() -> dict[type[Result], type[Record]]:
     """Every result, and what it is read back as."""
-    for module in walk_packages(torchid.__path__, "torchid."):
-        if not module.name.endswith("__main__"):
-            import_module(module.name)
+    for package in PACKAGES:
+        for module in walk_packages(import_module(package).__path__, f"{package}."):
+            if not module.name.endswith("__main__"):
+                import_module(module.name)
     places = (place.split(":") for place in RECORDS.values())
     records = {name: getattr(import_module(module), name) for module, name in places}
     found, todo = {}, [Result]
@@ -44,7 +45,7 @@ def _all() -> dict[type[Result], type[Record]]:
         for kind in todo.pop().__subclasses__():
             todo.append(kind)
             abstract = kind is Diagnosis or issubclass(kind, Record)
-            if kind.__module__.startswith("torchid.") and not abstract:
+            if kind.__module__.partition(".")[0] in PACKAGES and not abstract:
                 made = inspect.getattr_static(kind, "record")
                 given = getattr(made, "fget", None) or made.func
                 record = given.__annotations__["return"]

@@ -32,10 +32,10 @@ import yaml
 
 from tests.fleet.simulated import Plan, make
 from tests.gap.small_logs import Recording, arm, friction, logged
-from tests.withheld import fakes
+from tests.torchid_bench.withheld import fakes
 from torchid.log.readers import write_log
 from torchid.robot.library import load_robot
-from torchid.withheld import case_set
+from torchid_bench.withheld import case_set
 
 TEMPORARY = ".torchid-"
 """Begin of the names of files that are not yet what they will be; nothing reads them."""
@@ -68,7 +68,7 @@ def scenes(inputs: Path) -> dict[str, Scene]:
     write_log(log, inputs / "log.parquet")
     fleet = Plan(units=4, sessions=2, seconds=5.0)
     make(load_robot("3r_friction"), fleet, inputs / "fleet")
-    module = types.ModuleType("torchid.withheld.plant.case")
+    module = types.ModuleType("torchid_bench.withheld.plant.case")
     module.draw_case, module.simulate_case = fakes.draw_case, fakes.simulate_case  # type: ignore[attr-defined]
     with mock.patch.dict(sys.modules, {module.__name__: module}):
         case_set.make(inputs / "cases", 3, 0)

@@ -35,7 +35,7 @@ def test_each_is_read_where_answers_are_made(name):
 
 
 def test_a_number_changed_first_is_what_the_diagnosis_reads():
-    """As benchmarks/criteria.py changes them: before anything that reads them is imported."""
+    """As the benchmark `criteria` changes them: before anything that reads them is imported."""
     changed = (
         "import torchid.statistics.criteria as c; c.WORTHWHILE = 0.2;"
         "from torchid.gap.settings import GapSettings; print(GapSettings().worthwhile)"

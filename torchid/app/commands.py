@@ -20,13 +20,12 @@ from torchid.app.identify import identify_command, payload_command
 from torchid.app.init import init_command
 from torchid.app.log import log_app
 from torchid.app.output import in_options
-from torchid.app.project import Group, add
+from torchid.app.project import Group, add, group
 from torchid.app.show import effects_command, explain_command, robot_command
 from torchid.app.signature import Debug
 from torchid.app.simulate import simulate_command
-from torchid.app.study import study_command
-from torchid.app.withheld import withheld_app
-from torchid.app.wrenches import wrenches_command
+from torchid.app.withheld import own_command
+from torchid.other_packages import COMMANDS, loaded
 
 app = typer.Typer(
     name="torchid",
@@ -35,11 +34,16 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
+withheld_app = group(
+    "withheld",
+    "Check the diagnosis on data whose cause was withheld from it.",
+    [*(loaded(COMMANDS[f"withheld {name}"]) for name in ("make", "run", "score")), own_command],
+)
 for _one in (
     init_command, robot_command, excite_command, simulate_command, log_app, identify_command,
-    extract_command, check_command, atlas_command, wrenches_command, payload_command, gap_command,
-    correct_command, explain_command, effects_command, export_command, compare_command,
-    study_command, fleet_app, withheld_app, demo_command,
+    extract_command, check_command, atlas_command, loaded(COMMANDS["wrenches"]), payload_command,
+    gap_command, correct_command, explain_command, effects_command, export_command,
+    compare_command, loaded(COMMANDS["study"]), fleet_app, withheld_app, demo_command,
 ):  # fmt: skip
     if isinstance(_one, typer.Typer):
         app.add_typer(_one, name=_one.info.name)

@@ -229,7 +229,7 @@ def _say_part(output: Output, part: "tuple[LogAnswer, ...]", array: tuple[int, i
         f"part {array[0]} of {array[1]}: {len(part)} logs, {len(refused)} of them not used; the "
         "same command without --array pools all parts"
     )
-    output.warn(f"{a.log.path}: {a.evidence[-1]}" for a in refused)
+    output.warn(f"{a.log}: {a.evidence[-1]}" for a in refused)
 
 
 _ALL = identify_command, gap_command, watch_command

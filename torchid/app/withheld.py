@@ -1,25 +1,15 @@
-"""`torchid withheld`: check the diagnosis on data whose cause was withheld from it."""
+"""`torchid withheld own`: check the diagnosis on one's own arm."""
 
-from collections import Counter
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.inputs import PLACE
-from torchid.app.output import Kept, Printed
-from torchid.app.project import group
-from torchid.app.signature import Switch, command
+from torchid.app.output import Kept
+from torchid.app.signature import command
 from torchid.gap.settings import GapSettings
-
-SetArgument = Annotated[
-    Path,
-    typer.Argument(metavar="DIR", help="A set of cases, from `torchid withheld make`."),
-    PLACE,
-]
 
 
 @dataclass(frozen=True)
@@ -38,106 +28,6 @@ class Workers:
         from torchid.parallel.workers import cores
 
         return self.jobs or cores()
-
-
-@command
-def make_command(
-    *,
-    out: opt.Folder,
-    cases: Annotated[int, typer.Option(min=1, max=9999)],
-    seed: opt.Seed,
-    kind: Literal["torque", "position"] = "torque",
-    mix: Literal["mixed", "release"] = "mixed",
-    robots: Literal["arms", "tree", "quadruped", "two_arms", "torso"] = "arms",
-    keys: opt.Written = None,
-    workers: Workers,
-    output: Printed,
-) -> None:
-    """Simulate arms with planted effects, independently of torchid, and seal what was planted.
-
-    Example: `torchid withheld make --out cases --cases 200 --seed 4711`
-
-    Args:
-        out: Folder of the set.
-        cases: Number of cases.
-        keys: What was planted (default: DIR.keys.json).
-        kind: What the logs have: torques, or commands and positions alone.
-        mix: Kinds of cases: of every sort, or those that a release is judged by.
-        robots: Arms; robots that branch, their base held in the air; or one of these.
-    """
-    from torchid.withheld.case_set import keys_beside, make
-
-    sealed = keys_beside(out) if keys is None else keys
-    with output.progress() as progress:
-        made = make(
-            out, cases, seed, kind=kind, mix=mix, robots=robots, keys=sealed,
-            jobs=workers.count, progress=progress,
-        )  # fmt: skip
-    output.write_json(
-        {"folder": str(out), "keys": str(sealed), "keys_sha256": made.keys_sha256, "seed": seed},
-        "make.json",
-    )
-    output.say(f"{cases} cases in {out}, keys in {sealed}")
-    output.say(f"SHA-256 of the keys: {made.keys_sha256}")
-
-
-@command
-def run_command(
-    *,
-    folder: SetArgument,
-    rollout: bool = False,
-    again: Switch = False,
-    workers: Workers,
-    output: Printed,
-) -> None:
-    """Diagnose every case of a set; no key is read. What is answered already stays.
-
-    Example: `torchid withheld run cases --jobs 2`
-
-    Args:
-        rollout: Simulate short motions with the model before and after; no score needs it.
-        again: Replace answers of another torchid, or with other settings.
-    """
-    from torchid.withheld.case_set import read_cases
-    from torchid.withheld.run import ERROR, default_settings, jobs_of, run
-
-    found = read_cases(folder)
-    todo = jobs_of(found, default_settings(rollout=rollout))
-    with output.progress() as progress:
-        answers = run(todo, jobs=workers.count, again=again, progress=progress)
-    failed = {case: a["error"] for case, a in answers.items() if a["status"] == ERROR}
-    statuses = dict(Counter(answer["status"] for answer in answers.values()))
-    output.write_json({"folder": str(folder), "statuses": statuses, "errors": failed}, "run.json")
-    output.say(f"{len(answers) - len(failed)} of {len(answers)} cases diagnosed in {folder}")
-    output.warn(tuple(f"{case}: {error}" for case, error in failed.items()))
-
-
-@command
-def score_command(
-    *,
-    folder: SetArgument,
-    keys: opt.File = None,
-    partial: Switch = False,
-    output: Annotated[Kept, "score.json"],
-) -> None:
-    """Open the keys and score the answers.
-
-    Example: `torchid withheld score cases --keys cases.keys.json --out result`
-
-    Args:
-        keys: What was planted (default: DIR.keys.json).
-        partial: Leave out cases that have no answer yet.
-    """
-    from torchid.report.withheld import shown
-    from torchid.withheld.case_set import keys_beside, read_answers, read_cases, read_keys
-    from torchid.withheld.score import require_answers, summary
-
-    found = read_cases(folder)
-    opened = read_keys(found, keys_beside(folder) if keys is None else keys)
-    answers = read_answers(found)
-    require_answers(found, answers, partial=partial)
-    result = summary(found, opened, answers)
-    output.give(result, "score.json", shown)
 
 
 @command
@@ -164,9 +54,3 @@ def own_command(
             jobs=workers.count, progress=progress,
         )  # fmt: skip
     output.give(result, "own.json", own_shown, seed=settings.seed)
-
-
-_ALL = make_command, run_command, score_command, own_command
-withheld_app = group(
-    "withheld", "Check the diagnosis on data whose cause was withheld from it.", _ALL
-)

@@ -1,80 +1,51 @@
 """What the doctor says about one thing."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
+from msgspec.structs import replace
+
+from torchid.doctor.record import VERDICTS, CheckRecord, Choosable, Verdict
 from torchid.doctor.repair import Repair
 from torchid.robot.model import joint_list
 from torchid.yaml_data import parsed_yaml
 
-Verdict = Literal["fine", "wrong", "doubtful", "cannot tell"]
-VERDICTS: tuple[Verdict, ...] = ("wrong", "doubtful", "cannot tell", "fine")
-"""In the order in which they are shown."""
 
+class Choice(Choosable, frozen=True):
+    """One of several explanations, and its fix as changes of the log: `repairs`; none where the
+    robot is what must change."""
 
-@dataclass(frozen=True)
-class Choice:
-    """One of several explanations that this log cannot tell apart.
-
-    Attributes:
-        name: by which it is chosen.
-        fix: what to do, for people.
-        repairs: the same as changes of the log; none where the robot is what must change.
-    """
-
-    name: str
-    fix: str
     repairs: tuple[Repair, ...] = ()
 
     @classmethod
-    def of(cls, name: str, *repairs: Repair) -> "Choice":
+    def by(cls, name: str, *repairs: Repair) -> "Choice":
         """A choice that the repairs themselves describe."""
         return cls(name, "; ".join(map(str, repairs)), repairs)
 
 
-@dataclass(frozen=True)
-class Check:
+class Check(CheckRecord, frozen=True):
     """A verdict with its evidence.
 
     Attributes:
-        name: of the check.
-        verdict: fine, wrong (clearly), doubtful (look at it), cannot tell (this log cannot say).
-        evidence: in words and numbers.
-        joints: from 0; empty where it is about the whole log.
-        estimate: what was measured, one number or one a joint of `joints`.
-        interval: of the estimate (95 %), (low, high) or one pair a joint.
-        unit: of the estimate.
-        fix: what to do, for people; None where nothing.
-        repairs: the same as changes of the log, where the log can be mended.
-        choices: explanations that are equally good, where there are several; the checks that come
-            after go on with the first, or with the chosen one.
-        chosen: name of the one that was chosen, by somebody or because bodies explain the torque
-            clearly better with it.
+        repairs: the fix as changes of the log, where the log can be mended.
+        choices: explanations that are equally good, with their repairs.
     """
 
-    name: str
-    verdict: Verdict
-    evidence: str
-    joints: tuple[int, ...] = ()
-    estimate: float | tuple[float, ...] | None = None
-    interval: tuple[float, float] | tuple[tuple[float, float], ...] | None = None
-    unit: str = ""
-    fix: str | None = None
-    repairs: tuple[Repair, ...] = ()
     choices: tuple[Choice, ...] = ()
-    chosen: str | None = None
-
-    @property
-    def undecided(self) -> bool:
-        """Whether somebody has to choose."""
-        return bool(self.choices) and self.chosen is None
+    repairs: tuple[Repair, ...] = ()
 
     def mended_by(self, *repairs: Repair) -> "Check":
         """With repairs, which say what to do, before whatever else there is to be done."""
         said = [*map(str, repairs), *([self.fix] if self.fix else [])]
         return replace(self, fix="; ".join(said) or None, repairs=repairs)
+
+
+def judged(
+    name: str, verdict: Verdict, evidence: str, joints: tuple[int, ...] = (), **more: Any
+) -> Check:
+    """A check with its evidence, on joints from 0; `more` as of a Check."""
+    return Check(name, verdict, joints, evidence=evidence, **more)
 
 
 _TEXTS = Path(__file__).with_name("checks.yaml")

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchid.doctor.check import Check, said
+from torchid.doctor.check import Check, judged, said
 from torchid.doctor.repair import (
     Bridge,
     DropRows,
@@ -95,7 +95,7 @@ def check_clock(log: Log) -> Check:
         further = (moved > USUAL_STEPS * usual) & moving
         jumped += (long[moving.any(1) & ~further.any(1)] + offset).tolist()
     if not (repeated or back or jumped or runs):
-        return Check("clock", "fine", f"{log.samples} stamps increase")
+        return judged("clock", "fine", f"{log.samples} stamps increase")
     found = [
         f"{len(kind)} {what}"
         for kind, what in (
@@ -146,12 +146,14 @@ def check_time_unit(log: Log) -> Check:
         if clear and all(near(a.ratio, factor) for a in clear):
             return _time_in(unit, factor, f"dq is {factor:g} times the derivative of q", step)
     if step <= SLOW_STEP_S or any(0.5 < a.ratio < 2.0 for a in clear):
-        return Check("time unit", "fine", f"seconds: median step {1e3 * step:.4g} ms", estimate=1.0)
+        return judged(
+            "time unit", "fine", f"seconds: median step {1e3 * step:.4g} ms", estimate=1.0
+        )
     for factor, unit in TIME_UNITS.items():
         if 1e-4 <= step / factor <= SLOW_STEP_S:
             why = "dq disagrees" if clear else "no arm is sampled so slowly"
             return _time_in(unit, factor, why, step)
-    return Check("time unit", "doubtful", f"a median step of {step:g} is no arm's", estimate=None)
+    return judged("time unit", "doubtful", f"a median step of {step:g} is no arm's", estimate=None)
 
 
 def _time_in(unit: str, factor: float, why: str, step: float) -> Check:
@@ -176,7 +178,7 @@ def check_dropouts(log: Log) -> Check:
         f"{100 * share:.2g} % of the samples missing"
     )
     if share < DROPPED and longest < LONG_GAP_S:
-        return Check("dropouts", "fine", text if gaps else "no gaps", estimate=share)
+        return judged("dropouts", "fine", text if gaps else "no gaps", estimate=share)
     return said("dropouts", "doubtful", estimate=share, text=text, longest=1e3 * longest)
 
 
@@ -229,12 +231,12 @@ def check_stamps(log: Log) -> Check:
         inner = step[step < SMALL_GAP * np.median(step)]
         share = max(share, float(inner.std() / np.median(step)) if len(inner) else 0.0)
     if share < UNEVEN:
-        return Check("stamps", "fine", text, estimate=share)
+        return judged("stamps", "fine", text, estimate=share)
     worst = max(_roughness_ratio(part.t.numpy(), part.q.numpy()) for part in parts)
     if worst < SMOOTHER:
         long = max(_usual_longest(part.t.numpy()) for part in parts)
         if long < LONG:
-            return Check("stamps", "fine", text, estimate=share)
+            return judged("stamps", "fine", text, estimate=share)
         return said("stamps", "doubtful", estimate=long, long=long, text=text)
     known: dict[str, Any] = {"percent": 100 * share, "worst": worst, "text": text}
     return said("stamps", "wrong", estimate=worst, **known).mended_by(EvenTime())

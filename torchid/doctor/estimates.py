@@ -5,8 +5,9 @@ from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
+from msgspec import structs
 
-from torchid.doctor.check import Check, said, with_choices
+from torchid.doctor.check import Check, judged, said, with_choices
 from torchid.doctor.cone import OWN
 from torchid.doctor.faults import choices_of, gravity_fix, improvement_text
 from torchid.doctor.hypothesis import Hypothesis, Judge, profile
@@ -36,10 +37,10 @@ def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> 
     size = float(np.linalg.norm(model))
     flat = [cost for cost, m in result.costs if m.kind == "gravity"]
     if size == 0.0 or not judge.live(end):
-        return Check("gravity", "cannot tell", "no gravity in the model, or nothing moves")
+        return judged("gravity", "cannot tell", "no gravity in the model, or nothing moves")
     turned = [f for f in result.found if f.move.kind == "gravity"]
     if flat and min(flat) < TIE and not turned:
-        return Check("gravity", "cannot tell", "another direction of gravity explains it as well")
+        return judged("gravity", "cannot tell", "another direction of gravity explains it as well")
     estimate, tilt, half, gain = _estimate(judge, end)
     angle = math.acos(float(np.clip(estimate @ model / size**2, -1.0, 1.0)))
     where = "({:.2f}, {:.2f}, {:.2f})".format(*estimate)
@@ -54,12 +55,14 @@ def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> 
     if turned and result.explained:
         text = f"mounted {mounting_text(estimate)}: {text}; {improvement_text(turned[0])}"
         first, *others = choices_of(turned[0])
-        own = replace(first, fix=fix)
-        return with_choices(replace(base, verdict="wrong", evidence=text), [own, *others], fixes)
+        own = structs.replace(first, fix=fix)
+        return with_choices(
+            structs.replace(base, verdict="wrong", evidence=text), [own, *others], fixes
+        )
     if half > _LOOSE or not result.explained:
-        return replace(base, verdict="cannot tell")
+        return structs.replace(base, verdict="cannot tell")
     if tilt - half > TILT and gain > CLEAR:
-        return replace(base, verdict="doubtful", fix=fix)
+        return structs.replace(base, verdict="doubtful", fix=fix)
     return base
 
 
@@ -100,7 +103,7 @@ def check_lag(judge: Judge, result: Search) -> Check:
     end = result.final.hypothesis
     reach = judge.samples.reach - 1e-6
     if not judge.live(end):
-        return Check("lag", "cannot tell", "nothing moves with a torque")
+        return judged("lag", "cannot tell", "nothing moves with a torque")
 
     def at(late: float) -> Hypothesis:
         return replace(end, late=float(np.clip(late, -reach, reach)))
@@ -123,9 +126,9 @@ def check_lag(judge: Judge, result: Search) -> Check:
     likely = away > least and gain > LIKELY
     if (clear or likely) and result.explained:
         repair = ShiftTorque(float(f"{found.value:.4g}"))
-        return replace(check, verdict="wrong" if clear else "doubtful").mended_by(repair)
+        return structs.replace(check, verdict="wrong" if clear else "doubtful").mended_by(repair)
     if half > 0.05 or searched or long or not result.explained:
-        return replace(check, verdict="cannot tell")
+        return structs.replace(check, verdict="cannot tell")
     return check
 
 

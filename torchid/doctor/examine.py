@@ -1,13 +1,14 @@
 """The whole examination: every check in turn, each on the log as the ones before have mended it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
+from msgspec.structs import replace
 
 from torchid.doctor import clock, motion, torque, velocity
-from torchid.doctor.check import Check
+from torchid.doctor.check import Check, judged
 from torchid.doctor.estimates import check_excitation, check_gravity, check_lag
 from torchid.doctor.faults import fault_checks, unseen_faults
 from torchid.doctor.hypothesis import Hypothesis, Judge
@@ -205,14 +206,14 @@ def _with_model(
     if _counts(checks):
         rows = "positions are in counts of an unknown part of a turn"
     if isinstance(rows, str):
-        none = tuple(Check(name, "cannot tell", rows) for name in MODEL_CHECKS)
+        none = tuple(judged(name, "cannot tell", rows) for name in MODEL_CHECKS)
         return Examination(robot, log, (*checks, *none))
     judge = Judge(robot, rows)
     found = search(judge, Hypothesis.literal(robot), fixes)
     kind = check_kind(judge, found.final.hypothesis)
     if kind is not None and not holds_no_gravity(kind):
         # Nothing else can be said of what is left once the model has been taken out.
-        none = tuple(Check(n, "cannot tell", "the torque is external") for n in MODEL_CHECKS)
+        none = tuple(judged(n, "cannot tell", "the torque is external") for n in MODEL_CHECKS)
         return Examination(robot, log, (*checks, kind, *none), found, judge)
     if kind is not None:
         found = search(judge, weightless(Hypothesis.literal(robot)), fixes)

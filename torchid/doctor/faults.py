@@ -5,7 +5,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from torchid.doctor.check import TEXTS, Check, Choice, said, with_choices
+from torchid.doctor.check import TEXTS, Check, Choice, judged, said, with_choices
 from torchid.doctor.hypothesis import Hypothesis, Judge, profile
 from torchid.doctor.moves import LEAST_GAIN, Move, invisible_groups, least_groups
 from torchid.doctor.repair import TORQUE, Scale, of_signals
@@ -44,9 +44,9 @@ def fault_checks(judge: Judge, result: Search, fixes: Collection[str] = ()) -> l
         if name in names:
             continue
         if not live or (len(live) < 2 and name in ("joint order", "gain of a joint")):
-            checks.append(Check(name, "cannot tell", "fewer than two joints move with a torque"))
+            checks.append(judged(name, "cannot tell", "fewer than two joints move with a torque"))
         elif not result.explained:
-            checks.append(Check(name, "cannot tell", "the torque is not explained either way"))
+            checks.append(judged(name, "cannot tell", "the torque is not explained either way"))
         else:
             checks.append(said(name, "fine"))
     return checks
@@ -75,7 +75,7 @@ def unseen_faults(judge: Judge, result: Search) -> list[Check]:
 def _explained(result: Search, live: Sequence[int]) -> Check:
     """What bodies, friction, rotors and offsets leave of the torque, everything mended."""
     if not live:
-        return Check("torque explained", "cannot tell", "nothing moves with a torque")
+        return judged("torque explained", "cannot tell", "nothing moves with a torque")
     left = result.left[list(live)]
     text = "bodies that can exist, friction and offsets leave " + ", ".join(
         f"{100 * x:.0f} % (joint {k + 1})" for k, x in zip(live, left, strict=True)
@@ -103,7 +103,7 @@ def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -
         factor, interval = values[0], (min(values[1:]), max(values[1:]))
         factors = tuple(1.0 / factor if k == one else 1.0 for k in range(judge.robot.n))
         scale = of_signals(Scale(TORQUE, factors), judge.samples.signals)
-        first = Choice.of(first.name, scale)
+        first = Choice.by(first.name, scale)
         estimate = factor
         text = (
             f"torque is {factor:.3g} ({interval[0]:.3g} to {interval[1]:.3g}) times what the other "
@@ -122,7 +122,7 @@ def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -
     doubtful = CHECK_OF[move.kind] in _MODELLED and _nominal_objects(judge, result, found)
     if doubtful:
         text += "; the robot's own parameters do not confirm it"
-    check = Check(
+    check = judged(
         CHECK_OF[move.kind],
         "cannot tell" if unsure else "doubtful" if doubtful else "wrong",
         f"{_name(move)}: {text}",
@@ -150,7 +150,7 @@ def choices_of(found: Found) -> list[Choice]:
     return [
         Choice(m.name, gravity_fix(m.after.gravity), m.repairs)
         if m.kind == "gravity"
-        else Choice.of(m.name, *m.repairs)
+        else Choice.by(m.name, *m.repairs)
         for m in (found.move, *found.rivals)
     ]
 

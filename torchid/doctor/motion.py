@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import torch
 
-from torchid.doctor.check import Check, Choice, said, with_choices
+from torchid.doctor.check import Check, Choice, judged, said, with_choices
 from torchid.doctor.repair import PLACES, Repair, Scale, Shift, Unwrap
 from torchid.log.checks import (
     DEGREES,
@@ -75,7 +75,7 @@ def check_position_unit(robot: Robot, log: Log, fixes: Collection[str] = ()) -> 
                     factors[k], rates[k] = unit, rate
     if not evidence:
         size = float(log.q.abs().max())
-        return Check("position unit", "fine", f"rad (or m): |q| up to {size:.3g}", estimate=1.0)
+        return judged("position unit", "fine", f"rad (or m): |q| up to {size:.3g}", estimate=1.0)
     joints = tuple(k for k, f in enumerate(factors) if f != 1.0 or k in unknown)
     # A dq in the unit of q has the same fault; one in rad/s has not.
     also = tuple(near(ratio.get(k, 0.0), 1.0) for k in range(log.n))
@@ -90,11 +90,11 @@ def check_position_unit(robot: Robot, log: Log, fixes: Collection[str] = ()) -> 
             repairs.append(Scale(("dq",), moved))
     if (percent := _percent(robot, log, factors, ratio)) is not None:
         text = "positions leave the limits in degrees, and are all within 100: percent of a range"
-        check = Check("position unit", "wrong", text, joints)
-        choices = [percent, Choice.of("degrees", *repairs)]
+        check = judged("position unit", "wrong", text, joints)
+        choices = [percent, Choice.by("degrees", *repairs)]
         return with_choices(check, choices, fixes)
     ask = f"say how many counts make a turn in {joint_list(unknown)}: q=q{{j}} rev/COUNTS -ZERO"
-    return Check(
+    return judged(
         "position unit",
         "wrong",
         "; ".join(evidence[:3]) + (f"; and {len(evidence) - 3} more" if len(evidence) > 3 else ""),
@@ -180,7 +180,7 @@ def _percent(
     half, middle = (limits[:, 1] - limits[:, 0]) / 200.0, limits.mean(1)
     signals = tuple(s for s in (*PLACES, "dq") if s in log.signals)
     places = tuple(s for s in signals if s != "dq")
-    return Choice.of(
+    return Choice.by(
         "percent of range",
         Scale(signals, tuple(half.tolist())),
         Shift(places, tuple(middle.tolist())),
@@ -254,7 +254,7 @@ def check_zeros(robot: Robot, log: Log, fixes: Collection[str] = ()) -> Check:
         for middle, name in _MIDDLES.items():
             options[name] = moved_by(-middle)
     places = tuple(s for s in PLACES if s in log.signals)
-    choices = [Choice.of(n, Shift(places, x)) for n, x in options.items() if x is not None]
+    choices = [Choice.by(n, Shift(places, x)) for n, x in options.items() if x is not None]
     evidence = "; ".join(
         f"q{k + 1} {low[k]:.3g} to {high[k]:.3g}"
         + (f", limits {float(ranges[k][0]):.3g} to {float(ranges[k][1]):.3g}" if k in out else "")
@@ -295,7 +295,7 @@ def check_jumps(robot: Robot, log: Log) -> Check:
             joints.append(k)
     repairs = (Unwrap(tuple(joints), turn),) if joints else ()
     mended = repairs[0].apply(log) if repairs else log
-    return Check(
+    return judged(
         "position jumps",
         "wrong" if repairs else "doubtful",
         "; ".join(found[:3]),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from torchid.doctor.check import Check
+from torchid.doctor.check import Check, judged
 from torchid.doctor.repair import PLACES, Signed
 from torchid.log.columns import PREFIXES
 from torchid.log.model import Log
@@ -29,7 +29,7 @@ def check_number_format(log: Log) -> Check:
             joints = tuple(k for k, x in enumerate(columns) if x.max() >= zero)
             repairs.append(Signed(name, joints, zero, magnitude))
     if not repairs:
-        return Check("number format", "fine", "no numbers were read without their sign")
+        return judged("number format", "fine", "no numbers were read without their sign")
     evidence = "; ".join(
         f"no {PREFIXES[r.signal]} is negative, and in {joint_list(r.joints)} many are "
         f"{r.zero:.10g} or more: "
@@ -37,7 +37,7 @@ def check_number_format(log: Log) -> Check:
         for r in repairs
     )
     joints = tuple(sorted({k for r in repairs for k in r.joints}))
-    return Check("number format", "wrong", evidence, joints).mended_by(*repairs)
+    return judged("number format", "wrong", evidence, joints).mended_by(*repairs)
 
 
 def _read_unsigned(x: np.ndarray, position: bool) -> tuple[float, bool] | None:

@@ -1,38 +1,59 @@
 """An examination as its JSON has it: the schema torchid.doctor/1."""
 
 import itertools
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, Literal, TypeVar
 
 from msgspec import UNSET, UnsetType
 
-from torchid.doctor.check import VERDICTS, Check, Verdict
 from torchid.results.record import Joint, Part, Record, Rows
+
+Verdict = Literal["fine", "wrong", "doubtful", "cannot tell"]
+VERDICTS: tuple[Verdict, ...] = ("wrong", "doubtful", "cannot tell", "fine")
+"""In the order in which they are shown."""
 
 
 class Choosable(Part, frozen=True):
-    """One of several explanations, and what to do with it."""
+    """One of several explanations that this log cannot tell apart.
+
+    Attributes:
+        name: by which it is chosen.
+        fix: what to do, for people.
+    """
 
     name: str
     fix: str
 
 
-class CheckRecord(Part, frozen=True, kw_only=True):
-    """A verdict with its evidence; see torchid.doctor.check.Check.
+class CheckRecord(Part, frozen=True):
+    """A verdict with its evidence.
 
-    `applicable`: whether its repairs wait for no choice.
+    Attributes:
+        name: of the check.
+        verdict: fine, wrong (clearly), doubtful (look at it), cannot tell (this log cannot say).
+        joints: from 0; empty where it is about the whole log.
+        estimate: what was measured, one number or one a joint of `joints`.
+        interval: of the estimate (95 %), (low, high) or one pair a joint.
+        unit: of the estimate.
+        evidence: in words and numbers.
+        fix: what to do, for people; None where nothing.
+        applicable: whether it has repairs that wait for no choice.
+        choices: explanations that are equally good, where there are several; the checks that come
+            after go on with the first, or with the chosen one.
+        chosen: name of the one that was chosen, by somebody or because bodies explain the torque
+            clearly better with it.
     """
 
     name: str
     verdict: Verdict
-    joints: tuple[Joint, ...]
-    estimate: float | tuple[float | None, ...] | None
-    interval: tuple[float | tuple[float | None, ...] | None, ...] | None
-    unit: str
-    evidence: str
-    fix: str | None
-    applicable: bool
-    choices: tuple[Choosable, ...]
-    chosen: str | None
+    joints: tuple[Joint, ...] = ()
+    estimate: float | tuple[float | None, ...] | None = None
+    interval: tuple[float | tuple[float | None, ...] | None, ...] | None = None
+    unit: str = ""
+    evidence: str = ""
+    fix: str | None = None
+    applicable: bool = False
+    choices: tuple[Choosable, ...] = ()
+    chosen: str | None = None
 
     @property
     def undecided(self) -> bool:
@@ -40,7 +61,7 @@ class CheckRecord(Part, frozen=True, kw_only=True):
         return bool(self.choices) and self.chosen is None
 
 
-_C = TypeVar("_C", Check, CheckRecord)
+_C = TypeVar("_C", bound=CheckRecord)
 
 
 class Examined(Generic[_C]):

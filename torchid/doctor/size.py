@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
+from msgspec.structs import replace
 from scipy.optimize import nnls
 
-from torchid.doctor.check import Check, Choice, Verdict, said, with_choices
+from torchid.doctor.check import Check, Choice, Verdict, judged, said, with_choices
 from torchid.doctor.cone import reach_of, shares
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.repair import Scale
@@ -101,7 +102,7 @@ def check_size(
     """The unit of the torque as a whole."""
     robot = judge.robot
     if log.tau is not None and not bool(log.tau.any()):
-        return Check("torque unit", "cannot tell", "the torque is zero throughout")
+        return judged("torque unit", "cannot tell", "the torque is zero throughout")
     if log.tau is None:
         # Currents without gains; nominal parameters suggest some.
         text = "the log has currents [A] and no drive gains"
@@ -178,7 +179,7 @@ def _plain_sense(judge: Judge, log: Log, hypothesis: Hypothesis, fixes: Collecti
     reach = reach_of(robot)
     turning = [k for k, kind in enumerate(robot.joint_types) if kind is JointType.REVOLUTE]
     if gravity == 0.0 or reach < _LEAST_REACH or not turning or not judge.live(hypothesis):
-        return Check(
+        return judged(
             "torque unit",
             "cannot tell",
             "the robot has no nominal parameters, no torque limits and no reach to judge by",
@@ -202,14 +203,14 @@ def _by_size(
     """Fine, too small, or torque in a smaller unit: in which, if only one leaves a plausible
     size."""
     if size > largest:
-        check = Check("torque unit", "wrong", f"{text}: N mm, N cm or mA?", estimate=size)
+        check = judged("torque unit", "wrong", f"{text}: N mm, N cm or mA?", estimate=size)
         choices = [
-            Choice.of(name, Scale(("tau",), (1.0 / factor,) * judge.robot.n))
+            Choice.by(name, Scale(("tau",), (1.0 / factor,) * judge.robot.n))
             for name, factor in _SMALL_UNITS.items()
             if plausible[0] < size / factor < plausible[1]
         ]
         return with_choices(check, choices, fixes) if choices else replace(check, fix=_CHECK_GAINS)
-    check = Check("torque unit", "fine", text, estimate=size, unit=unit)
+    check = judged("torque unit", "fine", text, estimate=size, unit=unit)
     if size < plausible[0]:
         text = f"{text}: amperes, motor side, or kN m?"
         return replace(check, verdict="doubtful", evidence=text, fix=_CHECK_GAINS)

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 
-from torchid.doctor.check import Check, Choice, said, with_choices
+from torchid.doctor.check import Check, Choice, judged, said, with_choices
 from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
 from torchid.log.checks import FOLLOWS, MOVING, named_ratio, own_units, velocity_agreement
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
@@ -33,7 +33,7 @@ def check_velocity(log: Log, fixes: Collection[str] = (), *, counts: bool = Fals
         counts: whether they are counts: then no ratio says anything of the clock, nor of dq.
     """
     if log.dq is None:
-        return Check("velocity", "fine", "no dq in the log: the derivative of q is used")
+        return judged("velocity", "fine", "no dq in the log: the derivative of q is used")
     repairs: list[Repair] = []
     said: list[str] = []
     joints: list[int] = []
@@ -41,7 +41,7 @@ def check_velocity(log: Log, fixes: Collection[str] = (), *, counts: bool = Fals
     factors = _velocity_factors(log, said, joints)
     if counts:
         text = "positions are in counts of an unknown part of a turn"
-        return Check("velocity", "cannot tell", text)
+        return judged("velocity", "cannot tell", text)
     if isinstance(factors, float):
         return with_choices(*_wrong_rate(factors, log.n), fixes)
     if any(f != 1.0 for f in factors):
@@ -65,11 +65,11 @@ def check_velocity(log: Log, fixes: Collection[str] = (), *, counts: bool = Fals
         repairs.append(DropSignal("dq"))
         joints = sorted({*joints, *worst})
     if not said:
-        return Check("velocity", "fine", text, estimate=lag, unit="s")
+        return judged("velocity", "fine", text, estimate=lag, unit="s")
     # dq over the derivative of q in these joints, if that is what is wrong.
     scaled = any(factors[k] != 1.0 for k in joints)
     ratios = tuple(1.0 / factors[k] for k in joints) if scaled else None
-    return Check(
+    return judged(
         "velocity",
         "wrong" if joints and not (len(said) == 1 and share > LATE_SHARE) else "doubtful",
         "; ".join(said),
@@ -153,8 +153,8 @@ def _wrong_rate(ratio: float, n: int) -> tuple[Check, list[Choice]]:
     plain = float(f"{ratio:.2g}")
     ratio = plain if abs(ratio / plain - 1.0) < 5e-3 else ratio
     choices = [
-        Choice.of("time scale", ScaleTime(1.0 / ratio)),
-        Choice.of("velocity scale", Scale(("dq",), (1.0 / ratio,) * n)),
+        Choice.by("time scale", ScaleTime(1.0 / ratio)),
+        Choice.by("velocity scale", Scale(("dq",), (1.0 / ratio,) * n)),
     ]
     return said("velocity", "wrong rate", estimate=ratio, ratio=ratio), choices
 
@@ -201,7 +201,7 @@ def check_commands(log: Log) -> Check:
     step = float(torch.cat([log.t[rows].diff() for rows in log.slices()]).median())
     joints = [k for k in range(log.n) if float(log.u[:, k].max() - log.u[:, k].min()) > MOVES]
     if not joints or not step > 0:
-        return Check("commands", "cannot tell", "no command moves a joint")
+        return judged("commands", "cannot tell", "no command moves a joint")
     lags, gains = zip(*(_follow(log, k, step) for k in joints), strict=True)
     late = ", ".join(
         f"joint {k + 1} {1e3 * lag:.0f} ms" for k, lag in zip(joints, lags, strict=True)
@@ -237,10 +237,10 @@ def _follow(log: Log, k: int, step: float) -> tuple[float, float]:
 def check_channel_units(log: Log) -> Check:
     """Positions whose measured velocities are in another unit: a fraction of a range."""
     if log.dq is None:
-        return Check("channel units", "cannot tell", "no velocity is measured to compare with")
+        return judged("channel units", "cannot tell", "no velocity is measured to compare with")
     odd = own_units(log)
     if not odd:
-        return Check("channel units", "fine", "no q and u are in a unit of their own")
+        return judged("channel units", "fine", "no q and u are in a unit of their own")
     text = ", ".join(
         f"dq{k + 1} is {factor:.3g} times the rate of q{k + 1}" for k, factor in odd.items()
     )

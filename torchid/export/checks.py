@@ -12,12 +12,14 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import torch
 
 from torchid.effects.base import Motion
 from torchid.effects.registry import Valued
 from torchid.errors import TorchidError
 from torchid.export.c_code import CFile, identifier
+from torchid.results.record import Part
 from torchid.robot.config_files import filled_template
 from torchid.typing import Joints
 
@@ -29,8 +31,7 @@ _SMALL = 1e-6
 """Share of the largest joint's torque below which a joint's own does not count as its scale."""
 
 
-@dataclass(frozen=True)
-class Comparison:
+class Comparison(Part, frozen=True, rename={"difference": "largest_relative_difference"}):
     """One reader of an export, against the result's model.
 
     Attributes:
@@ -40,6 +41,7 @@ class Comparison:
         difference: largest difference of a joint's torque over the largest of that torque; None
             where the reader is missing or refused the file.
         limit: what it may be.
+        ok: whether it is no larger; None where there is none.
         note: why there is no difference, or what was left aside.
     """
 
@@ -48,12 +50,13 @@ class Comparison:
     states: int
     difference: float | None
     limit: float
+    ok: bool | None = None
     note: str = ""
 
-    @property
-    def ok(self) -> bool:
-        """Whether what was compared agrees."""
-        return self.difference is None or self.difference <= self.limit
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.difference is not None:
+            msgspec.structs.force_setattr(self, "ok", self.difference <= self.limit)
 
 
 def relative_difference(found: Joints, expected: Joints) -> float:
@@ -84,7 +87,7 @@ def compared(
 
 def missing(reader: str, what: str, why: str) -> Comparison:
     """A reader that could not be asked."""
-    return Comparison(reader, what, 0, None, EXACT, why)
+    return Comparison(reader, what, 0, None, EXACT, note=why)
 
 
 def compiler() -> str | None:
@@ -113,7 +116,8 @@ def check_c(code: CFile, file_name: str, motion: Motion, expected: Joints) -> Co
         )
         if made.returncode:
             first = (made.stderr.strip() or "no message").splitlines()[0]
-            return Comparison("C99", what, 0, math.inf, COMPILED, f"does not compile: {first}")
+            note = f"does not compile: {first}"
+            return Comparison("C99", what, 0, math.inf, COMPILED, note=note)
         rows = torch.cat([motion.q, motion.dq, motion.ddq], -1).tolist()
         text = "\n".join(" ".join(float(x).hex() for x in row) for row in rows)
         ran = subprocess.run(
@@ -147,7 +151,7 @@ class Draft:
 def require_agreement(comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
     """The comparisons, or a TorchidError where one fails."""
     for one in comparisons:
-        if not one.ok:
+        if one.ok is False:
             raise TorchidError(
                 "what was written does not reproduce the result, so nothing was kept.",
                 got=f"{one.reader}: {one.compared} differs by {one.difference:.3g}"

@@ -75,14 +75,14 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
     alone, running = refitted(arm, fitted, SAID, (*SAID, *AT_RUN_TIME))
     own, beside = (_in_engine(robot, _rigid(one, log), data) for one in (alone, running))
     judged = Judged(
-        "mrad",
-        "the log that was fitted" if asked.held_out is None else "a held-out log",
-        _rms((data.tracks.u - data.q) / data.scale),
-        replay(arm, on, windows=WINDOW_S).error[0],
-        replay(alone, on, windows=WINDOW_S).error[0],
-        own[1],
-        beside[1],
-        own[2],
+        unit="mrad",
+        held_out="the log that was fitted" if asked.held_out is None else "a held-out log",
+        nominal=_rms((data.tracks.u - data.q) / data.scale),
+        full=replay(arm, on, windows=WINDOW_S).error[0],
+        claim=replay(alone, on, windows=WINDOW_S).error[0],
+        engine=own[1],
+        run_time=beside[1],
+        by=own[2],
     )
     _require_follows(judged)
     no_field = unsaid_parameters(arm.servos, SAID)

@@ -8,12 +8,12 @@ Nothing is written before the engine has run the file on the log.
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
+from msgspec import structs
 
 from torchid.design.columns import Columns, Model
 from torchid.design.repeats import find_repeats
@@ -136,12 +136,12 @@ def _judged(
         }
         alone = "parts that were not fitted" if by_folds else "the log that was fitted"
         held_out = alone if apart is None else "a held-out log"
-        judged = Judged("%", held_out, **errors, by=engines[0].name, band=data.band)
+        judged = Judged(unit="%", held_out=held_out, by=engines[0].name, band=data.band, **errors)
         _require_better(judged)
         if asked.settings.rollout:
             inside = _in_file(robot, whole, original, to)
             forward = _forward(asked, full, inside, whole, on, data.silent)
-            judged = replace(judged, forward=forward)
+            judged = structs.replace(judged, forward=forward)
     return judged
 
 

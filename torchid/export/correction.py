@@ -24,7 +24,6 @@ from torchid.position.model import ServoArm
 from torchid.results.record import Result
 from torchid.results.words import number_list
 from torchid.robot.model import Robot
-from torchid.typing import Float, Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,33 +64,20 @@ CLAIMED = 1.15
 """Error in the engine over the claimed one from which a warning says so; beside 1 % or 1 mrad."""
 
 
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """Errors of each joint on a log: of torque in percent of it, while the joint moves and below
-    the report's band; of positions in mrad, begun anew at the measured position every 10 s.
+class Judged(Errors, frozen=True, eq=False, kw_only=True):
+    """Errors of each joint on a log.
 
     Attributes:
         unit: `%` or `mrad`.
         held_out: what the errors are on: `a held-out log`, `parts that were not fitted`, or
             `the log that was fitted`.
-        nominal: (n,) of the robot as given; of positions, of the command itself; nan of joints
-            whose torque holds no signal.
-        full: (n,) of all that was diagnosed, by torchid.
-        claim: (n,) of the file, by its own numbers.
-        engine: (n,) of the file, by the engine that runs it.
-        run_time: (n,) of a file with the effects that are added to it at run time.
-        by: that engine.
+        by: the engine that runs the file.
         band: [Hz]; None of positions.
         forward: by horizon, of torques; on the log that was fitted where no other is given.
     """
 
     unit: Literal["%", "mrad"]
     held_out: str
-    nominal: Float[Tensor, " n"]
-    full: Float[Tensor, " n"]
-    claim: Float[Tensor, " n"]
-    engine: Float[Tensor, " n"]
-    run_time: Float[Tensor, " n"]
     by: str
     band: float | None = None
     forward: tuple[Forward, ...] = ()

@@ -8,13 +8,14 @@ than the state; so its coefficients are compared, and constraints are turned off
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from msgspec import structs
 
 from torchid.design.columns import Model
 from torchid.design.segments import Samples, Segment
@@ -72,7 +73,7 @@ def check_pinocchio(
     expected = inverse_dynamics(robot, *motion.state)
     found = compared(engine.name, what, motion, expected, engine.rigid(motion))
     found = _with_note(found, wrong, aside)
-    if mjcf and not found.ok:
+    if mjcf and found.ok is False:
         return missing(engine.name, what, "reads the file otherwise than MuJoCo does")
     return found
 
@@ -178,8 +179,8 @@ def _wrong(joints: Sequence[JointDynamics], read: Mapping[str, Sequence[float]])
 def _with_note(found: Comparison, wrong: str, aside: Sequence[str]) -> Comparison:
     """The comparison with what went wrong, which fails it, or what was left aside."""
     if wrong:
-        return replace(found, difference=float("inf"), note=wrong)
-    return replace(found, note=f"left aside: {', '.join(aside)}" if aside else "")
+        return structs.replace(found, difference=float("inf"), note=wrong)
+    return structs.replace(found, note=f"left aside: {', '.join(aside)}" if aside else "")
 
 
 class RefusedFileError(TorchidError):

@@ -10,7 +10,7 @@ from torchid.errors import TorchidError
 from torchid.export.checks import Comparison
 from torchid.export.dynamics import Dynamics, effect_text, nearest_representative, random_states
 from torchid.export.nearest import nearest_bodies
-from torchid.export.record import ExportRecord, Places, Reader
+from torchid.export.record import ExportRecord, Places
 from torchid.export.results import Exportable, dynamics_of
 from torchid.export.servo_mjcf import JOINTS, SAID, unsaid_parameters
 from torchid.export.write_actuator import Package, write_actuator
@@ -290,10 +290,7 @@ def export_record(done: Export) -> ExportRecord:
         original=None if done.original is None else str(done.original),
         feasible=None if check is None else bool(check.feasibility.feasible[0]),
         reasons=() if check is None else check.feasibility.reasons(0),
-        checks=tuple(
-            Reader.of(one, ok=None if one.difference is None else one.ok)
-            for one in done.comparisons
-        ),
+        checks=done.comparisons,
         effects=Places.of(done),
         warnings=done.warnings,
     )

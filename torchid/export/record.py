@@ -5,20 +5,9 @@ import math
 import msgspec
 from msgspec import UNSET, UnsetType
 
+from torchid.export.checks import Comparison
 from torchid.results.record import Joint, Part, Real, Record, Rows, Values
 from torchid.typing import Float, Tensor
-
-
-class Reader(Part, frozen=True, kw_only=True, rename={"difference": "largest_relative_difference"}):
-    """One reader of a file, against the result's model; see `export.checks.Comparison`."""
-
-    reader: str
-    compared: str
-    states: int
-    difference: float | None
-    limit: float
-    ok: bool | None
-    note: str
 
 
 class Places(Part, frozen=True, kw_only=True):
@@ -50,13 +39,13 @@ class ExportRecord(Record, frozen=True, kw_only=True, tag="torchid.export/1"):
     original: str | None
     feasible: bool | None
     reasons: tuple[str, ...]
-    checks: tuple[Reader, ...]
+    checks: tuple[Comparison, ...]
     effects: Places
     warnings: tuple[str, ...]
     seed: int | UnsetType = UNSET
 
     @property
-    def table(self) -> Rows[Reader]:
+    def table(self) -> Rows[Comparison]:
         """The readers."""
         return Rows(self.checks)
 
@@ -65,7 +54,17 @@ _ERRORS = {"claim": "file_claimed", "engine": "file_in_engine", "run_time": "wit
 
 
 class Errors(Part, frozen=True, kw_only=True, rename=_ERRORS):
-    """Errors of the torque [%], or of positions [mrad], (n,); see `export.correction.Judged`."""
+    """Errors of each joint: of torque in percent of it, while the joint moves and below the
+    report's band; of positions in mrad, begun anew at the measured position every 10 s.
+
+    Attributes:
+        nominal: (n,) of the robot as given; of positions, of the command itself; nan of joints
+            whose torque holds no signal.
+        full: (n,) of all that was diagnosed, by torchid.
+        claim: (n,) of the file, by its own numbers.
+        engine: (n,) of the file, by the engine that runs it.
+        run_time: (n,) of a file with the effects that are added to it at run time.
+    """
 
     nominal: Float[Tensor, " n"]
     full: Float[Tensor, " n"]

@@ -113,14 +113,14 @@ class Found(Result):
     @cached_property
     def record(self) -> ExtractionRecord:
         """As the JSON has it."""
-        robot = self.problem.robot
+        robot, search = self.problem.robot, self.search
         entries = sets_record(self.sets, robot).sets
         return ExtractionRecord(
             **problem_fields(self.problem),
             method=self.method,
             search=None
-            if self.search is None
-            else SearchRecord.of(self.search.settings, self.search),
+            if search is None
+            else SearchRecord(**vars(search.settings), contradictions=search.contradictions),
             certificate=certificate_record(self.proof),
             best=self.sets.ids[self.best],
             sets=tuple(

@@ -1,65 +1,70 @@
 """Extractions and atlases as their JSON has them: the schemas torchid.extraction/1 and atlas/1."""
 
+import math
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from msgspec import UNSET, UnsetType, field
 
-from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.problem import Problem
+from torchid.extraction.settings import SearchSettings
 from torchid.feasibility.sets import SetEntry, SetsFile
 from torchid.results.record import Ends, Part, Real, RobotRecord, Rows
 from torchid.robot.library import named_record
 from torchid.typing import Float, Tensor
 
-NOTICEABLE = 1e-3
-"""Share of phi_min by which releasing a condition must lower it to be listed."""
-
 
 class CertificateRecord(Part, frozen=True, kw_only=True):
-    """phi_min and what forces it; see torchid.extraction.convex.certificate.
+    """The least loss of any feasible set, and what forces it.
 
-    `phi_min_without`: conditions whose release lowers it noticeably, and to what.
+    Attributes:
+        feasible: whether there is a strictly feasible set at all; False as well where one is known
+            without the problem's conditions alone.
+        with_conditions: whether the problem's conditions count beside physics and bounds.
+        phi_min: lower bound of the loss of all feasible sets, proven by the dual problem to its
+            rounding; infinite if there are none, nan if the solver failed. Without bounds of
+            inertias they are still taken to be below `convex.sets.REACH`: the largest mass a
+            hundred times, at a third of the arm's longest step.
+        phi_strict: loss of one strictly feasible set that nearly reaches it; nan if there are none.
+        exact: whether that set has no loss but rounding, so that phi_min is zero and is reached. A
+            phi_min of zero alone says nothing: it is a lower bound.
+        conflict: if there is no feasible set, conditions and bounds that exclude each other; of
+            a name that stands alone, com_7z, the bounds exclude the condition.
+        forcing: a small group of conditions, found greedily, without which phi_min is nearly zero,
+            those of most effect first. Empty if phi_min is zero.
+        phi_min_without: conditions whose release lowers it noticeably, and to what; those of most
+            effect first.
+        relaxed_active: bounds of barycentric inertias, bound_4yy, that count in phi_min by a
+            relaxation only and not in full, so that phi_min may not be reached: without them,
+            phi would be smaller than the best found within them. The strictly feasible set meets
+            them wherever one that does was found.
+        seconds: that it took.
     """
 
     feasible: bool
     with_conditions: bool
     phi_min: Real
-    phi_strict: Real
-    exact: bool
-    conflict: tuple[str, ...]
-    forcing: tuple[str, ...]
-    phi_min_without: dict[str, float]
-    relaxed_active: tuple[str, ...] = field(name="relaxed")
+    phi_strict: Real = math.nan
+    exact: bool = False
+    conflict: tuple[str, ...] = ()
+    forcing: tuple[str, ...] = ()
+    phi_min_without: dict[str, float] = field(default_factory=dict)
+    relaxed_active: tuple[str, ...] = field(name="relaxed", default=())
     seconds: float
 
 
-def certificate_record(proof: Certificate | None) -> CertificateRecord | None:
+def certificate_record(proof: CertificateRecord | None) -> CertificateRecord | None:
     """As the JSON has it; None where there is no certificate."""
     if proof is None:
         return None
-    possible = proof.feasible and proof.with_conditions
-    return CertificateRecord.of(proof, feasible=possible, phi_min_without=noticeable(proof))
+    return CertificateRecord.of(proof, feasible=proof.feasible and proof.with_conditions)
 
 
-def noticeable(proof: Certificate) -> dict[str, float]:
-    """Conditions whose release lowers phi_min noticeably, and to what; those of most effect
-    first."""
-    limit = proof.phi_min * (1 - NOTICEABLE)
-    lower = {name: value for name, value in proof.released.items() if value < limit}
-    return dict(sorted(lower.items(), key=lambda item: item[1]))
-
-
-class SearchRecord(Part, frozen=True, kw_only=True):
+@dataclass(frozen=True, kw_only=True)
+class SearchRecord(SearchSettings):
     """Settings of a population search, and conditions that no point of the bounds meets."""
 
-    runs: int
-    stages: int
-    generations: int
-    population: int | None
-    penalty: str
-    schedule: str
-    seed: int
     contradictions: tuple[str, ...]
 
 

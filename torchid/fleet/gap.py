@@ -66,10 +66,14 @@ def answer_gap(task: GapTask) -> tuple[LogAnswer, dict[str, Any]]:
     except LogError as error:
         return LogAnswer.unopened(task.log, error), {}
     if "refused" in entry.words:
-        return LogAnswer(task.log, digest, key, "refused", (entry.words["refused"],)), {}
+        return LogAnswer.about(
+            task.log, "refused", entry.words["refused"], sha256=digest, key=key
+        ), {}
     gap = entry.words["gap"]
     wanted = ("status", "where", "which", "how_far")
-    answer = LogAnswer(task.log, digest, key, "good", (), entry.words["seconds"], found=found)
+    answer = LogAnswer.about(
+        task.log, "good", sha256=digest, key=key, seconds=entry.words["seconds"], found=found
+    )
     return answer, {name: gap[name] for name in wanted}
 
 
@@ -175,13 +179,13 @@ class FleetGap(Result):
     @cached_property
     def record(self) -> FleetGapRecord:
         """As the JSON has it."""
-        units = sorted({a.log.unit for a, gap in self.answers if gap})
+        units = sorted({a.unit for a, gap in self.answers if gap})
         # By effect and place: units, what it cannot be told from, coefficients.
         having: dict[tuple[str, str, tuple[int, ...]], list[tuple[str, dict]]] = defaultdict(list)
         for answer, gap in self.answers:
             for entry in gap.get("which", ()):
                 place = entry["effect"], entry["family"], tuple(entry["joints"])
-                having[place].append((answer.log.unit, entry))
+                having[place].append((answer.unit, entry))
         effects = []
         for (effect, family, joints), entries in having.items():
             own = dict(reversed(entries))
@@ -223,9 +227,9 @@ class FleetGap(Result):
 def _row(answer: LogAnswer, gap: dict[str, Any]) -> DiagnosedLog:
     joints = gap["where"]["joints"] if gap else ()
     return DiagnosedLog(
-        unit=answer.log.unit,
-        session=answer.log.session,
-        log=answer.log.path,
+        unit=answer.unit,
+        session=answer.session,
+        log=answer.log,
         status=gap["status"] if gap else answer.verdict,
         evidence=" ".join(answer.evidence),
         key=answer.key,

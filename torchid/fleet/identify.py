@@ -24,7 +24,6 @@ from torchid.fleet.model import FleetModel
 from torchid.fleet.record import (
     FleetRecord,
     FleetSettingsRecord,
-    LogRow,
     Oddity,
     PooledParameter,
     SessionRow,
@@ -108,7 +107,7 @@ class Fleet(Result):
     @cached_property
     def record(self) -> FleetRecord:
         """As the JSON has it."""
-        used = Counter(a.log.unit for a in self.logs if a.verdict in USED)
+        used = Counter(a.unit for a in self.logs if a.verdict in USED)
         found, order = self.pooled, self.model.order
         ci = found.interval()
         units = [
@@ -136,16 +135,6 @@ class Fleet(Result):
                 SessionRow.of(estimate, unit=u.unit, session=name)
                 for u in self.units
                 for name, estimate in u.sessions
-            ],
-            logs=[
-                LogRow.of(
-                    a,
-                    unit=a.log.unit,
-                    session=a.log.session,
-                    log=a.log.path,
-                    noise=[float("nan") if x is None else x for x in a.noise],
-                )
-                for a in self.logs
             ],
             values=torch.where(self.one_fit.held, torch.nan, self.one_fit.x)[order],
             noise=self.one_fit.noise,
@@ -234,13 +223,16 @@ def reduce_fleet(
         for task, a in zip(tasks, found, strict=True)
     ]
     # The same motion counts once, whatever it is called.
-    first: dict[str, FleetLog] = {}
+    first: dict[str, LogAnswer] = {}
     out = []
     for a in answers:
-        other = first.setdefault(a.sha256, a.log) if a.sha256 else a.log
-        same = f"the same content as {other.path} of unit {other.unit}, which is used"
-        again = LogAnswer(a.log, a.sha256, a.key, "refused", (same,))
-        out.append(a if other is a.log else again)
+        other = first.setdefault(a.sha256, a) if a.sha256 else a
+        same = f"the same content as {other.log} of unit {other.unit}, which is used"
+        again = LogAnswer(
+            unit=a.unit, session=a.session, log=a.log, verdict="refused", evidence=(same,),
+            sha256=a.sha256, key=a.key,
+        )  # fmt: skip
+        out.append(a if other is a else again)
     return tuple(out)
 
 
@@ -301,12 +293,12 @@ def fleet_identify(
         write_index(place, answers)
         used = [a for a in answers if a.verdict in USED]
         if not used:
-            reasons = [f"{a.log.path}: {a.evidence[-1]}" for a in answers[:5]]
+            reasons = [f"{a.log}: {a.evidence[-1]}" for a in answers[:5]]
             raise IdentificationError("no log of the fleet can be used.", got="; ".join(reasons))
         # Logs of a session in the order of their content, which no name changes.
         sessions: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
         for a in used:
-            sessions[a.log.unit][a.log.session].append(a.key)
+            sessions[a.unit][a.session].append(a.key)
         tasks = [
             UnitTask(
                 unit,
@@ -357,9 +349,9 @@ def write_index(store: Store, answers: Sequence[LogAnswer], name: str = INDEX) -
     """A table of all logs into the store, for duckdb or pandas."""
     rows = [
         {
-            "log": visible(a.log.path), "unit": visible(a.log.unit),
-            "session": visible(a.log.session), "sha256": a.sha256, "key": a.key,
-            "verdict": a.verdict, "seconds": a.seconds, "evidence": visible("\n".join(a.evidence)),
+            "log": visible(a.log), "unit": visible(a.unit), "session": visible(a.session),
+            "sha256": a.sha256, "key": a.key, "verdict": a.verdict, "seconds": a.seconds,
+            "evidence": visible("\n".join(a.evidence)),
         }
         for a in answers
     ]  # fmt: skip

@@ -1,28 +1,29 @@
 """A fleet as its JSON has it: the schema torchid.fleet/1."""
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from msgspec import UNSET, UnsetType, field
 
-from torchid.results.record import Ends, Part, Real, RobotRecord, Rows
+from torchid.fleet.settings import FleetSettings
+from torchid.results.record import Ends, Part, Real, RobotRecord, Rows, recorded
 from torchid.typing import Float, Tensor
 
 Judged = Literal["good", "doubtful", "refused", "failed"]
 
 
 class LogRow(Part, frozen=True, kw_only=True):
-    """One log.
+    """What became of a log.
 
     Attributes:
-        unit, session, log: which.
+        unit, session, log: which, and its path.
         verdict: `good`; `doubtful`: used, and to be looked at; `refused`: not used; `failed`: the
             task gave nothing, and is tried again the next time.
         evidence: sentences.
-        sha256: of its content.
+        sha256: of its content, in hexadecimal; empty where it could not be read.
         key: of its factors in the store.
         seconds: of motion that was reduced.
         noise: (n,) what each joint leaves beside the log's own fit [N m; N].
-        correlation: of that [s].
+        correlation: of that, the longest [s].
         blocks: number of blocks.
     """
 
@@ -31,12 +32,12 @@ class LogRow(Part, frozen=True, kw_only=True):
     log: str
     verdict: Judged
     evidence: tuple[str, ...]
-    sha256: str
-    key: str
-    seconds: float
-    noise: tuple[Real, ...]
-    correlation: Real = field(name="correlation_s")
-    blocks: int
+    sha256: str = ""
+    key: str = ""
+    seconds: float = 0.0
+    noise: tuple[Real, ...] = ()
+    correlation: Real = field(default=0.0, name="correlation_s")
+    blocks: int = 0
 
 
 class PooledParameter(Part, frozen=True, kw_only=True):
@@ -134,15 +135,10 @@ class SessionRow(Part, frozen=True, kw_only=True):
     blocks: int
 
 
-class FleetSettingsRecord(Part, frozen=True, kw_only=True):
-    """As torchid.fleet.settings.FleetSettings."""
-
-    effects: tuple[str, ...]
-    cutoff: float = field(name="cutoff_hz")
-    reversal: float
-    rows: str
-    basis: str | None
-    level: float
+if TYPE_CHECKING:
+    FleetSettingsRecord = FleetSettings
+else:
+    FleetSettingsRecord = recorded(FleetSettings, cutoff="cutoff_hz")
 
 
 class FleetRecord(RobotRecord, frozen=True, kw_only=True, tag="torchid.fleet/1"):

@@ -4,6 +4,7 @@ A task may be run twice, or be ended at any moment; its answer is in the store a
 all. What crosses the wire is the row of a log or the estimate of a session.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import reduce
@@ -29,6 +30,7 @@ from torchid.fleet.factors import combined as both
 from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
 from torchid.fleet.reading import first_minute, stretches, temperature_of
+from torchid.fleet.record import Judged, LogRow
 from torchid.json_data import plain
 from torchid.log.model import Log
 from torchid.parallel.store import Entry, Store, content_hash, key_of, local_file, stamp
@@ -47,45 +49,32 @@ class LogTask:
     place: str
 
 
-@dataclass(frozen=True)
-class LogAnswer:
-    """What became of a log.
+class LogAnswer(LogRow, frozen=True, kw_only=True):
+    """What became of a log, and what its row in the JSON leaves out.
 
     Attributes:
-        log: which.
-        sha256: of its content, in hexadecimal; empty where it could not be read.
-        key: of its factors in the store.
-        verdict: `good`; `doubtful`: used, and to be looked at; `refused`: not used.
-        evidence: sentences.
-        seconds: of motion that was reduced.
-        noise: (n,) what each joint's torque leaves beside the log's own fit [N m; N].
-        correlation: of that, the longest [s].
-        blocks: number of blocks.
         temperature: mean of the log's column `temperature` [degC]; None without one.
         found: whether the answer was there already.
     """
 
-    log: FleetLog
-    sha256: str
-    key: str
-    verdict: str
-    evidence: tuple[str, ...]
-    seconds: float = 0.0
-    noise: tuple[float | None, ...] = ()
-    correlation: float = 0.0
-    blocks: int = 0
     temperature: float | None = None
     found: bool = False
 
     @classmethod
+    def about(cls, log: FleetLog, verdict: Judged, *evidence: str, **more: Any) -> "LogAnswer":
+        """A verdict on a log, with sentences, and more attributes by name."""
+        place: dict[str, Any] = {"unit": log.unit, "session": log.session, "log": log.path}
+        return cls(**place, verdict=verdict, evidence=evidence, **more)
+
+    @classmethod
     def failed(cls, log: FleetLog, failure: Failure) -> "LogAnswer":
         """Of a log whose task gave nothing."""
-        return cls(log, "", "", "failed", (f"{failure.reason} ({failure.tries} tries)",))
+        return cls.about(log, "failed", f"{failure.reason} ({failure.tries} tries)")
 
     @classmethod
     def unopened(cls, log: FleetLog, error: LogError) -> "LogAnswer":
         """Of a log that is not there, or cannot be opened."""
-        return cls(log, "", "", "refused", (" ".join(str(error).split()),))
+        return cls.about(log, "refused", " ".join(str(error).split()))
 
 
 def answer_log(task: LogTask) -> LogAnswer:
@@ -105,10 +94,13 @@ def answer_log(task: LogTask) -> LogAnswer:
         )
     except LogError as error:  # there is no such file, or it cannot be opened
         return LogAnswer.unopened(task.log, error)
-    known: dict[str, Any] = {
-        k: tuple(v) if isinstance(v, list) else v for k, v in entry.words.items()
-    }
-    return LogAnswer(task.log, digest, key, **known, found=found)
+    words = dict(entry.words)
+    verdict, evidence = words.pop("verdict"), words.pop("evidence")
+    if "noise" in words:
+        words["noise"] = tuple(math.nan if x is None else x for x in words["noise"])
+    return LogAnswer.about(
+        task.log, verdict, *evidence, sha256=digest, key=key, found=found, **words
+    )
 
 
 def answered(

@@ -2,8 +2,6 @@
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
 
 import torch
 from msgspec import UNSET, UnsetType, field
@@ -13,7 +11,7 @@ from torchid.errors import TorchidError
 from torchid.fleet.identify import USED, Fleet
 from torchid.fleet.tasks import UnitAnswer
 from torchid.identification.base_parameters import BaseParameters
-from torchid.results.record import Part, Real, Result, RobotRecord, Rows
+from torchid.results.record import Part, Real, RobotRecord, Rows
 from torchid.robot.library import named_record
 from torchid.statistics.drift import drift
 from torchid.statistics.robust import MAD_TO_SIGMA
@@ -72,7 +70,16 @@ class WatchedUnit(Part, frozen=True, kw_only=True):
 
 
 class WatchRecord(RobotRecord, frozen=True, kw_only=True, tag="torchid.fleet_watch/1"):
-    """What drifts in a fleet, as the JSON has it."""
+    """What drifts in a fleet, as the JSON has it.
+
+    Attributes:
+        version: of torchid.
+        false_alarm_every: sessions of a unit until a false alarm.
+        alarms: the clearest first.
+        units: that are watched.
+        notes: sentences for the user.
+        seed: from a command.
+    """
 
     version: str
     false_alarm_every: float = field(name="sessions_per_false_alarm")
@@ -87,34 +94,18 @@ class WatchRecord(RobotRecord, frozen=True, kw_only=True, tag="torchid.fleet_wat
         return Rows(self.alarms)
 
 
-@dataclass(frozen=True, eq=False)
-class Watch(Result):
-    """What drifts in a fleet.
-
-    Attributes:
-        fleet: identified.
-        every: sessions of a unit until a false alarm.
-        alarms, units, notes: as the record's.
-    """
+class Watch(WatchRecord, frozen=True, eq=False, kw_only=True, tag="torchid.fleet_watch/1"):
+    """What drifts in a fleet, and the `fleet` that was identified."""
 
     fleet: Fleet
-    every: float
-    alarms: tuple[Alarm, ...]
-    units: tuple[WatchedUnit, ...]
-    notes: tuple[str, ...]
 
     def __repr__(self) -> str:
-        return f"Watch('{self.fleet.model.robot.name}', {len(self.alarms)} alarms)"
+        return f"Watch('{self.robot}', {len(self.alarms)} alarms)"
 
-    @cached_property
-    def record(self) -> WatchRecord:
+    @property
+    def record(self) -> WatchRecord:  # type: ignore[override]
         """As the JSON has it."""
-        return WatchRecord.of(
-            self,
-            **named_record(self.fleet.model.robot),
-            version=__version__,
-            false_alarm_every=self.every,
-        )
+        return WatchRecord.of(self)
 
 
 def watch(fleet: Fleet, every: float = SESSIONS) -> Watch:
@@ -146,7 +137,10 @@ def watch(fleet: Fleet, every: float = SESSIONS) -> Watch:
             units.append(watched)
             alarms += own
     alarms.sort(key=lambda a: (-a.evidence, a.unit, a.parameter))
-    return Watch(fleet, every, tuple(alarms), tuple(units), fleet.notes)
+    return Watch(
+        **named_record(fleet.model.robot), version=__version__, false_alarm_every=every,
+        alarms=tuple(alarms), units=tuple(units), notes=fleet.notes, fleet=fleet,
+    )  # fmt: skip
 
 
 def _watched(
@@ -232,5 +226,5 @@ def _temperatures(fleet: Fleet) -> dict[tuple[str, str], float]:
     found: dict[tuple[str, str], list[float]] = defaultdict(list)
     for a in fleet.logs:
         if a.verdict in USED and a.temperature is not None:
-            found[a.log.unit, a.log.session].append(a.temperature)
+            found[a.unit, a.session].append(a.temperature)
     return {key: sum(own) / len(own) for key, own in found.items()}

@@ -19,7 +19,6 @@ from torchid.gap.record import (
     FarRecord,
     FoundEffect,
     GapRecord,
-    GapSettingsRecord,
     JointFit,
     JointGap,
     JointRms,
@@ -36,7 +35,7 @@ from torchid.gap.record import (
 from torchid.gap.settings import GapSettings
 from torchid.json_data import plain
 from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
-from torchid.results.record import Rows
+from torchid.results.record import Rows, by_joint
 from torchid.results.replication import Replication
 from torchid.results.words import count, effect_words, joints_words, listed
 from torchid.robot.model import JointType, Robot, torque_unit
@@ -286,7 +285,6 @@ class TorqueDiagnosis(Diagnosis):
     def record(self) -> GapRecord:
         """As the JSON has it."""
         far, floor = self.how_far, self.floor
-        rms = zip(far.rms_before.tolist(), far.rms_after.tolist(), strict=True)
         return GapRecord.of(
             self,
             robot=self.robot.name,
@@ -295,17 +293,19 @@ class TorqueDiagnosis(Diagnosis):
                 far,
                 rms_before=far.rms_before.norm(),
                 rms_after=far.rms_after.norm(),
-                noise_floor_rms=[float(floor.low.norm()), float(floor.high.norm())],
-                per_joint=[
-                    JointRms(j, before, after, (float(floor.low[j]), float(floor.high[j])))
-                    for j, (before, after) in enumerate(rms)
-                ],
+                noise_floor_rms=floor.total,
+                per_joint=by_joint(
+                    JointRms,
+                    before=far.rms_before,
+                    after=far.rms_after,
+                    noise_floor_rms=floor.ends,
+                ),
             ),
             noise_floor=floor,
             trajectories=tuple(t.name for t in self.traces),
             band_hz=self.band,
             cutoff_hz=self.cutoff,
-            settings=GapSettingsRecord.of(self.settings, self),
+            settings={**vars(self.settings), "refitted": self.refitted},
             model=self.robot,
         )
 
@@ -329,26 +329,22 @@ class TorqueDiagnosis(Diagnosis):
         # All base parameters stand in the JSON's `parametric` alone.
         bodies = (_link(p) for p in self.parametric if not p.links)
         causes = [f.cause for f in (*self.which, *bodies)]
-        levels = zip(far.rms_before.tolist(), far.rms_after.tolist(), strict=True)
         return Answer(
             status=self.status,
             error="the gap",
             unit=torque_unit(robot),
             before=float(far.rms_before.norm()),
             after=float(far.rms_after.norm()),
-            noise=(float(floor.low.norm()), float(floor.high.norm())),
+            noise=floor.total,
             closed=far.closed,
             closed_ci95=far.closed_ci95,
             noise_measured=floor.source == "repeats",
-            joints=tuple(
-                JointError(
-                    joint=j,
-                    name=robot.joint_names[j],
-                    before=before,
-                    after=after,
-                    noise=(float(floor.low[j]), float(floor.high[j])),
-                )
-                for j, (before, after) in enumerate(levels)
+            joints=by_joint(
+                JointError,
+                name=robot.joint_names,
+                before=far.rms_before,
+                after=far.rms_after,
+                noise=floor.ends,
             ),
             causes=tuple(sorted(causes, key=lambda c: -c.closes)),
             suspects=tuple(e.cause for e in self.suspects),

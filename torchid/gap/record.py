@@ -1,12 +1,15 @@
 """A diagnosis as its JSON has it: the schema torchid.gap/1."""
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
+import torch
 
 from torchid.errors import TorchidError
+from torchid.gap.settings import GapSettings
 from torchid.results.answer import Cause, DiagnosisRecord, NotTestable, Size
 from torchid.results.record import (
     FINITE,
@@ -413,30 +416,29 @@ class NoiseFloor(Part, frozen=True):
     source: Literal["repeats", "bracket"]
     notes: tuple[str, ...] = ()
 
+    @property
+    def ends(self) -> Float[Tensor, "n 2"]:
+        """The bracket of each joint [N m; N]."""
+        return torch.stack([self.low, self.high], 1)
 
-class GapSettingsRecord(Part, frozen=True, kw_only=True):
-    """The settings, as GapSettings has them, and whether base parameters were refitted."""
+    @property
+    def total(self) -> Interval:
+        """The bracket over all joints, as root of the sum of squares."""
+        return float(self.low.norm()), float(self.high.norm())
 
-    effects: tuple[str, ...] | None = None
-    background: tuple[str, ...] = ()
-    parameters: str = "auto"
-    cutoff: float | str = "auto"
-    report_band: float | None = None
-    alpha: float | None = None
-    worthwhile: float | None = None
-    worthwhile_torque: float | None = None
-    gain_std: float | None = None
-    folds: int | None = None
-    max_effects: int | None = None
-    held_out_fraction: float = 0.0
-    rollout: bool = True
-    seed: int = 0
-    only: tuple[tuple[str, int | None], ...] | None = None
+
+@dataclass(frozen=True)
+class GapSettingsRecord(GapSettings):
+    """The settings, and whether base parameters were refitted; older files do not say it."""
+
     refitted: bool | None = None
+
+    def __post_init__(self) -> None:
+        """Settings of an answer are not judged again: an older file may name other effects."""
 
     @property
     def free(self) -> bool:
-        """Whether base parameters were fitted with everything; older files do not say it."""
+        """Whether base parameters were fitted with everything."""
         if self.refitted is not None:
             return self.refitted
         return self.parameters == "free" or bool(self.background)

@@ -35,7 +35,12 @@ class Blocks:
 
     def quantile(self, level: float = 0.95) -> float:
         """Half-width of a two-sided interval in standard deviations (Student, K - 1)."""
-        return float(student_quantile(level, torch.tensor([self.blocks - 1.0])))
+        return quantile(self.blocks, level)
+
+
+def quantile(blocks: int, level: float = 0.95) -> float:
+    """Half-width of a two-sided interval in standard deviations from K blocks (Student, K - 1)."""
+    return float(student_quantile(level, torch.tensor([blocks - 1.0])))
 
 
 class IdentifiedModel:

@@ -1,6 +1,6 @@
 """An identification as its JSON has it: the schema torchid.identification/1."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import torch
 from msgspec import UNSET, UnsetType, field
@@ -10,8 +10,8 @@ from torchid.effects.registry import effect_from_record, effect_kind, on_every_j
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters, all_units, coefficient_names
 from torchid.identification.model import Blocks, IdentifiedModel
-from torchid.identification.settings import Rows
-from torchid.results.record import FINITE, Ends, Model, Part, Real, RobotRecord, Values
+from torchid.identification.settings import Rows, Settings
+from torchid.results.record import FINITE, Ends, Model, Part, Real, RobotRecord, Values, recorded
 from torchid.results.record import Rows as Table
 from torchid.robot.inertia import PARAMETERS_PER_LINK, parameter_names
 from torchid.robot.knowledge import Knowledge, from_mapping
@@ -49,8 +49,14 @@ class EffectRecord(Part, frozen=True, kw_only=True):
     places: tuple[Values, ...] | UnsetType = UNSET
 
 
-class CutoffRecord(Part, frozen=True, kw_only=True):
-    """What was tried for the cut-off [Hz], and the cross-validated error [%]."""
+class CutoffRecord(Part, frozen=True):
+    """What was tried for the cut-off.
+
+    Attributes:
+        candidates: [Hz] (None: no filter).
+        scores: cross-validated relative error of unfiltered torque, mean over joints [%]; inf for
+            those not tried because lower ones had already become worse.
+    """
 
     candidates: tuple[float | None, ...] = field(name="candidates_hz")
     scores: tuple[Real, ...] = field(name="cross_validated_error_percent")
@@ -107,7 +113,15 @@ class FittedRows(Part, frozen=True):
 
 
 class StatisticsRecord(Blocks, Part, frozen=True, kw_only=True):
-    """Of the standard deviations; quantile95 is half of the interval in them."""
+    """Of the standard deviations.
+
+    Attributes:
+        method: how they were found.
+        blocks: number of blocks.
+        block_seconds: their length.
+        correlation_seconds: integrated autocorrelation time of the residuals, largest over joints.
+        quantile95: half of the interval in standard deviations.
+    """
 
     method: str
     blocks: int
@@ -116,23 +130,12 @@ class StatisticsRecord(Blocks, Part, frozen=True, kw_only=True):
     quantile95: float
 
 
-class SettingsRecord(Part, frozen=True, kw_only=True):
-    """The settings, as torchid.Settings has them."""
-
-    effects: tuple[str, ...]
-    cutoff: float | str | None
-    reversal: float | str
-    rows: str
-    basis: str | None = None
-    method: str
-    covariance: str
-    signs: str
-    essential: bool
-    held_out_fraction: float
-    error_cutoff: float | None = field(name="error_cutoff_hz")
-    compiled: bool
-    force: bool = False
-    mirror: tuple[str, ...] = ()
+if TYPE_CHECKING:
+    SettingsRecord = Settings
+else:
+    SettingsRecord = recorded(
+        Settings, ("basis", "force", "mirror"), error_cutoff="error_cutoff_hz"
+    )
 
 
 class IdentificationRecord(

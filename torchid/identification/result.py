@@ -15,7 +15,6 @@ from torchid.identification.record import (
     Errors,
     FittedRows,
     IdentificationRecord,
-    StatisticsRecord,
 )
 from torchid.identification.settings import Settings
 from torchid.identification.statistics import Uncertainty
@@ -103,7 +102,7 @@ class Identification(IdentifiedModel, Result):
     @cached_property
     def record(self) -> IdentificationRecord:
         """As the JSON has it."""
-        base, uncertainty = self.base, self.uncertainty
+        base = self.base
         # Base parameters led by an effect's coefficient that are sums with others.
         combined = [b for b in range(base.n_rigid, len(base)) if not base.is_single(b)]
         return IdentificationRecord.of(
@@ -118,11 +117,7 @@ class Identification(IdentifiedModel, Result):
             rank_gap=base.rank_gap,
             grouping=base,
             base_names=base.names,
-            statistics=StatisticsRecord.of(
-                uncertainty,
-                method="leverage-corrected block jackknife",
-                quantile95=uncertainty.quantile(0.95),
-            ),
+            statistics=self.uncertainty,
             model=self.robot,
             sure=None if self.knowledge is None else to_mapping(self.knowledge),
         )

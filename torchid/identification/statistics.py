@@ -2,12 +2,12 @@
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import torch
 
 from torchid.identification.least_squares import Fit, orthonormal, whitened_rows
-from torchid.identification.model import Blocks
+from torchid.identification.model import quantile
+from torchid.identification.record import StatisticsRecord
 from torchid.identification.rows import RowBlock, RowSource
 from torchid.statistics import jackknife as blocks_jackknife
 from torchid.statistics.autocorrelation import CORRELATION_TIMES, correlation_instants
@@ -16,26 +16,19 @@ from torchid.statistics.jackknife import Shares
 from torchid.typing import Bool, Float, Tensor
 
 
-@dataclass(frozen=True)
-class Uncertainty(Blocks):
+class Uncertainty(StatisticsRecord, frozen=True, kw_only=True):
     """Covariance of the coefficients, in the layout's order.
 
     Attributes:
         covariance: (B, B); rows and columns of coefficients that are not free are 0.
         by_one_block: (B,) coefficients that one block alone determines: their standard deviation
             is the white-noise one, a lower bound.
-        blocks: number of blocks.
-        block_seconds: their length.
-        correlation_seconds: integrated autocorrelation time of the residuals, largest over joints.
         warnings: sentences for the user.
         shares: what each block says of the free ones; None of a tree, whose blocks hold too much.
     """
 
     covariance: Float[Tensor, "B B"]
     by_one_block: Bool[Tensor, " B"]
-    blocks: int
-    block_seconds: float
-    correlation_seconds: float
     warnings: tuple[str, ...]
     shares: Shares | None = None
 
@@ -110,6 +103,8 @@ def jackknife(source: RowSource, fit: Fit) -> Uncertainty:
     by_one[free] = found.by_one_block
     interval = max(source.interval)
     return Uncertainty(
-        covariance, by_one, found.blocks, length * interval, correlation * interval,
-        tuple(warnings), found.shares if source.layout.robot.is_serial else None,
+        method="leverage-corrected block jackknife", blocks=found.blocks,
+        block_seconds=length * interval, correlation_seconds=correlation * interval,
+        quantile95=quantile(found.blocks), covariance=covariance, by_one_block=by_one,
+        warnings=tuple(warnings), shares=found.shares if source.layout.robot.is_serial else None,
     )  # fmt: skip

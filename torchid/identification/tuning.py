@@ -23,6 +23,7 @@ from torchid.errors import LogError
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.least_squares import Fit, factor, fit, solve, stacked_factor
 from torchid.identification.model import model_torque
+from torchid.identification.record import CutoffRecord
 from torchid.identification.rows import Layout, RowSource, layout
 from torchid.identification.settings import Settings
 from torchid.log.filtering import ZeroPhaseFilter
@@ -55,20 +56,10 @@ columns, about as the square of the joints."""
 Report = Callable[[int, int], None] | None
 
 
-@dataclass(frozen=True)
-class CutoffChoice:
-    """What was tried, and what won.
-
-    Attributes:
-        cutoff: [Hz], or None for no filter.
-        candidates: [Hz] (None: no filter).
-        scores: cross-validated relative error of unfiltered torque, mean over joints [%]; inf for
-            those not tried because lower ones had already become worse.
-    """
+class CutoffChoice(CutoffRecord, frozen=True, kw_only=True):
+    """What was tried, and what won: `cutoff` [Hz], or None for no filter."""
 
     cutoff: float | None
-    candidates: tuple[float | None, ...]
-    scores: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -152,7 +143,7 @@ def choose_cutoff(training: Training, report: Report = None) -> CutoffChoice:
         if report is not None:
             report(k + 1, len(tried))
     best = min(range(len(tried)), key=scores.__getitem__)
-    return CutoffChoice(tried[best], tuple(tried), tuple(scores))
+    return CutoffChoice(tuple(tried), tuple(scores), cutoff=tried[best])
 
 
 def choose_reversal(

@@ -19,6 +19,7 @@ from scipy.optimize import minimize
 
 from torchid.errors import LogError
 from torchid.log.model import Log
+from torchid.pair.record import ClockRecord
 from torchid.typing import Float, Tensor
 
 COARSE = 4000
@@ -48,24 +49,6 @@ EXACT = 1e-9
 """Of a correlation from 1, below which nothing is left to be sought."""
 
 
-@dataclass(frozen=True)
-class Clock:
-    """Time of the simulator's log for a time of the arm's: start + rate t, both from their first
-    sample.
-
-    Attributes:
-        rate: [1].
-        start: [s].
-        likeness: mean correlation of what both were aligned by.
-        by: `u` or `q`.
-    """
-
-    rate: float
-    start: float
-    likeness: float
-    by: str
-
-
 @dataclass(frozen=True, eq=False)
 class Both:
     """One trajectory of both on the grid of the slower log.
@@ -83,7 +66,7 @@ class Both:
     t: Float[Tensor, " T"]
     simulated: dict[str, Float[Tensor, "T n"]]
     real: dict[str, Float[Tensor, "T n"]]
-    clock: Clock
+    clock: ClockRecord
 
 
 def aligned_trajectories(simulated: Log, real: Log) -> list[Both]:
@@ -117,12 +100,12 @@ def aligned_trajectories(simulated: Log, real: Log) -> list[Both]:
     return [_on_grid(*pair, clock) for pair, clock in zip(pairs, clocks, strict=True)]
 
 
-def _on_grid(simulated: Log, real: Log, clock: Clock) -> Both:
+def _on_grid(simulated: Log, real: Log, clock: ClockRecord) -> Both:
     """Both where they overlap, on the grid of the slower log."""
     ts, tr = (x.t.numpy() - float(x.t[0]) for x in (simulated, real))
     dt = max(_step(ts) / clock.rate, _step(tr))
-    first = max(0.0, -clock.start / clock.rate)
-    last = min(tr[-1], (ts[-1] - clock.start) / clock.rate)
+    first = max(0.0, -clock.start_s / clock.rate)
+    last = min(tr[-1], (ts[-1] - clock.start_s) / clock.rate)
     grid = np.arange(first, last + 1e-9, dt)
     common = [
         name
@@ -133,7 +116,7 @@ def _on_grid(simulated: Log, real: Log, clock: Clock) -> Both:
         real.names[0],
         dt,
         torch.from_numpy(grid + float(real.t[0])),
-        {k: _at(grid * clock.rate + clock.start, ts, simulated.signals[k]) for k in common},
+        {k: _at(grid * clock.rate + clock.start_s, ts, simulated.signals[k]) for k in common},
         {k: _at(grid, tr, real.signals[k]) for k in common},
         clock,
     )
@@ -163,8 +146,9 @@ class _Two:
         return float(self.ts[-1] / self.tr[-1]) or 1.0
 
 
-def _clocks(pairs: Sequence[tuple[Log, Log]]) -> list[Clock]:
+def _clocks(pairs: Sequence[tuple[Log, Log]]) -> list[ClockRecord]:
     """The clock of each trajectory."""
+    names = [real.names[0] for _, real in pairs]
     by = "u" if all(x.u is not None for pair in pairs for x in pair) else "q"
     twos = [_Two.of(*pair, by) for pair in pairs]
     moving = [two for two in twos if two.moves]
@@ -172,12 +156,12 @@ def _clocks(pairs: Sequence[tuple[Log, Log]]) -> list[Clock]:
         if not any(_Two.of(*pair, "q").moves for pair in pairs):
             raise LogError("the arm's log holds no motion to align by.")
         # Every command is a step at its trajectory's first sample.
-        return [Clock(1.0, 0.0, 1.0, by) for _ in pairs]
+        return [ClockRecord(name, 1.0, 0.0, 1.0, by) for name in names]
     found = iter(_alike(moving))
     ends = [next(found) if two.moves else None for two in twos]
     shared = float(np.median([end[1] for end in ends if end is not None]))
     out = []
-    for end in ends:
+    for name, end in zip(names, ends, strict=True):
         likeness, rate, start = (1.0, shared, 0.0) if end is None else end
         if likeness < ALIKE[by]:
             raise LogError(
@@ -187,7 +171,7 @@ def _clocks(pairs: Sequence[tuple[Log, Log]]) -> list[Clock]:
                 expected=f"{ALIKE[by]} at least",
                 hint="the same commands u1.. in both logs align them whatever the arms did",
             )
-        out.append(Clock(rate, start, likeness, by))
+        out.append(ClockRecord(name, rate, start, likeness, by))
     return out
 
 

@@ -41,7 +41,6 @@ from torchid.pair.faults import (
     servo_laws,
 )
 from torchid.pair.record import (
-    ClockRecord,
     Difference,
     Fault,
     OneSided,
@@ -182,12 +181,11 @@ def compare_pair(
     else:
         which, diagnoses = effects_of(robot, simulated, real, settings, say)
     say("done", 1, 1)
-    clocks = tuple(ClockRecord.of(b.clock, trajectory=b.name, start_s=b.clock.start) for b in both)
     record = PairRecord(
         robot=None if robot is None else robot.name,
         simulated=simulated.source or "simulated",
         real=real.source or "real",
-        clocks=clocks,
+        clocks=tuple(b.clock for b in both),
         torque=torque,
         position=position,
         torque_noise=floor,

@@ -23,7 +23,8 @@ FaultName = Literal[
 
 
 class ClockRecord(Part, frozen=True):
-    """Time of the simulator's log, start + rate t, for the arm's time t from its first sample.
+    """Time of the simulator's log for a time of the arm's: start + rate t, both from their first
+    sample.
 
     Attributes:
         trajectory: of the arm's log.

@@ -16,7 +16,7 @@ from torchid.effects.servo import ServoEffect
 from torchid.log.checks import STILL
 from torchid.log.model import Log
 from torchid.position.data import GAP, WINDOW_S, PositionData, missing_commands, prepare
-from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
+from torchid.position.diagnosis import Number, PositionDiagnosis, finding_of
 from torchid.position.early import EarlyAnswer
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, neutral
 from torchid.position.equal import OF_TYPE, pooled, with_data_sheets
@@ -33,7 +33,7 @@ from torchid.position.judge import (
 from torchid.position.model import ServoArm, accuracy
 from torchid.position.odds import alike_rises, effect_sure
 from torchid.position.payload import Loaded, with_load
-from torchid.position.record import ChangeRecord
+from torchid.position.record import Accuracy, ChangeRecord, PositionFinding
 from torchid.position.repeats import PositionNoise, noise_of_repeats
 from torchid.position.rods import PER_METRE
 from torchid.position.search import (
@@ -692,19 +692,19 @@ def _findings(
         body = _load_sizes(load)
         far, near = (1e3 * float((x.mean() / looked).sqrt()) for x in (light, heavy))
         by = sure((light, heavy, least), len(body))
-        out.append(PositionFinding.of(PAYLOAD, None, body, (far, near), others, how_sure=by))
+        out.append(finding_of(PAYLOAD, None, body, (far, near), others, how_sure=by))
     for name, losses in answered.worth.items():
         effect = BY_NAME[name]
         # Errors in the log's unit: of the joint, or of all of them.
         without, with_it = (1e3 * (x / looked).sqrt() / data.scale for x in losses)
         if not effect.parameters:
             plane = tuple(
-                Size(key, "N/m" if key == "stiffness" else "m", value, (torch.nan, torch.nan))
+                Number(key, "N/m" if key == "stiffness" else "m", value, (torch.nan, torch.nan))
                 for key, value in zip(PLANE, found.servos.plane.tolist(), strict=True)
             )
             far, near = (float(x.square().mean().sqrt()) for x in (without, with_it))
             by = sure((*losses, least), len(plane))
-            out.append(PositionFinding.of(effect, None, plane, (far, near), how_sure=by))
+            out.append(finding_of(effect, None, plane, (far, near), how_sure=by))
             continue
         joints = torch.nonzero(without.isfinite() & ~_still(data)).flatten().tolist()
         alike = dict(
@@ -725,18 +725,18 @@ def _findings(
                 others += (effect.twin,)
             ends = float(without[j]), float(with_it[j])
             by = sure((*losses, least), len(sizes), again, j, alike[j])
-            out.append(PositionFinding.of(effect, j + 1, sizes, ends, others, again, by))
+            out.append(finding_of(effect, j, sizes, ends, others, again, by))
     return tuple(sorted(out, key=lambda f: f.error_with - f.error_without))
 
 
-def _load_sizes(load: Loaded) -> tuple[Size, ...]:
+def _load_sizes(load: Loaded) -> tuple[Number, ...]:
     """Mass and centre of a load. The mass goes with the servos' gains, by factors: its interval is
     theirs, of a logarithm."""
     half = (HALF_95 * load.std).tolist()
     factor = math.exp(half[0] / load.mass)
-    mass = Size("mass", "kg", load.mass, (load.mass / factor, load.mass * factor))
+    mass = Number("mass", "kg", load.mass, (load.mass / factor, load.mass * factor))
     com = (
-        Size(key, "m", value, (value - h, value + h))
+        Number(key, "m", value, (value - h, value + h))
         for key, value, h in zip("xyz", load.com.tolist(), half[1:], strict=True)
     )
     return (mass, *com)
@@ -750,7 +750,7 @@ def _size(
     *,
     share: bool,
     held: float,
-) -> Size:
+) -> Number:
     """A number of an effect on one joint, of torques as a share of kp if asked for."""
     value, unit, shown = float(known.servos.of(name)[joint]), PARAMETERS[INDEX[name]].unit, name
     if name == "delay":
@@ -761,7 +761,7 @@ def _size(
         value /= float(known.servos.of("kp")[joint])
         unit, shown = PER_KP[unit], as_share(name)
     std = float(deviation[joint, known.names.index(name)])
-    return Size(shown, unit, value, value_interval(name, value, std))
+    return Number(shown, unit, value, value_interval(name, value, std))
 
 
 def _alike(
@@ -810,7 +810,7 @@ def _accuracies(
     pairs = zip(*errors_of.values(), strict=True)
     still = _still(data)
     ways = [
-        Accuracy(*(_rms(error).masked_fill(still, torch.nan) for error in pair))
+        Accuracy.of_joints(*(_rms(error).masked_fill(still, torch.nan) for error in pair))
         for pair in ((commanded, commanded), *pairs)
     ]
     return ways, (errors_of["whole"][0], errors_of["whole"][1])

@@ -4,8 +4,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple
 
 import msgspec
 import torch
@@ -17,138 +18,59 @@ from torchid.position.judge import closed_share
 from torchid.position.model import ServoArm
 from torchid.position.nominal import NominalServo
 from torchid.position.record import (
-    AccuracyRecord,
+    Accuracy,
     ChangeRecord,
-    EffectRecord,
     HeldOutRecord,
     HowFarRecord,
     JointRecord,
     KnownRecord,
     MotionRecord,
     NominalRecord,
+    PositionFinding,
     PositionRecord,
     RegimeRecord,
     ServosRecord,
     WhereRecord,
 )
 from torchid.position.repeats import PositionNoise
-from torchid.results.answer import Answer, Cause, Diagnosis, JointError, NotTestable
-from torchid.results.answer import Size as AnswerSize
-from torchid.results.record import Rows
+from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
+from torchid.results.record import Rows, by_joint
 from torchid.results.replication import Replication
 from torchid.simulation.servo import INDEX, Servos
 from torchid.statistics.criteria import LIKELY, UNLIKELY
-from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
 
 MOST = 0.9
 """Share of a gap that its causes close [1]."""
 
 
-@dataclass(frozen=True)
-class Size:
-    """One number of an effect on one joint.
-
-    Attributes:
-        name, unit: of the parameter.
-        value: fitted.
-        interval: 95 %: motions as clusters, and no less than noise allows.
-    """
+class Number(NamedTuple):
+    """One number of an effect, fitted, with its 95 % interval."""
 
     name: str
     unit: str
     value: float
     interval: tuple[float, float]
 
-    @property
-    def std(self) -> float | None:
-        """Of the interval, as if it were a normal variable's; None where it has no end."""
-        half = (self.interval[1] - self.interval[0]) / 2
-        return half / HALF_95 if math.isfinite(half) else None
 
-
-@dataclass(frozen=True)
-class PositionFinding:
-    """One effect on one joint.
-
-    Attributes:
-        effect, family: names.
-        joint: counted from 1; None for a plane or a load, which all joints feel.
-        sizes: its numbers.
-        error_without: position error of the joint (of all joints, for those) in windows of 2 s
-            when the others are fitted without it [mrad of the log's unit].
-        error_with: the same with it.
-        ambiguous_with: effects that do as well in its place.
-        meaning, remedy: one sentence each.
-        replication: whether it is the same in every motion; None of what acts at the ends of the
-            travel, and of what all joints feel.
-        how_sure: probability of it, or of the set with what does as well.
-    """
-
-    effect: str
-    family: str
-    joint: int | None
-    sizes: tuple[Size, ...]
-    error_without: float
-    error_with: float
-    ambiguous_with: tuple[str, ...]
-    meaning: str
-    remedy: str
-    replication: Replication | None = None
-    how_sure: float | None = None
-
-    @classmethod
-    def of(
-        cls,
-        effect: ServoEffect,
-        joint: int | None,
-        sizes: Sequence[Size],
-        errors: tuple[float, float],
-        ambiguous_with: tuple[str, ...] = (),
-        replication: Replication | None = None,
-        how_sure: float | None = None,
-    ) -> Self:
-        """Of an effect, whose errors [mrad] are without it and with it."""
-        return cls(
-            effect.name, effect.family, joint, tuple(sizes), *errors, ambiguous_with,
-            effect.meaning, effect.remedy, replication, how_sure,
-        )  # fmt: skip
-
-    @property
-    def cause(self) -> Cause:
-        """As the answer has it; it closes its share of the error of its joint."""
-        left = self.error_with / self.error_without if self.error_without > 0 else 1.0
-        return Cause(
-            effect=self.effect,
-            joints=() if self.joint is None else (self.joint - 1,),
-            sizes=tuple(
-                AnswerSize(name=s.name, unit=s.unit, value=s.value, std=s.std) for s in self.sizes
-            ),
-            how_sure=self.how_sure,
-            ambiguous_with=self.ambiguous_with,
-            closes=1.0 - left,
-            remedy=self.remedy,
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Accuracy:
-    """RMS position errors of one way to predict a log [mrad of the log's unit].
-
-    A joint that never moves is NaN: to predict it is neither a success nor a failure.
-
-    Attributes:
-        whole: (n,) whole motions from their measured start.
-        windows: (n,) windows of 2 s.
-    """
-
-    whole: Float[Tensor, " n"]
-    windows: Float[Tensor, " n"]
-
-    @property
-    def mean(self) -> tuple[float, float]:
-        """Of the joints that move: whole motions, and windows of 2 s."""
-        return float(self.whole.nanmean()), float(self.windows.nanmean())
+def finding_of(
+    effect: ServoEffect,
+    joint: int | None,
+    numbers: Sequence[Number],
+    errors: tuple[float, float],
+    ambiguous_with: tuple[str, ...] = (),
+    replication: Replication | None = None,
+    how_sure: float | None = None,
+) -> PositionFinding:
+    """Of an effect on a joint (from 0), or on all, whose errors [mrad] are without it and with
+    it."""
+    return PositionFinding(
+        effect=effect.name, family=effect.family, joints=() if joint is None else (joint,),
+        ambiguous_with=ambiguous_with, parameters={x.name: x.value for x in numbers},
+        unit={x.name: x.unit for x in numbers}, ci95={x.name: x.interval for x in numbers},
+        error_without=errors[0], error_with=errors[1], replication=replication, how_sure=how_sure,
+        meaning=effect.meaning, remedy=effect.remedy,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,11 +195,8 @@ class PositionDiagnosis(Diagnosis):
         motions that were left out, before them those of a plain servo."""
         unseen, moves, noise = self.unseen, ~self.still, self._noise_interval
         low_noise, high_noise = noise[moves].mean(0).nan_to_num(0.0).tolist()
-        given = self.answered if self._right_as_given else self.plain_servo
-        before, after = given.whole, self.answered.whole
-        names = self.data.robot.joint_names
+        before = self.answered if self._right_as_given else self.plain_servo
         every = sorted((f.cause for f in self.findings), key=lambda c: -c.closes)
-        sure = [c for c in every if c.how_sure is None or c.how_sure >= LIKELY]
         low, high = (float(x) for x in unseen[moves].aminmax()) if bool(moves.any()) else (0.0, 0.0)
         small = f"What moves a joint by less than {low:.1f} to {high:.1f} mrad could not be seen."
         return Answer(
@@ -286,23 +205,20 @@ class PositionDiagnosis(Diagnosis):
             if self._right_as_given
             else "a plain servo's error",
             unit="mrad",
-            before=given.mean[0],
-            after=self.answered.mean[0],
+            before=before.whole_mrad,
+            after=self.answered.whole_mrad,
             noise=(low_noise, high_noise),
             noise_measured=bool(self.noise.low[moves].isfinite().all()),
             closed=None if math.isnan(self.closed) else self.closed,
             closed_ci95=None if math.isnan(self.closed) else self.closed_ci95,
-            joints=tuple(
-                JointError(
-                    joint=j,
-                    name=names[j],
-                    before=float(before[j]),
-                    after=float(after[j]),
-                    noise=(float(noise[j, 0]), float(noise[j, 1])),
-                )
-                for j in range(len(names))
+            joints=by_joint(
+                JointError,
+                name=self.data.robot.joint_names,
+                before=before.whole,
+                after=self.answered.whole,
+                noise=noise,
             ),
-            causes=tuple(sure),
+            causes=tuple(c for c in every if c.how_sure is None or c.how_sure >= LIKELY),
             suspects=tuple(c for c in every if UNLIKELY <= (c.how_sure or 0.0) < LIKELY),
             reason=small if self.status == "no_gap" else "",
             doubt=self.doubt or UNSET,
@@ -315,7 +231,69 @@ class PositionDiagnosis(Diagnosis):
     @cached_property
     def record(self) -> PositionRecord:
         """As the JSON has it."""
-        return position_record(self)
+        data, (kp, kp_ci95), (names, of_motions) = self.data, self.gains, self.motions
+        joints = by_joint(
+            JointRecord,
+            name=data.robot.joint_names,
+            commanded_mrad=self.commanded.whole,
+            plain_mrad=self.plain_servo.whole,
+            answered_mrad=self.answered.whole,
+            kp=kp,
+            kp_ci95=kp_ci95,
+            ratio_only=self.ratio_only,
+            never_moves=self.still,
+            unseen_mrad=self.unseen,
+            noise_mrad=self._measured_noise,
+            resolution_mrad=1e3 * 12**0.5 * data.resolution,
+        )
+        regimes = (
+            by_joint(
+                RegimeRecord, regime=[name] * len(joints), plain_mrad=before, answered_mrad=after
+            )
+            for name, (before, after) in self.regimes.items()
+        )
+        return PositionRecord(
+            robot=data.robot.name,
+            answer=self.answer,
+            motions=len(names),
+            status=self.status,
+            where=WhereRecord(joints=joints, regimes=tuple(chain.from_iterable(regimes))),
+            which=self.findings,
+            how_far=HowFarRecord(
+                commanded=self.commanded,
+                plain=self.plain_servo,
+                answered=self.answered,
+                closed=self.closed,
+                per_motion=tuple(
+                    MotionRecord(motion=name, answered_mrad=row)
+                    for name, row in zip(names, of_motions, strict=True)
+                ),
+            ),
+            servos=msgspec.convert(self.servos.record(), ServosRecord),
+            log_scale=data.scale,
+            warnings=self.warnings,
+            seconds=self.seconds,
+            known=tuple(
+                KnownRecord(joint=j, names=told, covariance=covariance)
+                for j, (told, covariance) in enumerate(self.known)
+                if told
+            )
+            or UNSET,
+            changes=self.changes or UNSET,
+            not_testable=self.not_testable,
+            held_out=UNSET if self.held_out is None else HeldOutRecord(*self.held_out),
+            nominal=tuple(
+                NominalRecord(
+                    joint=j,
+                    servo=servo.name,
+                    values=dict(servo.values),
+                    counts=math.nan if servo.counts is None else servo.counts,
+                    register_units=dict(servo.units),
+                )
+                for j, servo in enumerate(self.nominal)
+            )
+            or UNSET,
+        )
 
     @property
     def corrected(self) -> ServoArm:
@@ -334,107 +312,6 @@ class PositionDiagnosis(Diagnosis):
         self.corrected.write(path)
 
     @property
-    def effects(self) -> Rows[EffectRecord]:
+    def effects(self) -> Rows[PositionFinding]:
         """What was found, one row an effect and joint."""
         return self.record.table
-
-
-def position_record(result: PositionDiagnosis) -> PositionRecord:
-    """A diagnosis as its JSON has it."""
-    kp, intervals = result.gains
-    noise = result._measured_noise.tolist()
-    joints = tuple(
-        JointRecord(
-            joint=j,
-            name=result.data.robot.joint_names[j],
-            commanded_mrad=float(result.commanded.whole[j]),
-            plain_mrad=float(result.plain_servo.whole[j]),
-            answered_mrad=float(result.answered.whole[j]),
-            kp=float(kp[j]),
-            kp_ci95=(float(intervals[j, 0]), float(intervals[j, 1])),
-            ratio_only=bool(result.ratio_only[j]),
-            never_moves=bool(result.still[j]),
-            unseen_mrad=float(result.unseen[j]),
-            noise_mrad=(noise[j][0], noise[j][1]),
-            resolution_mrad=float(1e3 * 12**0.5 * result.data.resolution[j]),
-        )
-        for j in range(result.servos.n)
-    )
-    regimes = tuple(
-        RegimeRecord(joint=j, regime=name, plain_mrad=float(before), answered_mrad=float(after))
-        for name, both in result.regimes.items()
-        for j, (before, after) in enumerate(zip(*both, strict=True))
-    )
-    names, errors = result.motions
-    known = tuple(
-        KnownRecord(joint=j, names=told, covariance=covariance)
-        for j, (told, covariance) in enumerate(result.known)
-        if told
-    )
-    return PositionRecord(
-        robot=result.data.robot.name,
-        answer=result.answer,
-        motions=len(names),
-        status=result.status,
-        where=WhereRecord(joints=joints, regimes=regimes),
-        which=tuple(map(_finding, result.findings)),
-        how_far=HowFarRecord(
-            commanded=_accuracy(result.commanded),
-            plain=_accuracy(result.plain_servo),
-            answered=_accuracy(result.answered),
-            closed=result.closed,
-            per_motion=tuple(
-                MotionRecord(motion=name, answered_mrad=row)
-                for name, row in zip(names, errors, strict=True)
-            ),
-        ),
-        servos=msgspec.convert(result.servos.record(), ServosRecord),
-        log_scale=result.data.scale,
-        warnings=result.warnings,
-        seconds=result.seconds,
-        known=known or UNSET,
-        changes=result.changes or UNSET,
-        not_testable=result.not_testable,
-        held_out=(
-            UNSET
-            if result.held_out is None
-            else HeldOutRecord(whole_mrad=result.held_out[0], windows_2s_mrad=result.held_out[1])
-        ),
-        nominal=(
-            UNSET
-            if not result.nominal
-            else tuple(
-                NominalRecord(
-                    joint=j,
-                    servo=servo.name,
-                    values=dict(servo.values),
-                    counts=math.nan if servo.counts is None else servo.counts,
-                    register_units=dict(servo.units),
-                )
-                for j, servo in enumerate(result.nominal)
-            )
-        ),
-    )
-
-
-def _accuracy(way: Accuracy) -> AccuracyRecord:
-    whole, windows = way.mean
-    return AccuracyRecord(
-        whole_mrad=whole,
-        windows_2s_mrad=windows,
-        whole_per_joint=way.whole,
-        windows_per_joint=way.windows,
-    )
-
-
-def _finding(found: PositionFinding) -> EffectRecord:
-    return EffectRecord.of(
-        found,
-        joints=() if found.joint is None else (found.joint - 1,),
-        parameters={s.name: s.value for s in found.sizes},
-        unit={s.name: s.unit for s in found.sizes},
-        ci95={s.name: s.interval for s in found.sizes},
-        error_without_mrad=found.error_without,
-        error_with_mrad=found.error_with,
-        replication=found.replication,
-    )

@@ -8,8 +8,7 @@ would be known; those that help the open ones most are taken one after the other
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -30,7 +29,7 @@ from torchid.position.model import ServoArm, replay
 from torchid.position.record import PositionRecord
 from torchid.position.rods import with_rods
 from torchid.results.files import read_as
-from torchid.results.record import Joint, Part, Real, Record, Result, Rows
+from torchid.results.record import Joint, Part, Real, Record, Rows
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, Servos, as_share
 from torchid.simulation.servo_loop import windows_of
@@ -72,13 +71,22 @@ class OpenParameter(Part, frozen=True, kw_only=True):
 
 
 class NextCommandsRecord(Record, frozen=True, kw_only=True, tag="torchid.position_motion/1"):
-    """Commands as their JSON has them; see NextCommands."""
+    """Commands to drive next, as their JSON has them.
+
+    Attributes:
+        robot: its name.
+        motions: what each of the log's trajectories is.
+        open: what they are for; empty where nothing is open, and then they serve all parameters.
+        seconds, rate: of each motion [s, Hz].
+        warnings: one sentence each.
+        seed: from a command.
+    """
 
     robot: str
     motions: tuple[str, ...]
     open: tuple[OpenParameter, ...]
     seconds: Real
-    rate_hz: Real
+    rate: Real = msgspec.field(name="rate_hz")
     warnings: tuple[str, ...] = ()
     seed: int | UnsetType = UNSET
 
@@ -88,34 +96,23 @@ class NextCommandsRecord(Record, frozen=True, kw_only=True, tag="torchid.positio
         return Rows(self.open)
 
 
-@dataclass(frozen=True, eq=False)
-class NextCommands(Result):
+class NextCommands(NextCommandsRecord, frozen=True, eq=False, kw_only=True):
     """Commands to drive next.
 
     Attributes:
-        robot: its name.
         log: t, the commands u, and where the answered servos go with them, q; in the log's units.
-        motions: what each of its trajectories is.
-        open: what they are for; empty where nothing is open, and then they serve all parameters.
-        seconds, rate: of each motion [s, Hz].
-        warnings: one sentence each.
+        robot, motions, open, seconds, rate, warnings: as in their JSON, `NextCommandsRecord`.
     """
 
-    robot: str
     log: Log
-    motions: tuple[str, ...]
-    open: tuple[OpenParameter, ...]
-    seconds: float
-    rate: float
-    warnings: tuple[str, ...]
 
     def __repr__(self) -> str:
         return f"NextCommands('{self.robot}', {', '.join(self.motions)})"
 
-    @cached_property
-    def record(self) -> NextCommandsRecord:
+    @property
+    def record(self) -> NextCommandsRecord:  # type: ignore[override]  # no log in it
         """As the JSON has it."""
-        return NextCommandsRecord.of(self, rate_hz=self.rate)
+        return NextCommandsRecord.of(self)
 
 
 def next_commands(
@@ -203,8 +200,8 @@ def next_commands(
         parts.append(kept[k].replace(q=kept[k].q / scale, u=u / scale))
     warnings = position_limits(robot)[1]
     return NextCommands(
-        robot.name, Log.concatenate(parts), tuple(names[k] for k in chosen), opened, seconds, rate,
-        warnings,
+        robot=robot.name, log=Log.concatenate(parts), motions=tuple(names[k] for k in chosen),
+        open=opened, seconds=seconds, rate=rate, warnings=warnings,
     )  # fmt: skip
 
 

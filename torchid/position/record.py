@@ -1,14 +1,16 @@
-"""A diagnosis of commands and positions as JSON: schema torchid.position_gap/1."""
+"""What a diagnosis of commands and positions answers, as its JSON has it: schema
+torchid.position_gap/1. The parts of the JSON are the parts of the answer."""
 
 import math
-from typing import Annotated
+from typing import Annotated, Self
 
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from torchid.results.answer import DiagnosisRecord, NotTestable
+from torchid.results.answer import Cause, DiagnosisRecord, NotTestable, Size
 from torchid.results.record import FINITE, Ends, Joint, Part, Real, Rows, Values
 from torchid.results.replication import Replication
+from torchid.statistics.proportion import HALF_95
 from torchid.typing import Float, Tensor
 
 
@@ -48,8 +50,22 @@ class WhereRecord(Part, frozen=True, kw_only=True):
     regimes: tuple[RegimeRecord, ...]
 
 
-class EffectRecord(Part, frozen=True, kw_only=True):
-    """One effect; see `position.diagnosis.PositionFinding`. No joint: all feel it."""
+class PositionFinding(Part, frozen=True, kw_only=True):
+    """One effect on one joint.
+
+    Attributes:
+        effect, family: names.
+        joints: at which; none for a plane or a load, which all joints feel.
+        ambiguous_with: effects that do as well in its place.
+        parameters, unit, ci95: its numbers by name, with 95 % intervals: motions as clusters, and
+            no less than noise allows.
+        error_without, error_with: position error of the joint (of all joints, for those) in windows
+            of 2 s without it and with it, the others refitted [mrad of the log's unit].
+        replication: whether it is the same in every motion; None of what acts at the ends of the
+            travel, and of what all joints feel.
+        how_sure: probability of it, or of the set with what does as well.
+        meaning, remedy: one sentence each.
+    """
 
     effect: str
     family: str
@@ -58,22 +74,60 @@ class EffectRecord(Part, frozen=True, kw_only=True):
     parameters: dict[str, Real]
     unit: dict[str, str] = msgspec.field(default_factory=dict)
     ci95: dict[str, Ends]
-    error_without_mrad: Real
-    error_with_mrad: Real
+    error_without: Real = msgspec.field(name="error_without_mrad")
+    error_with: Real = msgspec.field(name="error_with_mrad")
     replication: Replication | None = None
     how_sure: float | None = None
     meaning: str
     remedy: str
 
+    @property
+    def joint(self) -> int | None:
+        """Counted from 1; None for a plane or a load, which all joints feel."""
+        return self.joints[0] + 1 if self.joints else None
 
-class AccuracyRecord(Part, frozen=True, kw_only=True):
-    """Errors of one way to predict a log: the mean of the joints that move, and joint by joint
-    [mrad]."""
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Its numbers; of each the standard deviation as if it were a normal variable, None where
+        the interval has no end."""
+        halves = {name: (high - low) / 2 for name, (low, high) in self.ci95.items()}
+        std = {name: h / HALF_95 if math.isfinite(h) else None for name, h in halves.items()}
+        return tuple(
+            Size(name=name, unit=self.unit.get(name, ""), value=value, std=std[name])
+            for name, value in self.parameters.items()
+        )
+
+    @property
+    def cause(self) -> Cause:
+        """As the answer has it; it closes its share of the error of its joint."""
+        left = self.error_with / self.error_without if self.error_without > 0 else 1.0
+        return Cause(
+            effect=self.effect, joints=self.joints, sizes=self.sizes, how_sure=self.how_sure,
+            ambiguous_with=self.ambiguous_with, closes=1.0 - left, remedy=self.remedy,
+        )  # fmt: skip
+
+
+class Accuracy(Part, frozen=True, eq=False, kw_only=True):
+    """RMS position errors of one way to predict a log [mrad of the log's unit].
+
+    A joint that never moves is NaN: to predict it is neither a success nor a failure.
+
+    Attributes:
+        whole_mrad, windows_2s_mrad: mean of the joints that move, of both.
+        whole: (n,) whole motions from their measured start.
+        windows: (n,) windows of 2 s.
+    """
 
     whole_mrad: Real
     windows_2s_mrad: Real
-    whole_per_joint: Float[Tensor, " n"]
-    windows_per_joint: Float[Tensor, " n"]
+    whole: Float[Tensor, " n"] = msgspec.field(name="whole_per_joint")
+    windows: Float[Tensor, " n"] = msgspec.field(name="windows_per_joint")
+
+    @classmethod
+    def of_joints(cls, whole: Float[Tensor, " n"], windows: Float[Tensor, " n"]) -> Self:
+        """Of errors of joints, with their means."""
+        means = float(whole.nanmean()), float(windows.nanmean())
+        return cls(whole_mrad=means[0], windows_2s_mrad=means[1], whole=whole, windows=windows)
 
 
 class MotionRecord(Part, frozen=True, kw_only=True):
@@ -83,7 +137,7 @@ class MotionRecord(Part, frozen=True, kw_only=True):
     answered_mrad: Float[Tensor, " n"]
 
 
-class HeldOutRecord(Part, frozen=True, kw_only=True):
+class HeldOutRecord(Part, frozen=True):
     """Errors of logs that took part in nothing, mean of the joints [mrad]."""
 
     whole_mrad: Real
@@ -93,9 +147,9 @@ class HeldOutRecord(Part, frozen=True, kw_only=True):
 class HowFarRecord(Part, frozen=True, kw_only=True):
     """How far the command, a plain servo and the answer predict motions left out."""
 
-    commanded: AccuracyRecord
-    plain: AccuracyRecord
-    answered: AccuracyRecord
+    commanded: Accuracy
+    plain: Accuracy
+    answered: Accuracy
     closed: Real
     per_motion: tuple[MotionRecord, ...]
 
@@ -172,7 +226,7 @@ class PositionRecord(
     motions: int
     status: str
     where: WhereRecord
-    which: tuple[EffectRecord, ...]
+    which: tuple[PositionFinding, ...]
     how_far: HowFarRecord
     servos: ServosRecord
     log_scale: Float[Tensor, " n"]
@@ -186,11 +240,8 @@ class PositionRecord(
     not_testable: tuple[NotTestable, ...] = ()
 
     @property
-    def table(self) -> Rows[EffectRecord]:
+    def table(self) -> Rows[PositionFinding]:
         """The effects."""
         return Rows(self.which)
 
-    @property
-    def effects(self) -> Rows[EffectRecord]:
-        """The same."""
-        return self.table
+    effects = table

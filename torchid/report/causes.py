@@ -5,7 +5,7 @@ import math
 import re
 
 from torchid.gap.record import FoundEffect, GapRecord, UnnamedEffect
-from torchid.position.record import EffectRecord, PositionRecord
+from torchid.position.record import PositionFinding, PositionRecord
 from torchid.report.cautions import number_ranges
 from torchid.report.table import Table
 from torchid.results.answer import Answer, Cause, NotTestable, named_size
@@ -58,11 +58,11 @@ def cause_table(record: GapRecord | PositionRecord) -> Table:
     return Table("which: causes of the error (value ± std)", columns, rows, "lllp", note)
 
 
-def _joints(found: FoundEffect | UnnamedEffect | EffectRecord) -> tuple[int, ...]:
+def _joints(found: FoundEffect | UnnamedEffect | PositionFinding) -> tuple[int, ...]:
     return found.located if isinstance(found, FoundEffect) else found.joints
 
 
-def _values(cause: Cause, found: FoundEffect | UnnamedEffect | EffectRecord | None) -> str:
+def _values(cause: Cause, found: FoundEffect | UnnamedEffect | PositionFinding | None) -> str:
     """Numbers of a cause, a line each, and its shapes in brackets."""
     values = []
     for size in cause.sizes[:MOST_SIZES]:
@@ -82,7 +82,7 @@ def _values(cause: Cause, found: FoundEffect | UnnamedEffect | EffectRecord | No
     return "\n".join(values)
 
 
-def _corrects(found: FoundEffect | EffectRecord, robot: Robot | None) -> bool:
+def _corrects(found: FoundEffect | PositionFinding, robot: Robot | None) -> bool:
     """Whether the model has this effect at this place already, so that values are changes of it."""
     if robot is None or not isinstance(found, FoundEffect) or found.effect == "link_inertia":
         return False

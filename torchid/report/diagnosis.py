@@ -128,7 +128,7 @@ def facts(result: TorqueDiagnosis | PositionDiagnosis) -> list[tuple[str, str]]:
         ("Noise", f"{span(answer.noise)} {unit}"),
     ]
     if isinstance(result, PositionDiagnosis):
-        return [*out, ("Command alone", f"{result.commanded.mean[0]:.3g} {unit}")]
+        return [*out, ("Command alone", f"{result.commanded.whole_mrad:.3g} {unit}")]
     row = _usual_horizon(result)
     if row is not None and row.ratio is not None:
         out.append((f"Simulated motion, {row.horizon_s:g} s", f"{row.ratio:.2g} of its error"))

@@ -13,7 +13,7 @@ from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.extract import Extraction
 from torchid.extraction.found import Found, at_bounds
 from torchid.extraction.problem import FAR_TORQUE, Problem
-from torchid.extraction.record import AtlasRecord, noticeable
+from torchid.extraction.record import AtlasRecord
 from torchid.identification.values import BaseValues
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.panels import Figure, Figures, finish, panel, rows_of
@@ -105,7 +105,7 @@ def least_loss(found: Found, proof: Certificate) -> str:
             f"{start}Whether some {whose} set reproduces the base parameters exactly is not known: "
             f"the least loss lies between phi_min = 0 and {best:.5g}.{relaxed}"
         )
-    forcing = [n for n, v in noticeable(proof).items() if v < 0.95 * proof.phi_min][:4]
+    forcing = [n for n, v in proof.phi_min_without.items() if v < 0.95 * proof.phi_min][:4]
     names = forcing or proof.forcing
     forced = f", forced by {', '.join(names)}" if names else ""
     return f"{start}No {whose} set has a loss below phi_min = {proof.phi_min:.5g}{forced}.{relaxed}"
@@ -126,7 +126,7 @@ def tables(found: Found) -> list[Table]:
         rows.append(
             (found.sets.ids[k], f"{float(found.phi[k]):.5g}", far, penalty, said, near, why)
         )
-    least = {} if proof is None else noticeable(proof)
+    least = {} if proof is None else proof.phi_min_without
     without = [(name, f"{value:.5g}") for name, value in least.items()][:_SHOWN]
     forced = "" if proof is None else f"what forces phi_min = {proof.phi_min:.5g}"
     title = f"{which} within the bounds '{found.problem.bounds.name}' (torque: largest joint)"

@@ -1,33 +1,29 @@
 """The figure of a result by its kind: what `Result.plot` draws."""
 
 from functools import partial
-from importlib import import_module
 from typing import Any
 
+from torchid import other_packages
 from torchid.errors import TorchidError
 from torchid.log.model import Log
 from torchid.report.panels import Figure, Figures
 from torchid.results.record import Result
 
-DRAWN = {
-    "Log": "log:signals_figure signals",
-    "TorqueDiagnosis": "gap_figures:kinds",
-    "GapRecord": "gap_figures:kinds",
-    "PositionDiagnosis": "position:kinds",
-    "PositionRecord": "position:kinds",
-    "Replay": "position:replay_figure positions",
-    "Identification": "identification:kinds",
-    "IdentificationRecord": "identification:parameter_figure parameters",
-    "Atlas": "extraction:atlas_figure ranges",
-    "AtlasRecord": "extraction:atlas_figure ranges",
-    "Extraction": "extraction:search_figure search",
-    "Found": "extraction:figures",
-    "Examination": "doctor:torque_figure torque",
-    "EqualTorqueStudy": "equal_torque:figures",
-    "GivenSets": "given_sets:figures",
-    "Study": "study.figures:kinds",
-    "Comparison": "compare:forest_figure parameters",
-    "ScoreRecord": "withheld:figures",
+DRAWN = other_packages.FIGURES | {
+    "Log": "torchid.report.log:signals_figure signals",
+    "TorqueDiagnosis": "torchid.report.gap_figures:kinds",
+    "GapRecord": "torchid.report.gap_figures:kinds",
+    "PositionDiagnosis": "torchid.report.position:kinds",
+    "PositionRecord": "torchid.report.position:kinds",
+    "Replay": "torchid.report.position:replay_figure positions",
+    "Identification": "torchid.report.identification:kinds",
+    "IdentificationRecord": "torchid.report.identification:parameter_figure parameters",
+    "Atlas": "torchid.report.extraction:atlas_figure ranges",
+    "AtlasRecord": "torchid.report.extraction:atlas_figure ranges",
+    "Extraction": "torchid.report.extraction:search_figure search",
+    "Found": "torchid.report.extraction:figures",
+    "Examination": "torchid.report.doctor:torque_figure torque",
+    "Comparison": "torchid.report.compare:forest_figure parameters",
 }
 """By the name of a result's class what gives its figures by kind, or draws the only one, whose
 kind stands behind it; loaded when it is needed."""
@@ -82,7 +78,6 @@ def kinds(result: Result | Log) -> Figures:
     place, _, kind = DRAWN.get(type(result).__name__, "").partition(" ")
     if not place:
         return {}
-    module, _, name = place.partition(":")
-    function = getattr(import_module(f"torchid.report.{module}"), name)
+    function = other_packages.loaded(place)
     found: Figures = {kind: partial(function, result)} if kind else function(result)
     return found

@@ -101,8 +101,8 @@ def where_table(record: PositionRecord) -> Table:
     for j in record.where.joints:
         levels = (
             j.commanded_mrad, j.plain_mrad, j.answered_mrad,
-            float(far.plain.windows_per_joint[j.joint]),
-            float(far.answered.windows_per_joint[j.joint]),
+            float(far.plain.windows[j.joint]),
+            float(far.answered.windows[j.joint]),
         )  # fmt: skip
         gain = "ratio" if j.ratio_only else f"{j.kp:.1f}"
         numbers = ["-"] * 6 if j.never_moves else [*cells(levels, ".1f"), gain]

@@ -1,12 +1,12 @@
 """Results read back from their files, whatever their kind."""
 
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
+from torchid import other_packages
 from torchid.errors import TorchidError
 from torchid.robot.config_files import ROBOT_FILES
 
@@ -15,14 +15,12 @@ if TYPE_CHECKING:
 
 _R = TypeVar("_R", bound="Record")
 
-RECORDS = {
+RECORDS = other_packages.RECORDS | {
     "torchid.identification/1": "torchid.identification.record:IdentificationRecord",
     "torchid.parameter_sets/1": "torchid.feasibility.sets:SetsRecord",
     "torchid.extraction/1": "torchid.extraction.record:ExtractionRecord",
     "torchid.atlas/1": "torchid.extraction.record:AtlasRecord",
     "torchid.feasibility/1": "torchid.feasibility.record:FeasibilityRecord",
-    "torchid.wrenches/1 equal_torque": "torchid.study.equal_torque.study:EqualTorqueRecord",
-    "torchid.wrenches/1 sets": "torchid.study.equal_torque.study:GivenSetsRecord",
     "torchid.payload/1": "torchid.identification.payload:Payload",
     "torchid.gap/1": "torchid.gap.record:GapRecord",
     "torchid.pair/1": "torchid.pair.record:PairRecord",
@@ -37,9 +35,7 @@ RECORDS = {
     "torchid.fleet/1": "torchid.fleet.record:FleetRecord",
     "torchid.fleet_gap/1": "torchid.fleet.gap:FleetGapRecord",
     "torchid.fleet_watch/1": "torchid.fleet.watch:WatchRecord",
-    "torchid.study/1": "torchid.study.result:StudyRecord",
     "torchid.withheld.own/1": "torchid.withheld.own:OwnRecord",
-    "torchid.withheld.score/1": "torchid.withheld.score_record:ScoreRecord",
 }
 """Where the record of each schema stands; of several of one schema, with what tells them apart."""
 
@@ -103,8 +99,7 @@ def read(
             available=list(schemas),
             hint=hint,
         )
-    module, _, name = RECORDS[kind].partition(":")
-    record: "type[Record]" = getattr(import_module(module), name)
+    record: type[Record] = other_packages.loaded(RECORDS[kind])
     return parsed(contents(path, what, hint), record, path, what, hint)
 
 

@@ -197,13 +197,38 @@ class Part(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls: type[_P], *live: object, **own: Any) -> _P:
-        """The part of what was computed.
+        """The part of what was computed: parts with more than their JSON has lose it.
 
         Args:
             live: objects that have its fields as attributes, the first that has one counts.
             own: fields that none of them has so.
         """
         return msgspec.convert(_View(live, own), cls, from_attributes=True, dec_hook=_computed)
+
+
+def recorded(settings: type[_T], later: Sequence[str] = (), **keys: str) -> type[_T]:
+    """The part of a record that says settings, whose fields are those of their dataclass. It is
+    known as `SettingsRecord` of the module `record` beside theirs.
+
+    Args:
+        settings: a dataclass.
+        later: fields that older files lack: those have the default.
+        keys: what the JSON calls fields that it calls otherwise.
+    """
+    hints = get_type_hints(settings).items()
+    parts = [(k, hint, *([getattr(settings, k)] if k in later else [])) for k, hint in hints]
+    module = f"{settings.__module__.rpartition('.')[0]}.record"
+    how: Any = {"bases": (Part,), "module": module, "frozen": True, "kw_only": True, "rename": keys}
+    return msgspec.defstruct(f"{settings.__name__}Record", parts, **how)  # type: ignore[return-value]
+
+
+def by_joint(part: type[_P], **columns: "Tensor | Sequence[Any]") -> tuple[_P, ...]:
+    """A part a joint, of columns of n entries each: tensors (n,), (n, 2) of intervals, or
+    sequences."""
+    lists = (x.tolist() if hasattr(x, "tolist") else x for x in columns.values())
+    each = ([tuple(x) if isinstance(x, list) else x for x in column] for column in lists)
+    rows = enumerate(zip(*each, strict=True))
+    return tuple(part(joint=j, **dict(zip(columns, row, strict=True))) for j, row in rows)
 
 
 class Record(Part, Result, frozen=True, eq=False, kw_only=True, tag_field="schema"):

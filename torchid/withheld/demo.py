@@ -1,16 +1,15 @@
 """The whole promise on an arm whose faults are known: its log is examined, the arm identified, its
 gap diagnosed; then what was withheld from the diagnosis is opened and compared.
 
-The arm is the withheld plant's 6R, as its maker describes it. The real one carries a load and rubs
-on a joint, which is known; a third cause is drawn from the seed and sealed.
+The arm is a 6R as its maker describes it (configs/demonstration). The real one carries a load and
+rubs on a joint, which is known; a third cause is drawn from the seed and sealed.
 """
 
+import hashlib
 import random
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from torchid.doctor.examine import Examination, examine
 from torchid.effects.registry import nominal_effects
@@ -25,10 +24,10 @@ from torchid.json_data import plain, read_json, write_json
 from torchid.log.model import Log
 from torchid.log.readers import read_log, write_log
 from torchid.parallel.workers import Progress
+from torchid.robot.config_files import config_folder
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
-from torchid.withheld.case_set import sha256
-from torchid.withheld.plant.arms import Arm, arm_named, urdf
+from torchid.typing import Tensor
 
 SECONDS, RATE = 5.0, 100.0
 """Length and rate of each of the three logs."""
@@ -133,11 +132,11 @@ class Demo:
         }
 
 
-def withheld_cause(arm: Arm, seed: int) -> dict[str, Any]:
+def withheld_cause(robot: Robot, seed: int) -> dict[str, Any]:
     """A cause of one joint, drawn from the seed: which, where and how large."""
     g = random.Random(seed)
-    joint, share = g.randrange(arm.n), g.uniform(*SHARES)
-    torque, speed = arm.joints[joint].effort, arm.joints[joint].velocity
+    joint, share = g.randrange(robot.n), g.uniform(*SHARES)
+    torque, speed = _highest(robot.limits.torque, joint), _highest(robot.limits.velocity, joint)
     causes: tuple[dict[str, Any], ...] = (
         {"effect": "load_dependent_friction", "mu": g.uniform(*LOAD_SHARES)},
         {"effect": "viscous_friction", "Fv": share * torque / speed},
@@ -148,6 +147,12 @@ def withheld_cause(arm: Arm, seed: int) -> dict[str, Any]:
     return {"effect": cause["effect"], "joint": joint + 1, **cause}
 
 
+def _highest(limits: Tensor | None, joint: int) -> float:
+    """Of a joint."""
+    assert limits is not None  # the arm's file has them
+    return float(limits[joint, 1])
+
+
 def write_files(folder: Path, seed: int) -> Files:
     """Robot, logs and the sealed key.
 
@@ -155,7 +160,6 @@ def write_files(folder: Path, seed: int) -> Files:
         folder: that they go to; it exists.
         seed: of the withheld cause, the motions and the noise.
     """
-    arm = arm_named("6r")
     files = Files(
         folder / "arm.urdf",
         (folder / "run1.parquet", folder / "run2.parquet"),
@@ -164,9 +168,10 @@ def write_files(folder: Path, seed: int) -> Files:
         "",
     )
     # The maker's file says nothing of friction.
-    write_text(files.robot, urdf(arm, np.zeros(arm.n), np.zeros(arm.n)))
+    arm = config_folder("demonstration") / "arm.urdf"
+    write_text(files.robot, arm.read_text(encoding="utf-8"))
     robot = load_robot(files.robot)
-    withheld = withheld_cause(arm, seed)
+    withheld = withheld_cause(robot, seed)
     key = write_json({"schema": "torchid.demo.key/1", "withheld": withheld}, files.key)
     moving = robot.with_limits(acceleration=ACCELERATION)
     motions = [
@@ -178,7 +183,7 @@ def write_files(folder: Path, seed: int) -> Files:
     for path, run in zip((*files.logs, files.new), log.trajectories(), strict=True):
         # A controller logs no accelerations.
         write_log(run.replace(ddq=None), path)
-    return replace(files, sealed=sha256(key))
+    return replace(files, sealed=hashlib.sha256(key).hexdigest())
 
 
 def demonstrate(files: Files, seed: int, progress: Progress | None = None) -> Demo:

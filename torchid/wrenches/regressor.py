@@ -25,7 +25,7 @@ MEMORY_LIMIT = 4 * 2**30
 """Bytes that a result may take by default."""
 
 SETS, INSTANTS = 128, 200
-"""Most sets and instants in a tile: 128 x 200 x 6 numbers are 1.2 MB (benchmarks/wrenches.py)."""
+"""Most sets and instants in a tile: 128 x 200 x 6 numbers are 1.2 MB (the benchmark `wrenches`)."""
 
 FORCE_KINDS = 4
 """Parameters of a link that make force: mass and first moment; the others are couples alone."""

@@ -6,12 +6,11 @@ bound. A search that claims less has violated a condition.
 """
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from types import MappingProxyType
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import field, structs
 
 from torchid.extraction.convex.conic import Solution, minimise
 from torchid.extraction.convex.sets import (
@@ -24,10 +23,13 @@ from torchid.extraction.convex.sets import (
     sets_of,
 )
 from torchid.extraction.problem import Problem
+from torchid.extraction.record import CertificateRecord
 from torchid.feasibility.conditions import physics_only
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import ParameterSets
 
+NOTICEABLE = 1e-3
+"""Share of phi_min by which releasing a condition must lower it to be listed."""
 NEARLY_ZERO = 1e-3
 """Share of a least loss that counts as none."""
 _ACTIVE = 1e-7
@@ -117,50 +119,22 @@ _WORTH = 1e-6
 """Relative decrease of the loss for which another is made."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Certificate:
+class Certificate(CertificateRecord, frozen=True, eq=False, kw_only=True):
     """The least loss of any feasible set.
 
     Attributes:
-        feasible: whether there is a strictly feasible set at all.
-        phi_min: lower bound of the loss of all feasible sets, proven by the dual problem to its
-            rounding; infinite if there are none, nan if the solver failed. Without bounds of
-            inertias they are still taken to be below `sets.REACH`: the largest mass a
-            hundred times, at a third of the arm's longest step.
-        phi_strict: loss of `sets`; nan if there are none.
         sets: one strictly feasible set that nearly reaches phi_min, with no violation by
             `torchid.feasibility.margins`; or None.
         strict: smallest eigenvalue of the pseudo-inertias it was asked for [kg m^2, kg].
-        conflict: if there is no feasible set, conditions and bounds that exclude each other; of
-            a name that stands alone, com_7z, the bounds exclude the condition.
         released: phi_min with one condition released, for each that is active at the optimum;
             releasing any other changes nothing.
-        forcing: a small group of conditions, found greedily, without which phi_min is nearly zero,
-            those of most effect first. Empty if phi_min is zero.
-        relaxed_active: bounds of barycentric inertias, bound_4yy, that count in phi_min by a
-            relaxation only and not in full, so that phi_min may not be reached: without them,
-            phi would be smaller than the best found within them. `sets` meets them wherever a
-            set that does was found.
-        with_conditions: whether the problem's conditions count beside physics and bounds.
-        exact: whether `sets` has no loss but rounding, so that phi_min is zero and is reached. A
-            phi_min of zero alone says nothing: it is a lower bound.
         status: of the solver.
-        seconds: that it took.
     """
 
-    feasible: bool
-    phi_min: float
-    phi_strict: float = np.nan
     sets: ParameterSets | None = None
     strict: float = 0.0
-    conflict: tuple[str, ...] = ()
-    released: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    forcing: tuple[str, ...] = ()
-    relaxed_active: tuple[str, ...] = ()
-    with_conditions: bool
-    exact: bool = False
+    released: dict[str, float] = field(default_factory=dict)
     status: str
-    seconds: float
 
 
 def certificate_where_possible(problem: Problem) -> tuple[Certificate, tuple[str, ...]]:
@@ -178,7 +152,7 @@ def certificate_where_possible(problem: Problem) -> tuple[Certificate, tuple[str
         "that of the bounds alone"
     )
     alone = certificate(problem, with_conditions=False)
-    return replace(alone, conflict=alone.conflict or found.conflict), (note,)
+    return structs.replace(alone, conflict=alone.conflict or found.conflict), (note,)
 
 
 def certificate(
@@ -224,13 +198,16 @@ def certificate(
         (b.least_norm(matrix, offset) for b in (outer, free)), key=lambda nearest: nearest.bound
     )
     released, forcing = forcing_conditions(free, matrix, offset, found) if explain else ({}, ())
+    phi_min = found.bound**2
+    lower = [(name, phi) for name, phi in released.items() if phi < phi_min * (1 - NOTICEABLE)]
     return Certificate(
         feasible=True,
-        phi_min=found.bound**2,
+        phi_min=phi_min,
         phi_strict=inner.phi,
         sets=inner.sets,
         strict=inner.strict,
-        released=MappingProxyType(released),
+        released=released,
+        phi_min_without=dict(sorted(lower, key=lambda item: item[1])),
         forcing=forcing,
         relaxed_active=inner.outside,
         with_conditions=with_conditions,

@@ -17,6 +17,7 @@ from torchid.gap.localise.signatures import (
     transient_look,
 )
 from torchid.gap.record import JointGap, NoiseFloor, Regime, RegimeGap, Window
+from torchid.results.record import by_joint
 from torchid.statistics.blocks import FEWEST_BLOCKS
 from torchid.statistics.resampling import DRAWS, LEVEL, bootstrap_weights, tails
 from torchid.typing import Float, Tensor
@@ -59,15 +60,7 @@ def joint_gaps(traces: Sequence[Trace], floor: NoiseFloor) -> tuple[JointGap, ..
     noise = 0.5 * (floor.low.square() + floor.high.square()).to(gap)
     above = (gap - noise).clamp(min=0)
     share = above / above.sum() if float(above.sum()) > 0 else above
-    return tuple(
-        JointGap(
-            joint=j,
-            gap_rms=float(gap[j].sqrt()),
-            noise_floor_rms=(float(floor.low[j]), float(floor.high[j])),
-            share=float(share[j]),
-        )
-        for j in range(len(gap))
-    )
+    return by_joint(JointGap, gap_rms=gap.sqrt(), noise_floor_rms=floor.ends, share=share)
 
 
 def regime_gaps(

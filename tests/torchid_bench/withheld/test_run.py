@@ -1,0 +1,105 @@
+"""Every case is diagnosed once, without its key, whatever happens to the others."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+
+from torchid.errors import TorchidError
+from torchid.gap.settings import GapSettings
+from torchid.parallel.workers import each
+from torchid_bench.withheld import run as running
+from torchid_bench.withheld.case_set import keys_beside, make
+from torchid_bench.withheld.run import default_settings, jobs_of, run
+
+
+@pytest.fixture
+def todo(plant, tmp_path):
+    return jobs_of(make(tmp_path / "set", 3, seed=7), default_settings())
+
+
+@pytest.fixture
+def said(monkeypatch):
+    """Diagnoses without a diagnosis; the jobs that were run."""
+    done = []
+
+    def quick(job):
+        done.append(job.case)
+        if job.case == "case-0002" and done.count("case-0002") == 1:
+            raise ValueError("no such arm")
+        return {"status": "no_gap", "which": []}
+
+    monkeypatch.setattr(running, "_answer", quick)
+    return done
+
+
+def test_a_failing_case_does_not_stop_the_others(todo, said):
+    answers = run(todo)
+    assert [a["status"] for a in answers.values()] == ["no_gap", "error", "no_gap"]
+    assert answers["case-0002"]["error"] == "ValueError: no such arm"
+    assert json.loads(todo[1].answer.read_text())["status"] == "error"
+
+
+def test_answers_stay_and_errors_are_tried_again(todo, said):
+    run(todo)
+    answers = run(todo)
+    assert said == ["case-0001", "case-0002", "case-0003", "case-0002"]
+    assert [a["status"] for a in answers.values()] == ["no_gap", "no_gap", "no_gap"]
+    run(todo)
+    assert len(said) == 4
+
+
+def test_answers_of_another_diagnosis_are_not_taken_for_its_own(todo, said, monkeypatch, plant):
+    run(todo)
+    other = [
+        job.__class__(**{**vars(job), "settings": default_settings(rollout=True)}) for job in todo
+    ]
+    with pytest.raises(TorchidError, match="other settings"):
+        run(other)
+    monkeypatch.setattr(running, "source_digest", lambda: "another")
+    with pytest.raises(TorchidError, match="diagnosis has changed"):
+        run(todo)
+    monkeypatch.setattr(running, "__version__", "9.9")
+    with pytest.raises(TorchidError, match="this is 9"):
+        run(todo)
+    assert len(said) == 3
+    run(todo, again=True)
+    assert len(said) == 6
+
+
+def test_progress_counts_what_is_there(todo, said):
+    run(todo)
+    shown = []
+    run(todo, progress=lambda *args: shown.append(args))
+    assert shown == [("diagnosing", 2, 3), ("diagnosing", 3, 3)]
+
+
+@pytest.mark.slow
+def test_the_diagnosis_needs_no_key(todo, tmp_path):
+    keys_beside(tmp_path / "set").unlink()
+    quick = GapSettings(effects=("coulomb_friction", "viscous_friction"), rollout=False)
+    answers = run([replace(todo[0], settings=quick)])
+    found = answers["case-0001"]
+    assert (found["schema"], found["status"]) == ("torchid.gap/1", "explained")
+    assert [(w["effect"], w["joints"]) for w in found["which"]] == [("coulomb_friction", [2])]
+    assert found["seconds"] > 0
+    assert found["settings"]["rollout"] is False
+    assert len(found["corrected"]["pi"]) == 2
+
+
+def test_the_same_in_other_processes():
+    said = []
+    found = each(math.sqrt, [1.0, 4.0, 9.0], 2, "roots", lambda *args: said.append(args))
+    assert found == [1.0, 2.0, 3.0]
+    assert said == [("roots", done, 3) for done in range(4)]
+
+
+def test_an_error_in_another_process_is_raised_here():
+    with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
+        each(math.sqrt, [1.0, -1.0, 4.0], workers=2)
+
+
+def test_the_code_is_that_of_the_diagnosis():
+    assert len(running.source_digest()) == 64
+    assert running.source_digest() == running.source_digest()

@@ -1,0 +1,121 @@
+"""A scored set as data, as Markdown and as figures."""
+
+import json
+
+import pytest
+
+from tests.torchid_bench.withheld.fakes import answer, draw_case, entry, key_of
+from torchid.errors import TorchidError
+from torchid_bench.benchmarks import withheld_beside as extra
+from torchid_bench.benchmarks.withheld_figures import figures
+from torchid_bench.benchmarks.withheld_page import markdown
+from torchid_bench.report.withheld import LINES, headline, score_table
+from torchid_bench.withheld.case_set import CaseSet
+from torchid_bench.withheld.score import require_answers, scored_case
+from torchid_bench.withheld.score import summary as summary_of
+
+RIGHT = answer("explained", entry("coulomb_friction", "sign", 2))
+WRONG = answer("explained", entry("viscous_friction", "speed", 1))
+
+
+def summary(cases, keys, answers, oracle=None):
+    """With what the benchmark puts beside it."""
+    found = summary_of(cases, keys, answers)
+    ours = [scored_case(key, answers[key["id"]]) for key in keys if key["id"] in answers]
+    found["scores"] |= extra.beside(ours, None if oracle is None else extra.closed_by(oracle))
+    return found
+
+
+@pytest.fixture
+def cases(tmp_path):
+    return CaseSet(tmp_path, 0, ("case-0001", "case-0002", "case-0003"), "ab" * 32, "0.1.0")
+
+
+@pytest.fixture
+def keys(cases):
+    """Of the kinds none, single, outside."""
+    return [key_of(draw_case(0, k)) | {"id": case} for k, case in enumerate(cases.ids)]
+
+
+@pytest.fixture
+def answers(cases):
+    return dict(zip(cases.ids, (answer("no_gap"), RIGHT, WRONG), strict=True))
+
+
+def test_every_case_is_listed_with_what_was_said(cases, keys, answers):
+    found = summary(cases, keys, answers)
+    assert found["schema"] == "torchid.withheld.score/1"
+    assert [c["right"] for c in found["answers"]] == [True, True, False]
+    assert found["answers"][1]["planted"][0]["joints"] == [2]
+    assert found["answers"][2]["named"][0]["name"] == "viscous_friction"
+    assert found["kinds"] == {"none": 1, "single": 1, "outside": 1}
+    json.dumps(found, allow_nan=False)
+
+
+def test_unanswered_cases_are_refused_unless_asked_for(cases, keys, answers):
+    del answers["case-0002"]
+    with pytest.raises(TorchidError, match="1 of 3 cases have no answer"):
+        require_answers(cases, answers, partial=False)
+    require_answers(cases, answers, partial=True)
+    found = summary(cases, keys, answers)
+    assert (found["cases"], found["unanswered"]) == (2, 1)
+    assert "1 cases have no answer" in headline(found)
+    with pytest.raises(TorchidError, match="3 of 3"):
+        require_answers(cases, {}, partial=True)
+
+
+def test_the_oracle_is_what_closing_is_compared_with(cases, keys, answers):
+    answers["case-0002"] = RIGHT | {"how_far": {"closed": 0.6, "closed_ci95": None}}
+    told = {"case-0002": {"how_far": {"closed": 0.8}}}
+    found = summary(cases, keys, answers, oracle=told)
+    assert found["scores"]["closing"]["ratio"]["median"] == pytest.approx(0.75)
+
+
+def test_every_line_has_a_value_and_targets_can_be_missed(cases, keys, answers):
+    good = summary(cases, keys, answers)["scores"]
+    bad = summary(cases, keys, dict.fromkeys(cases.ids, WRONG))["scores"]
+    met = {line.label: (line.met(good), line.met(bad)) for line in extra.ALL_LINES}
+    assert met["false alarms, white noise"] == (True, False)
+    assert met["one effect: first name right"] == (True, False)
+    assert met["one effect: family right"] == (True, False)
+    assert met["joints, F1"] == (True, False)
+    assert met["outside: wrong family for sure"] == (False, False)
+    assert met["gap closed, of the oracle's"] == (None, None)
+    for line in extra.ALL_LINES:
+        assert line.label
+        assert line.path
+        assert line.target or line.met(good) is None
+
+
+def test_the_report_holds_scores_and_what_went_wrong(cases, keys, answers):
+    found = summary(cases, keys, answers)
+    text = markdown(found, ["confusion.png"])
+    assert "ab" * 32 in text
+    assert "![confusion.png](confusion.png)" in text
+    assert (
+        "| case-0003 | outside | 2r | air_drag 2 (5.0) | explained | viscous_friction 1 |" in text
+    )
+    assert "| case-0001 |" not in text
+    for block in text.split("\n\n"):
+        if block.startswith("|"):
+            assert len({line.count("|") for line in block.splitlines()}) == 1
+
+
+def test_the_table_has_what_there_are_cases_for(cases, keys, answers):
+    found = summary(cases, keys, answers)
+    known = [line for line in LINES if line.value(found["scores"]) is not None]
+    assert 5 < len(known) < len(LINES)
+    assert len(score_table(found).rows) == len(known)
+
+
+def test_figures_are_drawn_of_what_there_is(cases, keys, answers):
+    found = summary(cases, keys, answers)
+    assert set(figures(found)) == {"confusion"}
+    axes = figures(found)["confusion"]().axes[0]
+    assert [t.get_text() for t in axes.get_yticklabels()] == ["coulomb friction", "air drag"]
+    assert "viscous friction" in [t.get_text() for t in axes.get_xticklabels()]
+    keys[1] |= {"kind": "severity", "level": 5.0}
+    found = summary(cases, keys, answers)
+    assert set(figures(found)) == {"confusion", "detection"}
+    panel = figures(found)["detection"]().axes[0]
+    assert [line.get_ydata().tolist() for line in panel.lines] == [[100.0], [100.0]]

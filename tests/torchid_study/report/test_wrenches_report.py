@@ -1,0 +1,146 @@
+"""Tables, sentences and figures of wrench comparisons carry the numbers of what they show."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import torch
+from rich.console import Console
+
+from torchid.report.panels import save
+from torchid.report.table import Table
+from torchid.robot.library import load_robot
+from torchid_study.equal_torque.given_sets import GivenSets
+from torchid_study.equal_torque.given_sets import given_sets as compare_given
+from torchid_study.equal_torque.study import EqualTorqueStudy, equal_torque_study
+from torchid_study.report import equal_torque, given_sets
+from torchid_study.report.equal_torque import findings
+from torchid_study.wrenches.resampling import Estimate
+
+KINDS = ("feasible", "inertia", "com", "inertia+com")
+
+
+@lru_cache
+def study() -> EqualTorqueStudy:
+    return equal_torque_study(load_robot("3r"), per_kind=18, chains=12, kinds=KINDS, resamples=30)
+
+
+@lru_cache
+def given() -> GivenSets:
+    s = study().setting
+    sets = study().family.sets
+    return compare_given(s.robot, sets, s.nominal, s.conditions, study().motion, resamples=20)
+
+
+def text_of(tables: list[Table]) -> str:
+    console = Console(width=220, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    for table in tables:
+        console.print(table)
+    return console.export_text()
+
+
+def line_of(text: str, start: str) -> str:
+    return next(x for x in text.splitlines() if x.strip().startswith(start))
+
+
+@pytest.mark.nightly
+def test_masses_alone_count_only_where_their_weight_is_the_error() -> None:
+    def told(share: tuple[float, float, float]) -> str:
+        return findings(replace(study(), static_share=share))[1]
+
+    assert "what counts is how far the masses are off" in told((0.99, 0.97, 1.02))
+    for share in ((0.5, 0.11, 0.9), (0.0, 0.0, 0.0), (1.0, 0.98, 1.3)):
+        assert "what counts" not in told(share)
+        assert f"{100 * share[0]:.3g} % of the force error" in told(share)
+
+
+@pytest.mark.slow
+def test_kind_table_has_medians_per_joint() -> None:
+    text = text_of([equal_torque.kind_table(study())])
+    joints = text_of([equal_torque.joint_table(study())])
+    for kind, name in (("feasible", "feasible"), ("com", "CoM"), ("inertia+com", "inertia + CoM")):
+        rows = study().rows(kind)
+        line = line_of(text, name)
+        assert f"{float(study().worst[rows].quantile(0.5)):.3g}" in line
+        for value in study().errors.force_rms[rows].median(0).values.tolist():
+            assert f"{value:.3g}" in line_of(joints, name)
+
+
+@pytest.mark.slow
+def test_reach_table_has_every_kind() -> None:
+    text = text_of([equal_torque.reach_table(study())])
+    for r in study().reach:
+        name = "nothing" if r.kind == "feasible" else equal_torque.kind_words(r.kind)
+        assert f"{float(r.reached[1]):.3g}" in line_of(text, name)
+
+
+def test_all_tables_show_intervals_and_no_markup() -> None:
+    text = text_of(equal_torque.tables(study()))
+    effect = study().comparison.effects[0]
+    assert f"{effect.ratio.value:.2f} [{effect.ratio.low:.2f}, {effect.ratio.high:.2f}]" in text
+    assert "\\[" not in text
+
+
+def with_ratio(low: float, high: float) -> EqualTorqueStudy:
+    base = study()
+    found = Estimate((low * high) ** 0.5, low, high, 20)
+    effects = tuple(replace(e, ratio=found, delta=found) for e in base.comparison.effects)
+    rho = Estimate(-0.5, *(-1.0 / low, low - 1.0), 20)
+    rows = tuple(replace(c, degree=rho) for c in base.correlations)
+    return replace(
+        base,
+        comparison=replace(base.comparison, effects=effects),
+        correlations=rows,
+    )
+
+
+def test_sentences_follow_the_intervals() -> None:
+    clear = " ".join(findings(with_ratio(1.2, 3.0)))
+    assert "not distinguishable" not in clear
+    vague = " ".join(findings(with_ratio(0.8, 3.0)))
+    assert vague.count("not distinguishable") == 3
+    nan = float("nan")
+    none = " ".join(findings(with_ratio(nan, nan)))
+    assert "too few independent chains" in none
+    degree = with_ratio(0.5, 2.0)
+    assert "firmer ones have smaller errors" in " ".join(findings(degree))
+    degree = with_ratio(1.5, 2.0)
+    assert "no effect of the degree is visible" in " ".join(findings(degree))
+
+
+@pytest.mark.parametrize("name", ["force_by_degree", "force_by_kind"])
+def test_figures_show_all_sets(name, tmp_path) -> None:
+    figure = equal_torque.figures(study())[name]()
+    assert save(figure, tmp_path / "f.png").stat().st_size > 10_000
+    axes = [a for a in figure.axes if a.get_visible()]
+    if name == "force_by_kind":
+        assert len(axes) == study().setting.robot.n
+        return
+    marks = np.concatenate([c.get_offsets() for c in axes[0].collections])
+    assert len(marks) == len(study().family.kind)
+    np.testing.assert_allclose(np.sort(marks[:, 1]), np.sort(study().worst.numpy()))
+
+
+def test_given_sets_are_listed_with_their_reasons(tmp_path) -> None:
+    text = text_of(given_sets.tables(given()))
+    worst = given().errors.force_rms.amax(-1)
+    # The table has the 40 with the largest errors.
+    for k in worst.argsort(descending=True)[:40:13].tolist():
+        line = line_of(text, given().sets.ids[k])
+        assert f"{float(given().errors.force_rms[k, 1]):.3g}" in line
+        for reason in given().checked.reasons(k):
+            assert reason in line
+    assert given().sets.ids[int(worst.argmax())] in given_sets.headline(given())
+    for draw in given_sets.figures(given()).values():
+        figure = draw()
+        assert save(figure, tmp_path / "f.png").stat().st_size > 10_000
+
+
+def test_one_given_set_is_enough() -> None:
+    s = study().setting
+    one = compare_given(s.robot, s.nominal, s.nominal, s.conditions, study().motion, resamples=5)
+    assert len(given_sets.tables(one)) == 1
+    assert "0 N (3r)" in given_sets.headline(one)
+    assert torch.equal(one.errors.force_rms, torch.zeros(1, 3, dtype=torch.float64))
+    assert list(given_sets.figures(one)) == ["force_by_degree"]

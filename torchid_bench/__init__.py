@@ -1,0 +1,1 @@
+"""Sealed cases from a plant that shares nothing with torchid, their scores, and benchmarks."""

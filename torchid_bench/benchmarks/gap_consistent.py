@@ -1,0 +1,88 @@
+"""Do any two numbers of one answer contradict each other?
+
+    python -m torchid_bench.benchmarks.gap_consistent FOLDER..
+
+Reads every JSON below the folders that holds answers of `torchid gap` (alone, or as `answer` of a
+case), and prints what contradicts: noise above the gap, another gap in `where` than in `how_far`,
+names that are less likely than not, a status that does not fit.
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+ROUNDING = 1e-9
+
+NAMED = ("explained", "parametric_only")
+UNNAMED = ("no_gap", "negligible", "not_testable")
+
+
+def contradictions(answer: dict[str, Any]) -> list[str]:
+    """Sentences, one a contradiction; none of an answer that is consistent."""
+    far, status = answer["how_far"], answer["status"]
+    out: list[str] = []
+    # One gap and one noise a joint, wherever they stand.
+    joints = {j["joint"]: j for j in far["per_joint"]}
+    for place in answer["where"]["joints"]:
+        own = joints[place["joint"]]
+        if abs(place["gap_rms"] - own["before"]) > ROUNDING + 1e-6 * own["before"]:
+            out.append(
+                f"joint {place['joint']}: gap {place['gap_rms']:.3g} and {own['before']:.3g}"
+            )
+        if place["noise_floor_rms"] != own["noise_floor_rms"]:
+            out.append(f"joint {place['joint']}: two noises")
+    for j, own in joints.items():
+        low, high = own["noise_floor_rms"]
+        if not 0 <= low <= high * (1 + 1e-6) + ROUNDING:
+            out.append(f"joint {j}: noise from {low:.3g} to {high:.3g}")
+        if high > own["before"] * (1 + 1e-6) + ROUNDING:
+            out.append(f"joint {j}: noise {high:.3g} above the gap {own['before']:.3g}")
+    # Names are likelier than not, and sizes are above or below what was asked for.
+    for entry in [*answer["which"], *answer.get("small", [])]:
+        if entry.get("how_sure") is not None and entry["how_sure"] < 0.5:
+            out.append(f"{entry['effect']} {entry['joints']}: sure to {entry['how_sure']:.2f}")
+    both = {(w["effect"], *w["joints"]) for w in answer["which"]}
+    for entry in answer.get("small", []):
+        if (entry["effect"], *entry["joints"]) in both:
+            out.append(f"{entry['effect']} {entry['joints']}: told, and called small")
+    # What the status says is there.
+    named = bool(answer["which"] or answer["parametric"])
+    if named != (status in NAMED) and status in (*NAMED, *UNNAMED):
+        out.append(f"{status}, with {len(answer['which'])} names")
+    if (status == "negligible") != (bool(answer.get("small")) and status in UNNAMED[:2]):
+        out.append(f"{status}, with {len(answer.get('small', []))} small causes")
+    if not named and far["closed"] is not None:
+        out.append(f"nothing is named and {far['closed']:.0%} closed")
+    if far["closed"] is not None and not far["closed_ci95"][0] <= far["closed"] <= 1 + ROUNDING:
+        out.append(f"closed {far['closed']} outside of {far['closed_ci95']}")
+    return out
+
+
+def answers(path: Path) -> list[dict[str, Any]]:
+    """Answers in a file; none of another file."""
+    try:
+        data = json.loads(path.read_text())
+    except (ValueError, OSError):
+        return []
+    found = [data, data.get("answer")] if isinstance(data, dict) else []
+    return [a for a in found if isinstance(a, dict) and "how_far" in a and "where" in a]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folders", type=Path, nargs="+")
+    given = parser.parse_args()
+    count = wrong = 0
+    for folder in given.folders:
+        for path in sorted(folder.rglob("*.json")):
+            for answer in answers(path):
+                found = contradictions(answer)
+                count, wrong = count + 1, wrong + bool(found)
+                for sentence in found:
+                    print(f"{path}: {sentence}")
+    print(f"{wrong} of {count} answers contradict themselves")
+
+
+if __name__ == "__main__":
+    main()

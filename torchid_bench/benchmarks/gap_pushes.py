@@ -1,0 +1,151 @@
+"""Pushes planted into real logs: are they found, when do they begin, and how large is the force?
+
+    python -m torchid_bench.benchmarks.gap_pushes DATA --work DIR [--logs panda,ur10e] [--sizes 2 5]
+                                    [--draws 3] [--joint-of 0]
+    python -m torchid_bench.benchmarks.gap_pushes DATA --work DIR --score
+
+Each log is cut in two, as in `gap_planted.py`: the first half makes the model. A push of 0.1 to 3 s
+with flanks of 30 ms, of random direction, is added to the torque of the second half by J' F. In its
+window it is `size` times as large (root mean square, on the joint that feels it most) as what the
+model leaves on that joint. Answers are kept in DIR.
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchid.log.model import Log
+from torchid.robot.chain import tool_jacobian
+from torchid.robot.model import Robot
+from torchid.statistics.proportion import wilson
+from torchid_bench.benchmarks.gap_plant import generator
+from torchid_bench.benchmarks.gap_planted import SOURCES, Source, answer, modelled, settings_of
+
+FLANK = 0.03
+"""Time in which the force comes and goes [s]."""
+
+
+def pushed(
+    robot: Robot, log: Log, left: torch.Tensor, size: float, seed: tuple[str, int]
+) -> tuple[Log, dict[str, Any]] | None:
+    """The log with one push, and its key; None where no joint feels it.
+
+    Args:
+        robot, log: arm and log of the second half.
+        left: (n,) what the model leaves [N m].
+        size: times that.
+        seed: of the log's name and the draw.
+    """
+    g = generator("pushes", *map(str, seed))
+    assert log.tau is not None
+    # Place in the log, length, and direction are the same for every size.
+    rows = list(log.slices())[int(torch.randint(len(log.slices()), (1,), generator=g))]
+    t = log.t[rows]
+    length = 0.1 * 30.0 ** float(torch.rand(1, generator=g))
+    length = min(length, 0.25 * float(t[-1] - t[0]))
+    free = float(t[-1] - t[0]) - length - 1.0
+    start = float(t[0]) + 0.5 + free * float(torch.rand(1, generator=g))
+    direction = torch.randn(3, dtype=torch.float64, generator=g)
+    direction /= direction.norm()
+    # Half cosines as flanks: another form than the library's.
+    rise = ((t - start) / FLANK).clamp(0, 1)
+    fall = ((start + length - t) / FLANK).clamp(0, 1)
+    shape = (1 - torch.cos(torch.pi * torch.minimum(rise, fall))) / 2
+    unit = tool_jacobian(robot, log.q[rows])[:, :3].mT @ direction * shape[:, None]
+    inside = shape > 0
+    felt = unit[inside].square().mean(0).sqrt() / left
+    if not float(felt.max()) > 0:
+        return None
+    force = size / float(felt.max())
+    tau = log.tau.clone()
+    tau[rows] += force * unit
+    # Windows are on the trajectory's own clock.
+    begun = start - float(t[0])
+    key = {
+        "start": begun, "stop": begun + length, "force": (force * direction).tolist(),
+        "size": size, "felt": (felt * force).tolist(), "joint": int(felt.argmax()),
+    }  # fmt: skip
+    return log.replace(tau=tau), key
+
+
+def run(label: str, source: Source, data: Path, work: Path, args: argparse.Namespace) -> None:
+    """All cases of one log that are not there yet."""
+    robot, second, unplanted = modelled(label, source, data, work)
+    folder = work / label
+    left = torch.tensor([j["after"] for j in unplanted["how_far"]["per_joint"]]).double()
+    for draw in range(args.first, args.first + args.draws):
+        for size in args.sizes:
+            file = folder / f"push{draw}-{size:g}.json"
+            if file.exists():
+                continue
+            made = pushed(robot, second, left, size, (label, draw))
+            if made is None:
+                continue
+            found = answer(robot, made[0], settings_of(source))
+            file.write_text(json.dumps({"planted": made[1], "answer": found}))
+            print(label, draw, verdict(json.loads(file.read_text())), flush=True)
+
+
+def verdict(case: dict[str, Any]) -> dict[str, Any]:
+    """Whether the push was found, and how well."""
+    key, names = case["planted"], case["answer"]["which"]
+    out: dict[str, Any] = {"size": key["size"], "seconds": round(key["stop"] - key["start"], 2)}
+    own = [w for w in names if w["effect"] == "contact"]
+    true = np.array(key["force"])
+    for w in own:
+        own_window = w["parameters"]["start"], w["parameters"]["stop"]
+        overlap = min(own_window[1], key["stop"]) - max(own_window[0], key["start"])
+        union = max(own_window[1], key["stop"]) - min(own_window[0], key["start"])
+        if overlap > 0.3 * union:
+            force = np.array([w["parameters"][f"f{a}"] for a in "xyz"])
+            out["onset"] = round(own_window[0] - key["start"], 3)
+            out["force"] = round(float(np.linalg.norm(force - true) / np.linalg.norm(true)), 2)
+    out["found"] = "onset" in out
+    out["contacts"] = len(own)
+    out["names"] = [f"{w['effect']}{w['joints']}" for w in names][:6]
+    return out
+
+
+def score(work: Path, sizes: list[float]) -> None:
+    """A table, a line a size."""
+    for folder in sorted(work.iterdir()):
+        none = json.loads((folder / "none.json").read_text())
+        print(f"{folder.name}, nothing planted: {[w['effect'] for w in none['which']]}")
+    print("| times what the model leaves | found | 95 % | onset within 50 ms | force within 20 % |")
+    print("|---|---|---|---|---|")
+    for size in sizes:
+        cases = [verdict(json.loads(p.read_text())) for p in work.glob(f"*/push*-{size:g}.json")]
+        hits = [c for c in cases if c["found"]]
+        low, high = wilson(len(hits), len(cases))
+        onset = sum(abs(c["onset"]) <= 0.05 for c in hits)
+        force = sum(c["force"] <= 0.2 for c in hits)
+        print(
+            f"| {size:g} | {len(hits)} of {len(cases)} | {low:.0%} - {high:.0%} | {onset} of "
+            f"{len(hits)} | {force} of {len(hits)} |"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--logs", type=lambda s: s.split(","), default=list(SOURCES))
+    parser.add_argument("--sizes", type=float, nargs="+", default=[1.0, 2.0, 5.0, 10.0])
+    parser.add_argument("--draws", type=int, default=3)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--score", action="store_true")
+    args = parser.parse_args()
+    if args.score:
+        score(args.work, args.sizes)
+        return
+    torch.set_num_threads(1)
+    for label in args.logs:
+        run(label, SOURCES[label], args.data, args.work, args)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""How often the log doctor finds a fault that was planted in a log, and what it does to clean ones.
+
+python -m torchid_bench.benchmarks.log_doctor FOLDER [--seeds N] [--only WORD,WORD] (FOLDER: of real logs, one folder
+an arm with robot.yaml or robot.urdf and log*.parquet)
+python -m torchid_bench.benchmarks.log_doctor --arms 3r,kuka_lwr4,ur10e,panda [--seeds N] [--only WORD,WORD] (made
+logs, N an arm with plain friction and N with that of gears; --only none: clean ones alone)
+"""
+
+import argparse
+import itertools
+import time
+import zlib
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from torchid.doctor.check import Check
+from torchid.doctor.examine import Examination, examine
+from torchid.log.model import Log
+from torchid.log.readers import read_log
+from torchid.robot.library import load_robot
+from torchid.robot.model import Robot
+from torchid_bench.benchmarks.log_clean import clean
+from torchid_bench.benchmarks.log_faults import FAULTS, Fault
+
+UR10E_GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
+"""[N m/A], for the logs that hold currents (Gaz et al., quoted beside the data)."""
+LEFT_OUT = ("jointwise", "5periods")
+"""Logs of single joints, and one whose time axis is known to be wrong."""
+
+
+def logs(folder: Path) -> dict[str, tuple[Robot, Log]]:
+    """The arms' logs with torques, by name."""
+    found = {}
+    for path in sorted(folder.glob("*/*.parquet")):
+        if any(word in path.stem for word in LEFT_OUT):
+            continue
+        robot = load_robot(next(path.parent.glob("robot.*")))
+        log = read_log(path)
+        if log.tau is None:
+            # Without the currents: a fault is planted in the torque alone.
+            log = log.with_torque(torch.tensor(UR10E_GAINS)).replace(current=None)
+        found[f"{path.parent.name}/{path.stem}"] = robot, log
+    return found
+
+
+def made(arms: str, seeds: int) -> dict[str, tuple[Robot, Log]]:
+    """Clean logs of built-in arms, every second one described with nominal parameters."""
+    found = {}
+    for name in arms.split(","):
+        for seed in range(seeds):
+            for gears in (False, True):
+                nominal = (seed + gears) % 2 == 1
+                robot, log = clean(name, seed, nominal=nominal, gears=gears)
+                found[str(log.source)] = robot, log
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--arms", default="")
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--logs", default="")
+    arguments = parser.parse_args()
+    if (arguments.folder is None) == (arguments.arms == ""):
+        parser.error("give either FOLDER or --arms")
+    every = made(arguments.arms, arguments.seeds) if arguments.arms else logs(arguments.folder)
+    found = {k: v for k, v in every.items() if arguments.logs in k}
+    torch.set_num_threads(1)
+    _clean_ones(found)
+    print(f"{'fault':32s} planted found other | log mended undecided made worse")
+    for fault, plant in FAULTS.items():
+        if any(word in fault for word in arguments.only.split(",")):
+            _planted_ones(fault, plant, found, 1 if arguments.arms else arguments.seeds)
+
+
+def _clean_ones(found: dict[str, tuple[Robot, Log]]) -> None:
+    alarms, start = 0, time.process_time()
+    for name, (robot, log) in found.items():
+        said = [f"{c.name} ({c.verdict})" for c in _said(examine(robot, log))]
+        alarms += bool(said)
+        print(f"clean {name}: {', '.join(said) or 'silent'}", flush=True)
+    took = (time.process_time() - start) / max(1, len(found))
+    print(f"clean logs with an alarm: {alarms} of {len(found)}, {took:.1f} s of CPU a log\n")
+
+
+def _planted_ones(
+    fault: str, plant: Fault, found: dict[str, tuple[Robot, Log]], seeds: int
+) -> None:
+    """A line of the table, and below it whatever was not found or was said besides."""
+    hits, others, lines, mended = [], [], [], Counter()
+    for (name, (robot, log)), seed in itertools.product(found.items(), range(seeds)):
+        planted = plant(robot, log, np.random.default_rng([seed, zlib.crc32(name.encode())]))
+        if planted is None:
+            continue
+        result = examine(planted.robot, planted.log)
+        hits.append(planted.found(result.checks))
+        others.append(any(c.name not in planted.names for c in _said(result)))
+        outcome = _outcome(log, result)
+        mended[outcome] += 1
+        if others[-1] or not hits[-1] or outcome == "worse":
+            said = [f"{c.name} {[k + 1 for k in c.joints]} {c.estimate}" for c in _said(result)]
+            joints = [k + 1 for k in planted.joints or ()]
+            word = "found " if hits[-1] else "MISSED"
+            lines.append(f"    {word} {name} {joints}: {'; '.join(said) or 'silent'} ({outcome})")
+    if hits:
+        counts = f"{len(hits):7d} {sum(hits):5d} {sum(others):5d}"
+        after = f"{mended['mended']:10d} {mended['undecided']:9d} {mended['worse']:10d}"
+        print(f"{fault:32s} {counts} | {after}", flush=True)
+        print("\n".join(lines), flush=True) if lines else None
+
+
+def _outcome(clean: Log, result: Examination) -> str:
+    """What the repairs that are applied make of a log: mended where each column is within 30 % of
+    the clean one's (of its spread, at the same time), worse where they leave one that is not."""
+    if not result.repairs:
+        return "undecided" if result.undecided else "untouched"
+    made = result.mended()
+    for signal, own in made.signals.items():
+        if signal not in clean.signals:
+            continue
+        for was, now in zip(clean.signals[signal].T.numpy(), own.T.numpy(), strict=True):
+            left = now - np.interp(made.t.numpy(), clean.t.numpy(), was)
+            if np.median(np.abs(left - np.median(left))) > 0.3 * max(was.std(), 1e-6):
+                return "undecided" if result.undecided else "worse"
+    return "mended"
+
+
+def _said(result: Examination) -> list[Check]:
+    return [c for c in result.checks if c.verdict in ("wrong", "doubtful")]
+
+
+if __name__ == "__main__":
+    main()

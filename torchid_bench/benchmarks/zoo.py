@@ -1,0 +1,667 @@
+"""The zoo: logs of real arms, the commands that their owners would type, and whether the answer is right.
+
+    python -m torchid_bench.benchmarks.zoo [--data DATA] [--rows emps,kuka] [--jobs 2] [--page docs/zoo.md]
+
+DATA holds folders of public logs, which are not part of this project: most of their licences do not
+allow it. What is known of them is in gap_truths.yaml, written from their sources before any run. Each
+command runs as a process of its own in a folder of links to the logs. Results are kept a row at a time
+below --work, so that an interrupted zoo goes on while torchid's code is the same. The exit code is 1 where a command crashed, a good log
+was refused, or an answer is surely wrong.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import resource
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from torchid.yaml_data import parsed_yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+TRUTHS = Path(__file__).with_name("gap_truths.yaml")
+DATA = Path(os.environ.get("TORCHID_REAL_DATA") or ROOT.parent / "shared" / "data")
+SURE = 0.9
+"""Probability above which an answer claims a cause."""
+UNKNOWN = ("detected_unexplained", "not_testable")
+"""Statuses of an answer that has a gap, and that may have no cause for it."""
+ANYTHING = "no known effect"
+"""Name of what may be any effect."""
+FAULT = 70
+"""Exit code of a fault of torchid."""
+ANSWER = "answer{}.json"
+"""Where a row's k-th command writes its JSON."""
+VERDICTS = ("right", "honest", "missed", "wrong", "refused", "crash")
+"""From the best to the worst; a row is as good as the worst of its truths."""
+FAILS = ("wrong", "refused", "crash")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What an answer has to say.
+
+    Attributes:
+        names: any of these says it.
+        joints: from 1, at one of which it has to be; at all of them for `equal`; none: anywhere.
+        of: parameter of which a value is known; empty where none is.
+        value: that value, or the largest one for `at_most`.
+        within: how exactly, as a share of the value.
+        kind: `named`, `value`, `at_most` or `equal`.
+    """
+
+    names: tuple[str, ...]
+    joints: tuple[int, ...] = ()
+    of: str = ""
+    value: float = 0.0
+    within: float = 0.0
+    kind: str = "named"
+
+    def words(self, number: str = "") -> tuple[str, str]:
+        """What it is of, and where with which number: `coulomb_friction Fc`, `2: 21 ± 1 (20)`."""
+        of = "" if self.of in ("", self.names[0]) else f" {self.of}"
+        joints = " ".join(map(str, self.joints))
+        if not number:
+            return f"{self.names[0]}{of}", joints
+        known = f" ({self.value:.4g})" if self.kind in ("value", "at_most") else ""
+        return f"{self.names[0]}{of}", f"{joints}: {number}{known}".removeprefix(": ")
+
+
+@dataclass(frozen=True)
+class Absent:
+    """What is known not to be there: names, or all that no truth holds where there are none; at
+    these joints, or anywhere where there are none."""
+
+    names: tuple[str, ...] = ()
+    joints: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the zoo; see the head of gap_truths.yaml.
+
+    Attributes:
+        log: words for what is wrong with it; none of a good one.
+    """
+
+    name: str
+    folder: str
+    known: str
+    commands: tuple[str, ...]
+    log: tuple[str, ...] = ()
+    truths: tuple[Truth, ...] = ()
+    absent: tuple[Absent, ...] = ()
+    files: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What an answer says is there.
+
+    Attributes:
+        name: of an effect, a check, or a quantity.
+        joints: from 1; none of the whole arm.
+        sizes: value and standard deviation by name; None where none is known.
+        sure: probability; 0 of what the answer leaves open.
+        instead: names from which it cannot be told.
+    """
+
+    name: str
+    joints: tuple[int, ...] = ()
+    sizes: tuple[tuple[str, float, float | None], ...] = ()
+    sure: float = 0.0
+    instead: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Step:
+    """One command that ran.
+
+    Attributes:
+        command: as typed.
+        exit: its code; negative for a signal; None where the time was over.
+        seconds: of CPU, with its children.
+        headline: the sentence that its user reads first.
+        complaints: what it says against the log.
+        trouble: the end of its standard error where it failed.
+        claims: what it says; none where it wrote no answer.
+    """
+
+    command: str
+    exit: int | None
+    seconds: float
+    headline: str = ""
+    complaints: str = ""
+    trouble: str = ""
+    claims: tuple[Claim, ...] = ()
+
+
+def _truths(entry: dict[str, Any]) -> Iterator[Truth]:
+    """Truths of one entry: one a joint, but one of all joints where these are alike."""
+    names, joints = tuple(entry["is"]), tuple(entry.get("joints", ()))
+    of, within = entry.get("of", ""), float(entry.get("within", 0.0))
+    if "equal" in entry:
+        yield Truth(names, joints, of, 0.0, float(entry["equal"]), "equal")
+        return
+    kind = (
+        "at_most" if "at_most" in entry else "value" if {"value", "values"} & {*entry} else "named"
+    )
+    values = entry.get("at_most", entry.get("values", entry.get("value", 0.0)))
+    places = [(j,) for j in joints] or [()]
+    every = values if isinstance(values, list) else [values] * len(places)
+    for place, value in zip(places, every, strict=True):
+        yield Truth(names, place, of, float(value), within, kind)
+
+
+def row_of(name: str, entry: dict[str, Any]) -> Row:
+    """A row from its entry of the yaml.
+
+    Raises:
+        TypeError, KeyError, ValueError: the entry is not of the schema in the yaml's head.
+    """
+    unknown = {*entry} - {
+        "folder",
+        "known",
+        "files",
+        "commands",
+        "log",
+        "truths",
+        "absent",
+        "silent",
+    }
+    if unknown:
+        raise ValueError(f"{name}: unknown keys {', '.join(sorted(unknown))}")
+    absent = [
+        Absent(() if a["names"] == "all" else tuple(a["names"]), tuple(a.get("joints", ())))
+        for a in entry.get("absent", ())
+    ]
+    if entry.get("silent"):
+        absent.append(Absent((), tuple(entry["silent"])))
+    return Row(
+        name=name,
+        folder=entry["folder"],
+        known=entry["known"],
+        commands=tuple(entry["commands"]),
+        log=() if entry["log"] == "good" else tuple(entry["log"]),
+        truths=tuple(t for own in entry.get("truths", ()) for t in _truths(own)),
+        absent=tuple(absent),
+        files=tuple(entry.get("files", {}).items()),
+    )
+
+
+def rows() -> dict[str, Row]:
+    """All rows by name."""
+    return {name: row_of(name, own) for name, own in parsed_yaml(TRUTHS.read_text()).items()}
+
+
+# What an answer says
+
+
+def claims(document: dict[str, Any]) -> tuple[Claim, ...]:
+    """What a result's JSON says, in one form for all commands."""
+    if "answer" in document:
+        return (*_causes(document), *_servos(document))
+    if "checks" in document:
+        sure = {"wrong": 1.0, "doubtful": 0.5, "cannot tell": 0.0}
+        told = [c for c in document["checks"] if c["verdict"] in sure]
+        return tuple(Claim(c["name"], tuple(c["joints"]), (), sure[c["verdict"]]) for c in told)
+    if "frames" in document:
+        return _payload(document)
+    return (*_identified(document), *_errors(document))
+
+
+def _causes(document: dict[str, Any]) -> Iterator[Claim]:
+    """Causes, as sure as they are; suspects, small ones and those not testable are left open, and
+    anything is where a gap is there that no known effect explains."""
+    answer = document["answer"]
+    for key in ("causes", "suspects", "small"):
+        for c in answer[key]:
+            sizes = tuple((s["name"], s["value"], s["std"]) for s in c["sizes"])
+            sure = c["how_sure"] if key == "causes" and c["how_sure"] is not None else 0.0
+            yield Claim(c["effect"], tuple(c["joints"]), sizes, sure, tuple(c["ambiguous_with"]))
+    for c in document.get("not_testable") or ():
+        yield Claim(c["effect"], tuple(c["joints"]))
+    if not answer["causes"] and answer["status"] in UNKNOWN:
+        yield Claim(ANYTHING)
+
+
+def _servos(document: dict[str, Any]) -> Iterator[Claim]:
+    """Gains of servos; those that are ratios, or of joints that never move, are left open."""
+    for j in document["where"]["joints"]:
+        if "ratio_only" in j:
+            if j["ratio_only"] or j["never_moves"] or j["kp"] is None:
+                yield Claim("kp", (j["joint"],))
+            else:
+                low, high = j["kp_ci95"]
+                std = None if low is None or high is None else (high - low) / 4
+                yield Claim("kp", (j["joint"],), (("kp", j["kp"], std),), 1.0)
+
+
+def _payload(document: dict[str, Any]) -> tuple[Claim, ...]:
+    """The load; numbers that no motion determines are left out, and the load open where all of the
+    others may be zero."""
+    own = document["parameters"]
+    sizes = tuple(
+        (name, value, row[k] ** 0.5)
+        for k, (name, value, row, known) in enumerate(
+            zip(own["names"], own["value"], own["covariance"], own["determined"], strict=True)
+        )
+        if known and value is not None and row[k] is not None
+    )
+    seen = document["seen"] or any(abs(value) > 2 * std for _, value, std in sizes)
+    return (Claim("payload", (), sizes, 1.0 if seen else 0.0),)
+
+
+def _identified(document: dict[str, Any]) -> Iterator[Claim]:
+    """Base parameters and friction, those that were estimated for sure; a coefficient that is held
+    at a bound is open."""
+    held = document["bounded"]
+    for p in document["parameters"]:
+        sure = 1.0 if p["estimated"] else 0.0
+        yield Claim("base_parameter", (), ((p["name"], p["value"], p["std"]),), sure)
+    for e in document["effects"]:
+        for name, values in e["parameters"].items():
+            every = zip(e["joints"], values, e["std"].get(name, [None] * len(values)), strict=True)
+            for joint, value, std in every:
+                sure = 0.0 if f"{name}{joint}" in held else 1.0
+                yield Claim(e["effect"], (joint,), ((name, value, std),), sure)
+
+
+def _errors(document: dict[str, Any]) -> Iterator[Claim]:
+    """Shares of the torque that are missed [%]: of what was held out, else of the fit."""
+    own = document.get("held_out") or document["fit"]
+    for ending in ("", "_moving"):
+        for k, value in enumerate(own[f"relative_error_percent{ending}"]):
+            if value is not None:
+                yield Claim(f"relative_error{ending}", (k + 1,), (("", value, None),), 1.0)
+
+
+# Whether it is right
+
+
+def _speaks_of(claim: Claim, truth: Truth) -> bool:
+    """Whether a claim is of what a truth is of; one of the whole arm is of every joint."""
+    here = not claim.joints or not truth.joints or bool({*claim.joints} & {*truth.joints})
+    named = bool({claim.name, *claim.instead} & {*truth.names, ANYTHING})
+    return here and named and (truth.of != "" or truth.kind != "value")
+
+
+def _value(claim: Claim, name: str) -> tuple[float, float] | None:
+    """A claim's number of that name, and its standard deviation (0 where none is known)."""
+    for own, value, std in claim.sizes:
+        if own == name and value is not None:
+            return value, std or 0.0
+    return None
+
+
+def verdict_of_truth(truth: Truth, said: Sequence[Claim]) -> tuple[str, str]:
+    """How an answer meets one truth, and the number that it gives.
+
+    `right` is said above `SURE`, with a value within its tolerance; `honest` is said as one of a set,
+    as a suspect or as what the log does not tell, or with an interval (95 %) that reaches the
+    tolerance; `wrong` is a sure value outside of both; `missed` is not said at all.
+    """
+    if truth.kind == "equal":
+        return _alike(truth, said)
+    verdict, shown = "missed", ""
+    for claim in (c for c in said if _speaks_of(c, truth)):
+        of_it = claim.name in truth.names
+        size = _value(claim, truth.of) if truth.kind in ("value", "at_most") else None
+        if truth.kind in ("value", "at_most") and size is None and claim.sizes and truth.of:
+            continue  # other numbers of the same thing
+        own = "right" if of_it and claim.sure > SURE else "honest"
+        if size is not None:
+            text = f"{size[0]:.3g}" + (f" ± {size[1]:.2g}" if size[1] else "")
+            if own == "right":
+                own = _of_number(truth, *size)
+            if own == "wrong" or not shown:
+                shown = text
+        elif truth.kind in ("value", "at_most"):
+            own = "honest"
+        if own == "wrong":
+            return own, shown
+        verdict = min(verdict, own, key=VERDICTS.index)
+    return verdict, shown
+
+
+def _of_number(truth: Truth, value: float, std: float) -> str:
+    """Whether a number is determined and within its tolerance, or its interval reaches it."""
+    room = truth.within * abs(truth.value)
+    if truth.kind == "at_most":
+        return "right" if value <= truth.value + room else "missed"
+    off = abs(value - truth.value)
+    if off <= room and std < abs(truth.value):
+        return "right"
+    return "honest" if off <= room + 2 * std else "wrong"
+
+
+def _alike(truth: Truth, said: Sequence[Claim]) -> tuple[str, str]:
+    """Whether numbers of several joints are the same, of those that are sure."""
+    sure = [c for c in said if _speaks_of(c, truth) and c.sure > SURE]
+    found = [v for c in sure if (v := _value(c, truth.of)) is not None]
+    if not found:
+        return ("honest" if any(_speaks_of(c, truth) for c in said) else "missed"), ""
+    low, high = min(found), max(found)
+    shown = f"{low[0]:.3g} to {high[0]:.3g}"
+    if high[0] <= low[0] * (1 + truth.within):
+        return ("right" if len(found) == len(truth.joints) else "honest"), shown
+    reach = high[0] - 2 * high[1] <= (low[0] + 2 * low[1]) * (1 + truth.within)
+    return ("honest" if reach else "wrong"), shown
+
+
+def false_claims(row: Row, said: Sequence[Claim]) -> tuple[Claim, ...]:
+    """What is named for sure and known not to be there. Of a set all has to be absent."""
+    true = {name for t in row.truths for name in t.names}
+    quantities = {"kp", "base_parameter", "relative_error", "relative_error_moving"}
+
+    def absent(name: str, claim: Claim, rule: Absent) -> bool:
+        named = name in rule.names if rule.names else name not in true | quantities
+        if not rule.joints:
+            return named
+        return named and bool({*claim.joints} & {*rule.joints})
+
+    return tuple(
+        claim
+        for claim in said
+        if claim.sure > SURE
+        and any(all(absent(n, claim, a) for n in (claim.name, *claim.instead)) for a in row.absent)
+    )
+
+
+def judged(row: Row, steps: Sequence[Step]) -> tuple[str, str]:
+    """The verdict of a row, and why. A doctor that refuses a good log does not hide whether the
+    answer after it is right: that is in the reason."""
+    for step in steps:
+        if step.exit is None:
+            return "crash", f"no answer after {step.seconds:.0f} s"
+        if step.exit < 0 or step.exit == FAULT or "Traceback" in step.trouble:
+            return "crash", step.trouble
+    last = steps[-1]
+    verdict, parts = met(row, last.claims)
+    failed = [s for s in steps if s.exit]
+    if not row.log and failed:
+        reason = failed[0].headline or failed[0].trouble
+        return "refused", reason if last.exit else "; ".join([reason, *parts])
+    if row.log:
+        text = " ".join(f"{s.complaints} {s.trouble}" for s in steps).lower()
+        if not any(word.lower() in text for word in row.log):
+            return max(verdict, "missed", key=VERDICTS.index), "; ".join(
+                [f"no word of {' or '.join(row.log)}", *parts]
+            )
+        if last.exit and not last.claims:
+            return "right", "refused, as it should be"
+    return verdict, "; ".join(parts)
+
+
+def met(row: Row, said: Sequence[Claim]) -> tuple[str, list[str]]:
+    """How an answer meets all truths of a row: the worst verdict, and phrases about them."""
+    worst, parts = "right", []
+    by: dict[str, dict[str, list[str]]] = {}
+    count: Counter[str] = Counter()
+    for truth in row.truths:
+        own, shown = verdict_of_truth(truth, said)
+        worst = max(worst, own, key=VERDICTS.index)
+        what, where = truth.words(shown)
+        by.setdefault(own, {}).setdefault(what, []).append(where)
+        count[own] += 1
+    if row.truths:
+        parts.append(f"{count['right']} of {len(row.truths)} right")
+    few = len(row.truths) <= 4
+    for verdict in (("right",) if few else ()) + ("honest", "missed", "wrong"):
+        if by.get(verdict):
+            word = "open" if verdict == "honest" else verdict
+            each = (f"{what} {_listed(where)}".strip() for what, where in by[verdict].items())
+            parts.append(f"{word}: {'; '.join(each)}")
+    if false := false_claims(row, said):
+        worst = "wrong"
+        parts.append(f"absent, named: {names(false)}")
+    return worst, parts
+
+
+def _listed(where: Sequence[str]) -> str:
+    """Joints alone as `1 2 3`, with numbers as `1: 21 (20), 2: 33 (40)`."""
+    return (", " if any(":" in w or "(" in w for w in where) else " ").join(where)
+
+
+def names(said: Iterable[Claim]) -> str:
+    """Names with their joints: `coulomb_friction 1 2 5, payload`; a set with `|`."""
+    by: dict[str, list[int]] = {}
+    for claim in said:
+        key = " \\| ".join((claim.name, *claim.instead))
+        by.setdefault(key, []).extend(claim.joints)
+    return ", ".join(" ".join((name, *map(str, sorted(set(at))))) for name, at in by.items())
+
+
+# Running
+
+
+def run_row(row: Row, data: Path, work: Path, limit: float) -> tuple[Step, ...]:
+    """Run a row's commands one after the other until one fails, in a folder of links; a doctor that
+    finds something wrong ends nothing. The steps are without their claims."""
+    folder = work / row.name
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for other in (p for p in data.iterdir() if p.is_dir()):
+        (folder / other.name).symlink_to(other.resolve())
+    for file in (data / row.folder).iterdir():
+        (folder / file.name).symlink_to(file.resolve())
+    for name, text in row.files:
+        (folder / name).write_text(text)
+    steps: list[Step] = []
+    for k, command in enumerate(row.commands):
+        steps.append(run_command(command, folder, ANSWER.format(k), limit))
+        if steps[-1].exit not in ((0, 1) if "doctor" in command else (0,)):
+            break
+    return tuple(steps)
+
+
+def run_command(command: str, folder: Path, answer: str, limit: float) -> Step:
+    """Run one command line of `torchid` in a folder, for at most so many seconds."""
+    arguments = [sys.executable, "-m", *shlex.split(command), "--json", answer]
+    before = _cpu_seconds()
+    with subprocess.Popen(
+        arguments, cwd=folder, text=True, start_new_session=True, env=os.environ | {"COLUMNS": "200"},
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        try:
+            out, err = process.communicate(timeout=limit)
+            code: int | None = process.returncode
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)  # its children, too
+            out, err = process.communicate()
+            code = None
+    seconds = _cpu_seconds() - before
+    (folder / answer).with_suffix(".txt").write_text(out + err)
+    file = folder / answer
+    document = json.loads(file.read_text()) if file.exists() else {}
+    return Step(
+        command=command,
+        exit=code,
+        seconds=seconds,
+        headline=_headline(file if document else None, document, out, err),
+        complaints=_complaints(document),
+        trouble=err[-1500:] if code != 0 else "",
+    )
+
+
+def _cpu_seconds() -> float:
+    """Of all children that ended so far, user and system."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def _headline(file: Path | None, document: dict[str, Any], out: str, err: str) -> str:
+    """A diagnosis' headline, the doctor's conclusion, the last paragraph of others, or the error."""
+    if file is not None and "answer" in document:
+        import torchid
+
+        return str(torchid.load(file).answer.headline)
+    if "conclusion" in document:
+        return str(document["conclusion"])
+    if not document:
+        errors = [line for line in err.splitlines() if line.lower().startswith("error")]
+        return (errors or err.splitlines()[-1:] or [""])[0]
+    skipped = ("written", "For a simulator")
+    lines = "\n".join(line for line in out.splitlines() if not line.startswith(skipped))
+    return " ".join(lines.strip().split("\n\n")[-1].split())
+
+
+def _complaints(document: dict[str, Any]) -> str:
+    """What an answer says against its log."""
+    doubt = document.get("answer", {}).get("doubt", "")
+    checks = [c for c in document.get("checks", ()) if c["verdict"] in ("wrong", "doubtful")]
+    told = [f"{c['name']}: {c['evidence']}" for c in checks]
+    return " ".join((doubt or "", *document.get("warnings", ()), *told))
+
+
+@cache
+def code() -> str:
+    """A fingerprint of torchid's files: results of other code are not kept."""
+    files = sorted(p for p in (ROOT / "torchid").rglob("*") if p.suffix in (".py", ".yaml"))
+    return hashlib.sha256(b"".join(p.read_bytes() for p in files)).hexdigest()
+
+
+def measured(row: Row, data: Path, work: Path, limit: float) -> None:
+    """Run a row, and keep its result."""
+    steps = run_row(row, data, work, limit)
+    kept = work / f"{row.name}.json"
+    plain = [{k: v for k, v in asdict(s).items() if k != "claims"} for s in steps]
+    kept.with_suffix(".part").write_text(json.dumps({"code": code(), "steps": plain}, indent=1))
+    kept.with_suffix(".part").replace(kept)
+
+
+def kept_steps(row: Row, work: Path) -> tuple[Step, ...]:
+    """A row's result of an earlier run, its claims read from the answers that are kept beside it;
+    none where there is none, or its commands or torchid's code were others."""
+    file = work / f"{row.name}.json"
+    if not file.exists():
+        return ()
+    result = json.loads(file.read_text())
+    kept = result["steps"]
+    asked = tuple(s["command"] for s in kept) == row.commands[: len(kept)]
+    if not asked or result["code"] != code():
+        return ()
+    answers = [work / row.name / ANSWER.format(k) for k in range(len(kept))]
+    told = [claims(json.loads(a.read_text())) if a.exists() else () for a in answers]
+    return tuple(Step(**s, claims=c) for s, c in zip(kept, told, strict=True))
+
+
+# The page
+
+HEAD = """# The zoo
+
+Logs of real arms that nobody here made, the commands that their owners would type, and what is known of them from their
+sources, written down before any run (`torchid_bench/benchmarks/gap_truths.yaml`). Made by
+
+```
+{command}
+```
+
+on torchid {version}. CPU seconds are those of all commands of a row. A name counts from a probability of {sure:g}, on its joints; `|`
+parts names of a set.
+
+| verdict | meaning |
+|---|---|
+| right | the answer has all that is known, values within their tolerance, and nothing that is known to be absent |
+| honest | it leaves the rest open: one of a set, a suspect, not testable, no known effect, an interval (95 %) that reaches the truth |
+| missed | it lacks something that is known |
+| wrong | it is sure of something that is known to be absent, or of a value outside of its tolerance |
+| refused | a good log was refused |
+| crash | a fault of torchid, or no answer in time |
+"""
+
+
+def page(measured_rows: dict[str, tuple[Row, tuple[Step, ...]]], every: Sequence[str]) -> str:
+    """The page in Markdown."""
+    import torchid
+
+    counts = dict.fromkeys(VERDICTS, 0)
+    head = HEAD.format(
+        command="python -m torchid_bench.benchmarks.zoo --page docs/zoo.md",
+        version=torchid.__version__,
+        sure=SURE,
+    )
+    lines = ["| row | log | known | CPU s | exit | headline | names above 0.9 | truths | verdict |"]
+    lines.append("|---|---|---|--:|---|---|---|---|---|")
+    total = 0.0
+    for name, (row, steps) in measured_rows.items():
+        verdict, why = judged(row, steps)
+        counts[verdict] += 1
+        seconds = sum(s.seconds for s in steps)
+        total += seconds
+        last = steps[-1]
+        sure = [c for c in last.claims if c.sure > SURE]
+        if any(c.name == "base_parameter" for c in sure):
+            sure = []  # numbers of a fit are no names of causes
+        if why == last.headline:
+            why = ""
+        codes = " ".join("-" if s.exit is None else str(s.exit) for s in steps)
+        cells = (name, row.folder, row.known, f"{seconds:.0f}", codes, _text(last.headline))
+        lines.append("| " + " | ".join((*cells, names(sure), _text(why), f"**{verdict}**")) + " |")
+    listed = ", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n)
+    lines += ["", f"**{len(measured_rows)} rows: {listed}; {total:.0f} CPU s.**"]
+    left = [name for name in every if name not in measured_rows]
+    if left:
+        lines += ["", f"Not measured yet: {', '.join(left)}."]
+    lines += ["", "## Commands"]
+    for name, (row, _) in measured_rows.items():
+        lines += ["", f"{name}:", "", "```", *row.commands, "```"]
+    return head + "\n" + "\n".join(lines) + "\n"
+
+
+def _text(text: str, longest: int = 400) -> str:
+    """Text of a cell: one line, no markup, not endless."""
+    one = " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*")
+    return one if len(one) <= longest else one[: longest - 1] + "…"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, default=DATA)
+    parser.add_argument("--rows", help="names, comma-separated; all if absent")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--limit", type=float, default=3600.0, help="seconds of a command")
+    parser.add_argument("--work", type=Path, default=ROOT / "build" / "zoo")
+    parser.add_argument("--again", action="store_true", help="measure what is kept, too")
+    parser.add_argument("--page", type=Path, help="write the page of all kept rows")
+    given = parser.parse_args()
+    if not given.data.is_dir():
+        print(
+            f"The zoo is skipped: no folder of real logs at {given.data} (TORCHID_REAL_DATA names one)."
+        )
+        return 0
+    every = rows()
+    asked = given.rows.split(",") if given.rows else list(every)
+    if unknown := [name for name in asked if name not in every]:
+        parser.error(f"no row {', '.join(unknown)}; there are {', '.join(every)}")
+    given.work.mkdir(parents=True, exist_ok=True)
+    waiting = [n for n in asked if given.again or not kept_steps(every[n], given.work)]
+    started = time.monotonic()
+    with ProcessPoolExecutor(given.jobs) as pool:
+        runs = {
+            name: pool.submit(measured, every[name], given.data, given.work.resolve(), given.limit)
+            for name in waiting
+        }
+        for name, run in runs.items():
+            run.result()
+            verdict, why = judged(every[name], kept_steps(every[name], given.work))
+            print(f"{time.monotonic() - started:6.0f} s  {name}: {verdict}; {why}", flush=True)
+    kept = {n: (row, steps) for n, row in every.items() if (steps := kept_steps(row, given.work))}
+    if given.page:
+        given.page.write_text(page(kept, list(every)))
+    return int(any(judged(*kept[name])[0] in FAILS for name in asked))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,136 @@
+"""Scores of withheld cases: lines with targets, and their table."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from torchid.report.table import Shown, Table
+
+Summary = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Line:
+    """One score: where it is in the summary, and what it should be.
+
+    Attributes:
+        label: for people.
+        path: keys into the scores; the last is that of the value.
+        low, high: target; None where there is none.
+        percent: whether the value is a share, shown in per cent.
+    """
+
+    label: str
+    path: tuple[str, ...]
+    low: float | None = None
+    high: float | None = None
+    percent: bool = True
+
+    def entry(self, scores: Mapping[str, Any]) -> Mapping[str, Any]:
+        """What holds the value and its interval."""
+        found: Any = scores
+        for key in self.path[:-1]:
+            found = found[key]
+        return found
+
+    def value(self, scores: Mapping[str, Any]) -> float | None:
+        """The score; None where nothing was tried."""
+        value = self.entry(scores)[self.path[-1]]
+        return None if value is None else float(value)
+
+    def met(self, scores: Mapping[str, Any]) -> bool | None:
+        """Whether the target is met; None without value or target."""
+        value = self.value(scores)
+        if value is None or (self.low is None and self.high is None):
+            return None
+        return (self.low is None or value >= self.low) and (self.high is None or value <= self.high)
+
+    @property
+    def target(self) -> str:
+        """In words."""
+        low, high = (None if x is None else self.shown(x) for x in (self.low, self.high))
+        if low is not None and high is not None:
+            return f"{low} to {high}"
+        return f"≥ {low}" if low is not None else "" if high is None else f"≤ {high}"
+
+    def parts(self, scores: Mapping[str, Any]) -> tuple[str, str, str]:
+        """Value, interval and count."""
+        value = self.value(scores)
+        if value is None:
+            return "-", "", ""
+        entry = {} if self.path[-1] in ("set_size", "brier") else self.entry(scores)
+        between = " to ".join(self._plain(end) for end in entry.get("ci95") or ())
+        count = f"{entry['cases']} cases" if "cases" in entry else ""
+        if "total" in entry:
+            count = f"{entry['hits']} of {entry['total']}"
+        return self.shown(value), between, count
+
+    def shown(self, value: float) -> str:
+        """A value of this score."""
+        return self._plain(value) + (" %" if self.percent else "")
+
+    def _plain(self, value: float) -> str:
+        return f"{100 * value:.1f}" if self.percent else f"{value:.2f}"
+
+
+LINES = (
+    Line("false alarms, white noise", ("false_alarms", "white", "share"), high=0.03),
+    Line("false alarms, coloured noise", ("false_alarms", "coloured", "share"), high=0.03),
+    Line(
+        "false alarms, noise that grows with speed", ("false_alarms", "growing", "share"), high=0.03
+    ),
+    Line("false alarms, all", ("false_alarms", "all", "share"), high=0.03),
+    Line("parameters only: other effect named", ("parameters", "structural", "share")),
+    Line("one effect: detected", ("single", "detected", "share")),
+    Line("one effect: first name right", ("single", "top1", "share"), low=0.85),
+    Line("one effect: in the first set", ("single", "in_set", "share"), low=0.95),
+    Line("one effect: names in the set", ("single", "set_size"), high=2.0, percent=False),
+    Line("one effect: in any set", ("single", "anywhere", "share")),
+    Line("one effect: family right", ("single", "family", "share"), low=0.95),
+    Line("one effect: that alone, right joint", ("single", "exact", "share")),
+    Line("one clear effect: first name right", ("single_clear", "top1", "share")),
+    Line("one clear effect: in the first set", ("single_clear", "in_set", "share")),
+    Line("one clear effect: family right", ("single_clear", "family", "share")),
+    Line("one effect, any size: wrong family for sure", ("wrong_for_sure", "share")),
+    Line("how sure: Brier score", ("how_sure", "brier"), percent=False),
+    Line("joints, F1", ("joints", "f1"), low=0.95, percent=False),
+    Line("two effects, F1", ("several", "pairs", "with_sets", "f1"), low=0.9, percent=False),
+    Line("two effects, F1, first names", ("several", "pairs", "strict", "f1"), percent=False),
+    Line("three effects, F1", ("several", "triples", "with_sets", "f1"), percent=False),
+    Line("outside: wrong family for sure", ("outside", "confident_wrong", "share"), high=0.05),
+    Line("poor data: reported so, or right", ("poor", "honest", "share")),
+    Line("poor data: reported so", ("poor", "not_testable_or_hedged", "share")),
+    Line("intervals hold coefficients", ("coverage", "share"), 0.9, 0.98),
+)
+
+
+def shown(summary: Summary) -> Shown:
+    """All that there is to see of a score."""
+    sealed = f"SHA-256 of the keys: {summary['keys_sha256']}, as sealed"
+    said: list[Table | str] = [score_table(summary), sealed]
+    return Shown(verdict=headline(summary), parts=said)
+
+
+def score_table(summary: Summary, lines: Sequence[Line] = LINES) -> Table:
+    """Scores that there are cases for, beside targets."""
+    rows = []
+    for line in lines:
+        met = line.met(summary["scores"])
+        if line.value(summary["scores"]) is not None:
+            target = line.target + ("" if met is None else " met" if met else " missed")
+            rows.append((line.label, *line.parts(summary["scores"]), target))
+    title = f"withheld cases of seed {summary['seed']}: {summary['cases']} answers"
+    return Table(title, ("score", "torchid", "95 %", "cases", "target"), rows, "lrrrl")
+
+
+def headline(summary: Summary, lines: Sequence[Line] = LINES) -> str:
+    """How many targets are met."""
+    judged = [line.met(summary["scores"]) for line in lines]
+    met, missed = judged.count(True), judged.count(False)
+    text = f"{met} of {met + missed} targets met on {summary['cases']} cases"
+    errors = len(summary["scores"]["errors"])
+    if errors:
+        text += f"; {errors} diagnoses failed"
+    if summary["unanswered"]:
+        text += f"; {summary['unanswered']} cases have no answer"
+    return text + "."

@@ -1,0 +1,212 @@
+"""Cases of the benchmark: drawn from a seed and a number, and simulated."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from torchid.json_data import picked
+from torchid_bench.withheld.plant.arms import arm_named, urdf
+from torchid_bench.withheld.plant.bodies import Array
+from torchid_bench.withheld.plant.catalogue import KINDS, Kind
+from torchid_bench.withheld.plant.draw import CaseSpec, ServoSpec, TorqueSpec, draw_case
+from torchid_bench.withheld.plant.logger import logged
+from torchid_bench.withheld.plant.model import plant_of
+from torchid_bench.withheld.plant.plan import EffectSpec, Parameters, Plan, Scene
+from torchid_bench.withheld.plant.scene import (
+    friction_known,
+    moved_otherwise,
+    nominal_of,
+    rms,
+    scene_of,
+)
+from torchid_bench.withheld.plant.servo_catalogue import SERVO_KINDS
+from torchid_bench.withheld.plant.servo_scene import (
+    led_motions,
+    placed_effect,
+    servo_scene,
+    visible_effect,
+)
+from torchid_bench.withheld.plant.settings import DRAWS
+from torchid_bench.withheld.plant.simulate import (
+    gaps,
+    readings,
+    simulated,
+    size_of,
+    sized,
+    with_effect,
+)
+
+__all__ = ["CaseSpec", "SimulatedCase", "draw_case", "simulate_case"]
+
+FINE = 2.5e-4
+"""Step of the simulation that is logged [s]."""
+
+FELT = 0.01
+"""Share of a joint's torque from which on it feels an effect: the least that is worth a name."""
+
+MOVED = 0.1
+"""Share of the largest change of a joint's positions from which on a joint feels an effect."""
+
+_FINEST = 48
+"""Bits of an encoder that rounds nothing."""
+
+
+@dataclass(frozen=True)
+class SimulatedCase:
+    """A case.
+
+    Attributes:
+        urdf: the nominal model.
+        columns: of the log: t, q1.., dq1.. where the logger has velocities, tau1.., traj (T,); of
+            servos t, u1.., q1.., traj.
+        key: what was planted; without an id.
+        rotors: (n,) inertia that the maker's data tell of each rotor [kg m^2]; empty if none.
+    """
+
+    urdf: str
+    columns: dict[str, np.ndarray]
+    key: dict[str, Any]
+    rotors: tuple[float, ...] = ()
+
+
+def simulate_case(
+    spec: CaseSpec, *, ideal: bool = False, fresh: bool = False, bare: bool = False
+) -> SimulatedCase:
+    """Simulate a case.
+
+    Args:
+        spec: what it is.
+        ideal: whether its log is that of sensors without noise, counts and jitter; everything else
+            stays as it is.
+        fresh: whether the same arm, with the same effects, moves along other trajectories of the
+            same kind.
+        bare: whether it is the arm without the effects.
+
+    Raises:
+        TorchidError: an unknown arm or effect, or a simulation that diverged.
+        MissingExtraError: MuJoCo is not installed.
+    """
+    if bare:
+        spec = replace(spec, effects=())
+    if isinstance(spec, ServoSpec):
+        return _of_servos(spec)
+    assert isinstance(spec, TorqueSpec)
+    return _of_torques(spec, ideal=ideal, fresh=fresh)
+
+
+def _record(
+    kinds: Mapping[str, Kind], effect: EffectSpec, felt: Array, parameters: Parameters, size: float
+) -> dict[str, Any]:
+    """What a key says of an effect; `felt` (n,) is whether each joint feels it."""
+    return {
+        "name": effect.name,
+        **picked(kinds[effect.name], "family acceptable=akin"),
+        "joints": [j + 1 for j in effect.joints],
+        "felt_by": (np.flatnonzero(felt) + 1).tolist(),
+        "parameters": parameters,
+        "size": size,
+    }
+
+
+def _of_servos(spec: ServoSpec) -> SimulatedCase:
+    # Effects are placed and sized one after the other, each alone on the arm.
+    rng = np.random.default_rng([spec.seed, spec.number, 2])
+    scene = servo_scene(spec, rng)
+    plan, found, count = scene.plan, scene.base, scene.servos.count
+    effects: list[dict[str, Any]] = []
+    taken: tuple[int, ...] = ()
+    for one in spec.effects:
+        effect = placed_effect(scene, one.name, rng, taken)
+        taken += effect.joints
+        scale, rms, found = visible_effect(scene, effect)
+        plan, own = SERVO_KINDS[effect.name].plant(scene, plan, effect, scale)
+        felt = rms > max(MOVED * rms.max(), count / 2)
+        # Of the largest change, over what an encoder rounds to.
+        size = float(rms.max() / (count / np.sqrt(12)))
+        effects.append(_record(SERVO_KINDS, effect, felt, own, size))
+    if len(effects) > 1:
+        found = led_motions(scene, plan)
+    # What the bus carries: commands, and positions in counts.
+    n, rows = scene.arm.n, [len(u) for u in scene.commands]
+    columns = {
+        "t": np.concatenate([np.arange(k) / spec.rate_hz for k in rows]),
+        **{f"u{j + 1}": np.concatenate([u[:, j] for u in scene.commands]) for j in range(n)},
+        **{f"q{j + 1}": np.concatenate([m.logged[:, j] for m in found]) for j in range(n)},
+        "traj": np.repeat(np.arange(len(rows)), rows),
+    }
+    values = {name: scene.of(name).tolist() for name in scene.servos.values}
+    key = {
+        **picked(spec, "kind arm rate_hz"),
+        "level": None,
+        "effects": effects,
+        "background": {**values, **picked(scene.plan.plant, "damping armature")},
+        "counts": spec.counts,
+    }
+    return SimulatedCase(urdf(scene.arm, np.zeros(n), np.zeros(n)), columns, key)
+
+
+def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
+    # The scene, and the arm without effects.
+    arm = arm_named(spec.arm)
+    known = friction_known(arm, np.array(spec.viscous), np.array(spec.coulomb))
+    nominal, base = nominal_of(arm, *known), Plan(plant_of(arm, *known), *known)
+    controllers = spec.bandwidth_hz, spec.damping_ratio
+    scene = scene_of(arm, nominal, spec.motion, spec.noise_share, *controllers)
+    found = [
+        sized(scene, base, nominal, effect, spec.level or DRAWS.level) for effect in spec.effects
+    ]
+    if spec.poor:
+        scene = moved_otherwise(scene, nominal, spec.poor)
+    if fresh:
+        scene = moved_otherwise(scene, nominal, (spec.poor or spec.motion).another())
+    plan, parameters = base, []
+    for effect, one in zip(spec.effects, found, strict=True):
+        plan, own = with_effect(scene, plan, effect, one.scale)
+        parameters.append(own)
+    nominal = replace(nominal, damping=plan.known_damping, friction=plan.known_friction)
+    traces = simulated(scene, plan, nominal, FINE)
+    left = gaps(plan, nominal, traces)
+    sizes = [one.size for one in found]
+    if len(sizes) == 1:
+        sizes = [rms(left) / scene.noise]
+    elif spec.poor:
+        # Of each effect alone on the case's motion.
+        for k, (effect, one) in enumerate(zip(spec.effects, found, strict=True)):
+            alone, _ = with_effect(scene, base, effect, one.scale)
+            own_nominal = nominal_of(arm, alone.known_damping, alone.known_friction)
+            moved = simulated(scene, alone, own_nominal, FINE * 2)
+            sizes[k] = size_of(scene, alone, own_nominal, moved)
+    noise_std, torque = scene.noise, scene.torque
+    effects = [
+        _record(KINDS, effect, size * noise_std > FELT * torque, own, float(size.max()))
+        for effect, own, size in zip(spec.effects, parameters, sizes, strict=True)
+    ]
+    logger, noise = spec.logger, scene.noise
+    if ideal:
+        logger = replace(logger, encoder_bits=_FINEST, velocity_noise=0.0, jitter=0.0)
+        noise = 0.0 * noise
+    columns = logged(logger, plan, readings(plan, traces), noise)
+    key = _key(spec, scene, plan, effects, rms(left))
+    model = urdf(scene.arm, plan.known_damping, plan.known_friction)
+    return SimulatedCase(model, columns, key, tuple(j.rotor for j in arm.joints))
+
+
+def _key(
+    spec: TorqueSpec, scene: Scene, plan: Plan, effects: list[dict[str, Any]], gap: np.ndarray
+) -> dict[str, Any]:
+    return {
+        **picked(spec, "kind arm rate_hz=logger.rate_hz colour_hz=logger.colour_hz"),
+        "noise_grows": spec.logger.grows,
+        "repeats": len(set(spec.motion.shapes)) < len(spec.motion.shapes),
+        "level": spec.level,
+        "effects": effects,
+        "background": picked(plan, "viscous=known_damping coulomb=known_friction"),
+        "noise_std": scene.noise.tolist(),
+        "controller": {**picked(scene, "kp kd"), **picked(spec, "bandwidth_hz damping_ratio")},
+        **picked(spec.logger, "encoder_bits jitter"),
+        "own_velocity": spec.logger.own_velocity or plan.own_velocity,
+        "excitation": spec.excitation,
+        "true_gap_rms": gap.tolist(),
+    }
