@@ -109,6 +109,7 @@ class Finding:
             set that of the set.
         changed: coefficients that the model knew otherwise; none of an effect that is new.
         replication: whether it is the same in every motion.
+        branch_sure: probability that a cause of its branch is there at its place, whichever it is.
         one_of_a_set: whether it is the likeliest of a set none of which is likely by itself.
         share: of the error that it takes away, the mean over all orders in which causes may join
             (`torchid.gap.search.shares`), so that the shares add up to that of the answered model.
@@ -131,6 +132,7 @@ class Finding:
     notes: tuple[str, ...] = ()
     common: bool = False
     one_of_a_set: bool = False
+    branch_sure: float | None = None
     changed: tuple[KnownCoefficient, ...] = ()
     replication: Replication | None = None
 
@@ -203,6 +205,7 @@ def _link(changed: Parametric) -> FoundEffect:
         changed,
         effect="link_inertia",
         family="inertia",
+        branch="inertia",
         joints=changed.links,
         located=changed.links,
         parameters={"links": [link + 1 for link in changed.links]},

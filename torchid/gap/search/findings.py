@@ -180,7 +180,7 @@ def describe_findings(
         p = p_value(question, *_without_bodies(found, one), term)
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()
-            took = alone[k], tuple(removes[k])
+            took = alone[k], tuple(removes[k]), one.branch_sure
             parametric.append(Parametric(links, shares[k], p, names, one.sure, *took))
             continue
         separable = _separable(found, one)
@@ -198,6 +198,7 @@ def describe_findings(
                 p_value=p,
                 how_sure=one.sure,
                 one_of_a_set=one.one_of_a_set,
+                branch_sure=one.branch_sure,
                 replication=replication(one.own, found.solution, fixed + k, samples),
                 share=shares[k],
                 alone=alone[k],
