@@ -119,17 +119,18 @@ FRICTION = Finding(
     p_value=1e-9,
     how_sure=0.999,
     share=0.9,
-    first=0.92,
+    alone=0.92,
+    removes=(0.1, 0.2),
     notes=("its value rises with the cut-off",),
 )
 VISCOUS = replace(
     FRICTION, effect=ViscousFriction(0), values=(0.2,), joints=(0,), std=(0.1,), share=0.05,
-    first=0.06, p_value=0.004, how_sure=0.4,
+    alone=0.06, removes=(0.1, 0.2), p_value=0.004, how_sure=0.4,
     ambiguous_with=("power_law_friction", "time_delay"), notes=(),
 )  # fmt: skip
 OFFSET = replace(
     FRICTION, effect=TorqueOffset(2), values=(-0.13,), joints=(2,), std=(math.nan,), share=0.02,
-    first=0.03, notes=(),
+    alone=0.03, removes=(0.1, 0.2), notes=(),
 )  # fmt: skip
 
 

@@ -44,7 +44,7 @@ def test_a_payload_is_named_and_weighed():
     loaded = diagnose_torque(
         empty.corrected, log("loaded_2p6kg_jan13"), settings=GapSettings(rollout=False)
     )
-    best = max(loaded.findings, key=lambda f: f.first)
+    best = max(loaded.findings, key=lambda f: f.alone)
     assert best.effect.name == "payload"
     mass, std = best.values[0], best.std[0]
     assert abs(mass / 2.6 - 1) < 0.1

@@ -63,6 +63,7 @@ class Backlash(OneJointEffect):
 
     name = "backlash"
     family = "hysteresis"
+    branch = "transmission"
     needs = frozenset({"robot", "t"})
     jumps = True
     coefficients = (Coefficient("width", "rad", True, "angle between the flanks", 0.05),)

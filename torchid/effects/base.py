@@ -49,6 +49,11 @@ Family = Literal[
 ]
 """What effects of one family have in common is their signature in the torque."""
 
+Branch = Literal["friction", "inertia", "transmission", "sensing", "surroundings"]
+"""Where in an arm a cause is, as engineers sort them: friction of a joint; bodies and what they
+carry; gears; sensors and actuators; what the arm stands in. How far a log decides is said in this
+tree, whose leaves are effects at joints."""
+
 _ROUNDING = 1e-9
 """Of the largest size of a coefficient [1]."""
 
@@ -81,6 +86,7 @@ class Effect(ABC):
 
     Class attributes:
         name, family: as in files (see the registry).
+        branch: of the tree of causes.
         coefficients: what it is linear in.
         shapes: what it is not; each is also a field of the instance.
         meaning: what it is physically, one sentence.
@@ -119,6 +125,7 @@ class Effect(ABC):
 
     name: ClassVar[str]
     family: ClassVar[Family]
+    branch: ClassVar[Branch]
     coefficients: ClassVar[tuple[Coefficient, ...]]
     shapes: ClassVar[tuple[Shape, ...]] = ()
     meaning: ClassVar[str]

@@ -33,6 +33,7 @@ class GearCoupling(JointPairEffect):
 
     name = "gear_coupling"
     family = "speed"
+    branch = "transmission"
     needs = frozenset()
     jumps = True
     coefficients = (

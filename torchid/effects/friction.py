@@ -18,6 +18,7 @@ class ViscousFriction(JointEffect):
 
     name = "viscous_friction"
     family = "speed"
+    branch = "friction"
     coefficients = (Coefficient("Fv", "N m s/rad", True, "viscous friction"),)
     servo = ("damping",)
     positions = True
@@ -56,6 +57,7 @@ class CoulombFriction(JointEffect):
 
     name = "coulomb_friction"
     family = "sign"
+    branch = "friction"
     jumps = True
     coefficients = (Coefficient("Fc", "N m", True, "Coulomb friction"),)
     servo = ("coulomb",)
@@ -99,6 +101,7 @@ class TorqueOffset(JointEffect):
 
     name = "torque_offset"
     family = "constant"
+    branch = "sensing"
     coefficients = (Coefficient("F0", "N m", False, "offset"),)
     servo = ("offset",)
     positions = True

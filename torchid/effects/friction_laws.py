@@ -37,6 +37,7 @@ class PowerLawFriction(JointEffect):
 
     name = "power_law_friction"
     family = "speed"
+    branch = "friction"
     coefficients = (Coefficient("F2", "N m (s/rad)^a", False, "curvature of the viscous friction"),)
     shapes = (Shape("a", "1", 1.1, 3.0, (1.5, 2.0, 2.5), "exponent of the speed"),)
     meaning = "Lubricant is churned (F2 > 0) or thinned (F2 < 0) at speed, so friction is curved."
@@ -84,6 +85,7 @@ class StribeckFriction(JointEffect):
 
     name = "stribeck_friction"
     family = "sign"
+    branch = "friction"
     jumps = True
     coefficients = (
         Coefficient("Fs", "N m", True, "breakaway friction in excess of Coulomb friction"),
@@ -143,6 +145,7 @@ class LoadDependentFriction(JointEffect):
 
     name = "load_dependent_friction"
     family = "sign"
+    branch = "friction"
     needs = frozenset({"torque"})
     jumps = True
     coefficients = (
@@ -184,6 +187,7 @@ class AsymmetricFriction(JointEffect):
 
     name = "asymmetric_friction"
     family = "constant"
+    branch = "friction"
     jumps = True
     coefficients = (
         Coefficient("dF", "N m", False, "Coulomb friction: half of forward minus backward"),
@@ -236,6 +240,7 @@ class ThermalFrictionDrift(JointEffect):
 
     name = "thermal_friction_drift"
     family = "time"
+    branch = "friction"
     needs = frozenset({"t"})
     jumps = True
     coefficients = (

@@ -38,6 +38,7 @@ class BaseTilt(ModelEffect):
 
     name = "base_tilt"
     family = "gravity"
+    branch = "surroundings"
     coefficients = (
         ArmCoefficient(
             "tilt_x", "rad", False, "gravity turned about the first horizontal axis", 0.35
@@ -87,6 +88,7 @@ class TorqueShare(OneJointEffect):
     """A joint's torque is measured with a share of a joint's torque in excess."""
 
     family = "gravity"
+    branch = "sensing"
     needs = frozenset({"torque"})
 
     @property
@@ -184,6 +186,7 @@ class EncoderOffset(OneJointEffect):
 
     name = "encoder_offset"
     family = "gravity"
+    branch = "sensing"
     coefficients = (
         Coefficient("offset", "rad", False, "true position minus the measured one", 0.35),
     )
@@ -243,6 +246,7 @@ class KinematicError(OneJointEffect):
 
     name = "kinematic_error"
     family = "gravity"
+    branch = "transmission"
     coefficients = (
         ArmCoefficient("dx", "m", False, "joint frame displaced along its x", 0.05),
         ArmCoefficient("dy", "m", False, "joint frame displaced along its y", 0.05),

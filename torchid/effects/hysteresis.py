@@ -30,6 +30,7 @@ class PreslidingHysteresis(JointEffect):
 
     name = "presliding_hysteresis"
     family = "hysteresis"
+    branch = "friction"
     memory = True
     coefficients = (
         Coefficient("Fh", "N m", True, "friction that the bristles reach when they slide"),

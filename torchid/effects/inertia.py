@@ -39,6 +39,7 @@ class BodyEffect(ModelEffect):
     """Ten parameters added to those of a link, in that link's frame, about its origin."""
 
     family = "inertia"
+    branch = "inertia"
     beyond = WEIGHED
     example = Example(_DRAWN, "acceleration")
     inertial = True
@@ -123,6 +124,7 @@ class RotorInertia(JointEffect):
 
     name = "rotor_inertia"
     family = "inertia"
+    branch = "inertia"
     coefficients = (Coefficient("Ia", "kg m^2", True, "reflected rotor inertia"),)
     servo = ("armature",)
     positions = True

@@ -111,6 +111,7 @@ class Cogging(Wave):
 
     name = "cogging"
     family = "periodic"
+    branch = "transmission"
     coefficients = _amplitudes("N m", "amplitude of the ripple's {}")
     shapes = _wave_number(
         0.5, 1000.0, (2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 60.0)
@@ -152,6 +153,7 @@ class MotorRipple(Wave):
 
     name = "motor_ripple"
     family = "periodic"
+    branch = "transmission"
     needs = frozenset({"torque"})
     coefficients = _amplitudes("1", "ripple's {}, as a share of the torque", 0.5)
     shapes = _wave_number(
@@ -200,6 +202,7 @@ class PositionDependentFriction(Wave):
 
     name = "position_dependent_friction"
     family = "sign"
+    branch = "friction"
     jumps = True
     coefficients = _amplitudes("N m", "unevenness of the friction, {}")
     shapes = _wave_number(0.1, 100.0, (0.5, 1.0, 2.0, 3.0, 4.0, 6.0))

@@ -47,6 +47,7 @@ class TimeDelay(OneJointEffect):
 
     name = "time_delay"
     family = "phase"
+    branch = "sensing"
     needs = frozenset({"torque", "t"})
     coefficients = (Coefficient("delay", "s", True, "by which the torque is late", 0.1),)
     meaning = "The torque is filtered or stamped later than the position."
@@ -96,6 +97,7 @@ class FilterLag(ModelEffect):
 
     name = "filter_lag"
     family = "phase"
+    branch = "sensing"
     needs = frozenset({"robot", "t", "velocity"})
     coefficients = (
         Coefficient("lag", "s", True, "by which velocity and acceleration are late", 0.1),
@@ -158,6 +160,7 @@ class JointElasticity(OneJointEffect):
 
     name = "joint_elasticity"
     family = "phase"
+    branch = "transmission"
     needs = frozenset({"robot", "torque", "t"})
     coefficients = (
         Coefficient("compliance", "rad/(N m)", True, "deflection per torque, 1/K", 0.2),

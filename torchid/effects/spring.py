@@ -42,6 +42,7 @@ class JointSpring(JointEffect):
 
     name = "joint_spring"
     family = "gravity"
+    branch = "surroundings"
     essential = (0,)  # a rest torque alone is an offset
     coefficients = (
         Coefficient("k", "N m/rad", False, "stiffness at q = 0"),

@@ -47,6 +47,7 @@ class PlaneContact(ModelEffect):
 
     name = "plane_contact"
     family = "transient"
+    branch = "surroundings"
     needs = frozenset({"robot"})
     coefficients = (
         ArmCoefficient("k", "N/m", True, "stiffness of plane and tool together", 1e6),
@@ -153,6 +154,7 @@ class EndStop(JointEffect):
 
     name = "end_stop"
     family = "transient"
+    branch = "surroundings"
     coefficients = (Coefficient("ks", "N m/rad", True, "stiffness of the stop", 1e6),)
     shapes = (
         Shape(

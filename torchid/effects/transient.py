@@ -42,6 +42,7 @@ class Saturation(JointEffect):
 
     name = "saturation"
     family = "transient"
+    branch = "sensing"
     needs = frozenset({"torque"})
     coefficients = (
         Coefficient(
@@ -146,6 +147,7 @@ class Contact(ModelEffect):
 
     name = "contact"
     family = "transient"
+    branch = "surroundings"
     needs = frozenset({"robot", "t"})
     coefficients = tuple(
         ArmCoefficient(
@@ -257,6 +259,7 @@ class DroppedSamples(OneJointEffect):
 
     name = "dropped_samples"
     family = "transient"
+    branch = "sensing"
     needs = frozenset({"torque", "t", "age"})
     jumps = True
     coefficients = (

@@ -109,10 +109,12 @@ class Finding:
             set that of the set.
         changed: coefficients that the model knew otherwise; none of an effect that is new.
         replication: whether it is the same in every motion.
+        branch_sure: probability that a cause of its branch is there at its place, whichever it is.
         one_of_a_set: whether it is the likeliest of a set none of which is likely by itself.
-        share: of the error that it closes in its turn: at every turn that cause joins which closes
-            most, all refitted, so that the shares add up to that of the answered model.
-        first: share of the error that it closes alone.
+        share: of the error that it takes away, the mean over all orders in which causes may join
+            (`torchid.gap.search.shares`), so that the shares add up to that of the answered model.
+        alone: share of the error that it takes away by itself.
+        removes: (n,) what it takes away of each joint's error [N m; N]; they add up, too.
         notes: sentences, e.g. a coefficient that is not determined.
         common: whether one coefficient is common to all joints.
     """
@@ -125,10 +127,12 @@ class Finding:
     p_value: float
     how_sure: float
     share: float
-    first: float
+    alone: float
+    removes: tuple[float, ...]
     notes: tuple[str, ...] = ()
     common: bool = False
     one_of_a_set: bool = False
+    branch_sure: float | None = None
     changed: tuple[KnownCoefficient, ...] = ()
     replication: Replication | None = None
 
@@ -189,6 +193,11 @@ class HowFar:
     rollout: Rollout | None = None
     motions: tuple[SimulatedMotion, ...] = ()
 
+    @property
+    def less(self) -> float:
+        """Share of the error that is gone, whatever of it is noise; none where it grows."""
+        return max(0.0, float(1 - self.rms_after.norm() / self.rms_before.norm()))
+
 
 def _link(changed: Parametric) -> FoundEffect:
     """Changed inertial parameters as an accepted effect; a link has the number of its joint."""
@@ -196,6 +205,7 @@ def _link(changed: Parametric) -> FoundEffect:
         changed,
         effect="link_inertia",
         family="inertia",
+        branch="inertia",
         joints=changed.links,
         located=changed.links,
         parameters={"links": [link + 1 for link in changed.links]},

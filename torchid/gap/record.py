@@ -27,7 +27,7 @@ from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
 from torchid.simulation.two_models import Rollout
 from torchid.simulators.nearest_fields import NearestFields
-from torchid.statistics.criteria import MOVED_STD
+from torchid.statistics.criteria import MOVED_STD, SET_MASS
 from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:
@@ -126,13 +126,13 @@ class FoundEffect(Part, frozen=True, kw_only=True):
     """An accepted effect; of inertial parameters those of one link.
 
     Attributes:
-        effect, family: which.
+        effect, family, branch: which, and of what kind in the tree of causes.
         joints: at it; of one that belongs to the whole arm those whose torque it changes.
         common: whether one coefficient is common to all joints.
         located: joints that it acts at; none of one that belongs to the whole arm.
         ambiguous_with: names of effects the data do not separate it from.
         parameters: coefficients, shapes and places.
-        p_value, how_sure, one_of_a_set, share, first: as Finding's.
+        p_value, how_sure, branch_sure, one_of_a_set, share, alone, removes: as Finding's.
         std, unit: of the coefficients, and units of shapes too.
         shape, places: which of the parameters are shapes, and which places.
         changed: coefficients that the model knew otherwise; none of an effect that is new.
@@ -143,6 +143,7 @@ class FoundEffect(Part, frozen=True, kw_only=True):
 
     effect: str
     family: str
+    branch: str = ""
     joints: tuple[Joint, ...]
     common: bool = False
     located: tuple[Joint, ...] = ()
@@ -150,13 +151,15 @@ class FoundEffect(Part, frozen=True, kw_only=True):
     parameters: Values
     p_value: float | None
     how_sure: float | None = None
+    branch_sure: float | None = None
     one_of_a_set: bool = False
     std: dict[str, float | None]
     unit: dict[str, str]
     shape: tuple[str, ...]
     places: tuple[str, ...]
     share: float | None = None
-    first: float | None = None
+    alone: float | None = None
+    removes: tuple[Real, ...] = ()
     changed: tuple[KnownCoefficient, ...] = ()
     replication: Replication | None = None
     meaning: str = ""
@@ -171,13 +174,18 @@ class FoundEffect(Part, frozen=True, kw_only=True):
             Size(name=c.name, unit=c.unit, value=c.after, std=c.after_std, was=c.before)
             for c in self.changed
         )
+        # The deepest node of the tree of causes that is sure enough is the name.
+        sure, of_branch = self.how_sure or 0.0, self.branch_sure or 0.0
+        wide = (self.one_of_a_set or sure < SET_MASS) and of_branch >= SET_MASS
         return Cause(
             effect=self.effect,
+            branch=self.branch if wide else "",
             joints=self.located,
             sizes=changed or _sizes(self),
-            how_sure=self.how_sure,
+            how_sure=of_branch if wide else self.how_sure,
             ambiguous_with=self.ambiguous_with,
             closes=math.nan if self.share is None else self.share,
+            alone=math.nan if self.alone is None else self.alone,
             remedy=self.remedy,
         )
 
@@ -276,7 +284,8 @@ class Parametric(Part, frozen=True):
 
     Attributes:
         links: empty for all base parameters.
-        share, p_value, how_sure: as Finding's; None where the parameters are always refitted.
+        share, p_value, how_sure, branch_sure, alone, removes: as Finding's; None where the
+            parameters are always refitted.
         ambiguous_with: names of effects.
         all_base_parameters: whether there is no link.
     """
@@ -286,6 +295,9 @@ class Parametric(Part, frozen=True):
     p_value: float | None
     ambiguous_with: tuple[str, ...] = ()
     how_sure: float | None = None
+    alone: float | None = None
+    removes: tuple[Real, ...] = ()
+    branch_sure: float | None = None
     all_base_parameters: bool = False
 
     def __post_init__(self) -> None:

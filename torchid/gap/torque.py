@@ -27,6 +27,7 @@ from torchid.gap.search.findings import (
 )
 from torchid.gap.search.joint_fits import joint_fits
 from torchid.gap.search.known import after_log, known_of
+from torchid.gap.search.shares import shares_of
 from torchid.gap.search.unnamed import small_effects, suspects
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import budget, residuals
@@ -97,7 +98,9 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
     found, checked, data, settings = (
         decision.found, decision.checked, problem.data, problem.settings
     )  # fmt: skip
-    said = with_refit(describe_findings(found, decision.judged, decision.closed), decision, problem)
+    taken = shares_of(found, fitted_first=problem.fitted_first)
+    named = describe_findings(found, decision.judged, taken, checked.far)
+    said = with_refit(named, decision, problem)
     joints, regimes = where(checked.shown, checked.noise.floor, settings.seed, band=data.band)
     unseen = not_testable(found, data)
     # What was known, and what is now: the corrected model holds laws, for a push is no part of it.

@@ -40,6 +40,7 @@ def cause_table(record: GapRecord | PositionRecord) -> Table:
     for cause in (*record.answer.causes, *record.answer.small):
         own = found.get((cause.effect, cause.joints))
         removes = "-" if math.isnan(cause.closes) else percent(cause.closes)
+        removes += "" if math.isnan(cause.alone) else f", alone {percent(cause.alone)}"
         if isinstance(own, UnnamedEffect):
             removes = f"small: {own.closes_rms:.2g} RMS"
         others = "\n".join(map(effect_words, cause.ambiguous_with)) or "-"
@@ -50,8 +51,9 @@ def cause_table(record: GapRecord | PositionRecord) -> Table:
         )
     columns = ("effect", "joints", "value", "could also be", "removes", "sure", "found in")
     note = (
-        "or: could also be; removes: share of the error that this cause removes, given the causes "
-        "above it; found in: motions with the same size, of those that can show it"
+        "or: could also be; removes: share of the error that this cause takes away, the mean over "
+        "all orders in which the causes may join (shares add up), and by itself; found in: motions "
+        "with the same size, of those that can show it"
     )
     return Table("which: causes of the error (value ± std)", columns, rows, "lllp", note)
 

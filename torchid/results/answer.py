@@ -19,6 +19,7 @@ from msgspec import UNSET, UnsetType
 from torchid.notebooks import html_table
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result
 from torchid.results.words import (
+    BRANCHES,
     effect_words,
     joint_labels,
     joints_words,
@@ -81,20 +82,25 @@ class Cause(Part, frozen=True, kw_only=True):
 
     Attributes:
         effect: its name, as `torchid effects` lists it; `link_inertia` of inertial parameters.
+        branch: `friction`, say, where no more than that is sure; then it is the likeliest of these.
         joints: at which it acts; links, of inertial parameters; none: the whole arm.
         sizes: its numbers.
         how_sure: probability of it, or of the set with `ambiguous_with`; None where none is known.
         ambiguous_with: effects that this log cannot separate from it.
-        closes: share of the error that it closes, in the order of the causes [1].
+        closes: share of the error that it takes away, the mean over all orders of the causes; the
+            shares of all causes add up [1].
+        alone: the share that it takes away by itself [1].
         remedy: what to do, one sentence.
     """
 
     effect: str
+    branch: str = ""
     joints: tuple[Joint, ...]
     sizes: tuple[Size, ...] = ()
     how_sure: float | None = None
     ambiguous_with: tuple[str, ...] = ()
     closes: Real = math.nan
+    alone: Real = math.nan
     remedy: str = ""
 
     @property
@@ -105,6 +111,8 @@ class Cause(Part, frozen=True, kw_only=True):
     @property
     def name(self) -> str:
         """In words."""
+        if self.branch:
+            return f"{BRANCHES[self.branch]}: {msgspec.structs.replace(self, branch='').name}"
         if self.effect != "link_inertia":
             return effect_words(self.effect)
         links = listed(str(k + 1) for k in self.joints)

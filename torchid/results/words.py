@@ -3,6 +3,15 @@
 import math
 from collections.abc import Iterable, Mapping
 
+BRANCHES = {
+    "friction": "friction",
+    "inertia": "inertia or load",
+    "transmission": "transmission",
+    "sensing": "sensing or actuation",
+    "surroundings": "surroundings",
+}
+"""Branches of the tree of causes (`torchid.effects.base.Branch`)."""
+
 _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 
 

@@ -12,7 +12,14 @@ from torchid.effects.inertia import Payload
 from torchid.gap.search.climb import fit_anew
 from torchid.gap.search.evidence import comparable, fit_terms
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.findings import alternatives, likely_terms, not_testable
+from torchid.gap.search.findings import (
+    Judged,
+    alternatives,
+    at_an_end,
+    likely_terms,
+    not_testable,
+)
+from torchid.gap.search.odds import Odds
 from torchid.gap.search.solve import Solution, solve_terms
 from torchid.gap.search.terms import BASE, PAYLOAD
 from torchid.robot.inertia import InertialParameters
@@ -69,9 +76,15 @@ def test_a_shape_at_the_end_of_its_range_is_never_told_alone(a: float, others: s
     rows = question.normal.rows
     fit, without = (fit_terms(question, terms, rows) for terms in ([own], []))
     found = alternatives(question, fit, without, own, likely_terms(question, fit, without, own))
-    assert {t.name for _, t in found} == others
+    ended = at_an_end(question, own)
+    assert ended == bool(others)
+    # However sure, the other one is in its set.
+    sure = Odds(1.0, 0.0, 0.0, (0.0,) * len(found))
+    pairs = tuple((rise, other) for rise, other, _ in found)
+    judged = Judged(own, without, pairs, sure, None, ended)  # type: ignore[arg-type]
+    assert set(judged.ambiguous_with) == others
     now, then = comparable(question, fit, without)
-    rises = [then.evidence - now.evidence, *(rise for rise, _ in found)]
+    rises = [then.evidence - now.evidence, *(rise for rise, *_ in found)]
     assert probability(rises) > 0.99  # they are named, not believed
 
 

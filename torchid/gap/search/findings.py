@@ -14,7 +14,7 @@ from torchid.effects.registry import KINDS
 from torchid.effects.spring import JointSpring
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
-from torchid.gap.diagnosis import Finding, unit_of
+from torchid.gap.diagnosis import Finding, HowFar, unit_of
 from torchid.gap.record import Experiment, Informative, Parametric
 from torchid.gap.search.climb import MOVES_TRIED, candidate_moves
 from torchid.gap.search.evidence import (
@@ -23,18 +23,19 @@ from torchid.gap.search.evidence import (
     common_names,
     comparable,
     directions,
-    greedy_shares,
     log_likelihood_ratio,
     refit,
     refit_each,
     residual,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.odds import Misfit, Odds, odds
+from torchid.gap.search.odds import Misfit, Odds, Rival, odds
 from torchid.gap.search.replication import OwnTorque, own_torque, replication
+from torchid.gap.search.shares import Shares
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excluding
 from torchid.results.answer import NotTestable
 from torchid.robot.inertia import InertialParameters
+from torchid.statistics.bagging import Draws
 from torchid.statistics.criteria import LIKELY, SET_ODDS
 from torchid.typing import Int, Tensor
 
@@ -55,6 +56,7 @@ class Judged:
         others: terms that it cannot be told from, with the rise of the evidence.
         odds: of everything that may be there.
         own: torque that it alone makes.
+        at_an_end: whether its shape is at the end of its range.
     """
 
     term: Term
@@ -62,6 +64,7 @@ class Judged:
     others: tuple[tuple[float, Term], ...]
     odds: Odds
     own: OwnTorque
+    at_an_end: bool = False
 
     @property
     def one_of_a_set(self) -> bool:
@@ -73,13 +76,41 @@ class Judged:
         """Probability of it, or of the set."""
         return self.odds.set_sure if self.one_of_a_set else self.odds.sure
 
+    @property
+    def ambiguous_with(self) -> tuple[str, ...]:
+        """Names of the others of its set; at the end of a shape's range at least the best other,
+        for what lies beyond nobody has looked at."""
+        numbers = self.odds.in_set
+        if self.at_an_end and self.others and not numbers:
+            numbers = [max(range(len(self.others)), key=lambda k: self.others[k][0])]
+        every = (self.others[k][1].name for k in numbers)
+        return tuple(dict.fromkeys(LINK if name == BASE else name for name in every))
 
-def judge_terms(found: Explanation, misfit: Misfit) -> list[Judged]:
+    @property
+    def branch_sure(self) -> float:
+        """Probability that the cause is of this branch at this place, whichever it is."""
+        mine = _branch(self.term)
+        alike = (_branch(t) == mine and _near(t, self.term) for _, t in self.others)
+        pairs = zip(self.odds.others, alike, strict=True)
+        return self.odds.sure + sum(mass for mass, same in pairs if same)
+
+
+def _branch(term: Term) -> str:
+    return KINDS[LINK if term.name == BASE else term.name].branch
+
+
+def _near(one: Term, two: Term) -> bool:
+    """Whether two terms are at one place of an arm: joints in common, or both all of it."""
+    return bool(set(one.joints) & set(two.joints)) or not (one.joints or two.joints)
+
+
+def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged]:
     """The terms of an explanation, in its order.
 
     Args:
         found: the explanation.
         misfit: that it leaves.
+        draws: logs that might have been.
     """
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
     out = []
@@ -89,10 +120,20 @@ def judge_terms(found: Explanation, misfit: Misfit) -> list[Judged]:
         without = refit(question, fit, rest, 10)
         tried = likely_terms(question, fit, without, term)
         others = alternatives(question, fit, without, term, tried)
+        rivals = [Rival((other,), again) for _, other, again in others]
         own = own_torque(found.solution, fixed + k)
-        its = odds(question, (fit, without), found.solution, fixed + k, own, misfit, others)
-        out.append(Judged(term, without, tuple(others), its, own))
+        its = odds(question, (fit, without), term, own, misfit, draws, rivals)
+        pairs = tuple((rise, other) for rise, other, _ in others)
+        out.append(Judged(term, without, pairs, its, own, at_an_end(question, term)))
     return out
+
+
+def at_an_end(question: Question, term: Term) -> bool:
+    """Whether a shape is at the end of its range: it has become another effect there."""
+    alone = term.alone
+    if not (term.shapes and isinstance(alone, JointEffect)):
+        return False
+    return alone.at_an_end(question.candidates.columns.motions)
 
 
 def unsure_terms(judged: Sequence[Judged]) -> list[Term]:
@@ -117,26 +158,30 @@ class Findings:
     rivals: tuple[tuple[float, Term, Term], ...]
 
 
-def describe_findings(found: Explanation, judged: Sequence[Judged], closed: float) -> Findings:
+def describe_findings(
+    found: Explanation, judged: Sequence[Judged], taken: Shares, far: HowFar
+) -> Findings:
     """Findings of an explanation, each with what it cannot be told from.
 
     Args:
         found: the explanation.
         judged: its terms.
-        closed: share of the error that they close together.
+        taken: what each takes of the error.
+        far: how far all of them close it together.
     """
-    question, fit, fixed = found.question, found.fit, len(found.question.fixed)
+    question, fixed = found.question, len(found.question.fixed)
     samples = question.candidates.columns.samples
-    shares, firsts = greedy_shares(question, fit, found.terms)
+    shares, alone = taken.of_all(far.less)
+    removes = taken.of_bars(far.rms_before, far.rms_after).tolist()
     effects, parametric, undecided, rivals = [], [], [], []
     for k, (term, one) in enumerate(zip(found.terms, judged, strict=True)):
-        share, first = closed * shares[k], closed * firsts[k]
-        names = tuple(dict.fromkeys(LINK if t.name == BASE else t.name for _, t in one.others))
+        names = one.ambiguous_with
         rivals += [(r, term, other) for r, other in one.others if r > -2 * math.log(SET_ODDS)]
         p = p_value(question, *_without_bodies(found, one), term)
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()
-            parametric.append(Parametric(links, share, p, names, one.sure))
+            took = alone[k], tuple(removes[k]), one.branch_sure
+            parametric.append(Parametric(links, shares[k], p, names, one.sure, *took))
             continue
         separable = _separable(found, one)
         if separable is not None:
@@ -153,9 +198,11 @@ def describe_findings(found: Explanation, judged: Sequence[Judged], closed: floa
                 p_value=p,
                 how_sure=one.sure,
                 one_of_a_set=one.one_of_a_set,
+                branch_sure=one.branch_sure,
                 replication=replication(one.own, found.solution, fixed + k, samples),
-                share=share,
-                first=first,
+                share=shares[k],
+                alone=alone[k],
+                removes=tuple(removes[k]),
                 notes=_notes(found, term, own[0], values, std),
                 common=len(own) > 1,
             )
@@ -208,14 +255,16 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
     return min(1.0, looks * float(chdtrc(df, max(0.0, ratio))))
 
 
-def likely_terms(
-    question: Question, fit: Fitted, without: Fitted, term: Term
-) -> list[tuple[float, Term]]:
-    """Terms in the place of one, with the rise of the evidence, the best first: in order of what
-    they promise, until ten are beyond the odds."""
+Tried = tuple[float, Term, Fitted]
+"""A term in the place of another one, with the rise of the evidence, and the fit."""
+
+
+def likely_terms(question: Question, fit: Fitted, without: Fitted, term: Term) -> list[Tried]:
+    """Terms in the place of one, the best first: in order of what they promise, until ten are
+    beyond the odds."""
     others = question.own(without)
     found = [m for _, m in candidate_moves(question, without, term) if m[0].key != term.key]
-    tried: list[tuple[float, Term]] = []
+    tried: list[Tried] = []
     failed = 0
     while found and failed < MOVES_TRIED:
         # As many at once as may still fail.
@@ -223,45 +272,33 @@ def likely_terms(
         fits = refit_each(question, fit, [(*others, *m) for m in some])
         for (other, *_), again in zip(some, fits, strict=True):
             now, then = comparable(question, fit, again)
-            tried.append((then.evidence - now.evidence, other))
+            tried.append((then.evidence - now.evidence, other, again))
             failed += tried[-1][0] <= -2 * math.log(SET_ODDS)
-    return sorted(tried, key=lambda pair: -pair[0])
+    return sorted(tried, key=lambda one: -one[0])
 
 
 def alternatives(
-    question: Question,
-    fit: Fitted,
-    without: Fitted,
-    term: Term,
-    tried: Sequence[tuple[float, Term]],
-) -> list[tuple[float, Term]]:
-    """Of the likely terms those that explain as much in a term's place, one a name: those within
-    the odds; and base parameters that do as well, whatever they cost, for then the effect stands
-    only if the parameters are trusted."""
-    others = question.own(without)
-    found = [pair for pair in tried if pair[0] > -2 * math.log(SET_ODDS)]
-    # A shape at the end of its range has become another effect, which is never left out.
-    alone = term.alone
-    motions = question.candidates.columns.motions
-    if term.shapes and isinstance(alone, JointEffect) and alone.at_an_end(motions):
-        found += [f for f in tried[len(found) :] if f[1].name != term.name][:1]
-    # One of each name, and all base parameters whatever they cost.
-    names: dict[str, tuple[float, Term]] = {}
-    for rise, other in found:
-        if other.name != term.name:
-            names.setdefault(other.name, (rise, other))
+    question: Question, fit: Fitted, without: Fitted, term: Term, tried: Sequence[Tried]
+) -> list[Tried]:
+    """Of the likely terms the best of each name that physics allows; and base parameters that do as
+    well, whatever they cost, for then the effect stands only if the parameters are trusted."""
+    names: dict[str, Tried] = {}
+    for rise, other, again in tried:
+        if other.name != term.name and rise > -math.inf:
+            names.setdefault(other.name, (rise, other, again))
     for base in question.candidates.terms:
         skip = term.of_links or LINK in names or question.shows(term)
         if base.name == BASE and not skip:
             # What does not do as well with any numbers does not with those of bodies.
             for conic in (False, True):
-                again = refit(question, fit, (*others, base), 10, conic=conic)
+                with_base = (*question.own(without), base)
+                again = refit(question, fit, with_base, 10, conic=conic)
                 now, then = comparable(question, fit, again)
                 lost = log_likelihood_ratio(now.effective, then.losses, now.losses)
                 if float(lost.sum()) >= 2 * math.log(SET_ODDS):
                     break
             else:
-                names[LINK] = then.evidence - now.evidence, base
+                names[LINK] = then.evidence - now.evidence, base, then
     return list(names.values())
 
 

@@ -1,12 +1,11 @@
 """How sure a cause is: one probability, from one calculation.
 
-In the place of a cause there may be nothing, another effect of the library, or something that is in
-no library. The odds of each against the cause are exp of half of a rise:
+In the place of a cause there may be nothing, other effects of the library, or something that is in
+no library:
 
-- nothing, or another effect: the rise of the evidence without the cause or with the other one in
-  its place, where `EXPECTED` causes are expected among all that were looked at. Blocks of samples
-  may disagree by more than dependent samples do; the likelihood then counts as much less as their
-  spread says (a power of it, Grünwald and van Ommen 2017), the cost of coefficients stays.
+- nothing, or others: by the evidence of the explanation without the cause, or with them in its
+  place, where `EXPECTED` causes are expected among all that were looked at; on logs that might have
+  been (`torchid.statistics.bagging`).
 - an unknown effect: its regimes are thirds of travel, speed, load and time, both directions, and
   motions (see `torchid.statistics.odds`).
 """
@@ -15,8 +14,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import torch
-
 from torchid.effects.registry import EVENTS
 from torchid.gap.search.evidence import (
     Fitted,
@@ -24,13 +21,14 @@ from torchid.gap.search.evidence import (
     active_share,
     comparable,
     cost,
+    left_by,
     log_likelihood_ratio,
 )
 from torchid.gap.search.replication import OwnTorque, motions, regimes
-from torchid.gap.search.solve import Solution
-from torchid.gap.search.terms import BASE, LINK, Term
-from torchid.statistics.criteria import EXPECTED, WRONG_FILE
-from torchid.statistics.odds import Factors, probability, unknown_rise
+from torchid.gap.search.terms import BASE, Term
+from torchid.statistics.bagging import Draws, bagged
+from torchid.statistics.criteria import EXPECTED, SET_MASS, WRONG_FILE
+from torchid.statistics.odds import Factors, unknown_rise
 from torchid.typing import Float, Tensor
 
 
@@ -51,87 +49,94 @@ class Misfit:
         return replace(self, squares=(self.squares - fall).clamp(min=0))
 
 
-@dataclass(frozen=True)
-class Odds:
-    """Twice the logarithms of the odds of what may be there in the place of a cause.
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """Another explanation without a cause.
 
     Attributes:
+        terms: that stand in its place; none where nothing does.
+        fit: of the explanation.
+    """
+
+    terms: tuple[Term, ...]
+    fit: Fitted
+
+
+@dataclass(frozen=True)
+class Odds:
+    """Probabilities of a cause and of what may be there in its place; they add up to one.
+
+    Attributes:
+        sure: of the cause.
         nothing: that nothing is there.
-        others: effects of the library, each with its name.
+        others: of each rival.
         unknown: that something is there that is not in the library.
     """
 
+    sure: float
     nothing: float
-    others: tuple[tuple[float, str], ...] = ()
-    unknown: float = -math.inf
-
-    @property
-    def sure(self) -> float:
-        """Probability of the cause."""
-        return probability([self.nothing, self.unknown, *(rise for rise, _ in self.others)])
+    unknown: float
+    others: tuple[float, ...] = ()
 
     @property
     def set_sure(self) -> float:
-        """Probability that the cause is there or one of the others in its place."""
-        return probability([self.nothing, self.unknown])
+        """Probability that the cause is there or one of the rivals in its place."""
+        return self.sure + sum(self.others)
+
+    @property
+    def in_set(self) -> list[int]:
+        """Which rivals belong to the smallest set that holds `SET_MASS` of what is in this place,
+        the cause among it; the likeliest first."""
+        order = sorted(range(len(self.others)), key=lambda k: -self.others[k])
+        held, out = self.sure, []
+        for k in order:
+            if held >= SET_MASS * self.set_sure:
+                break
+            held += self.others[k]
+            out.append(k)
+        return out
 
 
 def odds(
     question: Question,
     fits: tuple[Fitted, Fitted],
-    solution: Solution,
-    k: int,
+    term: Term,
     own: OwnTorque,
     misfit: Misfit,
-    others: Sequence[tuple[float, Term]] = (),
+    draws: Draws,
+    rivals: Sequence[Rival] = (),
 ) -> Odds:
     """What may be there in the place of a term.
 
     Args:
         question: of the search.
         fits: with the term, and of the others without it.
-        solution: with all terms; the k-th is asked.
+        term: which.
         own: torque of it that no other term makes.
         misfit: that the model leaves.
-        others: terms that may stand in its place, with the rise of the evidence.
+        draws: logs that might have been.
+        rivals: explanations with others in its place.
     """
-    now, then = comparable(question, *fits)
-    term = solution.terms[k]
-    rest = question.own(then)
-
-    def price(terms: Sequence[Term]) -> float:
-        return cost(question, terms, now.effective, EXPECTED)
-
-    mine = price(question.own(now))
-    gain = (
-        float(log_likelihood_ratio(now.effective, then.losses, now.losses).sum())
-        + then.known
-        - now.known
-    )
+    fit, without = fits
     # What happened once lies in one block, and what acts beyond a limit in few: no others can speak
     # for it.
-    local = any(e.event or e.at_ends for e in term.effects)
-    power = 1.0 if local or gain <= 0 else min(1.0, wald_size(solution, k) / gain)
-    each = []
-    for rise, other in others:
-        if other.name == BASE and not question.known:
-            each.append((2 * math.log(WRONG_FILE), LINK))
-            continue
-        cheaper = mine - price([*rest, other])
-        each.append((power * (rise - cheaper) + cheaper, other.name))
+    if any(e.event or e.at_ends for e in term.effects):
+        draws = draws.as_it_is
+    gains, prices = [], []
+    for rival in (Rival((), without), *rivals):
+        now, then = comparable(question, fit, rival.fit)
+        share = draws.sums(question.candidates.keep.double()) / question.normal.rows.clamp(min=1.0)
+        before, after = (draws.sums(left_by(question, f)[0].square()) for f in (fit, rival.fit))
+        ratio = log_likelihood_ratio(now.effective * share, before, after)
+        gains.append(ratio.sum(1) - (then.known - now.known))
+        mine, its = (cost(question, question.own(f), now.effective, EXPECTED) for f in (now, then))
+        prices.append(mine - its)
+        if not question.known and any(t.name == BASE for t in rival.terms):
+            # A file that is wrong throughout has odds of its own, whatever its numbers cost.
+            gains[-1], prices[-1] = 0.0 * gains[-1], 2 * math.log(WRONG_FILE)
     beyond = -math.inf if question.shows(term) else unknown(question, fits, own, term, misfit)
-    return Odds(mine - price(rest) - power * gain, tuple(each), beyond)
-
-
-def wald_size(solution: Solution, k: int) -> float:
-    """Squared size of a term's coefficients in standard deviations between blocks (Wald 1943)."""
-    values, own = solution.values[k], solution.at(k)
-    covariance = solution.covariance[own, own]
-    size = covariance.diagonal().clamp(min=1e-300).sqrt()
-    spread, axes = torch.linalg.eigh(covariance / size / size.unsqueeze(1))
-    there = spread > 1e-9 * spread[-1]
-    along = (axes.T @ (values / size))[there]
-    return float((along.square() / spread[there]).sum())
+    sure, nothing, *others = bagged([*gains, 0.0 * gains[0]], [*prices, beyond], draws)
+    return Odds(sure, nothing, others.pop(), tuple(others))
 
 
 def unknown(
@@ -143,6 +148,7 @@ def unknown(
 ) -> float:
     """Twice the logarithm of the odds that something else than the library's is in a term's
     place."""
+    fits = comparable(question, *fits)
     fall = question.fall(*fits) / active_share(question, [term])
     ratio = fall / misfit.squares.clamp(min=1e-12 * float(fall.max()) + 1e-300)
     # Where it acts, or shows most.

@@ -24,14 +24,14 @@ from torchid.gap.search.evidence import (
     refit_each,
 )
 from torchid.gap.search.explain import Explanation, solve
-from torchid.gap.search.odds import Misfit, odds
+from torchid.gap.search.odds import Misfit, Rival, odds
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.terms import Term, excluding
 from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
 from torchid.robot.model import Robot
+from torchid.statistics.bagging import Draws
 from torchid.statistics.criteria import LIKELY, UNLIKELY
-from torchid.statistics.odds import probability
 from torchid.typing import Tensor
 
 PLACES_LOOKED_AT, CANDIDATES_EACH = 8, 4
@@ -53,6 +53,7 @@ def small_effects(
         misfit: that the answer leaves.
     """
     question, fit = found.question, found.fit
+    draws = Draws.of(problem.block, problem.settings.seed)
     named = {t.key for t in found.terms}
     last = {t.key: t for t in found.unworthy if t.key not in named and not t.inertial}
     whole = drop_unphysical(
@@ -63,7 +64,7 @@ def small_effects(
     while own := [t for t in question.own(whole) if t.key in last]:
         without = {id(t): _without(question, whole, t) for t in own}
         gone = max(own, key=lambda t: without[id(t)][0])
-        if probability([without[id(gone)][0]]) >= LIKELY:
+        if without[id(gone)][0] < 0:
             break
         rest = excluding(question.own(whole), [gone])
         whole = drop_unphysical(question, refit(question, whole, rest))
@@ -77,7 +78,7 @@ def small_effects(
             continue
         _, closes, other = without[id(term)]
         own_part = own_torque(solution, k)
-        sure = odds(question, (whole, other), solution, k, own_part, misfit).sure
+        sure = odds(question, (whole, other), term, own_part, misfit, draws).sure
         if sure >= LIKELY:
             own_values, std = solution.values[k], solution.std[k]
             again = replication(own_part, solution, k, question.candidates.columns.samples)
@@ -111,6 +112,7 @@ def suspects(
         moved: known coefficients that are others than they were, which are suspects at least.
     """
     question, fit = found.question, found.fit
+    draws = Draws.of(problem.block, problem.settings.seed)
 
     def is_moved(term: Term) -> bool:
         return any(name in moved for e in term.effects for name in known_names(e))
@@ -127,14 +129,14 @@ def suspects(
     least = replace(question, left=None).least(question.mean(fit.losses))
     out: list[tuple[bool, UnnamedEffect]] = []
     for k, ((first, term), *others) in enumerate(best, len(fit.terms)):
-        rivals = [(_rise(question, f, first), t) for f, t in others]
+        rivals = [Rival((t,), f) for f, t in others]
         left = misfit.less(question.fall(first, fit))
         own_part = own_torque(solution, k)
-        here = odds(question, (first, fit), solution, k, own_part, left, rivals)
+        here = odds(question, (first, fit), term, own_part, left, draws, rivals)
         numbers = [(term, solution.values[k], solution.std[k], first, here.sure)]
-        for (f, other), (rise, _) in zip(others, here.others, strict=True):
+        for (f, other), sure in zip(others, here.others, strict=True):
             values, std = f.values()[-1], f.root.norm(dim=1)[-len(other.at) :]
-            numbers.append((other, values, std, f, here.sure * math.exp(0.5 * rise)))
+            numbers.append((other, values, std, f, sure))
         for one, values, std, f, sure in numbers:
             closes = question.fall(f, fit).sqrt()
             large = bool((closes / active_share(question, [one]) ** 0.5 >= least).any())

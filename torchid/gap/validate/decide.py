@@ -7,6 +7,7 @@ from torchid.gap.search.explain import Explanation, search_again_without, withou
 from torchid.gap.search.findings import Judged, judge_terms, unsure_terms
 from torchid.gap.search.odds import Misfit
 from torchid.gap.validate.judge import Checked, check, harmful, misfit_of
+from torchid.statistics.bagging import Draws
 from torchid.typing import Float, Tensor
 
 
@@ -31,12 +32,6 @@ class Decision:
     least: Float[Tensor, " n"]
     taken_back: bool
 
-    @property
-    def closed(self) -> float:
-        """Share of the error that is closed; none where it grows."""
-        far = self.checked.far
-        return max(0.0, float(1 - far.rms_after.norm() / far.rms_before.norm()))
-
 
 def decide(found: Explanation, problem: Problem) -> Decision:
     """Without what makes a fold worse that it was not fitted on, and what is least likely there, if
@@ -45,6 +40,7 @@ def decide(found: Explanation, problem: Problem) -> Decision:
     it judges what was chosen."""
     question = found.question
     least = question.least(question.mean(found.empty.losses))
+    draws = Draws.of(problem.block, problem.settings.seed)
     taken_back = False
     while True:
         checked = check(found, problem)
@@ -53,7 +49,7 @@ def decide(found: Explanation, problem: Problem) -> Decision:
         if refused:
             found = without_terms(found, refused, problem)
         misfit = misfit_of(found, checked, problem)
-        judged = judge_terms(found, misfit)
+        judged = judge_terms(found, misfit, draws)
         if unsure := unsure_terms(judged)[:1]:
             refused += unsure
             found = without_terms(found, unsure, problem, small=True)

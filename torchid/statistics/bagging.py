@@ -1,0 +1,72 @@
+"""Probabilities that do not hang on a second of a log: means over logs that might have been.
+
+Where no explanation is quite true, the evidence of one log is sure of whichever is least wrong on
+it, and of another log of the same arm it would be sure of another. So blocks of samples, several
+correlation times long, are drawn again with replacement, half as many as there are, and a
+probability is its mean over the draws (BayesBag, Huggins and Miller 2023, Bayesian Analysis 18(4)),
+and over powers of the likelihood, for what no explanation holds is no independent noise (Grünwald
+and van Ommen 2017).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from torchid.statistics.blocks import block_sums
+from torchid.statistics.criteria import DRAWN_SHARE, DRAWS, POWERS
+from torchid.typing import Float, Int, Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """M logs that might have been.
+
+    Attributes:
+        block: (N,) number of each sample's block, from 0.
+        times: (M, B) how often each block was drawn.
+        powers: of the likelihood, over which is averaged.
+    """
+
+    block: Int[Tensor, " N"]
+    times: Float[Tensor, "M B"]
+    powers: tuple[float, ...] = POWERS
+
+    @classmethod
+    def of(cls, block: Int[Tensor, " N"], seed: int = 0) -> "Draws":
+        """Of a log whose samples are in these blocks (N,)."""
+        count = int(block.max()) + 1
+        g = torch.Generator().manual_seed(seed)
+        drawn = max(1, round(DRAWN_SHARE * count))
+        numbers = torch.randint(count, (DRAWS, drawn), generator=g)
+        times = torch.zeros(DRAWS, count, dtype=torch.float64)
+        return cls(block, times.scatter_add_(1, numbers, torch.ones_like(numbers).double()))
+
+    @property
+    def as_it_is(self) -> "Draws":
+        """The log itself, for what happened in one block of it: of others nothing can be asked."""
+        return Draws(self.block, torch.ones(1, self.times.shape[1], dtype=torch.float64), (1.0,))
+
+    def sums(self, x: Float[Tensor, "n N"]) -> Float[Tensor, "M n"]:
+        """Sums over each draw."""
+        return self.times @ block_sums(x, self.block).T
+
+
+def bagged(
+    gains: Sequence[Float[Tensor, " M"]], prices: Sequence[float], draws: Draws
+) -> list[float]:
+    """Probabilities of an explanation and of what may be there in its place; they add up to one.
+
+    Args:
+        gains: of each alternative, twice the logarithm of its likelihood over the explanation's, on
+            every draw.
+        prices: of each, twice the logarithm of its odds beforehand.
+        draws: with the powers of the likelihood.
+
+    Returns:
+        the explanation's, and that of each alternative.
+    """
+    powers = torch.tensor(draws.powers, dtype=torch.float64).unsqueeze(1)
+    rises = [powers * gain + price for gain, price in zip(gains, prices, strict=True)]
+    none = torch.zeros(len(draws.powers), len(draws.times), dtype=torch.float64)
+    return (0.5 * torch.stack([none, *rises])).softmax(0).mean((1, 2)).tolist()
