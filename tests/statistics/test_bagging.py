@@ -40,8 +40,7 @@ def test_probabilities_add_up_to_one(alternatives: list[tuple[float, float]], se
     draws = Draws.of(blocks(10), seed)
     g = torch.Generator().manual_seed(seed)
     noise = torch.randn(DRAWS, generator=g, dtype=torch.float64)
-    gains = [gain + noise for gain, _ in alternatives]
-    found = bagged(gains, [price for _, price in alternatives], draws)
+    found = bagged([(gain + noise, odds) for gain, odds in alternatives], draws)
     assert len(found) == len(alternatives) + 1
     assert sum(found) == pytest.approx(1.0)
     assert all(0 <= p <= 1 for p in found)
@@ -49,7 +48,7 @@ def test_probabilities_add_up_to_one(alternatives: list[tuple[float, float]], se
 
 def test_one_log_and_one_power_are_plain_odds():
     draws = Draws.of(blocks(10)).as_it_is
-    found = bagged([torch.tensor([-6.0]).double()], [2.0], draws)
+    found = bagged([(torch.tensor([-6.0]).double(), 2.0)], draws)
     assert found[0] == pytest.approx(1 / (1 + math.exp(-2.0)))
 
 
@@ -57,13 +56,21 @@ def test_what_half_of_the_draws_want_is_half_sure():
     """One log would be sure of either."""
     draws = Draws.of(blocks(10))
     gain = torch.where(torch.arange(DRAWS) % 2 == 0, 500.0, -500.0).double()
-    assert bagged([gain], [0.0], draws)[0] == pytest.approx(0.5, abs=1e-6)
+    assert bagged([(gain, 0.0)], draws)[0] == pytest.approx(0.5, abs=1e-6)
 
 
-def test_weak_evidence_is_lost_at_an_eighth_of_the_likelihood():
+@given(st.floats(-100, 100))
+@settings(deadline=None)
+def test_powers_change_how_sure_and_not_what_is_likelier(rise: float):
     draws = Draws.of(blocks(10))
-    # A cause that costs 14 and gains 30: likely as it is, not at half of the samples.
-    gain = torch.full((DRAWS,), -30.0).double()
-    right = sum(1 / (1 + math.exp(0.5 * (14 - 30 * p))) for p in POWERS) / len(POWERS)
-    assert bagged([gain], [14.0], draws)[0] == pytest.approx(right)
-    assert 0.3 < right < 0.7
+    # Half of it by the data, half beforehand.
+    found = bagged([(torch.full((DRAWS,), rise / 2).double(), rise / 2)], draws)
+    right = sum(1 / (1 + math.exp(0.5 * rise * p)) for p in POWERS) / len(POWERS)
+    assert found[0] == pytest.approx(right)
+    assert abs(rise) < 1e-9 or (found[0] > 0.5) == (rise < 0)
+
+
+def test_odds_that_ask_nothing_of_the_data_are_the_same_at_every_power():
+    draws = Draws.of(blocks(10))
+    assert bagged([(None, 2 * math.log(1 / 9))], draws)[0] == pytest.approx(0.9)
+    assert bagged([(None, -math.inf)], draws) == [1.0, 0.0]

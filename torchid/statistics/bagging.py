@@ -4,7 +4,7 @@ Where no explanation is quite true, the evidence of one log is sure of whichever
 it, and of another log of the same arm it would be sure of another. So blocks of samples, several
 correlation times long, are drawn again with replacement, half as many as there are, and a
 probability is its mean over the draws (BayesBag, Huggins and Miller 2023, Bayesian Analysis 18(4)),
-and over powers of the likelihood, for what no explanation holds is no independent noise (Grünwald
+and over powers of the evidence, for what no explanation holds is no independent noise (Grünwald
 and van Ommen 2017).
 """
 
@@ -25,7 +25,7 @@ class Draws:
     Attributes:
         block: (N,) number of each sample's block, from 0.
         times: (M, B) how often each block was drawn.
-        powers: of the likelihood, over which is averaged.
+        powers: of the evidence, over which is averaged.
     """
 
     block: Int[Tensor, " N"]
@@ -52,21 +52,25 @@ class Draws:
         return self.times @ block_sums(x, self.block).T
 
 
-def bagged(
-    gains: Sequence[Float[Tensor, " M"]], prices: Sequence[float], draws: Draws
-) -> list[float]:
+Alternative = tuple[Float[Tensor, " M"] | None, float]
+"""What may be there instead: twice the logarithm of its likelihood over the explanation's, on every
+draw, None where nothing is asked of the data; and twice the logarithm of its odds beforehand."""
+
+
+def bagged(alternatives: Sequence[Alternative], draws: Draws) -> list[float]:
     """Probabilities of an explanation and of what may be there in its place; they add up to one.
 
+    What is likelier on a draw stays so at every power, which evidence has whole: likelihood and
+    what explanations cost.
+
     Args:
-        gains: of each alternative, twice the logarithm of its likelihood over the explanation's, on
-            every draw.
-        prices: of each, twice the logarithm of its odds beforehand.
-        draws: with the powers of the likelihood.
+        alternatives: one or more.
+        draws: with the powers.
 
     Returns:
         the explanation's, and that of each alternative.
     """
     powers = torch.tensor(draws.powers, dtype=torch.float64).unsqueeze(1)
-    rises = [powers * gain + price for gain, price in zip(gains, prices, strict=True)]
     none = torch.zeros(len(draws.powers), len(draws.times), dtype=torch.float64)
+    rises = [none + odds if gain is None else powers * (gain + odds) for gain, odds in alternatives]
     return (0.5 * torch.stack([none, *rises])).softmax(0).mean((1, 2)).tolist()

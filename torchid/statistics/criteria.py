@@ -16,8 +16,9 @@ DRAWS, DRAWN_SHARE = 40, 0.5
 [1]: half, as Huggins and Miller advise."""
 
 POWERS = (1.0, 0.5, 0.25, 0.125)
-"""Of the likelihood, over which a probability is averaged [1]: as many samples as one thinks, or an
-eighth of them."""
+"""Of the evidence, over which a probability is averaged [1]: as many samples as one thinks, or an
+eighth of them. Prices at full weight beside an eighth of the likelihood would take the
+names of most effects that are twice as large as what a real arm leaves."""
 
 SET_MASS = 0.9
 """Probability that the members of a set hold of all that may be there in a cause's place, and from

@@ -26,7 +26,7 @@ from torchid.gap.search.evidence import (
 )
 from torchid.gap.search.replication import OwnTorque, motions, regimes
 from torchid.gap.search.terms import BASE, Term
-from torchid.statistics.bagging import Draws, bagged
+from torchid.statistics.bagging import Alternative, Draws, bagged
 from torchid.statistics.criteria import EXPECTED, SET_MASS, WRONG_FILE
 from torchid.statistics.odds import Factors, unknown_rise
 from torchid.typing import Float, Tensor
@@ -122,20 +122,20 @@ def odds(
     # for it.
     if any(e.event or e.at_ends for e in term.effects):
         draws = draws.as_it_is
-    gains, prices = [], []
+    every: list[Alternative] = []
     for rival in (Rival((), without), *rivals):
+        if not question.known and any(t.name == BASE for t in rival.terms):
+            # A file that is wrong throughout has odds of its own, whatever its numbers cost.
+            every.append((None, 2 * math.log(WRONG_FILE)))
+            continue
         now, then = comparable(question, fit, rival.fit)
         share = draws.sums(question.candidates.keep.double()) / question.normal.rows.clamp(min=1.0)
         before, after = (draws.sums(left_by(question, f)[0].square()) for f in (fit, rival.fit))
         ratio = log_likelihood_ratio(now.effective * share, before, after)
-        gains.append(ratio.sum(1) - (then.known - now.known))
         mine, its = (cost(question, question.own(f), now.effective, EXPECTED) for f in (now, then))
-        prices.append(mine - its)
-        if not question.known and any(t.name == BASE for t in rival.terms):
-            # A file that is wrong throughout has odds of its own, whatever its numbers cost.
-            gains[-1], prices[-1] = 0.0 * gains[-1], 2 * math.log(WRONG_FILE)
+        every.append((ratio.sum(1) - (then.known - now.known), mine - its))
     beyond = -math.inf if question.shows(term) else unknown(question, fits, own, term, misfit)
-    sure, nothing, *others = bagged([*gains, 0.0 * gains[0]], [*prices, beyond], draws)
+    sure, nothing, *others = bagged([*every, (None, beyond)], draws)
     return Odds(sure, nothing, others.pop(), tuple(others))
 
 
