@@ -80,7 +80,7 @@ def test_a_shape_at_the_end_of_its_range_is_never_told_alone(a: float, others: s
     assert ended == bool(others)
     # However sure, the other one is in its set.
     sure = Odds(1.0, 0.0, 0.0, (0.0,) * len(found))
-    pairs = tuple((rise, other) for rise, other, _ in found)
+    pairs = tuple((rise, (other,)) for rise, other, _ in found)
     judged = Judged(own, without, pairs, sure, None, ended)  # type: ignore[arg-type]
     assert set(judged.ambiguous_with) == others
     now, then = comparable(question, fit, without)

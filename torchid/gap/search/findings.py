@@ -16,7 +16,12 @@ from torchid.effects.transient import Contact
 from torchid.gap.data import Data
 from torchid.gap.diagnosis import Finding, HowFar, unit_of
 from torchid.gap.record import Experiment, Informative, Parametric
-from torchid.gap.search.climb import MOVES_TRIED, candidate_moves
+from torchid.gap.search.climb import (
+    LIKELIEST,
+    MOVES_TRIED,
+    candidate_moves,
+    moves_beside_each,
+)
 from torchid.gap.search.evidence import (
     Fitted,
     Question,
@@ -53,7 +58,7 @@ class Judged:
     Attributes:
         term: which.
         without: the other terms, fitted without it.
-        others: terms that it cannot be told from, with the rise of the evidence.
+        others: what may stand in its place, one term or a pair, with the rise of the evidence.
         odds: of everything that may be there.
         own: torque that it alone makes.
         at_an_end: whether its shape is at the end of its range.
@@ -61,7 +66,7 @@ class Judged:
 
     term: Term
     without: Fitted
-    others: tuple[tuple[float, Term], ...]
+    others: tuple[tuple[float, tuple[Term, ...]], ...]
     odds: Odds
     own: OwnTorque
     at_an_end: bool = False
@@ -83,14 +88,17 @@ class Judged:
         numbers = self.odds.in_set
         if self.at_an_end and self.others and not numbers:
             numbers = [max(range(len(self.others)), key=lambda k: self.others[k][0])]
-        every = (self.others[k][1].name for k in numbers)
+        every = (t.name for k in numbers for t in self.others[k][1])
         return tuple(dict.fromkeys(LINK if name == BASE else name for name in every))
 
     @property
     def branch_sure(self) -> float:
         """Probability that the cause is of this branch at this place, whichever it is."""
         mine = _branch(self.term)
-        alike = (_branch(t) == mine and _near(t, self.term) for _, t in self.others)
+        alike = (
+            all(_branch(t) == mine and _near(t, self.term) for t in terms)
+            for _, terms in self.others
+        )
         pairs = zip(self.odds.others, alike, strict=True)
         return self.odds.sure + sum(mass for mass, same in pairs if same)
 
@@ -119,11 +127,12 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
         rest = excluding(found.terms, [term])
         without = refit(question, fit, rest, 10)
         tried = likely_terms(question, fit, without, term)
-        others = alternatives(question, fit, without, term, tried)
-        rivals = [Rival((other,), again) for _, other, again in others]
+        one = [(r, (t,), f) for r, t, f in alternatives(question, fit, without, term, tried)]
+        others = [*one, *pairs_instead(question, fit, without, term, tried)]
+        rivals = [Rival(terms, again) for _, terms, again in others]
         own = own_torque(found.solution, fixed + k)
         its = odds(question, (fit, without), term, own, misfit, draws, rivals)
-        pairs = tuple((rise, other) for rise, other, _ in others)
+        pairs = tuple((rise, terms) for rise, terms, _ in others)
         out.append(Judged(term, without, pairs, its, own, at_an_end(question, term)))
     return out
 
@@ -176,7 +185,8 @@ def describe_findings(
     effects, parametric, undecided, rivals = [], [], [], []
     for k, (term, one) in enumerate(zip(found.terms, judged, strict=True)):
         names = one.ambiguous_with
-        rivals += [(r, term, other) for r, other in one.others if r > -2 * math.log(SET_ODDS)]
+        near = ((r, other) for r, (other, *more) in one.others if not more)
+        rivals += [(r, term, other) for r, other in near if r > -2 * math.log(SET_ODDS)]
         p = p_value(question, *_without_bodies(found, one), term)
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()
@@ -220,7 +230,7 @@ def _separable(found: Explanation, one: Judged) -> Term | None:
     the same, and no data of this kind tell them apart."""
     question, fit = found.question, found.fit
     rest = excluding(found.terms, [one.term])
-    for _, other in one.others:
+    for other in (terms[0] for _, terms in one.others if len(terms) == 1):
         again = refit(question, fit, (*rest, other))
         differs = log_likelihood_ratio(fit.effective, again.losses, fit.losses)
         if other.name != BASE and float(differs.abs().sum()) >= 0.1:
@@ -300,6 +310,37 @@ def alternatives(
             else:
                 names[LINK] = then.evidence - now.evidence, base, then
     return list(names.values())
+
+
+def pairs_instead(
+    question: Question, fit: Fitted, without: Fitted, term: Term, tried: Sequence[Tried]
+) -> list[tuple[float, tuple[Term, ...], Fitted]]:
+    """Pairs of a joint's effects in the place of one of them, the best of each two names: what
+    spans the same torque in this log is a rival in any number of terms. A pair that says more than
+    the cause, beside it, is none."""
+    if term.place is None:
+        return []
+    own = [(t, f) for _, t, f in tried if t.place == term.place and t.name != term.name]
+    likely = own[:LIKELIEST]
+    found = moves_beside_each(question, [f for _, f in likely], [term] * len(likely))
+    pairs = [
+        (first, second)
+        for (first, _), moves in zip(likely, found, strict=True)
+        for _, (second, *_) in moves[:LIKELIEST]
+        if second.place == term.place and second.key not in (term.key, first.key)
+    ]
+    rest = question.own(without)
+    best: dict[frozenset[str], tuple[float, tuple[Term, ...], Fitted]] = {}
+    together = refit_each(question, fit, [(*rest, *pair) for pair in pairs])
+    beside = refit_each(question, fit, [(*question.own(fit), *pair) for pair in pairs])
+    for pair, again, more in zip(pairs, together, beside, strict=True):
+        now, then = comparable(question, fit, again)
+        whole, alone = comparable(question, more, fit)
+        rise, names = then.evidence - now.evidence, frozenset(t.name for t in pair)
+        needless = whole.evidence <= alone.evidence
+        if rise > -math.inf and needless and (names not in best or rise > best[names][0]):
+            best[names] = rise, pair, again
+    return list(best.values())
 
 
 def _felt(found: Explanation, k: int) -> tuple[int, ...]:

@@ -133,7 +133,9 @@ def odds(
         before, after = (draws.sums(left_by(question, f)[0].square()) for f in (fit, rival.fit))
         ratio = log_likelihood_ratio(now.effective * share, before, after)
         mine, its = (cost(question, question.own(f), now.effective, EXPECTED) for f in (now, then))
-        every.append((ratio.sum(1) - (then.known - now.known), mine - its))
+        # What is one law of a joint, in how many terms ever, is one cause.
+        more = max(len(rival.terms) - 1, 0) * question.price(EXPECTED)
+        every.append((ratio.sum(1) - (then.known - now.known), mine - its + more))
     beyond = -math.inf if question.shows(term) else unknown(question, fits, own, term, misfit)
     sure, nothing, *others = bagged([*every, (None, beyond)], draws)
     return Odds(sure, nothing, others.pop(), tuple(others))
