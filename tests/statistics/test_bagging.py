@@ -7,8 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchid.statistics.bagging import Draws, bagged
-from torchid.statistics.criteria import DRAWN_SHARE, DRAWS, POWERS
+from torchid.statistics.bagging import DRAWN_SHARE, DRAWS, POWERS, Draws, bagged
 
 
 def blocks(count: int, length: int = 5) -> torch.Tensor:

@@ -11,22 +11,9 @@ EXPECTED = 0.3
 UNLIKELY = 0.03
 """Probability of the least likely suspect that is listed [1]."""
 
-DRAWS, DRAWN_SHARE = 40, 0.5
-"""Logs that are drawn from the blocks of one, and how many blocks each has of those that there are
-[1]: half, as Huggins and Miller advise."""
-
-POWERS = (1.0, 0.5, 0.25, 0.125)
-"""Of the evidence, over which a probability is averaged [1]: as many samples as one thinks, or an
-eighth of them. Prices at full weight beside an eighth of the likelihood would take the
-names of most effects that are twice as large as what a real arm leaves."""
-
 SET_MASS = 0.9
 """Probability that the members of a set hold of all that may be there in a cause's place, and from
 which a node of the tree of causes is a name [1]."""
-
-SET_ODDS = 20.0
-"""Odds against an alternative from which it is no longer named beside a cause [1]. Half and double
-of it change the mean set size by less than 0.1."""
 
 WORTHWHILE = 0.05
 """Least share of a joint's error by which a cause must lower it to be worth a name [1]."""

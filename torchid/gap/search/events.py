@@ -23,6 +23,7 @@ from torchid.effects.motion import Motion
 from torchid.effects.surroundings import PlaneContact
 from torchid.effects.transient import Contact
 from torchid.gap.search.evidence import (
+    SET_ODDS,
     Fitted,
     Question,
     fit_terms,
@@ -33,7 +34,6 @@ from torchid.gap.search.evidence import (
 from torchid.gap.search.terms import BASE, Term
 from torchid.statistics.autocorrelation import correlation_instants
 from torchid.statistics.blocks import FEWEST_BLOCKS
-from torchid.statistics.criteria import SET_ODDS
 from torchid.statistics.resampling import LEVEL
 from torchid.statistics.robust import HUBER, robust_std
 from torchid.statistics.tail import tail_probability

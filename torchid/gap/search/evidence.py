@@ -41,6 +41,9 @@ from torchid.statistics.autocorrelation import autocorrelation, time_of
 from torchid.statistics.criteria import FORBIDDEN_STD
 from torchid.typing import Bool, Float, Tensor
 
+SET_ODDS = 20.0
+"""Odds against an alternative from which no more of its kind are looked at [1]."""
+
 LOOKED_AT = 24
 """Terms of one place and number of columns that are offered at most; more than all effects
 there."""

@@ -23,6 +23,7 @@ from torchid.gap.search.climb import (
     moves_beside_each,
 )
 from torchid.gap.search.evidence import (
+    SET_ODDS,
     Fitted,
     Question,
     common_names,
@@ -41,7 +42,7 @@ from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excl
 from torchid.results.answer import NotTestable
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.bagging import Draws
-from torchid.statistics.criteria import LIKELY, SET_ODDS
+from torchid.statistics.criteria import LIKELY
 from torchid.typing import Int, Tensor
 
 LARGE_SHARE = 0.5
