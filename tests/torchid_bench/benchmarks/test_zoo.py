@@ -189,7 +189,7 @@ def test_every_folder_has_a_row_with_a_truth() -> None:
 def test_truths_are_of_names_that_exist(row: Any) -> None:
     checks = {*parsed_yaml((DOCTOR / "checks.yaml").read_text())}
     for module in DOCTOR.glob("*.py"):
-        checks.update(re.findall(r'\bCheck\(\s*"([a-z ]+)"', module.read_text()))
+        checks.update(re.findall(r'\b(?:Check|judged)\(\s*"([a-z ]+)"', module.read_text()))
     known = {*NAMES, *SERVO_KINDS, *checks} | QUANTITIES
     names = {n for t in row.truths for n in t.names} | {n for a in row.absent for n in a.names}
     assert names <= known
