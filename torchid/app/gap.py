@@ -48,9 +48,9 @@ class _Asked:
     """
 
     save_model: opt.Model = None
-    view: Annotated[
-        Path | None, typer.Option(metavar="FILE.mcap"), WRITTEN, Suffix((".mcap",))
-    ] = None
+    view: Annotated[Path | None, typer.Option(metavar="FILE.mcap"), WRITTEN, Suffix((".mcap",))] = (
+        None
+    )
     servo: Annotated[str | None, typer.Option(metavar="NAME[ KEY=VALUE]..")] = None
     to: Annotated[Simulated | None, typer.Option("--to", "--for", metavar="FORMAT")] = None
     simulated: opt.LogFiles = None
