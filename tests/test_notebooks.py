@@ -40,7 +40,7 @@ SAID = {
     ),
     "08_two_arms": (
         "8 coordinates:",
-        "with the mirror: 0.",
+        "within 5 %: True",
         "link_inertia ['right_elbow_joint']",
         "coulomb_friction ['left_shoulder_joint']",
     ),

@@ -1,22 +1,14 @@
 """Robots with branches for the tests: one written out, random ones, and those of a package."""
 
 import os
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from tests.arms import consistent_parameters, mixed_arm
-from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.effects.base import Motion
-from torchid.effects.registry import effect_torque, nominal_effects
-from torchid.log.model import Log
-from torchid.robot.library import load_robot
 from torchid.robot.model import JointType, Limits, Mimic, Robot, Tip
 from torchid.robot.placement import pose
-from torchid_bench.withheld.plant.arms import arm_named, urdf
 
 _BODY = (
     '<inertial><origin xyz="0.02 -0.01 {reach}" rpy="0.1 0.2 0.3"/><mass value="{mass}"/>'
@@ -133,45 +125,3 @@ def package_urdfs() -> list[Path]:
         for name in names
         if name.endswith(".urdf")
     )
-
-
-FRICTION = ("viscous_friction", "coulomb_friction")
-
-
-def front_legs(folder: Path) -> Robot:
-    """The front legs of a quadruped, mirror images with friction, joints by their sides' names."""
-    path = folder / "legs.urdf"
-    arm = arm_named("quadruped")
-    text = urdf(replace(arm, joints=arm.joints[:6]), np.zeros(6), np.zeros(6))
-    for k in range(1, 7):
-        side, what = ("l", "r")[k > 3], ("hip", "thigh", "shank")[(k - 1) % 3]
-        text = text.replace(f'"joint{k}"', f'"{side}_{what}"')
-    path.write_text(text)
-    records = [
-        {"effect": name, "joint": j + 1, key: 0.1 * (1 + j % 3)}
-        for name, key in zip(FRICTION, ("Fv", "Fc"), strict=True)
-        for j in range(6)
-    ]
-    return replace(load_robot(path), effects=tuple(records))
-
-
-def legs_log(robot: Robot, seed: int) -> Log:
-    """30 s of sums of sines, and the torque with 0.05 N m of noise."""
-    motion = Log(*legs_motion(robot, seed))
-    state = Motion(motion.q, motion.dq, motion.ddq)
-    rigid = inverse_dynamics(robot, *state[:3])
-    clean = rigid + effect_torque(robot, nominal_effects(robot), state, rigid)
-    draw = torch.Generator().manual_seed(seed)
-    noise = 0.05 * torch.randn(clean.shape, generator=draw, dtype=torch.float64)
-    return Log(motion.t, motion.q, tau=clean + noise)
-
-
-def legs_motion(robot: Robot, seed: int) -> tuple[torch.Tensor, ...]:
-    draw = np.random.default_rng(seed)
-    t = np.arange(6000) / 200.0
-    omega = 2 * np.pi * draw.uniform(0.1, 1.2, (robot.n, 3))
-    size, phase = draw.uniform(0.1, 0.3, omega.shape), draw.uniform(0, 6, omega.shape)
-    angle = omega * t[:, None, None] + phase
-    q = (size * np.sin(angle)).sum(-1)
-    dq, ddq = (size * omega * np.cos(angle)).sum(-1), -(size * omega**2 * np.sin(angle)).sum(-1)
-    return tuple(map(torch.from_numpy, (t, q, dq, ddq)))

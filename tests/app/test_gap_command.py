@@ -27,7 +27,7 @@ from torchid.simulation.sensors import Sensors, measured_log
         (("--gain", "1,2"), ("--gain", "3")),
         (("--save-model", "nowhere/robot.yaml"), ("--save-model", "folder")),
         (("--json", "nowhere/gap.json"), ("nowhere",)),
-        (("--view", "gap.bag"), ("FILE.mcap", "FILE.rrd")),
+        (("--view", "gap.bag"), ("FILE.mcap",)),
         (("--save-model", "corrected.txt"), ("--save-model", "corrected.txt", ".yaml")),
         (("--columns", ""), ("--columns", "nothing")),
         (("--topic", " "), ("--topic", "nothing")),

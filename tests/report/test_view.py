@@ -110,20 +110,10 @@ def test_an_mcap_is_read_back_by_its_own_reader(found, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_rrd_has_the_same(found, tmp_path):
-    pytest.importorskip("rerun")
-    path = tmp_path / "gap.rrd"
-    write_view(found, path)
-    assert path.read_bytes()[:3] == b"RRF"
-    assert path.stat().st_size > 100_000
-
-
-@pytest.mark.slow
 def test_other_files_and_missing_packages(found, tmp_path, monkeypatch):
-    with pytest.raises(TorchidError, match=r"\.mcap or FILE\.rrd"):
+    with pytest.raises(TorchidError, match=r"FILE\.mcap"):
         write_view(found, tmp_path / "gap.bag")
-    for package, suffix, extra in (("mcap.writer", "mcap", "view"), ("rerun", "rrd", "rerun")):
-        monkeypatch.setitem(__import__("sys").modules, package, None)
-        with pytest.raises(MissingExtraError, match=rf"torchid\[{extra}\]"):
-            require_viewer(tmp_path / f"gap.{suffix}")
+    monkeypatch.setitem(__import__("sys").modules, "mcap.writer", None)
+    with pytest.raises(MissingExtraError, match=r"torchid\[view\]"):
+        require_viewer(tmp_path / "gap.mcap")
     assert list(tmp_path.iterdir()) == []

@@ -213,11 +213,11 @@ def test_placements_as_written_by_hand() -> None:
 @pytest.mark.parametrize(
     ("joints", "message"),
     [
-        ([], "one entry a joint"),
-        ([{"type": "S"}], "unknown joint type"),
-        ([{"a": 1}], "unknown key"),
-        ([{"before": [1]}], "must be a mapping"),
-        ([{"before": {"rpy": [0, 0, 0]}}], "unknown key"),
+        ([], r"length >= 1 - at `\$\.placements\.joints`"),
+        ([{"type": "S"}], r"'S' - at `\$\.placements\.joints\[0\]\.type`"),
+        ([{"a": 1}], "unknown field `a`"),
+        ([{"before": [1]}], r"got `array` - at .*\.before`"),
+        ([{"before": {"rpy": [0, 0, 0]}}], "unknown field `rpy`"),
         ([{"before": {"xyz": [0, 0]}}], "wrong size"),
         ([{"after": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0.1, 1]]}}], "not a rotation"),
         ([{"after": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}], "not a rotation"),
@@ -235,7 +235,7 @@ def test_kinematics_are_given_once() -> None:
     with pytest.raises(RobotError, match="'dh' is missing") as error:
         from_mapping({"name": "r"}, "r")
     assert "placements" in str(error.value)
-    with pytest.raises(RobotError, match="'placements' needs 'joints'"):
+    with pytest.raises(RobotError, match=r"field `joints` - at `\$\.placements`"):
         from_mapping({"name": "r", "placements": {}}, "r")
 
 

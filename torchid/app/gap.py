@@ -36,7 +36,7 @@ class _Asked:
     Attributes:
         save_model: Write the corrected robot, with its effects, as a .yaml.
         view: Write torques, effects and regimes over time for a viewer: .mcap for Foxglove and
-            PlotJuggler (extra `view`), .rrd for Rerun (extra `rerun`).
+            PlotJuggler (extra `view`).
         servo: What the servos are said to be, shown beside what is found of logs of commands:
             STS3215, `XL330-M288 gain=400`, `kp=12 clip=unknown`; one, or one a joint with commas.
         to: Write a corrected file of this format, or for this simulator, to --out, as `torchid
@@ -48,9 +48,9 @@ class _Asked:
     """
 
     save_model: opt.Model = None
-    view: Annotated[
-        Path | None, typer.Option(metavar="FILE.mcap"), WRITTEN, Suffix((".mcap", ".rrd"))
-    ] = None
+    view: Annotated[Path | None, typer.Option(metavar="FILE.mcap"), WRITTEN, Suffix((".mcap",))] = (
+        None
+    )
     servo: Annotated[str | None, typer.Option(metavar="NAME[ KEY=VALUE]..")] = None
     to: Annotated[Simulated | None, typer.Option("--to", "--for", metavar="FORMAT")] = None
     simulated: opt.LogFiles = None

@@ -61,9 +61,6 @@ def identify_command(
             force=Switch,
             error_cutoff=opt.Hertz,
             compiled=Annotated[bool, typer.Option("--compile")],
-            mirror=Annotated[
-                tuple[str, ...], typer.Option(metavar="LEFT:RIGHT,.."), Parsed(opt.names, "none")
-            ],
         ),
     ],
     seed: opt.Seed = 0,

@@ -84,7 +84,7 @@ def explain_command(
 
     Args:
         result: JSON of any command, or a folder of them.
-        report: Of a folder: write an index of its results, with links to their pages and files.
+        report: Of a folder: write an index of its results, links to them and their pages.
     """
     from torchid.report.explain import shown
 

@@ -71,6 +71,20 @@ class TorqueLimits(Restriction):
     source: str = NOMINAL
     usage: float = 1.0
 
+    @classmethod
+    def of(
+        cls, robot: Robot, effects: Sequence[Valued], source: str, usage: float
+    ) -> "TorqueLimits | None":
+        """With those of the effects that a planned motion determines; None without limits.
+
+        Raises:
+            RobotError: limits that do not contain 0.
+        """
+        if not has_torque_limits(robot):
+            return None
+        known = tuple(p for p in effects if not p[0].needs & {"age", "velocity"})
+        return cls(robot, known, source, usage)
+
     @property
     def limits(self) -> Float[Tensor, "n 2"]:
         """Lower and upper (n, 2) [N m; N]."""
@@ -85,11 +99,8 @@ class TorqueLimits(Restriction):
     def torque(self, motion: Motion) -> Float[Tensor, "*batch T n"]:
         """Torque of the model along motions (..., T, n), `t` (T,)."""
         if motion.q.ndim > 2 and not all(isinstance(e, JointEffect) for e, _ in self.effects):
-            flat = [x.flatten(0, -3) for x in motion.state]
-            parts = [
-                model_torque(self.robot, self.effects, Motion(q, dq, ddq, t=motion.t))
-                for q, dq, ddq in zip(*flat, strict=True)
-            ]
+            each = zip(*(x.flatten(0, -3) for x in motion.state), strict=True)
+            parts = [self.torque(Motion(q, dq, ddq, t=motion.t)) for q, dq, ddq in each]
             return torch.stack(parts).reshape(motion.q.shape)
         return model_torque(self.robot, self.effects, motion)
 
@@ -164,9 +175,9 @@ def nominal_torque_limits(robot: Robot, *, usage: float = 1.0) -> TorqueLimits |
     Raises:
         RobotError: limits that do not contain 0.
     """
-    if robot.parameters is None or not has_torque_limits(robot):
+    if robot.parameters is None:
         return None
-    return TorqueLimits(robot, _predictable(nominal_effects(robot)), NOMINAL, usage)
+    return TorqueLimits.of(robot, nominal_effects(robot), NOMINAL, usage)
 
 
 def identified_torque_limits(
@@ -179,17 +190,14 @@ def identified_torque_limits(
     Raises:
         RobotError: limits that do not contain 0.
     """
-    if not has_torque_limits(robot):
-        return None
-    base, values, source = prior.base, prior.values, "identified base parameters"
-    unknown = int((~prior.known).sum())
-    if unknown:
+    values, source = prior.values, "identified base parameters"
+    if unknown := int((~prior.known).sum()):
         nominal = robot.parameters is not None
-        other = nominal_values(robot, base) if nominal else torch.zeros_like(values)
+        other = nominal_values(robot, prior.base) if nominal else torch.zeros_like(values)
         values = torch.where(prior.known, values, other)
         source += f" ({unknown} not determined: {'nominal' if nominal else '0'})"
-    parameters, effects = full_set(base, prior.effects, values)
-    return TorqueLimits(replace(robot, parameters=parameters), tuple(effects), source, usage)
+    parameters, effects = full_set(prior.base, prior.effects, values)
+    return TorqueLimits.of(replace(robot, parameters=parameters), effects, source, usage)
 
 
 def corrected_torque_limits(
@@ -200,9 +208,7 @@ def corrected_torque_limits(
     Raises:
         RobotError: limits that do not contain 0.
     """
-    if not has_torque_limits(robot):
-        return None
-    return TorqueLimits(robot, _predictable(effects), "corrected model", usage)
+    return TorqueLimits.of(robot, effects, "corrected model", usage)
 
 
 def has_torque_limits(robot: Robot) -> bool:
@@ -220,11 +226,6 @@ def has_torque_limits(robot: Robot) -> bool:
             got=limits.tolist(),
         )
     return True
-
-
-def _predictable(effects: Sequence[Valued]) -> tuple[Valued, ...]:
-    """Those that a planned motion determines."""
-    return tuple(p for p in effects if not p[0].needs & {"age", "velocity"})
 
 
 def _of_limit(tau: Float[Tensor, "*batch n"], limits: Float[Tensor, "n 2"]) -> Tensor:

@@ -53,19 +53,18 @@ def fleet_logs(paths: Sequence[str | Path]) -> tuple[FleetLog, ...]:
         TorchidError: a folder without logs, a log that is there twice, or two logs that would be of
             one unit and session.
     """
-    found: list[FleetLog] = []
-    for given in map(str, paths):
-        path = Path(given)
-        inside = [path]
-        if not is_url(given) and path.is_dir() and not is_log(path):
-            inside = sorted(p for p in path.rglob("*") if p.is_file() and is_log(p))
+    logs: list[FleetLog] = []
+    for path in map(str, paths):
+        inside = [Path(path)]
+        if not is_url(path) and inside[0].is_dir() and not is_log(inside[0]):
+            inside = sorted(p for p in inside[0].rglob("*") if p.is_file() and is_log(p))
             if not inside:
                 raise TorchidError(f"there is no log in the folder '{path}'.")
-        for one in inside:
-            place = given if is_url(given) else str(one)
-            unit = place.rpartition("/")[0].rpartition("/")[2] if is_url(given) else None
-            found.append(FleetLog(unit or one.resolve().parent.name, one.stem, place))
-    ordered = _apart(found)
+        logs += [
+            FleetLog(p.resolve().parent.name, p.stem, path if is_url(path) else str(p))
+            for p in inside
+        ]
+    ordered = _apart(logs)
     for a, b in itertools.pairwise(ordered):
         if (a.unit, a.session) == (b.unit, b.session):
             raise TorchidError(
@@ -93,27 +92,24 @@ def read_manifest(file: str | Path) -> tuple[FleetLog, ...]:
             expected="a .csv or .parquet file with the columns log, unit, session",
         )
     table = (csv_table if suffix == ".csv" else parquet_table)(file, Request())
-    missing = [name for name in COLUMNS[:2] if name not in table.columns]
-    if missing:
-        raise TorchidError(
-            f"the manifest '{file}' has no column {missing[0]}.",
-            expected="log, unit, session",
-            available=list(table.columns),
-        )
-    known = [name for name in COLUMNS if name in table.columns]
-    columns = {name: _words(a) for name, a in table.read(known).items()}
+    for name in COLUMNS[:2]:
+        if name not in table.columns:
+            raise TorchidError(
+                f"the manifest '{file}' has no column {name}.",
+                expected="log, unit, session",
+                available=list(table.columns),
+            )
+    columns = {
+        name: _words(cells)
+        for name, cells in table.read([name for name in COLUMNS if name in table.columns]).items()
+    }
     columns.setdefault("session", [Path(path).stem for path in columns["log"]])
     for name in COLUMNS:
         if "" in columns[name]:
             row = columns[name].index("") + 1
             raise TorchidError(f"the manifest '{file}' has no {name} in row {row}.")
-    rows = zip(columns["unit"], columns["session"], columns["log"], strict=True)
-    return _apart(
-        [
-            FleetLog(unit, session, log if is_url(log) else str(file.parent / log))
-            for unit, session, log in rows
-        ]
-    )
+    paths = [log if is_url(log) else str(file.parent / log) for log in columns["log"]]
+    return _apart(list(map(FleetLog, columns["unit"], columns["session"], paths)))
 
 
 def _words(array: np.ndarray) -> list[str]:
@@ -122,15 +118,12 @@ def _words(array: np.ndarray) -> list[str]:
     return [re.sub(r"(?<=\d)\.0$", "", cell) for cell in cells]
 
 
-def _apart(found: Sequence[FleetLog]) -> tuple[FleetLog, ...]:
+def _apart(logs: Sequence[FleetLog]) -> tuple[FleetLog, ...]:
     """The logs in the order of unit, session and path, which are then in no other's place."""
-    if not found:
+    if not logs:
         raise TorchidError("there is no log.", expected="LOG..., or a manifest")
-    twice = [p for p, k in Counter(_real(log.path) for log in found).items() if k > 1]
-    if twice:
-        raise TorchidError("a log is named twice.", got=twice[0], expected="each log once")
-    return tuple(sorted(found))
-
-
-def _real(path: str) -> str:
-    return path if is_url(path) else str(Path(path).resolve())
+    places = Counter(x.path if is_url(x.path) else str(Path(x.path).resolve()) for x in logs)
+    place, times = places.most_common(1)[0]
+    if times > 1:
+        raise TorchidError("a log is named twice.", got=place, expected="each log once")
+    return tuple(sorted(logs))

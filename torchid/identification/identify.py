@@ -20,7 +20,6 @@ from torchid.identification.knowledge import (
 )
 from torchid.identification.least_squares import Fit, fit
 from torchid.identification.logs import prepared, refuse_repeated
-from torchid.identification.mirror import Mirror, as_one, mirror_of, mirrored_base
 from torchid.identification.record import FittedRows
 from torchid.identification.result import Identification, findings
 from torchid.identification.rows import Layout, RowSource
@@ -106,7 +105,6 @@ def identify(
     held_out = None if held_out is None else as_log(held_out, robot)
     settings = settings or Settings()
     log, kept_back, noticed = _prepared(robot, log, held_out, settings)
-    mirror = mirror_of(robot, settings.mirror) if settings.mirror else None
     asked = asked_effects(settings.effects, robot)
     # The filter is chosen with the effects whose columns are known beforehand.
     training = Training.of(robot, _on(log, device), [a.effect for a in asked if a.plain], settings)
@@ -122,7 +120,7 @@ def identify(
     estimate = _estimate(training, measured, progress)
     condition = estimate.fit.scaled_condition_number
     refuse_lost(condition, training.log)
-    found = _with_priors(robot, estimate, columns, mirror)
+    found = _with_prior(robot, estimate, columns)
     # Errors are those of torque filtered at a cut-off of its own, where one is asked for.
     shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
     own = measured if shown == cutoff else timed(measurements(training.log, shown, reversal))
@@ -173,7 +171,6 @@ def identify(
             *noticed,
             *base.warnings,
             *said,
-            *found.said,
             *(w for m in measured for w in m.warnings),
             *estimate.uncertainty.warnings,
             *([one_stretch] if lone else []),
@@ -263,13 +260,10 @@ class _Found:
     free: Bool[Tensor, " B"]
     undetermined: Bool[Tensor, " B"]
     root: Float[Tensor, "D B"]
-    said: tuple[str, ...]
 
 
-def _with_priors(
-    robot: Robot, estimate: "_Estimate", columns: Layout, mirror: Mirror | None
-) -> _Found:
-    """What the log, earlier sessions and the other side of a mirrored robot say together."""
+def _with_prior(robot: Robot, estimate: "_Estimate", columns: Layout) -> _Found:
+    """What the log and earlier sessions say together."""
     base, effects = columns.base, columns.effects
     order = columns.back
     values = estimate.fit.x[order]
@@ -278,25 +272,15 @@ def _with_priors(
     free, undetermined = (m[order] for m in (estimate.fit.free, estimate.fit.undetermined))
     rows = structs.replace(estimate.rows, inflation=inflation(covariance, factor))
     root = fit_root(covariance, factor, *_dependence(estimate))
-    held = ~(free | undetermined)
-    said_alike: tuple[str, ...] = ()
-
-    def with_prior(rows: Tensor, expected: Tensor) -> None:
-        """Count what is known otherwise as the log's rows count."""
-        nonlocal values, covariance, free, undetermined, root
-        values, covariance, free = pooled(rows, expected, root, values)
+    before = known_before(robot, base, effects)
+    if before is not None:  # earlier sessions count as the log's rows do
+        known, expected = before
+        held = ~(free | undetermined)
+        values, covariance, free = pooled(known, expected, root, values)
         covariance, free = covariance * ~held * ~held.unsqueeze(1), free & ~held
         undetermined = undetermined & ~free
-        root = torch.cat([rows, root])
-
-    before = known_before(robot, base, effects)
-    if before is not None:  # earlier sessions
-        with_prior(*before)
-    if mirror is not None:
-        across = mirrored_base(mirror, base, effects)
-        alike, said_alike = as_one(across, base, root, values, free)
-        with_prior(alike, torch.zeros_like(values))
-    return _Found(values, covariance, factor, rows, free, undetermined, root, said_alike)
+        root = torch.cat([known, root])
+    return _Found(values, covariance, factor, rows, free, undetermined, root)
 
 
 def _knowledge(found: _Found, training: Training, left: Float[Tensor, " n"]) -> Knowledge:

@@ -24,89 +24,41 @@ from torchid.identification.settings import Covariance, Method
 from torchid.statistics.robust import HUBER, MAD_TO_SIGMA
 from torchid.typing import Bool, Float, Int, Tensor
 
-_RENEW_AT = 1e3
-"""Mean square of a preconditioned column (1 if rows are like those of the guess) that calls for a
-new guess."""
-_FLOOR = 1e-6
-"""Diagonal entry of the guess, relative to its column, below which the direction is unseen."""
-_ENOUGH = 4
-"""Rows a column before the first guess: fewer make one that the rest does not resemble."""
+_ROWS_A_COLUMN = 16
+"""Rows a column that wait before R takes them in: the factor of R alone is then no matter."""
 
 
 class TriangularFactor:
     """Accumulates rows (m, c) into an upper triangular R (c, c) with R'R = A'A.
 
-    The one mutable object of this room: a tall matrix arrives in pieces and is never stored, and
-    the state is a c x c factor whatever the number of rows. R of [A b] holds everything least
-    squares needs: ||A x - b||^2 = ||R (x, -1)||^2. It is built by preconditioned Cholesky QR: rows
-    are multiplied by the inverse of a first guess R0, their Gram matrix G stays well conditioned,
-    and R = chol(G)' R0 has the accuracy of Householder QR without its cost (Yamamoto et al. 2015,
-    shifted and preconditioned CholeskyQR). R0 is renewed whenever the rows it was made from no
-    longer represent the rest.
+    The one mutable object of this room: a tall matrix arrives in pieces and is never stored. R of
+    what has come is one more piece, so the state has a few rows a column whatever comes. R of [A b]
+    holds everything least squares needs: ||A x - b||^2 = ||R (x, -1)||^2.
     """
 
     def __init__(self, columns: int):
-        self._guess: Tensor | None = None
-        self._inverse: Tensor | None = None
-        self._gram = torch.zeros(columns, columns, dtype=torch.float64)
-        self._rows = 0
-        self._columns = columns
-        self._waiting: list[Tensor] = []
+        self._waiting = [torch.zeros(columns, columns, dtype=torch.float64)]
 
     def add(self, rows: Float[Tensor, "m c"]) -> None:
         """Take in m rows."""
-        if rows.shape[0] == 0:
-            return
-        if self._guess is None:
-            self._waiting = [torch.cat([*self._waiting, rows])]
-            if self._waiting[0].shape[0] < _ENOUGH * self._columns:
-                return
-            rows = self._waiting.pop()
-            self._precondition(_householder(rows))
-        assert self._guess is not None
-        assert self._inverse is not None
-        z = rows @ self._inverse
-        self._gram.addmm_(z.T, z)
-        self._rows += rows.shape[0]
-        spread = self._gram.diagonal() / self._rows
-        if float(spread.max()) > _RENEW_AT * float(spread.mean().clamp(max=1.0)):
-            exact = _root(self._gram) @ self._guess
-            self._precondition(_householder(exact / self._rows**0.5))
-            z = exact @ self._inverse
-            self._gram = z.T @ z
+        self._waiting.append(rows)
+        if sum(map(len, self._waiting)) > _ROWS_A_COLUMN * rows.shape[1]:
+            self._waiting = [self.factor()]
 
     def factor(self) -> Float[Tensor, "c c"]:
         """R with a non-negative diagonal; zero if no row came."""
-        if self._guess is None:
-            return _householder(torch.cat([torch.zeros_like(self._gram), *self._waiting]))
-        # Both are upper triangular already; this makes the diagonal non-negative.
-        return _householder(_root(self._gram) @ self._guess)
-
-    def _precondition(self, guess: Tensor) -> None:
-        """Use R0 = `guess`. A direction it has not seen gets its column's size: a small size there
-        would make the inverse large, and its rounding would spoil the columns that were seen."""
-        size = torch.linalg.vector_norm(guess, dim=0)
-        size = torch.where(size > 0, size, size.max().clamp(min=1.0))
-        diagonal = guess.diagonal()
-        lifted = torch.where(diagonal.abs() > _FLOOR * size, diagonal, size)
-        self._guess = guess - torch.diag(diagonal) + torch.diag(lifted)
-        eye = torch.eye(self._columns, dtype=guess.dtype, device=guess.device)
-        # Solved from the right: what must hold to rounding is inverse x R0 = 1, the way it is used.
-        self._inverse = torch.linalg.solve_triangular(self._guess, eye, upper=True, left=False)
+        return stacked_factor(self._waiting)
 
 
-def stacked_factor(factors: list[Tensor]) -> Float[Tensor, "c c"]:
+def stacked_factor(factors: Sequence[Tensor]) -> Float[Tensor, "c c"]:
     """R of several matrices on top of each other, from their factors."""
-    return _householder(torch.cat(factors))
+    return _householder(torch.cat(tuple(factors)))
 
 
 def block_factors(blocks: Sequence[Tensor]) -> Float[Tensor, "K c c"]:
     """R of each of K matrices of as many columns, in one call: rows of zeros, which no factor
     feels, make them equally long."""
-    columns = blocks[0].shape[1]
-    longest = blocks[0].new_zeros(max(columns, *(len(b) for b in blocks)), columns)
-    padded = torch.nn.utils.rnn.pad_sequence([longest, *blocks], batch_first=True)
-    return _householder(padded[1:])
+    return _householder(torch.nn.utils.rnn.pad_sequence([*blocks], batch_first=True))
 
 
 def combined_factor(
@@ -118,38 +70,21 @@ def combined_factor(
         factors: a torque row's R, (c + 1, c + 1), b last.
         columns: the c columns of A, of `size` in all, that each has.
     """
-    wide = []
-    for r, c in zip(factors, columns, strict=True):
-        embedded = r.new_zeros(r.shape[0], size + 1)
-        embedded[:, [*c, size]] = r
-        wide.append(embedded)
-    return stacked_factor(wide)
+    return stacked_factor([_placed(r, c, size) for r, c in zip(factors, columns, strict=True)])
+
+
+def _placed(rows: Tensor, columns: Sequence[int], size: int) -> Float[Tensor, "m C"]:
+    """Rows of some columns of A and of b, b last, as rows of all `size` columns and of b."""
+    out = rows.new_zeros(len(rows), size + 1)
+    out[:, [*columns, size]] = rows
+    return out
 
 
 def _householder(rows: Float[Tensor, "*batch _ c"]) -> Float[Tensor, "*batch c c"]:
-    c = rows.shape[-1]
-    if rows.shape[-2] < c:
-        rows = torch.cat([rows, rows.new_zeros(c - rows.shape[0], c)])
-    r = torch.linalg.qr(rows, mode="r").R
+    missing = max(0, rows.shape[-1] - rows.shape[-2])
+    r = torch.linalg.qr(torch.nn.functional.pad(rows, (0, 0, 0, missing)), mode="r").R
     sign = torch.where(r.diagonal(dim1=-2, dim2=-1) < 0, -1.0, 1.0).to(r)
     return r * sign.unsqueeze(-1)
-
-
-def _root(gram: Tensor) -> Tensor:
-    """Upper triangular U with U'U = G, also for a singular G.
-
-    G is scaled to a unit diagonal first: a direction the guess got wrong by a factor of a million
-    then loses nothing.
-    """
-    size = gram.diagonal().sqrt()
-    safe = torch.where(size > 0, size, torch.ones_like(size))
-    scaled = gram / safe / safe.unsqueeze(-1)
-    scaled.diagonal().fill_(1.0)
-    upper, info = torch.linalg.cholesky_ex(scaled, upper=True)
-    if int(info) != 0:
-        values, vectors = torch.linalg.eigh(scaled)
-        upper = _householder(values.clamp(min=0).sqrt().unsqueeze(-1) * vectors.T)
-    return upper * size
 
 
 _MAX_ITERATIONS = 30
@@ -158,6 +93,7 @@ _CONVERGED = 0.05
 _UNDETERMINED = 1e-7
 _ROUNDING = 1e-10
 _LEAST_LEVEL = 1e-6
+_TINY = 1e-300
 
 
 @dataclass(frozen=True)
@@ -204,8 +140,7 @@ class Fit:
 
 
 def _condition(r: Tensor) -> float:
-    s = torch.linalg.svdvals(r)
-    return float(s[0] / s[-1]) if len(s) else 1.0
+    return float(torch.linalg.cond(r)) if r.shape[1] else 1.0
 
 
 def fit(
@@ -227,10 +162,9 @@ def fit(
     Raises:
         IdentificationError: no row to fit.
     """
-    b = source.layout.size
-    n = source.layout.robot.n
-    signs = torch.zeros(b, dtype=torch.bool) if non_negative is None else non_negative
-    excluded = torch.zeros(b, dtype=torch.bool) if left_out is None else left_out
+    none = torch.zeros(source.layout.size, dtype=torch.bool)
+    signs = none if non_negative is None else non_negative
+    excluded = none if left_out is None else left_out
     kept = torch.cat([block.keep for block in source])
     if not bool(kept.any()):
         raise IdentificationError(
@@ -238,27 +172,23 @@ def fit(
             got="no joint ever moves faster than 0.02 rad/s" if source.moving_only else "no sample",
             hint='use `rows="all"`',
         )
-    unit = kept.to(torch.float64)
-    plain = factor(source, unit, torch.eye(n, dtype=torch.float64))
+    robust, whitening = kept.double(), torch.eye(source.layout.robot.n, dtype=torch.float64)
+    plain = weighted = factor(source, robust, whitening)
     undetermined = undetermined_columns(plain, excluded)
     held = excluded | undetermined
     x, bounded = solve(plain, signs, held)
-    whitening, robust, weighted = torch.eye(n, dtype=torch.float64), unit, plain
     residual = residuals(source, x)
     rounding = _ROUNDING * float(torch.linalg.vector_norm(plain[:, -1])) / int(kept.sum()) ** 0.5
-    iterations = 0
+    iterations, step = 0, torch.inf
     # Residuals that are rounding say nothing about noise: exact data stay with equal weights.
     exact = float(residual.square().mean().sqrt()) <= rounding
-    while method != "ols" and not exact and iterations < _MAX_ITERATIONS:
+    while method != "ols" and not exact and step > _CONVERGED and iterations < _MAX_ITERATIONS:
         iterations += 1
         whitening, robust = _weights(residual, kept, robust, method, covariance, rounding)
-        weighted = factor(source, robust, whitening)
-        previous = x
+        weighted, previous = factor(source, robust, whitening), x
         x, bounded = solve(weighted, signs, held)
         residual = residuals(source, x)
-        change = torch.linalg.vector_norm(weighted[:-1, :-1] @ (x - previous))
-        if float(change) <= _CONVERGED:
-            break
+        step = float(torch.linalg.vector_norm(weighted[:-1, :-1] @ (x - previous)))
     return Fit(
         x, ~(held | bounded), bounded, undetermined, weighted, plain, whitening, robust,
         residual, kept, iterations,
@@ -274,15 +204,15 @@ def factor(
     source: RowSource, robust: Float[Tensor, "I n"], whitening: Float[Tensor, "n n"]
 ) -> Float[Tensor, "C C"]:
     """R (B + 1, B + 1) of the weighted rows [W A, W b], one pass over the data."""
-    columns, scale = source.layout.columns, whitening.diagonal()
-    if bool((whitening - torch.diag(scale)).abs().max() == 0):
+    columns, size, scale = source.layout.columns, source.layout.size, whitening.diagonal()
+    if torch.equal(whitening, torch.diag(scale)):
         factors = [TriangularFactor(len(c) + 1) for c in columns]
         for block in source:
             weight = robust[block.instant] * scale
             for i, rows in enumerate(block.augmented):
                 factors[i].add(rows * weight[:, i : i + 1])
-        return combined_factor([f.factor() for f in factors], columns, source.layout.size)
-    total = TriangularFactor(source.layout.size + 1)
+        return combined_factor([f.factor() for f in factors], columns, size)
+    total = TriangularFactor(size + 1)
     for block in source:
         for rows in whitened_rows(source, block, robust, whitening):
             total.add(rows)
@@ -294,18 +224,10 @@ def whitened_rows(
 ) -> list[Float[Tensor, "m C"]]:
     """Per joint the dense weighted rows (m, B + 1) of [A b]. Huber's weights act on the whitened
     rows; rows left out are zero before they are mixed."""
-    b = source.layout.size
-    dense = []
-    for i, (own, c) in enumerate(zip(block.augmented, source.layout.columns, strict=True)):
-        rows = own.new_zeros(own.shape[0], b + 1)
-        rows[:, [*c, b]] = own
-        dense.append(rows * block.keep[:, i : i + 1])
-    weight = robust[block.instant]
-    mixed = []
-    for i in range(len(dense)):
-        terms = [whitening[i, j] * dense[j] for j in range(len(dense)) if whitening[i, j] != 0]
-        mixed.append(torch.stack(terms).sum(0) * weight[:, i : i + 1])
-    return mixed
+    each = zip(block.augmented, source.layout.columns, block.keep.T, strict=True)
+    dense = torch.stack([_placed(a, c, source.layout.size) * k.unsqueeze(1) for a, c, k in each])
+    mixed = torch.tensordot(whitening, dense, 1) * robust[block.instant].T.unsqueeze(-1)
+    return list(mixed)
 
 
 def _weights(
@@ -319,50 +241,45 @@ def _weights(
     """Whitening matrix, and square roots of the robust weights, from residuals (I, n)."""
     if covariance == "full":
         whitening = _whitening(residual * kept, robust, rounding)
-        white = (residual * kept) @ whitening.T
-        scale = _at_least(_scales(white, kept, method), 0.01)
+        scale = _scales((residual * kept) @ whitening.T, kept, method, 0.01)
         whitening = whitening / scale.unsqueeze(-1)
-        white = white / scale
     else:
-        sigma = _at_least(_scales(residual, kept, method), rounding)
-        whitening = torch.diag(1 / sigma)
-        white = residual / sigma
-    size = white.abs().clamp(min=1e-300)
-    huber = (HUBER / size).clamp(max=1.0).sqrt() if method == "huber" else torch.ones_like(size)
-    return whitening, huber * kept
+        whitening = torch.diag(1 / _scales(residual, kept, method, rounding))
+    if method != "huber":
+        return whitening, kept.double()
+    size = ((residual * kept) @ whitening.T).abs().clamp(min=_TINY)
+    return whitening, (HUBER / size).clamp(max=1.0).sqrt() * kept
 
 
-def _scales(residual: Tensor, kept: Tensor, method: Method) -> Float[Tensor, " n"]:
-    """Noise level per joint; 0 for one without rows."""
-    levels = []
-    for r, k in zip(residual.unbind(-1), kept.unbind(-1), strict=True):
-        own = r[k]
-        if len(own) == 0:
-            levels.append(torch.zeros((), dtype=r.dtype))
-        elif method == "huber":
-            levels.append(MAD_TO_SIGMA * own.abs().median())
-        else:
-            levels.append((own * own).mean().sqrt())
-    return torch.stack(levels)
+def _scales(residual: Tensor, kept: Tensor, method: Method, floor: float) -> Float[Tensor, " n"]:
+    """Noise level per joint, at least `floor`."""
+    # A joint without rows has one residual, zero.
+    of_joints = [
+        r[k] if bool(k.any()) else r.new_zeros(1) for r, k in zip(residual.T, kept.T, strict=True)
+    ]
+    if method == "huber":
+        levels = [MAD_TO_SIGMA * r.abs().median() for r in of_joints]
+    else:
+        levels = [r.square().mean().sqrt() for r in of_joints]
+    return _at_least(torch.stack(levels), floor)
 
 
 def _at_least(sigma: Tensor, floor: float) -> Tensor:
     """Levels no smaller than `floor` and a millionth of the largest: a joint that can be fitted
     exactly must not gain weight without end."""
-    return sigma.clamp(min=max(floor, _LEAST_LEVEL * float(sigma.max()), 1e-300))
+    return sigma.clamp(min=max(floor, _LEAST_LEVEL * float(sigma.max()), _TINY))
 
 
 def _whitening(residual: Tensor, robust: Tensor, rounding: float) -> Float[Tensor, "n n"]:
     """Upper triangular W with W S W' = 1. Upper, so that row i mixes only rows j >= i and keeps
     its zeros for the links before i."""
-    weighted = residual * robust / torch.linalg.vector_norm(robust, dim=0).clamp(min=1e-300)
+    weighted = residual * robust / torch.linalg.vector_norm(robust, dim=0).clamp(min=_TINY)
     sigma = _at_least(torch.linalg.vector_norm(weighted, dim=0), rounding)
     weighted = weighted / sigma
     correlation = weighted.T @ weighted
     # Ones on the diagonal also where the floor, not the residual, is the level; a little more keeps
     # apart residuals that are combinations of each other.
-    missing = (1 - correlation.diagonal()).clamp(min=0) + 1e-9
-    correlation = correlation + torch.diag(missing)
+    correlation += torch.diag((1 - correlation.diagonal()).clamp(min=0) + 1e-9)
     upper = torch.linalg.cholesky(correlation.flip(0, 1)).flip(0, 1)
     return torch.linalg.solve_triangular(upper, torch.diag(1 / sigma), upper=True)
 
@@ -375,23 +292,18 @@ def solve(
     Unconstrained first; if a non-negative coefficient comes out negative, bounded-variable least
     squares (Stark and Parker 1995) on the factor.
     """
-    b = r.shape[0] - 1
-    free = (~held).nonzero().flatten()
-    x = torch.zeros(b, dtype=r.dtype)
-    bounded = torch.zeros(b, dtype=torch.bool)
-    if len(free) == 0:
+    x, bounded, free = r.new_zeros(len(held)), torch.zeros_like(held), ~held
+    if not bool(free.any()):
         return x, bounded
-    a, y = r[:, :-1][:, free], r[:, -1]
+    a, y, signs = r[:, :-1][:, free], r[:, -1], non_negative[free]
     scale = torch.linalg.vector_norm(a, dim=0)
     scaled = a / scale
     q, triangle = torch.linalg.qr(scaled)
     z = torch.linalg.solve_triangular(triangle, (q.T @ y).unsqueeze(-1), upper=True).squeeze(-1)
-    signs = non_negative[free]
     if bool((z[signs] < 0).any()):
         lower = np.where(signs.numpy(), 0.0, -np.inf)
-        found = lsq_linear(scaled.numpy(), y.numpy(), (lower, np.inf), method="bvls")
-        at_bound = torch.from_numpy(np.asarray(found.active_mask) == -1)
-        z = torch.where(at_bound, 0.0, torch.from_numpy(found.x))
+        bounded_fit = lsq_linear(scaled.numpy(), y.numpy(), (lower, np.inf), method="bvls")
+        z = torch.from_numpy(np.where(bounded_fit.active_mask == -1, 0.0, bounded_fit.x))
         bounded[free] = signs & (z == 0)
     x[free] = z / scale
     return x, bounded
@@ -429,6 +341,5 @@ def contaminated_columns(
     out = torch.zeros_like(undetermined)
     if bool(lost.any()) and bool(known.any()):
         parts = columns[:, known] / size[known], columns[:, lost] / size[lost]
-        share = torch.linalg.lstsq(*parts).solution
-        out[known] = ~(share.abs() <= CONTAMINATED).all(1)
+        out[known] = ~(torch.linalg.lstsq(*parts).solution.abs() <= CONTAMINATED).all(1)
     return out

@@ -133,9 +133,7 @@ class StatisticsRecord(Blocks, Part, frozen=True, kw_only=True):
 if TYPE_CHECKING:
     SettingsRecord = Settings
 else:
-    SettingsRecord = recorded(
-        Settings, ("basis", "force", "mirror"), error_cutoff="error_cutoff_hz"
-    )
+    SettingsRecord = recorded(Settings, ("basis", "force"), error_cutoff="error_cutoff_hz")
 
 
 class IdentificationRecord(

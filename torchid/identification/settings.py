@@ -39,8 +39,6 @@ class Settings:
         error_cutoff: [Hz] filter under which errors are reported; the fit's if None.
         force: show a result that predicts its own log worse than no model does, too.
         compiled: evaluate the final regressor by compiled code; pays on very long logs.
-        mirror: names of the two sides of a robot that are mirror images, `left:right`: links are
-            mirrored and friction is the same where the log does not contradict it.
 
     >>> Settings(effects=("viscous_friction",), cutoff=10.0).method
     'huber'
@@ -59,7 +57,6 @@ class Settings:
     error_cutoff: float | None = None
     compiled: bool = False
     force: bool = False
-    mirror: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_choice("rows", self.rows, get_args(Rows))

@@ -33,7 +33,6 @@ from torchid.log.formats import (
     write_npz,
     write_parquet,
 )
-from torchid.log.guess import proposed_mapping
 from torchid.log.hdf5 import hdf5_table, matlab_table
 from torchid.log.json_lines import json_lines_table
 from torchid.log.lerobot import is_lerobot, lerobot_table
@@ -220,21 +219,6 @@ def require_header(path: Path, request: Request) -> None:
     if opener is csv_table or opener is parquet_table:
         table = _table(opener, path, request)
         require_columns(table, fitting_request(table, request).columns)
-
-
-def proposed_columns(path: Path, request: Request) -> tuple[str, str] | None:
-    """A mapping that may be meant, for a file that cannot be read without one, and what in it is
-    guessed from more than names; None where none is needed, or none can be guessed.
-
-    Raises:
-        LogError: no log.
-    """
-    found = require_log(path)
-    try:
-        log_from_table(_table(found, path, request), ColumnMapping({}), request.joints)
-    except LogError:
-        return proposed_mapping(_table(found, path, request), request.joints)
-    return None
 
 
 def write_log(log: LogLike, path: str | Path) -> None:

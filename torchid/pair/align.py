@@ -25,9 +25,8 @@ from torchid.typing import Float, Tensor
 COARSE = 4000
 """Instants of the grid on which clocks are sought."""
 
-RATIOS = tuple(
-    sorted({a / b for a in (1, 2, 3, 4, 5, 8, 10, 16, 20) for b in (1, 2, 3, 4, 5, 8, 10, 16, 20)})
-)
+_STEPS = (1, 2, 3, 4, 5, 8, 10, 16, 20)
+RATIOS = tuple(sorted({a / b for a in _STEPS for b in _STEPS}))
 """Rates of one clock over the other that are tried: of time steps that people confuse."""
 
 OVERLAP = 0.4
@@ -88,16 +87,14 @@ def aligned_trajectories(simulated: Log, real: Log) -> list[Both]:
             expected=real.trajectory_count,
         )
     pairs = list(zip(simulated.trajectories(), real.trajectories(), strict=True))
-    for pair in pairs:
-        shortest = min(x.samples for x in pair)
-        if shortest < SHORTEST:
-            raise LogError(
-                "a trajectory is too short to be aligned.",
-                got=f"{shortest} samples",
-                expected=f"{SHORTEST} at least",
-            )
-    clocks = _clocks(pairs)
-    return [_on_grid(*pair, clock) for pair, clock in zip(pairs, clocks, strict=True)]
+    shortest = min(x.samples for pair in pairs for x in pair)
+    if shortest < SHORTEST:
+        raise LogError(
+            "a trajectory is too short to be aligned.",
+            got=f"{shortest} samples",
+            expected=f"{SHORTEST} at least",
+        )
+    return [_on_grid(*pair, clock) for pair, clock in zip(pairs, _clocks(pairs), strict=True)]
 
 
 def _on_grid(simulated: Log, real: Log, clock: ClockRecord) -> Both:
@@ -107,11 +104,7 @@ def _on_grid(simulated: Log, real: Log, clock: ClockRecord) -> Both:
     first = max(0.0, -clock.start_s / clock.rate)
     last = min(tr[-1], (ts[-1] - clock.start_s) / clock.rate)
     grid = np.arange(first, last + 1e-9, dt)
-    common = [
-        name
-        for name in ("q", "u", "tau", "dq")
-        if {name} <= set(simulated.signals) & set(real.signals)
-    ]
+    common = [k for k in ("q", "u", "tau", "dq") if k in simulated.signals and k in real.signals]
     return Both(
         real.names[0],
         dt,
@@ -157,12 +150,11 @@ def _clocks(pairs: Sequence[tuple[Log, Log]]) -> list[ClockRecord]:
             raise LogError("the arm's log holds no motion to align by.")
         # Every command is a step at its trajectory's first sample.
         return [ClockRecord(name, 1.0, 0.0, 1.0, by) for name in names]
-    found = iter(_alike(moving))
-    ends = [next(found) if two.moves else None for two in twos]
-    shared = float(np.median([end[1] for end in ends if end is not None]))
+    ends = _alike(moving)
+    shared, of_moving = float(np.median([rate for _, rate, _ in ends])), iter(ends)
     out = []
-    for name, end in zip(names, ends, strict=True):
-        likeness, rate, start = (1.0, shared, 0.0) if end is None else end
+    for name, two in zip(names, twos, strict=True):
+        likeness, rate, start = next(of_moving) if two.moves else (1.0, shared, 0.0)
         if likeness < ALIKE[by]:
             raise LogError(
                 f"the logs are of different {'commands' if by == 'u' else 'motions'}: at no shift "
@@ -224,39 +216,30 @@ def _best_lag(left: np.ndarray, right: np.ndarray) -> tuple[float, int]:
     """The shift of the left signals (in samples to the right) at which each of the right is most
     correlated with any of the left, whatever their sign."""
     a, b = len(left), len(right)
-    size = 1 << (a + b - 1).bit_length()
+    size, lags = 1 << (a + b - 1).bit_length(), np.arange(-(a - 1), b)
 
     def spectrum(x: np.ndarray) -> np.ndarray:
         return np.fft.rfft(x, size, axis=0)
 
-    lags = np.arange(-(a - 1), b)
-    ones, others = spectrum(np.ones((a, 1))), spectrum(np.ones((b, 1)))
-
     def crossed(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """sum_k x[k - lag] y[k] for all lags."""
-        whole = np.fft.irfft(np.conj(x) * y, size, axis=0)
-        return whole[lags % size]
+        """sum_k x[k - lag] y[k] for all lags, of columns by their spectra."""
+        return np.fft.irfft(np.conj(x) * y, size, axis=0)[lags % size]
 
-    count = np.maximum(np.round(crossed(ones, others)[:, 0]), 1.0)
     left, right = left - left.mean(0), right - right.mean(0)
-    fl, fr = spectrum(left), spectrum(right)
-    sl, sr = crossed(fl, others), crossed(ones, fr)
-    vl = crossed(spectrum(left**2), others) - sl**2 / count[:, None]
-    vr = crossed(ones, spectrum(right**2)) - sr**2 / count[:, None]
-    enough = count >= OVERLAP * min(a, b)
+    fl, fr, all_left, all_right = map(spectrum, (left, right, np.ones((a, 1)), np.ones((b, 1))))
+    # Means and variances of what overlaps.
+    count = crossed(all_left, all_right).round().clip(1)
+    sl, sr = crossed(fl, all_right), crossed(all_left, fr)
+    vl = (crossed(spectrum(left**2), all_right) - sl**2 / count).clip(0)
+    vr = (crossed(all_left, spectrum(right**2)) - sr**2 / count).clip(0)
+    moving = [[j] for j in np.flatnonzero(right.std(0) > STANDS)]
     total = np.zeros(len(lags))
-    moving = right.std(0) > STANDS
-    for j in np.flatnonzero(moving):
-        own = np.zeros(len(lags))
-        for i in range(left.shape[1]):
-            cross = crossed(fl[:, i], fr[:, j]) - sl[:, i] * sr[:, j] / count
-            size2 = np.maximum(vl[:, i], 0) * np.maximum(vr[:, j], 0)
-            there = size2 > (1e-6 * left[:, i].var() * right[:, j].var()) * count**2
-            own = np.maximum(
-                own, np.where(there, np.abs(cross) / np.sqrt(np.maximum(size2, 1e-300)), 0)
-            )
-        total += own
-    total = np.where(enough, total / moving.sum(), -1.0)
+    for j in moving:
+        cross = np.abs(crossed(fl, fr[:, j]) - sl * sr[:, j] / count)
+        squares = vl * vr[:, j]
+        there = squares > 1e-6 * left.var(0) * right[:, j].var() * count**2
+        total += np.where(there, cross / np.sqrt(squares.clip(1e-300)), 0).max(1) / len(moving)
+    total[count[:, 0] < OVERLAP * min(a, b)] = -1
     # Of shifts that do as well, as all of a ramp do, the shortest.
     alike = np.flatnonzero(total >= total.max() - 1e-6)
     best = alike[np.abs(lags[alike]).argmin()]
@@ -294,12 +277,10 @@ def _polished(
     def loss(x: np.ndarray) -> float:
         return math.log(max(1 - likeness(*at(x)), 1e-13))
 
-    corners = [[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]] if free else [[0.0], [2.0]]
-    simplex = np.array(corners)
+    simplex = np.vstack([np.zeros(1 + free), 2 * np.eye(1 + free)])
     options = {"maxiter": 80, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
-    found = minimize(loss, simplex[0], method="Nelder-Mead", options=options)
-    own = at(found.x)
-    return likeness(*own), *own
+    best = at(minimize(loss, simplex[0], method="Nelder-Mead", options=options).x)
+    return likeness(*best), *best
 
 
 def correlations(left: np.ndarray, right: np.ndarray) -> np.ndarray:

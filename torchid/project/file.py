@@ -26,6 +26,7 @@ relative to it. What belongs to the robot (tip, root, lock, limits, payload) hol
 that it names.
 """
 
+import json
 import math
 import os
 import re
@@ -37,7 +38,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchid.errors import TorchidError
-from torchid.robot.config_files import built_in_robots
+from torchid.robot.config_files import built_in_robots, filled_template
 
 if TYPE_CHECKING:
     from torchid.robot.model import Robot
@@ -46,6 +47,8 @@ NAME = "torchid.toml"
 TEXTS = ("robot", "tip", "root", "columns", "topic", "gain", "effects", "background", "out")
 LISTS = ("logs", "held-out")
 LIMITS = ("position", "velocity", "acceleration", "torque")
+_LONGEST = 80
+"""Letters of a list on one line."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,27 @@ def find_project(asked: str | None, commands: Commands) -> Project | None:
     here = Path.cwd()
     found = next((f for folder in (here, *here.parents) if (f := folder / NAME).is_file()), None)
     return None if found is None else read_project(Path(_shown(found)), commands)
+
+
+def project_text(entries: Mapping[str, Any]) -> str:
+    """A project file; keys without a value are comments.
+
+    Args:
+        entries: texts, lists of texts or numbers, and tables of numbers, by their keys: robot, tip,
+            root, lock, columns, topic, gain, logs, held_out and out. Paths are relative to it.
+    """
+    lines = {}
+    for name, value in entries.items():
+        key = name.replace("_", "-")
+        # Texts and lists of TOML are those of JSON.
+        text = json.dumps(value, ensure_ascii=False)
+        if isinstance(value, dict):
+            held = (f"{json.dumps(k, ensure_ascii=False)} = {x!r}" for k, x in value.items())
+            text = f"{{{', '.join(held)}}}"
+        elif isinstance(value, list) and len(text) > _LONGEST:
+            text = json.dumps(value, ensure_ascii=False, indent=4)
+        lines[name] = f"{key} = {text}" if value else f"# {key} = .."
+    return filled_template("project.toml", **lines)
 
 
 def _shown(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""A diagnosis over time for a viewer: MCAP for Foxglove and PlotJuggler, RRD for Rerun.
+"""A diagnosis over time for a viewer: MCAP for Foxglove and PlotJuggler.
 
 For every trajectory and joint, on the log's own time and in the band of the report:
 
@@ -31,7 +31,6 @@ from torchid.results.answer import Diagnosis
 from torchid.robot.model import joint_unit
 from torchid.typing import Bool, Float, Tensor
 
-SUFFIXES = (".mcap", ".rrd")
 CLEAR = 0.05
 """p below which a regime is shown."""
 PER_PERIOD = 10.0
@@ -179,16 +178,15 @@ def write_view(diagnosis: Diagnosis, path: str | Path) -> None:
 
     MCAP has one topic a trajectory and joint, /trajectory/joint, of JSON messages with a schema:
     numbers, the effects' torques under `effects`, regimes as true or false under `regimes`. Times
-    are the log's; where one is below zero, all start from zero. RRD has the same under
-    trajectory/joint, on the timeline `log_time`.
+    are the log's; where one is below zero, all start from zero.
 
     Args:
         diagnosis: in memory; one read back has no torque over time.
-        path: .mcap (Foxglove, PlotJuggler) or .rrd (Rerun).
+        path: .mcap.
 
     Raises:
         TorchidError: another suffix, or the file cannot be written.
-        MissingExtraError: without the package mcap (extra `view`), or rerun-sdk (extra `rerun`).
+        MissingExtraError: without the package mcap (extra `view`).
 
     >>> import tempfile, torchid
     >>> robot = torchid.load_robot("3r")
@@ -200,10 +198,7 @@ def write_view(diagnosis: Diagnosis, path: str | Path) -> None:
     """
     path = Path(path)
     require_viewer(path)
-    if path.suffix.lower() == ".mcap":
-        _write_mcap(joint_views(diagnosis), path)
-    else:
-        _write_rrd(joint_views(diagnosis), path)
+    _write_mcap(joint_views(diagnosis), path)
 
 
 def require_viewer(path: Path) -> None:
@@ -213,21 +208,14 @@ def require_viewer(path: Path) -> None:
         TorchidError: another suffix.
         MissingExtraError: what writes it is not installed.
     """
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
+    if path.suffix.lower() != ".mcap":
         raise TorchidError(
-            "a view is written for Foxglove and PlotJuggler, or for Rerun.",
-            got=path,
-            expected="FILE.mcap or FILE.rrd",
+            "a view is written for Foxglove and PlotJuggler.", got=path, expected="FILE.mcap"
         )
     try:
-        if suffix == ".mcap":
-            import mcap.writer  # noqa: F401
-        else:
-            import rerun  # noqa: F401
+        import mcap.writer  # noqa: F401
     except ImportError as error:
-        package, extra = ("mcap", "view") if suffix == ".mcap" else ("rerun-sdk", "rerun")
-        raise MissingExtraError(package, extra, f"writing '{path}'") from error
+        raise MissingExtraError("mcap", "view", f"writing '{path}'") from error
 
 
 def _topic(view: JointView) -> str:
@@ -285,18 +273,3 @@ def _write_mcap(views: tuple[JointView, ...], path: Path) -> None:
                 stamp = round(1e9 * (t - start))
                 writer.add_message(channel, stamp, message.encode(), stamp, k)
         writer.finish()
-
-
-def _write_rrd(views: tuple[JointView, ...], path: Path) -> None:
-    import rerun
-
-    with atomic_write(path, "wb") as stream:
-        recording = rerun.RecordingStream("torchid_gap")
-        stored = recording.memory_recording()
-        for view in views:
-            time = rerun.TimeColumn("log_time", duration=view.t.numpy())
-            for name, x in _stream(view).items():
-                numbers = rerun.Scalars.columns(scalars=x.double().numpy())
-                recording.send_columns(f"{_topic(view)}/{name}", [time], numbers)
-        recording.flush()
-        stream.write(stored.drain_as_bytes())

@@ -1,169 +1,240 @@
-"""Robots in yaml: kinematics, and whatever else is known (format in docs/robots.md)."""
+"""Robots in yaml: kinematics, and whatever else is known (format in docs/robots.md).
+
+The structs declare which keys there are and what they hold; what concerns several of them, or the
+number of joints, is checked below.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, get_args
+from typing import Annotated, Any, Literal
 
+import msgspec
 import torch
+from msgspec import UNSET, UnsetType
 from torch import Tensor
 
 from torchid.errors import RobotError
 from torchid.robot.inertia import InertialParameters, parallel_axis
 from torchid.robot.knowledge import from_mapping as knowledge_of
-from torchid.robot.model import (
-    LIMITS,
-    STANDARD_GRAVITY,
-    Basis,
-    JointType,
-    Limits,
-    Mimic,
-    Robot,
-    Tip,
-)
+from torchid.robot.model import STANDARD_GRAVITY, Basis, JointType, Limits, Mimic, Robot, Tip
 from torchid.robot.origin import read_origin
 from torchid.robot.placement import dh_classical, dh_modified, pose, rotation_z
-from torchid.robot.yaml_values import known, number, numbers, parsed_yaml
+from torchid.robot.yaml_values import number, numbers, parsed_yaml
 from torchid.typing import Float
 
-_NAMES = ("name", "link")
-_DH_KEYS = ("type", "a", "alpha", "alpha_deg", "d", "theta", "theta_deg", *_NAMES)
-_PLACEMENT_KEYS = ("type", "parent", "before", "after", "mimic", *_NAMES)
-_FORMS: dict[str, tuple[tuple[str, ...], tuple[str, ...], str]] = {
-    "dh": (
-        ("convention", "joints"),
-        _DH_KEYS,
-        "dh: {convention: classical|modified, joints: [{type, a, alpha, d, theta}]}",
-    ),
-    "placements": (
-        ("joints",),
-        _PLACEMENT_KEYS,
-        "placements: {joints: [{type, parent, before: {xyz, rotation}, after}]}",
-    ),
-}
-"""Keys of each way to give the kinematics, keys of its joints, and what it looks like."""
 CONVENTIONS = ("classical", "modified")
 _ORTHONORMAL = 1e-6
 """How far a rotation that was typed with a few digits may be from one."""
 
+_Some = msgspec.Meta(min_length=1)
 
-def read_kinematics(data: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Names, types and poses of the joints, under the names of a Robot's fields, from a yaml's `dh`
-    or `placements`, of which there must be exactly one.
+
+class _Keys(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A mapping without other keys. Numbers are `Any`: `numbers` reads them, and says more."""
+
+
+class _Joint(_Keys, frozen=True, kw_only=True):
+    type: Literal["R", "P"] = "R"
+    name: str | None = None
+    link: str | None = None
+
+
+class _DhJoint(_Joint, frozen=True, kw_only=True):
+    a: Any = 0
+    d: Any = 0
+    alpha: Any = UNSET
+    alpha_deg: Any = UNSET
+    theta: Any = UNSET
+    theta_deg: Any = UNSET
+
+
+class _Dh(_Keys, frozen=True, kw_only=True):
+    convention: Literal["classical", "modified"]
+    joints: Annotated[tuple[_DhJoint, ...], _Some]
+
+
+class _Pose(_Keys, frozen=True, kw_only=True):
+    xyz: Any = (0.0, 0.0, 0.0)
+    rotation: Any = UNSET
+
+
+class _Follow(_Keys, frozen=True, kw_only=True):
+    joint: str
+    ratio: Any = 1.0
+    offset: Any = 0.0
+
+
+class _PlacedJoint(_Joint, frozen=True, kw_only=True):
+    parent: str | UnsetType | None = UNSET  # None is the base
+    before: _Pose = _Pose()
+    after: _Pose = _Pose()
+    mimic: _Follow | UnsetType = UNSET
+
+
+class _PlacedTip(_Keys, frozen=True, kw_only=True):
+    link: str
+    name: str | None = None
+    pose: _Pose = _Pose()
+
+
+class _Placements(_Keys, frozen=True, kw_only=True):
+    joints: Annotated[tuple[_PlacedJoint, ...], _Some]
+    tips: tuple[_PlacedTip, ...] | None = None
+
+
+class _Limits(_Keys, frozen=True, kw_only=True):
+    position: Any = None
+    velocity: Any = None
+    acceleration: Any = None
+    torque: Any = None
+
+
+class _Parameters(_Keys, frozen=True, kw_only=True):
+    mass: Any
+    com: Any = None
+    first_moment: Any = None
+    inertia_about_com: Any = None
+    inertia_about_link_frame: Any = None
+
+
+class _File(_Keys, frozen=True, kw_only=True):
+    name: str
+    dh: _Dh | None = None
+    placements: _Placements | None = None
+    gravity: Any = STANDARD_GRAVITY
+    limits: _Limits | None = None
+    parameters: _Parameters | None = None
+    effects: Any = None
+    drive_gain: Any = None
+    bounds: dict[str, Any] | None = None
+    basis: Basis = Robot.basis
+    tool: Any = tuple(map(tuple, torch.eye(4).tolist()))
+    floating: bool = False
+    knowledge: Any = None
+    file: Any = None
+    servo: Any = None  # of `torchid.position`, as is the next
+    servos: Any = None
+
+
+def read_yaml(path: Path) -> Robot:
+    """Read a robot from torchid's yaml.
 
     Raises:
-        RobotError: both or neither, an unknown key, or a value that is not what it should be.
+        RobotError: not yaml, an unknown key, a wrong count, or a value that is not a number.
     """
-    given = [form for form in _FORMS if form in data]
-    if len(given) == 2:
-        raise RobotError(f"{source}: both 'dh' and 'placements' are given.", expected="one of them")
-    if not given:
+    return from_mapping(parsed_yaml(path), str(path))
+
+
+def from_mapping(data: Any, source: str) -> Robot:
+    """A Robot from the parsed content of a robot yaml; `source` names it in errors."""
+    try:
+        file = msgspec.convert(data, _File)
+    except msgspec.ValidationError as error:
         raise RobotError(
-            f"{source}: 'dh' is missing.", available=list(data), expected="dh, or placements"
-        )
-    form = given[0]
-    table, (needs, keys, expected) = data[form], _FORMS[form]
-    if not isinstance(table, Mapping) or not table.keys() >= set(needs):
-        raise RobotError(
-            f"{source}: '{form}' needs {' and '.join(repr(key) for key in needs)}.",
-            got=list(table) if isinstance(table, Mapping) else type(table).__name__,
-            expected=expected,
-        )
-    known(table, (*needs, *(("tips",) if form == "placements" else ())), f"{source}: {form}")
-    convention = table.get("convention", "classical")
-    if convention not in CONVENTIONS:
-        raise RobotError(f"{source}: unknown DH convention.", got=convention, available=CONVENTIONS)
-    listed = table["joints"]
-    if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
-        where = f"{source}: {form}.joints"
-        raise RobotError(f"{where} must be a list with one entry a joint.", got=listed)
-    rows, poses = list(enumerate(listed, start=1)), []
-    for i, row in rows:
-        known(row, keys, f"{source}: joint {i}")
-    for i, row in rows:
+            f"'{source}' is not a robot description.",
+            got=str(error),
+            expected="keys and values as in docs/robots.md",
+        ) from error
+    if file.dh is not None and file.placements is None:
+        kinematics = _of_dh(file.dh, source)
+    elif file.placements is not None and file.dh is None:
+        kinematics = _of_placements(file.placements, source)
+    else:
+        what = "both 'dh' and 'placements' are given" if file.dh else "'dh' is missing"
+        raise RobotError(f"{source}: {what}.", got=list(data), expected="dh, or placements")
+    n, links = len(kinematics["joint_types"]), len(kinematics["before"])
+    limits = {} if file.limits is None else msgspec.structs.asdict(file.limits)
+    gain, knowledge = file.drive_gain, file.knowledge
+    return Robot(
+        name=file.name,
+        **kinematics,
+        gravity=numbers(file.gravity, (3,), f"{source}: gravity"),
+        floating=file.floating,
+        tool=numbers(file.tool, (4, 4), f"{source}: tool"),
+        limits=Limits(
+            **{
+                key: _interval(bounds, n, f"{source}: limits.{key}")
+                for key, bounds in limits.items()
+                if bounds is not None
+            }
+        ),
+        parameters=_parameters(file.parameters, links, source),
+        effects=read_effects(file.effects or (), n, source),
+        drive_gain=None if gain is None else numbers(gain, (n,), f"{source}: drive_gain"),
+        bounds=MappingProxyType(file.bounds or {}),
+        basis=file.basis,
+        source=source,
+        file=read_origin(file.file, source) if file.file else {},
+        knowledge=None if knowledge is None else knowledge_of(knowledge, links, source),
+    )
+
+
+def _of_dh(table: _Dh, source: str) -> dict[str, Any]:
+    """Names, types and poses of the joints of a DH table, under the names of a Robot's fields."""
+    poses = []
+    for i, row in enumerate(table.joints, start=1):
         where = f"{source}: joint {i}"
-        if form == "dh":
-            a, d = (number(row.get(key, 0), f"{where}: {key}") for key in ("a", "d"))
-            alpha, theta = (_angle(row, key, where) for key in ("alpha", "theta"))
-            poses.append(dh_step(convention, a, alpha, d, theta))
-        else:
-            before, after = (
-                _pose(row.get(key, {}), f"{where}: {key}") for key in ("before", "after")
-            )
-            poses.append((before, after))
-    links = [str(row.get("link", f"link_{i}")) for i, row in rows]
-    names = [str(row.get("name", f"joint_{i}")) for i, row in rows]
-    kinds = []
-    for i, row in rows:
-        if (kind := row.get("type", "R")) not in ("R", "P"):
-            where = f"{source}: joint {i}"
-            raise RobotError(f"{where}: unknown joint type.", got=kind, available=["R", "P"])
-        kinds.append(JointType(kind))
-    own = [k for k, (_, row) in enumerate(rows) if "mimic" not in row]
-    found: dict[str, Any] = {
-        "joint_names": tuple(names[k] for k in own),
-        "link_names": tuple(links),
-        "joint_types": tuple(kinds[k] for k in own),
+        a, d = number(row.a, f"{where}: a"), number(row.d, f"{where}: d")
+        alpha, theta = _angle(row, "alpha", where), _angle(row, "theta", where)
+        poses.append(dh_step(table.convention, a, alpha, d, theta))
+    return _named(table.joints, poses)
+
+
+def _of_placements(table: _Placements, source: str) -> dict[str, Any]:
+    """The same of joints that are placed one by one, with what carries each, what follows another,
+    and the tips."""
+    rows = [(i, row, f"{source}: joint {i + 1}") for i, row in enumerate(table.joints)]
+    poses = [
+        (_pose(row.before, f"{where}: before"), _pose(row.after, f"{where}: after"))
+        for _, row, where in rows
+    ]
+    fields = _named(table.joints, poses)
+    links, parents, mimics, tips = fields["link_names"], [], [], []
+    for i, row, where in rows:
+        parent = i - 1 if row.parent is UNSET else -1
+        if isinstance(row.parent, str):
+            parent = _place(row.parent, links[:i], where, "link before it to carry it")
+        parents.append(parent)
+        if isinstance(row.mimic, _Follow):
+            what = f"{where}: mimic"
+            followed = _place(row.mimic.joint, fields["joint_names"], what, "joint to follow")
+            ratio = number(row.mimic.ratio, f"{what}: ratio")
+            offset = number(row.mimic.offset, f"{what}: offset")
+            name = row.name or f"joint_{i + 1}"
+            mimics.append(Mimic(i, name, JointType(row.type), followed, ratio, offset))
+    for k, tip in enumerate(table.tips or (), start=1):
+        where = f"{source}: tip {k}"
+        link = _place(tip.link, links, where, "link")
+        tips.append(Tip(tip.name or links[link], link, _pose(tip.pose, f"{where}: pose")))
+    return {**fields, "parents": tuple(parents), "mimics": tuple(mimics), "tips": tuple(tips)}
+
+
+def _named(
+    rows: Sequence[_DhJoint | _PlacedJoint], poses: Sequence[tuple[Tensor, Tensor]]
+) -> dict[str, Any]:
+    """Names and types of the joints that follow no other, and names and poses of all links."""
+    each = list(enumerate(rows, start=1))
+    moving = [(i, row) for i, row in each if getattr(row, "mimic", UNSET) is UNSET]
+    return {
+        "joint_names": tuple(row.name or f"joint_{i}" for i, row in moving),
+        "link_names": tuple(row.link or f"link_{i}" for i, row in each),
+        "joint_types": tuple(JointType(row.type) for _, row in moving),
         "before": torch.stack([before for before, _ in poses]),
         "after": torch.stack([after for _, after in poses]),
     }
-    if form == "placements":
-        found["parents"] = tuple(_parent(row, i, links, source) for i, row in rows)
-        found["mimics"] = tuple(
-            _mimic(row["mimic"], i - 1, names[i - 1], kinds[i - 1], found["joint_names"], source)
-            for i, row in rows
-            if "mimic" in row
-        )
-        found["tips"] = tuple(
-            _tip(row, links, f"{source}: tip {k}")
-            for k, row in enumerate(table.get("tips") or (), start=1)
-        )
-    return found
 
 
-def _parent(row: Mapping[str, Any], i: int, links: Sequence[str], source: str) -> int:
-    """The link (from 0) that carries joint i (from 1): the one before, unless another is named."""
-    if "parent" not in row:
-        return i - 2
-    name = row["parent"]
-    if name is None:
-        return -1
-    where, what = f"{source}: joint {i}", "link before it to carry it"
-    return _place(name, links[: i - 1], where, what, "null is the base")
-
-
-def _place(name: Any, names: Sequence[str], where: str, what: str, hint: str | None = None) -> int:
+def _place(name: str, names: Sequence[str], where: str, what: str) -> int:
     """Where a name stands among those that are known.
 
     Raises:
         RobotError: it is none of them.
     """
-    if str(name) not in names:
-        raise RobotError(
-            f"{where}: there is no such {what}.", got=name, available=list(names), hint=hint
-        )
-    return names.index(str(name))
-
-
-def _mimic(
-    data: Any, link: int, name: str, kind: JointType, follow: Sequence[str], source: str
-) -> Mimic:
-    where = f"{source}: joint {link + 1}: mimic"
-    known(data, ("joint", "ratio", "offset"), where)
-    followed = _place(data.get("joint"), follow, where, "joint to follow")
-    ratio, offset = (
-        number(data.get(key, default), f"{where}: {key}")
-        for key, default in (("ratio", 1.0), ("offset", 0.0))
-    )
-    return Mimic(link, name, kind, followed, ratio, offset)
-
-
-def _tip(data: Any, links: Sequence[str], where: str) -> Tip:
-    known(data, ("name", "link", "pose"), where)
-    link = _place(data.get("link"), links, where, "link")
-    placed = _pose(data.get("pose", {}), f"{where}: pose")
-    return Tip(str(data.get("name", links[link])), link, placed)
+    if name not in names:
+        raise RobotError(f"{where}: there is no such {what}.", got=name, available=list(names))
+    return names.index(name)
 
 
 def dh_step(
@@ -182,110 +253,30 @@ def dh_step(
     return dh_modified(a, alpha) @ pose(rotation_z(theta), (0, 0, d)), pose()
 
 
-def _angle(row: Mapping[str, Any], key: str, where: str) -> float:
-    if f"{key}_deg" in row:
-        if key in row:
-            raise RobotError(
-                f"{where}: both {key} and {key}_deg are given.", expected="one of them"
-            )
-        return math.radians(number(row[f"{key}_deg"], f"{where}: {key}_deg"))
-    return number(row.get(key, 0), f"{where}: {key}")
+def _angle(row: _DhJoint, key: str, where: str) -> float:
+    radians, degrees = getattr(row, key), getattr(row, f"{key}_deg")
+    if degrees is UNSET:
+        return number(0 if radians is UNSET else radians, f"{where}: {key}")
+    if radians is not UNSET:
+        raise RobotError(f"{where}: both {key} and {key}_deg are given.", expected="one of them")
+    return math.radians(number(degrees, f"{where}: {key}_deg"))
 
 
-def _pose(data: Any, where: str) -> Tensor:
-    """(4, 4) from {xyz, rotation}, entry by entry as written: what was written is read back."""
-    known(data, ("xyz", "rotation"), where)
+def _pose(data: _Pose, where: str) -> Tensor:
+    """(4, 4), entry by entry as written: what was written is read back."""
     out = torch.eye(4, dtype=torch.float64)
-    if "xyz" in data:
-        out[:3, 3] = numbers(data["xyz"], (3,), f"{where}.xyz")
-    if "rotation" in data:
-        rotation = numbers(data["rotation"], (3, 3), f"{where}.rotation")
+    out[:3, 3] = numbers(data.xyz, (3,), f"{where}.xyz")
+    if data.rotation is not UNSET:
+        rotation = numbers(data.rotation, (3, 3), f"{where}.rotation")
         error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max()
         if error > _ORTHONORMAL or torch.linalg.det(rotation) < 0:
             raise RobotError(
                 f"{where}.rotation: not a rotation.",
-                got=data["rotation"],
+                got=data.rotation,
                 expected="three orthonormal rows, right-handed",
             )
         out[:3, :3] = rotation
     return out
-
-
-_REST = (
-    "gravity",
-    "limits",
-    "parameters",
-    "effects",
-    "drive_gain",
-    "bounds",
-    "basis",
-    "tool",
-    "floating",
-    "knowledge",
-    "file",
-)
-_BESIDE = ("servo", "servos")
-"""What a robot's yaml may hold and other readers take: `torchid.position`."""
-
-
-def read_yaml(path: Path) -> Robot:
-    """Read a robot from torchid's yaml.
-
-    Raises:
-        RobotError: not yaml, an unknown key, a wrong count, or a value that is not a number.
-    """
-    data = parsed_yaml(path)
-    if not isinstance(data, Mapping):
-        raise RobotError(
-            f"'{path}' is not a robot description.",
-            got=type(data).__name__,
-            expected="name, dh or placements",
-        )
-    return from_mapping(data, str(path))
-
-
-def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
-    """A Robot from the parsed content of a robot yaml; `source` names it in errors."""
-    known(data, ("name", *_FORMS, *_REST, *_BESIDE), source)
-    if "name" not in data:
-        raise RobotError(f"{source}: 'name' is missing.", available=list(data))
-    kinematics = read_kinematics(data, source)
-    n, links = len(kinematics["joint_types"]), len(kinematics["before"])
-    gravity = numbers(data.get("gravity", STANDARD_GRAVITY), (3,), f"{source}: gravity")
-    tool = numbers(data.get("tool", torch.eye(4).tolist()), (4, 4), f"{source}: tool")
-    gain = data.get("drive_gain")
-    basis = data.get("basis", Robot.basis)
-    if basis not in get_args(Basis):
-        raise RobotError(f"{source}: unknown basis.", got=basis, available=get_args(Basis))
-    floating, bounds = data.get("floating", False), data.get("bounds") or {}
-    if not isinstance(floating, bool):
-        raise RobotError(f"{source}: floating is true or false.", got=floating)
-    if not isinstance(bounds, Mapping):
-        raise RobotError(f"{source}: bounds must be a mapping of groups.", got=bounds)
-    limits, sure = data.get("limits") or {}, data.get("knowledge")
-    known(limits, LIMITS, f"{source}: limits")
-    return Robot(
-        name=str(data["name"]),
-        **kinematics,
-        gravity=gravity,
-        floating=floating,
-        tool=tool,
-        limits=Limits(
-            **{
-                key: _interval(limits[key], n, f"{source}: limits.{key}")
-                for key in LIMITS
-                if limits.get(key) is not None
-            }
-        ),
-        parameters=_parameters(data.get("parameters"), links, source),
-        effects=read_effects(data.get("effects") or (), n, source),
-        drive_gain=None if gain is None else numbers(gain, (n,), f"{source}: drive_gain"),
-        bounds=MappingProxyType(dict(bounds)),
-        basis=basis,
-        source=source,
-        file=read_origin(data["file"], source) if data.get("file") else {},
-        knowledge=None if sure is None else knowledge_of(sure, links, source),
-    )
 
 
 def _interval(data: Any, n: int, where: str) -> Tensor:
@@ -301,24 +292,22 @@ def _interval(data: Any, n: int, where: str) -> Tensor:
     return bounds
 
 
-def _parameters(data: Any, n: int, source: str) -> InertialParameters | None:
+def _parameters(data: _Parameters | None, n: int, source: str) -> InertialParameters | None:
     if data is None:
         return None
     where = f"{source}: parameters"
-    moments, inertias = ("com", "first_moment"), ("inertia_about_link_frame", "inertia_about_com")
-    known(data, ("mass", *moments, *inertias), where)
-    given = [key for key in (*moments, *inertias) if key in data]
-    choices = [(a, b) for a in moments for b in inertias]
-    if "mass" not in data or tuple(given) not in choices:
+    pairs = [("com", "first_moment"), ("inertia_about_com", "inertia_about_link_frame")]
+    given = [[key for key in pair if getattr(data, key) is not None] for pair in pairs]
+    if [len(keys) for keys in given] != [1, 1]:
         raise RobotError(
             f"{where}: needs mass, com (or first_moment) and exactly one kind of inertia.",
-            got=list(data),
-            expected=["mass", " | ".join(moments), " | ".join(inertias)],
+            got=[key for keys in given for key in keys],
+            expected=["mass", *(" | ".join(pair) for pair in pairs)],
         )
-    moment, inertia = given
-    mass = numbers(data["mass"], (n,), f"{where}.mass")
-    first = numbers(data[moment], (n, 3), f"{where}.{moment}")
-    tensor = numbers(data[inertia], (n, 6), f"{where}.{inertia}")
+    (moment,), (inertia,) = given
+    mass = numbers(data.mass, (n,), f"{where}.mass")
+    first = numbers(getattr(data, moment), (n, 3), f"{where}.{moment}")
+    tensor = numbers(getattr(data, inertia), (n, 6), f"{where}.{inertia}")
     m = mass.unsqueeze(-1)
     moved = m * first if moment == "com" else first
     if inertia == "inertia_about_com":

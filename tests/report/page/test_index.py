@@ -35,7 +35,7 @@ def test_links_lead_from_the_page_to_the_files(folder, tmp_path):
 
 
 def test_the_terminal_lists_the_same(folder):
-    assert [e.robot for e in entries(folder)] == [diagnosis().robot.name] * 2
+    assert [e.headline for e in entries(folder)] == [diagnosis().answer.headline] * 2
     shown = index_shown(folder)
     assert shown.verdict.startswith("2 results below")
     assert len(shown.parts[0].rows) == 2
