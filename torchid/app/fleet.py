@@ -11,7 +11,7 @@ import torchid
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Reported
 from torchid.app.project import group
-from torchid.app.signature import Fields, Parsed, command
+from torchid.app.signature import Fields, Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.fleet.settings import FleetSettings
 from torchid.gap.settings import GapSettings
@@ -95,6 +95,7 @@ Reduction = Annotated[
         "reversal rows basis level",
         effects=opt.FittedEffects,
         cutoff=Annotated[float, typer.Option(metavar="HZ")],
+        force=Switch,
     ),
 ]
 

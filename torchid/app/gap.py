@@ -184,5 +184,8 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
 
     with output.progress("reading") as progress:
         simulated, real = read(asked.simulated), read(asked.real)
-        result = torchid.compare_pair(simulated, real, robot, settings=settings, progress=progress)
+        with trials.line_to_mend(asked.real):
+            result = torchid.compare_pair(
+                simulated, real, robot, settings=settings, force=asked.force, progress=progress
+            )
     output.give(result, "pair.json", shown, seed=settings.seed)

@@ -1,11 +1,12 @@
 """`torchid identify`, `torchid payload`: base parameters from logs, and what the last link
 carries."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from msgspec import structs
 
 import torchid
 from torchid.app import options as opt
@@ -79,16 +80,22 @@ def identify_command(
         effects: Effects, comma-separated: on every joint, or at one place; shapes that are not
             given are searched. `none` for the rigid body.
         cutoff: Cut-off of the zero-phase filter.
+        force: Go on with a log that looks wrong (order or sign of joints, units, gravity, lag), and
+            show a result that predicts its own log worse than no model does, too.
         error_cutoff: Report errors under this filter, not the fit's.
         compiled: Compile the regressor (needs a C++ compiler); for very long logs.
     """
     found, log, apart, files = trials.open(output, settings.held_out_fraction)
     from torchid.report.identification import shown
 
-    with output.progress("preparing") as progress:
+    with output.progress("checking the log") as progress:
+        every = torchid.Log.concatenate([log, *([apart] if apart else [])])
+        doubts = trials.ask_first(found, every, trials.logs, force=settings.force)
+        del every
         result = torchid.identify(
             found, log, held_out=apart, settings=settings, device=device_name, progress=progress
         )
+    result = replace(result, warnings=(*doubts, *result.warnings))
     told = result.plain()["settings"] | {"cut-off used [Hz]": result.cutoff}
     # Trajectories of an earlier run may have had other names.
     old = ["fit_*.png", "held_out_*.png"]
@@ -115,7 +122,12 @@ def payload_command(
     model: Literal["general", "symmetric", "point_mass"] = "general",
     settings: Annotated[
         Settings,
-        Fields("signs rows method", effects=opt.FittedEffects, cutoff=opt.FilterCutoff),
+        Fields(
+            "signs rows method",
+            effects=opt.FittedEffects,
+            cutoff=opt.FilterCutoff,
+            force=Switch,
+        ),
     ],
     seed: opt.Seed = 0,
     output: Annotated[Computed, "payload.json"],
@@ -134,15 +146,19 @@ def payload_command(
         effects: Effects on every joint, comma-separated; `none` for the rigid body.
         model: All ten parameters; symmetric about the tool's z axis; a point mass.
         cutoff: Cut-off of the zero-phase filter; `auto` chooses it on the logs without payload.
+        force: Go on with a log that looks wrong (order or sign of joints, units, gravity, lag).
     """
     found = arm.load()
     empty = arm.read(arm.logs, found) if arm.logs else None
-    full = arm.read(loaded, found)
+    full, forced = arm.read(loaded, found), settings.force
     from torchid.report.identification import payload_shown
 
-    with output.progress() as progress:
+    with output.progress("checking the logs") as progress:
+        doubts = () if empty is None else arm.ask_first(found, empty, arm.logs or [], force=forced)
+        doubts += arm.ask_first(found, full, loaded, force=forced)
         carried = torchid.payload(
             found, empty, full, model=model, settings=settings, device=device_name,
             progress=progress,
         )  # fmt: skip
+    carried = structs.replace(carried, warnings=(*doubts, *carried.warnings))
     output.give(carried, "payload.json", payload_shown, seed=seed)

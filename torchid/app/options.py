@@ -360,6 +360,41 @@ class ArmAndLogs(Arm, Reading):
         for path in self.logs or ():
             require_header(path, self.request(None))
 
+    @contextmanager
+    def line_to_mend(self, logs: Sequence[Path] | None = None) -> Iterator[None]:
+        """An error that a log is wrong says what to paste: `--columns`, or the doctor's line, of
+        these files or of LOG..."""
+        from torchid.doctor.first import WrongLogError
+        from torchid.doctor.flag import flag_for
+
+        try:
+            yield
+        except WrongLogError as stop:
+            found, logs = stop.examination, logs or self.logs or []
+            choices = [c for check in found.undecided for c in check.choices]
+            own = not (self.columns or self.topic)
+            flag = flag_for(found.repairs, found.robot.n, logs) if own else None
+            fix = f'--fix "{choices[0].name}" ' if choices else ""
+            names = shlex.join([self.robot, *map(str, logs)])
+            line = f"torchid log doctor {names} {fix}--apply mended.parquet"
+            if flag is not None:
+                line = f'read it with --columns "{flag}", or: {line}'
+            mends = any(c.repairs for c in stop.wrong)
+            raise WrongLogError(found, stop.wrong, line if mends else None) from None
+
+    def ask_first(
+        self, robot: "torchid.Robot", log: "torchid.Log", files: Sequence[Path], *, force: bool
+    ) -> tuple[str, ...]:
+        """The doctor's decisive checks of a log, read from these files, and what they doubt.
+
+        Raises:
+            WrongLogError: the log is wrong, and force is not asked for.
+        """
+        from torchid.doctor.first import ask_first
+
+        with self.line_to_mend(files):
+            return ask_first(robot, log, force=force).said
+
 
 @dataclass(frozen=True, kw_only=True)
 class Trials(ArmAndLogs):
@@ -402,27 +437,6 @@ class Trials(ArmAndLogs):
             log = self.read(self.logs, robot)
             held_out = self.read(apart, robot) if apart else None
         return robot, log, held_out, files
-
-    @contextmanager
-    def line_to_mend(self) -> Iterator[None]:
-        """An error that a log is wrong says what to paste: `--columns`, or the doctor's line."""
-        from torchid.doctor.first import WrongLogError
-        from torchid.doctor.flag import flag_for
-
-        try:
-            yield
-        except WrongLogError as stop:
-            found, logs = stop.examination, self.logs or []
-            choices = [c for check in found.undecided for c in check.choices]
-            own = not (self.columns or self.topic)
-            flag = flag_for(found.repairs, found.robot.n, logs) if own else None
-            fix = f'--fix "{choices[0].name}" ' if choices else ""
-            names = shlex.join([self.robot, *map(str, logs)])
-            line = f"torchid log doctor {names} {fix}--apply mended.parquet"
-            if flag is not None:
-                line = f'read it with --columns "{flag}", or: {line}'
-            mends = any(c.repairs for c in stop.wrong)
-            raise WrongLogError(found, stop.wrong, line if mends else None) from None
 
 
 def load(name: str, part: Part) -> "torchid.Robot":

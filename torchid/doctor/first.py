@@ -1,4 +1,5 @@
-"""What a diagnosis asks of a log first: faults that effects would explain away."""
+"""What every command that answers from logs asks of them first: faults that effects, parameters or
+a payload would explain away."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,6 +8,7 @@ from torchid.doctor.check import Check
 from torchid.doctor.examine import LEAST_SAMPLES, Examination, examine
 from torchid.doctor.faults import CHECK_OF
 from torchid.doctor.kind import holds_no_gravity
+from torchid.doctor.search import EXPLAINED
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.results.words import short
@@ -15,12 +17,10 @@ from torchid.robot.model import Robot, joint_list
 DECISIVE = (
     "time unit", "dropouts", "zero of positions", "position unit", "position unit, by torque",
     "velocity", "joint order", "torque sign", "position sign", "lag",
-    "torque unit", "torque kind", "runs",
+    "torque unit", "torque kind", "gravity", "runs",
 )  # fmt: skip
 """Checks of faults for which no effect stands."""
-EXPLAINED = 0.2
-"""Share of a torque's spread that bodies leave in no joint of a log, from which on it is worth a
-diagnosis as it stands: a fault that is found there is a doubt."""
+_EXPLAINABLE = ("velocity", "gravity")
 LONGEST = 70
 """Characters of a doubt, which a headline begins with."""
 
@@ -38,16 +38,16 @@ class WrongLogError(LogError):
         mends = any(c.repairs for c in wrong)
         line = line or ("`torchid.examine(robot, log).mended()` is mended" if mends else None)
         super().__init__(
-            f"log '{examination.log.source}' is not diagnosed, it looks wrong: {_names(wrong)}.",
+            f"log '{examination.log.source}' is not used, it looks wrong: {_names(wrong)}.",
             got="; ".join(c.evidence for c in wrong),
             expected="; ".join(c.fix or "another log" for c in wrong),
-            hint="; ".join(filter(None, (line, "`force=True` diagnoses it all the same"))),
+            hint="; ".join(filter(None, (line, "`force=True` goes on all the same"))),
         )
 
 
 @dataclass(frozen=True)
 class Doubts:
-    """What speaks against a log that is diagnosed all the same.
+    """What speaks against a log that is used all the same.
 
     Attributes:
         short: for the headline; empty where nothing does.
@@ -57,13 +57,18 @@ class Doubts:
     short: str = ""
     warnings: tuple[str, ...] = ()
 
+    @property
+    def said(self) -> tuple[str, ...]:
+        """All of it, where there is no headline."""
+        return (self.short, *self.warnings) if self.short else ()
+
 
 def ask_first(robot: Robot, log: Log, *, force: bool = False) -> Doubts:
-    """Make the decisive checks of a log that is to be diagnosed.
+    """Make the decisive checks of a log that something is to be told from.
 
     Args:
         robot: that it is of.
-        log: all that is to be diagnosed; one that cannot be examined raises no doubt.
+        log: of one arm with one load; one that cannot be examined raises no doubt.
         force: whether a wrong log is a doubt, and no error.
 
     Raises:
@@ -78,9 +83,11 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False) -> Doubts:
     except LogError:  # which the diagnosis says, if it matters there
         return Doubts()
     odd = [c for c in found.by_verdict() if c.name in DECISIVE or holds_no_gravity(c)]
-    # A dq that only lags, or is coarse, is left out by the diagnosis itself.
+    # A dq that only lags, or is coarse, is left out of what follows; a tilt is an effect.
     odd = [
-        c for c in odd if c.verdict == "wrong" or (c.verdict == "doubtful" and c.name != "velocity")
+        c
+        for c in odd
+        if c.verdict == "wrong" or (c.verdict == "doubtful" and c.name not in _EXPLAINABLE)
     ]
     wrong = [c for c in odd if _stops(c, found)]
     if wrong and not force:
@@ -100,11 +107,11 @@ def _stops(check: Check, found: Examination) -> bool:
         return False
     if check.name == "torque unit":  # a model is wrong by any factor, a unit by its own
         return bool(check.repairs)
-    if check.name not in ("lag", *CHECK_OF.values()) or found.search is None:
+    if check.name not in CHECK_OF.values() or found.search is None:
         return True
     return any(
-        CHECK_OF.get(f.move.kind, f.move.kind) == check.name
-        and f.move.joints == (check.joints if check.name != "lag" else ())
+        CHECK_OF.get(f.move.kind) == check.name
+        and f.move.joints == check.joints
         and f.before.max() > EXPLAINED
         for f in found.search.found
     )
