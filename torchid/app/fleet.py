@@ -121,6 +121,7 @@ def identify_command(
 
     Args:
         effects: Effects on every joint, comma-separated; `none` for the rigid body.
+        force: Use logs that look wrong, too.
         save_model: Write the type as a robot (.yaml) that says how sure it is: `torchid gap` of it
             and a new unit's log tells what is odd about that.
         unit: Write this unit in the place of the type.
@@ -155,6 +156,7 @@ def gap_command(
         GapSettings,
         opt.GAP.only("effects background parameters seed", rollout=False),
     ],
+    force: Switch = False,
     engine: Engine,
     output: Reported,
 ) -> None:
@@ -165,11 +167,12 @@ def gap_command(
 
     Args:
         effects: Effects to search over, comma-separated; `all`.
+        force: Use logs that look wrong, too.
     """
     from torchid.fleet.gap import fleet_gap
     from torchid.report.fleet import gap_shown
 
-    model, logs, crew, store = engine.begin(units, FleetSettings(), output)
+    model, logs, crew, store = engine.begin(units, FleetSettings(force=force), output)
     with output.progress("diagnosing logs") as progress:
         found = fleet_gap(
             model, logs, settings=settings, store=store, workers=crew, part=engine.array,
@@ -208,6 +211,7 @@ def watch_command(
 
     Args:
         effects: Effects on every joint, comma-separated; `none` for the rigid body.
+        force: Use logs that look wrong, too.
         every: Sessions of a unit until a false alarm, at the least and on average.
     """
     from torchid.fleet.identify import fleet_identify

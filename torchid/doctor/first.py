@@ -1,6 +1,7 @@
 """What every command that answers from logs asks of them first: faults that effects, parameters or
 a payload would explain away."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -52,10 +53,12 @@ class Doubts:
     Attributes:
         short: for the headline; empty where nothing does.
         warnings: with the evidence.
+        wrong: whether a fault is sure, which no answer settles.
     """
 
     short: str = ""
     warnings: tuple[str, ...] = ()
+    wrong: bool = False
 
     @property
     def said(self) -> tuple[str, ...]:
@@ -92,12 +95,12 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False) -> Doubts:
     wrong = [c for c in odd if _stops(c, found)]
     if wrong and not force:
         raise WrongLogError(found, wrong)
-    said = (
-        [f"Wrong log: {_names(wrong)}."] if wrong else [f"Doubt: {_names(odd)}."] if odd else [""]
-    )
+    if not odd:
+        return Doubts()
     odd.sort(key=lambda c: c not in wrong)
-    notes = (f"Caution: {c.evidence}{f'; {c.fix}' if c.fix else ''}." for c in odd)
-    return Doubts(said[0], tuple(notes))
+    notes = tuple(f"{c.evidence}{f'; {c.fix}' if c.fix else ''}." for c in odd)
+    text = f"Wrong log: {_names(wrong)}." if wrong else f"Doubt: {_in_short(odd[0])}."
+    return Doubts(text, tuple(f"Caution: {note}" for note in notes), bool(wrong))
 
 
 def _stops(check: Check, found: Examination) -> bool:
@@ -115,6 +118,12 @@ def _stops(check: Check, found: Examination) -> bool:
         and f.before.max() > EXPLAINED
         for f in found.search.found
     )
+
+
+def _in_short(check: Check) -> str:
+    """A doubt and its remedy: `torque is -28.8 ms late; tau(t) = tau(t - 0.0288 s)`."""
+    evidence = re.split(r": | \(|; ", check.evidence)[0]
+    return short("; ".join(filter(None, (evidence, check.fix))), LONGEST)
 
 
 def _names(checks: Sequence[Check]) -> str:
