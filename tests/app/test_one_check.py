@@ -84,7 +84,7 @@ def test_a_wrong_log_stops_every_command_with_the_same_words(
 def test_forced_every_command_goes_on_and_says_so(command, logs, tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     fault = "torque sign of joint 2"
-    got = command(*arguments(name, fault, logs), "--force", "--verbose")
+    got = command(*arguments(name, fault, logs), "--force")
     said = " ".join((got.out + got.err).split())
     assert "is not used" not in said
     assert f"Wrong log: {fault}." in said

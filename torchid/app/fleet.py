@@ -89,14 +89,10 @@ class Engine(opt.Crew):
         return model, logs, crew, Store(place) if place else None
 
 
+_Hertz = Annotated[float, typer.Option(metavar="HZ")]
 Reduction = Annotated[
     FleetSettings,
-    Fields(
-        "reversal rows basis level",
-        effects=opt.FittedEffects,
-        cutoff=Annotated[float, typer.Option(metavar="HZ")],
-        force=Switch,
-    ),
+    Fields("reversal rows basis level", effects=opt.FittedEffects, cutoff=_Hertz, force=Switch),
 ]
 
 
@@ -153,8 +149,7 @@ def gap_command(
     *,
     units: Units,
     settings: Annotated[
-        GapSettings,
-        opt.GAP.only("effects background parameters seed", rollout=False),
+        GapSettings, opt.GAP.only("effects background parameters seed", rollout=False)
     ],
     force: Switch = False,
     engine: Engine,

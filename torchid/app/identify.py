@@ -42,6 +42,11 @@ def _reversal(text: str) -> float | Literal["auto"]:
     return fraction
 
 
+_Reversal = Annotated[opt.Cutoff, typer.Option(metavar="FRACTION|auto"), Parsed(_reversal, "0")]
+_Names = tuple[str, ...]
+_Sides = Annotated[_Names, typer.Option(metavar="LEFT:RIGHT,.."), Parsed(opt.names, "none")]
+
+
 @command
 def identify_command(
     *,
@@ -51,21 +56,17 @@ def identify_command(
         Fields(
             "rows basis method covariance signs held_out_fraction",
             effects=Annotated[
-                tuple[str, ...],
+                _Names,
                 typer.Option(metavar="NAME[:KEY=VALUE],.."),
                 Parsed(_effects, "none"),
             ],
             cutoff=opt.FilterCutoff,
-            reversal=Annotated[
-                opt.Cutoff, typer.Option(metavar="FRACTION|auto"), Parsed(_reversal, "0")
-            ],
+            reversal=_Reversal,
             essential=Switch,
             force=Switch,
             error_cutoff=opt.Hertz,
             compiled=Annotated[bool, typer.Option("--compile")],
-            mirror=Annotated[
-                tuple[str, ...], typer.Option(metavar="LEFT:RIGHT,.."), Parsed(opt.names, "none")
-            ],
+            mirror=_Sides,
         ),
     ],
     seed: opt.Seed = 0,
@@ -90,9 +91,7 @@ def identify_command(
     from torchid.report.identification import shown
 
     with output.progress("checking the log") as progress:
-        every = torchid.Log.concatenate([log, *([apart] if apart else [])])
-        doubts = trials.ask_first(found, every, trials.logs, force=settings.force)
-        del every
+        doubts = trials.ask_first(found, [log, apart], trials.logs, settings.force)
         result = torchid.identify(
             found, log, held_out=apart, settings=settings, device=device_name, progress=progress
         )
@@ -124,10 +123,7 @@ def payload_command(
     settings: Annotated[
         Settings,
         Fields(
-            "signs rows method",
-            effects=opt.FittedEffects,
-            cutoff=opt.FilterCutoff,
-            force=Switch,
+            "signs rows method", effects=opt.FittedEffects, cutoff=opt.FilterCutoff, force=Switch
         ),
     ],
     seed: opt.Seed = 0,
@@ -151,16 +147,15 @@ def payload_command(
     """
     project = current()
     if arm.logs and {*arm.logs} <= {*map(Path, project.logs)}:
-        names = ", ".join(map(str, arm.logs))
-        output.say(f"Without payload, as {project.file} says: {names}")
+        output.say(f"Without payload, as {project.file} says: {', '.join(map(str, arm.logs))}")
     found = arm.load()
     empty = arm.read(arm.logs, found) if arm.logs else None
     full, forced = arm.read(loaded, found), settings.force
     from torchid.report.identification import payload_shown
 
     with output.progress("checking the logs") as progress:
-        doubts = () if empty is None else arm.ask_first(found, empty, arm.logs or [], force=forced)
-        doubts += arm.ask_first(found, full, loaded, force=forced)
+        doubts = arm.ask_first(found, [empty], arm.logs, forced) if empty else ()
+        doubts += arm.ask_first(found, [full], loaded, forced)
         carried = torchid.payload(
             found, empty, full, model=model, settings=settings, device=device_name,
             progress=progress,

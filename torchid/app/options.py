@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from torchid.report.page.document import InputFile
     from torchid.robot.tree import Choice
 
+    Logs = Sequence[torchid.Log | None]
+
 LARGEST_SEED = 2**63 - 1
 """That torch's generators take."""
 LARGE = 50e6
@@ -144,12 +146,7 @@ LogArguments = Annotated[list[Path], LOGS, RECORDED]
 File = Annotated[Path | None, typer.Option(metavar="FILE")]
 Written = Annotated[Path | None, typer.Option(metavar="FILE"), WRITTEN]
 LOG_SUFFIX = Suffix((".csv", ".npz", ".parquet"))
-Saved = Annotated[
-    Path | None,
-    typer.Option("--save", "--to", metavar="FILE"),
-    WRITTEN,
-    LOG_SUFFIX,
-]
+Saved = Annotated[Path | None, typer.Option("--save", "--to", metavar="FILE"), WRITTEN, LOG_SUFFIX]
 Model = Annotated[
     Path | None, typer.Option(metavar="FILE.yaml"), WRITTEN, Suffix((".yaml", ".yml"))
 ]
@@ -383,17 +380,19 @@ class ArmAndLogs(Arm, Reading):
             raise WrongLogError(found, stop.wrong, line if mends else None) from None
 
     def ask_first(
-        self, robot: "torchid.Robot", log: "torchid.Log", files: Sequence[Path], *, force: bool
+        self, robot: "torchid.Robot", logs: "Logs", files: Sequence[Path] | None, force: bool
     ) -> tuple[str, ...]:
-        """The doctor's decisive checks of a log, read from these files, and what they doubt.
+        """The doctor's decisive checks of logs with one load, read from these files, and what they
+        doubt.
 
         Raises:
-            WrongLogError: the log is wrong, and force is not asked for.
+            WrongLogError: a log is wrong, and force is not asked for.
         """
         from torchid.doctor.first import ask_first
 
+        every = torchid.Log.concatenate([log for log in logs if log is not None])
         with self.line_to_mend(files):
-            return ask_first(robot, log, force=force).said
+            return ask_first(robot, every, force=force).said
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -453,11 +452,7 @@ def with_limits(
 ) -> "torchid.Robot":
     """The robot with velocity or acceleration limits from the command line."""
     given = {"velocity": velocity, "acceleration": acceleration}
-    asked = {
-        name: numbers(f"--max-{name}", text, robot.n)
-        for name, text in given.items()
-        if text is not None
-    }
+    asked = {k: numbers(f"--max-{k}", x, robot.n) for k, x in given.items() if x is not None}
     for name, values in asked.items():
         if not min(values) > 0:
             raise TorchidError(f"--max-{name} must be positive.", got=given[name])

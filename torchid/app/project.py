@@ -124,8 +124,8 @@ class ProjectCommand(TyperCommand):
         if "logs" in named:
             # A log with the payload is none without it.
             with_it = {os.path.realpath(log) for log in given.get("loaded") or ()}
-            own = [log for log in project.logs if os.path.realpath(log) not in with_it]
-            defaults.setdefault("logs", own or None)
+            without = [log for log in project.logs if os.path.realpath(log) not in with_it]
+            defaults.setdefault("logs", without or None)
         if not given.get("held_out_fraction"):
             taken = {os.path.realpath(log) for log in given.get("logs") or ()}
             apart = [log for log in project.held_out if os.path.realpath(log) not in taken]

@@ -57,4 +57,5 @@ def own_command(
             found, log, untouched=apart, settings=settings, force=force,
             jobs=workers.count, progress=progress,
         )  # fmt: skip
+    output.say(*([result.first.doubt] if result.first.doubt else []))
     output.give(result, "own.json", own_shown, seed=settings.seed)

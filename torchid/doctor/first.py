@@ -87,11 +87,8 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False) -> Doubts:
         return Doubts()
     odd = [c for c in found.by_verdict() if c.name in DECISIVE or holds_no_gravity(c)]
     # A dq that only lags, or is coarse, is left out of what follows; a tilt is an effect.
-    odd = [
-        c
-        for c in odd
-        if c.verdict == "wrong" or (c.verdict == "doubtful" and c.name not in _EXPLAINABLE)
-    ]
+    odd = [c for c in odd if c.verdict in ("wrong", "doubtful")]
+    odd = [c for c in odd if c.verdict == "wrong" or c.name not in _EXPLAINABLE]
     wrong = [c for c in odd if _stops(c, found)]
     if wrong and not force:
         raise WrongLogError(found, wrong)

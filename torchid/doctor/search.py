@@ -160,10 +160,7 @@ def _made_from(base: Hypothesis, before: Hypothesis, move: Move) -> Move:
 
 
 def _best(
-    judge: Judge,
-    held: np.ndarray,
-    costs: Sequence[tuple[float, Move]],
-    fixes: Collection[str],
+    judge: Judge, held: np.ndarray, costs: Sequence[tuple[float, Move]], fixes: Collection[str]
 ) -> tuple[Found, np.ndarray] | None:
     # In sample too: held out alone, a short log punishes the freer of two hypotheses.
     clear = [m for cost, m in costs if cost < -CLEAR]

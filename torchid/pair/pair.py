@@ -41,14 +41,7 @@ from torchid.pair.faults import (
     servo_faults,
     servo_laws,
 )
-from torchid.pair.record import (
-    Difference,
-    Fault,
-    OneSided,
-    PairRecord,
-    ServoDifference,
-    WherePair,
-)
+from torchid.pair.record import Difference, Fault, OneSided, PairRecord, ServoDifference, WherePair
 from torchid.pair.servos import servos_of
 from torchid.results.record import Result
 from torchid.robot.model import Robot
