@@ -259,3 +259,20 @@ def test_converted_logs_and_the_written_folder(command, bench) -> None:
     done = command("log", "doctor", "own.npz")
     assert done.code == 0, done.err
     assert (bench / "results" / "doctor" / "doctor.json").exists()
+
+
+@pytest.mark.slow
+def test_logs_without_payload_that_the_project_file_names_are_said_first(command, bench) -> None:
+    got = command("payload", "--loaded", "../run2.csv", "--cutoff", "5", "--out", bench / "out")
+    assert got.code == 0, got.err
+    first = got.out.splitlines()[0]
+    assert first.startswith("Without payload, as ")
+    assert first.endswith("torchid.toml says: ../run1.csv")
+    assert "Without payload, as" not in command("payload", "--help").out
+
+
+def test_a_log_with_the_payload_is_none_without_it(command, bench) -> None:
+    got = command("payload", "--loaded", "../run1.csv", "--force", "--out", bench / "out")
+    assert got.code == 1
+    assert "Without payload, as" not in got.out
+    assert "the arm without payload is not known" in got.err

@@ -1,12 +1,15 @@
 """What a diagnosis asks of a log first."""
 
 from dataclasses import replace
+from unittest.mock import patch
 
 import pytest
 import torch
 
-from tests.gap.small_logs import ONCE, ROBOT, Recording, logged
-from torchid.doctor.first import LONGEST, WrongLogError, ask_first
+from tests.gap.small_logs import ONCE, ROBOT, Recording, arm, friction, logged
+from torchid.doctor.check import judged
+from torchid.doctor.examine import Examination
+from torchid.doctor.first import LONGEST, Doubts, WrongLogError, ask_first
 from torchid.gap.diagnose import diagnose
 from torchid.gap.settings import GapSettings
 
@@ -67,3 +70,28 @@ def test_forced_a_unit_that_looks_wrong_is_not_refused_again():
     found = diagnose(robot, degrees, settings=few, force=True)
     assert found.doubt.startswith("Wrong log: position unit")
     assert any("looks like degrees" in said for said in found.warnings)
+
+
+def test_a_doubt_says_its_number_and_what_mends_it():
+    late = judged("lag", "doubtful", "torque is 12.5 ms late (9.1 to 15.9 ms)", fix="tau(t) = x")
+    found = Examination(ROBOT, SOUND, (late,))
+    with patch("torchid.doctor.first.examine", return_value=found):
+        doubts = ask_first(ROBOT, SOUND)
+    assert doubts.short == "Doubt: torque is 12.5 ms late; tau(t) = x."
+    assert doubts.warnings == ("Caution: torque is 12.5 ms late (9.1 to 15.9 ms); tau(t) = x.",)
+    assert not doubts.wrong
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [3.0, 0.0])
+def test_a_doubt_that_the_answer_settles_is_gone_from_the_headline(size):
+    log = logged(arm(friction(2, Fv=size)), Recording(ONCE, duration=6.0))
+    few = GapSettings(effects=("viscous_friction",), rollout=False)
+    doubts = Doubts("Doubt: torque is 12 ms late.", ("Caution: torque is 12 ms late.",))
+    with patch("torchid.gap.diagnose.ask_first", return_value=doubts):
+        found = diagnose(ROBOT, log, settings=few)
+    assert found.doubt == "", found.answer.headline
+    assert found.warnings[0] == doubts.warnings[0]
+    wrong = replace(doubts, short="Wrong log: lag.", wrong=True)
+    with patch("torchid.gap.diagnose.ask_first", return_value=wrong):
+        assert diagnose(ROBOT, log, settings=few).answer.headline.startswith("Wrong log: lag.")

@@ -19,10 +19,7 @@ INTERRUPTED = 130
 _KEPT = (("MALLOC_MMAP_THRESHOLD_", -3, 1 << 25), ("MALLOC_TRIM_THRESHOLD_", -1, 1 << 30))
 """Of the GNU C library: variable, parameter of mallopt (3), and bytes: the most that it takes of
 the first, and what a process may keep at the end of its heap."""
-_LOADED = WORKERS | {
-    "extract": "torchid.extraction.extract",
-    "fleet": "torchid.fleet.tasks",
-}
+_LOADED = WORKERS | {"extract": "torchid.extraction.extract", "fleet": "torchid.fleet.tasks"}
 """What the processes of a command load."""
 _ONE_EACH = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 

@@ -177,6 +177,4 @@ def _commands(
         )  # fmt: skip
     assert isinstance(made, NextCommands)
     output.put(target, partial(torchid.write_log, made.log))
-    output.tell(
-        output.keep(made.plain(), "excitation.json", lambda _: commands_shown(made, unknown))
-    )
+    output.give(made.plain(), "excitation.json", lambda _: commands_shown(made, unknown))

@@ -131,8 +131,7 @@ def correct_command(
     with_effects: Switch = False,
     force: Switch = False,
     settings: Annotated[
-        GapSettings,
-        opt.GAP.only("effects background parameters held_out_fraction gain_std seed"),
+        GapSettings, opt.GAP.only("effects background parameters held_out_fraction gain_std seed")
     ],
     output: Annotated[Computed, "correction.json"],
 ) -> None:

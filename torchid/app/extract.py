@@ -67,11 +67,7 @@ def extract_command(
     method: Literal["cma-es", "sdp", "near"] | None = None,
     loss: Literal["two-step", "one-step"] | None = None,
     settings: Annotated[
-        SearchSettings,
-        Fields(
-            "runs stages generations population penalty schedule",
-            seed=opt.Seed,
-        ),
+        SearchSettings, Fields("runs stages generations population penalty schedule", seed=opt.Seed)
     ],
     certificate: bool = True,
     search_anyway: Switch = False,

@@ -11,7 +11,7 @@ import torchid
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Reported
 from torchid.app.project import group
-from torchid.app.signature import Fields, Parsed, command
+from torchid.app.signature import Fields, Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.fleet.settings import FleetSettings
 from torchid.gap.settings import GapSettings
@@ -89,13 +89,10 @@ class Engine(opt.Crew):
         return model, logs, crew, Store(place) if place else None
 
 
+_Hertz = Annotated[float, typer.Option(metavar="HZ")]
 Reduction = Annotated[
     FleetSettings,
-    Fields(
-        "reversal rows basis level",
-        effects=opt.FittedEffects,
-        cutoff=Annotated[float, typer.Option(metavar="HZ")],
-    ),
+    Fields("reversal rows basis level", effects=opt.FittedEffects, cutoff=_Hertz, force=Switch),
 ]
 
 
@@ -120,6 +117,7 @@ def identify_command(
 
     Args:
         effects: Effects on every joint, comma-separated; `none` for the rigid body.
+        force: Use logs that look wrong, too.
         save_model: Write the type as a robot (.yaml) that says how sure it is: `torchid gap` of it
             and a new unit's log tells what is odd about that.
         unit: Write this unit in the place of the type.
@@ -151,9 +149,9 @@ def gap_command(
     *,
     units: Units,
     settings: Annotated[
-        GapSettings,
-        opt.GAP.only("effects background parameters seed", rollout=False),
+        GapSettings, opt.GAP.only("effects background parameters seed", rollout=False)
     ],
+    force: Switch = False,
     engine: Engine,
     output: Reported,
 ) -> None:
@@ -164,11 +162,12 @@ def gap_command(
 
     Args:
         effects: Effects to search over, comma-separated; `all`.
+        force: Use logs that look wrong, too.
     """
     from torchid.fleet.gap import fleet_gap
     from torchid.report.fleet import gap_shown
 
-    model, logs, crew, store = engine.begin(units, FleetSettings(), output)
+    model, logs, crew, store = engine.begin(units, FleetSettings(force=force), output)
     with output.progress("diagnosing logs") as progress:
         found = fleet_gap(
             model, logs, settings=settings, store=store, workers=crew, part=engine.array,
@@ -207,6 +206,7 @@ def watch_command(
 
     Args:
         effects: Effects on every joint, comma-separated; `none` for the rigid body.
+        force: Use logs that look wrong, too.
         every: Sessions of a unit until a false alarm, at the least and on average.
     """
     from torchid.fleet.identify import fleet_identify

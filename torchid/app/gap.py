@@ -182,7 +182,9 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
         opened = open_logs(paths, trials.request(robot))
         return torchid.Log.concatenate([trials.with_torque(log, log.n) for _, log in opened])
 
-    with output.progress("reading") as progress:
+    with output.progress("reading") as progress, trials.line_to_mend(asked.real):
         simulated, real = read(asked.simulated), read(asked.real)
-        result = torchid.compare_pair(simulated, real, robot, settings=settings, progress=progress)
+        result = torchid.compare_pair(
+            simulated, real, robot, settings=settings, force=asked.force, progress=progress
+        )
     output.give(result, "pair.json", shown, seed=settings.seed)

@@ -1,16 +1,18 @@
 """`torchid identify`, `torchid payload`: base parameters from logs, and what the last link
 carries."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from msgspec import structs
 
 import torchid
 from torchid.app import options as opt
 from torchid.app.inputs import RECORDED
 from torchid.app.output import Computed, Reported
+from torchid.app.project import current
 from torchid.app.signature import Fields, Parsed, Switch, command
 from torchid.effects.names import require_effects
 from torchid.effects.written import name_and_pairs, split_list
@@ -40,6 +42,11 @@ def _reversal(text: str) -> float | Literal["auto"]:
     return fraction
 
 
+_Reversal = Annotated[opt.Cutoff, typer.Option(metavar="FRACTION|auto"), Parsed(_reversal, "0")]
+_Names = tuple[str, ...]
+_Sides = Annotated[_Names, typer.Option(metavar="LEFT:RIGHT,.."), Parsed(opt.names, "none")]
+
+
 @command
 def identify_command(
     *,
@@ -49,14 +56,12 @@ def identify_command(
         Fields(
             "rows basis method covariance signs held_out_fraction",
             effects=Annotated[
-                tuple[str, ...],
+                _Names,
                 typer.Option(metavar="NAME[:KEY=VALUE],.."),
                 Parsed(_effects, "none"),
             ],
             cutoff=opt.FilterCutoff,
-            reversal=Annotated[
-                opt.Cutoff, typer.Option(metavar="FRACTION|auto"), Parsed(_reversal, "0")
-            ],
+            reversal=_Reversal,
             essential=Switch,
             force=Switch,
             error_cutoff=opt.Hertz,
@@ -76,16 +81,20 @@ def identify_command(
         effects: Effects, comma-separated: on every joint, or at one place; shapes that are not
             given are searched. `none` for the rigid body.
         cutoff: Cut-off of the zero-phase filter.
+        force: Go on with a log that looks wrong (order or sign of joints, units, gravity, lag), and
+            show a result that predicts its own log worse than no model does, too.
         error_cutoff: Report errors under this filter, not the fit's.
         compiled: Compile the regressor (needs a C++ compiler); for very long logs.
     """
     found, log, apart, files = trials.open(output, settings.held_out_fraction)
     from torchid.report.identification import shown
 
-    with output.progress("preparing") as progress:
+    with output.progress("checking the log") as progress:
+        doubts = trials.ask_first(found, [log, apart], trials.logs, settings.force)
         result = torchid.identify(
             found, log, held_out=apart, settings=settings, device=device_name, progress=progress
         )
+    result = replace(result, warnings=(*doubts, *result.warnings))
     told = result.plain()["settings"] | {"cut-off used [Hz]": result.cutoff}
     # Trajectories of an earlier run may have had other names.
     old = ["fit_*.png", "held_out_*.png"]
@@ -112,7 +121,9 @@ def payload_command(
     model: Literal["general", "symmetric", "point_mass"] = "general",
     settings: Annotated[
         Settings,
-        Fields("signs rows method", effects=opt.FittedEffects, cutoff=opt.FilterCutoff),
+        Fields(
+            "signs rows method", effects=opt.FittedEffects, cutoff=opt.FilterCutoff, force=Switch
+        ),
     ],
     seed: opt.Seed = 0,
     output: Annotated[Computed, "payload.json"],
@@ -131,15 +142,22 @@ def payload_command(
         effects: Effects on every joint, comma-separated; `none` for the rigid body.
         model: All ten parameters; symmetric about the tool's z axis; a point mass.
         cutoff: Cut-off of the zero-phase filter; `auto` chooses it on the logs without payload.
+        force: Go on with a log that looks wrong (order or sign of joints, units, gravity, lag).
     """
+    project = current()
+    if arm.logs and {*arm.logs} <= {*map(Path, project.logs)}:
+        output.say(f"Without payload, as {project.file} says: {', '.join(map(str, arm.logs))}")
     found = arm.load()
     empty = arm.read(arm.logs, found) if arm.logs else None
-    full = arm.read(loaded, found)
+    full, forced = arm.read(loaded, found), settings.force
     from torchid.report.identification import payload_shown
 
-    with output.progress() as progress:
+    with output.progress("checking the logs") as progress:
+        doubts = arm.ask_first(found, [empty], arm.logs, forced) if empty else ()
+        doubts += arm.ask_first(found, [full], loaded, forced)
         carried = torchid.payload(
             found, empty, full, model=model, settings=settings, device=device_name,
             progress=progress,
         )  # fmt: skip
+    carried = structs.replace(carried, warnings=(*doubts, *carried.warnings))
     output.give(carried, "payload.json", payload_shown, seed=seed)

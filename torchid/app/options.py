@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from torchid.report.page.document import InputFile
     from torchid.robot.tree import Choice
 
+    Logs = Sequence[torchid.Log | None]
+
 LARGEST_SEED = 2**63 - 1
 """That torch's generators take."""
 LARGE = 50e6
@@ -144,12 +146,7 @@ LogArguments = Annotated[list[Path], LOGS, RECORDED]
 File = Annotated[Path | None, typer.Option(metavar="FILE")]
 Written = Annotated[Path | None, typer.Option(metavar="FILE"), WRITTEN]
 LOG_SUFFIX = Suffix((".csv", ".npz", ".parquet"))
-Saved = Annotated[
-    Path | None,
-    typer.Option("--save", "--to", metavar="FILE"),
-    WRITTEN,
-    LOG_SUFFIX,
-]
+Saved = Annotated[Path | None, typer.Option("--save", "--to", metavar="FILE"), WRITTEN, LOG_SUFFIX]
 Model = Annotated[
     Path | None, typer.Option(metavar="FILE.yaml"), WRITTEN, Suffix((".yaml", ".yml"))
 ]
@@ -360,6 +357,43 @@ class ArmAndLogs(Arm, Reading):
         for path in self.logs or ():
             require_header(path, self.request(None))
 
+    @contextmanager
+    def line_to_mend(self, logs: Sequence[Path] | None = None) -> Iterator[None]:
+        """An error that a log is wrong says what to paste: `--columns`, or the doctor's line, of
+        these files or of LOG..."""
+        from torchid.doctor.first import WrongLogError
+        from torchid.doctor.flag import flag_for
+
+        try:
+            yield
+        except WrongLogError as stop:
+            found, logs = stop.examination, logs or self.logs or []
+            choices = [c for check in found.undecided for c in check.choices]
+            own = not (self.columns or self.topic)
+            flag = flag_for(found.repairs, found.robot.n, logs) if own else None
+            fix = f'--fix "{choices[0].name}" ' if choices else ""
+            names = shlex.join([self.robot, *map(str, logs)])
+            line = f"torchid log doctor {names} {fix}--apply mended.parquet"
+            if flag is not None:
+                line = f'read it with --columns "{flag}", or: {line}'
+            mends = any(c.repairs for c in stop.wrong)
+            raise WrongLogError(found, stop.wrong, line if mends else None) from None
+
+    def ask_first(
+        self, robot: "torchid.Robot", logs: "Logs", files: Sequence[Path] | None, force: bool
+    ) -> tuple[str, ...]:
+        """The doctor's decisive checks of logs with one load, read from these files, and what they
+        doubt.
+
+        Raises:
+            WrongLogError: a log is wrong, and force is not asked for.
+        """
+        from torchid.doctor.first import ask_first
+
+        every = torchid.Log.concatenate([log for log in logs if log is not None])
+        with self.line_to_mend(files):
+            return ask_first(robot, every, force=force).said
+
 
 @dataclass(frozen=True, kw_only=True)
 class Trials(ArmAndLogs):
@@ -403,27 +437,6 @@ class Trials(ArmAndLogs):
             held_out = self.read(apart, robot) if apart else None
         return robot, log, held_out, files
 
-    @contextmanager
-    def line_to_mend(self) -> Iterator[None]:
-        """An error that a log is wrong says what to paste: `--columns`, or the doctor's line."""
-        from torchid.doctor.first import WrongLogError
-        from torchid.doctor.flag import flag_for
-
-        try:
-            yield
-        except WrongLogError as stop:
-            found, logs = stop.examination, self.logs or []
-            choices = [c for check in found.undecided for c in check.choices]
-            own = not (self.columns or self.topic)
-            flag = flag_for(found.repairs, found.robot.n, logs) if own else None
-            fix = f'--fix "{choices[0].name}" ' if choices else ""
-            names = shlex.join([self.robot, *map(str, logs)])
-            line = f"torchid log doctor {names} {fix}--apply mended.parquet"
-            if flag is not None:
-                line = f'read it with --columns "{flag}", or: {line}'
-            mends = any(c.repairs for c in stop.wrong)
-            raise WrongLogError(found, stop.wrong, line if mends else None) from None
-
 
 def load(name: str, part: Part) -> "torchid.Robot":
     """A robot; one that the project file names with the limits and the payload that it says."""
@@ -439,11 +452,7 @@ def with_limits(
 ) -> "torchid.Robot":
     """The robot with velocity or acceleration limits from the command line."""
     given = {"velocity": velocity, "acceleration": acceleration}
-    asked = {
-        name: numbers(f"--max-{name}", text, robot.n)
-        for name, text in given.items()
-        if text is not None
-    }
+    asked = {k: numbers(f"--max-{k}", x, robot.n) for k, x in given.items() if x is not None}
     for name, values in asked.items():
         if not min(values) > 0:
             raise TorchidError(f"--max-{name} must be positive.", got=given[name])

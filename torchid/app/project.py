@@ -122,7 +122,10 @@ class ProjectCommand(TyperCommand):
         if project.out is not None:
             defaults.setdefault("out", os.path.join(project.out, str(self.name)))
         if "logs" in named:
-            defaults.setdefault("logs", list(project.logs) or None)
+            # A log with the payload is none without it.
+            with_it = {os.path.realpath(log) for log in given.get("loaded") or ()}
+            without = [log for log in project.logs if os.path.realpath(log) not in with_it]
+            defaults.setdefault("logs", without or None)
         if not given.get("held_out_fraction"):
             taken = {os.path.realpath(log) for log in given.get("logs") or ()}
             apart = [log for log in project.held_out if os.path.realpath(log) not in taken]

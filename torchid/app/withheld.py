@@ -8,7 +8,7 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.output import Kept
-from torchid.app.signature import command
+from torchid.app.signature import Switch, command
 from torchid.gap.settings import GapSettings
 
 
@@ -35,6 +35,7 @@ def own_command(
     *,
     trials: opt.Trials,
     settings: Annotated[GapSettings, opt.GAP.only("background parameters seed")],
+    force: Switch = False,
     workers: Workers,
     output: Annotated[Kept, "own.json"],
 ) -> None:
@@ -44,13 +45,17 @@ def own_command(
     that took no part (--held-out; else the second half of every trajectory).
 
     Example: `torchid withheld own panda.urdf run1.parquet run2.parquet --held-out run3.parquet`
+
+    Args:
+        force: Go on with a log that looks wrong, too.
     """
     from torchid.report.withheld import own_shown
 
     found, log, apart, _ = trials.open(output)
-    with output.progress() as progress:
+    with output.progress() as progress, trials.line_to_mend():
         result = torchid.withheld_own(
-            found, log, untouched=apart, settings=settings,
+            found, log, untouched=apart, settings=settings, force=force,
             jobs=workers.count, progress=progress,
         )  # fmt: skip
+    output.say(*([result.first.doubt] if result.first.doubt else []))
     output.give(result, "own.json", own_shown, seed=settings.seed)

@@ -30,6 +30,8 @@ _UNSEEN = (
     "torque sign", "position sign", "joint sign", "joint order", "torque order", "position order",
 )  # fmt: skip
 _TOLD = 4
+MOST_LEFT = 0.45
+"""Share of the spread of a joint's torque that is left at most where a fault of it is told."""
 _MODELLED = ("joint order", "torque sign", "position sign")
 """Checks that nominal parameters bear out, or not."""
 
@@ -113,7 +115,9 @@ def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -
         whole = next(r for r in move.repairs if isinstance(r, Scale))
         estimate = 1.0 / whole.factors[move.joints[0]]
         text = f"{estimate:.4g} times the angles that explain the torque; {text}"
-    unsure = not result.explained
+    # Of a torque that nothing explains (a limit, a controller's) another sign explains no more.
+    concerned = list(move.joints or judge.live(result.final.hypothesis))
+    unsure = not result.explained or float(np.median(result.left[concerned])) > MOST_LEFT
     if interval is not None:
         # A gain that may as well be right.
         unsure |= interval[0] < LEAST_GAIN and interval[1] > 1.0 / LEAST_GAIN

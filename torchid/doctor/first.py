@@ -1,5 +1,7 @@
-"""What a diagnosis asks of a log first: faults that effects would explain away."""
+"""What every command that answers from logs asks of them first: faults that effects, parameters or
+a payload would explain away."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,6 +9,7 @@ from torchid.doctor.check import Check
 from torchid.doctor.examine import LEAST_SAMPLES, Examination, examine
 from torchid.doctor.faults import CHECK_OF
 from torchid.doctor.kind import holds_no_gravity
+from torchid.doctor.search import EXPLAINED
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.results.words import short
@@ -15,12 +18,10 @@ from torchid.robot.model import Robot, joint_list
 DECISIVE = (
     "time unit", "dropouts", "zero of positions", "position unit", "position unit, by torque",
     "velocity", "joint order", "torque sign", "position sign", "lag",
-    "torque unit", "torque kind", "runs",
+    "torque unit", "torque kind", "gravity", "runs",
 )  # fmt: skip
 """Checks of faults for which no effect stands."""
-EXPLAINED = 0.2
-"""Share of a torque's spread that bodies leave in no joint of a log, from which on it is worth a
-diagnosis as it stands: a fault that is found there is a doubt."""
+_EXPLAINABLE = ("velocity", "gravity")
 LONGEST = 70
 """Characters of a doubt, which a headline begins with."""
 
@@ -38,32 +39,39 @@ class WrongLogError(LogError):
         mends = any(c.repairs for c in wrong)
         line = line or ("`torchid.examine(robot, log).mended()` is mended" if mends else None)
         super().__init__(
-            f"log '{examination.log.source}' is not diagnosed, it looks wrong: {_names(wrong)}.",
+            f"log '{examination.log.source}' is not used, it looks wrong: {_names(wrong)}.",
             got="; ".join(c.evidence for c in wrong),
             expected="; ".join(c.fix or "another log" for c in wrong),
-            hint="; ".join(filter(None, (line, "`force=True` diagnoses it all the same"))),
+            hint="; ".join(filter(None, (line, "`force=True` goes on all the same"))),
         )
 
 
 @dataclass(frozen=True)
 class Doubts:
-    """What speaks against a log that is diagnosed all the same.
+    """What speaks against a log that is used all the same.
 
     Attributes:
         short: for the headline; empty where nothing does.
         warnings: with the evidence.
+        wrong: whether a fault is sure, which no answer settles.
     """
 
     short: str = ""
     warnings: tuple[str, ...] = ()
+    wrong: bool = False
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """All of it, where there is no headline."""
+        return (self.short, *self.warnings) if self.short else ()
 
 
 def ask_first(robot: Robot, log: Log, *, force: bool = False) -> Doubts:
-    """Make the decisive checks of a log that is to be diagnosed.
+    """Make the decisive checks of a log that something is to be told from.
 
     Args:
         robot: that it is of.
-        log: all that is to be diagnosed; one that cannot be examined raises no doubt.
+        log: of one arm with one load; one that cannot be examined raises no doubt.
         force: whether a wrong log is a doubt, and no error.
 
     Raises:
@@ -78,19 +86,18 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False) -> Doubts:
     except LogError:  # which the diagnosis says, if it matters there
         return Doubts()
     odd = [c for c in found.by_verdict() if c.name in DECISIVE or holds_no_gravity(c)]
-    # A dq that only lags, or is coarse, is left out by the diagnosis itself.
-    odd = [
-        c for c in odd if c.verdict == "wrong" or (c.verdict == "doubtful" and c.name != "velocity")
-    ]
+    # A dq that only lags, or is coarse, is left out of what follows; a tilt is an effect.
+    odd = [c for c in odd if c.verdict in ("wrong", "doubtful")]
+    odd = [c for c in odd if c.verdict == "wrong" or c.name not in _EXPLAINABLE]
     wrong = [c for c in odd if _stops(c, found)]
     if wrong and not force:
         raise WrongLogError(found, wrong)
-    said = (
-        [f"Wrong log: {_names(wrong)}."] if wrong else [f"Doubt: {_names(odd)}."] if odd else [""]
-    )
+    if not odd:
+        return Doubts()
     odd.sort(key=lambda c: c not in wrong)
-    notes = (f"Caution: {c.evidence}{f'; {c.fix}' if c.fix else ''}." for c in odd)
-    return Doubts(said[0], tuple(notes))
+    notes = tuple(f"{c.evidence}{f'; {c.fix}' if c.fix else ''}." for c in odd)
+    text = f"Wrong log: {_names(wrong)}." if wrong else f"Doubt: {_in_short(odd[0])}."
+    return Doubts(text, tuple(f"Caution: {note}" for note in notes), bool(wrong))
 
 
 def _stops(check: Check, found: Examination) -> bool:
@@ -100,14 +107,20 @@ def _stops(check: Check, found: Examination) -> bool:
         return False
     if check.name == "torque unit":  # a model is wrong by any factor, a unit by its own
         return bool(check.repairs)
-    if check.name not in ("lag", *CHECK_OF.values()) or found.search is None:
+    if check.name not in CHECK_OF.values() or found.search is None:
         return True
     return any(
-        CHECK_OF.get(f.move.kind, f.move.kind) == check.name
-        and f.move.joints == (check.joints if check.name != "lag" else ())
+        CHECK_OF.get(f.move.kind) == check.name
+        and f.move.joints == check.joints
         and f.before.max() > EXPLAINED
         for f in found.search.found
     )
+
+
+def _in_short(check: Check) -> str:
+    """A doubt and its remedy: `torque is -28.8 ms late; tau(t) = tau(t - 0.0288 s)`."""
+    evidence = re.split(r": | \(|; ", check.evidence)[0]
+    return short("; ".join(filter(None, (evidence, check.fix))), LONGEST)
 
 
 def _names(checks: Sequence[Check]) -> str:

@@ -45,10 +45,7 @@ _ALIKE = 0.03
 """Deviation of a measured ratio of velocity and position from what registers make."""
 _BEYOND = 0.2
 """Angle beyond a limit from which on a position is not the joint's [rad]."""
-_MIDDLES = {
-    math.pi: "zero at half a turn",
-    math.radians(150.0): "zero at 150 degrees",
-}
+_MIDDLES = {math.pi: "zero at half a turn", math.radians(150.0): "zero at 150 degrees"}
 """Middles of the range that a counter has, a turn or 300 degrees."""
 _OWN_UNIT = (
     "say what they are: q=q{j} *[1/GEAR,..] +[ZERO,..] of motors before their gears (tau times "
@@ -124,11 +121,7 @@ class _Unit(NamedTuple):
 
 
 def _unit_of(
-    robot: Robot,
-    log: Log,
-    k: int,
-    ratio: float | None,
-    servo: tuple[float, float, str] | None,
+    robot: Robot, log: Log, k: int, ratio: float | None, servo: tuple[float, float, str] | None
 ) -> _Unit:
     """The unit of a joint's positions.
 

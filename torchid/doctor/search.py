@@ -18,6 +18,9 @@ TIE = 0.1
 """Moves whose held-out losses differ by less cannot be told apart."""
 _LOOK = CLEAR + 0.1
 FINALISTS = 5
+EXPLAINED = 0.2
+"""Share of a torque's spread that bodies leave in no joint of a log, from which on it is worth an
+answer as it stands: a fault that is found there is a doubt."""
 UNEXPLAINED = 0.6
 """Share of the torque's spread (median of the joints) that nothing about this robot explains."""
 MOST_FAULTS = 6
@@ -157,10 +160,7 @@ def _made_from(base: Hypothesis, before: Hypothesis, move: Move) -> Move:
 
 
 def _best(
-    judge: Judge,
-    held: np.ndarray,
-    costs: Sequence[tuple[float, Move]],
-    fixes: Collection[str],
+    judge: Judge, held: np.ndarray, costs: Sequence[tuple[float, Move]], fixes: Collection[str]
 ) -> tuple[Found, np.ndarray] | None:
     # In sample too: held out alone, a short log punishes the freer of two hypotheses.
     clear = [m for cost, m in costs if cost < -CLEAR]

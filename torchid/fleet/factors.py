@@ -219,9 +219,7 @@ def _blocks(source: RowSource, layout: Layout) -> tuple[Factors, Solved, float]:
 
 
 def _reduced(
-    augmented: Sequence[Float[Tensor, "I _"]],
-    keep: Bool[Tensor, "I n"],
-    block: Int[Tensor, " I"],
+    augmented: Sequence[Float[Tensor, "I _"]], keep: Bool[Tensor, "I n"], block: Int[Tensor, " I"]
 ) -> Factors:
     """Factors of the kept rows of each block."""
     count = int(block.max()) + 1

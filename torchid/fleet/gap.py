@@ -9,6 +9,7 @@ from typing import Any, Literal
 from msgspec import UNSET, UnsetType
 
 from torchid import __version__
+from torchid.doctor.first import ask_first
 from torchid.errors import LogError, TorchidError
 from torchid.fleet.factors import with_gain
 from torchid.fleet.identify import Part as Share
@@ -52,11 +53,14 @@ def answer_gap(task: GapTask) -> tuple[LogAnswer, dict[str, Any]]:
     def compute(path):  # type: ignore[no-untyped-def]
         try:
             log = with_gain(open_log(path, task.model.request)[1], task.model)
-            found = diagnose_torque(task.model.robot, log, settings=task.settings)
+            robot, force = task.model.robot, task.model.settings.force
+            doubts = ask_first(robot, log, force=force)
+            found = diagnose_torque(robot, log, settings=task.settings, force=force)
         except TorchidError as error:
             text = " ".join(str(error).replace(str(path), task.log.path).split())
             return {"refused": text}, {}
-        return {"gap": found.plain(), "seconds": sum(log.duration)}, {}
+        words = {"gap": found.plain(), "seconds": sum(log.duration), "doubts": list(doubts.said)}
+        return words, {}
 
     question = {"kind": "gap", "settings": asdict(task.settings)}
     try:
@@ -69,11 +73,12 @@ def answer_gap(task: GapTask) -> tuple[LogAnswer, dict[str, Any]]:
         return LogAnswer.about(
             task.log, "refused", entry.words["refused"], sha256=digest, key=key
         ), {}
-    gap = entry.words["gap"]
+    gap, doubts = entry.words["gap"], entry.words["doubts"]
     wanted = ("status", "where", "which", "how_far")
     answer = LogAnswer.about(
-        task.log, "good", sha256=digest, key=key, seconds=entry.words["seconds"], found=found
-    )
+        task.log, "doubtful" if doubts else "good", *doubts, sha256=digest, key=key,
+        seconds=entry.words["seconds"], found=found,
+    )  # fmt: skip
     return answer, {name: gap[name] for name in wanted}
 
 

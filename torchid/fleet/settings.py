@@ -23,6 +23,7 @@ class FleetSettings:
         basis: base parameters as the report groups them, or as a log tells them apart best; the
             robot's own choice if None.
         level: share of false ones among the units that are called odd, on average.
+        force: use logs that the doctor's decisive checks say are wrong.
 
     >>> FleetSettings().cutoff
     10.0
@@ -34,6 +35,7 @@ class FleetSettings:
     rows: Rows = "moving"
     basis: Basis | None = None
     level: float = 0.05
+    force: bool = False
 
     def __post_init__(self) -> None:
         require_between("the cut-off", self.cutoff, 0.0, math.inf, "a frequency in Hz")

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from torchid.doctor.examine import signal_checks
+from torchid.doctor.first import ask_first
 from torchid.errors import LogError, TorchidError
 from torchid.fleet.factors import (
     Estimate,
@@ -153,9 +154,11 @@ def _reduced(model: FleetModel, path: Path, name: str) -> tuple[dict[str, Any], 
         """The stretches, the first of which is looked at."""
         for k, log in enumerate(stretches(path, model.request)):
             if k == 0 and log.n == model.robot.n:
-                checks, _ = signal_checks(model.robot, first_minute(with_gain(log, model)))
+                begin = first_minute(with_gain(log, model))
+                checks, _ = signal_checks(model.robot, begin)
                 bad = [c for c in checks if c.verdict in ("wrong", "doubtful")]
                 evidence.extend(f"{c.name}: {c.evidence}" for c in bad)
+                evidence.extend(ask_first(model.robot, begin, force=model.settings.force).said)
             yield log
 
     try:

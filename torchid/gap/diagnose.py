@@ -22,6 +22,8 @@ from torchid.results.answer import Diagnosis
 from torchid.robot.model import Robot
 
 Progress = Callable[[str, int, int], None]
+SETTLED = 0.9
+"""Share of the error that a diagnosis takes away where it has answered what was doubted."""
 OF_POSITIONS = ("parameters", "worthwhile", "seed")
 """Settings that logs of commands and positions have a use for."""
 
@@ -98,7 +100,10 @@ def diagnose(
             found = _of_positions(robot, log, held_out, settings, servo, say, watch)
     if not doubts.short:
         return found
-    return replace(found, doubt=doubts.short, warnings=(*doubts.warnings, *found.warnings))
+    answer = found.answer
+    settled = answer.status in ("no_gap", "negligible") or answer.less >= SETTLED
+    text = "" if settled and not doubts.wrong else doubts.short
+    return replace(found, doubt=text, warnings=(*doubts.warnings, *found.warnings))
 
 
 def _of_positions(

@@ -16,10 +16,7 @@ from torchid.gap.search.terms import PAYLOAD
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
-from torchid.pair.record import (
-    OneSided,
-    Side,
-)
+from torchid.pair.record import OneSided, Side
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 

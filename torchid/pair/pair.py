@@ -19,6 +19,7 @@ from functools import cached_property
 import torch
 
 from torchid.design.segments import EDGE, Segment
+from torchid.doctor.first import ask_first
 from torchid.effects.motion import Motion
 from torchid.errors import TorchidError
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
@@ -40,14 +41,7 @@ from torchid.pair.faults import (
     servo_faults,
     servo_laws,
 )
-from torchid.pair.record import (
-    Difference,
-    Fault,
-    OneSided,
-    PairRecord,
-    ServoDifference,
-    WherePair,
-)
+from torchid.pair.record import Difference, Fault, OneSided, PairRecord, ServoDifference, WherePair
 from torchid.pair.servos import servos_of
 from torchid.results.record import Result
 from torchid.robot.model import Robot
@@ -106,6 +100,7 @@ def compare_pair(
     robot: RobotLike | None = None,
     *,
     settings: GapSettings | None = None,
+    force: bool = False,
     progress: Progress | None = None,
 ) -> PairDiagnosis:
     """Hold a simulator's log against the arm's.
@@ -114,9 +109,12 @@ def compare_pair(
         simulated, real: of the same commands, trajectory by trajectory; u says what was commanded.
         robot: the model that the simulator was made from; without it effects are not named.
         settings: of the search for effects.
+        force: name effects of an arm's log that the doctor's decisive checks say is wrong.
         progress: called with (stage, done, total).
 
     Raises:
+        WrongLogError: both logs agree, and a decisive check of `torchid.doctor.first` says that the
+            arm's is wrong.
         LogError: logs of other arms or commands, or that cannot be used.
 
     >>> import torch, torchid
@@ -179,6 +177,8 @@ def compare_pair(
         if robot is None:
             warnings.append("without a ROBOT no effect can be named")
     else:
+        say("checking the log", 0, 1)
+        warnings += ask_first(robot, real, force=force).said
         which, diagnoses = effects_of(robot, simulated, real, settings, say)
     say("done", 1, 1)
     record = PairRecord(

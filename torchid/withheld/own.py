@@ -13,6 +13,7 @@ from msgspec import UNSET, UnsetType, field, structs
 
 from torchid import __version__
 from torchid.design.columns import Columns, Model
+from torchid.doctor.first import ask_first
 from torchid.effects.registry import (
     EVENTS,
     nominal_effects,
@@ -154,6 +155,7 @@ def withheld_own(
     *,
     untouched: LogLike | None = None,
     settings: GapSettings | None = None,
+    force: bool = False,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> OwnCheck:
@@ -165,10 +167,12 @@ def withheld_own(
         log: trajectories of the real arm.
         untouched: other ones; if None the second half of every trajectory is kept apart.
         settings: of all diagnoses; rollouts are left out.
+        force: go on with logs that the doctor's decisive checks say are wrong.
         jobs: processes.
         progress: called with (stage, done, total).
 
     Raises:
+        WrongLogError: a decisive check of `torchid.doctor.first` says that a log is wrong.
         LogError: logs that cannot be used.
 
     >>> import torchid
@@ -192,10 +196,12 @@ def withheld_own(
         log, untouched = log.split(0.5)
     if untouched.tau is None:
         raise LogError("the untouched log has no torque.", got=list(untouched.signals))
+    doubts = ask_first(robot, Log.concatenate([log, untouched]), force=force)
     prepared(untouched, robot)  # what cannot be used is refused before the first part is diagnosed
     if progress is not None:
         progress("diagnosing the first part", 0, 1)
-    first = diagnose_torque(robot, log, settings=settings)
+    first = diagnose_torque(robot, log, settings=settings, force=force)
+    first = replace(first, doubt=doubts.short, warnings=(*doubts.warnings, *first.warnings))
     # From here on the corrected model is the simulator, and its parameters are given.
     again = replace(settings, background=(), parameters="auto")
     lasting = [f for f in first.findings if f.effect.name not in EVENTS]
