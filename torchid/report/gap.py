@@ -20,6 +20,7 @@ from torchid.results.words import (
     percent,
     regime_words,
     span,
+    sure,
     unit_behind,
     value_words,
 )
@@ -32,7 +33,7 @@ def tables(record: GapRecord) -> list[Table]:
     """What stands below the answer: where, which, how far, what could not be tested, what to record
     next."""
     makers = (
-        joint_table, cause_table, known_table, open_table, meaning_table,
+        joint_table, cause_table, friction_table, known_table, open_table, meaning_table,
         rollout_table, not_testable_table, experiment_table,
     )  # fmt: skip
     return [make(record) for make in makers]
@@ -93,6 +94,32 @@ def budget_words(record: GapRecord) -> str:
         f"{percent(budget.parametric)}, effects {percent(budget.structural)}, unexplained "
         f"{percent(budget.unexplained)}"
     )
+
+
+def friction_table(record: GapRecord) -> Table:
+    """The friction law of each joint: torque at three speeds, forwards and backwards."""
+    rows = []
+    for law in record.friction:
+        unit, speed_unit = unit_behind(law.unit), unit_behind(law.speed_unit)
+        torques = "\n".join(
+            f"at {x.speed:.2g} {speed_unit}: {_torque(x.forwards, x.forwards_std, unit)}; "
+            f"{_torque(x.backwards, x.backwards_std, unit)}"
+            for x in law.at
+        )
+        details = "\n".join(d.words for d in law.details)
+        share = "-" if law.how_sure is None else percent(law.share)
+        rows.append((str(law.joint + 1), sure(law.how_sure), torques, details, share))
+    columns = ("joint", "sure", "forwards; backwards (value ± std)", "details", "removes")
+    note = (
+        "The whole friction of a joint, of the model and found, where the motion is slow, middle "
+        "and fast; details without a probability are the model's. What depends on more than the "
+        "speed counts with its mean along the log."
+    )
+    return Table("friction laws", columns, rows, "lrlpr", note if rows else "")
+
+
+def _torque(value: float, std: float, unit: str) -> str:
+    return "not driven" if math.isnan(value) else measure(value, std, unit)
 
 
 def known_table(record: GapRecord) -> Table:
