@@ -8,6 +8,7 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import GapRecord, Known
 from torchid.report import gap_figures
 from torchid.report.causes import cause_table, meaning_table, not_testable_table
+from torchid.report.friction import friction_table
 from torchid.report.gap_figures import CLEAR, clear_regimes, excess_words, stands_out
 from torchid.report.panels import Picture
 from torchid.report.table import Table
@@ -20,7 +21,6 @@ from torchid.results.words import (
     percent,
     regime_words,
     span,
-    sure,
     unit_behind,
     value_words,
 )
@@ -94,32 +94,6 @@ def budget_words(record: GapRecord) -> str:
         f"{percent(budget.parametric)}, effects {percent(budget.structural)}, unexplained "
         f"{percent(budget.unexplained)}"
     )
-
-
-def friction_table(record: GapRecord) -> Table:
-    """The friction law of each joint: torque at three speeds, forwards and backwards."""
-    rows = []
-    for law in record.friction:
-        unit, speed_unit = unit_behind(law.unit), unit_behind(law.speed_unit)
-        torques = "\n".join(
-            f"at {x.speed:.2g} {speed_unit}: {_torque(x.forwards, x.forwards_std, unit)}; "
-            f"{_torque(x.backwards, x.backwards_std, unit)}"
-            for x in law.at
-        )
-        details = "\n".join(d.words for d in law.details)
-        share = "-" if law.how_sure is None else percent(law.share)
-        rows.append((str(law.joint + 1), sure(law.how_sure), torques, details, share))
-    columns = ("joint", "sure", "forwards; backwards (value ± std)", "details", "removes")
-    note = (
-        "The whole friction of a joint, of the model and found, where the motion is slow, middle "
-        "and fast; details without a probability are the model's. What depends on more than the "
-        "speed counts with its mean along the log."
-    )
-    return Table("friction laws", columns, rows, "lrlpr", note if rows else "")
-
-
-def _torque(value: float, std: float, unit: str) -> str:
-    return "not driven" if math.isnan(value) else measure(value, std, unit)
 
 
 def known_table(record: GapRecord) -> Table:
