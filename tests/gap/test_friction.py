@@ -86,6 +86,18 @@ def test_friction_of_the_model_that_the_log_confirms_is_no_finding():
     assert law.curve.torque == pytest.approx(law.curve.given)
 
 
+def test_a_detail_of_the_model_stays_beside_one_that_changed():
+    own = ({"effect": "viscous_friction", "joint": 1, "Fv": 0.002},)
+    diagnosis = torchid.diagnose(replace(single_axis(), effects=own), motor(), settings=SETTINGS)
+    (law,) = diagnosis.friction
+    assert [f.effect.name for f in diagnosis.findings if f.effect.branch == "friction"] == [
+        "coulomb_friction"
+    ]
+    details = {d.detail: d.how_sure for d in law.details}
+    assert details["dry"] > 0.9
+    assert details["viscous"] is None
+
+
 def test_it_is_read_back_and_is_a_table(tmp_path):
     diagnosis = found()
     diagnosis.save(tmp_path / "gap.json")

@@ -1,7 +1,7 @@
 """The answer: where the gap lies, which effects cause it, how far it shrinks."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -266,7 +266,7 @@ class TorqueDiagnosis(Diagnosis):
     settings: GapSettings
     refitted: bool
     warnings: tuple[str, ...]
-    friction: tuple[FrictionLaw, ...] = ()
+    friction: Rows[FrictionLaw] = field(default_factory=Rows)
     joint_fits: tuple[JointFit, ...] = ()
     residual: tuple[Residual, ...] = ()
     small: tuple[UnnamedEffect, ...] = ()

@@ -27,6 +27,7 @@ from torchid.results.friction import (
     FrictionDetail,
     FrictionLaw,
 )
+from torchid.results.record import Rows
 from torchid.robot.model import joint_unit
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Float, Tensor
@@ -41,7 +42,7 @@ FEWEST = 20
 """Samples in a direction, below which the log does not have it."""
 
 
-def friction_laws(decision: Decision, problem: Problem, taken: Shares) -> tuple[FrictionLaw, ...]:
+def friction_laws(decision: Decision, problem: Problem, taken: Shares) -> Rows[FrictionLaw]:
     """The law of each joint that has friction, in the model as given or found.
 
     Args:
@@ -58,7 +59,7 @@ def friction_laws(decision: Decision, problem: Problem, taken: Shares) -> tuple[
         friction = _Friction(decision, problem, columns, speeds[joint], joint)
         if len(own) >= FEWEST and (friction.corrected or friction.given):
             out.append(friction.law(own, taken))
-    return tuple(out)
+    return Rows(out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,13 +143,16 @@ class _Friction:
             for detail, mass in masses.items():
                 without[detail] = without.get(detail, 1.0) * max(0.0, 1 - mass)
             named |= {e.detail for e in self._terms_effects(one)}
+        known = set()
         for effect, _ in (*self.corrected, *self.given):
             effects.setdefault(effect.detail, []).append(effect.name)
+            known.add(effect.detail)
         out = []
         for detail, names in effects.items():
-            sure = 1 - without[detail] if detail in without else None
-            if sure is None or sure >= LEAST or detail in named:
-                own = tuple(dict.fromkeys(names))
+            likely = 1 - without.get(detail, 1.0)
+            says = detail in named or likely >= LEAST
+            if says or detail in known:
+                own, sure = tuple(dict.fromkeys(names)), likely if says else None
                 out.append(FrictionDetail(detail=detail, effects=own, how_sure=sure))
         return tuple(sorted(out, key=lambda d: -1.0 if d.how_sure is None else -d.how_sure))
 

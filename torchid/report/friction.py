@@ -18,7 +18,7 @@ from torchid.results.words import measure, percent, sure, unit_behind
 
 COLUMNS, NARROW_COLUMNS = 3, 1
 """Panels in a row, for a desk and a phone."""
-MOST_SAMPLES = 1200
+MOST_SAMPLES = 800
 """That are drawn of a joint."""
 
 
@@ -84,8 +84,9 @@ def friction_figure(d: TorqueDiagnosis, joint: int | None = None, narrow: bool =
         )  # fmt: skip
     columns = NARROW_COLUMNS if narrow else min(COLUMNS, max(len(laws), 2))
     figure, panels = tiles(
-        [f"joint {law.joint + 1} [{law.unit} over {law.speed_unit}]" for law in laws], columns,
-        3.9 if narrow else 11.0, (2.3, 0.9), "speed", "friction torque", "left",
+        [f"joint {law.joint + 1}" for law in laws], columns, 3.9 if narrow else 11.0, (2.3, 0.9),
+        f"speed [{' or '.join(dict.fromkeys(law.speed_unit for law in laws))}]",
+        f"friction [{' or '.join(dict.fromkeys(law.unit for law in laws))}]", "left",
     )  # fmt: skip
     for axes, law in zip(panels, laws, strict=True):
         _draw(axes, d, law)
@@ -111,9 +112,9 @@ def _draw(axes: Any, d: TorqueDiagnosis, law: FrictionLaw) -> None:
     axes.scatter(
         x[some],
         y[some],
-        s=4,
+        s=5,
         color=BEFORE,
-        alpha=0.25,
+        alpha=0.3,
         linewidths=0,
         rasterized=True,
         label="measured - model as given without friction",

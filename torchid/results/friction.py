@@ -6,7 +6,7 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from torchid.results.record import Joint, Part, Real
-from torchid.results.words import percent, sure, unit_behind
+from torchid.results.words import sure, unit_behind
 
 LEAST = 0.05
 """Probability of a detail from which on it is said."""
@@ -118,13 +118,3 @@ class FrictionLaw(Part, frozen=True, kw_only=True):
         sizes = ", ".join(f"{x.size:.2g}" for x in known)
         speeds = ", ".join(f"{x.speed:.1g}" for x in known)
         return f"{sizes} {unit_behind(self.unit)} at {speeds} {unit_behind(self.speed_unit)}"
-
-    @property
-    def detail_words(self) -> str:
-        """`dry > 99 %, falls at low speed 93 %`."""
-        return ", ".join(d.words for d in self.details)
-
-    @property
-    def share_words(self) -> str:
-        """`12 %` of the error."""
-        return "-" if self.how_sure is None else percent(self.share)
