@@ -362,16 +362,23 @@ class Answer(Part, frozen=True, kw_only=True):
     @property
     def entries(self) -> tuple[Cause, ...]:
         """The causes as people see them: several that are friction of one joint are its law."""
-        out = list(self.causes)
-        for law in self.friction:
-            own = [c for c in out if law.has(c.effect, c.joints)]
-            if len(own) < 2:
-                continue
+        laws = {law.joint: law for law in self.friction}
+        own: dict[Joint, list[Cause]] = {}
+        for cause in self.causes:
+            joint = cause.joints[0] if len(cause.joints) == 1 else -1
+            if joint in laws and laws[joint].has(cause.effect):
+                own.setdefault(joint, []).append(cause)
+        several = {joint: causes for joint, causes in own.items() if len(causes) > 1}
+        if not several:
+            return self.causes
+        out = [c for c in self.causes if not any(c in several.get(j, ()) for j in c.joints[:1])]
+        for joint, causes in several.items():
+            law, whole = laws[joint], sum(c.closes for c in causes)
             one = LawCause(
-                effect="friction", joints=(law.joint,), how_sure=law.how_sure, remedy=REMEDY,
-                closes=sum(c.closes for c in own), law=law,
+                effect="friction", joints=(joint,), how_sure=law.how_sure, closes=whole,
+                remedy=REMEDY, law=law,
             )  # fmt: skip
-            out = [one if c is own[0] else c for c in out if not any(c is x for x in own[1:])]
+            out.append(one)
         return tuple(sorted(out, key=lambda c: 0.0 if math.isnan(c.closes) else -c.closes))
 
     def groups(self, causes: Sequence[Cause]) -> Iterator[list[Cause]]:

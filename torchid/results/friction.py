@@ -105,9 +105,9 @@ class FrictionLaw(Part, frozen=True, kw_only=True):
         """Without its curve."""
         return msgspec.structs.replace(self, curve=UNSET)
 
-    def has(self, effect: str, joints: tuple[int, ...]) -> bool:
-        """Whether an effect at joints is a part of it."""
-        return joints == (self.joint,) and any(effect in d.effects for d in self.details)
+    def has(self, effect: str) -> bool:
+        """Whether an effect of its joint is a part of it."""
+        return any(effect in d.effects for d in self.details)
 
     def words(self, every: bool = True) -> str:
         """`1.2, 1.9, 3.4 N m at 0.1, 0.5, 2 rad/s`, or at the middle speed alone."""
