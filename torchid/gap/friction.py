@@ -154,7 +154,7 @@ class _Friction:
             if says or detail in known:
                 own, sure = tuple(dict.fromkeys(names)), likely if says else None
                 out.append(FrictionDetail(detail=detail, effects=own, how_sure=sure))
-        return tuple(sorted(out, key=lambda d: -1.0 if d.how_sure is None else -d.how_sure))
+        return tuple(sorted(out, key=lambda d: -(d.how_sure or 0.0)))
 
     def _masses(self, one: Judged) -> Iterator[tuple[Effect, float]]:
         """Friction of this joint that is there, or in the place of what is there, and the
