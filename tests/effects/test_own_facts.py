@@ -41,6 +41,11 @@ def test_two_experiments_are_one_sentence() -> None:
 
 
 @every_kind
+def test_friction_says_which_detail_of_a_law_it_is(kind: type[Effect]) -> None:
+    assert bool(kind.detail) == (kind.branch == "friction")
+
+
+@every_kind
 def test_its_example_can_be_made(kind: type[Effect]) -> None:
     effect = kind.exemplar(1)
     assert len(kind.example.values) == len(kind.coefficients)

@@ -12,6 +12,7 @@ from rich.console import Console
 from torchid.effects.registry import KINDS
 from torchid.report.brief import MOST_LINES, Screen, bar, model_words, short_label
 from torchid.results.answer import Answer, Cause, JointError, Size
+from torchid.results.friction import FrictionAt, FrictionDetail, FrictionLaw
 
 WARNINGS = (
     "run1: time steps of 8 / 10 / 13 ms; resampled to 10 ms.",
@@ -36,6 +37,15 @@ def answer(n: int, causes: tuple[Cause, ...], **about: object) -> Answer:
                   noise=(0.1, 0.2), closed=0.5, joints=joints, causes=causes, **about)  # fmt: skip
 
 
+def law(joint: int) -> FrictionLaw:
+    """Of viscous and Coulomb friction."""
+    names = ("viscous_friction", "coulomb_friction")
+    details = tuple(FrictionDetail(detail=x, effects=(x,), how_sure=0.999) for x in names)
+    at = tuple(FrictionAt(v, x, 0.1, -x, 0.1) for v, x in ((0.1, 1.2), (0.5, 1.9), (2.0, 3.4)))
+    return FrictionLaw(joint=joint, how_sure=0.995, share=0.2, removes=(1.0,), unit="N m",
+                       speed_unit="rad/s", details=details, at=at)  # fmt: skip
+
+
 def lines_of(screen: Screen, width: int) -> list[str]:
     console = Console(width=width, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
     console.print(screen)
@@ -55,7 +65,8 @@ def test_a_screen_is_a_screen(names: list[str], n: int, width: int, hints: bool)
         cause(name, j) for k, name in enumerate(names) for j in range(1 + (n - 1) % (k + 1))
     )
     suspects = tuple(cause("backlash", j) for j in range(n)) if hints else ()
-    given_answer = answer(n, causes[:60], suspects=suspects)
+    laws = tuple(map(law, range(n))) if hints else ()
+    given_answer = answer(n, causes[:60], suspects=suspects, friction=laws)
     model = model_words(given_answer, "corrected.yaml", "robot.urdf", ["run9"])
     lines = lines_of(Screen(answer=given_answer, band=20.0, warnings=WARNINGS, model=model), width)
     shared = len(given_answer.shared())
@@ -127,3 +138,15 @@ def test_the_screen_needs_no_torch() -> None:
     program = "import sys, torchid.report.explain; print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)
     assert done.stdout == b"False\n"
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_friction_of_a_joint_is_one_entry(width: int) -> None:
+    """Several terms of it are a law, whose remedy is said once for all joints."""
+    names = ("viscous_friction", "coulomb_friction")
+    causes = tuple(cause(name, j) for j in range(3) for name in names)
+    given_answer = answer(3, causes, friction=tuple(map(law, range(3))))
+    text = " ".join(" ".join(lines_of(Screen(answer=given_answer), width)).split())
+    assert text.count("friction 1.2, 1.9, 3.4 N m at 0.1, 0.5, 2 rad/s (> 99 %)") == 3
+    assert "Do first: friction, all joints (60 % of the error): give the simulator" in text
+    assert "Coulomb" not in text.partition("RMS error")[2]

@@ -2,14 +2,24 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 import torch
 
 from tests.gap.diagnoses import coulomb, diagnosis, floor, some_left, trace
 from tests.marks import quick_first
+from torchid.errors import TorchidError
+from torchid.report.friction import (
+    MOST_SAMPLES,
+    friction_figure,
+    friction_picture,
+    friction_table,
+)
 from torchid.report.gap_figures import binned, figures, map_figure, samples, spectrum, worst_joints
 from torchid.report.panels import save
+from torchid.results.friction import FrictionAt, FrictionCurve, FrictionLaw
+from torchid.results.record import Rows
 
 
 @pytest.mark.parametrize("status", quick_first(["explained", "no_gap"], 1))
@@ -34,6 +44,50 @@ def test_figures_of_invalid_instants_zero_noise_and_two_trajectories(tmp_path):
     d = diagnosis(traces=traces, floor=floor(noise=0.0))
     for name, draw in figures(d).items():
         save(draw(), tmp_path / f"{name}.png")
+
+
+def with_friction(**given: float):
+    """A diagnosis whose joint 2 has the planted friction as its law; `given` of it the model's."""
+    speed = (-1.0, -0.1, 0.1, 1.0)
+    own = tuple(given.get("Fc", 0.0) * x for x in np.sign(speed))
+    law = FrictionLaw(
+        joint=1, how_sure=0.99, share=0.5, removes=(0.0, 1.0, 0.0), unit="N m", speed_unit="rad/s",
+        details=(), at=(FrictionAt(0.5, 1.0, 0.1, -1.0, 0.1),),
+        curve=FrictionCurve(speed, (-1.2, -1.0, 1.0, 1.2), (0.1,) * 4, own),
+    )  # fmt: skip
+    return diagnosis(friction=Rows([law]))
+
+
+@pytest.mark.parametrize("Fc", [0.0, 0.3])
+def test_the_model_without_its_friction_is_drawn_under_the_law(Fc, tmp_path):
+    d = with_friction(Fc=Fc)
+    (axes,) = (a for a in friction_figure(d).axes if a.get_visible())
+    points = axes.collections[0].get_offsets()
+    # Points are the gap and what the model has of friction already.
+    gap = samples(d.traces, 1)
+    some = slice(None, None, max(1, len(gap["dq"]) // MOST_SAMPLES))
+    expected = gap["before"][some] + Fc * np.sign(gap["dq"][some])
+    assert np.allclose(points[:, 1], expected)
+    labels = axes.get_legend_handles_labels()[1]
+    assert ("model as given" in labels) == (Fc > 0)
+    assert save(friction_figure(d, narrow=True), tmp_path / "narrow.png").stat().st_size > 5000
+    assert "friction" in figures(d)
+
+
+def test_a_joint_without_friction_has_no_figure_of_it():
+    with pytest.raises(TorchidError, match="no friction law"):
+        friction_figure(with_friction(), joint=0)
+    assert friction_picture(diagnosis()) is None
+
+
+def test_its_table_has_both_ways_and_what_is_not_driven():
+    d = with_friction()
+    table = friction_table(d.record)
+    assert table.rows[0][0] == "2"
+    assert "at 0.5 rad/s: 1.00 ± 0.10 N m; -1.00 ± 0.10 N m" in table.rows[0][2]
+    one_way = FrictionAt(0.5, 1.0, 0.1, np.nan, np.nan)
+    law = msgspec.structs.replace(d.friction[0], at=(one_way,))
+    assert "not driven" in friction_table(replace(d, friction=Rows([law])).record).rows[0][2]
 
 
 def test_no_traces_no_joint_figures():

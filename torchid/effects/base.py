@@ -87,6 +87,7 @@ class Effect(ABC):
     Class attributes:
         name, family: as in files (see the registry).
         branch: of the tree of causes.
+        detail: what it says of its joint's friction law, in plain words; of friction alone.
         coefficients: what it is linear in.
         shapes: what it is not; each is also a field of the instance.
         meaning: what it is physically, one sentence.
@@ -126,6 +127,7 @@ class Effect(ABC):
     name: ClassVar[str]
     family: ClassVar[Family]
     branch: ClassVar[Branch]
+    detail: ClassVar[str] = ""
     coefficients: ClassVar[tuple[Coefficient, ...]]
     shapes: ClassVar[tuple[Shape, ...]] = ()
     meaning: ClassVar[str]

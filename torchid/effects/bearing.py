@@ -24,6 +24,7 @@ class BearingMomentFriction(OneJointEffect):
     name = "bearing_moment_friction"
     family = "sign"
     branch = "friction"
+    detail = "grows with load"
     jumps = True
     of_bodies = True
     coefficients = (ArmCoefficient("mu_m", "1", True, "friction per bending moment", 0.5),)

@@ -19,6 +19,7 @@ class ViscousFriction(JointEffect):
     name = "viscous_friction"
     family = "speed"
     branch = "friction"
+    detail = "viscous"
     coefficients = (Coefficient("Fv", "N m s/rad", True, "viscous friction"),)
     servo = ("damping",)
     positions = True
@@ -58,6 +59,7 @@ class CoulombFriction(JointEffect):
     name = "coulomb_friction"
     family = "sign"
     branch = "friction"
+    detail = "dry"
     jumps = True
     coefficients = (Coefficient("Fc", "N m", True, "Coulomb friction"),)
     servo = ("coulomb",)

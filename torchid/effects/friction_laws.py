@@ -38,6 +38,7 @@ class PowerLawFriction(JointEffect):
     name = "power_law_friction"
     family = "speed"
     branch = "friction"
+    detail = "bends at speed"
     coefficients = (Coefficient("F2", "N m (s/rad)^a", False, "curvature of the viscous friction"),)
     shapes = (Shape("a", "1", 1.1, 3.0, (1.5, 2.0, 2.5), "exponent of the speed"),)
     meaning = "Lubricant is churned (F2 > 0) or thinned (F2 < 0) at speed, so friction is curved."
@@ -86,6 +87,7 @@ class StribeckFriction(JointEffect):
     name = "stribeck_friction"
     family = "sign"
     branch = "friction"
+    detail = "falls at low speed"
     jumps = True
     coefficients = (
         Coefficient("Fs", "N m", True, "breakaway friction in excess of Coulomb friction"),
@@ -146,6 +148,7 @@ class LoadDependentFriction(JointEffect):
     name = "load_dependent_friction"
     family = "sign"
     branch = "friction"
+    detail = "grows with load"
     needs = frozenset({"torque"})
     jumps = True
     coefficients = (
@@ -188,6 +191,7 @@ class AsymmetricFriction(JointEffect):
     name = "asymmetric_friction"
     family = "constant"
     branch = "friction"
+    detail = "differs by direction"
     jumps = True
     coefficients = (
         Coefficient("dF", "N m", False, "Coulomb friction: half of forward minus backward"),
@@ -241,6 +245,7 @@ class ThermalFrictionDrift(JointEffect):
     name = "thermal_friction_drift"
     family = "time"
     branch = "friction"
+    detail = "drifts with time or temperature"
     needs = frozenset({"t"})
     jumps = True
     coefficients = (

@@ -31,6 +31,7 @@ class PreslidingHysteresis(JointEffect):
     name = "presliding_hysteresis"
     family = "hysteresis"
     branch = "friction"
+    detail = "builds up over a distance (presliding)"
     memory = True
     coefficients = (
         Coefficient("Fh", "N m", True, "friction that the bristles reach when they slide"),

@@ -203,6 +203,7 @@ class PositionDependentFriction(Wave):
     name = "position_dependent_friction"
     family = "sign"
     branch = "friction"
+    detail = "varies with position"
     jumps = True
     coefficients = _amplitudes("N m", "unevenness of the friction, {}")
     shapes = _wave_number(0.1, 100.0, (0.5, 1.0, 2.0, 3.0, 4.0, 6.0))

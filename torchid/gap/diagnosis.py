@@ -1,7 +1,7 @@
 """The answer: where the gap lies, which effects cause it, how far it shrinks."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +35,7 @@ from torchid.gap.record import (
 from torchid.gap.settings import GapSettings
 from torchid.json_data import plain
 from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
+from torchid.results.friction import FrictionLaw
 from torchid.results.record import Rows, by_joint
 from torchid.results.replication import Replication
 from torchid.results.words import count, effect_words, joints_words, listed
@@ -237,6 +238,7 @@ class TorqueDiagnosis(Diagnosis):
         settings: how it was searched.
         refitted: whether base parameters were fitted with everything.
         warnings: sentences for the user.
+        friction: the law of each joint that has friction, in the model or found.
         joint_fits: what is told with the covariance of all its coefficients, then what cannot be
             told from it.
         residual: what is left of each joint's torque on data it was not fitted on.
@@ -264,6 +266,7 @@ class TorqueDiagnosis(Diagnosis):
     settings: GapSettings
     refitted: bool
     warnings: tuple[str, ...]
+    friction: Rows[FrictionLaw] = field(default_factory=Rows)
     joint_fits: tuple[JointFit, ...] = ()
     residual: tuple[Residual, ...] = ()
     small: tuple[UnnamedEffect, ...] = ()
@@ -350,6 +353,7 @@ class TorqueDiagnosis(Diagnosis):
                 noise=floor.ends,
             ),
             causes=tuple(sorted(causes, key=lambda c: -c.closes)),
+            friction=tuple(law.brief for law in self.friction),
             suspects=tuple(e.cause for e in self.suspects),
             small=tuple(e.cause for e in self.small),
             reason=self._reason,

@@ -11,6 +11,7 @@ import torch
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.results.answer import Cause, DiagnosisRecord, NotTestable, Size
+from torchid.results.friction import FrictionLaw
 from torchid.results.record import (
     FINITE,
     Ends,
@@ -469,6 +470,7 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
         settings: how it was searched.
         warnings: sentences for the user.
         model, corrected: the robot as given, and with what was found.
+        friction: the law of each joint that has friction, in the model or found.
         joint_fits: what is told with the covariance of all its coefficients, then what cannot be
             told from it; none in older files.
         residual: what is left, joint by joint; none in older files.
@@ -497,6 +499,7 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
     warnings: tuple[str, ...] = ()
     model: Model | None = None
     corrected: Model | None = None
+    friction: tuple[FrictionLaw, ...] = ()
     joint_fits: tuple[JointFit, ...] = ()
     residual: tuple[Residual, ...] = ()
     small: tuple[UnnamedEffect, ...] = ()

@@ -15,6 +15,7 @@ from torchid.effects.registry import EVENTS
 from torchid.errors import LogError
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.early import Watch, first_answer, so_far
+from torchid.gap.friction import friction_laws
 from torchid.gap.localise.where import where
 from torchid.gap.problem import Problem
 from torchid.gap.record import Budget, Known, Parametric, UnnamedEffect
@@ -149,6 +150,7 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
         settings=settings,
         refitted=problem.wanted.free,
         warnings=ordered(warnings_of(found, checked, problem)),
+        friction=friction_laws(decision, problem, taken),
         joint_fits=joint_fits(found, said, problem),
         residual=residuals(checked.shown),
         small=small,

@@ -14,6 +14,7 @@ from torchid.report.brief import Screen, model_words
 from torchid.report.causes import cause_table, meaning_table, not_testable_table
 from torchid.report.cautions import caution_section
 from torchid.report.exported import simulator_block
+from torchid.report.friction import friction_picture, friction_table
 from torchid.report.over_time import NARROW, OverTime, motion_over_time, torque_over_time
 from torchid.report.page.answer import first_steps
 from torchid.report.panels import Figures, Picture
@@ -194,6 +195,7 @@ def _sections(d: TorqueDiagnosis | PositionDiagnosis) -> list[Section]:
     record, block = d.record, ""
     torque: Picture | None = None
     against: Parts = ()
+    laws: Parts = ()
     text = (
         "Joint positions: the arm, and both models moved by the same commands, in motions that "
         "were left out of the fit. A plain servo has a gain, friction, inertia, delay and offset."
@@ -217,6 +219,7 @@ def _sections(d: TorqueDiagnosis | PositionDiagnosis) -> list[Section]:
             "friction can be anything.",
         )
         against = gap.joint_pictures(d)
+        laws = [friction_picture(d), friction_table(record)]
         where: Parts = [gap.where_picture(record)]
         numbers: Parts = [
             gap.joint_table(record), gap.rollout_table(record), gap.known_picture(record),
@@ -240,6 +243,7 @@ def _sections(d: TorqueDiagnosis | PositionDiagnosis) -> list[Section]:
         Section("Torque, before and after", [torque], folded=motion is not None),
         Section("Where the error lies", where),
         Section("What the error depends on", against),
+        Section("Friction, one law a joint", laws),
         Section(f"The causes in numbers ({named})", [cause_table(record), meaning_table(record)]),
         Section("Errors in numbers", numbers),
         Section("For your simulator", [Code(block, code)] if block else []),

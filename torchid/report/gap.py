@@ -8,6 +8,7 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import GapRecord, Known
 from torchid.report import gap_figures
 from torchid.report.causes import cause_table, meaning_table, not_testable_table
+from torchid.report.friction import friction_table
 from torchid.report.gap_figures import CLEAR, clear_regimes, excess_words, stands_out
 from torchid.report.panels import Picture
 from torchid.report.table import Table
@@ -32,7 +33,7 @@ def tables(record: GapRecord) -> list[Table]:
     """What stands below the answer: where, which, how far, what could not be tested, what to record
     next."""
     makers = (
-        joint_table, cause_table, known_table, open_table, meaning_table,
+        joint_table, cause_table, friction_table, known_table, open_table, meaning_table,
         rollout_table, not_testable_table, experiment_table,
     )  # fmt: skip
     return [make(record) for make in makers]

@@ -11,6 +11,7 @@ import torch
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.record import GapRecord, Regime, RegimeGap
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
+from torchid.report.friction import friction_figure
 from torchid.report.over_time import motion_over_time, torque_over_time
 from torchid.report.panels import (
     SMALL,
@@ -66,6 +67,8 @@ def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
             f"gap_joint_{j + 1}": partial(joint_figure, result, j) for j in worst_joints(record)
         }
         out["torque"] = torque_over_time(result).draw
+        if result.friction:
+            out["friction"] = partial(friction_figure, result)
     if record.knowledge is not None and record.knowledge.coefficients:
         out["known"] = partial(known_figure, record)
     return out

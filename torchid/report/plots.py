@@ -35,9 +35,9 @@ def draw(result: Result | Log, kind: str | None = None, **which: Any) -> Figure:
     Args:
         result: in memory, or read back: that has no torque over time; or a log.
         kind: which figure; the first of its kinds if None.
-        which: what else it asks for: `joint` (from 0) of a gap's `gap`, `torque` and `motion`,
-            `trajectory` (from 0) of an identification's `torque`, `log` (from 0) of a replay's
-            `positions`.
+        which: what else it asks for: `joint` (from 0) of a gap's `gap`, `friction`, `torque` and
+            `motion`, `trajectory` (from 0) of an identification's `torque`, `log` (from 0) of a
+            replay's `positions`.
 
     Returns:
         A matplotlib Figure, which needs no display.

@@ -17,6 +17,7 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from torchid.notebooks import html_table
+from torchid.results.friction import FrictionLaw
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result
 from torchid.results.words import (
     BRANCHES,
@@ -146,6 +147,27 @@ class Cause(Part, frozen=True, kw_only=True):
         return "" if named else f"on {joints_words(self.joints)}"
 
 
+REMEDY = (
+    "Give the simulator each joint's friction over speed; `torchid export` writes the nearest "
+    "fields of its file."
+)
+"""Of a friction law."""
+
+
+class LawCause(Cause, frozen=True, kw_only=True):
+    """Several causes of one joint that are its friction, as one.
+
+    Attributes:
+        law: of the joint.
+    """
+
+    law: FrictionLaw
+
+    def values(self, std: bool = True) -> str:
+        """`1.2, 1.9, 3.4 N m at 0.1, 0.5, 2 rad/s`; short of room the middle speed alone."""
+        return self.law.words(std)
+
+
 class NotTestable(Part, frozen=True):
     """An effect these data could not show.
 
@@ -231,6 +253,7 @@ class Answer(Part, frozen=True, kw_only=True):
             be explained.
         joints: joint by joint.
         causes: those that close most first.
+        friction: the law of each joint that has friction, without its curve.
         suspects: causes that are not sure enough, the likeliest first; their remedy says what would
             settle them.
         small: causes that are sure and remove less than was asked for.
@@ -249,6 +272,7 @@ class Answer(Part, frozen=True, kw_only=True):
     noise_measured: bool = False
     joints: tuple[JointError, ...]
     causes: tuple[Cause, ...]
+    friction: tuple[FrictionLaw, ...] = ()
     suspects: tuple[Cause, ...] = ()
     small: tuple[Cause, ...] = ()
     reason: str = ""
@@ -302,7 +326,7 @@ class Answer(Part, frozen=True, kw_only=True):
             elif self.status in ("detected_unexplained", "partly_explained"):
                 rest = " The rest has no known cause."
         # The two largest causes with their numbers; fewer words where these do not fit.
-        groups = list(self.groups())
+        groups = list(self.groups(self.causes))
         for most, values in ((2, True), (2, False), (1, True), (1, False)):
             names = [self._named(same, values) for same in groups[:most]]
             more = len(groups) - most
@@ -324,7 +348,7 @@ class Answer(Part, frozen=True, kw_only=True):
             names = [
                 same[0].name if same[0].effect == "link_inertia" else
                 f"{same[0].name} ({self.where(same)})"
-                for same in self.groups()
+                for same in self.groups(self.causes)
             ]  # fmt: skip
             text += f" Likeliest: {listed(names, most=3)}; {self.after:.3g} {self.unit} remain."
         return _cut(text, 2 * longest)
@@ -335,12 +359,34 @@ class Answer(Part, frozen=True, kw_only=True):
         inner = ", ".join([*sizes, sure(cause.how_sure)])
         return f"{cause.name} {cause.place} ({inner})".replace("  ", " ")
 
-    def groups(self) -> Iterator[list[Cause]]:
+    @property
+    def entries(self) -> tuple[Cause, ...]:
+        """The causes as people see them: several that are friction of one joint are its law."""
+        laws = {law.joint: law for law in self.friction}
+        own: dict[Joint, list[Cause]] = {}
+        for cause in self.causes:
+            joint = cause.joints[0] if len(cause.joints) == 1 else -1
+            if joint in laws and laws[joint].has(cause.effect):
+                own.setdefault(joint, []).append(cause)
+        several = {joint: causes for joint, causes in own.items() if len(causes) > 1}
+        if not several:
+            return self.causes
+        out = [c for c in self.causes if not any(c in several.get(j, ()) for j in c.joints[:1])]
+        for joint, causes in several.items():
+            law, whole = laws[joint], sum(c.closes for c in causes)
+            one = LawCause(
+                effect="friction", joints=(joint,), how_sure=law.how_sure, closes=whole,
+                remedy=REMEDY, law=law,
+            )  # fmt: skip
+            out.append(one)
+        return tuple(sorted(out, key=lambda c: 0.0 if math.isnan(c.closes) else -c.closes))
+
+    def groups(self, causes: Sequence[Cause]) -> Iterator[list[Cause]]:
         """Causes of one name together, in the order of what they close: those that are new, and
         those that the model had with other numbers."""
-        kinds = dict.fromkeys((c.effect, c.changed) for c in self.causes)
+        kinds = dict.fromkeys((c.effect, c.changed) for c in causes)
         for kind in kinds:
-            same = [c for c in self.causes if (c.effect, c.changed) == kind]
+            same = [c for c in causes if (c.effect, c.changed) == kind]
             yield sorted(same, key=lambda c: c.joints)
 
     def _named(self, same: Sequence[Cause], values: bool) -> str:
@@ -363,9 +409,9 @@ class Answer(Part, frozen=True, kw_only=True):
 
     def shared(self) -> list[tuple[Cause, ...]]:
         """Causes that most joints have, those of one name together; and each cause that is not of
-        one joint alone."""
+        one joint alone. Friction laws are each joint's own."""
         out: list[tuple[Cause, ...]] = []
-        for same in self.groups():
+        for same in self.groups([c for c in self.entries if not isinstance(c, LawCause)]):
             local = [c for c in same if len(c.joints) == 1 and c.effect != "link_inertia"]
             many = len(local) > max(1.0, MOST * len(self.joints))
             out += [tuple(local)] if many else []
@@ -375,7 +421,7 @@ class Answer(Part, frozen=True, kw_only=True):
     def joint_rows(self) -> list[JointRow]:
         """A row a joint, the largest remaining error first; joints that never move at the end."""
         apart = [c for same in self.shared() for c in same]
-        own = [c for c in self.causes if all(c is not x for x in apart)]
+        own = [c for c in self.entries if all(c is not x for x in apart)]
 
         def on(joint: Joint, causes: Iterable[Cause]) -> tuple[Cause, ...]:
             return tuple(c for c in causes if c.joints == (joint,))

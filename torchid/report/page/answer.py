@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from torchid.results.answer import Answer, Cause, size_words
+from torchid.results.answer import Answer, Cause, LawCause, size_words
 from torchid.results.words import effect_words, listed, percent, sure
 
 CLEAR = 0.99
@@ -18,7 +18,7 @@ def cause_line(cause: Cause) -> tuple[str, str, str, str]:
     # A word that stands at every cause says nothing.
     how_sure = "" if cause.how_sure is None or cause.how_sure > CLEAR else sure(cause.how_sure)
     name = ("changed " if cause.changed else "") + cause.name
-    size = size_words(known[0]) if known else ""
+    size = size_words(known[0]) if known else cause.values() if isinstance(cause, LawCause) else ""
     rivals = f"could also be {others}" if cause.ambiguous_with else ""
     return name[:1].upper() + name[1:], size, how_sure, rivals
 
@@ -31,7 +31,7 @@ def first_steps(answer: Answer) -> list[str]:
             for c in answer.suspects[:MOST_ADVICE]
         ]
     same: dict[str, list[Cause]] = {}
-    for cause in answer.causes:
+    for cause in answer.entries:
         same.setdefault(cause.remedy, []).append(cause)
     steps = []
     # Shares of a joint's own error, as positions have them, have no sum.

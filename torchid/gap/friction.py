@@ -1,0 +1,235 @@
+"""All friction of a joint as one law: of the model and found, over speed, with its band.
+
+An effect of the library is one detail of the law. The coefficients of all details are fitted
+together, so that the band of their sum is narrower than those of details that take each other's
+place.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+
+from torchid.design.columns import Columns
+from torchid.effects.base import Effect, JointEffect, Motion
+from torchid.effects.periodic import Wave
+from torchid.effects.registry import Valued
+from torchid.gap.diagnosis import HowFar, unit_of
+from torchid.gap.problem import Problem
+from torchid.gap.search.findings import Judged
+from torchid.gap.search.shares import Shares
+from torchid.gap.validate.decide import Decision
+from torchid.results.friction import (
+    LEAST,
+    FrictionAt,
+    FrictionCurve,
+    FrictionDetail,
+    FrictionLaw,
+)
+from torchid.results.record import Rows
+from torchid.robot.model import joint_unit
+from torchid.statistics.proportion import HALF_95
+from torchid.typing import Float, Tensor
+
+POINTS = 24
+"""Of a curve, in each direction."""
+ENDS = (0.01, 0.99)
+"""Of a direction's speeds, between which its curve is drawn."""
+AT = (0.1, 0.5, 0.9)
+"""Shares of the motion that is slower than the slow, the middle and the fast speed."""
+FEWEST = 20
+"""Samples in a direction, below which the log does not have it."""
+
+
+def friction_laws(decision: Decision, problem: Problem, taken: Shares) -> Rows[FrictionLaw]:
+    """The law of each joint that has friction, in the model as given or found.
+
+    Args:
+        decision: the answered explanation, with a covariance where anything was fitted.
+        problem: its log.
+        taken: what each of its terms takes of the error.
+    """
+    samples = problem.data.samples
+    speeds = samples.of([s.motion.dq.T for s in samples.segments])
+    columns = decision.found.question.candidates.columns.at(decision.found.solution.model)
+    out = []
+    for joint in range(samples.n):
+        own = speeds[joint, problem.data.keep[joint] & (speeds[joint] != 0)]
+        friction = _Friction(decision, problem, columns, speeds[joint], joint)
+        if len(own) >= FEWEST and (friction.corrected or friction.given):
+            out.append(friction.law(own, taken))
+    return Rows(out)
+
+
+@dataclass(frozen=True, eq=False)
+class _Friction:
+    """The friction of one joint.
+
+    Attributes:
+        decision, problem: as of `friction_laws`.
+        columns: at the corrected model.
+        speed: (N,) of the joint.
+        joint: which.
+    """
+
+    decision: Decision
+    problem: Problem
+    columns: Columns
+    speed: Float[Tensor, " N"]
+    joint: int
+
+    def _is_own(self, effect: Effect) -> bool:
+        return effect.branch == "friction" and effect.joints == (self.joint,)
+
+    @cached_property
+    def given(self) -> list[Valued]:
+        """Of the model as given."""
+        return [p for p in self.decision.found.solution.start.effects if self._is_own(p[0])]
+
+    @cached_property
+    def corrected(self) -> list[Valued]:
+        """Of the corrected model."""
+        return [p for p in self.decision.found.solution.model.effects if self._is_own(p[0])]
+
+    def law(self, own: Float[Tensor, " M"], taken: Shares) -> FrictionLaw:
+        """The law.
+
+        Args:
+            own: speeds of the samples in which the joint moves.
+            taken: what each term takes of the error.
+        """
+        robot, far = self.problem.given.model.robot, self.decision.checked.far
+        named = [k for k, one in enumerate(self.decision.judged) if self._terms_effects(one)]
+        sure = [self.decision.judged[k].branch_sure for k in named]
+        removes = taken.of_bars(far.rms_before, far.rms_after)[named].sum(0)
+        return FrictionLaw(
+            joint=self.joint,
+            how_sure=max(sure, default=None),
+            share=self._share(named, taken, far),
+            removes=tuple(removes.tolist()),
+            unit=joint_unit(robot, self.joint),
+            speed_unit=unit_of("rad/s", [self.joint], robot),
+            details=self._details(),
+            at=self._table(own),
+            curve=self._curve(own),
+        )
+
+    def _terms_effects(self, one: Judged) -> list[Effect]:
+        """Effects of a judged term that are friction of this joint."""
+        return [e for e in one.term.effects if self._is_own(e)]
+
+    def _share(self, named: list[int], taken: Shares, far: HowFar) -> float:
+        """Of the error that the law takes; of a term that joints share this joint's part."""
+        shares, _ = taken.of_all(far.less)
+        total = 0.0
+        for k in named:
+            common = len(self.decision.judged[k].term.effects) > 1
+            part = taken.falls[k, self.joint] / taken.falls[k].sum() if common else 1.0
+            total += shares[k] * float(part)
+        return total
+
+    def _details(self) -> tuple[FrictionDetail, ...]:
+        """Details that are likely, and those of the model as given; the surest first."""
+        without: dict[str, float] = {}
+        effects: dict[str, list[str]] = {}
+        named = set()
+        for one in self.decision.judged:
+            # What excludes each other adds up; terms beside each other are there or not.
+            masses: dict[str, float] = {}
+            for effect, mass in self._masses(one):
+                masses[effect.detail] = masses.get(effect.detail, 0.0) + mass
+                effects.setdefault(effect.detail, []).append(effect.name)
+            for detail, mass in masses.items():
+                without[detail] = without.get(detail, 1.0) * max(0.0, 1 - mass)
+            named |= {e.detail for e in self._terms_effects(one)}
+        known = set()
+        for effect, _ in (*self.corrected, *self.given):
+            effects.setdefault(effect.detail, []).append(effect.name)
+            known.add(effect.detail)
+        out = []
+        for detail, names in effects.items():
+            likely = 1 - without.get(detail, 1.0)
+            says = detail in named or likely >= LEAST
+            if says or detail in known:
+                own, sure = tuple(dict.fromkeys(names)), likely if says else None
+                out.append(FrictionDetail(detail=detail, effects=own, how_sure=sure))
+        return tuple(sorted(out, key=lambda d: -(d.how_sure or 0.0)))
+
+    def _masses(self, one: Judged) -> Iterator[tuple[Effect, float]]:
+        """Friction of this joint that is there, or in the place of what is there, and the
+        probability of it."""
+        for effect in self._terms_effects(one):
+            yield effect, one.odds.sure
+        for (_, other), mass in zip(one.others, one.odds.others, strict=True):
+            if other.alone is not None and self._is_own(other.alone):
+                yield other.alone, mass
+
+    def _table(self, own: Float[Tensor, " M"]) -> tuple[FrictionAt, ...]:
+        """Torque at three speeds, both ways."""
+        speeds = own.abs().quantile(own.new_tensor(AT))
+        ways = [
+            [x if self._moves(own, way) else torch.full_like(speeds, torch.nan) for x in found]
+            for way in (1.0, -1.0)
+            for found in [self._torque(way * speeds)]
+        ]
+        rows = torch.stack([speeds, *ways[0], *ways[1]], 1)
+        return tuple(FrictionAt(*row) for row in rows.tolist())
+
+    def _curve(self, own: Float[Tensor, " M"]) -> FrictionCurve:
+        """Torque over the speeds of each direction that the log has."""
+        at = []
+        for way in (-1.0, 1.0):
+            if self._moves(own, way):
+                slow, fast = own[own * way > 0].abs().quantile(own.new_tensor(ENDS)).tolist()
+                at.append(way * torch.linspace(slow, fast, POINTS, dtype=own.dtype))
+        speed = torch.cat(at).sort().values
+        torque, std = self._torque(speed)
+        every = (speed, torque, HALF_95 * std, self._sum(self.given, speed))
+        return FrictionCurve(*(tuple(x.tolist()) for x in every))
+
+    @staticmethod
+    def _moves(own: Float[Tensor, " M"], way: float) -> bool:
+        return int((own * way > 0).sum()) >= FEWEST
+
+    def _torque(
+        self, speed: Float[Tensor, " G"]
+    ) -> tuple[Float[Tensor, " G"], Float[Tensor, " G"]]:
+        """Of the corrected model at these speeds, and its standard deviation."""
+        solution = self.decision.found.solution
+        columns = speed.new_zeros(len(solution.covariance), len(speed))
+        for k, term in enumerate(solution.terms):
+            for effect in (e for e in term.effects if self._is_own(e)):
+                columns[solution.at(k)] += self._over_speed(effect, speed)
+        variance = ((solution.covariance @ columns) * columns).sum(0)
+        return self._sum(self.corrected, speed), variance.clamp(min=0).sqrt()
+
+    def _sum(self, effects: list[Valued], speed: Float[Tensor, " G"]) -> Float[Tensor, " G"]:
+        """Torque of effects."""
+        each = (
+            speed.new_tensor(values) @ self._over_speed(effect, speed) for effect, values in effects
+        )
+        return sum(each, torch.zeros_like(speed))
+
+    def _over_speed(self, effect: Effect, speed: Float[Tensor, " G"]) -> Float[Tensor, "C G"]:
+        """Columns at speeds. Of what depends on more than the speed the straight line in speed
+        through what they are along the log, in each direction."""
+        steady = isinstance(effect, JointEffect) and not (effect.memory or effect.needs)
+        if steady and not isinstance(effect, Wave):
+            # The other joints rest.
+            zero = speed.new_zeros(len(speed), self.joint + 1)
+            dq = zero.clone()
+            dq[:, self.joint] = speed
+            return effect.columns(Motion(zero, dq, zero)).T  # type: ignore[attr-defined]
+        along = self.columns.on_all_joints(effect)[:, self.joint]
+        out = speed.new_zeros(len(along), len(speed))
+        for way in (1.0, -1.0):
+            rows = self.problem.data.keep[self.joint] & (self.speed * way > 0)
+            there = speed * way > 0
+            if int(rows.sum()) < FEWEST:
+                continue
+            line = torch.stack([torch.ones_like(self.speed), self.speed], 1)
+            fitted = torch.linalg.lstsq(line[rows], along[:, rows].T).solution
+            at = torch.stack([torch.ones_like(speed), speed], 1)
+            out[:, there] = (at @ fitted).T[:, there]
+        return out

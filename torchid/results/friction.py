@@ -1,0 +1,120 @@
+"""The friction of one joint as one law: how sure it is, its torque over speed, and its details."""
+
+import math
+
+import msgspec
+from msgspec import UNSET, UnsetType
+
+from torchid.results.record import Joint, Part, Real
+from torchid.results.words import sure, unit_behind
+
+LEAST = 0.05
+"""Probability of a detail from which on it is said."""
+
+
+class FrictionDetail(Part, frozen=True, kw_only=True):
+    """One detail of a law.
+
+    Attributes:
+        detail: in plain words, e.g. `falls at low speed`.
+        effects: of the library, that have it here.
+        how_sure: probability of it; None of what was fitted or known in any case.
+    """
+
+    detail: str
+    effects: tuple[str, ...]
+    how_sure: float | None
+
+    @property
+    def words(self) -> str:
+        """`falls at low speed 93 %`."""
+        return self.detail if self.how_sure is None else f"{self.detail} {sure(self.how_sure)}"
+
+
+class FrictionAt(Part, frozen=True):
+    """Torque at one speed.
+
+    Attributes:
+        speed: [rad/s; m/s].
+        forwards, backwards: torque that moving the joint takes [N m; N], negative backwards; null
+            in a direction in which the log does not move.
+        forwards_std, backwards_std: standard deviations.
+    """
+
+    speed: Real
+    forwards: Real
+    forwards_std: Real
+    backwards: Real
+    backwards_std: Real
+
+    @property
+    def size(self) -> float:
+        """Mean of both directions, or the one that the log has."""
+        both = [x for x in (self.forwards, -self.backwards) if not math.isnan(x)]
+        return sum(both) / len(both) if both else math.nan
+
+
+class FrictionCurve(Part, frozen=True):
+    """Torque over speed, in the directions and at the speeds that a log has; between directions a
+    curve has a gap.
+
+    Attributes:
+        speed: [rad/s; m/s], ascending.
+        torque: of the corrected model [N m; N].
+        half: half of its 95 % interval; zero where nothing of it was fitted.
+        given: torque of the model as given.
+    """
+
+    speed: tuple[Real, ...]
+    torque: tuple[Real, ...]
+    half: tuple[Real, ...]
+    given: tuple[Real, ...]
+
+
+class FrictionLaw(Part, frozen=True, kw_only=True):
+    """All friction of one joint: what the model has and what was found, together.
+
+    What depends on load, position, time or the way since a reversal counts with its mean over the
+    log at each speed.
+
+    Attributes:
+        joint: which.
+        how_sure: probability that any friction is there that the model lacks, whichever it is;
+            None where none was found.
+        share: of the error that it takes away, the sum of its terms'.
+        removes: what it takes away of each joint's error [N m; N], likewise.
+        unit, speed_unit: of torque and speed.
+        details: the surest first.
+        at: slow, middle and fast: the speeds that a tenth, half and nine tenths of the motion stay
+            below.
+        curve: of a diagnosis; absent in its answer.
+    """
+
+    joint: Joint
+    how_sure: float | None
+    share: Real
+    removes: tuple[Real, ...]
+    unit: str
+    speed_unit: str
+    details: tuple[FrictionDetail, ...]
+    at: tuple[FrictionAt, ...]
+    curve: FrictionCurve | UnsetType = UNSET
+
+    @property
+    def brief(self) -> "FrictionLaw":
+        """Without its curve."""
+        return msgspec.structs.replace(self, curve=UNSET)
+
+    def has(self, effect: str) -> bool:
+        """Whether an effect of its joint is a part of it."""
+        return any(effect in d.effects for d in self.details)
+
+    def words(self, every: bool = True) -> str:
+        """`1.2, 1.9, 3.4 N m at 0.1, 0.5, 2 rad/s`, or at the middle speed alone."""
+        known = [x for x in self.at if not math.isnan(x.size)]
+        known = known if every else known[len(known) // 2 :][:1]
+        if not known:
+            return ""
+        sizes = ", ".join(f"{x.size:.2g}" for x in known)
+        speeds = ", ".join(f"{x.speed:.1g}" for x in known)
+        return f"{sizes} {unit_behind(self.unit)} at {speeds} {unit_behind(self.speed_unit)}"
