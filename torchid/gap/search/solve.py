@@ -6,7 +6,6 @@ corrected model itself settle both, and what is nonlinear in several coefficient
 """
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,7 +19,7 @@ from torchid.effects.registry import Valued
 from torchid.gap.data import Data
 from torchid.gap.search.climb import FORETOLD
 from torchid.gap.search.evidence import prior_of
-from torchid.gap.search.terms import BASE, LINK, Term, Wanted, term_columns
+from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, Wanted, term_columns
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.jackknife import fit_statistics
 from torchid.statistics.robust import huber_weights
@@ -232,15 +231,13 @@ def within_physics(
 
 
 def _least(term: Term) -> Float[Tensor, " C"]:
-    """Of each coefficient of a term the least that leaves the model's own where a file of it may
-    hold it (see `effect_from_record`); -inf where it may hold any."""
-    own = term.effects[0].coefficients if term.effects and not term.inertial else ()
-    if not own:
+    """Of each coefficient of a term the least that leaves the whole, with the model's own, where
+    physics allows it; -inf where it allows any."""
+    if not term.effects or term.name in (LINK, PAYLOAD):
         return torch.full((len(term.at),), -torch.inf, dtype=torch.float64)
-    known = [0.0] * len(own) if term.instead else term.known
-    bounded = [c.non_negative and math.isfinite(c.largest) for c in own]
-    least = [-v if b else -math.inf for v, b in zip(known, bounded, strict=True)]
-    return torch.tensor(least, dtype=torch.float64)
+    known = [0.0] * len(term.known) if term.instead else term.known
+    every = zip(term.effects[0].ranges, known, strict=True)
+    return torch.tensor([min(low, 0.0) - v for (low, _), v in every], dtype=torch.float64)
 
 
 def at_estimate(term: Term, values: Float[Tensor, " C"]) -> Term:

@@ -198,6 +198,7 @@ class Candidates:
         gram: joint by joint, fold by fold; part 0 holds samples between folds.
         terms: candidates.
         fixed: terms that are always in the model.
+        given: effects of the model as given, with their coefficients.
     """
 
     columns: Columns
@@ -206,6 +207,7 @@ class Candidates:
     gram: Gram
     terms: tuple[Term, ...]
     fixed: tuple[Term, ...]
+    given: tuple[Valued, ...] = ()
 
     @cached_property
     def batches(self) -> tuple[Batch, ...]:
@@ -285,7 +287,7 @@ def candidates_of(
         fixed = tuple(t for t in terms if (t.name, t.effects) in asked)
         terms = [t for t in excluding(terms, fixed) if not (wanted.free and t.inertial)]
     chosen = tuple(t for t in terms if wanted.asks(t.name, t.joints))
-    return Candidates(columns, gap, data.keep, gram, chosen, fixed)
+    return Candidates(columns, gap, data.keep, gram, chosen, fixed, given.effects)
 
 
 class _Rows:
@@ -592,7 +594,7 @@ def _batches(terms: Sequence[Term]) -> Iterator[Batch]:
             None if place < 0 else place,
             own,
             torch.stack([t.at for t in own]),
-            torch.tensor([[c.non_negative for c in t.coefficients] for t in own]),
+            torch.stack([t.limits[:, 1] >= 0 for t in own]),
             torch.stack([t.optional for t in own]),
             torch.tensor([t.known for t in own], dtype=torch.float64),
             torch.stack([t.limits[:, 2] for t in own]),
