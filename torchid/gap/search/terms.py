@@ -21,6 +21,7 @@ from torchid.design.gram import Gram, inverse_root
 from torchid.design.resonance import Swing
 from torchid.effects.base import Coefficient, Effect, JointEffect, ModelEffect
 from torchid.effects.file_mistakes import FileMistake
+from torchid.effects.gravity import TorqueCrosstalk
 from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import KINDS, Valued
 from torchid.gap.data import Data
@@ -36,6 +37,9 @@ EXPLAINS = 3.0
 """Standard deviations of a coefficient beside the laws of its joint from which a coarse grid
 explains something: what is worth a name has more, and a column of the fine grid has most of it in
 common with a neighbour's."""
+
+AS_LOGGED = 0.5
+"""Correlation of logged torque with the model's from which the one stands for the other [1]."""
 
 LINK = "link_inertia"
 PAYLOAD = "payload"
@@ -436,15 +440,26 @@ def _model_effects(
     kind, then those that were refined or found in a window. Nothing is told of joints whose torque
     holds no signal, for nothing there could speak against it."""
     silent = frozenset(data.silent)
-    bodies = are_bodies(columns.model.robot)
+    bodies, logged = are_bodies(columns.model.robot), as_logged(columns)
     for name in wanted.names:
         kind = KINDS[name]
         # Columns of bodies are none where only their base parameters are known.
         unknown = bool(kind.needs & data.missing) or (kind.of_bodies and not bodies)
         if issubclass(kind, ModelEffect) and not (unknown or kind.inertial or kind.windowed):
             found = [_swinging(e, data) for e in kind.starts(columns.model.robot)]
-            yield [e for e in found if not e.joints or not silent.issuperset(e.joints)]
+            # What another sensor reads is a torque that is there, as the log has it.
+            read = [e for e in found if not isinstance(e, TorqueCrosstalk) or logged[e.read]]
+            yield [e for e in read if not e.joints or not silent.issuperset(e.joints)]
     yield from ([e] for e in extra if isinstance(e, ModelEffect))
+
+
+def as_logged(columns: Columns) -> list[bool]:
+    """Of each joint, whether the model's torque is the logged one, to half of it: not where a
+    joint is passive, or has no sensor."""
+    model = columns.samples.of([m.require("torque", "a log").T for m in columns.motions])
+    logged = columns.samples.of([s.tau.T for s in columns.samples.segments])
+    both = (model * logged).sum(1)
+    return (both > AS_LOGGED * model.norm(dim=1) * logged.norm(dim=1)).tolist()
 
 
 def _between(
