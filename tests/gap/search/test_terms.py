@@ -36,7 +36,7 @@ def test_a_fine_grid_is_where_a_coarse_one_explains_something(joint: int) -> Non
 @pytest.mark.parametrize("logged", [1.0, 0.0])
 def test_crosstalk_is_of_a_torque_that_is_logged(logged: float) -> None:
     """What a passive joint, or one without a sensor, would need is read by no other sensor."""
-    data = measured([(TorqueCrosstalk(0, 1), [0.3])], noise=0.05, count=1)
+    data = measured([(TorqueCrosstalk(0, 1), [0.02])], noise=0.05, count=1)
     keep = torch.tensor([1.0, logged, 1.0]).double()
     data = data_of([replace(s, tau=s.tau * keep) for s in data.segments])
     terms = question_of(data, ("torque_crosstalk",)).candidates.terms

@@ -38,8 +38,9 @@ EXPLAINS = 3.0
 explains something: what is worth a name has more, and a column of the fine grid has most of it in
 common with a neighbour's."""
 
-AS_LOGGED = 0.5
-"""Correlation of logged torque with the model's from which the one stands for the other [1]."""
+AS_LOGGED = 0.2
+"""Correlation of logged torque with the model's from which other sensors may read it [1]: much else
+may be in it, but it is there."""
 
 LINK = "link_inertia"
 PAYLOAD = "payload"
@@ -454,8 +455,8 @@ def _model_effects(
 
 
 def as_logged(columns: Columns) -> list[bool]:
-    """Of each joint, whether the model's torque is the logged one, to half of it: not where a
-    joint is passive, or has no sensor."""
+    """Of each joint, whether the log has the model's torque: not where it is passive, or has no
+    sensor."""
     model = columns.samples.of([m.require("torque", "a log").T for m in columns.motions])
     logged = columns.samples.of([s.tau.T for s in columns.samples.segments])
     both = (model * logged).sum(1)
