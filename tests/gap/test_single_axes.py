@@ -104,3 +104,38 @@ def test_a_loop_over_position_is_presliding_hysteresis():
     found = torchid.diagnose(single_axis("P", mass=5.0), looping(), settings=settings)
     assert [c.effect for c in found.answer.causes] == ["presliding_hysteresis"]
     assert not found.doubt
+
+
+def spinning(more: float) -> torchid.Log:
+    """The motor with so much more inertia [kg m^2], four runs of which one repeats the first."""
+    logs, random = [], np.random.default_rng(0)
+    for w in (1.3, 1.6, 1.9, 1.3):
+        t = np.arange(0.0, 15.0, 1 / 100)
+        q = 0.8 * np.sin(w * t) + 0.4 * np.sin(2.2 * w * t)
+        ddq = -0.8 * w**2 * np.sin(w * t) - 0.4 * (2.2 * w) ** 2 * np.sin(2.2 * w * t)
+        tau = (1.2e-3 + more) * ddq + 1e-4 * random.standard_normal(len(t))
+        logs.append(torchid.Log(t, q[:, None], tau=tau[:, None]))
+    return torchid.Log.concatenate(logs)
+
+
+def test_a_load_on_a_vertical_axis_has_no_mass():
+    """Its moment about the axis is all that the motion tells."""
+    settings = torchid.GapSettings(rollout=False, effects=("payload",), parameters="trusted")
+    found = torchid.diagnose(single_axis(), spinning(0.8e-3), settings=settings)
+    (load,) = found.answer.causes
+    assert load.effect == "payload"
+    known = {s.name: s.value for s in load.sizes if s.determined}
+    assert known == {"Jzz": pytest.approx(0.8e-3, rel=0.05)}
+    assert "kg" not in found.answer.headline.replace("kg m²", "")
+
+
+def test_torque_that_follows_no_model_is_a_gap():
+    """Smoothed noise on a motor: no model leaves so little of it that it could be called right."""
+    log, random = spinning(0.0), np.random.default_rng(1)
+    noise = np.convolve(random.standard_normal(log.q.shape[0]), np.hanning(25), "same")
+    alien = log.replace(tau=(0.05 * noise)[:, None])
+    settings = torchid.GapSettings(rollout=False, effects=("viscous_friction", "coulomb_friction"))
+    found = torchid.diagnose(single_axis(), alien, settings=settings, force=True)
+    assert found.status == "detected_unexplained"
+    assert "does not follow the model" in found.answer.headline
+    assert "no gap" not in str(found.answer).lower()

@@ -338,7 +338,7 @@ def _notes(
             )
     pairs = zip(term.coefficients, values.tolist(), std.tolist(), term.known, strict=True)
     for c, v, s, own in pairs:
-        if s > abs(v):
+        if s > abs(v) and not (term.name == PAYLOAD and told < len(values)):
             out.append(f"{c.name} is not determined: {v:.3g} ± {s:.2g}")
         if own:
             out.append(f"{c.name} is a correction: the model has {own:.4g}, the arm {own + v:.4g}")

@@ -21,9 +21,12 @@ from torchid.gap.search.climb import FORETOLD
 from torchid.gap.search.evidence import prior_of
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, Wanted, term_columns
 from torchid.robot.inertia import InertialParameters
-from torchid.statistics.jackknife import fit_statistics
+from torchid.statistics.jackknife import DETERMINED, fit_statistics
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Int, Tensor
+
+OPEN = 1e-6
+"""Squared part of a coefficient in what the columns leave open, from which it is open, too."""
 
 STEPS = 4
 SETTLED_SHARE = 1e-4
@@ -185,8 +188,28 @@ def _with_deviations(
         differs = torch.zeros_like(v) if t.seen is None else v - t.centre
         twice.append(torch.tensor(unsure, dtype=torch.float64).square() + differs.square())
     covariance = covariance + torch.diag(torch.cat(twice))
-    std = covariance.diagonal().clamp(min=0).sqrt().split([len(v) for v in best.values])
-    return replace(best, std=tuple(std), covariance=covariance)
+    std = covariance.diagonal().clamp(min=0).sqrt()
+    # What these columns leave open has the size that it can have on this robot, or more.
+    most = torch.cat(
+        [
+            v.abs() if t.most is None else t.most
+            for t, v in zip(best.terms, best.values, strict=True)
+        ]
+    )
+    std = torch.where(
+        undetermined(best.products + known.squares), torch.maximum(whole.abs(), most), std
+    )
+    parts = std.split([len(v) for v in best.values])
+    return replace(best, std=tuple(parts), covariance=covariance)
+
+
+def undetermined(matrix: Float[Tensor, "K K"]) -> Bool[Tensor, " K"]:
+    """Which of K coefficients normal equations leave open: those with a part in a direction that no
+    column shows."""
+    size = matrix.diagonal().sqrt()
+    size = torch.where(size > 0, size, torch.inf)
+    values, axes = torch.linalg.eigh(matrix / size / size.unsqueeze(1))
+    return axes[:, values < DETERMINED * values[-1]].square().sum(1) > OPEN
 
 
 def within_physics(

@@ -25,6 +25,7 @@ from torchid.effects.gravity import TorqueCrosstalk
 from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import KINDS, Valued
 from torchid.gap.data import Data
+from torchid.gap.search.scale import Scale
 from torchid.gap.wanted import BASE, Wanted
 from torchid.identification.knowledge import known_names
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
@@ -64,6 +65,8 @@ class Term:
         bodies: what is known of them as corrections of bodies, in the place of `sigma`, with which
             candidates are only ranked; None: nothing.
         seen: what is known of it beside the fit's torque: from other sensors, or above its band.
+        most: (C,) size of each coefficient on this robot, beyond which it is something else; None:
+            any.
         change: (L, 10) of the links' parameters per unit of the one coefficient, of a mistake of
             the robot's file.
         wrong: whether it is a body, or the scale of a torque, that would be plainly wrong.
@@ -84,6 +87,7 @@ class Term:
     information: Float[Tensor, "C F"] | None = None
     wrong: bool = False
     change: Float[Tensor, "L 10"] | None = None
+    most: Float[Tensor, " C"] | None = None
 
     @cached_property
     def limits(self) -> Float[Tensor, "C 3"]:
@@ -96,7 +100,10 @@ class Term:
             return torch.tensor(bounds, dtype=torch.float64).reshape(-1, 3)
         every = self.effects[0].ranges if self.effects else [c.range for c in self.coefficients]
         least, largest = zip(*every, strict=True)
-        return torch.tensor([known, least, largest], dtype=torch.float64).T
+        out = torch.tensor([known, least, largest], dtype=torch.float64)
+        if self.most is not None:
+            out[2] = torch.minimum(out[2], self.most)
+        return out.T
 
     @cached_property
     def optional(self) -> Bool[Tensor, " C"]:
@@ -283,6 +290,8 @@ def candidates_of(
         [t if t.place is None else replace(t, at=t.at + rows.filled) for t in some]
         for some in (terms, beside)
     )
+    scale = Scale(columns)
+    terms = [replace(t, most=scale.largest(t.effects[0])) if t.effects else t for t in terms]
     terms = _standing_in(terms, given.effects)
     if wanted.knowledge is not None:
         fixed = known_terms([*terms, *beside], wanted.knowledge, given.effects)
