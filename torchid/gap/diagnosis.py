@@ -39,6 +39,7 @@ from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
 from torchid.results.record import Rows, by_joint
 from torchid.results.replication import Replication
 from torchid.results.words import count, effect_words, joints_words, listed
+from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot, torque_unit
 from torchid.robot.writer import write_robot
 from torchid.simulation.two_models import Rollout, SimulatedMotion
@@ -222,6 +223,30 @@ class HowFar:
         return max(0.0, float(1 - self.rms_after.norm() / self.rms_before.norm()))
 
 
+def body_change(before: InertialParameters, after: InertialParameters) -> str:
+    """What to set of a link: its mass, centre of mass and inertia, before and after; of numbers
+    without a mass the first moment, and the inertia about the link's frame."""
+    heavy = min(float(before.mass), float(after.mass)) > 0
+    mass, centre, inertia = (
+        " -> ".join(words)
+        for words in zip(*(_body_words(body, heavy) for body in (before, after)), strict=True)
+    )
+    where, about = ("centre of mass", "it") if heavy else ("first moment", "the link's frame")
+    return (
+        f"Set the link's mass {mass} kg, its {where} {centre} {'m' if heavy else 'kg m'}, its "
+        f"inertia about {about} (xx, yy, zz) {inertia} kg m²."
+    )
+
+
+def _body_words(body: InertialParameters, heavy: bool) -> tuple[str, str, str]:
+    """Mass, centre of mass or first moment, and inertia about that or the link's frame."""
+    centre = body.com if heavy else body.first_moment
+    inertia = body.inertia_about_com if heavy else body.inertia_about_link_frame
+    parts = (centre, inertia[[0, 3, 5]])
+    centre_words, inertia_words = (f"({', '.join(f'{v:.3g}' for v in x.tolist())})" for x in parts)
+    return f"{float(body.mass):.3g}", centre_words, inertia_words
+
+
 def _link(changed: Parametric) -> FoundEffect:
     """Changed inertial parameters as an accepted effect; a link has the number of its joint."""
     return FoundEffect.of(
@@ -237,7 +262,7 @@ def _link(changed: Parametric) -> FoundEffect:
         shape=(),
         places=(),
         meaning=INERTIA_MEANING,
-        remedy=INERTIA_REMEDY,
+        remedy=changed.change or INERTIA_REMEDY,
     )
 
 

@@ -288,6 +288,8 @@ class Parametric(Part, frozen=True):
             parameters are always refitted.
         ambiguous_with: names of effects.
         all_base_parameters: whether there is no link.
+        change: mass, centre of mass and inertia of the link before and after, one sentence that
+            says what to set; empty of all base parameters.
     """
 
     links: tuple[Joint, ...]
@@ -299,6 +301,7 @@ class Parametric(Part, frozen=True):
     removes: tuple[Real, ...] = ()
     branch_sure: float | None = None
     all_base_parameters: bool = False
+    change: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -282,7 +282,7 @@ def corrected_model(
         elif term.change is not None:
             pi += float(v) * term.change
         elif term.name == LINK:
-            pi[term.effects[0].joints[0]] += v
+            pi[start.robot.own_links[term.effects[0].joints[0]]] += v
         else:
             for _, own, _ in term.instead:
                 effects = [p for p in effects if p[0] != own.effects[0]]
