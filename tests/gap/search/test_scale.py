@@ -34,6 +34,15 @@ def test_sizes_are_those_of_the_robot() -> None:
     assert float(scale.largest(ViscousFriction(1))[0]) > BEYOND_ROBOT * torque / float(speed) * 0.5
 
 
+def test_a_limit_of_a_joint_is_its_torque() -> None:
+    """Where the file knows one; an unlimited joint has the log's own."""
+    ends = torch.tensor([[-40.0, 30.0], [-torch.inf, torch.inf], [-1e-9, 1e-9]]).double()
+    limited = ROBOT.with_limits(torque=ends)
+    samples = measured([]).samples
+    plain, own = (Scale(Columns(Model(r, ()), samples)).torque for r in (ROBOT, limited))
+    assert own.tolist() == [max(40.0, float(plain[0])), *plain[1:].tolist()]
+
+
 def _payload(mass: float) -> Tensor:
     body = [mass, 0.1 * mass, 0, 0, 0.02 * mass, 0, 0, 0.02 * mass, 0, 0.02 * mass]
     return torch.tensor(body, dtype=torch.float64)

@@ -30,8 +30,8 @@ class Scale:
             for signals in zip(*((s.tau, s.motion.dq, s.motion.ddq) for s in segments), strict=True)
         )
         limit = robot.limits.torque
-        limit = torch.zeros_like(tau) if limit is None else limit.to(tau).nan_to_num(0.0, 0.0)
-        self.torque = torch.maximum(tau, limit)
+        most = torch.zeros_like(tau) if limit is None else limit.to(tau).abs().amax(-1)
+        self.torque = torch.maximum(tau, most.nan_to_num(0.0, 0.0))
         self.length = reach(robot)
         # A file whose masses are far too small still has joints that carry them.
         carried = float(self.torque.max()) / (GRAVITY * self.length)
