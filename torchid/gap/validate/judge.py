@@ -192,7 +192,7 @@ def status_of(
     odd = (excess > EXCESS) & (noise.structure > 0)
     clear = (excess > CLEAR_EXCESS) & ~noise.uneven
     if noise.floor.source != "repeats":
-        odd = clear = torch.zeros_like(odd)  # of the noise there is an upper bound only
+        odd = clear = torch.zeros_like(odd)  # nothing but repeats bounds the noise above
     unexplained = bool((odd | clear | ((noise.structure > STRUCTURE) & (beyond > least))).any())
     if not (said.effects or said.parametric):
         if unexplained or taken:
@@ -223,8 +223,8 @@ def warnings_of(found: Explanation, checked: Checked, problem: Problem) -> list[
         )
     if checked.noise.floor.source != "repeats":
         out.append(
-            "Next time: record one motion twice. None is repeated here, so the noise is known "
-            "only between bounds."
+            "Next time: record one motion twice. None is repeated here, so nothing says how much "
+            "of what is left is noise."
         )
     if len(found.terms) >= settings.max_effects:
         out.append(
