@@ -99,7 +99,7 @@ def _how_far(record: dict[str, Any], n: int) -> Iterator[str]:
     if [e["joint"] for e in far["per_joint"]] != list(range(1, n + 1)):
         yield "per_joint is not of joints 1..n"
     low, high = far["noise_floor_rms"]
-    if not 0 <= low <= high:
+    if not 0 <= low <= (low if high is None else high):
         yield f"the noise floor is {low}..{high}"
 
 

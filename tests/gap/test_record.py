@@ -5,12 +5,13 @@ import math
 from dataclasses import replace
 from typing import get_args
 
+import msgspec
 import pytest
 import torch
 
 import torchid
 from tests.arms import mixed_arm
-from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis
+from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis, floor
 from torchid.effects.friction import ViscousFriction
 from torchid.effects.registry import effect_from_record
 from torchid.gap.record import Parametric, RegimeGap, Status
@@ -117,3 +118,16 @@ def test_units_of_prismatic_joints():
 )
 def test_plain(value, expected):
     assert plain(value) == expected
+
+
+@pytest.mark.parametrize("source", ["repeats", "bracket"])
+def test_only_repeats_bound_the_noise_above(source):
+    noise = msgspec.structs.replace(floor(), source=source)
+    told = replace(diagnosis(), floor=noise)
+    said = told.plain()
+    far = said["how_far"]
+    ends = [j["noise_floor_rms"] for j in (far, *far["per_joint"])]
+    ends += [told.answer.plain()["noise"]] if hasattr(told.answer, "plain") else []
+    assert all((high is None) == (source == "bracket") for _, high in ends)
+    assert all(low is not None for low, _ in ends)
+    assert ("unknown" in str(told.answer)) == (source == "bracket")

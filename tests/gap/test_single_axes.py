@@ -1,7 +1,10 @@
 """Single axes by formula: what turns on, and a loop over position."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
 
 import torchid
 from tests.arms import single_axis
@@ -104,3 +107,44 @@ def test_a_loop_over_position_is_presliding_hysteresis():
     found = torchid.diagnose(single_axis("P", mass=5.0), looping(), settings=settings)
     assert [c.effect for c in found.answer.causes] == ["presliding_hysteresis"]
     assert not found.doubt
+
+
+def spinning(inertia: float = 1.2e-3) -> torchid.Log:
+    """The motor with another inertia [kg m^2], four runs of which one repeats the first."""
+    logs, random = [], np.random.default_rng(0)
+    for w in (1.3, 1.6, 1.9, 1.3):
+        t = np.arange(0.0, 15.0, 1 / 100)
+        q = 0.8 * np.sin(w * t) + 0.4 * np.sin(2.2 * w * t)
+        ddq = -0.8 * w**2 * np.sin(w * t) - 0.4 * (2.2 * w) ** 2 * np.sin(2.2 * w * t)
+        tau = inertia * ddq + 1e-4 * random.standard_normal(len(t))
+        logs.append(torchid.Log(t, q[:, None], tau=tau[:, None]))
+    return torchid.Log.concatenate(logs)
+
+
+@pytest.mark.parametrize("out", [0.0, 0.3])
+def test_a_load_on_a_vertical_axis_has_no_mass(out):
+    """Its moment about the axis is all that the motion tells: of a link whose frame is out there
+    none of the ten numbers by itself."""
+    frame = torch.eye(4, dtype=torch.float64)
+    frame[0, 3] = out
+    robot = replace(single_axis(), after=frame[None])
+    inertia = 1.2e-3 + 0.5 * out**2
+    settings = torchid.GapSettings(rollout=False, effects=("payload",), parameters="trusted")
+    found = torchid.diagnose(robot, spinning(1.5 * inertia), settings=settings, force=True)
+    (load,) = found.answer.causes
+    assert load.effect == "payload"
+    known = {s.name: s.value for s in load.sizes if s.determined}
+    assert known == ({} if out else {"Jzz": pytest.approx(0.5 * inertia, rel=0.05)})
+    assert "kg" not in found.answer.headline.replace("kg m²", "")
+
+
+def test_torque_that_follows_no_model_is_a_gap():
+    """Smoothed noise on a motor: no model leaves so little of it that it could be called right."""
+    log, random = spinning(), np.random.default_rng(1)
+    noise = np.convolve(random.standard_normal(log.q.shape[0]), np.hanning(25), "same")
+    alien = log.replace(tau=(0.05 * noise)[:, None])
+    settings = torchid.GapSettings(rollout=False, effects=("viscous_friction", "coulomb_friction"))
+    found = torchid.diagnose(single_axis(), alien, settings=settings, force=True)
+    assert found.status == "detected_unexplained"
+    assert "does not follow the model" in found.answer.headline
+    assert "no gap" not in str(found.answer).lower()

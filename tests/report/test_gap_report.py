@@ -36,7 +36,7 @@ def lines_of(screen, width: int) -> list[str]:
 
 
 SENTENCES = {
-    "no_gap": "No gap beyond noise: 0.105 N m (noise 0.0693 to 0.104). 2 effects could not "
+    "no_gap": "No gap beyond noise: 0.105 N m (noise 0.0693 to unknown). 2 effects could not "
     "have been seen in it.",
     "parametric_only": "Inertia of link 3 lowers the gap: 0.617 -> 0.105 N m, 83 % less.",
     "explained": "Coulomb friction on joint 2 (0.61 ± 0.02 N m) lowers the gap: "
@@ -79,7 +79,9 @@ def test_headline_of_one_effect_on_two_joints():
 
 def test_headline_says_where_an_unexplained_gap_lies():
     said = diagnosis("detected_unexplained", findings=()).answer.headline
-    assert said.startswith("No known effect explains the gap of 0.617 N m (noise 0.0693 to 0.104).")
+    assert said.startswith(
+        "No known effect explains the gap of 0.617 N m (noise 0.0693 to unknown)."
+    )
     assert said.endswith("It is largest on joint 2.")
 
 

@@ -17,8 +17,8 @@ from torchid.robot.inertia import InertialParameters, parallel_axis
 from torchid.robot.model import Robot
 from torchid.typing import Float
 
-_WHOLE = (0.7, 1.3)
-"""Shares of a mistake that are the whole of it [1]."""
+_MOST, _LEAST = 1.3, 0.7
+"""Shares of a mistake that are the whole of it [1]: it is there, or it is not."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,6 @@ class FileMistake(LinkEffect):
     source = (
         "Atkeson, An and Hollerbach 1986, IJRR 5(3), for the parameters; URDF: inertial, inertia"
     )
-
-    @property
-    def ranges(self) -> tuple[tuple[float, float], ...]:
-        """The whole mistake: it is there, or it is not."""
-        return (_WHOLE,)
 
     def correction(self, body: InertialParameters) -> InertialParameters:
         """What a link's parameters lack per unit coefficient."""
@@ -70,7 +65,7 @@ class InertiaReferencePoint(FileMistake):
     """A link's inertia is given about its frame's origin, and declared at its centre of mass."""
 
     name = "inertia_reference_point"
-    coefficients = (ArmCoefficient("w", "1", True, "share of m c^2 that is counted twice", 1.3),)
+    coefficients = (ArmCoefficient("w", "1", True, "share of m c^2 counted twice", _MOST, _LEAST),)
     meaning = (
         "The link's inertia is about its joint, and the file says that it is about its centre."
     )
@@ -91,17 +86,13 @@ class InertiaScale(FileMistake):
     """A link's inertia about its centre of mass is another one by a factor."""
 
     name = "inertia_scale"
-    coefficients = (ArmCoefficient("s", "1", False, "relative change of the inertia", 1e6),)
+    # No body has a negative inertia.
+    coefficients = (ArmCoefficient("s", "1", False, "relative change of the inertia", 1e6, -1.0),)
     meaning = "The link's inertia is in another unit (g mm^2 for kg m^2), or of one of two halves."
     equation = "s Y_j (0, 0, J_c)"
     signature = "with acceleration alone; gravity is right"
     remedy = "Multiply the link's inertia in the file by 1 + s; near a power of ten it is a unit."
     example = Example((1.0,), "acceleration")
-
-    @property
-    def ranges(self) -> tuple[tuple[float, float], ...]:
-        """No body has a negative inertia."""
-        return ((-1.0, self.coefficients[0].largest),)
 
     def correction(self, body: InertialParameters) -> InertialParameters:
         """Once more the inertia about the centre of mass."""
@@ -123,7 +114,7 @@ class MirroredLink(FileMistake):
 
     name = "mirrored_link"
     shared = False
-    coefficients = (ArmCoefficient("w", "1", True, "share of the mirror image", 1.3),)
+    coefficients = (ArmCoefficient("w", "1", True, "share of the mirror image", _MOST, _LEAST),)
     meaning = "The link's body is mirrored: a left arm's file on a right arm, or a sign of its CAD."
     equation = "w Y_j (M pi_j - pi_j), M a reflection of the link's frame along an axis"
     signature = "with gravity, of the other sign along one axis, and with acceleration"

@@ -119,7 +119,9 @@ class TorqueGain(TorqueShare):
     """A joint's torque is measured with a wrong scale."""
 
     name = "torque_gain"
-    coefficients = (Coefficient("gain", "1", False, "relative error of the torque's scale", 0.7),)
+    coefficients = (
+        Coefficient("gain", "1", False, "relative error of the torque's scale", 0.7, -0.5),
+    )
     meaning = "The torque sensor's scale, or the drive's torque constant, is off."
     equation = "gain tau_j"
     signature = (

@@ -32,6 +32,7 @@ class Coefficient:
         meaning: one line.
         largest: size that it hardly exceeds on any arm, in `unit`: two standard deviations of what
             is expected before a log is seen; what seems larger is something else.
+        least: below which it is on no arm, in `unit`, beside the sign that physics forbids.
     """
 
     name: str
@@ -39,11 +40,12 @@ class Coefficient:
     non_negative: bool
     meaning: str
     largest: float = math.inf
+    least: float = -math.inf
 
     @property
     def range(self) -> tuple[float, float]:
         """Least and largest that it is on any arm, in `unit`."""
-        return (0.0 if self.non_negative else -math.inf), self.largest
+        return max(0.0 if self.non_negative else -math.inf, self.least), self.largest
 
     def unit_for(self, prismatic: bool) -> str:
         """The unit on this kind of joint."""

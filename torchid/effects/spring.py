@@ -1,5 +1,6 @@
 """Torque of springs between the links: return springs, cables and hoses, counterbalances."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,10 @@ from torch import Tensor
 from torchid.digits import number
 from torchid.effects.base import Coefficient, Columns, Example, JointEffect, Motion, Shape
 from torchid.effects.c_text import add
+
+_LEVER = 0.5
+"""Curvature from which on a spring is a counterbalance [1/rad^2]: 1 where its lever turns with the
+joint."""
 
 _SERIES = 1e-3
 """|curvature q^2| below which the series of C and S is exact to rounding."""
@@ -32,7 +37,8 @@ class JointSpring(JointEffect):
     for the straight spring, nothing for waves, but e^(2 w q0) for hardening ones (1e5 to 1e6 half a
     turn away, one radian of travel).
 
-    k may be negative: a counterbalance beyond its balance point pushes away from it.
+    k is negative of a counterbalance alone, whose lever turns with the joint: beyond its balance
+    point it pushes away from it. A spring pulls back.
 
     Attributes:
         curvature: -tau''/tau [1/rad^2; 1/m^2].
@@ -75,6 +81,11 @@ class JointSpring(JointEffect):
         "counterbalances; Duffing's equation for k3"
     )
     example = Example((2.0, 0.0), "position")
+
+    @property
+    def ranges(self) -> tuple[tuple[float, float], ...]:
+        """No spring pushes away from its rest position, but a counterbalance."""
+        return ((0.0 if self.curvature < _LEVER else -math.inf, math.inf), super().ranges[1])
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:

@@ -238,7 +238,11 @@ def _row(answer: LogAnswer, gap: dict[str, Any]) -> DiagnosedLog:
         status=gap["status"] if gap else answer.verdict,
         evidence=" ".join(answer.evidence),
         key=answer.key,
-        gap=tuple(_ratio(j["gap_rms"], j["noise_floor_rms"][1]) for j in joints),
+        # Over the upper end of the noise, or the lower one where that alone is known.
+        gap=tuple(
+            _ratio(j["gap_rms"], max(filter(None, j["noise_floor_rms"]), default=None))
+            for j in joints
+        ),
         closed=gap["how_far"]["closed"] if gap else None,
         effects=tuple(effect_label(e["effect"], e["joints"]) for e in gap.get("which", ())),
     )

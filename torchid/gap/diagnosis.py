@@ -1,15 +1,16 @@
 """The answer: where the gap lies, which effects cause it, how far it shrinks."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import torch
 from msgspec import UNSET
 
 from torchid.design.columns import Columns, Model
-from torchid.design.segments import EDGE, Samples, Segment
+from torchid.design.segments import EDGE, NEVER, Samples, Segment
 from torchid.effects.base import Coefficient, Effect, Motion
 from torchid.effects.names import PLACES
 from torchid.effects.registry import Valued
@@ -39,6 +40,7 @@ from torchid.results.friction import FrictionLaw
 from torchid.results.record import Rows, by_joint
 from torchid.results.replication import Replication
 from torchid.results.words import count, effect_words, joints_words, listed
+from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot, torque_unit
 from torchid.robot.writer import write_robot
 from torchid.simulation.two_models import Rollout, SimulatedMotion
@@ -47,6 +49,12 @@ from torchid.typing import Bool, Float, Tensor
 
 if TYPE_CHECKING:
     from torchid.next_motion.separating_motion import Separation
+
+UNLIKE = 0.5
+"""Share of the torque's variance on joints that move, beyond which it does not follow the model as
+given [1]."""
+
+FOREIGN = "Most of this torque does not follow the model."
 
 INERTIA_MEANING = "The link's mass, centre of mass or inertia differs from the model's."
 INERTIA_REMEDY = (
@@ -93,6 +101,22 @@ class Trace:
         """Instants of each joint that count for how far the gap closes."""
         every = self.valid.unsqueeze(1).expand_as(self.measured)
         return every if self.moving is None else every & self.moving
+
+
+def unfollowed(traces: Sequence[Trace]) -> Float[Tensor, " n"]:
+    """Share (n,) of the variance of each joint's torque that the model as given does not follow;
+    more than 1 where it explains nothing."""
+    torque = torch.cat([t.measured[t.valid] for t in traces])
+    gap = torch.cat([(t.measured - t.before)[t.valid] for t in traces])
+    return gap.square().mean(0) / (torque - torque.mean(0)).square().mean(0)
+
+
+def is_foreign(traces: Sequence[Trace]) -> bool:
+    """Whether most of the torque of the joints that move does not follow the model as given: then
+    a gap without a known cause is no noise."""
+    q = torch.cat([t.motion.q for t in traces]) if traces else torch.zeros(1, 0)
+    moves = q.amax(0) - q.amin(0) > NEVER
+    return bool(unfollowed(traces)[moves].clamp(max=1).mean() > UNLIKE) if moves.any() else False
 
 
 @dataclass(frozen=True)
@@ -200,6 +224,30 @@ class HowFar:
         return max(0.0, float(1 - self.rms_after.norm() / self.rms_before.norm()))
 
 
+def body_change(before: InertialParameters, after: InertialParameters) -> str:
+    """What to set of a link: its mass, centre of mass and inertia, before and after; of numbers
+    without a mass the first moment, and the inertia about the link's frame."""
+    heavy = min(float(before.mass), float(after.mass)) > 0
+    mass, centre, inertia = (
+        " -> ".join(words)
+        for words in zip(*(_body_words(body, heavy) for body in (before, after)), strict=True)
+    )
+    where, about = ("centre of mass", "it") if heavy else ("first moment", "the link's frame")
+    return (
+        f"Set the link's mass {mass} kg, its {where} {centre} {'m' if heavy else 'kg m'}, its "
+        f"inertia about {about} (xx, yy, zz) {inertia} kg m²."
+    )
+
+
+def _body_words(body: InertialParameters, heavy: bool) -> tuple[str, str, str]:
+    """Mass, centre of mass or first moment, and inertia about that or the link's frame."""
+    centre = body.com if heavy else body.first_moment
+    inertia = body.inertia_about_com if heavy else body.inertia_about_link_frame
+    parts = (centre, inertia[[0, 3, 5]])
+    centre_words, inertia_words = (f"({', '.join(f'{v:.3g}' for v in x.tolist())})" for x in parts)
+    return f"{float(body.mass):.3g}", centre_words, inertia_words
+
+
 def _link(changed: Parametric) -> FoundEffect:
     """Changed inertial parameters as an accepted effect; a link has the number of its joint."""
     return FoundEffect.of(
@@ -215,7 +263,7 @@ def _link(changed: Parametric) -> FoundEffect:
         shape=(),
         places=(),
         meaning=INERTIA_MEANING,
-        remedy=INERTIA_REMEDY,
+        remedy=changed.change or INERTIA_REMEDY,
     )
 
 
@@ -357,7 +405,7 @@ class TorqueDiagnosis(Diagnosis):
             suspects=tuple(e.cause for e in self.suspects),
             small=tuple(e.cause for e in self.small),
             reason=self._reason,
-            doubt=self.doubt or UNSET,
+            doubt=self.doubt or self._foreign or UNSET,
         )
 
     @property
@@ -378,6 +426,12 @@ class TorqueDiagnosis(Diagnosis):
         if self.status == "no_gap" and self.not_testable:
             return f"{count(len(self.not_testable), 'effect')} could not have been seen in it."
         return ""
+
+    @property
+    def _foreign(self) -> str:
+        """That the torque is another one than the model's, where nothing is named; else empty."""
+        unknown = self.status == "detected_unexplained" and not (self.findings or self.parametric)
+        return FOREIGN if unknown and is_foreign(self.traces) else ""
 
     def write_corrected(self, path: str | Path) -> None:
         """Write the corrected robot with its effects as a .yaml.

@@ -289,6 +289,8 @@ class Parametric(Part, frozen=True):
             parameters are always refitted.
         ambiguous_with: names of effects.
         all_base_parameters: whether there is no link.
+        change: mass, centre of mass and inertia of the link before and after, one sentence that
+            says what to set; empty of all base parameters.
     """
 
     links: tuple[Joint, ...]
@@ -300,6 +302,7 @@ class Parametric(Part, frozen=True):
     removes: tuple[Real, ...] = ()
     branch_sure: float | None = None
     all_base_parameters: bool = False
+    change: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -414,7 +417,9 @@ class NoiseFloor(Part, frozen=True):
     """RMS of the noise in the band of the report.
 
     Attributes:
-        low, high: (n,) bracket [N m; N].
+        low, high: (n,) interval, as repeats of a motion tell it; without them what is noise at
+            least, and what a flexible predictor leaves of the residual, which may be misfit as well
+            and is no bound [N m; N].
         source: `repeats` or `bracket`.
         notes: sentences for the user.
     """
@@ -426,13 +431,15 @@ class NoiseFloor(Part, frozen=True):
 
     @property
     def ends(self) -> Float[Tensor, "n 2"]:
-        """The bracket of each joint [N m; N]."""
-        return torch.stack([self.low, self.high], 1)
+        """The interval of each joint [N m; N], open (NaN) at its upper end without repeats."""
+        high = self.high if self.source == "repeats" else torch.full_like(self.high, torch.nan)
+        return torch.stack([self.low, high], 1)
 
     @property
     def total(self) -> Interval:
-        """The bracket over all joints, as root of the sum of squares."""
-        return float(self.low.norm()), float(self.high.norm())
+        """The same over all joints, as root of the sum of squares."""
+        low, high = self.ends.norm(dim=0).tolist()
+        return low, high
 
 
 @dataclass(frozen=True)

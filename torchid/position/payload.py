@@ -33,6 +33,7 @@ from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import PROFILE, Body, Windows, body_near
+from torchid.statistics.criteria import BEYOND_ROBOT
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Float
 
@@ -193,8 +194,9 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
     left = x - (began + step)
     rows = float(alike_rows(s.residual, windows).mean())
     std = (_deviations(alone, r, prior, windows, rows).square() + left.square()).sqrt()
-    # First moments without a mass are no body: something else bends these joints.
-    if not float(x[0]) > HALF_95 * float(std[0]):
+    # First moments without a mass are no body, nor has a load many times the arm's own: something
+    # else bends these joints.
+    if not HALF_95 * float(std[0]) < float(x[0]) < BEYOND_ROBOT * float(masses.sum()):
         return None
     std = std / torch.cat([x.new_ones(1), x[:1].expand(3)])
     com = load.point + x[1:] / x[0]

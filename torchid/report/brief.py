@@ -15,7 +15,7 @@ from torchid.errors import visible
 from torchid.report.cautions import cautions
 from torchid.report.page.answer import first_steps
 from torchid.results.answer import UNCHANGED, Answer, Cause, JointRow, cause_cells, ordered
-from torchid.results.words import count, sure
+from torchid.results.words import count, span, sure
 
 MOST_LINES = 23
 """Of the screen; with the prompt's command and the files' line they are 25."""
@@ -124,7 +124,7 @@ class Screen:
                 continue
             cells = [label, f"{error.before:.3g} -> {error.after:.3g}"]
             if wide:
-                cells.append(" - ".join(dict.fromkeys(f"{x:.2g}" for x in error.noise)))
+                cells.append(span(error.noise, ".2g", " - "))
                 cells.append(bar(error.before, error.after, longest))
             text = "; ".join(_causes(row, detail)) or self._hint(row, detail)
             table.add_row(*(Text(visible(cell)) for cell in (*cells, text)))

@@ -200,7 +200,8 @@ class JointError(Part, frozen=True, kw_only=True):
         joint, name: which.
         before, after: of the model as given, and with the causes; of positions, of a plain servo
             and with the causes. Null of a joint that never moves.
-        noise: lowest and highest estimate of what no model can close.
+        noise: lowest and highest estimate of what no model can close; NaN (null) where repeats do
+            not tell it, for what is left may be misfit as well.
     """
 
     joint: Joint

@@ -66,8 +66,8 @@ def unit_behind(unit: str) -> str:
 
 
 def span(ends: Iterable[float], digits: str = ".3g", to: str = " to ") -> str:
-    """`0.1 to 0.2`; one number where both read the same."""
-    return to.join(dict.fromkeys(f"{end:{digits}}" for end in ends))
+    """`0.1 to 0.2`; one number where both read the same; an end that is NaN is unknown."""
+    return to.join(dict.fromkeys(f"{x:{digits}}" if x == x else "unknown" for x in ends))
 
 
 def within(value: float, ends: tuple[float, float], unit: str) -> str:

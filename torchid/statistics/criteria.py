@@ -71,3 +71,6 @@ STRUCTURE = 0.25
 
 SHORTEST_LOG = 8.0
 """Length of all samples below which `no gap` cannot be said [s]."""
+
+BEYOND_ROBOT = 5.0
+"""Times an arm's own moving mass, torque or reach, beyond which a size is none of its [1]."""

@@ -246,14 +246,16 @@ def test_the_model_s_own_shape_stands_beside_itself() -> None:
 
 def test_evidence_is_made_of_likelihood_and_cost(question: Question) -> None:
     n = torch.tensor([100.0, 50.0, 20.0], dtype=torch.float64)
-    terms = [term(question, "viscous_friction", 1), term(question, "asymmetric_friction", 0)]
+    # Friction that differs by direction resists beside dry friction.
+    names = (("viscous_friction", 1), ("asymmetric_friction", 0), ("coulomb_friction", 0))
+    terms = [term(question, *name) for name in names]
     fit = fit_terms(question, terms, n)
     nothing = torch.stack([g[-1, -1] for g in question.normal.g])
     likelihood = float((n * (nothing / fit.losses).log()).sum())
     two = directions(question, terms[1])
     causes = {t.key for t in question.candidates.terms}
     price = 2 * math.log(len(causes) / question.settings.alpha)
-    paid = math.log(50.0) + two * math.log(100.0) + 2 * price
+    paid = math.log(50.0) + (two + 1) * math.log(100.0) + 3 * price
     assert cost(question, terms, n) == pytest.approx(paid)
     assert fit.evidence == pytest.approx(likelihood - paid)
     assert fit_terms(question, (), n).evidence == pytest.approx(0.0)

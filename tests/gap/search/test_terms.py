@@ -1,12 +1,15 @@
 """Which candidates there are."""
 
 from collections import Counter
+from dataclasses import replace
 
 import pytest
+import torch
 
-from tests.gap.problems import measured, question_of
+from tests.gap.problems import data_of, measured, question_of
 from torchid.effects.backlash import IMPACTS, WIDTHS, Backlash
 from torchid.effects.friction import CoulombFriction
+from torchid.effects.gravity import TorqueCrosstalk
 
 
 @pytest.mark.parametrize("joint", [0, 1])
@@ -28,3 +31,15 @@ def test_a_fine_grid_is_where_a_coarse_one_explains_something(joint: int) -> Non
     extra = [play, Backlash(joint, 1.1 * width), Backlash(2, width, *IMPACTS[0])]
     again = question_of(data, names, extra=extra).candidates.terms
     assert all([t.effects for t in again].count((e,)) == 1 for e in extra)
+
+
+@pytest.mark.parametrize("logged", [1.0, 0.0])
+def test_crosstalk_is_of_a_torque_that_is_logged(logged: float) -> None:
+    """What a passive joint, or one without a sensor, would need is read by no other sensor."""
+    data = measured([(TorqueCrosstalk(0, 1), [0.02])], noise=0.05, count=1)
+    keep = torch.tensor([1.0, logged, 1.0]).double()
+    data = data_of([replace(s, tau=s.tau * keep) for s in data.segments])
+    terms = question_of(data, ("torque_crosstalk",)).candidates.terms
+    sources = {t.effects[0].source_joint for t in terms if t.effects}
+    assert (1 in sources) == (logged > 0)
+    assert {0, 2} <= sources

@@ -13,7 +13,7 @@ from dataclasses import replace
 import torch
 
 from torchid.design.bodies import Priors
-from torchid.design.gram import Equations, Folds, Solved
+from torchid.design.gram import Equations, Folds
 from torchid.effects.registry import KINDS
 from torchid.gap.search.evidence import (
     TOGETHER,
@@ -88,7 +88,7 @@ def climb_from(question: Question, start: Sequence[Term]) -> Fitted:
 def drop_unphysical(question: Question, fit: Fitted, rounds: int = 2) -> Fitted:
     """Without the terms that physics refuses beside the others; `rounds` as for `fit_terms`."""
     while fit.evidence == -math.inf:
-        gone = unphysical_terms(fit.terms, Solved(fit.x, fit.root))
+        gone = unphysical_terms(question, fit)
         own = excluding(question.own(fit), gone)
         if len(own) == len(question.own(fit)):
             break

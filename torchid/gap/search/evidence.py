@@ -35,6 +35,7 @@ from torchid.design.gram import (
 )
 from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
+from torchid.gap.search.dissipation import Dissipation
 from torchid.gap.search.terms import BASE, Batch, Candidates, Term, term_columns
 from torchid.gap.settings import GapSettings
 from torchid.statistics.autocorrelation import autocorrelation, time_of
@@ -139,6 +140,11 @@ class Question:
     def known(self) -> bool:
         """Whether the model as given knows how sure it is."""
         return any(t.information is not None for t in self.fixed)
+
+    @cached_property
+    def dissipation(self) -> Dissipation:
+        """Of the friction of its joints."""
+        return Dissipation(self.candidates.columns, self.candidates.given)
 
     @cached_property
     def looks(self) -> float:
@@ -472,6 +478,8 @@ def _fit_each(
             any_wrong = bool(wrong.any())
         else:
             fit = with_evidence(question, fit)
+            if complete[k] and question.dissipation.driving(fit.terms, fit.x, fit.root):
+                fit = replace(fit, evidence=-math.inf)
         out.append(fit)
     return out, complete
 
@@ -514,10 +522,12 @@ def out_of_bounds(limits: Float[Tensor, "*batch K 3"], solved: Solved) -> Bool[T
     return (solved.x + known < least - slack) | (solved.x.abs() > largest + slack)
 
 
-def unphysical_terms(terms: Sequence[Term], solved: Solved) -> list[Term]:
-    """Terms of which physics forbids a coefficient."""
-    parts = out_of_bounds(limits_of(terms), solved).split([t.count for t in terms])
-    return [t for t, own in zip(terms, parts, strict=True) if bool(own.any())]
+def unphysical_terms(question: Question, fit: Fitted) -> list[Term]:
+    """Terms of which physics forbids a coefficient, or that make friction drive their joint."""
+    wrong = out_of_bounds(limits_of(fit.terms), Solved(fit.x, fit.root))
+    parts = zip(fit.terms, wrong.split([t.count for t in fit.terms]), strict=True)
+    refused = [t for t, own in parts if bool(own.any())]
+    return refused or question.dissipation.driving(fit.terms, fit.x, fit.root)
 
 
 def cost(

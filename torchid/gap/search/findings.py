@@ -14,7 +14,7 @@ from torchid.effects.registry import KINDS
 from torchid.effects.spring import JointSpring
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
-from torchid.gap.diagnosis import Finding, HowFar, unit_of
+from torchid.gap.diagnosis import Finding, HowFar, body_change, unit_of
 from torchid.gap.record import Experiment, Informative, Parametric
 from torchid.gap.search.climb import (
     LIKELIEST,
@@ -192,7 +192,8 @@ def describe_findings(
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()
             took = alone[k], tuple(removes[k]), one.branch_sure
-            parametric.append(Parametric(links, shares[k], p, names, one.sure, *took))
+            every = shares[k], p, names, one.sure, *took
+            parametric.append(Parametric(links, *every, change=_change(found, links)))
             continue
         separable = _separable(found, one)
         if separable is not None:
@@ -224,6 +225,14 @@ def describe_findings(
         tuple(undecided),
         tuple(rivals),
     )
+
+
+def _change(found: Explanation, links: Sequence[int]) -> str:
+    """Of a link, from the model that is corrected to the corrected one; empty of no link."""
+    own = [found.solution.start.robot.own_links[joint] for joint in links]
+    both = (found.solution.start, found.solution.model)
+    every = [m.robot.require_parameters("a change").pi[own] for m in both]
+    return body_change(*(InertialParameters(pi[0]) for pi in every)) if own else ""
 
 
 def _separable(found: Explanation, one: Judged) -> Term | None:
@@ -380,7 +389,7 @@ def _notes(
             )
     pairs = zip(term.coefficients, values.tolist(), std.tolist(), term.known, strict=True)
     for c, v, s, own in pairs:
-        if s > abs(v):
+        if s > abs(v) and not (term.name == PAYLOAD and told < len(values)):
             out.append(f"{c.name} is not determined: {v:.3g} ± {s:.2g}")
         if own:
             out.append(f"{c.name} is a correction: the model has {own:.4g}, the arm {own + v:.4g}")

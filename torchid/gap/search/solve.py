@@ -6,7 +6,6 @@ corrected model itself settle both, and what is nonlinear in several coefficient
 """
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,11 +19,14 @@ from torchid.effects.registry import Valued
 from torchid.gap.data import Data
 from torchid.gap.search.climb import FORETOLD
 from torchid.gap.search.evidence import prior_of
-from torchid.gap.search.terms import BASE, LINK, Term, Wanted, term_columns
+from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, Wanted, term_columns
 from torchid.robot.inertia import InertialParameters
-from torchid.statistics.jackknife import fit_statistics
+from torchid.statistics.jackknife import DETERMINED, fit_statistics
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Int, Tensor
+
+OPEN = 1e-6
+"""Squared part of a coefficient in what the columns leave open, from which it is open, too."""
 
 STEPS = 4
 SETTLED_SHARE = 1e-4
@@ -186,8 +188,28 @@ def _with_deviations(
         differs = torch.zeros_like(v) if t.seen is None else v - t.centre
         twice.append(torch.tensor(unsure, dtype=torch.float64).square() + differs.square())
     covariance = covariance + torch.diag(torch.cat(twice))
-    std = covariance.diagonal().clamp(min=0).sqrt().split([len(v) for v in best.values])
-    return replace(best, std=tuple(std), covariance=covariance)
+    std = covariance.diagonal().clamp(min=0).sqrt()
+    # What these columns leave open has the size that it can have on this robot, or more.
+    most = torch.cat(
+        [
+            v.abs() if t.most is None else t.most
+            for t, v in zip(best.terms, best.values, strict=True)
+        ]
+    )
+    std = torch.where(
+        undetermined(best.products + known.squares), torch.maximum(whole.abs(), most), std
+    )
+    parts = std.split([len(v) for v in best.values])
+    return replace(best, std=tuple(parts), covariance=covariance)
+
+
+def undetermined(matrix: Float[Tensor, "K K"]) -> Bool[Tensor, " K"]:
+    """Which of K coefficients normal equations leave open: those with a part in a direction that no
+    column shows."""
+    size = matrix.diagonal().sqrt()
+    size = torch.where(size > 0, size, torch.inf)
+    values, axes = torch.linalg.eigh(matrix / size / size.unsqueeze(1))
+    return axes[:, values < DETERMINED * values[-1]].square().sum(1) > OPEN
 
 
 def within_physics(
@@ -232,15 +254,13 @@ def within_physics(
 
 
 def _least(term: Term) -> Float[Tensor, " C"]:
-    """Of each coefficient of a term the least that leaves the model's own where a file of it may
-    hold it (see `effect_from_record`); -inf where it may hold any."""
-    own = term.effects[0].coefficients if term.effects and not term.inertial else ()
-    if not own:
+    """Of each coefficient of a term the least that leaves the whole, with the model's own, where
+    physics allows it; -inf where it allows any."""
+    if not term.effects or term.name in (LINK, PAYLOAD):
         return torch.full((len(term.at),), -torch.inf, dtype=torch.float64)
-    known = [0.0] * len(own) if term.instead else term.known
-    bounded = [c.non_negative and math.isfinite(c.largest) for c in own]
-    least = [-v if b else -math.inf for v, b in zip(known, bounded, strict=True)]
-    return torch.tensor(least, dtype=torch.float64)
+    known = [0.0] * len(term.known) if term.instead else term.known
+    every = zip(term.effects[0].ranges, known, strict=True)
+    return torch.tensor([min(low, 0.0) - v for (low, _), v in every], dtype=torch.float64)
 
 
 def at_estimate(term: Term, values: Float[Tensor, " C"]) -> Term:
@@ -262,7 +282,7 @@ def corrected_model(
         elif term.change is not None:
             pi += float(v) * term.change
         elif term.name == LINK:
-            pi[term.effects[0].joints[0]] += v
+            pi[start.robot.own_links[term.effects[0].joints[0]]] += v
         else:
             for _, own, _ in term.instead:
                 effects = [p for p in effects if p[0] != own.effects[0]]

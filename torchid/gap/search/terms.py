@@ -21,9 +21,11 @@ from torchid.design.gram import Gram, inverse_root
 from torchid.design.resonance import Swing
 from torchid.effects.base import Coefficient, Effect, JointEffect, ModelEffect
 from torchid.effects.file_mistakes import FileMistake
+from torchid.effects.gravity import TorqueCrosstalk
 from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import KINDS, Valued
 from torchid.gap.data import Data
+from torchid.gap.search.scale import Scale
 from torchid.gap.wanted import BASE, Wanted
 from torchid.identification.knowledge import known_names
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
@@ -36,6 +38,10 @@ EXPLAINS = 3.0
 """Standard deviations of a coefficient beside the laws of its joint from which a coarse grid
 explains something: what is worth a name has more, and a column of the fine grid has most of it in
 common with a neighbour's."""
+
+AS_LOGGED = 0.2
+"""Correlation of logged torque with the model's from which other sensors may read it [1]: much else
+may be in it, but it is there."""
 
 LINK = "link_inertia"
 PAYLOAD = "payload"
@@ -59,6 +65,8 @@ class Term:
         bodies: what is known of them as corrections of bodies, in the place of `sigma`, with which
             candidates are only ranked; None: nothing.
         seen: what is known of it beside the fit's torque: from other sensors, or above its band.
+        most: (C,) size of each coefficient on this robot, beyond which it is something else; None:
+            any.
         change: (L, 10) of the links' parameters per unit of the one coefficient, of a mistake of
             the robot's file.
         wrong: whether it is a body, or the scale of a torque, that would be plainly wrong.
@@ -79,6 +87,7 @@ class Term:
     information: Float[Tensor, "C F"] | None = None
     wrong: bool = False
     change: Float[Tensor, "L 10"] | None = None
+    most: Float[Tensor, " C"] | None = None
 
     @cached_property
     def limits(self) -> Float[Tensor, "C 3"]:
@@ -91,7 +100,10 @@ class Term:
             return torch.tensor(bounds, dtype=torch.float64).reshape(-1, 3)
         every = self.effects[0].ranges if self.effects else [c.range for c in self.coefficients]
         least, largest = zip(*every, strict=True)
-        return torch.tensor([known, least, largest], dtype=torch.float64).T
+        out = torch.tensor([known, least, largest], dtype=torch.float64)
+        if self.most is not None:
+            out[2] = torch.minimum(out[2], self.most)
+        return out.T
 
     @cached_property
     def optional(self) -> Bool[Tensor, " C"]:
@@ -198,6 +210,7 @@ class Candidates:
         gram: joint by joint, fold by fold; part 0 holds samples between folds.
         terms: candidates.
         fixed: terms that are always in the model.
+        given: effects of the model as given, with their coefficients.
     """
 
     columns: Columns
@@ -206,6 +219,7 @@ class Candidates:
     gram: Gram
     terms: tuple[Term, ...]
     fixed: tuple[Term, ...]
+    given: tuple[Valued, ...] = ()
 
     @cached_property
     def batches(self) -> tuple[Batch, ...]:
@@ -276,6 +290,8 @@ def candidates_of(
         [t if t.place is None else replace(t, at=t.at + rows.filled) for t in some]
         for some in (terms, beside)
     )
+    scale = Scale(columns)
+    terms = [replace(t, most=scale.largest(t.effects[0])) if t.effects else t for t in terms]
     terms = _standing_in(terms, given.effects)
     if wanted.knowledge is not None:
         fixed = known_terms([*terms, *beside], wanted.knowledge, given.effects)
@@ -285,7 +301,7 @@ def candidates_of(
         fixed = tuple(t for t in terms if (t.name, t.effects) in asked)
         terms = [t for t in excluding(terms, fixed) if not (wanted.free and t.inertial)]
     chosen = tuple(t for t in terms if wanted.asks(t.name, t.joints))
-    return Candidates(columns, gap, data.keep, gram, chosen, fixed)
+    return Candidates(columns, gap, data.keep, gram, chosen, fixed, given.effects)
 
 
 class _Rows:
@@ -434,15 +450,26 @@ def _model_effects(
     kind, then those that were refined or found in a window. Nothing is told of joints whose torque
     holds no signal, for nothing there could speak against it."""
     silent = frozenset(data.silent)
-    bodies = are_bodies(columns.model.robot)
+    bodies, logged = are_bodies(columns.model.robot), as_logged(columns)
     for name in wanted.names:
         kind = KINDS[name]
         # Columns of bodies are none where only their base parameters are known.
         unknown = bool(kind.needs & data.missing) or (kind.of_bodies and not bodies)
         if issubclass(kind, ModelEffect) and not (unknown or kind.inertial or kind.windowed):
             found = [_swinging(e, data) for e in kind.starts(columns.model.robot)]
-            yield [e for e in found if not e.joints or not silent.issuperset(e.joints)]
+            # What another sensor reads is a torque that is there, as the log has it.
+            read = [e for e in found if not isinstance(e, TorqueCrosstalk) or logged[e.read]]
+            yield [e for e in read if not e.joints or not silent.issuperset(e.joints)]
     yield from ([e] for e in extra if isinstance(e, ModelEffect))
+
+
+def as_logged(columns: Columns) -> list[bool]:
+    """Of each joint, whether the log has the model's torque: not where it is passive, or has no
+    sensor."""
+    model = columns.samples.of([m.require("torque", "a log").T for m in columns.motions])
+    logged = columns.samples.of([s.tau.T for s in columns.samples.segments])
+    both = (model * logged).sum(1)
+    return (both > AS_LOGGED * model.norm(dim=1) * logged.norm(dim=1)).tolist()
 
 
 def _between(
@@ -592,7 +619,7 @@ def _batches(terms: Sequence[Term]) -> Iterator[Batch]:
             None if place < 0 else place,
             own,
             torch.stack([t.at for t in own]),
-            torch.tensor([[c.non_negative for c in t.coefficients] for t in own]),
+            torch.stack([t.limits[:, 1] >= 0 for t in own]),
             torch.stack([t.optional for t in own]),
             torch.tensor([t.known for t in own], dtype=torch.float64),
             torch.stack([t.limits[:, 2] for t in own]),

@@ -7,7 +7,7 @@ import torch
 from torchid.design.columns import Columns
 from torchid.effects.registry import EVENTS
 from torchid.gap.data import Data
-from torchid.gap.diagnosis import Trace
+from torchid.gap.diagnosis import Trace, is_foreign, unfollowed
 from torchid.gap.folds import FEW
 from torchid.gap.noise.floor import Noise, noise_of
 from torchid.gap.problem import Problem
@@ -169,7 +169,8 @@ def status_of(
 ) -> Status:
     """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that
     has an interval; what is left is unexplained where it exceeds the noise there and a flexible
-    predictor finds structure in it.
+    predictor finds structure in it. There is no gap only beside a model that most of the torque
+    follows.
 
     Args:
         said: what is told.
@@ -191,13 +192,15 @@ def status_of(
     odd = (excess > EXCESS) & (noise.structure > 0)
     clear = (excess > CLEAR_EXCESS) & ~noise.uneven
     if noise.floor.source != "repeats":
-        odd = clear = torch.zeros_like(odd)  # of the noise there is an upper bound only
+        odd = clear = torch.zeros_like(odd)  # nothing but repeats bounds the noise above
     unexplained = bool((odd | clear | ((noise.structure > STRUCTURE) & (beyond > least))).any())
     if not (said.effects or said.parametric):
         if unexplained or taken:
             return "detected_unexplained"
         if poor or hidden:
             return "detected_unexplained" if suspected else "not_testable"
+        if is_foreign(checked.shown):
+            return "detected_unexplained"
         return "negligible" if small else "no_gap"
     if unexplained or not (shown or (far.improves and far.closed is not None)):
         return "detected_unexplained"
@@ -210,9 +213,7 @@ def warnings_of(found: Explanation, checked: Checked, problem: Problem) -> list[
     out = [*problem.data.warnings, *checked.noise.floor.notes]
     out += [] if judged is None else judged.warnings
     # A gap larger than the torque's own variation: the log may be of another robot.
-    torque = torch.cat([t.measured[t.valid] for t in checked.shown])
-    gap = torch.cat([(t.measured - t.before)[t.valid] for t in checked.shown])
-    useless = gap.square().mean(0) > (torque - torque.mean(0)).square().mean(0)
+    useless = unfollowed(checked.shown) > 1
     if 2 * int(useless.sum()) > len(useless):
         joints = ", ".join(str(j + 1) for j in useless.nonzero().flatten().tolist())
         out.append(
@@ -222,8 +223,8 @@ def warnings_of(found: Explanation, checked: Checked, problem: Problem) -> list[
         )
     if checked.noise.floor.source != "repeats":
         out.append(
-            "Next time: record one motion twice. None is repeated here, so the noise is known "
-            "only between bounds."
+            "Next time: record one motion twice. None is repeated here, so nothing says how much "
+            "of what is left is noise."
         )
     if len(found.terms) >= settings.max_effects:
         out.append(

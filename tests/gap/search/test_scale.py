@@ -1,0 +1,68 @@
+"""Sizes beside those of the robot: what no such robot has is not offered, and what no motion tells
+is not known."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from tests.gap.motions import ROBOT
+from tests.gap.problems import measured, motions, question_of, term
+from torchid.design.columns import Columns, Model
+from torchid.effects.friction import CoulombFriction, ViscousFriction
+from torchid.effects.inertia import Payload
+from torchid.gap.search.evidence import fit_terms
+from torchid.gap.search.scale import Scale
+from torchid.gap.search.solve import undetermined
+from torchid.statistics.criteria import BEYOND_ROBOT
+from torchid.typing import Tensor
+
+
+def test_sizes_are_those_of_the_robot() -> None:
+    data = measured([])
+    scale = Scale(Columns(Model(ROBOT, ()), data.samples))
+    mass = float(ROBOT.require_parameters("a test").mass.sum())
+    sizes = scale.largest(Payload())
+    assert float(sizes[0]) == pytest.approx(BEYOND_ROBOT * max(mass, scale.mass))
+    assert scale.mass >= mass
+    assert sizes[1:4].tolist() == pytest.approx([float(sizes[0]) * scale.length] * 3)
+    torque = max(float(s.tau[:, 1].abs().max()) for s in data.segments)
+    assert 0.5 * BEYOND_ROBOT * torque < float(scale.largest(CoulombFriction(1))[0])
+    assert float(scale.largest(CoulombFriction(1))[0]) <= BEYOND_ROBOT * torque * 1.01
+    speed = torch.cat([m.dq[:, 1].abs() for m in motions()]).max()
+    assert float(scale.largest(ViscousFriction(1))[0]) > BEYOND_ROBOT * torque / float(speed) * 0.5
+
+
+def test_a_limit_of_a_joint_is_its_torque() -> None:
+    """Where the file knows one; an unlimited joint has the log's own."""
+    ends = torch.tensor([[-40.0, 30.0], [-torch.inf, torch.inf], [-1e-9, 1e-9]]).double()
+    limited = ROBOT.with_limits(torque=ends)
+    samples = measured([]).samples
+    plain, own = (Scale(Columns(Model(r, ()), samples)).torque for r in (ROBOT, limited))
+    assert own.tolist() == [max(40.0, float(plain[0])), *plain[1:].tolist()]
+
+
+def _payload(mass: float) -> Tensor:
+    body = [mass, 0.1 * mass, 0, 0, 0.02 * mass, 0, 0, 0.02 * mass, 0, 0.02 * mass]
+    return torch.tensor(body, dtype=torch.float64)
+
+
+@pytest.mark.parametrize("share", [2.0, 0.1])
+def test_a_size_beyond_the_robot_is_refused(share: float) -> None:
+    question = question_of(
+        measured([(Payload(), _payload(1.0).tolist())], noise=0.01), ("payload",)
+    )
+    own = term(question, "payload", None)
+    assert own.most is not None
+    assert float(own.most[0]) > 1.0
+    within = replace(own, most=share * _payload(1.0).abs().clamp(min=1.0))
+    fit = fit_terms(question, [within], question.normal.rows)
+    assert math.isfinite(fit.evidence) == (share > 1)
+
+
+def test_what_no_column_shows_is_open() -> None:
+    a = torch.randn(40, 3, generator=torch.Generator().manual_seed(0)).double()
+    both = torch.cat([a, a[:, :1] + a[:, 1:2], torch.zeros(40, 1).double()], 1)
+    assert undetermined(a.T @ a).tolist() == [False] * 3
+    assert undetermined(both.T @ both).tolist() == [True, True, False, True, True]
