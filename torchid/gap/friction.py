@@ -161,9 +161,10 @@ class _Friction:
         probability of it."""
         for effect in self._terms_effects(one):
             yield effect, one.odds.sure
-        for (_, other), mass in zip(one.others, one.odds.others, strict=True):
-            if other.alone is not None and self._is_own(other.alone):
-                yield other.alone, mass
+        for (_, others), mass in zip(one.others, one.odds.others, strict=True):
+            for effect in (t.alone for t in others):
+                if effect is not None and self._is_own(effect):
+                    yield effect, mass
 
     def _table(self, own: Float[Tensor, " M"]) -> tuple[FrictionAt, ...]:
         """Torque at three speeds, both ways."""
