@@ -162,9 +162,8 @@ class _Friction:
         for effect in self._terms_effects(one):
             yield effect, one.odds.sure
         for (_, others), mass in zip(one.others, one.odds.others, strict=True):
-            for effect in (t.alone for t in others):
-                if effect is not None and self._is_own(effect):
-                    yield effect, mass
+            alone = (t.alone for t in others)
+            yield from ((e, mass) for e in alone if e is not None and self._is_own(e))
 
     def _table(self, own: Float[Tensor, " M"]) -> tuple[FrictionAt, ...]:
         """Torque at three speeds, both ways."""
