@@ -66,9 +66,6 @@ flexible predictor agrees [1]: noise is known to a few ten per cent."""
 CLEAR_EXCESS = 2.0
 """The same from which it is, whatever a predictor says [1]."""
 
-STRUCTURE = 0.25
-"""Predictable share of a joint's noise variance from which structure is worth saying [1]."""
-
 SHORTEST_LOG = 8.0
 """Length of all samples below which `no gap` cannot be said [s]."""
 
