@@ -74,7 +74,7 @@ def test_a_proposed_mapping_works(command, foreign):
     assert result.code == 0
     assert "cannot be used as it is" not in result.out
     result = command("log", "show", path, "--columns", "t=time_ms ms,q=pos_{j0}")
-    assert "looks like degrees" in result.out
+    assert "Of degrees: read it with" in result.out
 
 
 def test_one_mapping_for_logs_of_several_kinds(command, foreign, folder):

@@ -8,7 +8,7 @@ EXPECTED = 0.3
 """Causes that are expected among all that are looked at [1]: with one, suspects that are said to be
 70 % sure were right in a third of simulated cases and in half of real logs."""
 
-UNLIKELY = 0.03
+UNLIKELY = 0.1
 """Probability of the least likely suspect that is listed [1]."""
 
 SET_MASS = 0.9
