@@ -53,7 +53,7 @@ def test_quiet_is_quiet_on_a_terminal_too() -> None:
 @pytest.mark.parametrize(
     ("arguments", "stages"),
     [
-        (("identify", "3r_friction", "check.csv"), {"preparing", "predicting"}),
+        (("identify", "3r_friction", "check.csv"), {"checking the log", "predicting"}),
         (
             ("gap", "3r_friction", "check.csv", "--effects", "torque_offset", "--no-rollout"),
             {"preparing", "searching for effects", "judging", "locating"},

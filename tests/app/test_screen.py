@@ -59,7 +59,7 @@ def test_the_answer_is_one_screen(log: Path, columns: int, tmp_path: Path) -> No
     text = " ".join(" ".join(lines).split())
     for part in (
         "lower the gap:",
-        "all joints: viscous friction Fv =",
+        "Do first: friction, all joints",
         "% less",
         "c.yaml",
         "written:",

@@ -422,4 +422,6 @@ def test_nothing_is_told_of_a_joint_whose_torque_follows_no_motion(
     assert reasons == {"the joint's torque holds no signal"}
     third = found["how_far"]["per_joint"][2]
     assert third["after"] == pytest.approx(third["before"])
-    assert third["noise_floor_rms"] == [pytest.approx(third["before"], rel=0.05)] * 2
+    # All of it may be noise: as much as the repeats tell at least, and without repeats no less.
+    low, high = third["noise_floor_rms"]
+    assert low == pytest.approx(third["before"], rel=0.05 if high is None else 0.2)

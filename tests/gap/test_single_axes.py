@@ -97,7 +97,9 @@ def test_a_loop_over_position_is_no_lag(kind):
 def test_a_lag_is_still_a_lag(seconds):
     result = torchid.examine(single_axis("P", known=False), late(seconds), first=True)
     (lag,) = [c for c in result.checks if c.name == "lag"]
-    assert lag.verdict == "wrong"
+    assert lag.verdict == (
+        "doubtful" if seconds < 0.1 else "wrong"
+    )  # how much of it bodies explain
     assert lag.estimate == pytest.approx(seconds, abs=0.002)
 
 

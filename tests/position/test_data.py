@@ -33,7 +33,6 @@ def log() -> Log:
         (1, DEGREES, "positions look like degrees, u1.. like radians", "q=q{j} deg"),
         (1e3, 1, "commands look like milliradians", "u=u{j} mrad"),
         (1 / COUNT, 1, "commands look like counts of an encoder, 4096 a turn", "rev /4096"),
-        (40 * DEGREES, 40 * DEGREES, "q1 looks like degrees", "q=q{j} deg,u=u{j} deg"),
     ],
 )
 def test_other_units(log: Log, u: float, q: float, problem: str, hint: str) -> None:

@@ -283,7 +283,9 @@ def _blocks(
     m: Measurement, layout: Layout, chunks: Chunks, moving_only: bool, first_instant: int
 ) -> Iterator[RowBlock]:
     step, tail, pieces = _step(m), _tail(m), _pieces(m)
-    silent = (m.tau.abs().amax(0) < NO_TORQUE).cpu()  # where none is measured
+    # Where none is measured; what holds a base that moves is zero, and known.
+    silent = (m.tau.abs().amax(0) < NO_TORQUE).cpu()
+    silent[list(layout.robot.free)] = False
     # What remembers the past is evaluated from the trajectory's beginning, once a pass.
     whole: dict[Effect, Tensor] = {
         e: e.columns(m.whole) for e in layout.effects if isinstance(e, JointEffect) and e.memory
