@@ -226,8 +226,8 @@ def warnings_of(found: Explanation, checked: Checked, problem: Problem) -> list[
         )
     if checked.noise.floor.source != "repeats":
         out.append(
-            "Next time: record one motion twice. None is repeated here, so it is not known how "
-            "much of what is left is noise."
+            "Next time: record one motion twice. None is repeated here, so the noise has no "
+            "upper bound."
         )
     if len(found.terms) >= settings.max_effects:
         out.append(
