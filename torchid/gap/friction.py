@@ -12,11 +12,12 @@ from functools import cached_property
 import torch
 
 from torchid.design.columns import Columns
-from torchid.effects.base import Effect, JointEffect, Motion
+from torchid.effects.base import Effect, JointEffect
 from torchid.effects.periodic import Wave
 from torchid.effects.registry import Valued
 from torchid.gap.diagnosis import HowFar, unit_of
 from torchid.gap.problem import Problem
+from torchid.gap.search.dissipation import over_speed
 from torchid.gap.search.findings import Judged
 from torchid.gap.search.shares import Shares
 from torchid.gap.validate.decide import Decision
@@ -214,13 +215,12 @@ class _Friction:
     def _over_speed(self, effect: Effect, speed: Float[Tensor, " G"]) -> Float[Tensor, "C G"]:
         """Columns at speeds. Of what depends on more than the speed the straight line in speed
         through what they are along the log, in each direction."""
-        steady = isinstance(effect, JointEffect) and not (effect.memory or effect.needs)
-        if steady and not isinstance(effect, Wave):
-            # The other joints rest.
-            zero = speed.new_zeros(len(speed), self.joint + 1)
-            dq = zero.clone()
-            dq[:, self.joint] = speed
-            return effect.columns(Motion(zero, dq, zero)).T  # type: ignore[attr-defined]
+        if (
+            isinstance(effect, JointEffect)
+            and not isinstance(effect, Wave)
+            and not (effect.memory or effect.needs)
+        ):
+            return over_speed(effect, speed)
         along = self.columns.on_all_joints(effect)[:, self.joint]
         out = speed.new_zeros(len(along), len(speed))
         for way in (1.0, -1.0):

@@ -1,6 +1,7 @@
 """What a diagnosis has to explain, and what it is judged by."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from torchid.design.columns import Columns
 from torchid.design.repeats import Repeats
@@ -9,6 +10,7 @@ from torchid.gap.folds import Folds
 from torchid.gap.settings import GapSettings
 from torchid.gap.wanted import Wanted
 from torchid.robot.model import Robot
+from torchid.statistics.bagging import Draws
 from torchid.typing import Int, Tensor
 
 
@@ -42,3 +44,8 @@ class Problem:
     def robot(self) -> Robot:
         """As given."""
         return self.given.model.robot
+
+    @cached_property
+    def draws(self) -> Draws:
+        """Logs that might have been."""
+        return Draws.of(self.block, self.settings.seed)

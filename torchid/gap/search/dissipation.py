@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import torch
 
 from torchid.design.columns import Columns
-from torchid.effects.base import Effect
+from torchid.effects.base import Effect, JointEffect
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.friction_laws import AsymmetricFriction, PowerLawFriction, StribeckFriction
 from torchid.effects.motion import Motion
@@ -28,6 +28,14 @@ QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9, 0.98)
 
 RARE = 0.02
 """Share of the instants below which a log does not have a direction."""
+
+
+def over_speed(effect: JointEffect, speed: Float[Tensor, " G"]) -> Float[Tensor, "C G"]:
+    """Columns at speeds of the effect's joint, of what depends on nothing else; all others rest."""
+    zero = speed.new_zeros(len(speed), effect.joint + 1)
+    dq = zero.clone()
+    dq[:, effect.joint] = speed
+    return effect.columns(Motion(zero, dq, zero)).T
 
 
 class Dissipation:
@@ -64,10 +72,7 @@ class Dissipation:
         if effect not in self._kept:
             assert isinstance(effect, STEADY)
             speeds = self.speeds(effect.joint)
-            dq = speeds.new_zeros(len(speeds), self._dq.shape[1])
-            dq[:, effect.joint] = speeds
-            columns = effect.columns(Motion(torch.zeros_like(dq), dq, torch.zeros_like(dq)))
-            self._kept[effect] = columns.T * speeds.sign()
+            self._kept[effect] = over_speed(effect, speeds) * speeds.sign()
         return self._kept[effect]
 
     def driving(

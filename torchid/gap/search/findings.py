@@ -140,10 +140,8 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
 
 def at_an_end(question: Question, term: Term) -> bool:
     """Whether a shape is at the end of its range: it has become another effect there."""
-    alone = term.alone
-    if not (term.shapes and isinstance(alone, JointEffect)):
-        return False
-    return alone.at_an_end(question.candidates.columns.motions)
+    shaped = (e for e in term.effects if term.shapes and isinstance(e, JointEffect))
+    return any(e.at_an_end(question.candidates.columns.motions) for e in shaped)
 
 
 def unsure_terms(judged: Sequence[Judged]) -> list[Term]:

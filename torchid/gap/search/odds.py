@@ -122,6 +122,8 @@ def odds(
     # for it.
     if any(e.event or e.at_ends for e in term.effects):
         draws = draws.as_it_is
+    share = draws.sums(question.candidates.keep.double()) / question.normal.rows.clamp(min=1.0)
+    before = draws.sums(left_by(question, fit)[0].square())
     every: list[Alternative] = []
     for rival in (Rival((), without), *rivals):
         if not question.known and any(t.name == BASE for t in rival.terms):
@@ -129,8 +131,7 @@ def odds(
             every.append((None, 2 * math.log(WRONG_FILE)))
             continue
         now, then = comparable(question, fit, rival.fit)
-        share = draws.sums(question.candidates.keep.double()) / question.normal.rows.clamp(min=1.0)
-        before, after = (draws.sums(left_by(question, f)[0].square()) for f in (fit, rival.fit))
+        after = draws.sums(left_by(question, rival.fit)[0].square())
         ratio = log_likelihood_ratio(now.effective * share, before, after)
         mine, its = (cost(question, question.own(f), now.effective, EXPECTED) for f in (now, then))
         # What is one law of a joint, in how many terms ever, is one cause.

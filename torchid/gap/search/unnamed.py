@@ -9,7 +9,6 @@ import torch
 from msgspec import structs
 
 from torchid.design.columns import Place
-from torchid.effects.base import JointEffect
 from torchid.gap.diagnosis import unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import UnnamedEffect
@@ -24,13 +23,13 @@ from torchid.gap.search.evidence import (
     refit_each,
 )
 from torchid.gap.search.explain import Explanation, solve
+from torchid.gap.search.findings import at_an_end
 from torchid.gap.search.odds import Misfit, Rival, odds
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.terms import Term, excluding
 from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
 from torchid.robot.model import Robot
-from torchid.statistics.bagging import Draws
 from torchid.statistics.criteria import LIKELY, UNLIKELY
 from torchid.typing import Tensor
 
@@ -53,7 +52,6 @@ def small_effects(
         misfit: that the answer leaves.
     """
     question, fit = found.question, found.fit
-    draws = Draws.of(problem.block, problem.settings.seed)
     named = {t.key for t in found.terms}
     last = {t.key: t for t in found.unworthy if t.key not in named and not t.inertial}
     whole = drop_unphysical(
@@ -78,7 +76,7 @@ def small_effects(
             continue
         _, closes, other = without[id(term)]
         own_part = own_torque(solution, k)
-        sure = odds(question, (whole, other), term, own_part, misfit, draws).sure
+        sure = odds(question, (whole, other), term, own_part, misfit, problem.draws).sure
         if sure >= LIKELY:
             own_values, std = solution.values[k], solution.std[k]
             again = replication(own_part, solution, k, question.candidates.columns.samples)
@@ -112,7 +110,6 @@ def suspects(
         moved: known coefficients that are others than they were, which are suspects at least.
     """
     question, fit = found.question, found.fit
-    draws = Draws.of(problem.block, problem.settings.seed)
 
     def is_moved(term: Term) -> bool:
         return any(name in moved for e in term.effects for name in known_names(e))
@@ -132,7 +129,7 @@ def suspects(
         rivals = [Rival((t,), f) for f, t in others]
         left = misfit.less(question.fall(first, fit))
         own_part = own_torque(solution, k)
-        here = odds(question, (first, fit), term, own_part, left, draws, rivals)
+        here = odds(question, (first, fit), term, own_part, left, problem.draws, rivals)
         numbers = [(term, solution.values[k], solution.std[k], first, here.sure)]
         for (f, other), sure in zip(others, here.others, strict=True):
             values, std = f.values()[-1], f.root.norm(dim=1)[-len(other.at) :]
@@ -155,13 +152,9 @@ def _likely_places(
     whose shape is at the end of its range, where it has become another effect."""
     question = found.question
 
-    def is_another(term: Term) -> bool:
-        shaped = (e for e in term.effects if term.shapes and isinstance(e, JointEffect))
-        return any(e.at_an_end(question.candidates.columns.motions) for e in shaped)
-
     places: dict[Place, dict[object, Term]] = {}
     for _, (term, *more) in candidate_moves(question, found.fit):
-        if more or term.key in listed or is_another(term):
+        if more or term.key in listed or at_an_end(question, term):
             continue
         own = places.setdefault(term.place, {})
         if is_moved(term) or (len(places) <= PLACES_LOOKED_AT and len(own) < CANDIDATES_EACH):

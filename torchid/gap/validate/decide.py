@@ -7,7 +7,6 @@ from torchid.gap.search.explain import Explanation, search_again_without, withou
 from torchid.gap.search.findings import Judged, judge_terms, unsure_terms
 from torchid.gap.search.odds import Misfit
 from torchid.gap.validate.judge import Checked, check, harmful, misfit_of
-from torchid.statistics.bagging import Draws
 from torchid.typing import Float, Tensor
 
 
@@ -40,7 +39,6 @@ def decide(found: Explanation, problem: Problem) -> Decision:
     it judges what was chosen."""
     question = found.question
     least = question.least(question.mean(found.empty.losses))
-    draws = Draws.of(problem.block, problem.settings.seed)
     taken_back = False
     while True:
         checked = check(found, problem)
@@ -49,7 +47,7 @@ def decide(found: Explanation, problem: Problem) -> Decision:
         if refused:
             found = without_terms(found, refused, problem)
         misfit = misfit_of(found, checked, problem)
-        judged = judge_terms(found, misfit, draws)
+        judged = judge_terms(found, misfit, problem.draws)
         if unsure := unsure_terms(judged)[:1]:
             refused += unsure
             found = without_terms(found, unsure, problem, small=True)
