@@ -1,5 +1,6 @@
 """The answer: where the gap lies, which effects cause it, how far it shrinks."""
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -401,6 +402,7 @@ class TorqueDiagnosis(Diagnosis):
                 noise=floor.ends,
             ),
             causes=tuple(sorted(causes, key=lambda c: -c.closes)),
+            unnamed=sum(e.share for e in self.suspects if not math.isnan(e.share)),
             friction=tuple(law.brief for law in self.friction),
             suspects=tuple(e.cause for e in self.suspects),
             small=tuple(e.cause for e in self.small),

@@ -199,6 +199,8 @@ class UnnamedEffect(Part, frozen=True, kw_only=True):
         closes_rms: error that it takes away, as a root of the fall of the mean square while the
             joint moves, on the joint where that is most [N m; N].
         settles: what would settle whether it is there.
+        share: of the error that it takes away, where the corrected model holds it without a name:
+            the data need it, and cannot say that it is this; else null.
     """
 
     effect: str
@@ -211,6 +213,7 @@ class UnnamedEffect(Part, frozen=True, kw_only=True):
     how_sure: float
     replication: Replication | None = None
     settles: str = ""
+    share: Real = math.nan
 
     @property
     def cause(self) -> Cause:
@@ -220,6 +223,7 @@ class UnnamedEffect(Part, frozen=True, kw_only=True):
             joints=self.joints,
             sizes=_sizes(self),
             how_sure=self.how_sure,
+            closes=self.share,
             remedy=self.settles,
         )
 

@@ -29,7 +29,7 @@ from torchid.gap.search.findings import (
 from torchid.gap.search.joint_fits import joint_fits
 from torchid.gap.search.known import after_log, known_of
 from torchid.gap.search.shares import shares_of
-from torchid.gap.search.unnamed import small_effects, suspects
+from torchid.gap.search.unnamed import small_effects, suspects, terms_without_name
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import budget, residuals
 from torchid.gap.validate.decide import Decision, decide
@@ -111,6 +111,7 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
     known = known_of(found, problem, after, decision.least)
     said = with_changes(said, known)
     small = small_effects(found, problem, decision.misfit)
+    unnamed = terms_without_name(found, decision.judged, taken, checked.far)
     likely: tuple[UnnamedEffect, ...] = ()
     if not data.stands:
         listed = [*(t.key for t in found.terms), *((e.effect, e.joints) for e in small)]
@@ -128,6 +129,7 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
             said,
             replace(checked, far=far),
             found.question.least(far.rms_before.square()),
+            decision.unnamed_squares(taken),
             is_poor(decision, problem, unseen),
             shown=all(map(found.question.shows, found.terms)),
             taken=decision.taken_back,
@@ -154,7 +156,7 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
         joint_fits=joint_fits(found, said, problem),
         residual=residuals(checked.shown),
         small=small,
-        suspects=likely,
+        suspects=(*unnamed, *likely),
         knowledge=known,
     )
 

@@ -1,6 +1,7 @@
 """A diagnosis for people, the same for every kind of log: the answer, then the evidence for it; and
 its page: one screen with the answer, and below it what it rests on, which folds."""
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -43,12 +44,15 @@ def suspects_table(answer: Answer) -> Table:
     """The likeliest causes that are not sure enough for a name."""
     rows = [
         (f"{c.name} {c.place}".strip(), ", ".join(map(named_size, c.sizes[:MOST_SIZES])),
-         sure(c.how_sure), c.remedy)
+         sure(c.how_sure), "" if math.isnan(c.closes) else percent(c.closes), c.remedy)
         for c in answer.suspects
     ]  # fmt: skip
-    columns = ("suspect", "value ± std", "sure", "what would settle it")
-    title = "suspects: the likeliest causes that are not sure enough"
-    return Table(title, columns, rows, "lrrp")
+    columns = ("suspect", "value ± std", "sure", "in the model", "what would settle it")
+    title = (
+        "suspects: the likeliest causes that are not sure enough; the share of the error that they "
+        "take where the corrected model holds them, for the data need a term there"
+    )
+    return Table(title, columns, rows, "lrrrp")
 
 
 def shown(result: Diagnosis | DiagnosisRecord, model: str = "") -> Shown:

@@ -254,6 +254,8 @@ class Answer(Part, frozen=True, kw_only=True):
             be explained.
         joints: joint by joint.
         causes: those that close most first.
+        unnamed: share of the error that the corrected model takes away by terms that the data need
+            and that are not sure enough for a name; part of what all close.
         friction: the law of each joint that has friction, without its curve.
         suspects: causes that are not sure enough, the likeliest first; their remedy says what would
             settle them.
@@ -273,6 +275,7 @@ class Answer(Part, frozen=True, kw_only=True):
     noise_measured: bool = False
     joints: tuple[JointError, ...]
     causes: tuple[Cause, ...]
+    unnamed: Real = 0.0
     friction: tuple[FrictionLaw, ...] = ()
     suspects: tuple[Cause, ...] = ()
     small: tuple[Cause, ...] = ()
@@ -322,6 +325,8 @@ class Answer(Part, frozen=True, kw_only=True):
             verb, end = ("lowers", "lower"), f"{self.error}: {change}, {percent(self.less)} less."
             if self.noise_measured and self.closed >= ALL:
                 end = f"{self.error} to the noise: {change}, {percent(self.less)} less."
+            if percent(self.unnamed) != percent(0.0):
+                end = f"{end[:-1]} ({percent(self.unnamed)} without a sure name)."
             if self.closed_ci95 is not None and self.closed_ci95[0] <= 0:
                 rest = " Other motions may not confirm it."
             elif self.status in ("detected_unexplained", "partly_explained"):

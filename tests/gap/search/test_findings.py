@@ -19,10 +19,11 @@ from torchid.gap.search.findings import (
     likely_terms,
     not_testable,
 )
-from torchid.gap.search.odds import Odds
+from torchid.gap.search.odds import Odds, place_of
 from torchid.gap.search.solve import Solution, solve_terms
 from torchid.gap.search.terms import BASE, PAYLOAD
 from torchid.robot.inertia import InertialParameters
+from torchid.statistics.bagging import Draws
 from torchid.statistics.blocks import block_numbers
 from torchid.statistics.odds import probability
 
@@ -81,7 +82,10 @@ def test_a_shape_at_the_end_of_its_range_is_never_told_alone(a: float, others: s
     # However sure, the other one is in its set.
     sure = Odds(1.0, 0.0, 0.0, (0.0,) * len(found))
     pairs = tuple((rise, (other,)) for rise, other, _ in found)
-    judged = Judged(own, without, pairs, sure, None, ended)  # type: ignore[arg-type]
+    place = place_of(
+        question, (fit, without), own, None, Draws.of(torch.zeros(len(data.samples)).long())
+    )  # type: ignore[arg-type]
+    judged = Judged(place, pairs, sure, ended)
     assert set(judged.ambiguous_with) == others
     now, then = comparable(question, fit, without)
     rises = [then.evidence - now.evidence, *(rise for rise, *_ in found)]

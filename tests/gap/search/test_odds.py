@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.gap.problems import measured, question_of, wanted_of
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.gap.search.evidence import fit_terms
-from torchid.gap.search.odds import Misfit, Odds, odds
+from torchid.gap.search.odds import Misfit, Odds, place_of
 from torchid.gap.search.replication import own_torque
 from torchid.gap.search.solve import solve_terms
 from torchid.statistics.bagging import Draws
@@ -35,7 +35,7 @@ def asked(planted, misfit, name="viscous_friction", joint=1):
     k = len(question.fixed)
     share = misfit / (misfit + question.squares / rows)
     left = Misfit(torch.full_like(rows, misfit), share)
-    return odds(question, (fit, without), term, own_torque(solution, k), left, draws)
+    return place_of(question, (fit, without), term, own_torque(solution, k), draws).odds(left)
 
 
 LAW = [(ViscousFriction(1), [0.5])]

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from scipy.special import chdtrc
@@ -35,8 +35,8 @@ from torchid.gap.search.evidence import (
     residual,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.odds import Misfit, Odds, Rival, odds
-from torchid.gap.search.replication import OwnTorque, own_torque, replication
+from torchid.gap.search.odds import Misfit, Odds, Place, Rival, place_of
+from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.shares import Shares
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excluding
 from torchid.results.answer import NotTestable
@@ -57,20 +57,30 @@ class Judged:
     """A term of an explanation, and what may be there in its place.
 
     Attributes:
-        term: which.
-        without: the other terms, fitted without it.
-        others: what may stand in its place, one term or a pair, with the rise of the evidence.
+        place: of the term.
+        others: what may stand there instead, one term or a pair, with the rise of the evidence.
         odds: of everything that may be there.
-        own: torque that it alone makes.
         at_an_end: whether its shape is at the end of its range.
     """
 
-    term: Term
-    without: Fitted
+    place: Place
     others: tuple[tuple[float, tuple[Term, ...]], ...]
     odds: Odds
-    own: OwnTorque
     at_an_end: bool = False
+
+    @property
+    def term(self) -> Term:
+        """Which it is."""
+        return self.place.term
+
+    @property
+    def without(self) -> Fitted:
+        """The other terms, fitted without it."""
+        return self.place.fits[1]
+
+    def beside(self, misfit: Misfit) -> "Judged":
+        """The same beside another misfit."""
+        return replace(self, odds=self.place.odds(misfit))
 
     @property
     def one_of_a_set(self) -> bool:
@@ -81,6 +91,11 @@ class Judged:
     def sure(self) -> float:
         """Probability of it, or of the set."""
         return self.odds.set_sure if self.one_of_a_set else self.odds.sure
+
+    @property
+    def named(self) -> bool:
+        """Whether it, or one of its set, is likelier there than not."""
+        return self.sure >= LIKELY
 
     @property
     def ambiguous_with(self) -> tuple[str, ...]:
@@ -132,9 +147,9 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
         others = [*one, *pairs_instead(question, fit, without, term, tried)]
         rivals = [Rival(terms, again) for _, terms, again in others]
         own = own_torque(found.solution, fixed + k)
-        its = odds(question, (fit, without), term, own, misfit, draws, rivals)
+        place = place_of(question, (fit, without), term, own, draws, rivals)
         pairs = tuple((rise, terms) for rise, terms, _ in others)
-        out.append(Judged(term, without, pairs, its, own, at_an_end(question, term)))
+        out.append(Judged(place, pairs, place.odds(misfit), at_an_end(question, term)))
     return out
 
 
@@ -145,8 +160,8 @@ def at_an_end(question: Question, term: Term) -> bool:
 
 
 def unsure_terms(judged: Sequence[Judged]) -> list[Term]:
-    """Terms that are less likely there than not, the least likely first: no names."""
-    return [j.term for j in sorted(judged, key=lambda j: j.sure) if j.sure < LIKELY]
+    """Terms that are less likely there than not: no names."""
+    return [j.term for j in judged if not j.named]
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +184,8 @@ class Findings:
 def describe_findings(
     found: Explanation, judged: Sequence[Judged], taken: Shares, far: HowFar
 ) -> Findings:
-    """Findings of an explanation, each with what it cannot be told from.
+    """Findings of an explanation, each with what it cannot be told from; of the terms that have a
+    name.
 
     Args:
         found: the explanation.
@@ -183,6 +199,8 @@ def describe_findings(
     removes = taken.of_bars(far.rms_before, far.rms_after).tolist()
     effects, parametric, undecided, rivals = [], [], [], []
     for k, (term, one) in enumerate(zip(found.terms, judged, strict=True)):
+        if not one.named:
+            continue
         names = one.ambiguous_with
         near = ((r, other) for r, (other, *more) in one.others if not more)
         rivals += [(r, term, other) for r, other in near if r > -2 * math.log(SET_ODDS)]
@@ -209,7 +227,7 @@ def describe_findings(
                 how_sure=one.sure,
                 one_of_a_set=one.one_of_a_set,
                 branch_sure=one.branch_sure,
-                replication=replication(one.own, found.solution, fixed + k, samples),
+                replication=replication(one.place.own, found.solution, fixed + k, samples),
                 share=shares[k],
                 alone=alone[k],
                 removes=tuple(removes[k]),

@@ -48,6 +48,10 @@ class Misfit:
         """With a cause more, by which mean squares fall by (n,)."""
         return replace(self, squares=(self.squares - fall).clamp(min=0))
 
+    def more(self, fall: Float[Tensor, " n"]) -> "Misfit":
+        """With what mean squares fall by (n,) as misfit, too."""
+        return self.less(-fall)
+
 
 @dataclass(frozen=True, eq=False)
 class Rival:
@@ -97,26 +101,45 @@ class Odds:
         return out
 
 
-def odds(
-    question: Question,
-    fits: tuple[Fitted, Fitted],
-    term: Term,
-    own: OwnTorque,
-    misfit: Misfit,
-    draws: Draws,
-    rivals: Sequence[Rival] = (),
-) -> Odds:
-    """What may be there in the place of a term.
+@dataclass(frozen=True, eq=False)
+class Place:
+    """The place of a term: what may be there instead.
 
-    Args:
+    Attributes:
         question: of the search.
         fits: with the term, and of the others without it.
         term: which.
         own: torque of it that no other term makes.
-        misfit: that the model leaves.
-        draws: logs that might have been.
-        rivals: explanations with others in its place.
+        instead: nothing, and each rival, on logs that might have been.
+        draws: these logs.
     """
+
+    question: Question
+    fits: tuple[Fitted, Fitted]
+    term: Term
+    own: OwnTorque
+    instead: tuple[Alternative, ...]
+    draws: Draws
+
+    def odds(self, misfit: Misfit) -> Odds:
+        """Of all, and of something unknown, beside a misfit that the model leaves."""
+        question, term = self.question, self.term
+        beyond = -math.inf
+        if not question.shows(term):
+            beyond = unknown(question, self.fits, self.own, term, misfit)
+        sure, nothing, *others = bagged([*self.instead, (None, beyond)], self.draws)
+        return Odds(sure, nothing, others.pop(), tuple(others))
+
+
+def place_of(
+    question: Question,
+    fits: tuple[Fitted, Fitted],
+    term: Term,
+    own: OwnTorque,
+    draws: Draws,
+    rivals: Sequence[Rival] = (),
+) -> Place:
+    """The place of a term; arguments as for `Place`, with explanations that have others in it."""
     fit, without = fits
     # What happened once lies in one block, and what acts beyond a limit in few: no others can speak
     # for it.
@@ -137,9 +160,7 @@ def odds(
         # What is one law of a joint, in how many terms ever, is one cause.
         more = max(len(rival.terms) - 1, 0) * question.price(EXPECTED)
         every.append((ratio.sum(1) - (then.known - now.known), mine - its + more))
-    beyond = -math.inf if question.shows(term) else unknown(question, fits, own, term, misfit)
-    sure, nothing, *others = bagged([*every, (None, beyond)], draws)
-    return Odds(sure, nothing, others.pop(), tuple(others))
+    return Place(question, fits, term, own, tuple(every), draws)
 
 
 def unknown(

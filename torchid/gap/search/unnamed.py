@@ -2,14 +2,14 @@
 enough, the suspects."""
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import torch
 from msgspec import structs
 
 from torchid.design.columns import Place
-from torchid.gap.diagnosis import unit_of
+from torchid.gap.diagnosis import INERTIA_REMEDY, HowFar, unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import UnnamedEffect
 from torchid.gap.search.climb import candidate_moves, drop_unphysical
@@ -23,10 +23,11 @@ from torchid.gap.search.evidence import (
     refit_each,
 )
 from torchid.gap.search.explain import Explanation, solve
-from torchid.gap.search.findings import at_an_end
-from torchid.gap.search.odds import Misfit, Rival, odds
+from torchid.gap.search.findings import Judged, at_an_end
+from torchid.gap.search.odds import Misfit, Rival, place_of
 from torchid.gap.search.replication import own_torque, replication
-from torchid.gap.search.terms import Term, excluding
+from torchid.gap.search.shares import Shares
+from torchid.gap.search.terms import LINK, Term, excluding
 from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
 from torchid.robot.model import Robot
@@ -76,13 +77,40 @@ def small_effects(
             continue
         _, closes, other = without[id(term)]
         own_part = own_torque(solution, k)
-        sure = odds(question, (whole, other), term, own_part, misfit, problem.draws).sure
+        place = place_of(question, (whole, other), term, own_part, problem.draws)
+        sure = place.odds(misfit).sure
         if sure >= LIKELY:
             own_values, std = solution.values[k], solution.std[k]
             again = replication(own_part, solution, k, question.candidates.columns.samples)
             one = _entry(solution.terms[k], own_values, std, closes, sure, problem.robot)
             out.append(structs.replace(one, replication=again))
     return tuple(sorted(out, key=lambda e: -e.closes_rms))
+
+
+def terms_without_name(
+    found: Explanation, judged: Sequence[Judged], taken: Shares, far: HowFar
+) -> tuple[UnnamedEffect, ...]:
+    """Terms that the corrected model holds, because the data need them, and that are less likely
+    there than not: the surest first.
+
+    Args:
+        found: what is answered.
+        judged: its terms.
+        taken: what each takes of the error.
+        far: how far all of them close it together.
+    """
+    question, solution = found.question, found.solution
+    shares, _ = taken.of_all(far.less)
+    out = []
+    for k, one in enumerate(judged):
+        if one.named:
+            continue
+        at = len(question.fixed) + k
+        closes = question.fall(found.fit, one.without).sqrt()
+        numbers = solution.values[at], solution.std[at], closes, one.odds.sure
+        entry = _entry(solution.terms[at], *numbers, solution.model.robot)
+        out.append(structs.replace(entry, share=shares[k]))
+    return tuple(sorted(out, key=lambda e: -e.how_sure))
 
 
 def _without(question: Question, whole: Fitted, term: Term) -> tuple[float, Tensor, Fitted]:
@@ -129,7 +157,8 @@ def suspects(
         rivals = [Rival((t,), f) for f, t in others]
         left = misfit.less(question.fall(first, fit))
         own_part = own_torque(solution, k)
-        here = odds(question, (first, fit), term, own_part, left, problem.draws, rivals)
+        place = place_of(question, (first, fit), term, own_part, problem.draws, rivals)
+        here = place.odds(left)
         numbers = [(term, solution.values[k], solution.std[k], first, here.sure)]
         for (f, other), sure in zip(others, here.others, strict=True):
             values, std = f.values()[-1], f.root.norm(dim=1)[-len(other.at) :]
@@ -181,8 +210,20 @@ def _rise(question: Question, fit: Fitted, other: Fitted) -> float:
 def _entry(
     term: Term, values: Tensor, std: Tensor, closes: Tensor, sure: float, robot: Robot
 ) -> UnnamedEffect:
-    effect = term.effects[0]
     felt = term.joints or (int(closes.argmax()),)
+    if term.inertial:
+        return UnnamedEffect(
+            effect=LINK,
+            family="inertia",
+            joints=term.joints if term.name == LINK else (),
+            parameters={},
+            std={},
+            unit={},
+            closes_rms=float(closes.max()),
+            how_sure=sure,
+            settles=INERTIA_REMEDY,
+        )
+    effect = term.effects[0]
     names = [c.name for c in effect.coefficients]
     shapes = dict(zip((s.name for s in effect.shapes), effect.shape_values, strict=True))
     return UnnamedEffect(

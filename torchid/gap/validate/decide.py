@@ -1,11 +1,15 @@
-"""From the search's explanation to the answered one: what does harm, or is not likely, leaves."""
+"""From the search's explanation to the answered one: what does harm leaves, what is not likely
+stays without a name."""
 
 from dataclasses import dataclass
 
 from torchid.gap.problem import Problem
+from torchid.gap.search.evidence import refit
 from torchid.gap.search.explain import Explanation, search_again_without, without_terms
 from torchid.gap.search.findings import Judged, judge_terms, unsure_terms
 from torchid.gap.search.odds import Misfit
+from torchid.gap.search.shares import Shares
+from torchid.gap.search.terms import Term, excluding
 from torchid.gap.validate.judge import Checked, check, harmful, misfit_of
 from torchid.typing import Float, Tensor
 
@@ -18,7 +22,7 @@ class Decision:
         found: which.
         checked: on data that it was not fitted on.
         judged: its terms.
-        misfit: what it leaves without a name.
+        misfit: what it leaves without a name, terms that are not likely among it.
         least: (n,) torque that is worth a name [N m; N].
         taken_back: whether something that the evidence had has left for the harm that it did: it
             was no explanation, but the gap is there.
@@ -31,29 +35,48 @@ class Decision:
     least: Float[Tensor, " n"]
     taken_back: bool
 
+    def unnamed_squares(self, taken: Shares) -> Float[Tensor, " n"]:
+        """What terms without a name take (n,) of the mean squares of the error, on data that was
+        not fitted."""
+        far = self.checked.far
+        squares = taken.of_bars(far.rms_before.square(), far.rms_after.square())
+        return squares[[not one.named for one in self.judged]].sum(0)
+
 
 def decide(found: Explanation, problem: Problem) -> Decision:
-    """Without what makes a fold worse that it was not fitted on, and what is least likely there, if
-    it is less likely than not, the search goes on, until nothing leaves: one at a time, for others
-    are likelier beside what the search finds in its place. A held-out log takes part in no choice:
-    it judges what was chosen."""
+    """Without what makes a fold worse that it was not fitted on the search goes on, until nothing
+    leaves. What is left and is less likely than not stays in the model without a name, as long as
+    something else has one: refused, it would send the search elsewhere, until another cause passes
+    by chance. A held-out log takes part in no choice: it judges what was chosen."""
     question = found.question
     least = question.least(question.mean(found.empty.losses))
     taken_back = False
     while True:
         checked = check(found, problem)
         refused = harmful(found, checked, least)
-        taken_back |= bool(refused)
-        if refused:
-            found = without_terms(found, refused, problem)
-        misfit = misfit_of(found, checked, problem)
-        judged = judge_terms(found, misfit, problem.draws)
-        if unsure := unsure_terms(judged)[:1]:
-            refused += unsure
-            found = without_terms(found, unsure, problem, small=True)
         if not refused:
             break
-        found = search_again_without(found, refused, problem)
+        taken_back = True
+        found = search_again_without(without_terms(found, refused, problem), refused, problem)
+    judged, misfit = _judged(found, misfit_of(found, checked, problem), problem)
+    if judged and len(unsure_terms(judged)) == len(judged):
+        found = without_terms(found, found.terms, problem, small=True)
+        checked = check(found, problem)
+        judged, misfit = [], misfit_of(found, checked, problem)
     if problem.judged is not None:
         checked = check(found, problem, problem.judged, checked)
     return Decision(found, checked, tuple(judged), misfit, least, taken_back)
+
+
+def _judged(found: Explanation, misfit: Misfit, problem: Problem) -> tuple[list[Judged], Misfit]:
+    """The terms of an explanation beside a misfit that grows by those that are not likely, until
+    no more of them are; and that misfit."""
+    question, fit = found.question, found.fit
+    judged, whole = judge_terms(found, misfit, problem.draws), misfit
+    unsure: list[Term] = []
+    while len(more := unsure_terms(judged)) > len(unsure):
+        unsure = more
+        rest = refit(question, fit, excluding(question.own(fit), unsure))
+        whole = misfit.more(question.fall(fit, rest))
+        judged = [one.beside(whole) for one in judged]
+    return judged, whole

@@ -163,6 +163,7 @@ def status_of(
     said: Findings,
     checked: Checked,
     least: Float[Tensor, " n"],
+    unnamed: Float[Tensor, " n"],
     poor: bool,
     shown: bool,
     taken: bool = False,
@@ -179,11 +180,13 @@ def status_of(
         said: what is told.
         checked: on data that was not fitted.
         least: (n,) torque that is worth a name [N m; N].
+        unnamed: (n,) mean squares that terms without a name take.
         poor: whether the log could not show most effects.
         shown: whether another sensor than that of torque shows all that is told.
         taken: whether something that the evidence had was taken back for the harm that it did: it
             was no explanation, but the gap is there.
         small: whether there are causes of a size below what was asked for.
+        suspected: whether something without a name is likely there.
         hidden: whether what the model left open of itself could hide a cause.
     """
     far, noise = checked.far, checked.noise
@@ -196,7 +199,9 @@ def status_of(
     clear = (excess > CLEAR_EXCESS) & ~noise.uneven
     if noise.floor.source != "repeats":
         odd = clear = torch.zeros_like(odd)  # nothing but repeats bounds the noise above
-    unexplained = bool((odd | clear | ((noise.structure > STRUCTURE) & (beyond > least))).any())
+    structured = (noise.structure > STRUCTURE) & (beyond > least)
+    # What has no name explains nothing.
+    unexplained = bool((odd | clear | structured | (unnamed > least.square())).any())
     if not (said.effects or said.parametric):
         if unexplained or taken:
             return "detected_unexplained"
