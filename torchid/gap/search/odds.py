@@ -157,8 +157,9 @@ def place_of(
         after = draws.sums(left_by(question, rival.fit)[0].square())
         ratio = log_likelihood_ratio(now.effective * share, before, after)
         mine, its = (cost(question, question.own(f), now.effective, EXPECTED) for f in (now, then))
-        # What is one law of a joint, in how many terms ever, is one cause.
-        more = max(len(rival.terms) - 1, 0) * question.price(EXPECTED)
+        # The friction of a joint is one law, in how many terms ever; all else is several causes.
+        one_law = all(e.branch == "friction" for t in rival.terms for e in t.effects)
+        more = max(len(rival.terms) - 1, 0) * question.price(EXPECTED) if one_law else 0.0
         every.append((ratio.sum(1) - (then.known - now.known), mine - its + more))
     return Place(question, fits, term, own, tuple(every), draws)
 
