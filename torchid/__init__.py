@@ -51,6 +51,7 @@ _PUBLIC = PUBLIC | {
     "ServoArm": "torchid.position.model",
     "replay": "torchid.position.model",
     "compare_pair": "torchid.pair.pair",
+    "calibrate": "torchid.withheld.planted",
     "withheld_own": "torchid.withheld.own",
     "compare_results": "torchid.fleet.compare",
     "excite_for": "torchid.next_motion.design",

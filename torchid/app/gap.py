@@ -16,6 +16,7 @@ from torchid.app.project import current
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
+from torchid.parallel.workers import cores
 
 if TYPE_CHECKING:
     from torchid.results.answer import Diagnosis
@@ -45,6 +46,8 @@ class _Asked:
         real: Log of the arm, one for each of --simulated.
         force: Diagnose a log that looks wrong (order or sign of joints, units, lag, a run with a
             load of its own) all the same, and say so first.
+        calibrate: Plant so many causes, one at a time, in what the answer leaves of the log, and
+            say how often each kind is named: minutes.
     """
 
     save_model: opt.Model = None
@@ -56,6 +59,7 @@ class _Asked:
     simulated: opt.LogFiles = None
     real: opt.LogFiles = None
     force: Switch = False
+    calibrate: Annotated[int | None, typer.Option(metavar="N", min=1)] = None
 
 
 @command
@@ -109,7 +113,7 @@ def gap_command(
         require_field(kind, found, log)
     # The log is handed over where it is not needed again: a long one takes half of the memory.
     handed = [log]
-    if kind is None:
+    if kind is None and asked.calibrate is None:
         del log
     with output.progress("preparing") as progress, trials.line_to_mend():
         result = torchid.diagnose(
@@ -137,6 +141,18 @@ def gap_command(
         )  # fmt: skip
         output.put(output.out / "correction.json", done.save)
         to_print.append(correction_shown(done))
+    if asked.calibrate is not None:
+        from torchid.gap.diagnosis import TorqueDiagnosis
+        from torchid.report.withheld import calibration_shown
+
+        if not isinstance(result, TorqueDiagnosis):
+            raise TorchidError("--calibrate plants causes of torque, and this log has none.")
+        with output.progress("planting causes") as progress:
+            checked = torchid.calibrate(
+                result, log, count=asked.calibrate, jobs=cores(), progress=progress
+            )
+        output.put(output.out and output.out / "calibration.json", checked.save)
+        to_print.append(calibration_shown(checked))
     for one in to_print:
         output.tell(one)
 

@@ -1,9 +1,12 @@
-"""The check of the diagnosis on one's own arm."""
+"""The checks of the diagnosis on one's own arm."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 from torchid.report.table import Shown, Table
+from torchid.statistics.criteria import SET_MASS
 from torchid.withheld.own import OwnCheck
+from torchid.withheld.planted import OUTSIDE, Calibration, Planted
 
 
 def own_shown(found: OwnCheck) -> Shown:
@@ -42,6 +45,41 @@ def own_table(found: OwnCheck) -> Table:
         withheld.append((w.effect, _joints(w.joints), again, ", ".join(others), *shares))
     heads = ("effect", "joint", "found again", "named instead", "closed", "known to close")
     return Table("Accepted effects, withheld", heads, withheld, "pppppp")
+
+
+def calibration_shown(found: Calibration) -> Shown:
+    """What would be named on this log, were it there."""
+    return Shown(verdict=calibration_headline(found), parts=[calibration_table(found)])
+
+
+def calibration_headline(found: Calibration) -> str:
+    """How often causes are named, and what is of no library gets a sure name, in one sentence."""
+    inside = [p for p in found.planted if p.effect != OUTSIDE]
+    outside = [p for p in found.planted if p.effect == OUTSIDE]
+    right, also = (sum(x) for x in ((p.named for p in inside), (p.in_set for p in inside)))
+    text = (
+        f"Of {len(inside)} causes {found.times:g} times as large as what is left of this log, "
+        f"{right} were named, {also} with those in a set"
+    )
+    sure = sum((p.how_sure or 0.0) >= SET_MASS for p in outside)
+    return f"{text}; of {len(outside)} that no library has, {sure} got a sure name."
+
+
+def calibration_table(found: Calibration) -> Table:
+    """Kind by kind: how often it was named, and what was named in its place."""
+    kinds: dict[str, list[Planted]] = {}
+    for one in found.planted:
+        kinds.setdefault(one.effect, []).append(one)
+    rows = []
+    for kind, same in kinds.items():
+        instead = Counter(f.effect for p in same for f in p.named_instead)
+        others = ", ".join(f"{name} ({k})" for name, k in instead.most_common(3))
+        counts = [sum(x) for x in zip(*((p.named, p.in_set, p.branch) for p in same), strict=True)]
+        cells = ["-"] * 3 if kind == OUTSIDE else [f"{k} of {len(same)}" for k in counts]
+        where = _joints(sorted({p.joint for p in same}))
+        rows.append((kind, where, *cells, others))
+    heads = ("planted", "joints", "named", "in a set", "its branch", "named beside or instead")
+    return Table("Causes planted in what is left of this log", heads, rows, "pppppp")
 
 
 def _joints(joints: Sequence[int]) -> str:

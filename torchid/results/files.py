@@ -35,6 +35,7 @@ RECORDS = other_packages.RECORDS | {
     "torchid.fleet/1": "torchid.fleet.record:FleetRecord",
     "torchid.fleet_gap/1": "torchid.fleet.gap:FleetGapRecord",
     "torchid.fleet_watch/1": "torchid.fleet.watch:WatchRecord",
+    "torchid.gap.calibration/1": "torchid.withheld.planted:CalibrationRecord",
     "torchid.withheld.own/1": "torchid.withheld.own:OwnRecord",
 }
 """Where the record of each schema stands; of several of one schema, with what tells them apart."""
