@@ -333,8 +333,10 @@ class Answer(Part, frozen=True, kw_only=True):
                 rest = " The rest has no known cause."
         # The two largest causes with their numbers; fewer words where these do not fit.
         groups = list(self.groups(self.causes))
-        for most, values in ((2, True), (2, False), (1, True), (1, False)):
-            names = [self._named(same, values) for same in groups[:most]]
+        for most, values, rivals in (
+            (2, True, 2), (2, False, 1), (1, True, 2), (1, False, 1), (1, False, 0)
+        ):  # fmt: skip
+            names = [self._named(same, values, rivals) for same in groups[:most]]
             more = len(groups) - most
             names += [f"{more} more"] if more > 0 else []
             text = listed(names)
@@ -395,8 +397,8 @@ class Answer(Part, frozen=True, kw_only=True):
             same = [c for c in causes if (c.effect, c.changed) == kind]
             yield sorted(same, key=lambda c: c.joints)
 
-    def _named(self, same: Sequence[Cause], values: bool) -> str:
-        """`Coulomb friction on joint 2 (0.61 ± 0.02 N m)`."""
+    def _named(self, same: Sequence[Cause], values: bool, rivals: int) -> str:
+        """`Coulomb friction on joint 2 (0.61 ± 0.02 N m)`, with so many rivals."""
         first = same[0]
         if first.effect == "link_inertia":
             joints = tuple(j for c in same for j in c.joints)
@@ -409,8 +411,8 @@ class Answer(Part, frozen=True, kw_only=True):
         if values and len(same) == 1 and known and (len(known) == 1 or first.effect == "payload"):
             inner.append(size_words(known[0]))
         others = list(dict.fromkeys(effect_words(x) for c in same for x in c.ambiguous_with))
-        if others:
-            inner.append(f"or {listed(others, 'or', most=2 if values else 1)}")
+        if others and rivals:
+            inner.append(f"or {listed(others, 'or', most=rivals)}")
         return f"{text} ({'; '.join(inner)})" if inner else text
 
     def shared(self) -> list[tuple[Cause, ...]]:

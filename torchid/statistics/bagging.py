@@ -20,9 +20,9 @@ DRAWS, DRAWN_SHARE = 40, 0.5
 """Logs that are drawn from the blocks of one, and how many blocks each has of those that there are
 [1]: half, as Huggins and Miller advise."""
 
-POWERS = (1.0, 0.5, 0.25, 0.125)
-"""Of the evidence, over which a probability is averaged [1]: as many samples as one thinks, or an
-eighth of them. Prices at full weight beside an eighth of the likelihood would take the
+POWERS = (1.0, 0.5, 0.25)
+"""Of the evidence, over which a probability is averaged [1]: as many samples as one thinks, or a
+quarter of them. Prices at full weight beside a quarter of the likelihood would take the
 names of most effects that are twice as large as what a real arm leaves."""
 
 
