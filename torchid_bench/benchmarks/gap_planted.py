@@ -36,6 +36,7 @@ from torchid.log.model import Log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
+from torchid.statistics.criteria import SET_MASS
 from torchid.statistics.proportion import wilson
 from torchid_bench.benchmarks.gap_hard import CAUSES, RIGHT, Truth
 from torchid_bench.benchmarks.gap_plant import Scene, gap, generator, plant
@@ -252,7 +253,7 @@ def score(work: Path, sizes: Sequence[float]) -> None:
     """A table, a line a size; and a line a log of what is named without anything planted."""
     unplanted = {p.parent: json.loads(p.read_text()) for p in sorted(work.glob("*/none.json"))}
     heads = ("planted, times what the model leaves", "named first on its joint", "named", "in a set",
-             "first of names and suspects", "anywhere")  # fmt: skip
+             "first of names and suspects", "anywhere", "its branch", "above .9: right")  # fmt: skip
     print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
     false = []
     for size in sizes:
@@ -265,7 +266,8 @@ def score(work: Path, sizes: Sequence[float]) -> None:
                 rows.append(judged(case, none))
                 false.append(rows[-1][-1])
         if rows:
-            cells = [f"{sum(r[k] for r in rows)} of {len(rows)}" for k in range(len(heads) - 1)]
+            cells = [f"{sum(r[k] for r in rows)} of {len(rows)}" for k in range(len(heads) - 2)]
+            cells.append("{} of {}".format(*(sum(r[-2][k] for r in rows) for k in (0, 1))))
             print(f"| {size:g} | {' | '.join(cells)} |")
     low, high = wilson(sum(map(bool, false)), len(false))
     print(
@@ -277,13 +279,18 @@ def score(work: Path, sizes: Sequence[float]) -> None:
         print(f"- {folder.name}: {none['status']}: {names or 'nothing'}")
 
 
-def names_it(key: dict[str, Any], claim: dict[str, Any], *, in_set: bool = False) -> bool:
-    """Whether a claim names what was planted at a joint that feels it; or holds it in its set."""
+def names_it(
+    key: dict[str, Any], claim: dict[str, Any], *, in_set: bool = False, branch: bool = False
+) -> bool:
+    """Whether a claim names what was planted at a joint that feels it; or holds it in its set, or
+    is of its branch of the tree of causes."""
     places = {j + 1 for j in (*key["joints"], *key["felt_by"])}
     right = set(key.get("right", [key["effect"]]))
     also = claim.get("ambiguous_with", ()) if in_set else ()
     # Felt by no joint as much as by another: it is the whole arm's.
     near = not claim["joints"] or not places or bool(places & set(claim["joints"]))
+    if branch and key["effect"] in KINDS:
+        return near and KINDS[key["effect"]].branch == claim.get("branch")
     return near and bool(right & {claim["effect"], *also})
 
 
@@ -292,9 +299,13 @@ def identity(claim: dict[str, Any]) -> tuple[str, ...]:
     return claim["effect"], *map(str, claim["joints"])
 
 
-def judged(case: dict[str, Any], none: dict[str, Any]) -> tuple[bool, bool, bool, bool, bool, int]:
+Verdict = tuple[bool, bool, bool, bool, bool, bool, tuple[int, int], int]
+
+
+def judged(case: dict[str, Any], none: dict[str, Any]) -> Verdict:
     """Whether the first new name is right, any name is, any set holds it, the first of new names
-    and suspects is right, any entry of the answer holds it; number of false names."""
+    and suspects is right, any entry of the answer holds it, a name of its branch is there; how many
+    new names above .9 at the effect's own level are right, and of how many; false names."""
     key, answer = case["planted"], case["answer"]
     before = {identity(w) for w in none["which"]}
     suspected = {identity(s) for s in none.get("suspects", ())}
@@ -303,6 +314,7 @@ def judged(case: dict[str, Any], none: dict[str, Any]) -> tuple[bool, bool, bool
     listed = [*new, *(s for s in likely if identity(s) not in suspected or names_it(key, s))]
     every = [*answer["which"], *likely, *answer.get("small", ())]
     named = [w for w in answer["which"] if names_it(key, w)]
+    sure = [w for w in new if w["how_sure"] >= SET_MASS and not w.get("one_of_a_set")]
     # Known on the joint before it was planted, it can only change its size.
     known = any(names_it(key, w) for w in none["which"] if w["joints"])
     first = (bool(new) and names_it(key, new[0])) or (known and bool(named))
@@ -312,6 +324,8 @@ def judged(case: dict[str, Any], none: dict[str, Any]) -> tuple[bool, bool, bool
         any(names_it(key, w, in_set=True) for w in answer["which"]),
         first or (bool(listed) and names_it(key, listed[0])),
         any(names_it(key, c, in_set=True) for c in every),
+        any(names_it(key, w, branch=True) for w in answer["which"]),
+        (sum(names_it(key, w) for w in sure), len(sure)),
         sum(not names_it(key, w, in_set=True) for w in new),
     )
 

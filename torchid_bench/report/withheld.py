@@ -87,6 +87,7 @@ LINES = (
     Line("one effect: names in the set", ("single", "set_size"), high=2.0, percent=False),
     Line("one effect: in any set", ("single", "anywhere", "share")),
     Line("one effect: family right", ("single", "family", "share"), low=0.95),
+    Line("one effect: its branch named at its place", ("single", "branch", "share")),
     Line("one effect: that alone, right joint", ("single", "exact", "share")),
     Line("one clear effect: first name right", ("single_clear", "top1", "share")),
     Line("one clear effect: in the first set", ("single_clear", "in_set", "share")),

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from torchid.effects.registry import KINDS
 from torchid.statistics.proportion import HALF_95, wilson
 from torchid.statistics.resampling import bootstrap, percentile_interval
 from torchid_bench.withheld.rows import Claim, Planted, Row
@@ -32,6 +33,8 @@ class Named:
         in_set: whether it is among the top claim's names.
         anywhere: whether it is among any claim's names.
         family: whether the top claim is of its family.
+        branch: whether a claim of its branch of the tree of causes is at its place: of friction,
+            whichever detail of the joint's law is named.
         exact: whether it is all that was named, at its place.
         set_size: names of the top claim; None without one.
     """
@@ -40,6 +43,7 @@ class Named:
     in_set: bool
     anywhere: bool
     family: bool
+    branch: bool
     exact: bool
     set_size: int | None
 
@@ -49,17 +53,25 @@ def how_named(row: Row) -> Named:
     (planted,) = row.planted
     top = row.top
     if top is None:
-        return Named(False, False, False, False, False, None)
+        return Named(False, False, False, False, False, False, None)
     return Named(
         top1=top.name == planted.name,
         in_set=planted.name in top.names,
         anywhere=any(planted.name in c.names for c in row.claims),
         family=top.family == planted.family,
+        branch=any(_same_branch(planted, c) for c in row.claims),
         exact=len(row.claims) == 1
         and top.name == planted.name
         and sorted(top.place) == sorted(planted.place),
         set_size=len(top.names),
     )
+
+
+def _same_branch(planted: Planted, claim: Claim) -> bool:
+    """Whether a claim is of a cause's branch, at its place."""
+    branches = {BRANCH_OF.get(name, name) for name in (planted.name, claim.name)}
+    here, there = set(planted.place), set(claim.place)
+    return len(branches) == 1 and (not here or not there or bool(here & there))
 
 
 def joint_counts(row: Row) -> Counts:
@@ -226,6 +238,9 @@ def reliability(pairs: Sequence[tuple[float, bool]]) -> dict[str, Any]:
     brier = sum((p - right) ** 2 for p, right in pairs) / len(pairs) if pairs else None
     return {"brier": brier, "names": len(pairs), "curve": curve}
 
+
+BRANCH_OF = {name: kind.branch for name, kind in KINDS.items()}
+"""Of every effect of torques."""
 
 DRAWS = 1000
 """Of the bootstrap over cases."""

@@ -137,7 +137,7 @@ def _naming(cases: Sequence[Scored]) -> dict[str, Any]:
         "detected": rate(c.row.alarm for c in cases),
         **{
             name: rate(getattr(n, name) for n in found)
-            for name in ("top1", "in_set", "anywhere", "family", "exact")
+            for name in ("top1", "in_set", "anywhere", "family", "branch", "exact")
         },
         "set_size": sum(sizes) / len(sizes) if sizes else None,
     }

@@ -96,8 +96,11 @@ def test_names_of_single_effects():
         case("single", answer("error"), ("payload", "inertia", 1)),
     ]
     found = scores(cases)["single"]
-    hits = {k: found[k]["hits"] for k in ("detected", "top1", "in_set", "family", "exact")}
-    assert hits == {"detected": 3, "top1": 1, "in_set": 2, "family": 2, "exact": 1}
+    hits = {
+        k: found[k]["hits"] for k in ("detected", "top1", "in_set", "family", "branch", "exact")
+    }
+    expected = {"detected": 3, "top1": 1, "in_set": 2, "family": 2, "branch": 2, "exact": 1}
+    assert hits == expected
     assert found["set_size"] == pytest.approx(4 / 3)
     assert found["by_effect"]["coulomb_friction"]["top1"]["total"] == 4
     assert found["by_effect"]["payload"]["top1"]["hits"] == 0
