@@ -7,6 +7,7 @@ that is reported belongs to one model, the answered one: its coefficients are fi
 and how far it closes the gap is judged by its terms fitted without each fold, on that fold.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -111,10 +112,17 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
     known = known_of(found, problem, after, decision.least)
     said = with_changes(said, known)
     small = small_effects(found, problem, decision.misfit)
-    unnamed = terms_without_name(found, decision.judged, taken, checked.far)
+    unnamed = terms_without_name(found, decision.judged, taken.of_all(checked.far.less)[0])
+    if decision.dropped is not None:
+        lost, judged = decision.dropped
+        unnamed = terms_without_name(lost, judged, [math.nan] * len(judged))
     likely: tuple[UnnamedEffect, ...] = ()
-    if not data.stands:
-        listed = [*(t.key for t in found.terms), *((e.effect, e.joints) for e in small)]
+    # Data that do not confirm a cause do not confirm its rivals either.
+    if not (data.stands or (decision.taken_back and decision.dropped is not None)):
+        listed = [
+            *(t.key for t in found.terms),
+            *((e.effect, e.joints) for e in (*small, *unnamed)),
+        ]
         moved = () if known is None else known.moved
         likely = suspects(found, problem, decision.misfit, listed, moved)
     far, shares = checked.far, Budget(0.0, 0.0, 0.0)

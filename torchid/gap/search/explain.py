@@ -332,15 +332,12 @@ def solve(problem: Problem, fit: Fitted) -> Solution:
     return solve_terms(problem.given, fit.terms, fit.values(), data, wanted, block, fit.effective)
 
 
-def without_terms(
-    found: Explanation, gone: Sequence[Term], problem: Problem, *, small: bool = False
-) -> Explanation:
-    """The same explanation without some terms, which then are among those that are not worth a name
-    if they are small."""
+def without_terms(found: Explanation, gone: Sequence[Term], problem: Problem) -> Explanation:
+    """The same explanation without some terms."""
     question, fit = found.question, found.fit
     # The other terms are fitted anew.
     less = fit_to_convergence(question, excluding(fit.terms, gone), fit)
-    return _with_fit(found, question, less, gone if small else (), problem)
+    return _with_fit(found, question, less, (), problem)
 
 
 def _with_fit(

@@ -43,7 +43,7 @@ from torchid.results.answer import NotTestable
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.bagging import Draws
 from torchid.statistics.criteria import LIKELY
-from torchid.typing import Int, Tensor
+from torchid.typing import Float, Int, Tensor
 
 LARGE_SHARE = 0.5
 """Torque, as a share of the joint's own, below which a testable effect must be detectable."""
@@ -81,6 +81,21 @@ class Judged:
     def beside(self, misfit: Misfit) -> "Judged":
         """The same beside another misfit."""
         return replace(self, odds=self.place.odds(misfit))
+
+    def confirmed(self, shrinks: Float[Tensor, " n"]) -> "Judged":
+        """The same beside data that were not fitted.
+
+        Args:
+            shrinks: (n,) probability that each joint's error is less with what is told.
+        """
+        term, (fit, without) = self.place.term, self.place.fits
+        # What happened once, or shows on another sensor, cannot be asked there.
+        if self.place.question.shows(term) or any(e.event or e.at_ends for e in term.effects):
+            return self
+        joint = term.place
+        if joint is None:
+            joint = int(self.place.question.fall(fit, without).argmax())
+        return replace(self, odds=self.odds.confirmed(float(shrinks[joint])))
 
     @property
     def one_of_a_set(self) -> bool:

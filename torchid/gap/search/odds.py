@@ -87,6 +87,13 @@ class Odds:
         """Probability that the cause is there or one of the rivals in its place."""
         return self.sure + sum(self.others)
 
+    def confirmed(self, share: float) -> "Odds":
+        """The same where data that were not fitted confirm such a share of what is there, whichever
+        it is."""
+        masses = (self.sure, self.unknown, *self.others)
+        sure, unknown, *others = (share * mass for mass in masses)
+        return Odds(sure, 1 - share * (1 - self.nothing), unknown, tuple(others))
+
     @property
     def in_set(self) -> list[int]:
         """Which rivals belong to the smallest set that holds `SET_MASS` of what is in this place,

@@ -9,7 +9,7 @@ import torch
 from msgspec import structs
 
 from torchid.design.columns import Place
-from torchid.gap.diagnosis import INERTIA_REMEDY, HowFar, unit_of
+from torchid.gap.diagnosis import INERTIA_REMEDY, unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import UnnamedEffect
 from torchid.gap.search.climb import candidate_moves, drop_unphysical
@@ -26,7 +26,6 @@ from torchid.gap.search.explain import Explanation, solve
 from torchid.gap.search.findings import Judged, at_an_end
 from torchid.gap.search.odds import Misfit, Rival, place_of
 from torchid.gap.search.replication import own_torque, replication
-from torchid.gap.search.shares import Shares
 from torchid.gap.search.terms import LINK, Term, excluding
 from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
@@ -88,19 +87,16 @@ def small_effects(
 
 
 def terms_without_name(
-    found: Explanation, judged: Sequence[Judged], taken: Shares, far: HowFar
+    found: Explanation, judged: Sequence[Judged], shares: Sequence[float]
 ) -> tuple[UnnamedEffect, ...]:
-    """Terms that the corrected model holds, because the data need them, and that are less likely
-    there than not: the surest first.
+    """Terms of an explanation that are less likely there than not, the surest first.
 
     Args:
-        found: what is answered.
+        found: what is answered, or was before all of it lost its names.
         judged: its terms.
-        taken: what each takes of the error.
-        far: how far all of them close it together.
+        shares: of the error that each takes; NaN where the corrected model does not hold it.
     """
     question, solution = found.question, found.solution
-    shares, _ = taken.of_all(far.less)
     out = []
     for k, one in enumerate(judged):
         if one.named:

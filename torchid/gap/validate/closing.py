@@ -37,14 +37,16 @@ SURELY_NOISE = 0.9
 model's own misfit, and noise measured too large would leave no room for any."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Closing(HowFar):
     """How far a gap closes.
 
     Attributes:
         improves: whether resampled blocks are better after than before (one-sided 95 %).
+        shrinks: (n,) share of resampled blocks in which each joint's error is less after.
     """
 
+    shrinks: Float[Tensor, " n"]
     improves: bool = False
 
 
@@ -114,6 +116,7 @@ def closing(
     weights = torch.from_numpy(bootstrap_weights(len(counts), DRAWS, rng))
     first, last = (weights @ (x / unit).sum(1) for x in (before, after))
     improves = bool((first - last).quantile(1 - LEVEL) > 0)
+    shrinks = (weights @ (before - after) > 0).double().mean(0)
     low, high = (x.clamp(min=1e-12).log() for x in (floor.low, floor.high))
     z = torch.from_numpy(rng.standard_normal((DRAWS, len(unit))))
     drawn = torch.exp((high - low) / HALF_90 * z) if floor.source == "repeats" else 1.0
@@ -123,7 +126,7 @@ def closing(
     )
     # A gap that may be zero has no share that could be closed.
     if not excess[0] > 0:
-        return Closing(rms[0], rms[1], None, None, improves=improves)
+        return Closing(rms[0], rms[1], None, None, shrinks=shrinks, improves=improves)
     if motions is not None:
         # How far on others: motions are drawn, and then blocks of each.
         own = np.repeat(motions, [len(p[0]) for p in parts])
@@ -143,9 +146,10 @@ def closing(
     left = rms[1].square().sum()
     value = float(closed_share(rms[0].square().sum(), left, torch.minimum(noise.sum(), left)))
     if value != value:
-        return Closing(rms[0], rms[1], None, None, improves=improves)
+        return Closing(rms[0], rms[1], None, None, shrinks=shrinks, improves=improves)
     ends_of = [*(x for pair in intervals for x in pair if x == x), value]
-    return Closing(rms[0], rms[1], value, (min(ends_of), max(ends_of)), improves=improves)
+    interval = min(ends_of), max(ends_of)
+    return Closing(rms[0], rms[1], value, interval, shrinks=shrinks, improves=improves)
 
 
 def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor) -> Budget:

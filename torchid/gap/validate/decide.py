@@ -22,6 +22,7 @@ class Decision:
         found: which.
         checked: on data that it was not fitted on.
         judged: its terms.
+        dropped: an explanation none of whose terms is likely, and these; nothing of it is answered.
         misfit: what it leaves without a name, terms that are not likely among it.
         least: (n,) torque that is worth a name [N m; N].
         taken_back: whether something that the evidence had has left for the harm that it did: it
@@ -31,6 +32,7 @@ class Decision:
     found: Explanation
     checked: Checked
     judged: tuple[Judged, ...]
+    dropped: tuple[Explanation, tuple[Judged, ...]] | None
     misfit: Misfit
     least: Float[Tensor, " n"]
     taken_back: bool
@@ -47,7 +49,8 @@ def decide(found: Explanation, problem: Problem) -> Decision:
     """Without what makes a fold worse that it was not fitted on the search goes on, until nothing
     leaves. What is left and is less likely than not stays in the model without a name, as long as
     something else has one: refused, it would send the search elsewhere, until another cause passes
-    by chance. A held-out log takes part in no choice: it judges what was chosen."""
+    by chance. A held-out log takes part in no choice: it judges what was chosen, and a cause that
+    does no good there loses its name."""
     question = found.question
     least = question.least(question.mean(found.empty.losses))
     taken_back = False
@@ -59,13 +62,24 @@ def decide(found: Explanation, problem: Problem) -> Decision:
         taken_back = True
         found = search_again_without(without_terms(found, refused, problem), refused, problem)
     judged, misfit = _judged(found, misfit_of(found, checked, problem), problem)
+    checked = _on_held_out(found, checked, problem)
+    likely, judged = judged, [one.confirmed(checked.far.shrinks) for one in judged]
+    dropped = None
     if judged and len(unsure_terms(judged)) == len(judged):
-        found = without_terms(found, found.terms, problem, small=True)
+        dropped = found, tuple(judged)
+        taken_back |= any(one.named for one in likely)
+        found = without_terms(found, found.terms, problem)
         checked = check(found, problem)
         judged, misfit = [], misfit_of(found, checked, problem)
-    if problem.judged is not None:
-        checked = check(found, problem, problem.judged, checked)
-    return Decision(found, checked, tuple(judged), misfit, least, taken_back)
+        checked = _on_held_out(found, checked, problem)
+    return Decision(found, checked, tuple(judged), dropped, misfit, least, taken_back)
+
+
+def _on_held_out(found: Explanation, checked: Checked, problem: Problem) -> Checked:
+    """The same on the held-out log, where there is one."""
+    if problem.judged is None:
+        return checked
+    return check(found, problem, problem.judged, checked)
 
 
 def _judged(found: Explanation, misfit: Misfit, problem: Problem) -> tuple[list[Judged], Misfit]:
