@@ -188,7 +188,7 @@ def export_dynamics(
         in_file=in_file,
         beside=beside,
         left_out=left_out,
-        notes=(*_of_servos(dynamics, to), *(lost if xml else ()), *draft.notes),
+        notes=(*_of_servos(dynamics, to), *_of_weight(dynamics, to), *(lost if xml else ()), *draft.notes),
     )
 
 
@@ -228,6 +228,13 @@ def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
     elif said == JOINTS:
         hint = '; `to="mjcf"` says gains, delays, clips and stops, too'
     return (f"of the servos {', '.join(names)} are not in it{hint}",)
+
+
+def _of_weight(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
+    """What a format does not say of gravity that servos do not feel."""
+    if dynamics.robot.compensated is None or to in ("mjcf", "yaml"):
+        return ()
+    return ("gravity compensation (gravcomp) is not in it",)
 
 
 def stem_of(robot: Robot) -> str:

@@ -101,7 +101,7 @@ def write_servos(
         node.attrib.update(_general(values, step))
         # What the servo can is fitted; a limit of the nominal robot would come before it.
         nodes[name].attrib.pop("actuatorfrcrange", None)
-        nodes[name].set("actuatorfrclimited", "false")
+        nodes[name].attrib.update({"actuatorfrclimited": "false", "actuatorgravcomp": "false"})
         ends = [values[stop] for stop in STOPS]
         if any(map(math.isfinite, ends)):
             turn = robot.joint_types[j] is JointType.REVOLUTE and degrees

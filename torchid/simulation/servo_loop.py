@@ -29,6 +29,7 @@ from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
 from torchid.dynamics.newton_euler import keep_freed_memory
 from torchid.effects.registry import nominal_effects
 from torchid.effects.spring import JointSpring, stumpff
+from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import JointType, Robot, link_poses
 from torchid.simulation.servo import INDEX, PLANE, Servos
 from torchid.typing import Bool, Float, Int
@@ -139,7 +140,7 @@ def body_at(
     mass = mass_matrix(robot, q)
     own = mass.diagonal(dim1=1, dim2=2)
     off = mass - torch.diag_embed(own)
-    bias = bias_torque(robot, q, dq) + _springs(robot, q)
+    bias = bias_torque(robot, q, dq) + _springs(robot, q) - compensation(robot, q)
     body = q, bias, torch.zeros_like(mass), own, off, off.abs().sum(2)
     if link is None:
         return Body(*body)
@@ -179,9 +180,17 @@ def _springs(robot: Robot, q: Float[Tensor, "T n"]) -> Float[Tensor, "T n"]:
     return out
 
 
+def compensation(robot: Robot, q: Float[Tensor, "T n"]) -> Float[Tensor, "T n"]:
+    """Torque of the weight that servos do not feel [N m]."""
+    if robot.compensated is None:
+        return torch.zeros_like(q)
+    pi = torch.nn.functional.pad(robot.compensated, (0, PARAMETERS_PER_LINK - 4))
+    return gravity_torque(robot, q, InertialParameters(pi))
+
+
 def _with_stiffness(robot: Robot, body: Body) -> Body:
     def still(q: Float[Tensor, "T n"]) -> Float[Tensor, "T n"]:
-        return gravity_torque(robot, q) + _springs(robot, q)
+        return gravity_torque(robot, q) + _springs(robot, q) - compensation(robot, q)
 
     at_rest = still(body.q)
     columns = [

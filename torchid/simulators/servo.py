@@ -37,7 +37,7 @@ from torchid.effects.friction_laws import RESTING
 from torchid.errors import TorchidError
 from torchid.robot.model import Robot
 from torchid.simulation.servo import NAMES, PARAMETERS, Servos
-from torchid.simulation.servo_loop import FASTEST, profile_step
+from torchid.simulation.servo_loop import FASTEST, compensation, profile_step
 from torchid.simulators.actuator import joints_named
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -279,7 +279,8 @@ class ServoTorque:
             return torch.zeros_like(q)
         at = torch.zeros(len(q), self._robot.n, dtype=torch.float64)
         at[:, self.joints] = q.cpu().double()
-        weight = gravity_torque(self._robot, at)[:, self.joints].to(q)
+        weight = gravity_torque(self._robot, at) - compensation(self._robot, at)
+        weight = weight[:, self.joints].to(q)
         return torch.where(p["integral"] > 0, weight - p["offset"] - p["kp"] * error, 0.0)
 
 
