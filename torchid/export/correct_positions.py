@@ -18,7 +18,7 @@ from torchid.export.correction import (
     of_joints,
     without_field,
 )
-from torchid.export.dynamics import Dynamics, require_same_arm
+from torchid.export.dynamics import Dynamics, in_places_of, require_same_arm
 from torchid.export.export import edited_of
 from torchid.export.results import servo_dynamics
 from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid_parameters, write_servos
@@ -62,6 +62,7 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
     arm = full.corrected if isinstance(full, PositionDiagnosis) else full
     robot, log = asked.robot, asked.log
     require_same_arm(arm.robot, robot, "servos are")
+    arm = replace(arm, robot=in_places_of(arm.robot, robot))
     yaml = asked.folder / f"{asked.stem}_effects.yaml"
     if asked.with_effects and yaml.resolve() in [Path(file).resolve() for file in asked.keep]:
         raise TorchidError(
