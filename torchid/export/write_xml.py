@@ -1,5 +1,6 @@
 """Exports to URDF and MJCF: an edited copy of the user's file, or a new one."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from torchid.robot.sidecar import sidecar_path, sidecar_yaml
 from torchid.robot.tree import Choice, choice_of
 from torchid.simulators.joint_dynamics import JointDynamics, Target, split
 
+
 def write_xml(
     dynamics: Dynamics,
     written: Robot,
@@ -35,6 +37,7 @@ def write_xml(
     original: Robot | None,
     motion: Motion,
     to: Target,
+    ratios: Mapping[int, float] | None = None,
 ) -> tuple[Draft, tuple[Comparison, ...]]:
     """Write, reload with torchid, Pinocchio and MuJoCo, compare, and keep.
 
@@ -45,6 +48,7 @@ def write_xml(
         original: the robot whose file a copy is edited of.
         motion: states of the comparison.
         to: format.
+        ratios: as in `write_servos`.
     """
     mjcf = path.suffix == ".xml"
     robot, file, joints, rest = xml_of(written, path, original, to)
@@ -53,7 +57,7 @@ def write_xml(
     servos = dynamics.arm.servos if to == "mjcf" and dynamics.arm is not None else None
     if servos is not None:
         source = path.name if original is None else original.source
-        write_servos(file, robot, servos, source, dynamics.late)
+        write_servos(file, robot, servos, source, dynamics.late, ratios)
     known = tuple(pair for pair in nominal_effects(robot) if pair not in rest)
     if original is None and not mjcf:
         rest = in_joint_frames(rest, robot)

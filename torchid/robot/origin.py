@@ -2,7 +2,6 @@
 exactly such a file says where its links are."""
 
 import re
-
 from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
@@ -23,8 +22,8 @@ _PLACES = re.compile(
 )
 """Attributes by which a URDF or MJCF places links."""
 _ROUNDED, _CLOSEST, _FARTHEST = 1.5, 1e-9, 1e-3
-"""Half of the last digit of each of three angles; entries of poses that differ by less are the same,
-and by more are not, however a file is rounded [-; m]."""
+"""Half of the last digit of each of three angles; entries of poses that differ by less are always
+the same, and by more never [-; m]."""
 
 
 def origin_of(robot: Robot) -> Mapping[str, Any]:

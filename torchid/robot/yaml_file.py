@@ -162,9 +162,7 @@ def from_mapping(data: Any, source: str) -> Robot:
             }
         ),
         parameters=_parameters(file.parameters, links, source),
-        compensated=None
-        if light is None
-        else numbers(light, (links, 4), f"{source}: compensated"),
+        compensated=None if light is None else numbers(light, (links, 4), f"{source}: compensated"),
         effects=read_effects(file.effects or (), n, source),
         drive_gain=None if gain is None else numbers(gain, (n,), f"{source}: drive_gain"),
         bounds=MappingProxyType(file.bounds or {}),
