@@ -36,7 +36,7 @@ from torchid.simulation.servo_loop import Tracks, Windows
 from torchid.simulators.servo import SetPoints
 from torchid.typing import Float
 
-JOINTS = ("damping", "coulomb", "armature")
+JOINTS = ("damping", "coulomb", "armature", "damping_share")
 """Parameters of servos that are a joint's."""
 STOPS = ("stop_low", "stop_high")
 SAID = ("kp", *JOINTS, "offset", "delay", "scale", "lag", "clip", *STOPS)
@@ -143,6 +143,7 @@ def _actuator(root: Any, joint: str) -> Any:
 def _general(values: dict[str, float], step: float) -> dict[str, str]:
     """Attributes of a servo's actuator, none left to a file's defaults."""
     kp, kd, offset, clip = (values[k] for k in ("kp", "kd", "offset", "clip"))
+    kd += values["damping_share"] * values["damping"]
     out = {
         "gear": "1 0 0 0 0 0",
         "ctrllimited": "false",
@@ -263,6 +264,7 @@ def check_servos(path: Path, robot: Robot, servos: Servos) -> Comparison:
     kp, kd, scale, offset, clip = (
         servos.of(k).numpy() for k in ("kp", "kd", "scale", "offset", "clip")
     )
+    kd = kd + (servos.of("damping_share") * servos.of("damping")).numpy()
     expected = torch.from_numpy(np.clip(kp * (scale * u - q) - kd * dq, -clip, clip) + offset)
     apart = relative_difference(torch.from_numpy(engine.force(u, q, dq)), expected)
     return Comparison(engine.name, what, len(q), apart, EXACT)

@@ -86,6 +86,7 @@ class PositionData:
         body: the rigid body near the measured motion, halfway from each row to the next.
         strength: (n,) torques of each joint beside those of a small servo, where a fit starts [1].
         link: whose points may touch a plane, counted from 0.
+        damping_share: (n,) of servos that are sought: how much of the damping their clip limits.
         set_points: those found last, beside the profiles and the rows that they are of.
     """
 
@@ -100,6 +101,7 @@ class PositionData:
     body: Body
     strength: Float[Tensor, " n"]
     link: int
+    damping_share: Float[Tensor, " n"]
     set_points: dict[bool, tuple[Tensor, Tensor, Tensor]] = field(default_factory=dict, repr=False)
 
     @property
@@ -374,7 +376,10 @@ def prepare(
     body = body_near(robot, q, dq, link).midway(tracks.last)
     # How strong servos are follows from the arm's weight, compensated or not.
     strength = _strength(body.bias + compensation(robot, q), tracks.u - q)
-    return PositionData(robot, weighed, log, scale, tracks, held, q, dq, body, strength, link)
+    return PositionData(
+        robot, weighed, log, scale, tracks, held, q, dq, body, strength, link,
+        torch.zeros_like(strength),
+    )  # fmt: skip
 
 
 def _strength(bias: Float[Tensor, "T n"], error: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:

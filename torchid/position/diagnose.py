@@ -124,6 +124,8 @@ def diagnose_positions(
     log, warnings = _parted(log)
     scaled = start is not None and bool((start.scale != 1).any())
     data = prepare(robot, log, start.scale if start is not None and scaled else None)
+    if start is not None:
+        data = replace(data, damping_share=start.servos.of("damping_share"))
     windows = windows_of(data.tracks, WINDOW_S)
     say("a plain servo")
     simple = plain(data, some_of(windows, MOST))
@@ -345,6 +347,7 @@ def refitted(arm: ServoArm, data: PositionData, *allowed: Collection[str]) -> tu
     windows = some_of(windows_of(data.tracks, WINDOW_S), MOST)
     used = {p.name: arm.servos.of(p.name) != p.neutral for p in PARAMETERS}
     used |= dict.fromkeys(CORE, torch.ones(data.robot.n, dtype=torch.bool))
+    used["damping_share"] = torch.zeros(data.robot.n, dtype=torch.bool)
     core = torch.tensor([p.name in CORE for p in PARAMETERS])
     logs = core & torch.tensor([p.kind == "log" for p in PARAMETERS])
     neutral = torch.tensor([p.neutral for p in PARAMETERS], dtype=torch.float64)
@@ -407,7 +410,8 @@ def _answer(
     load, others, explained = None, tuple[str, ...](), torch.tensor([False])
     if file is not None:
         own = replace(file, free={})
-        found, explained, alike = alone(data, own, few, early, (*GAINS, *EFFECTS))
+        of_joints = tuple(effect for effect in EFFECTS if effect.parameters)
+        found, explained, alike = alone(data, own, few, early, (*GAINS, *of_joints))
         found = replace(found, free={**simple.free, **found.free})
     beside_plain = not bool((explained | _still(data)).all())
     if beside_plain:

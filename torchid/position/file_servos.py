@@ -63,7 +63,8 @@ def _as_file(
     ways[2:, :, INDEX["clip"]] = math.inf
     cost = [losses_of(data, replace(servos, joint=way), windows).sum(0) for way in ways]
     joint = ways[torch.stack(cost).argmin(0), torch.arange(servos.n)]
-    used = {p.name: servos.of(p.name) != p.neutral for p in PARAMETERS if p.name not in core}
+    fixed = {*core, "damping_share"}
+    used = {p.name: servos.of(p.name) != p.neutral for p in PARAMETERS if p.name not in fixed}
     free = {**core, **{name: on for name, on in used.items() if bool(on.any())}}
     return Found(replace(servos, joint=joint), free, bool(servos.plane[4] > 0))
 
@@ -149,7 +150,7 @@ def changes_of(
         share = bool(shares[j]) and p.name in TORQUES and p.name != "kp"
         on = bool(free[j, k])
         was, now = (float(servos.joint[j, k]) for servos in (start.servos, known.servos))
-        if was == p.neutral and not on:
+        if (was == p.neutral and not on) or p.name == "damping_share":
             continue
         new, std = was == p.neutral, float(deviation[j, k]) if on else math.nan
         before = 0.0 if start.std is None or share else float(start.std[j, k].nan_to_num(0.0))

@@ -115,6 +115,7 @@ def _start(data: PositionData, names: tuple[str, ...]) -> Servos:
     """Servos of a small arm, their torques times the joints' strengths."""
     starts = {p.name: p.start for p in PARAMETERS if p.name in names}
     servos = replace(Servos.neutral(data.robot.n, **starts), link=data.link)
+    servos.joint[:, INDEX["damping_share"]] = data.damping_share
     for name in TORQUES:
         if name in names:
             servos.joint[:, INDEX[name]] *= data.strength
@@ -412,8 +413,8 @@ def alone(
     own = torch.stack([cost[name] for name in tried if BY_NAME[name].parameters])
     names = [name for name in tried if BY_NAME[name].parameters]
     # A plane that leaves no more on all joints than an effect of its own on each.
-    plane = next(name for name in tried if not BY_NAME[name].parameters)
-    if float(cost[plane].sum()) < ALIKE * float(torch.minimum(own.amin(0), before).sum()):
+    plane = next((name for name in tried if not BY_NAME[name].parameters), None)
+    if plane and float(cost[plane].sum()) < ALIKE * float(torch.minimum(own.amin(0), before).sum()):
         now, cost_now = tried[plane], cost[plane]
     given, rivals = torch.zeros(data.robot.n, dtype=torch.bool), {}
     # The joints that are worst first: what is left on others may be these joints' doing.

@@ -440,16 +440,25 @@ def _servo(mujoco: Any, model: Any, actuator: int, joint: int, gear: float) -> d
     if kinds != affine or not b1 < 0 or not gear:
         return {}
     dof = int(model.jnt_dofadr[joint])
+    own = -b2 * gear**2
+    damping = own + model.dof_damping[dof]
     values = {
         "kp": -b1 * gear**2,
-        "damping": -b2 * gear**2 + model.dof_damping[dof],
+        "damping": damping,
         "armature": model.dof_armature[dof],
         "coulomb": model.dof_frictionloss[dof],
         "scale": -gain / (b1 * gear),
         "offset": b0 * gear,
     }
+    # What a limit of force holds is the actuator's alone.
+    values["damping_share"] = own / damping if damping > 0 else 0.0
+    limits = []
     if model.actuator_forcelimited[actuator]:
-        values["clip"] = abs(model.actuator_forcerange[actuator]).max() * abs(gear)
+        limits.append(abs(model.actuator_forcerange[actuator]).max() * abs(gear))
+    if model.jnt_actfrclimited[joint]:
+        limits.append(abs(model.jnt_actfrcrange[joint]).max())
+    if limits:
+        values["clip"] = min(limits)
     if int(model.actuator_dyntype[actuator]) != int(mujoco.mjtDyn.mjDYN_NONE):
         values["lag"] = model.actuator_dynprm[actuator, 0]
     return {name: float(value) for name, value in values.items()}

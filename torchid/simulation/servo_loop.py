@@ -589,7 +589,12 @@ class _Run:
         # Of speeds, in the exponent of what fades with them.
         self.fading = -1 / p["stribeck_speed"]
         # What a step takes from the torque of a servo that goes at its mean velocity.
-        self.gain = p["kp"] * (THETA * self.h) + p["kd"]
+        inside = p["damping_share"] * p["damping"]
+        self.gain, self.outside = (
+            p["kp"] * (THETA * self.h) + p["kd"] + inside,
+            p["damping"] - inside,
+        )
+        self.inside = p["kd"] + inside
 
     def first_of(self, live: int) -> "_Run":
         each = self.table.shape[2] > 1
@@ -704,7 +709,7 @@ class _Run:
         load = _plus_product(bias, stiffness, ahead)
         arm = self._reach(body, rows) if self.touches else None
         lean = inertia / (THETA * h)
-        soft = lean + p["damping"]
+        soft = lean + self.outside
         stiff = soft + self.gain
         resting = p["offset"] - load
         # The same in all steps, unless speed, the servo's torque or a plane make it another.
@@ -776,7 +781,7 @@ class _Run:
         if self.active["stiction"]:
             dry = torch.addcmul(dry, p["stiction"], state.v.abs().mul_(self.fading).exp_())
         if self.active["motor_share"]:
-            motor = torch.addcmul(drive, p["kd"], state.v, value=-1).abs_()
+            motor = torch.addcmul(drive, self.inside, state.v, value=-1).abs_()
             if self.clips:
                 motor = torch.minimum(motor, p["clip"])
             dry = torch.addcmul(dry, p["motor_share"], motor)
