@@ -404,15 +404,21 @@ def _answer(
 ) -> _Answer:
     """What the search finds in few windows and each effect is worth there, fitted to more.
 
-    Where one number a joint explains what a file's servos lack, nothing else is looked for.
+    Where one number a joint explains what a file's servos lack, nothing else is looked for; else
+    these are begun with where they are nearer than plain ones.
     `squares` is the share of the squared error by which an effect must lower it to be named."""
     say("one effect at a time")
     load, others, explained = None, tuple[str, ...](), torch.tensor([False])
     if file is not None:
-        own = replace(file, free={})
+        # How late commands come within a sample is no cause.
+        own = replace(file, free={"delay": torch.ones_like(explained).expand(data.robot.n)})
         of_joints = tuple(effect for effect in EFFECTS if effect.parameters)
-        found, explained, alike = alone(data, own, few, early, (*GAINS, *of_joints))
+        found, _, alike = alone(data, own, few, early, (*GAINS, *of_joints))
         found = replace(found, free={**simple.free, **found.free})
+        found = refit(data, found, few, iterations=8)
+        before, after = (losses_of(data, m.servos, few).sum(0) for m in (simple, found))
+        explained = after <= slight(data, few)
+        simple = _joined(found, simple, before <= after)
     beside_plain = not bool((explained | _still(data)).all())
     if beside_plain:
         found, explained, alike = alone(data, simple, few, early)
@@ -464,7 +470,11 @@ def _no_worse(data: PositionData, simple: Found, found: Found, windows: Windows)
     """The model with simple servos on the joints that these follow as well: a search may end where
     more parameters do no better."""
     before, after = (losses_of(data, model.servos, windows).sum(0) for model in (simple, found))
-    needless = before - after < slight(data, windows)
+    return _joined(found, simple, before - after < slight(data, windows))
+
+
+def _joined(found: Found, simple: Found, needless: Tensor) -> Found:
+    """A model with another's servos on some joints."""
     joint = torch.where(needless[:, None], simple.servos.joint, found.servos.joint)
     none = torch.zeros_like(needless)
     free = {

@@ -376,7 +376,7 @@ def alone(
     watch: Callable[[str, Tensor], None] | None = None,
     effects: Sequence[ServoEffect] = BESIDE_PLAIN,
 ) -> tuple[Found, Tensor, Rivals]:
-    """Each effect by itself beside plain servos, or a file's, of which nothing is free: a joint
+    """Each effect by itself beside plain servos, or a file's, whose gains are not free: a joint
     that one of them explains needs no other.
 
     Args:
@@ -467,7 +467,7 @@ def _calm(data: PositionData, simple: Found, windows: Windows, far: Bool[Tensor,
     """
     servos, begun = simple.servos, _start(data, CORE)
     free = {name: on & far for name, on in simple.free.items()}
-    for _ in range(2 if free and bool(far.any()) else 0):
+    for _ in range(2 if "kp" in free and bool(far.any()) else 0):
         error = errors(data, _batch(servos, 1), windows)[..., 0]
         own = huber(error)[:, far] / windows.length[:, None]
         calm = (own / own.mean(0)).sum(1).argsort()[: max(1, len(own) // 2)]
@@ -526,7 +526,7 @@ def _beside(data: PositionData, simple: Found, windows: Windows, effect: ServoEf
     if effect.name == "command_filter":
         return _with_filter(data, simple, windows)
     now = simple
-    geared = effect.name == "command_gain" and bool(simple.free)
+    geared = effect.name == "command_gain" and "kp" in simple.free
     if geared and bool((far := data.command_gain != 1).any()):
         joint = torch.where(far[:, None], _start(data, CORE).joint, now.servos.joint)
         now = _geared(data, replace(now, servos=replace(now.servos, joint=joint)))
