@@ -1,6 +1,7 @@
 """Servos carried out into MuJoCo: refitted, written, and moved there by a log's commands."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import pytest
@@ -9,11 +10,13 @@ from lxml import etree
 from typer.testing import CliRunner
 
 import torchid
+from tests.arms import consistent_parameters
 from tests.marks import some
 from tests.position.planted import planted, robot, true_servos
 from torchid.app.commands import app
 from torchid.errors import TorchidError
 from torchid.export.correct import correct
+from torchid.export.dynamics import require_same_arm
 from torchid.export.export import export_dynamics
 from torchid.export.results import servo_dynamics
 from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid_parameters
@@ -21,6 +24,7 @@ from torchid.log.readers import write_log
 from torchid.position.data import tracks_of
 from torchid.position.model import ServoArm, replay
 from torchid.robot.library import load_robot
+from torchid.robot.origin import same_places
 from torchid.simulation.servo import INDEX, Servos
 from torchid.simulation.servo_loop import windows_of
 
@@ -218,3 +222,66 @@ def test_by_command(tmp_path):
     for words in (("gap", "--for"), ("correct", "--to")):
         said = run(words[0], "3r", file, words[1], "urdf", "--overwrite")
         assert "servos are written into an MJCF only" in said
+
+
+def rounded(path, digits):
+    """A file with numbers of places of fewer digits."""
+    root = etree.parse(str(path)).getroot()
+    for node in root.iter():
+        for key in ("pos", "quat", "xyz", "rpy", "axis"):
+            if isinstance(node.tag, str) and node.get(key):
+                words = (f"{float(x):.{digits}g}" for x in node.get(key).split())
+                node.set(key, " ".join(words))
+    out = path.with_stem(f"{path.stem}_{digits}")
+    etree.ElementTree(root).write(str(out))
+    return out
+
+
+@pytest.mark.parametrize("digits", [6, 9])
+def test_one_arm_in_two_formats_is_one_arm_as_far_as_digits_go(digits, tmp_path):
+    """Servos of a maker's URDF go into the maker's MJCF, each rounded in its own way."""
+    arm = load_robot("kuka_lwr4").with_parameters(consistent_parameters(7, 1))
+    files = []
+    for to in ("urdf", "mjcf"):  # links have the frames of the URDF
+        done = export_dynamics(arm, to, tmp_path, "arm", nominal=arm, geometry="none")
+        files.append(done.files[0])
+        arm = load_robot(files[0])
+    urdf, mjcf = (load_robot(rounded(path, digits)) for path in files)
+    apart = float(urdf.frames_apart(mjcf).max())
+    assert 10.0 ** (-digits - 1) < apart < 10.0 ** (2 - digits)
+    assert bool(same_places(urdf, mjcf).all())
+    require_same_arm(urdf, mjcf, "servos are")
+    servos = ServoArm.of(urdf, kp=500.0, damping=30.0, armature=0.3)
+    done = export_dynamics(
+        servo_dynamics(servos), "mjcf", tmp_path / "out", nominal=urdf, original=mjcf,
+        geometry="none",
+    )  # fmt: skip
+    assert all(c.ok is not False for c in done.comparisons)
+    # A link that is elsewhere by more than that is of another arm.
+    moved = mjcf.before.clone()
+    moved[3, 0, 3] += 10.0 ** (3 - digits)
+    other = replace(mjcf, before=moved)
+    assert same_places(urdf, other).tolist() == [k != 3 for k in range(7)]
+    with pytest.raises(TorchidError, match="of another arm"):
+        require_same_arm(urdf, other, "servos are")
+
+
+def test_a_ratio_is_written_beside_the_files_gain_or_not_at_all(tmp_path):
+    servos = true_servos(3)
+    arm = replace(arm_with(servos), unanchored=(1,))
+    for to in ("mjcf", "urdf", "yaml", "c"):
+        with pytest.raises(TorchidError, match="joint 2 is known as a ratio alone") as refused:
+            export_dynamics(servo_dynamics(arm), to, tmp_path / "out", nominal=robot())
+        assert "a known mass in the hand" in str(refused.value)
+    assert not (tmp_path / "out").exists()
+    # The motor of joint 1 has no gain; joint 2 has the class's kp.
+    own = load_robot(with_actuators(tmp_path))
+    text = Path(own.source).read_text().replace('<motor name="other" joint="joint_2"/>', "")
+    Path(own.source).write_text(text)
+    arm.write(tmp_path / "model.yaml")
+    arm = replace(ServoArm.read(tmp_path / "model.yaml"), robot=own)
+    assert arm.unanchored == (1,)
+    done = export_dynamics(servo_dynamics(arm), "mjcf", tmp_path / "out", nominal=own)
+    text = done.files[0].read_text()
+    assert f"joint_2: kp: {260 / 998:.3g} x the file's." in text
+    assert "joint_1: kp" not in text

@@ -4,6 +4,7 @@ import itertools
 import subprocess
 import sys
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -113,7 +114,14 @@ def test_which_model_to_use() -> None:
         "--out DIR"
     )
     assert "--save-model" in model_words(some, None, "r.urdf", [])
-    assert model_words(answer(2, ()), None, "r.urdf", []).startswith("Use r.urdf as it is")
+    right = msgspec.structs.replace(answer(2, ()), status="no_gap")
+    assert model_words(right, None, "r.urdf", []).startswith("Use r.urdf as it is")
+    # An error without a sure cause is no reason to use a file as it is.
+    unsure = msgspec.structs.replace(answer(2, ()), status="detected_unexplained")
+    assert model_words(unsure, None, "r.urdf", []) == (
+        "This log gives no model that is surely better: r.urdf errs 20 N m, and no cause of it is "
+        "sure."
+    )
 
 
 @pytest.mark.parametrize(

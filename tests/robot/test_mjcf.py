@@ -1,5 +1,6 @@
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from torchid.robot.library import load_robot
 from torchid.robot.mjcf import mjcf_servos, read_mjcf
 from torchid.robot.model import JointType, Robot, link_poses, tool_pose
 from torchid.robot.shapes import link_shapes
+from torchid.robot.writer import write_robot
+from torchid.simulation.servo_loop import compensation
 
 mujoco = pytest.importorskip("mujoco")
 EXACT = 1e-12
@@ -238,6 +241,32 @@ def test_gravity_compensation_is_told(tmp_path):
     robot = read_mjcf(write(tmp_path, text))
     assert "gravcomp" in robot.warnings[0]
     assert (robot.name, robot.joint_names, robot.link_names) == ("model", ("joint_0",), ("body_1",))
+
+
+COMPENSATED = """<mujoco><option gravity="1 2 -9"/><worldbody>
+  <body name="a" gravcomp="0.7" pos="0 0 1"><joint name="j" axis="0 1 0"/>
+    <inertial pos="0.1 0 0.2" mass="2" diaginertia="0.1 0.1 0.1"/>
+    <body name="bolted" gravcomp="0.2" pos="0.3 0 0">
+      <inertial pos="0 0.1 0" mass="1" diaginertia="0.1 0.1 0.1"/>
+      <body name="b"><joint name="k" axis="1 0 0" pos="0 0.1 0" actuatorgravcomp="true"/>
+        <inertial pos="0 0 0.3" mass="0.5" diaginertia="0.1 0.1 0.1"/></body></body></body>
+</worldbody></mujoco>"""
+
+
+def test_what_gravcomp_takes_of_the_weight_is_mujocos(tmp_path):
+    """Shares of bodies that move as one, which differ; in yaml as in the file."""
+    robot = read_mjcf(write(tmp_path, COMPENSATED))
+    assert robot.compensated[0].tolist() == pytest.approx([1.6, 0.2, 0.02, 0.28])
+    assert robot.compensated[1].tolist() == [0.0] * 4
+    model = mujoco.MjModel.from_xml_string(COMPENSATED)
+    data, q = mujoco.MjData(model), [0.4, -0.7]
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    write_robot(robot, tmp_path / "arm.yaml")
+    for one in (robot, load_robot(tmp_path / "arm.yaml")):
+        found = compensation(one, torch.tensor([q]).double())
+        assert found[0].tolist() == pytest.approx(data.qfrc_gravcomp.tolist())
+    assert compensation(replace(robot, compensated=None), torch.tensor([q])).tolist() == [[0, 0]]
 
 
 def two_arms(tmp_path: Path, second: str = "<joint name='k'/>") -> Path:

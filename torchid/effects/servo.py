@@ -65,6 +65,19 @@ _EVERY = (
         "x = scale u", "hold postures over the whole range", twin="joint_spring", twin_below=True,
     ),
     ServoEffect(
+        "proportional_gain", "servo", ("kp",),
+        "The torque that a position error makes is another than in the file.",
+        "Set the actuator's kp.",
+        "kp e", "hold loaded postures over the whole range",
+    ),
+    ServoEffect(
+        "gravity_compensation", "servo", (),
+        "Something takes gravity out of what the servos feel, and in the file nothing does, or the "
+        "other way round.",
+        "Set gravcomp of the bodies in the MJCF to 1, or to 0 where it is 1.",
+        "torque + g(q)", "hold loaded postures over the whole range",
+    ),
+    ServoEffect(
         "derivative_gain", "servo", ("kd",),
         "The servo answers to the rate of the error, the command's included.",
         "Feed the command's rate to the controller, not only the joint's.",

@@ -18,15 +18,15 @@ from torchid.export.correction import (
     of_joints,
     without_field,
 )
-from torchid.export.dynamics import Dynamics, require_same_arm
-from torchid.export.export import edited_of
+from torchid.export.dynamics import Dynamics, in_places_of, require_same_arm
+from torchid.export.export import edited_of, ratios_to_file
 from torchid.export.results import servo_dynamics
 from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid_parameters, write_servos
 from torchid.export.write_xml import xml_of
 from torchid.log.checks import own_units
 from torchid.log.model import Log
 from torchid.position.data import PositionData, prepare
-from torchid.position.diagnose import RATIO, refitted
+from torchid.position.diagnose import refitted
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import ServoArm, replay
 from torchid.robot.model import Robot
@@ -62,6 +62,8 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
     arm = full.corrected if isinstance(full, PositionDiagnosis) else full
     robot, log = asked.robot, asked.log
     require_same_arm(arm.robot, robot, "servos are")
+    arm = replace(arm, robot=in_places_of(arm.robot, robot))
+    ratios_to_file(arm, edited_of(robot, asked.to) if asked.with_effects in (True, False) else None)
     yaml = asked.folder / f"{asked.stem}_effects.yaml"
     if asked.with_effects and yaml.resolve() in [Path(file).resolve() for file in asked.keep]:
         raise TorchidError(
@@ -87,10 +89,8 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
     _require_follows(judged)
     no_field = unsaid_parameters(arm.servos, SAID)
     words = f"'{robot.name}' with servos, corrected and refitted to mjcf"
-    gain = torch.zeros(robot.n) if arm.std is None else arm.std[:, INDEX["kp"]]
-    open_ = (gain > RATIO).nonzero().flatten().tolist()
-    if open_:
-        words += f"; torques{of_joints(open_)} in their ratios to kp alone, which no load anchors"
+    if arm.unanchored:
+        words += f"; torques{of_joints(arm.unanchored)} in their ratios to kp alone"
     others = [f"{name}{of_joints(joints)}" for name, joints in no_field.items()]
     files = [asked.write(own[0], words + without_field(others))]
     servos: tuple[Path, ...] = ()

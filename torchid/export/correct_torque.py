@@ -26,7 +26,7 @@ from torchid.export.correction import (
     of_joints,
     without_field,
 )
-from torchid.export.dynamics import Dynamics, require_same_arm
+from torchid.export.dynamics import Dynamics, in_places_of, require_same_arm
 from torchid.export.engines import AtRunTime, InMujoco, engine_of
 from torchid.export.export import SUFFIXES, edited_of
 from torchid.export.projection import PRICE, Projection, Projector, Target
@@ -55,6 +55,7 @@ def correct_torque(asked: CorrectionRequest, full: Robot | TorqueDiagnosis) -> C
     robot, log, held_out, settings = asked.robot, asked.log, asked.held_out, asked.settings
     before, corrected = _models(asked, full)
     require_same_arm(corrected, robot, "result is")
+    corrected = in_places_of(corrected, robot)
     if held_out is None and settings.held_out_fraction > 0:
         log, held_out = log.split(1 - settings.held_out_fraction)
     # Units were asked when the log was diagnosed.

@@ -14,6 +14,7 @@ from torchid.identification.values import BaseValues
 from torchid.position.model import ServoArm
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import JointType, Robot
+from torchid.robot.origin import same_places
 from torchid.typing import Float, Joints, Tensor
 
 STATES = 200
@@ -53,12 +54,18 @@ class Dynamics:
 
 def require_same_arm(corrected: Robot, robot: Robot, what: str) -> None:
     """Raise TorchidError for what (`result is`) is of another arm than the robot."""
-    if corrected.n != robot.n or bool((corrected.frames_apart(robot) > 1e-9).any()):
+    same = (corrected.n, corrected.n_links) == (robot.n, robot.n_links)
+    if not same or not bool(same_places(corrected, robot).all()):
         raise TorchidError(
             f"the {what} of another arm.",
             got=f"'{corrected.name}', {corrected.n} joints",
             expected=f"'{robot.name}', {robot.n} joints in the same places",
         )
+
+
+def in_places_of(robot: Robot, file: Robot) -> Robot:
+    """The robot with its links where another file of the same arm has them, rounded otherwise."""
+    return replace(robot, before=file.before, after=file.after)
 
 
 def robot_torque(robot: Robot, motion: Motion) -> Joints:

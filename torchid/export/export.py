@@ -21,9 +21,11 @@ from torchid.feasibility.record import Check, check_sets
 from torchid.feasibility.sets import nominal_set
 from torchid.files import require_name
 from torchid.inputs import RobotLike, as_robot
+from torchid.position.model import ServoArm
 from torchid.results.record import Result
 from torchid.robot.config_files import is_urdf
-from torchid.robot.model import Robot
+from torchid.robot.mjcf import mjcf_servos
+from torchid.robot.model import Robot, joint_list
 from torchid.robot.origin import of_own_file
 from torchid.simulators.joint_dynamics import Target
 from torchid.simulators.servo import AS_EFFORT
@@ -159,6 +161,7 @@ def export_dynamics(
         )
     xml = to in get_args(Target)
     edited = edited_of(model, to) if xml else None
+    ratios = ratios_to_file(dynamics.arm, edited if to == "mjcf" else None)
     found, written = None, dynamics.robot
     # C and actuators hold no bodies of base parameters.
     if to not in get_args(Package) and (dynamics.base is None or to != "c"):
@@ -173,7 +176,7 @@ def export_dynamics(
         draft, comparisons = write_actuator(dynamics, to, folder, name, motion)
     else:
         titled = replace(dynamics, title="; ".join((dynamics.title, *_of_servos(dynamics, to))))
-        draft, comparisons = write_xml(titled, written, path, edited, motion, to)
+        draft, comparisons = write_xml(titled, written, path, edited, motion, to, ratios)
     in_file, beside, left_out = (
         tuple(effect_text(effect, values, dynamics.robot) for effect, values in pairs)
         for pairs in (draft.in_file, draft.beside, draft.left_out)
@@ -188,7 +191,12 @@ def export_dynamics(
         in_file=in_file,
         beside=beside,
         left_out=left_out,
-        notes=(*_of_servos(dynamics, to), *(lost if xml else ()), *draft.notes),
+        notes=(
+            *_of_servos(dynamics, to),
+            *_of_weight(dynamics, to),
+            *(lost if xml else ()),
+            *draft.notes,
+        ),
     )
 
 
@@ -228,6 +236,36 @@ def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
     elif said == JOINTS:
         hint = '; `to="mjcf"` says gains, delays, clips and stops, too'
     return (f"of the servos {', '.join(names)} are not in it{hint}",)
+
+
+def _of_weight(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
+    """What a format does not say of gravity that servos do not feel."""
+    if dynamics.robot.compensated is None or to in ("mjcf", "yaml"):
+        return ()
+    return ("gravity compensation (gravcomp) is not in it",)
+
+
+def ratios_to_file(arm: ServoArm | None, file: Robot | None) -> dict[int, float]:
+    """Of joints (from 0) whose torques nothing anchors, kp over that of the actuators in the MJCF
+    that is edited.
+
+    Raises:
+        TorchidError: there is none to which a gain would be a ratio.
+    """
+    if arm is None or not arm.unanchored:
+        return {}
+    own = [] if file is None else mjcf_servos(Path(file.source), file.joint_names)
+    lost = [j for j in arm.unanchored if not own or "kp" not in own[j]]
+    if lost:
+        raise TorchidError(
+            f"the gain of {joint_list(lost)} is known as a ratio alone, so it is not exported.",
+            got="no load and no known gain anchors the torques of the servo, friction and armature",
+            expected="an MJCF (`robot=...`) with position actuators, to whose gain it is a ratio; "
+            'or a diagnosis with `servo="kp=12"`, or the type of servos, of which one tells others',
+            hint="record the joint while it holds a load against gravity, or with a known mass in "
+            "the hand",
+        )
+    return {j: float(arm.servos.of("kp")[j]) / own[j]["kp"] for j in arm.unanchored}
 
 
 def stem_of(robot: Robot) -> str:

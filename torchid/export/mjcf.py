@@ -127,6 +127,8 @@ def _write_chain(
                     hint="the format urdf writes a new file with a link there",
                 )
             continue
+        body.attrib.pop("gravcomp", None)
+        body.attrib.update(_gravcomp(robot, i))
         node = _inertial_of(body)
         for key, value in _inertial(parameters, i, name).items():
             # Axes parallel to the body's are what MuJoCo takes without being told.
@@ -271,8 +273,9 @@ def new_mjcf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
         pose = robot.before[i].double() @ robot.after[i].double()
         above = robot.parents[i]
         body = etree.SubElement(
-            world if above < 0 else bodies[above], "body", name=name, **_placed(pose)
-        )
+            world if above < 0 else bodies[above], "body", name=name, **_placed(pose),
+            **_gravcomp(robot, i),
+        )  # fmt: skip
         etree.SubElement(body, "inertial", **_inertial(parameters, i, name))
         etree.SubElement(body, "joint", **_joint(robot, i, own[i]))
         bodies.append(body)
@@ -293,6 +296,15 @@ def new_mjcf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
         etree.SubElement(actuators, "motor", name=name, joint=name)
     etree.indent(root)
     return XmlFile(root, DECLARATION)
+
+
+def _gravcomp(robot: Robot, i: int) -> dict[str, str]:
+    """The attribute of a link's body: the share of its weight that servos do not feel, nearest in
+    first moments and mass."""
+    if robot.compensated is None or not bool(robot.compensated[i].any()):
+        return {}
+    own = robot.require_parameters("gravity compensation").pi[i, :4]
+    return {"gravcomp": number(robot.compensated[i] @ own / (own @ own).clamp(min=1e-300))}
 
 
 def _placed(pose: Tensor) -> dict[str, str]:

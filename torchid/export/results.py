@@ -274,11 +274,13 @@ def servo_dynamics(arm: ServoArm, late: Float[Tensor, " n"] | None = None) -> Dy
         RobotError: it has no parameters.
     """
     own = robot_dynamics(arm.robot)
+    values = {name: arm.servos.of(name) for name in ("damping", "coulomb", "armature")}
+    values["damping"] = values["damping"] * (1 - arm.servos.of("damping_share"))
     kinds = {"damping": ViscousFriction, "coulomb": CoulombFriction, "armature": RotorInertia}
     pairs = [
         (kind(j), [value])
         for name, kind in kinds.items()
-        for j, value in enumerate(arm.servos.of(name).tolist())
+        for j, value in enumerate(values[name].tolist())
         if value > 0
     ]
     springs = [e for e in arm.robot.effects if e["effect"] == JointSpring.name]

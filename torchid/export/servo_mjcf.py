@@ -9,7 +9,7 @@ time what a servo makes of its commands before it controls.
 """
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from torchid.export.xml_tree import (
     child,
     child_or_new,
     children,
+    comment,
     local,
     new_child,
     replace,
@@ -35,12 +36,16 @@ from torchid.simulation.servo_loop import Tracks, Windows
 from torchid.simulators.servo import SetPoints
 from torchid.typing import Float
 
-JOINTS = ("damping", "coulomb", "armature")
+JOINTS = ("damping", "coulomb", "armature", "damping_share")
 """Parameters of servos that are a joint's."""
 STOPS = ("stop_low", "stop_high")
 SAID = ("kp", *JOINTS, "offset", "delay", "scale", "lag", "clip", *STOPS)
 """Parameters of servos that an MJCF says. It says kd of the joint's rate, and not of the command's,
 which `AT_RUN_TIME` adds."""
+RATIOS_ALONE = (
+    "Nothing anchors this joint's torques: kp, damping, friction and armature are right in their "
+    "ratios to each other alone."
+)
 _HELD = 1e9
 """Armature of joints that the robot does not have [kg m^2; kg]: gravity does not move them."""
 STEP = 0.002
@@ -67,6 +72,7 @@ def write_servos(
     servos: Servos,
     source: str,
     late: Float[torch.Tensor, " n"] | None = None,
+    ratios: Mapping[int, float] | None = None,
 ) -> None:
     """Put a <general> for every servo into a file, in the place of the joint's actuators.
 
@@ -76,6 +82,8 @@ def write_servos(
         servos: of which `SAID` is written; damping, dry friction and armature are the joints'.
         source: what the file is called in errors.
         late: by how much commands are late by being held [s]; None for not at all.
+        ratios: of joints (from 0) whose torques nothing anchors: kp over that of the file before,
+            which a comment says.
 
     Raises:
         TorchidError: a joint of the robot has no name in the file.
@@ -99,9 +107,13 @@ def write_servos(
         values["delay"] = max(values["delay"] - held, 0.0)
         node = _actuator(root, name)
         node.attrib.update(_general(values, step))
+        if ratios and j in ratios:
+            words = f"kp: {ratios[j]:.3g} x the file's. {RATIOS_ALONE}"
+            node.addprevious(said := comment(f"{name}: {words}"))
+            said.tail = node.getparent().text
         # What the servo can is fitted; a limit of the nominal robot would come before it.
         nodes[name].attrib.pop("actuatorfrcrange", None)
-        nodes[name].set("actuatorfrclimited", "false")
+        nodes[name].attrib.update({"actuatorfrclimited": "false", "actuatorgravcomp": "false"})
         ends = [values[stop] for stop in STOPS]
         if any(map(math.isfinite, ends)):
             turn = robot.joint_types[j] is JointType.REVOLUTE and degrees
@@ -131,6 +143,7 @@ def _actuator(root: Any, joint: str) -> Any:
 def _general(values: dict[str, float], step: float) -> dict[str, str]:
     """Attributes of a servo's actuator, none left to a file's defaults."""
     kp, kd, offset, clip = (values[k] for k in ("kp", "kd", "offset", "clip"))
+    kd += values["damping_share"] * values["damping"]
     out = {
         "gear": "1 0 0 0 0 0",
         "ctrllimited": "false",
@@ -251,6 +264,7 @@ def check_servos(path: Path, robot: Robot, servos: Servos) -> Comparison:
     kp, kd, scale, offset, clip = (
         servos.of(k).numpy() for k in ("kp", "kd", "scale", "offset", "clip")
     )
+    kd = kd + (servos.of("damping_share") * servos.of("damping")).numpy()
     expected = torch.from_numpy(np.clip(kp * (scale * u - q) - kd * dq, -clip, clip) + offset)
     apart = relative_difference(torch.from_numpy(engine.force(u, q, dq)), expected)
     return Comparison(engine.name, what, len(q), apart, EXACT)

@@ -1,5 +1,6 @@
 """Exports to URDF and MJCF: an edited copy of the user's file, or a new one."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +9,14 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.checks import Comparison, Draft, compared, require_agreement, staged_files
-from torchid.export.dynamics import Dynamics, effect_text, folded_robot, records, robot_torque
+from torchid.export.dynamics import (
+    Dynamics,
+    effect_text,
+    folded_robot,
+    in_places_of,
+    records,
+    robot_torque,
+)
 from torchid.export.engines import check_mujoco, check_pinocchio
 from torchid.export.mjcf import edited_mjcf, new_mjcf
 from torchid.export.servo_mjcf import check_servos, write_servos
@@ -16,12 +24,10 @@ from torchid.export.urdf import edited_urdf, in_joint_frames, new_urdf
 from torchid.export.xml_tree import XmlFile, set_head
 from torchid.robot.library import load_robot
 from torchid.robot.model import STANDARD_GRAVITY, Robot
+from torchid.robot.origin import same_places
 from torchid.robot.sidecar import sidecar_path, sidecar_yaml
 from torchid.robot.tree import Choice, choice_of
 from torchid.simulators.joint_dynamics import JointDynamics, Target, split
-
-SAME_FRAMES = 1e-9
-"""Largest difference of entries of two poses of a frame that counts as the same [-; m]."""
 
 
 def write_xml(
@@ -31,6 +37,7 @@ def write_xml(
     original: Robot | None,
     motion: Motion,
     to: Target,
+    ratios: Mapping[int, float] | None = None,
 ) -> tuple[Draft, tuple[Comparison, ...]]:
     """Write, reload with torchid, Pinocchio and MuJoCo, compare, and keep.
 
@@ -41,13 +48,16 @@ def write_xml(
         original: the robot whose file a copy is edited of.
         motion: states of the comparison.
         to: format.
+        ratios: as in `write_servos`.
     """
     mjcf = path.suffix == ".xml"
     robot, file, joints, rest = xml_of(written, path, original, to)
+    if original is not None:
+        dynamics = replace(dynamics, robot=in_places_of(dynamics.robot, original))
     servos = dynamics.arm.servos if to == "mjcf" and dynamics.arm is not None else None
     if servos is not None:
         source = path.name if original is None else original.source
-        write_servos(file, robot, servos, source, dynamics.late)
+        write_servos(file, robot, servos, source, dynamics.late, ratios)
     known = tuple(pair for pair in nominal_effects(robot) if pair not in rest)
     if original is None and not mjcf:
         rest = in_joint_frames(rest, robot)
@@ -94,7 +104,11 @@ def xml_of(
     mjcf, robot = path.suffix == ".xml", folded_robot(written)
     if original is not None:
         _require_same_frames(robot, original)
-        robot = replace(robot, joint_names=original.joint_names, link_names=original.link_names)
+        robot = replace(
+            in_places_of(robot, original),
+            joint_names=original.joint_names,
+            link_names=original.link_names,
+        )
     joints, rest = split(robot, to)
     if original is None:
         file = new_mjcf(robot, joints) if mjcf else new_urdf(robot, joints)
@@ -139,7 +153,7 @@ def _require_same_frames(robot: Robot, other: Robot) -> None:
             expected=" ".join(other.joint_types),
             hint="choose the part with `tip=...`, `root=...` and `lock=...`",
         )
-    apart = (robot.frames_apart(other) > SAME_FRAMES).nonzero().flatten().tolist()
+    apart = (~same_places(robot, other)).nonzero().flatten().tolist()
     if apart:
         raise TorchidError(
             f"the result has its link frames elsewhere than '{other.source}', so its parameters "

@@ -20,7 +20,7 @@ from torchid.position.rods import with_rods
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS
-from torchid.simulation.servo_loop import Body, Tracks, Windows, body_near
+from torchid.simulation.servo_loop import Body, Tracks, Windows, body_near, compensation
 from torchid.statistics.criteria import BODY_STD
 from torchid.typing import Bool, Float, Tensor
 
@@ -86,6 +86,7 @@ class PositionData:
         body: the rigid body near the measured motion, halfway from each row to the next.
         strength: (n,) torques of each joint beside those of a small servo, where a fit starts [1].
         link: whose points may touch a plane, counted from 0.
+        damping_share: (n,) of servos that are sought: how much of the damping their clip limits.
         set_points: those found last, beside the profiles and the rows that they are of.
     """
 
@@ -100,6 +101,7 @@ class PositionData:
     body: Body
     strength: Float[Tensor, " n"]
     link: int
+    damping_share: Float[Tensor, " n"]
     set_points: dict[bool, tuple[Tensor, Tensor, Tensor]] = field(default_factory=dict, repr=False)
 
     @property
@@ -372,14 +374,18 @@ def prepare(
     robot = robot if weighed else with_rods(robot)
     link = _outermost(robot)
     body = body_near(robot, q, dq, link).midway(tracks.last)
-    strength = _strength(body, tracks.u - q)
-    return PositionData(robot, weighed, log, scale, tracks, held, q, dq, body, strength, link)
+    # How strong servos are follows from the arm's weight, compensated or not.
+    strength = _strength(body.bias + compensation(robot, q), tracks.u - q)
+    return PositionData(
+        robot, weighed, log, scale, tracks, held, q, dq, body, strength, link,
+        torch.zeros_like(strength),
+    )  # fmt: skip
 
 
-def _strength(body: Body, error: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:
+def _strength(bias: Float[Tensor, "T n"], error: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:
     """(n,) what gravity's torque per position error says of kp, over that of a small servo; of
     joints without much load the median of the others'."""
-    load, lag = (x.square().mean(0).sqrt() for x in (body.bias, error))
+    load, lag = (x.square().mean(0).sqrt() for x in (bias, error))
     bears = load > BEARS * load.amax()
     # Friction makes the error larger than the load does.
     kp = FRICTION * load / lag.clamp(min=1e-6)

@@ -9,17 +9,25 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import msgspec
 import torch
 from torch import Tensor
 
 from torchid.effects.servo import ServoEffect
 from torchid.log.checks import STILL
 from torchid.log.model import Log
-from torchid.position.data import GAP, WINDOW_S, PositionData, missing_commands, prepare
+from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare
 from torchid.position.diagnosis import Number, PositionDiagnosis, finding_of
 from torchid.position.early import EarlyAnswer
-from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PAYLOAD, neutral
+from torchid.position.effects import BY_NAME, CORE, EFFECTS, GAINS, GRAVITY, KEPT, PAYLOAD, neutral
 from torchid.position.equal import OF_TYPE, pooled, with_data_sheets
+from torchid.position.file_servos import (
+    Worth,
+    beside_file,
+    changes_of,
+    follows,
+    weighing_otherwise,
+)
 from torchid.position.fit import NOISE, VALLEYS, errors, errors_of_one, fit
 from torchid.position.judge import (
     Equations,
@@ -27,13 +35,14 @@ from torchid.position.judge import (
     each_window,
     equations,
     folds_of,
-    motion_losses,
+    losses_of,
+    mostly_better,
     value_interval,
 )
 from torchid.position.model import ServoArm, accuracy
 from torchid.position.odds import alike_rises, effect_sure
 from torchid.position.payload import Loaded, with_load
-from torchid.position.record import Accuracy, ChangeRecord, PositionFinding
+from torchid.position.record import Accuracy, PositionFinding
 from torchid.position.repeats import PositionNoise, noise_of_repeats
 from torchid.position.rods import PER_METRE
 from torchid.position.search import (
@@ -49,14 +58,14 @@ from torchid.position.search import (
     slight,
 )
 from torchid.position.untestable import not_testable
-from torchid.results.answer import Answer
+from torchid.results.answer import UNCHANGED, Answer
 from torchid.results.replication import Replication
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, PLANE, TORQUES, Servos, as_share
 from torchid.simulation.servo_loop import Windows, windows_of
-from torchid.statistics.criteria import MOVED_STD, WORTHWHILE
+from torchid.statistics.criteria import LIKELY, WORTHWHILE
 from torchid.statistics.proportion import HALF_95
-from torchid.typing import Bool, Float
+from torchid.typing import Float
 
 STAGES = 16
 """That are told as progress."""
@@ -64,8 +73,6 @@ MOST = 250
 """Windows that a search looks at [1]: more do not change what it finds, only how long it takes."""
 WORSE = 0.1
 """Rise of a joint's squared error from which it is not of the type of the others [1]."""
-OPEN = 0.5
-"""Standard deviation of a value, as a share of it, from which the log does not say it [1]."""
 RATIO = 0.2
 """Standard deviation of a torque's scale from which only ratios are told, by the load that noise
 leaves to be seen, or by the log as it is [1]."""
@@ -117,23 +124,33 @@ def diagnose_positions(
     log, warnings = _parted(log)
     scaled = start is not None and bool((start.scale != 1).any())
     data = prepare(robot, log, start.scale if start is not None and scaled else None)
+    if start is not None:
+        data = replace(data, damping_share=start.servos.of("damping_share"))
     windows = windows_of(data.tracks, WINDOW_S)
     say("a plain servo")
     simple = plain(data, some_of(windows, MOST))
     telling = _telling(data, simple, windows)
     few, more = some_of(windows, MOST, telling), some_of(windows, 3 * MOST, telling)
     noise = noise_of_repeats(data, simple.servos)
-    given, still, as_given, answered = data, _still(data), None, None
+    given, still, answered = data, _still(data), None
+    as_given, own, by_file = None, None, None
+    squares = 1.0 - (1.0 - worthwhile) ** 2
     if start is not None:
-        as_given, own = _follows(data, start.servos, simple, noise, few)
-        if bool((as_given | still).all()):
-            answered = _Answer(data, own, {}, {}, None)
+        as_given, own = follows(data, start.servos, simple.free, noise, few)
+        answered = _as_the_file(data, start.servos, (as_given, own), simple, noise, few)
     if answered is None:
         early = None
         if watch is not None:
-            early = EarlyAnswer(watch, data, losses_of(data, simple.servos, few).sum(0), few)
-        squares = 1.0 - (1.0 - worthwhile) ** 2
-        answered = _answer(data, simple, few, more, say, early, squares)
+            first = simple if own is None else own
+            early = EarlyAnswer(
+                watch, data, losses_of(data, first.servos, few).sum(0), few, own is not None
+            )
+        answered = _answer(data, simple, few, more, say, early, squares, own)
+        if own is not None:
+            found, by_file, worth = beside_file(
+                answered.data, answered.found, own.servos, few, squares, answered.worth
+            )
+            answered = replace(answered, found=found, worth=worth)
     data, found = answered.data, answered.found
     say("how far it goes")
     known = equations(data, found.servos, found.free, more, trusted=trusted)
@@ -145,13 +162,27 @@ def diagnose_positions(
         found = replace(found, servos=known.servos)
         warnings += odd
     answered, servos = replace(answered, found=found), found.servos
-    ways, errors_of = _accuracies(((given, simple), (data, found)), windows, few)
+    models = [(given, simple), (data, found)]
+    if own is not None:
+        fixed = (data, Found(servos, {}, False)) if by_file is None else models[1]
+        models = [models[0], fixed, (given, Found(own.servos, {}, False))]
+    ways, errors_of = _accuracies(models, windows, few)
+    before = len(models) - 1 if own is not None else 0
     deviation = known.deviations()[:, known.names.index("kp")]
     # A joint at rest tells no torque either.
     anchored = torch.tensor([t != "" for t in types or [""] * servos.n])
     anchored |= torch.tensor(["kp" in sheet for sheet in sheets or [{}] * servos.n])
-    ratio_only = (_ratio_only(known) & ~anchored) | (deviation > RATIO) | (not data.weighed)
-    findings = _findings(answered, known, few, ratio_only, noise)
+    unanchored = (_ratio_only(known) & ~anchored) | (not data.weighed)
+    # What a file's masses are unsure by is no ratio in that file.
+    unanchored |= (deviation.square() - known.torque_std.square()).clamp(min=0).sqrt() > RATIO
+    ratio_only = unanchored | (deviation > RATIO)
+    if own is not None:
+        # The file's gain and masses are the scale; the log refutes a gain beside masses alone.
+        ratio_only = unanchored = torch.full_like(still, not data.weighed) & ~(
+            torch.ones_like(still) if by_file is None else by_file
+        )
+    findings = _findings(answered, known, few, ratio_only, noise, None if own is None else start)
+    findings = _held_to(findings, ways[1 + before], ways[1], ways[2], own is not None)
     unknown = still | ratio_only
     interval = [
         value_interval("kp", k, d)
@@ -166,27 +197,29 @@ def diagnose_positions(
             torch.tensor(interval).masked_fill(unknown[:, None], torch.nan),
         ),
         ratio_only=ratio_only,
+        unanchored=unanchored,
         commanded=ways[0],
         plain_servo=ways[1],
         answered=ways[2],
-        regimes=_regimes(data, *errors_of),
+        file=ways[3] if own is not None else None,
+        regimes=_regimes(data, errors_of[before], errors_of[1]),
         motions=(log.names, _by_motion(data, errors_of[1])),
-        errors=errors_of,
+        errors=(errors_of[before], errors_of[1]),
         still=still,
         warnings=warnings + missing_commands(log) + _cautions(data, still),
         not_testable=not_testable(data, known, few, ~still),
-        closed_ci95=closed_interval(data, *errors_of, ~still, noise.square / data.scale.square()),
+        closed_ci95=closed_interval(
+            data, errors_of[before], errors_of[1], ~still, noise.square / data.scale.square()
+        ),
         noise=noise,
         seconds=time.perf_counter() - begun,
         known=tuple(
             (tuple(itertools.compress(known.names, on)), covariance[on][:, on])
             for covariance, on in zip(known.expected(), known.mask & ~still[:, None], strict=True)
         ),
+        as_given=as_given,
+        changes=() if start is None else changes_of(start, known, ratio_only, still),
     )
-    if start is not None:
-        result = replace(
-            result, as_given=as_given, changes=_changes(start, known, ratio_only, still)
-        )
     if held_out is None:
         return result
     return replace(result, held_out=accuracy(result.corrected, held_out, ~still))
@@ -214,80 +247,47 @@ def _cautions(data: PositionData, still: Tensor) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _follows(
-    data: PositionData, servos: Servos, simple: Found, noise: PositionNoise, windows: Windows
-) -> tuple[Bool[Tensor, " n"], Found]:
-    """Joints that servos of a robot's file follow, and those servos as they are nearest."""
-    own = _as_file(data, servos, simple.free, windows)
-    # What windows leave alone is their starts'.
-    least = GAP * noise.at_least(data.slight).square()
-    follows = [
-        losses_of(data, own.servos, w).sum(0) <= w.rows * least
-        for w in (windows, windows_of(data.tracks, None))
-    ]
-    return torch.stack(follows).any(0), own
+def _as_the_file(
+    data: PositionData,
+    servos: Servos,
+    own: tuple[Tensor, Found],
+    simple: Found,
+    noise: PositionNoise,
+    windows: Windows,
+) -> "_Answer | None":
+    """The servos of a robot's file where all joints follow them, as it is or but for gravity that
+    they feel there, or do not feel; None where they do not."""
+    still, (near, found) = _still(data), own
+    if bool((near | still).all()):
+        return _Answer(data, found, {}, {}, None)
+    if not data.weighed or not bool(data.robot.gravity.any()):
+        return None
+    other = weighing_otherwise(data)
+    near, there = follows(other, servos, simple.free, noise, windows)
+    if not bool((near | still).all()):
+        return None
+    without = losses_of(data, found.servos, windows).sum(0)
+    with_it = losses_of(other, there.servos, windows).sum(0)
+    return _Answer(other, there, {GRAVITY.name: (without, with_it)}, {}, None)
 
 
-def _as_file(
-    data: PositionData, servos: Servos, core: Mapping[str, Tensor], windows: Windows
-) -> Found:
-    """Servos of a robot's file, each as it is nearest to the log: as said, later by what commands
-    are held by, or without a limit of torque, which files have behind the damping and servos
-    before it."""
-    ways = servos.joint.repeat(4, 1, 1)
-    ways[1::2, :, INDEX["delay"]] += 0.5 * data.held
-    ways[2:, :, INDEX["clip"]] = math.inf
-    cost = [losses_of(data, replace(servos, joint=way), windows).sum(0) for way in ways]
-    joint = ways[torch.stack(cost).argmin(0), torch.arange(servos.n)]
-    used = {p.name: servos.of(p.name) != p.neutral for p in PARAMETERS if p.name not in core}
-    free = {**core, **{name: on for name, on in used.items() if bool(on.any())}}
-    return Found(replace(servos, joint=joint), free, bool(servos.plane[4] > 0))
-
-
-def _changes(
-    start: ServoArm, known: Equations, shares: Tensor, still: Tensor
-) -> tuple[ChangeRecord, ...]:
-    """What was found of each number beside what the robot's file says of it."""
-    every = (~still).nonzero().flatten().tolist()
-    deviation = torch.full_like(known.servos.joint, torch.nan)
-    deviation[:, [INDEX[name] for name in known.names]] = known.deviations(shares)
-    free = torch.zeros_like(deviation, dtype=torch.bool)
-    free[:, [INDEX[name] for name in known.names]] = known.mask
+def _held_to(
+    findings: Sequence[PositionFinding],
+    before: Accuracy,
+    simple: Accuracy,
+    after: Accuracy,
+    of_file: bool,
+) -> tuple[PositionFinding, ...]:
+    """Findings of which none is sure that does no good on motions that were left out: neither
+    beside what there was before, nor beside plain servos."""
     out = []
-    for j, (k, p) in itertools.product(every, enumerate(PARAMETERS)):
-        share, on = bool(shares[j]) and p.name in TORQUES, bool(free[j, k])
-        was, now = (float(servos.joint[j, k]) for servos in (start.servos, known.servos))
-        if (was == p.neutral and not on) or (share and p.name == "kp"):
-            continue
-        new, std = was == p.neutral, float(deviation[j, k]) if on else math.nan
-        before = 0.0 if start.std is None or share else float(start.std[j, k].nan_to_num(0.0))
-        if share:
-            was, now = (
-                x / float(one.of("kp")[j]) for x, one in ((was, start.servos), (now, known.servos))
-            )
-        log = p.kind == "log" and 0 < min(now, was) <= max(now, was) < math.inf
-        apart = abs(math.log(now / was)) if log else abs(now - was)
-        if new and not (std < OPEN if p.kind == "log" else abs(now - was) > MOVED_STD * std):
-            continue  # nothing, as far as the log says
-        if new:
-            state = "new"
-        elif now == p.neutral:  # a limit may not have been reached
-            state = "open" if math.isinf(now) else "gone"
-        elif apart > MOVED_STD * math.hypot(std, before):
-            state = "changed"
-        else:
-            state = "open" if std > OPEN * (1.0 if log else max(abs(now), abs(was))) else "as known"
-        out.append(
-            ChangeRecord(
-                joint=j,
-                parameter=as_share(p.name) if share else p.name,
-                unit=PER_KP[p.unit] if share else p.unit,
-                was=math.nan if new else was,
-                now=math.nan if now == p.neutral else now,
-                std=std,
-                state=state,
-            )
-        )
+    for f in findings:
+        at = list(f.joints) or slice(None)
+        was = before if of_file and (f.was or f.effect == GRAVITY.name) else simple
+        ends = [float(way.whole[at].nanmean()) for way in (was, after)]
+        most = 1.0 if ends[1] < UNCHANGED * ends[0] else LIKELY - 0.01
+        most = most if f.how_sure is None else min(f.how_sure, most)
+        out.append(f if most == f.how_sure else msgspec.structs.replace(f, how_sure=most))
     return tuple(out)
 
 
@@ -347,6 +347,7 @@ def refitted(arm: ServoArm, data: PositionData, *allowed: Collection[str]) -> tu
     windows = some_of(windows_of(data.tracks, WINDOW_S), MOST)
     used = {p.name: arm.servos.of(p.name) != p.neutral for p in PARAMETERS}
     used |= dict.fromkeys(CORE, torch.ones(data.robot.n, dtype=torch.bool))
+    used["damping_share"] = torch.zeros(data.robot.n, dtype=torch.bool)
     core = torch.tensor([p.name in CORE for p in PARAMETERS])
     logs = core & torch.tensor([p.kind == "log" for p in PARAMETERS])
     neutral = torch.tensor([p.neutral for p in PARAMETERS], dtype=torch.float64)
@@ -369,7 +370,7 @@ def refitted(arm: ServoArm, data: PositionData, *allowed: Collection[str]) -> tu
         ]
         worth = torch.stack([losses_of(data, end, windows).sum(0) for end in ends])
         joint = torch.stack([e.joint for e in ends])[worth.argmin(0), torch.arange(data.robot.n)]
-        out.append(ServoArm(data.robot, replace(servos, joint=joint), arm.scale))
+        out.append(replace(arm, robot=data.robot, servos=replace(servos, joint=joint), std=None))
     return tuple(out)
 
 
@@ -399,15 +400,32 @@ def _answer(
     say: Callable[[str], None],
     early: EarlyAnswer | None = None,
     squares: float = 1.0 - (1.0 - WORTHWHILE) ** 2,
+    file: Found | None = None,
 ) -> _Answer:
     """What the search finds in few windows and each effect is worth there, fitted to more.
 
+    Where one number a joint explains what a file's servos lack, nothing else is looked for; else
+    these are begun with where they are nearer than plain ones.
     `squares` is the share of the squared error by which an effect must lower it to be named."""
     say("one effect at a time")
-    found, explained, alike = alone(data, simple, few, early)
+    load, others, explained = None, tuple[str, ...](), torch.tensor([False])
+    if file is not None:
+        # How late commands come within a sample is no cause.
+        own = replace(file, free={"delay": torch.ones_like(explained).expand(data.robot.n)})
+        of_joints = tuple(effect for effect in EFFECTS if effect.parameters)
+        found, _, alike = alone(data, own, few, early, (*GAINS, *of_joints))
+        found = replace(found, free={**simple.free, **found.free})
+        found = refit(data, found, few, iterations=8)
+        before, after = (losses_of(data, m.servos, few).sum(0) for m in (simple, found))
+        explained = after <= slight(data, few)
+        simple = _joined(found, simple, before <= after)
+    beside_plain = not bool((explained | _still(data)).all())
+    if beside_plain:
+        found, explained, alike = alone(data, simple, few, early)
     say("a load")
-    load, others = None, tuple[str, ...]()
-    if bool((losses_of(data, simple.servos, few).sum(0) > slight(data, few)).any()):
+    if beside_plain and bool(
+        (losses_of(data, simple.servos, few).sum(0) > slight(data, few)).any()
+    ):
         load = with_load(data, simple, few) if data.weighed else None
     if load is not None:
         # One cause of what all joints show, where no more is needed, comes before several.
@@ -426,7 +444,7 @@ def _answer(
             load, explained, alike = replace(load, found=heavy), known, names
         else:
             load = None
-    if not bool(explained.all()):
+    if beside_plain and not bool(explained.all()):
         found = _no_worse(data, found, _no_worse(data, simple, full(data, few, say), few), few)
         found = shared(data, found, few)
         load = with_load(data, found, few) if data.weighed else None
@@ -437,7 +455,7 @@ def _answer(
         before = losses_of(data, found.servos, few)
         after = losses_of(load.data, load.found.servos, few)
         total = (before - after).sum(1, keepdim=True)
-        needed = float(total.sum()) > squares * float(before.sum()) and bool(_sure(total))
+        needed = float(total.sum()) > squares * float(before.sum()) and bool(mostly_better(total))
         gain = (load, before.sum(0), after.sum(0), others) if needed else None
     if gain is not None:
         data, found = gain[0].data, settled(gain[0].data, gain[0].found, few)
@@ -452,7 +470,11 @@ def _no_worse(data: PositionData, simple: Found, found: Found, windows: Windows)
     """The model with simple servos on the joints that these follow as well: a search may end where
     more parameters do no better."""
     before, after = (losses_of(data, model.servos, windows).sum(0) for model in (simple, found))
-    needless = before - after < slight(data, windows)
+    return _joined(found, simple, before - after < slight(data, windows))
+
+
+def _joined(found: Found, simple: Found, needless: Tensor) -> Found:
+    """A model with another's servos on some joints."""
     joint = torch.where(needless[:, None], simple.servos.joint, found.servos.joint)
     none = torch.zeros_like(needless)
     free = {
@@ -545,15 +567,6 @@ def _without(found: Found, effect: ServoEffect, joints: Tensor, sample: float) -
     return Found(replace(found.servos, joint=joint), free, found.plane)
 
 
-Worth = dict[str, tuple[Tensor, Tensor]]
-"""By effect: losses (n,) without it, NaN where it is not named, and with it [rad^2]."""
-
-
-def losses_of(data: PositionData, servos: Servos, windows: Windows) -> Tensor:
-    """(m, n) losses of motions [rad^2]."""
-    return motion_losses(errors_of_one(data, servos, windows), windows)
-
-
 def _needed(
     data: PositionData, found: Found, windows: Windows, squares: float
 ) -> tuple[Worth, Rivals, Found]:
@@ -572,7 +585,7 @@ def _needed(
         gain, total = without - whole, without.sum(0)
         if not effect.parameters:
             gain, total = gain.sum(1, keepdim=True).expand(-1, n), total.sum().expand(n)
-        often = _mostly(gain) if effect.family == "world" else _sure(gain)
+        often = _mostly(gain) if effect.family == "world" else mostly_better(gain)
         # A plane is there for all joints or for none.
         call = least if effect.parameters else least.sum()
         keep = on & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
@@ -588,13 +601,6 @@ def _needed(
     servos = fit(data, now.servos, now.free, windows, iterations=2)
     now = replace(now, servos=servos)
     return _returned(data, found, now, worth, removed, whole, least, windows, squares)
-
-
-def _sure(gain: Tensor) -> Tensor:
-    """(n,) whether most motions (m, n) gain of those that it matters to."""
-    matters = gain.abs() > 0.02 * gain.abs().amax(0)
-    better = ((gain > 0) & matters).sum(0)
-    return (better > 0.7 * matters.sum(0)) & (gain.sum(0) > 0)
 
 
 def _mostly(gain: Tensor) -> Tensor:
@@ -658,9 +664,15 @@ def _returned(
 
 
 def _findings(
-    answered: _Answer, known: Equations, windows: Windows, shares: Tensor, noise: PositionNoise
+    answered: _Answer,
+    known: Equations,
+    windows: Windows,
+    shares: Tensor,
+    noise: PositionNoise,
+    file: ServoArm | None,
 ) -> tuple[PositionFinding, ...]:
-    """What is named, by what it was worth in windows; torques of some joints as shares of kp."""
+    """What is named, by what it was worth in windows; torques of some joints as shares of kp, and
+    beside what the robot's file says."""
     data, found, rivals = answered.data, answered.found, answered.rivals
     # Losses that call for no cause, or are noise, where repeats tell it [rad^2].
     least = windows.rows * noise.at_least(data.slight).square()
@@ -694,13 +706,17 @@ def _findings(
         by = sure((light, heavy, least), len(body))
         out.append(finding_of(PAYLOAD, None, body, (far, near), others, how_sure=by))
     for name, losses in answered.worth.items():
-        effect = BY_NAME[name]
+        effect = GRAVITY if name == GRAVITY.name else BY_NAME[name]
         # Errors in the log's unit: of the joint, or of all of them.
         without, with_it = (1e3 * (x / looked).sqrt() / data.scale for x in losses)
         if not effect.parameters:
-            plane = tuple(
-                Number(key, "N/m" if key == "stiffness" else "m", value, (torch.nan, torch.nan))
-                for key, value in zip(PLANE, found.servos.plane.tolist(), strict=True)
+            plane = (
+                ()
+                if effect is GRAVITY
+                else tuple(
+                    Number(key, "N/m" if key == "stiffness" else "m", value, (torch.nan, torch.nan))
+                    for key, value in zip(PLANE, found.servos.plane.tolist(), strict=True)
+                )
             )
             far, near = (float(x.square().mean().sqrt()) for x in (without, with_it))
             by = sure((*losses, least), len(plane))
@@ -712,14 +728,16 @@ def _findings(
         )
         for j in joints:
             sizes = [
-                _size(key, known, deviation, j, share=bool(shares[j]), held=data.held)
+                _size(key, known, deviation, j, bool(shares[j]), data.held, file)
                 for key in effect.parameters
-                if key in known.names and bool(found.free[key][j])
+                if (key in found.free and bool(found.free[key][j])) or _has(file, key, j)
             ]
             others = rivals.get((name, j), ())
             neutral = PARAMETERS[INDEX[effect.parameters[0]]].neutral
             again = None
-            if sizes and effect.family != "world" and effect.parameters[0] not in VALLEYS:
+            first = effect.parameters[0]
+            fitted = first in found.free and bool(found.free[first][j])
+            if fitted and effect.family != "world" and first not in VALLEYS:
                 again = known.replication(sizes[0].name.removesuffix(as_share("")), j, motions)
             if effect.twin and (not effect.twin_below or (sizes and sizes[0].value < neutral)):
                 others += (effect.twin,)
@@ -747,21 +765,31 @@ def _size(
     known: Equations,
     deviation: Float[Tensor, "n K"],
     joint: int,
-    *,
     share: bool,
     held: float,
+    file: ServoArm | None,
 ) -> Number:
-    """A number of an effect on one joint, of torques as a share of kp if asked for."""
+    """A number of an effect on one joint, of torques but the gain as a share of it if asked for,
+    beside what the robot's file says."""
     value, unit, shown = float(known.servos.of(name)[joint]), PARAMETERS[INDEX[name]].unit, name
+    was = float(file.servos.of(name)[joint]) if file and _has(file, name, joint) else math.nan
     if name == "delay":
         # Commands are simulated along straight lines; that they are held until the next one makes
         # them half a sample late on average, which is no delay of its own.
         value -= 0.5 * held
-    if share and name in TORQUES:
+    if share and name in TORQUES and name != "kp":
         value /= float(known.servos.of("kp")[joint])
+        was /= float(file.servos.of("kp")[joint]) if file else 1.0
         unit, shown = PER_KP[unit], as_share(name)
-    std = float(deviation[joint, known.names.index(name)])
-    return Number(shown, unit, value, value_interval(name, value, std))
+    std = float(deviation[joint, known.names.index(name)]) if name in known.names else math.nan
+    return Number(shown, unit, value, value_interval(name, value, std), was)
+
+
+def _has(file: ServoArm | None, name: str, joint: int) -> bool:
+    """Whether a robot's file has a number of a joint's servo."""
+    return (
+        file is not None and float(file.servos.of(name)[joint]) != PARAMETERS[INDEX[name]].neutral
+    )
 
 
 def _alike(
@@ -788,9 +816,9 @@ def _ratio_only(known: Equations) -> Tensor:
 
 def _accuracies(
     models: Sequence[tuple[PositionData, Found]], windows: Windows, few: Windows
-) -> tuple[list[Accuracy], tuple[Tensor, Tensor]]:
-    """How near the command, a plain servo and the answered model come; both models are fitted
-    without the fold that they are judged on. With the whole-motion errors (T, n) of the models."""
+) -> tuple[list[Accuracy], list[Tensor]]:
+    """How near the command, a plain servo, the answered model and others come; what is free of them
+    is fitted without the fold that they are judged on. With their whole-motion errors (T, n)."""
     data = models[0][0]
     folds = folds_of(len(data.tracks.first))
     commanded = (data.tracks.u - data.q) / data.scale
@@ -813,7 +841,7 @@ def _accuracies(
         Accuracy.of_joints(*(_rms(error).masked_fill(still, torch.nan) for error in pair))
         for pair in ((commanded, commanded), *pairs)
     ]
-    return ways, (errors_of["whole"][0], errors_of["whole"][1])
+    return ways, errors_of["whole"]
 
 
 def _rms(error: Tensor) -> Tensor:

@@ -31,6 +31,7 @@ from torchid.position.record import (
     RegimeRecord,
     ServosRecord,
     WhereRecord,
+    error_words,
 )
 from torchid.position.repeats import PositionNoise
 from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
@@ -45,12 +46,13 @@ MOST = 0.9
 
 
 class Number(NamedTuple):
-    """One number of an effect, fitted, with its 95 % interval."""
+    """One number of an effect, fitted, with its 95 % interval, and what the robot's file has."""
 
     name: str
     unit: str
     value: float
     interval: tuple[float, float]
+    was: float = math.nan
 
 
 def finding_of(
@@ -68,6 +70,7 @@ def finding_of(
         effect=effect.name, family=effect.family, joints=() if joint is None else (joint,),
         ambiguous_with=ambiguous_with, parameters={x.name: x.value for x in numbers},
         unit={x.name: x.unit for x in numbers}, ci95={x.name: x.interval for x in numbers},
+        was={x.name: x.was for x in numbers if not math.isnan(x.was)},
         error_without=errors[0], error_with=errors[1], replication=replication, how_sure=how_sure,
         meaning=effect.meaning, remedy=effect.remedy,
     )  # fmt: skip
@@ -85,13 +88,16 @@ class PositionDiagnosis(Diagnosis):
             of those of which ratios alone are known.
         ratio_only: (n,) joints of which torques are known up to one factor: findings have them as
             shares of kp (`kd/kp`), and those of `servos` are one choice of many.
+        unanchored: those of them of which not even the file's masses or gains tell that factor.
         commanded: the position is the command.
-        plain_servo: one with gain, damping, dry friction, inertia, delay and offset, held out.
+        plain_servo: one with gain, damping, dry friction, inertia, delay and offset, refitted to
+            the log and held out.
         answered: the answered model, held out.
-        regimes: by regime, (n,) whole-motion errors of the plain and of the answered model, NaN
-            where the joint is never in it [mrad].
+        file: the servos of the robot's file as they are; None where it has none.
+        regimes: by regime, (n,) whole-motion errors before (of `before`) and of the answered model,
+            NaN where the joint is never in it [mrad].
         motions: names, with (m, n) whole-motion errors of the answered model [mrad].
-        errors: (T, n) of the plain and of the answered model in each row, simulated less measured,
+        errors: (T, n) before and of the answered model in each row, simulated less measured,
             of whole motions, held out [log's unit].
         still: joints that never move.
         warnings: one sentence each.
@@ -126,6 +132,8 @@ class PositionDiagnosis(Diagnosis):
     warnings: tuple[str, ...]
     seconds: float
     noise: PositionNoise
+    unanchored: Bool[Tensor, " n"] | None = None
+    file: Accuracy | None = None
     known: tuple[tuple[tuple[str, ...], Float[Tensor, "_ _"]], ...] = ()
     held_out: tuple[float, float] | None = None
     nominal: tuple[NominalServo, ...] = ()
@@ -141,32 +149,38 @@ class PositionDiagnosis(Diagnosis):
         return self.as_given is not None and bool((self.as_given | self.still).all())
 
     @property
+    def before(self) -> Accuracy:
+        """The servos of the robot's file, or plain ones where it has none."""
+        return self.plain_servo if self.file is None else self.file
+
+    @property
     def closed(self) -> float:
-        """Share of the plain servos' error of whole motions that the answered model takes away,
-        beyond noise where repeats tell it; NaN where they leave nothing that calls for a cause."""
-        if math.isnan(self._closed_in_windows) or self._right_as_given:
+        """Share of the error before of whole motions that the answered model takes away, beyond
+        noise where repeats tell it; NaN where nothing is left that calls for a cause."""
+        if math.isnan(self._closed_in_windows):
             return math.nan
         moves = ~self.still
-        before, after = (w.whole[moves].square() for w in (self.plain_servo, self.answered))
+        before, after = (w.whole[moves].square() for w in (self.before, self.answered))
         noise = 1e6 * (self.noise.square / self.data.scale.square())[moves]
         return float(closed_share(before, after, noise))
 
     @cached_property
     def _closed_in_windows(self) -> float:
-        """Share of the squares of what the plain servos leave in windows, but for what calls for no
-        cause, that the answered model takes away; NaN where they leave nothing."""
+        """Share of the squares of what is left before in windows, but for what calls for no cause,
+        that the answered model takes away; NaN where nothing is left."""
         floor = self.unseen.square()
-        plain, answered = (way.windows.square() for way in (self.plain_servo, self.answered))
+        before, answered = (way.windows.square() for way in (self.before, self.answered))
         # What windows leave alone is their starts', whose velocities are those of a few samples.
-        both = torch.minimum(plain, self.plain_servo.whole.square())
+        both = torch.minimum(before, self.before.whole.square())
         gap = (both > GAP * floor) & ~self.still
-        left = (answered - floor)[gap].clamp(min=0).sum() / (plain - floor)[gap].sum()
+        if self._right_as_given or not bool(gap.any()):
+            return math.nan
+        left = (answered - floor)[gap].clamp(min=0).sum() / (before - floor)[gap].sum()
         return 1.0 - float(left)
 
     @property
     def unseen(self) -> Float[Tensor, " n"]:
-        """RMS errors of joints beside refitted plain servos in windows that call for no cause, or
-        are noise, where repeats tell it [mrad]."""
+        """RMS errors in windows that are noise, by repeats, or call for no cause [mrad]."""
         return 1e3 * self.noise.at_least(self.data.slight) / self.data.scale
 
     @property
@@ -183,27 +197,30 @@ class PositionDiagnosis(Diagnosis):
 
     @property
     def status(self) -> str:
-        """`no_gap` beside a plain servo; `explained`, where what is named closes most of it;
+        """`no_gap` beside the servos before; `explained`, where what is named closes most of it;
         `partly_explained`, where something else is there too; `detected_unexplained`."""
-        if not self.findings:
+        if not any(f.how_sure is None or f.how_sure >= LIKELY for f in self.findings):
             return "no_gap" if math.isnan(self.closed) else "detected_unexplained"
         return "partly_explained" if self._closed_in_windows < MOST else "explained"
 
     @cached_property
     def answer(self) -> Answer:
         """What each joint's error is, which causes close it, and what to do: errors of whole
-        motions that were left out, before them those of a plain servo."""
+        motions that were left out, before them those of the file's servos, or of a plain one."""
         unseen, moves, noise = self.unseen, ~self.still, self._noise_interval
         low_noise, high_noise = noise[moves].mean(0).nan_to_num(0.0).tolist()
-        before = self.answered if self._right_as_given else self.plain_servo
+        before = self.before
         every = sorted((f.cause for f in self.findings), key=lambda c: -c.closes)
         low, high = (float(x) for x in unseen[moves].aminmax()) if bool(moves.any()) else (0.0, 0.0)
         small = f"What moves a joint by less than {low:.1f} to {high:.1f} mrad could not be seen."
+        refitted = ""
+        if self.file is not None:
+            refitted = (
+                f"A plain servo refitted to this log errs {self.plain_servo.whole_mrad:.3g} mrad."
+            )
         return Answer(
             status=self.status,
-            error="the error of the file's servos"
-            if self._right_as_given
-            else "a plain servo's error",
+            error=error_words(self.file is not None),
             unit="mrad",
             before=before.whole_mrad,
             after=self.answered.whole_mrad,
@@ -220,7 +237,7 @@ class PositionDiagnosis(Diagnosis):
             ),
             causes=tuple(c for c in every if c.how_sure is None or c.how_sure >= LIKELY),
             suspects=tuple(c for c in every if UNLIKELY <= (c.how_sure or 0.0) < LIKELY),
-            reason=small if self.status == "no_gap" else "",
+            reason=small if self.status == "no_gap" else refitted,
             doubt=self.doubt or UNSET,
         )
 
@@ -238,6 +255,7 @@ class PositionDiagnosis(Diagnosis):
             commanded_mrad=self.commanded.whole,
             plain_mrad=self.plain_servo.whole,
             answered_mrad=self.answered.whole,
+            file_mrad=torch.full_like(kp, torch.nan) if self.file is None else self.file.whole,
             kp=kp,
             kp_ci95=kp_ci95,
             ratio_only=self.ratio_only,
@@ -248,7 +266,7 @@ class PositionDiagnosis(Diagnosis):
         )
         regimes = (
             by_joint(
-                RegimeRecord, regime=[name] * len(joints), plain_mrad=before, answered_mrad=after
+                RegimeRecord, regime=[name] * len(joints), before_mrad=before, answered_mrad=after
             )
             for name, (before, after) in self.regimes.items()
         )
@@ -264,6 +282,7 @@ class PositionDiagnosis(Diagnosis):
                 plain=self.plain_servo,
                 answered=self.answered,
                 closed=self.closed,
+                file=UNSET if self.file is None else self.file,
                 per_motion=tuple(
                     MotionRecord(motion=name, answered_mrad=row)
                     for name, row in zip(names, of_motions, strict=True)
@@ -301,7 +320,9 @@ class PositionDiagnosis(Diagnosis):
         std = torch.full_like(self.servos.joint, torch.nan)
         for j, (names, covariance) in enumerate(self.known):
             std[j, [INDEX[name] for name in names]] = covariance.diagonal().sqrt()
-        return ServoArm(self.data.robot, self.servos, self.data.scale, std)
+        free = torch.zeros_like(self.still) if self.unanchored is None else self.unanchored
+        joints = tuple((free & ~self.still).nonzero().flatten().tolist())
+        return ServoArm(self.data.robot, self.servos, self.data.scale, std, joints)
 
     def write_corrected(self, path: str | Path) -> None:
         """Write the robot with its servos as a .yaml.

@@ -7,21 +7,28 @@ import torch
 from torch import Tensor
 
 from torchid.position.data import PositionData
+from torchid.position.record import error_words
 from torchid.results.answer import Answer, Cause, JointError
 from torchid.simulation.servo_loop import Windows
 from torchid.statistics.criteria import WORTHWHILE
 
 
 class EarlyAnswer:
-    """What is known while the search goes on: the plain servos' errors in some windows, and of the
-    effects that were tried the one that removes most of each joint's."""
+    """What is known while the search goes on: the errors of the file's servos, or of plain ones, in
+    some windows, and of the effects that were tried the one that removes most of each joint's."""
 
     def __init__(
-        self, watch: Callable[[Answer], None], data: PositionData, plain: Tensor, windows: Windows
+        self,
+        watch: Callable[[Answer], None],
+        data: PositionData,
+        first: Tensor,
+        windows: Windows,
+        of_file: bool,
     ) -> None:
+        self.error = error_words(of_file)
         self.watch, self.names, self.scale = watch, data.robot.joint_names, data.scale
         self.rows = windows.rows
-        self.before = self.after = self._errors(plain)
+        self.before = self.after = self._errors(first)
         self.best = [""] * len(self.names)
         self._show()
 
@@ -42,7 +49,7 @@ class EarlyAnswer:
         self.watch(
             Answer(
                 status="searching",
-                error="a plain servo's error",
+                error=self.error,
                 unit="mrad",
                 before=float(self.before.mean()),
                 after=float(self.after.mean()),

@@ -9,6 +9,9 @@ CORE = ("kp", "damping", "armature", "delay", "offset", "coulomb")
 
 _FAMILIES = {
     "torque_offset": "servo",
+    "viscous_friction": "friction",
+    "coulomb_friction": "friction",
+    "rotor_inertia": "inertia",
     "stribeck_friction": "friction",
     "load_dependent_friction": "friction",
     "end_stop": "world",
@@ -48,8 +51,12 @@ def neutral(effect: ServoEffect) -> dict[str, float]:
 
 
 EFFECTS = tuple(map(_effect, _ORDER))
-PAYLOAD = _effect("payload")
+PAYLOAD, GRAVITY = _effect("payload"), _effect("gravity_compensation")
 """Beside `EFFECTS`: not a servo's, but the robot's."""
-BY_NAME = {effect.name: effect for effect in EFFECTS}
+GAINS = tuple(
+    map(_effect, ("proportional_gain", "viscous_friction", "coulomb_friction", "rotor_inertia"))
+)
+"""Numbers that every servo has: causes where a file has others."""
+BY_NAME = {effect.name: effect for effect in (*EFFECTS, *GAINS)}
 KEPT = ("command_delay", "torque_offset")
 """What is part of every model, named or not."""

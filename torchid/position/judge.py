@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchid.position.data import SMALL, WINDOW_S, PositionData
 from torchid.position.fit import (
+    errors_of_one,
     huber,
     mean_square,
     prior_deviations,
@@ -137,7 +138,8 @@ class Equations:
             out[j] = together * unit * unit[:, None]
         # With other masses all torques would be others, and what is left may be so in part.
         unsure = self.torque_std.hypot(self._misfit_of_torques())
-        scale = to[:, :, self.names.index("kp")] * unsure[:, None] * self.mask
+        k = self.names.index("kp")  # where it is not free, the scale of torques is known
+        scale = to[:, :, k] * (unsure * self.mask[:, k])[:, None] * self.mask
         return out + scale[:, :, None] * scale[:, None]
 
     @cached_property
@@ -302,6 +304,18 @@ def motion_losses(error: Float[Tensor, "L W n"], windows: Windows) -> Float[Tens
     own = huber(error) * windows.weight[:, None]
     out = torch.zeros(int(windows.motion.max()) + 1, own.shape[1], dtype=own.dtype)
     return out.index_add_(0, windows.motion, own)
+
+
+def losses_of(data: PositionData, servos: Servos, windows: Windows) -> Tensor:
+    """(m, n) losses of motions [rad^2]."""
+    return motion_losses(errors_of_one(data, servos, windows), windows)
+
+
+def mostly_better(gain: Float[Tensor, "m n"]) -> Bool[Tensor, " n"]:
+    """(n,) whether most motions (m, n) gain of those that it matters to."""
+    matters = gain.abs() > 0.02 * gain.abs().amax(0)
+    better = ((gain > 0) & matters).sum(0)
+    return (better > 0.7 * matters.sum(0)) & (gain.sum(0) > 0)
 
 
 def closed_interval(

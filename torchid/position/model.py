@@ -29,7 +29,7 @@ from torchid.simulation.servo_loop import Tracks, Windows, windows_of
 from torchid.tensors import as_tensor
 from torchid.typing import Bool, Float, Tensor
 
-KEY = "servos"
+KEY, RATIOS = "servos", "ratios_to_kp_alone"
 SAME_RATE = 0.01
 """Sampling intervals that differ by no more are one [1]."""
 
@@ -45,6 +45,8 @@ class ServoArm:
             another unit.
         std: (n, K) standard deviations of the servos' values, of logarithms where they are searched
             so; NaN of what is not known; None where nothing is.
+        unanchored: joints (from 0) whose torques are right in their ratios to kp alone: neither a
+            load nor a gain that is known tells their scale.
 
     >>> import torchid
     >>> arm = ServoArm.of(torchid.load_robot("3r"), kp=260.0, damping=22.0, armature=0.8)
@@ -56,6 +58,7 @@ class ServoArm:
     servos: Servos
     scale: Float[Tensor, " n"]
     std: Float[Tensor, "n K"] | None = None
+    unanchored: tuple[int, ...] = ()
 
     def __repr__(self) -> str:
         return f"ServoArm('{self.robot.name}')"
@@ -117,7 +120,11 @@ class ServoArm:
             raise TorchidError(
                 f"'{path}': log_scale is wrong.", got=scale, expected=f"{robot.n} > 0"
             )
-        return cls(robot, servos, torch.tensor(scale, dtype=torch.float64), std)
+        free = data.get(RATIOS, [])
+        if not isinstance(free, list) or not set(free) <= set(range(1, robot.n + 1)):
+            raise TorchidError(f"'{path}': {RATIOS} is wrong.", got=free, expected="joints, from 1")
+        scale = torch.tensor(scale, dtype=torch.float64)
+        return cls(robot, servos, scale, std, tuple(j - 1 for j in free))
 
     @classmethod
     def of_file(cls, name: str | Path) -> "ServoArm | None":
@@ -131,6 +138,8 @@ class ServoArm:
     def yaml(self) -> str:
         """What `write` writes."""
         block = {**self.servos.record(), "log_scale": self.scale.tolist()}
+        if self.unanchored:
+            block[RATIOS] = [j + 1 for j in self.unanchored]
         if self.std is not None:
             rows = (zip(NAMES, row, strict=True) for row in self.std.tolist())
             block["std"] = [{k: v for k, v in row if math.isfinite(v)} for row in rows]

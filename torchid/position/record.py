@@ -14,17 +14,26 @@ from torchid.statistics.proportion import HALF_95
 from torchid.typing import Float, Tensor
 
 
+def error_words(of_file: bool) -> str:
+    """What the first number of an answer is of."""
+    return (
+        "the error of the file's servos" if of_file else "a plain servo's error (the file has none)"
+    )
+
+
 class JointRecord(Part, frozen=True, kw_only=True):
-    """One joint: errors of whole motions [mrad of the log's unit], its gain [N m/rad], null where
-    torques are known as shares of it alone (`ratio_only`); missing in files of older versions: its
-    name, what is too little to look for a cause, and the step of its encoder, as the log shows it
-    [mrad], and the 90 % interval of its noise, null where no repeat of a motion tells it."""
+    """One joint: errors of whole motions [mrad of the log's unit], of the file's servos null where
+    it has none; its gain [N m/rad], null where torques are known as shares of it alone
+    (`ratio_only`); missing in files of older versions: its name, what is too little to look for a
+    cause, and the step of its encoder, as the log shows it [mrad], and the 90 % interval of its
+    noise, null where no repeat of a motion tells it."""
 
     joint: Joint
     name: str = ""
     commanded_mrad: Real
     plain_mrad: Real
     answered_mrad: Real
+    file_mrad: Real = math.nan
     kp: Real
     kp_ci95: Ends
     ratio_only: bool
@@ -35,11 +44,12 @@ class JointRecord(Part, frozen=True, kw_only=True):
 
 
 class RegimeRecord(Part, frozen=True, kw_only=True):
-    """Errors of one joint in one regime [mrad of the log's unit]."""
+    """Errors of one joint in one regime, before of the file's servos, or of a plain one where it
+    has none [mrad of the log's unit]."""
 
     joint: Joint
     regime: str
-    plain_mrad: Real
+    before_mrad: Real
     answered_mrad: Real
 
 
@@ -60,7 +70,9 @@ class PositionFinding(Part, frozen=True, kw_only=True):
         parameters, unit, ci95: its numbers by name, with 95 % intervals: motions as clusters, and
             no less than noise allows.
         error_without, error_with: position error of the joint (of all joints, for those) in windows
-            of 2 s without it and with it, the others refitted [mrad of the log's unit].
+            of 2 s without it and with it, the others refitted [mrad of the log's unit]; of what the
+            robot's file has, with the file's number and with this one.
+        was: numbers that the robot's file has.
         replication: whether it is the same in every motion; None of what acts at the ends of the
             travel, and of what all joints feel.
         how_sure: probability of it, or of the set with what does as well.
@@ -74,6 +86,7 @@ class PositionFinding(Part, frozen=True, kw_only=True):
     parameters: dict[str, Real]
     unit: dict[str, str] = msgspec.field(default_factory=dict)
     ci95: dict[str, Ends]
+    was: dict[str, Real] = msgspec.field(default_factory=dict)
     error_without: Real = msgspec.field(name="error_without_mrad")
     error_with: Real = msgspec.field(name="error_with_mrad")
     replication: Replication | None = None
@@ -93,9 +106,12 @@ class PositionFinding(Part, frozen=True, kw_only=True):
         halves = {name: (high - low) / 2 for name, (low, high) in self.ci95.items()}
         std = {name: h / HALF_95 if math.isfinite(h) else None for name, h in halves.items()}
         return tuple(
-            Size(name=name, unit=self.unit.get(name, ""), value=value, std=std[name])
+            Size(
+                name=name, unit=self.unit.get(name, ""), value=value, std=std[name],
+                was=self.was.get(name),
+            )
             for name, value in self.parameters.items()
-        )
+        )  # fmt: skip
 
     @property
     def cause(self) -> Cause:
@@ -145,12 +161,14 @@ class HeldOutRecord(Part, frozen=True):
 
 
 class HowFarRecord(Part, frozen=True, kw_only=True):
-    """How far the command, a plain servo and the answer predict motions left out."""
+    """How far the command, the file's servos (missing where it has none), a plain servo that is
+    refitted to the log, and the answer predict motions left out."""
 
     commanded: Accuracy
     plain: Accuracy
     answered: Accuracy
     closed: Real
+    file: Accuracy | UnsetType = UNSET
     per_motion: tuple[MotionRecord, ...]
 
 

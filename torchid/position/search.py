@@ -115,6 +115,7 @@ def _start(data: PositionData, names: tuple[str, ...]) -> Servos:
     """Servos of a small arm, their torques times the joints' strengths."""
     starts = {p.name: p.start for p in PARAMETERS if p.name in names}
     servos = replace(Servos.neutral(data.robot.n, **starts), link=data.link)
+    servos.joint[:, INDEX["damping_share"]] = data.damping_share
     for name in TORQUES:
         if name in names:
             servos.joint[:, INDEX[name]] *= data.strength
@@ -190,7 +191,9 @@ def _grown(
     values = _SIZES[name](data, now.servos)
     sets = _batch(now.servos, 1 + len(values))
     sets.joint[1:, :, INDEX[name]] = values
-    if name == "scale":  # whose share of the mean command is in the zero of servos without it
+    if (
+        name == "scale" and "offset" in now.free
+    ):  # whose share of the mean command is in the zero of servos without it
         mean = data.tracks.u.mean(0)
         column = sets.joint[1:, :, INDEX["offset"]]
         column -= sets.joint[1:, :, INDEX["kp"]] * (values - 1) * mean
@@ -360,6 +363,8 @@ def slight(data: PositionData, windows: Windows) -> Tensor:
     return data.slight**2 * windows.rows
 
 
+BESIDE_PLAIN = tuple(effect for effect in EFFECTS if effect.name not in KEPT)
+"""What plain servos do not have."""
 Rivals = dict[tuple[str, int], tuple[str, ...]]
 """By effect and joint: what does as well in its place."""
 
@@ -369,17 +374,20 @@ def alone(
     simple: Found,
     windows: Windows,
     watch: Callable[[str, Tensor], None] | None = None,
+    effects: Sequence[ServoEffect] = BESIDE_PLAIN,
 ) -> tuple[Found, Tensor, Rivals]:
-    """Each effect by itself beside a plain servo: a joint that one of them explains needs no other.
+    """Each effect by itself beside plain servos, or a file's, whose gains are not free: a joint
+    that one of them explains needs no other.
 
     Args:
         data: motions.
-        simple: the plain servos.
+        simple: the servos.
         windows: to fit to.
         watch: called with each effect and the losses (n,) that are left with it.
+        effects: to try.
 
     Returns:
-        The plain servos, and on every joint that has a gap the effect that closes most of it; the
+        The servos, and on every joint that has a gap the effect that closes most of it; the
         joints (n,) on which no gap is left; what does as well in an effect's place.
     """
     least, before = slight(data, windows), _one(data, simple, windows)
@@ -388,13 +396,12 @@ def alone(
     tried: dict[str, Found] = {}
     cost: dict[str, Tensor] = {}
     calm = _calm(data, simple, windows, before > NEAR * least)
-    for effect in EFFECTS:
-        if effect.name not in KEPT:
-            limit = bool(effect.parameters) and effect.parameters[0] in _SIZES
-            model = _beside(data, calm if limit else simple, windows, effect)
-            tried[effect.name], cost[effect.name] = model, _one(data, model, windows)
-            if watch is not None:
-                watch(effect.name, cost[effect.name])
+    for effect in effects:
+        limit = bool(effect.parameters) and effect.parameters[0] in _SIZES
+        model = _beside(data, calm if limit else simple, windows, effect)
+        tried[effect.name], cost[effect.name] = model, _one(data, model, windows)
+        if watch is not None:
+            watch(effect.name, cost[effect.name])
     # What makes set-points is brought to where they are best, where that can matter.
     for name in ("set_point_profile", "set_point_speed", "command_filter"):
         best = torch.stack(list(cost.values())).amin(0)
@@ -406,8 +413,8 @@ def alone(
     own = torch.stack([cost[name] for name in tried if BY_NAME[name].parameters])
     names = [name for name in tried if BY_NAME[name].parameters]
     # A plane that leaves no more on all joints than an effect of its own on each.
-    plane = next(name for name in tried if not BY_NAME[name].parameters)
-    if float(cost[plane].sum()) < ALIKE * float(torch.minimum(own.amin(0), before).sum()):
+    plane = next((name for name in tried if not BY_NAME[name].parameters), None)
+    if plane and float(cost[plane].sum()) < ALIKE * float(torch.minimum(own.amin(0), before).sum()):
         now, cost_now = tried[plane], cost[plane]
     given, rivals = torch.zeros(data.robot.n, dtype=torch.bool), {}
     # The joints that are worst first: what is left on others may be these joints' doing.
@@ -460,7 +467,7 @@ def _calm(data: PositionData, simple: Found, windows: Windows, far: Bool[Tensor,
     """
     servos, begun = simple.servos, _start(data, CORE)
     free = {name: on & far for name, on in simple.free.items()}
-    for _ in range(2 if bool(far.any()) else 0):
+    for _ in range(2 if "kp" in free and bool(far.any()) else 0):
         error = errors(data, _batch(servos, 1), windows)[..., 0]
         own = huber(error)[:, far] / windows.length[:, None]
         calm = (own / own.mean(0)).sum(1).argsort()[: max(1, len(own) // 2)]
@@ -519,7 +526,8 @@ def _beside(data: PositionData, simple: Found, windows: Windows, effect: ServoEf
     if effect.name == "command_filter":
         return _with_filter(data, simple, windows)
     now = simple
-    if effect.name == "command_gain" and bool((far := data.command_gain != 1).any()):
+    geared = effect.name == "command_gain" and "kp" in simple.free
+    if geared and bool((far := data.command_gain != 1).any()):
         joint = torch.where(far[:, None], _start(data, CORE).joint, now.servos.joint)
         now = _geared(data, replace(now, servos=replace(now.servos, joint=joint)))
         servos = fit(data, now.servos, now.free, windows, profiles=True, iterations=12)

@@ -208,8 +208,14 @@ def model_words(answer: Answer, model: str | None, given: str, held_out: Sequenc
         given: the robot's file or name.
         held_out: names of logs that took part in nothing; empty where each was left out in turn.
     """
-    if not answer.causes or not answer.after < answer.before:
+    if answer.status in ("no_gap", "negligible"):
         return f"Use {given} as it is: this log gives no better model."
+    if not answer.causes or not answer.after < answer.before:
+        errs = f"{given} errs" if answer.given == "as given" else "a plain servo errs"
+        return (
+            f"This log gives no model that is surely better: {errs} "
+            f"{answer.before:.3g} {answer.unit}, and no cause of it is sure."
+        )
     on = f"on {', '.join(held_out)}" if held_out else "on motions left out of the fit"
     change = f"errs {answer.after:.3g} {answer.unit} {on}, {answer.given} {answer.before:.3g}"
     if model is None:

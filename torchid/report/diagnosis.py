@@ -202,7 +202,8 @@ def _sections(d: TorqueDiagnosis | PositionDiagnosis) -> list[Section]:
     laws: Parts = ()
     text = (
         "Joint positions: the arm, and both models moved by the same commands, in motions that "
-        "were left out of the fit. A plain servo has a gain, friction, inertia, delay and offset."
+        "were left out of the fit; before, the file's servos, or, where it has none, a plain servo "
+        "refitted to this log: a gain, friction, inertia, delay and offset."
     )
     if isinstance(d, TorqueDiagnosis):
         assert isinstance(record, GapRecord)

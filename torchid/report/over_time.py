@@ -229,7 +229,7 @@ def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime | None:
             far.argsort(descending=True).tolist(), ("model as given", "corrected model"),
             same, where=", simulated with the measured torque",
         )  # fmt: skip
-    data, (plain, answered), runs = d.data, d.errors, []
+    data, (before, answered), runs = d.data, d.errors, []
     log = data.log
     for k, (a, b) in enumerate(
         zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True)
@@ -239,14 +239,15 @@ def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime | None:
         command = None if log.u is None else log.u[rows]
         runs.append(
             Run(log.names[int(log.trajectory[a])] if len(log.names) else f"motion {k + 1}",
-                log.t[rows] - log.t[a], q, q + plain[rows], q + answered[rows], command)
+                log.t[rows] - log.t[a], q, q + before[rows], q + answered[rows], command)
         )  # fmt: skip
     moving = [j for j in range(data.robot.n) if not bool(d.still[j])]
-    order = sorted(moving, key=lambda j: -float(d.plain_servo.whole[j])) or [0]
+    order = sorted(moving, key=lambda j: -float(d.before.whole[j])) or [0]
     units = ["m" if joint_unit(data.robot, j) == "N" else "rad" for j in range(data.robot.n)]
     units = [u if float(s) == 1 else "log's unit" for u, s in zip(units, data.scale, strict=True)]
     return OverTime(
         "position", runs, joint_labels(data.robot.joint_names), units, order,
-        ("plain servo", "corrected servo"), ("mrad" if "m" not in units else "1e-3", 1e3),
+        ("plain servo" if d.file is None else "the file's servo", "corrected servo"),
+        ("mrad" if "m" not in units else "1e-3", 1e3),
         where=", in a motion left out",
     )  # fmt: skip

@@ -15,7 +15,7 @@ from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import Replay
 from torchid.position.next_motion import NextCommands
 from torchid.position.nominal import unit_of
-from torchid.position.record import NominalRecord, PositionRecord
+from torchid.position.record import JointRecord, NominalRecord, PositionRecord
 from torchid.report.causes import cause_table, meaning_table, not_testable_table
 from torchid.report.colours import AFTER, GREY, INK
 from torchid.report.over_time import motion_over_time
@@ -42,15 +42,28 @@ def label(record: PositionRecord, joint: int) -> str:
     return f"{joint + 1} {record.where.joints[joint].name}".rstrip()
 
 
+def before(record: PositionRecord, joint: JointRecord) -> float:
+    """Error of a joint's servo in the robot's file, or of a plain one where it has none [mrad]."""
+    return joint.plain_mrad if record.how_far.file is UNSET else joint.file_mrad
+
+
+def before_words(record: PositionRecord) -> str:
+    """Whose that is."""
+    return "a plain servo" if record.how_far.file is UNSET else "the file's servo"
+
+
 def remarks(record: PositionRecord) -> list[str]:
     """What to know about the answer, one sentence each."""
     far = record.how_far
+    file = "the file has no servos"
+    if far.file is not UNSET:
+        file = f"the file's servos as they are {far.file.whole_mrad:.1f}"
     out = [
         f"Errors are of whole motions that no model was fitted to, the mean of the joints that "
-        f"move: the command alone {far.commanded.whole_mrad:.1f} mrad, a plain servo "
-        f"{far.plain.whole_mrad:.1f}, corrected {far.answered.whole_mrad:.1f}; in windows of 2 s "
-        f"{far.answered.windows_2s_mrad:.1f}. A plain servo has a gain, friction, inertia, delay "
-        "and offset."
+        f"move: the command alone {far.commanded.whole_mrad:.1f} mrad, {file}, a plain servo "
+        f"refitted to this log {far.plain.whole_mrad:.1f}, corrected "
+        f"{far.answered.whole_mrad:.1f}; in windows of 2 s {far.answered.windows_2s_mrad:.1f}. A "
+        "plain servo has a gain, friction, inertia, delay and offset."
     ]
     told = [j.noise_mrad for j in record.where.joints if not math.isnan(j.noise_mrad[0])]
     if told:
@@ -68,21 +81,23 @@ def remarks(record: PositionRecord) -> list[str]:
     worse = _worse(record)
     if worse:
         more = " and elsewhere" if len(worse) > MOST_WORSE else ""
-        out.append(f"It is worse than a plain servo on {'; '.join(worse[:MOST_WORSE])}{more}.")
+        than = before_words(record)
+        out.append(f"It is worse than {than} on {'; '.join(worse[:MOST_WORSE])}{more}.")
     return out
 
 
 def _worse(record: PositionRecord) -> list[str]:
     """Joints, or regimes of them, whose error is larger by more than could be seen."""
     joints = record.where.joints
-    worse = [j for j in joints if j.answered_mrad - j.plain_mrad > j.unseen_mrad]
-    out = [f"joint {j.joint + 1}, {j.plain_mrad:.1f} -> {j.answered_mrad:.1f} mrad" for j in worse]
+    ends = {j.joint: (before(record, j), j.answered_mrad) for j in joints}
+    worse = [j for j in joints if ends[j.joint][1] - ends[j.joint][0] > j.unseen_mrad]
+    out = ["joint {}, {:.1f} -> {:.1f} mrad".format(j.joint + 1, *ends[j.joint]) for j in worse]
     named = {j.joint for j in worse} | {j.joint for j in joints if j.never_moves}
     return out + [
-        f"joint {r.joint + 1} ({regime_words(r.regime)}), {r.plain_mrad:.1f} -> "
+        f"joint {r.joint + 1} ({regime_words(r.regime)}), {r.before_mrad:.1f} -> "
         f"{r.answered_mrad:.1f} mrad"
         for r in record.where.regimes
-        if r.joint not in named and r.answered_mrad - r.plain_mrad > joints[r.joint].unseen_mrad
+        if r.joint not in named and r.answered_mrad - r.before_mrad > joints[r.joint].unseen_mrad
     ]
 
 
@@ -96,19 +111,22 @@ def tables(record: PositionRecord) -> list[Table]:
 
 
 def where_table(record: PositionRecord) -> Table:
-    """Joints: errors of the command alone, of a plain servo and of the answer, and the gain."""
+    """Joints: errors of the command alone, of the file's servo if it has one, of a plain servo and
+    of the answer, and the gain."""
     far, joints = record.how_far, []
     for j in record.where.joints:
         levels = (
-            j.commanded_mrad, j.plain_mrad, j.answered_mrad,
+            j.commanded_mrad, *([] if far.file is UNSET else [j.file_mrad]), j.plain_mrad,
+            j.answered_mrad,
             float(far.plain.windows[j.joint]),
             float(far.answered.windows[j.joint]),
         )  # fmt: skip
         gain = "ratio" if j.ratio_only else f"{j.kp:.1f}"
-        numbers = ["-"] * 6 if j.never_moves else [*cells(levels, ".1f"), gain]
+        numbers = [*cells(levels, ".1f"), gain]
+        numbers = ["-"] * len(numbers) if j.never_moves else numbers
         joints.append((str(j.joint + 1), j.name, *numbers))
     servos = ("plain servo", "corrected", "plain, 2 s", "corrected, 2 s")
-    columns = ("joint", "name", "command", *servos, "kp")
+    columns = ("joint", "name", "command", *["file"] * (far.file is not UNSET), *servos, "kp")
     note = (
         "kp [N m/rad]; ratio: no load anchors the joint's torques, which are known as shares of kp "
         "alone"
@@ -190,20 +208,20 @@ def where_picture(record: PositionRecord) -> Picture:
     worst = (worst_joints(record, 1) or [0])[0]
     regime = max(
         (x for x in record.where.regimes if x.joint == worst),
-        key=lambda x: x.plain_mrad if x.plain_mrad == x.plain_mrad else -1.0,
+        key=lambda x: x.before_mrad if x.before_mrad == x.before_mrad else -1.0,
     )
     each = ", ".join(
-        f"joint {j.joint + 1} {j.plain_mrad:.1f} to {j.answered_mrad:.1f}"
+        f"joint {j.joint + 1} {before(record, j):.1f} to {j.answered_mrad:.1f}"
         for j in record.where.joints
         if not j.never_moves
     )
     return Picture(
         "where",
-        "Rows are joints, columns what the command does; a blue cell is one that a plain servo "
-        f"does not predict. It errs most on joint {label(record, worst)}, above all at "
-        f"{regime_words(regime.regime)}: {regime.plain_mrad:.1f} mrad, "
+        f"Rows are joints, columns what the command does; a blue cell is one that "
+        f"{before_words(record)} does not predict. It errs most on joint {label(record, worst)}, "
+        f"above all at {regime_words(regime.regime)}: {regime.before_mrad:.1f} mrad, "
         f"{regime.answered_mrad:.1f} mrad corrected.",
-        f"Map of joints and regimes. Plain servo and answer [mrad]: {each}.",
+        f"Map of joints and regimes. Before and after [mrad]: {each}.",
         partial(where_figure, record),
     )
 
@@ -232,23 +250,23 @@ def kinds(result: PositionDiagnosis | PositionRecord) -> Figures:
 
 
 def worst_joints(record: PositionRecord, most: int = WORST) -> list[int]:
-    """Joints on which a plain servo is worst, those that never move left out."""
+    """Joints on which the servo before is worst, those that never move left out."""
     moving = [j for j in record.where.joints if not j.never_moves]
-    return [j.joint for j in sorted(moving, key=lambda j: -j.plain_mrad)][:most]
+    return [j.joint for j in sorted(moving, key=lambda j: -before(record, j))][:most]
 
 
 def where_figure(record: PositionRecord) -> Figure:
-    """Joints x what the command does: the plain servo's error as colour, and what the answer leaves
-    of it; beside it the joints' errors of the command alone."""
+    """Joints x what the command does: the error of the servo before as colour, and what the answer
+    leaves of it; beside it the joints' errors of the command alone."""
     joints, found = record.where.joints, record.where.regimes
     regimes = list(dict.fromkeys(r.regime for r in found))
-    before, after = (
+    first, after = (
         np.array([[getattr(r, key) for r in found if r.regime == name] for name in regimes]).T
-        for key in ("plain_mrad", "answered_mrad")
+        for key in ("before_mrad", "answered_mrad")
     )
     texts: dict[Any, tuple[str, dict[str, Any]]] = {
         place: ("-" if np.isnan(value) else f"{value:.1f} \u2192 {after[place]:.1f}", {})
-        for place, value in np.ndenumerate(before)
+        for place, value in np.ndenumerate(first)
     }
     sizes = [0.0 if j.never_moves else j.commanded_mrad for j in joints]
     words = [
@@ -258,12 +276,12 @@ def where_figure(record: PositionRecord) -> Figure:
     title = "command less position [mrad]"
     return map_with_bars(
         f"{record.robot}: where command and position part",
-        "error of whole motions left out [mrad]: a plain servo \u2192 corrected",
+        f"error of whole motions left out [mrad]: {before_words(record)} \u2192 corrected",
         [label(record, j.joint) for j in joints],
         [regime_words(name) for name in regimes],
-        np.nan_to_num(before),
+        np.nan_to_num(first),
         texts,
-        "plain servo [mrad]",
+        f"{before_words(record)} [mrad]",
         (title, sizes, words, GREY, 1.35 * max(*sizes, 1e-9)),
     )[0]
 

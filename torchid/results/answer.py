@@ -198,8 +198,9 @@ class JointError(Part, frozen=True, kw_only=True):
 
     Attributes:
         joint, name: which.
-        before, after: of the model as given, and with the causes; of positions, of a plain servo
-            and with the causes. Null of a joint that never moves.
+        before, after: of the model as given, and with the causes; of positions, of the file's
+            servos (a plain one where it has none) and with the causes. Null of a joint that never
+            moves.
         noise: lowest and highest estimate of what no model can close; NaN (null) where repeats do
             not tell it, for what is left may be misfit as well.
     """
@@ -244,7 +245,8 @@ class Answer(Part, frozen=True, kw_only=True):
 
     Attributes:
         status: the verdict, as of the diagnosis.
-        error: what it is: `the gap`, or `a plain servo's error`.
+        error: what it is: `the gap`, `the error of the file's servos`, or of a plain servo, which
+            the file has none of.
         unit: of all errors.
         before, after, noise: of the whole arm: the root of the sum of the joints' mean squares; of
             positions the mean of the joints that move.
@@ -466,7 +468,7 @@ class Answer(Part, frozen=True, kw_only=True):
     @property
     def given(self) -> str:
         """What the error before is of."""
-        return "plain servo" if self.error == "a plain servo's error" else "as given"
+        return "plain servo" if self.error.startswith("a plain servo") else "as given"
 
     @property
     def title(self) -> str:

@@ -84,6 +84,7 @@ def assemble(
             torque=_intervals([joint.torque for joint in own]),
         ),
         parameters=parameters,
+        compensated=_compensated(tree, part),
         effects=tuple(_effects(part, own)),
         warnings=(*warnings, *part.warnings, *noticed),
         source=str(path),
@@ -157,14 +158,27 @@ def merged_parameters(tree: Tree, part: Part) -> tuple[InertialParameters | None
     return parameters, tuple(warnings)
 
 
-def _merged(tree: Tree, group: Group) -> Float[Tensor, "10"] | None:
-    """Sum of a group's inertial parameters in its first link's frame; None where it has none."""
+def _merged(
+    tree: Tree, group: Group, shares: Mapping[str, float] | None = None
+) -> Float[Tensor, "10"] | None:
+    """Sum of a group's inertial parameters in its first link's frame, or of shares of them by link;
+    None where it has none."""
     moved = [
-        move(pi, link_pose)
+        move(pi, link_pose) * (1.0 if shares is None else shares.get(name, 0.0))
         for name, link_pose in group.poses.items()
         if (pi := tree.links[name]) is not None
     ]
     return torch.stack(moved).sum(0) if moved else None
+
+
+def _compensated(tree: Tree, part: Part) -> Float[Tensor, "L 4"] | None:
+    """Masses and first moments of the moving groups whose weight servos do not feel."""
+    if not tree.compensated:
+        return None
+    rows = [_merged(tree, group, tree.compensated) for group in part.groups[1:]]
+    none = torch.zeros(PARAMETERS_PER_LINK, dtype=torch.float64)
+    found = torch.stack([none if row is None else row for row in rows])[:, :4]
+    return found if bool(found.any()) else None
 
 
 def _intervals(rows: Sequence[Interval | None]) -> Tensor | None:

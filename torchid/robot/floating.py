@@ -67,6 +67,7 @@ def on_moving_base(robot: Robot) -> Robot:
         gravity=robot.base.gravity,
         limits=Limits(**limits),
         parameters=_with_base(robot.parameters, robot.base),
+        compensated=None,
         effects=tuple(
             {k: v + FREE if k in ("joint", "source_joint") else v for k, v in record.items()}
             for record in robot.effects

@@ -46,7 +46,8 @@ def read_mjcf(
     `body/joint`, that ends in the body. q is MuJoCo's qpos (`ref` is in the kinematics). Damping,
     frictionloss, armature and springs become `effects`; gravity is the model's option. An equality
     that makes a joint follow another in proportion makes it a mimic. A body with a free joint is
-    taken as fixed, with a warning.
+    taken as fixed, with a warning. What gravcomp takes of a body's weight, servos do not feel;
+    actuatorgravcomp says only who makes that torque.
 
     Args:
         path: the file.
@@ -82,7 +83,8 @@ def read_mjcf(
     choice = Choice(tip, root, dict(lock or {}), base)
     links, joints = read.links_and_joints(choice.tip)
     off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-    tree = Tree(links, tuple(joints), str(path))
+    shares = {read.bodies[k]: float(c) for k, c in enumerate(model.body_gravcomp) if c}
+    tree = Tree(links, tuple(joints), str(path), shares)
     # The first string of the name buffer.
     name = bytes(model.names).split(b"\0", 1)[0].decode("utf-8", "replace")
     read.refuse_loops(tree, choice)
@@ -251,7 +253,10 @@ class _Reader:
         others = {
             f"{rest} equality constraint(s) are not modelled": rest,
             f"{model.ntendon} tendon(s) are not modelled": model.ntendon,
-            "gravity compensation of bodies (gravcomp) is not modelled": model.body_gravcomp.any(),
+            "gravity compensation of bodies (gravcomp) counts where commands are replayed; torques "
+            "of a log hold gravity, unless --torque without-gravity says that they hold none": (
+                model.body_gravcomp.any()
+            ),
             "forces of the surrounding fluid (density, viscosity) are not modelled": (
                 model.opt.density or model.opt.viscosity
             ),
@@ -435,16 +440,25 @@ def _servo(mujoco: Any, model: Any, actuator: int, joint: int, gear: float) -> d
     if kinds != affine or not b1 < 0 or not gear:
         return {}
     dof = int(model.jnt_dofadr[joint])
+    own = -b2 * gear**2
+    damping = own + model.dof_damping[dof]
     values = {
         "kp": -b1 * gear**2,
-        "damping": -b2 * gear**2 + model.dof_damping[dof],
+        "damping": damping,
         "armature": model.dof_armature[dof],
         "coulomb": model.dof_frictionloss[dof],
         "scale": -gain / (b1 * gear),
         "offset": b0 * gear,
     }
+    # What a limit of force holds is the actuator's alone.
+    values["damping_share"] = own / damping if damping > 0 else 0.0
+    limits = []
     if model.actuator_forcelimited[actuator]:
-        values["clip"] = abs(model.actuator_forcerange[actuator]).max() * abs(gear)
+        limits.append(abs(model.actuator_forcerange[actuator]).max() * abs(gear))
+    if model.jnt_actfrclimited[joint]:
+        limits.append(abs(model.jnt_actfrcrange[joint]).max())
+    if limits:
+        values["clip"] = min(limits)
     if int(model.actuator_dyntype[actuator]) != int(mujoco.mjtDyn.mjDYN_NONE):
         values["lag"] = model.actuator_dynprm[actuator, 0]
     return {name: float(value) for name, value in values.items()}

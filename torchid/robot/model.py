@@ -211,6 +211,9 @@ class Robot:
         tool: (4, 4) pose of the tool in the last link's frame; of several tips, of the first.
         limits: position, velocity, acceleration, torque.
         parameters: nominal inertial parameters (L, 10), or None.
+        compensated: (L, 4) masses [kg] and first moments [kg m] of the links whose weight servos do
+            not feel, as something takes it out; None where they feel all of it. Torques of logs
+            hold it.
         effects: nominal effects, as records {effect, joint, <parameter>: value}.
         drive_gain: (n,) [N m/A or N/A] torque per ampere, or None.
         bounds: groups of bounds for the extraction, as read from the robot's yaml.
@@ -251,6 +254,7 @@ class Robot:
     tool: Float[Tensor, "4 4"]
     limits: Limits = field(default_factory=Limits)
     parameters: InertialParameters | None = None
+    compensated: Float[Tensor, "L 4"] | None = None
     effects: tuple[Mapping[str, Any], ...] = ()
     drive_gain: Float[Tensor, "n"] | None = None
     bounds: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
@@ -270,7 +274,7 @@ class Robot:
     floating: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("before", "after", "gravity", "tool", "drive_gain"):
+        for name in ("before", "after", "gravity", "tool", "drive_gain", "compensated"):
             _make_tensor(self, name, f"robot '{self.name}': {name}")
         if not self.parents:
             object.__setattr__(self, "parents", tuple(range(-1, len(self.before) - 1)))

@@ -1,17 +1,29 @@
-"""The URDF or MJCF that a robot's yaml was made from, so that an export edits a copy of it."""
+"""The URDF or MJCF that a robot's yaml was made from, so that an export edits a copy of it; and how
+exactly such a file says where its links are."""
 
+import re
 from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
 from torchid.errors import RobotError
 from torchid.robot.model import Robot
 from torchid.robot.tree import Choice, choice_of
 from torchid.robot.yaml_values import known
+from torchid.typing import Bool
 
 TREES = (".urdf", ".xml")
 _PART = ("tip", "root", "lock")
+_PLACES = re.compile(
+    rb"\b(?:xyz|rpy|pos|quat|euler|axis|axisangle|xyaxes|zaxis)\s*=\s*[\"']([^\"']*)[\"']"
+)
+"""Attributes by which a URDF or MJCF places links."""
+_ROUNDED, _CLOSEST, _FARTHEST = 1.5, 1e-9, 1e-3
+"""Half of the last digit of each of three angles; entries of poses that differ by less are always
+the same, and by more never [-; m]."""
 
 
 def origin_of(robot: Robot) -> Mapping[str, Any]:
@@ -63,6 +75,26 @@ def of_own_file(robot: Robot, suffix: str) -> tuple[Robot, tuple[str, ...]]:
         + ": a new file is written, without its meshes; on the command line `--robot "
         f"{path.name}`, in Python `original=...`, edits a copy of it",
     )
+
+
+def same_places(robot: Robot, other: Robot) -> Bool[Tensor, " L"]:
+    """Whether links are where they are in another robot of as many, as far as the digits go that
+    the numbers of their files are written with."""
+    return robot.frames_apart(other) <= max(_rounding(robot), _rounding(other))
+
+
+def _rounding(robot: Robot) -> float:
+    """How far entries of poses may be from those that were rounded to a robot's file [-; m]."""
+    path = Path(robot.source)
+    if path.suffix.lower() not in TREES:
+        path = Path(robot.file.get("path", ""))
+    if path.suffix.lower() not in TREES or not path.is_file():
+        return _CLOSEST
+    numbers = b" ".join(_PLACES.findall(path.read_bytes())).split()
+    mantissas = (re.split(b"[eE]", number)[0].lstrip(b"+-0.") for number in numbers)
+    digits = max((len(m.replace(b".", b"")) for m in mantissas), default=0)
+    # Of numbers below ten.
+    return min(max(_ROUNDED * 10.0 ** (1 - digits), _CLOSEST), _FARTHEST)
 
 
 def _digest(path: Path) -> str:

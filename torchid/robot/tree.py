@@ -167,11 +167,13 @@ class Tree:
         links: by name, in file order.
         joints: in file order.
         source: names the file in errors.
+        compensated: by link, the share of its weight that servos do not feel [1].
     """
 
     links: Mapping[str, Tensor | None]
     joints: tuple[TreeJoint, ...]
     source: str
+    compensated: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def below(self) -> Mapping[str, list[TreeJoint]]:

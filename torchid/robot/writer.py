@@ -82,6 +82,8 @@ def to_mapping(robot: Robot) -> dict[str, Any]:
             "first_moment": parameters.first_moment.tolist(),
             "inertia_about_link_frame": parameters.inertia_about_link_frame.tolist(),
         }
+    if robot.compensated is not None:
+        out["compensated"] = robot.compensated.tolist()
     out |= _unless_empty("effects", [_plain(record) for record in robot.effects])
     if robot.drive_gain is not None:
         out["drive_gain"] = robot.drive_gain.tolist()

@@ -106,6 +106,7 @@ class _File(_Keys, frozen=True, kw_only=True):
     gravity: Any = STANDARD_GRAVITY
     limits: _Limits | None = None
     parameters: _Parameters | None = None
+    compensated: Any = None
     effects: Any = None
     drive_gain: Any = None
     bounds: dict[str, Any] | None = None
@@ -146,7 +147,7 @@ def from_mapping(data: Any, source: str) -> Robot:
         raise RobotError(f"{source}: {what}.", got=list(data), expected="dh, or placements")
     n, links = len(kinematics["joint_types"]), len(kinematics["before"])
     limits = {} if file.limits is None else msgspec.structs.asdict(file.limits)
-    gain, knowledge = file.drive_gain, file.knowledge
+    gain, knowledge, light = file.drive_gain, file.knowledge, file.compensated
     return Robot(
         name=file.name,
         **kinematics,
@@ -161,6 +162,7 @@ def from_mapping(data: Any, source: str) -> Robot:
             }
         ),
         parameters=_parameters(file.parameters, links, source),
+        compensated=None if light is None else numbers(light, (links, 4), f"{source}: compensated"),
         effects=read_effects(file.effects or (), n, source),
         drive_gain=None if gain is None else numbers(gain, (n,), f"{source}: drive_gain"),
         bounds=MappingProxyType(file.bounds or {}),

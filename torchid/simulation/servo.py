@@ -2,7 +2,8 @@
 
 A servo turns a commanded position into a torque, and only the joint's position answers:
 
-    J ddq + M(q) ddq + h(q, dq) = clip(kp e + ki int e dt + kd (dx - dq)) - b dq - friction + rest
+    J ddq + M(q) ddq + h(q, dq) = clip(kp e + ki int e dt + kd (dx - dq) - s b dq) - (1 - s) b dq
+                                  - friction + rest
 
 e = z(x - q). x is the set-point: the command, late by a delay, through a profile of limited
 acceleration and speed and a filter of first order. z has a dead zone. The friction holds a joint at
@@ -64,6 +65,7 @@ PARAMETERS = (
     ServoParameter("stop_low", "rad", "end stop", -_INF, -3.0, "real"),
     ServoParameter("stop_high", "rad", "end stop", _INF, 3.0, "real"),
     ServoParameter("scale", "1", "factor on the command", 1.0, 1.0, "real"),
+    ServoParameter("damping_share", "1", "of the damping, within the clip", 0.0, 0.0, "real"),
 )  # fmt: skip
 NAMES = tuple(p.name for p in PARAMETERS)
 INDEX = {name: k for k, name in enumerate(NAMES)}

@@ -29,6 +29,7 @@ from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
 from torchid.dynamics.newton_euler import keep_freed_memory
 from torchid.effects.registry import nominal_effects
 from torchid.effects.spring import JointSpring, stumpff
+from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import JointType, Robot, link_poses
 from torchid.simulation.servo import INDEX, PLANE, Servos
 from torchid.typing import Bool, Float, Int
@@ -139,7 +140,7 @@ def body_at(
     mass = mass_matrix(robot, q)
     own = mass.diagonal(dim1=1, dim2=2)
     off = mass - torch.diag_embed(own)
-    bias = bias_torque(robot, q, dq) + _springs(robot, q)
+    bias = bias_torque(robot, q, dq) + _springs(robot, q) - compensation(robot, q)
     body = q, bias, torch.zeros_like(mass), own, off, off.abs().sum(2)
     if link is None:
         return Body(*body)
@@ -179,9 +180,17 @@ def _springs(robot: Robot, q: Float[Tensor, "T n"]) -> Float[Tensor, "T n"]:
     return out
 
 
+def compensation(robot: Robot, q: Float[Tensor, "T n"]) -> Float[Tensor, "T n"]:
+    """Torque of the weight that servos do not feel [N m]."""
+    if robot.compensated is None:
+        return torch.zeros_like(q)
+    pi = torch.nn.functional.pad(robot.compensated, (0, PARAMETERS_PER_LINK - 4))
+    return gravity_torque(robot, q, InertialParameters(pi))
+
+
 def _with_stiffness(robot: Robot, body: Body) -> Body:
     def still(q: Float[Tensor, "T n"]) -> Float[Tensor, "T n"]:
-        return gravity_torque(robot, q) + _springs(robot, q)
+        return gravity_torque(robot, q) + _springs(robot, q) - compensation(robot, q)
 
     at_rest = still(body.q)
     columns = [
@@ -580,7 +589,12 @@ class _Run:
         # Of speeds, in the exponent of what fades with them.
         self.fading = -1 / p["stribeck_speed"]
         # What a step takes from the torque of a servo that goes at its mean velocity.
-        self.gain = p["kp"] * (THETA * self.h) + p["kd"]
+        inside = p["damping_share"] * p["damping"]
+        self.gain, self.outside = (
+            p["kp"] * (THETA * self.h) + p["kd"] + inside,
+            p["damping"] - inside,
+        )
+        self.inside = p["kd"] + inside
 
     def first_of(self, live: int) -> "_Run":
         each = self.table.shape[2] > 1
@@ -695,7 +709,7 @@ class _Run:
         load = _plus_product(bias, stiffness, ahead)
         arm = self._reach(body, rows) if self.touches else None
         lean = inertia / (THETA * h)
-        soft = lean + p["damping"]
+        soft = lean + self.outside
         stiff = soft + self.gain
         resting = p["offset"] - load
         # The same in all steps, unless speed, the servo's torque or a plane make it another.
@@ -767,7 +781,7 @@ class _Run:
         if self.active["stiction"]:
             dry = torch.addcmul(dry, p["stiction"], state.v.abs().mul_(self.fading).exp_())
         if self.active["motor_share"]:
-            motor = torch.addcmul(drive, p["kd"], state.v, value=-1).abs_()
+            motor = torch.addcmul(drive, self.inside, state.v, value=-1).abs_()
             if self.clips:
                 motor = torch.minimum(motor, p["clip"])
             dry = torch.addcmul(dry, p["motor_share"], motor)

@@ -37,7 +37,7 @@ from torchid.effects.friction_laws import RESTING
 from torchid.errors import TorchidError
 from torchid.robot.model import Robot
 from torchid.simulation.servo import NAMES, PARAMETERS, Servos
-from torchid.simulation.servo_loop import FASTEST, profile_step
+from torchid.simulation.servo_loop import FASTEST, compensation, profile_step
 from torchid.simulators.actuator import joints_named
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -260,7 +260,8 @@ class ServoTorque:
         if new is not None and bool(new.any()) and bool((p["integral"] > 0).any()):
             self._sum = torch.where(new, self._borne(error, q), self._sum)
         error = error - error.clamp(-p["dead_zone"], p["dead_zone"])
-        motor = p["kp"] * error + p["kd"] * (dx - dq) + self._sum
+        inside = p["damping_share"] * p["damping"]
+        motor = p["kp"] * error + p["kd"] * (dx - dq) - inside * dq + self._sum
         motor = motor.clamp(-p["clip"], p["clip"])
         # What the servo cannot give is not summed.
         self._sum = (self._sum + p["integral"] * dt * error).clamp(-p["clip"], p["clip"])
@@ -268,7 +269,7 @@ class ServoTorque:
         dry = dry + p["motor_share"] * motor.abs()
         out = motor + p["offset"]
         if self._fields:
-            dry, out = dry + p["coulomb"], out - p["damping"] * dq
+            dry, out = dry + p["coulomb"], out - (p["damping"] - inside) * dq
         return out - dry * (dq / self._resting).clamp(-1.0, 1.0)
 
     def _borne(self, error: Float[Tensor, "B J"], q: Float[Tensor, "B J"]) -> Float[Tensor, "B J"]:
@@ -279,7 +280,8 @@ class ServoTorque:
             return torch.zeros_like(q)
         at = torch.zeros(len(q), self._robot.n, dtype=torch.float64)
         at[:, self.joints] = q.cpu().double()
-        weight = gravity_torque(self._robot, at)[:, self.joints].to(q)
+        weight = gravity_torque(self._robot, at) - compensation(self._robot, at)
+        weight = weight[:, self.joints].to(q)
         return torch.where(p["integral"] > 0, weight - p["offset"] - p["kp"] * error, 0.0)
 
 
