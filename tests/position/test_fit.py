@@ -14,7 +14,7 @@ from torchid.position.data import prepare
 from torchid.position.diagnose import _changes
 from torchid.position.equal import pooled
 from torchid.position.fit import _step, errors, fit, loss, moved, searched, sensitivities
-from torchid.position.judge import equations, motion_losses, value_interval
+from torchid.position.judge import equations, of_motions, value_interval, window_losses
 from torchid.position.model import ServoArm
 from torchid.position.search import plain
 from torchid.simulation.servo import INDEX, Servos
@@ -174,7 +174,7 @@ def test_losses_of_motions_add_up(found):
     _, data, windows, model = found
     one = Servos(model.servos.joint[None], model.servos.plane[None])
     error = errors(data, one, windows)[..., 0]
-    parts = motion_losses(error, windows)
+    parts = of_motions(window_losses(error, windows), windows)
     assert parts.shape == (6, 3)
     assert torch.allclose(parts.sum(0), error.square().sum((0, 1)), rtol=1e-9)
 

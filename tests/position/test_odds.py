@@ -5,6 +5,7 @@ import torch
 
 from torchid.position.odds import alike_rises, effect_sure
 from torchid.results.replication import MotionScale, replication_of
+from torchid.statistics.bagging import Draws
 
 
 def again(*factors, std=0.05):
@@ -12,7 +13,13 @@ def again(*factors, std=0.05):
 
 
 def sure(without, with_it, least=0.1, numbers=1, replication=None, rows=100.0):
-    return effect_sure(without, with_it, least, numbers, replication, rows=rows, looks=60)
+    """Of losses that all windows share alike."""
+    each = torch.full((20,), 1 / 20, dtype=torch.float64)
+    draws = Draws.of(torch.arange(20))
+    losses = without * each, with_it * each
+    return effect_sure(
+        *losses, least, numbers, replication, rows=rows * each, draws=draws, looks=60
+    )
 
 
 def test_an_effect_that_explains_the_error_is_sure():
@@ -20,7 +27,7 @@ def test_an_effect_that_explains_the_error_is_sure():
 
 
 def test_one_that_explains_nothing_is_not():
-    assert sure(1.0, 0.99) < 0.01
+    assert sure(1.0, 0.99) < 0.1
 
 
 def test_what_stays_unexplained_bounds_it():
@@ -69,3 +76,16 @@ def test_a_law_and_a_stand_in_are_told_apart_by_their_joints():
         return float(torch.stack([alike_rises(x.clamp(min=0.05), std) for x in draws]).mean())
 
     assert mean_rise(0.05) > 1.0 > 0.0 > mean_rise(0.6)
+
+
+def test_what_one_window_alone_says_is_less_sure_than_what_all_say():
+    """The same fall of the loss, of all windows alike or of a single one."""
+    one = torch.ones(20, dtype=torch.float64)
+    alone = one.clone()
+    alone[3] = 21.0
+    draws, rows = Draws.of(torch.arange(20)), torch.full((20,), 20.0, dtype=torch.float64)
+    every, single = (
+        effect_sure(without, one, 0.0, 1, rows=rows, draws=draws, looks=60)
+        for without in (2 * one, alone)
+    )
+    assert every > single + 0.1

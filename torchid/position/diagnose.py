@@ -37,10 +37,11 @@ from torchid.position.judge import (
     folds_of,
     losses_of,
     mostly_better,
+    of_motions,
     value_interval,
 )
 from torchid.position.model import ServoArm, accuracy
-from torchid.position.odds import alike_rises, effect_sure
+from torchid.position.odds import alike_rises, drawn_windows, effect_sure
 from torchid.position.payload import Loaded, with_load
 from torchid.position.record import Accuracy, PositionFinding
 from torchid.position.repeats import PositionNoise, noise_of_repeats
@@ -382,7 +383,7 @@ class _Answer:
         data: the motions, of the robot with the load if it carries one.
         found: the servos.
         worth, rivals: of effects.
-        load: with losses (n,) without and with it, and what does as well in its place.
+        load: with losses of windows (W, n) without and with it, and what does as well in its place.
     """
 
     data: PositionData
@@ -454,9 +455,9 @@ def _answer(
     if load is not None:
         before = losses_of(data, found.servos, few)
         after = losses_of(load.data, load.found.servos, few)
-        total = (before - after).sum(1, keepdim=True)
+        total = of_motions((before - after).sum(1, keepdim=True), few)
         needed = float(total.sum()) > squares * float(before.sum()) and bool(mostly_better(total))
-        gain = (load, before.sum(0), after.sum(0), others) if needed else None
+        gain = (load, before, after, others) if needed else None
     if gain is not None:
         data, found = gain[0].data, settled(gain[0].data, gain[0].found, few)
     worth, rivals, found = _needed(data, found, few, squares)
@@ -582,7 +583,7 @@ def _needed(
         less = _without(found, effect, on, data.tracks.dt)
         servos = fit(data, less.servos, less.free, windows, iterations=2)
         without = losses_of(data, servos, windows)
-        gain, total = without - whole, without.sum(0)
+        gain, total = of_motions(without - whole, windows), without.sum(0)
         if not effect.parameters:
             gain, total = gain.sum(1, keepdim=True).expand(-1, n), total.sum().expand(n)
         often = _mostly(gain) if effect.family == "world" else mostly_better(gain)
@@ -591,7 +592,7 @@ def _needed(
         keep = on & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
         if effect.name == "command_delay":
             keep &= found.servos.of("delay") > data.tracks.dt
-        worth[effect.name] = without.sum(0), whole.sum(0)
+        worth[effect.name] = without, whole
         removed[effect.name] = on & ~keep
     now = found
     for name, joints in removed.items():
@@ -621,8 +622,9 @@ def _returned(
     squares: float,
 ) -> tuple[Worth, Rivals, Found]:
     """Effects that stood for each other: one of them returns, with the others' names."""
-    lean = losses_of(data, now.servos, windows).sum(0)
-    lost = ((1.0 - squares) * lean > whole.sum(0)) & (lean - whole.sum(0) > least)
+    lean = losses_of(data, now.servos, windows)
+    fall = lean.sum(0) - whole.sum(0)
+    lost = (fall > squares * lean.sum(0)) & (fall > least)
     candidates = {
         name: joints & lost
         for name, joints in removed.items()
@@ -637,7 +639,7 @@ def _returned(
         rivals = [name for name, joints in candidates.items() if bool(joints[j])]
         if not rivals:
             continue
-        first = max(rivals, key=lambda name: float(worth[name][0][j]))
+        first = max(rivals, key=lambda name: float(worth[name][0][:, j].sum()))
         if not BY_NAME[first].parameters:  # a plane, which is there for all joints
             plane = replace(now.servos, plane=found.servos.plane.clone())
             now = Found(plane, now.free, found.plane)
@@ -650,7 +652,7 @@ def _returned(
             free[name] = there
         now = Found(replace(now.servos, joint=joint), free, now.plane)
         kept[first][j] = True
-        worth[first][0][j] = lean[j]
+        worth[first][0][:, j] = lean[:, j]
         stood[first, j] = tuple(r for r in rivals if r != first)
     if bool(lost.any()):
         servos = fit(data, now.servos, now.free, windows, iterations=2)
@@ -676,7 +678,8 @@ def _findings(
     data, found, rivals = answered.data, answered.found, answered.rivals
     # Losses that call for no cause, or are noise, where repeats tell it [rad^2].
     least = windows.rows * noise.at_least(data.slight).square()
-    rows = windows.rows / known.alike
+    independent = (windows.length * windows.weight)[:, None] / known.alike
+    draws = drawn_windows(windows)
 
     def sure(
         losses: Sequence[Tensor],
@@ -685,13 +688,12 @@ def _findings(
         joint: int | slice = slice(None),
         alike: float = 0.0,
     ) -> float:
-        """Of an effect, from losses without it and with it, and the least that calls for one."""
-        without, with_it, slightest = (float(x[joint].sum()) for x in losses)
-        looks = len(EFFECTS) * data.robot.n
-        independent = float(rows[joint].mean())
+        """Of an effect, from losses without it and with it."""
+        without, with_it, rows = (x[:, joint].reshape(len(x), -1) for x in (*losses, independent))
         return effect_sure(
-            without, with_it, slightest, numbers, again, rows=independent, looks=looks, alike=alike
-        )
+            without.sum(1), with_it.sum(1), float(least[joint].sum()), numbers, again,
+            rows=rows.mean(1), draws=draws, looks=len(EFFECTS) * data.robot.n, alike=alike,
+        )  # fmt: skip
 
     deviation = known.deviations(shares)
     # Torques of servos of one type are alike beside their gain.
@@ -702,13 +704,13 @@ def _findings(
     if answered.load is not None:
         load, light, heavy, others = answered.load
         body = _load_sizes(load)
-        far, near = (1e3 * float((x.mean() / looked).sqrt()) for x in (light, heavy))
-        by = sure((light, heavy, least), len(body))
+        far, near = (1e3 * float((x.sum(0).mean() / looked).sqrt()) for x in (light, heavy))
+        by = sure((light, heavy), len(body))
         out.append(finding_of(PAYLOAD, None, body, (far, near), others, how_sure=by))
     for name, losses in answered.worth.items():
         effect = GRAVITY if name == GRAVITY.name else BY_NAME[name]
         # Errors in the log's unit: of the joint, or of all of them.
-        without, with_it = (1e3 * (x / looked).sqrt() / data.scale for x in losses)
+        without, with_it = (1e3 * (x.sum(0) / looked).sqrt() / data.scale for x in losses)
         if not effect.parameters:
             plane = (
                 ()
@@ -719,7 +721,7 @@ def _findings(
                 )
             )
             far, near = (float(x.square().mean().sqrt()) for x in (without, with_it))
-            by = sure((*losses, least), len(plane))
+            by = sure(losses, len(plane))
             out.append(finding_of(effect, None, plane, (far, near), how_sure=by))
             continue
         joints = torch.nonzero(without.isfinite() & ~_still(data)).flatten().tolist()
@@ -742,7 +744,7 @@ def _findings(
             if effect.twin and (not effect.twin_below or (sizes and sizes[0].value < neutral)):
                 others += (effect.twin,)
             ends = float(without[j]), float(with_it[j])
-            by = sure((*losses, least), len(sizes), again, j, alike[j])
+            by = sure(losses, len(sizes), again, j, alike[j])
             out.append(finding_of(effect, j, sizes, ends, others, again, by))
     return tuple(sorted(out, key=lambda f: f.error_with - f.error_without))
 

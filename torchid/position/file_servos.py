@@ -16,7 +16,7 @@ from torch import Tensor
 from torchid.position.data import GAP, PositionData
 from torchid.position.effects import EFFECTS, GAINS
 from torchid.position.fit import fit
-from torchid.position.judge import Equations, losses_of, mostly_better
+from torchid.position.judge import Equations, losses_of, mostly_better, of_motions
 from torchid.position.model import ServoArm
 from torchid.position.record import ChangeRecord
 from torchid.position.repeats import PositionNoise
@@ -31,7 +31,7 @@ OPEN = 0.5
 _TORQUES = [INDEX[name] for name in TORQUES]
 
 Worth = dict[str, tuple[Tensor, Tensor]]
-"""By effect: losses (n,) without it, NaN where it is not named, and with it [rad^2]."""
+"""By effect: losses of windows (W, n) without it, NaN where it has no name, and with it [rad^2]."""
 
 
 def follows(
@@ -121,7 +121,7 @@ def beside_file(
         begun = replace(found.servos, joint=joint)
         servos = fit(data, begun, free, windows, plane=found.plane, iterations=3)
         whole, without = (losses_of(data, s, windows) for s in (found.servos, servos))
-        gain = without - whole
+        gain = of_motions(without - whole, windows)
         needed = (gain.sum(0) > squares * without.sum(0)) & (gain.sum(0) > least)
         needed &= asked & mostly_better(gain)
         if effect.parameters == ("kp",):
@@ -129,8 +129,8 @@ def beside_file(
             joint = torch.where(by_file[:, None], servos.joint, found.servos.joint)
             free = {**found.free, "kp": found.free["kp"] & needed}
             found = Found(replace(found.servos, joint=joint), free, found.plane)
-        before, with_it = worth.get(effect.name, (torch.full_like(least, torch.nan), whole.sum(0)))
-        shown = torch.where(asked, torch.where(needed, without.sum(0), torch.nan), before)
+        before, with_it = worth.get(effect.name, (torch.full_like(whole, torch.nan), whole))
+        shown = torch.where(asked, torch.where(needed, without, torch.nan), before)
         worth[effect.name] = shown, with_it
     return found, by_file, {k: v for k, v in worth.items() if bool(v[0].isfinite().any())}
 

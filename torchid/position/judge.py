@@ -299,16 +299,20 @@ def folds_of(motions: int, count: int = FOLDS) -> Int[Tensor, " m"]:
     return torch.arange(motions) % min(count, motions)
 
 
-def motion_losses(error: Float[Tensor, "L W n"], windows: Windows) -> Float[Tensor, "m n"]:
-    """Huber's loss of every motion and joint [rad^2]."""
-    own = huber(error) * windows.weight[:, None]
-    out = torch.zeros(int(windows.motion.max()) + 1, own.shape[1], dtype=own.dtype)
-    return out.index_add_(0, windows.motion, own)
+def window_losses(error: Float[Tensor, "L W n"], windows: Windows) -> Float[Tensor, "W n"]:
+    """Huber's loss of every window and joint [rad^2], as many times as the window stands for."""
+    return huber(error) * windows.weight[:, None]
 
 
-def losses_of(data: PositionData, servos: Servos, windows: Windows) -> Tensor:
-    """(m, n) losses of motions [rad^2]."""
-    return motion_losses(errors_of_one(data, servos, windows), windows)
+def of_motions(losses: Float[Tensor, "W n"], windows: Windows) -> Float[Tensor, "m n"]:
+    """Sums over the windows of every motion."""
+    out = torch.zeros(int(windows.motion.max()) + 1, losses.shape[1], dtype=losses.dtype)
+    return out.index_add_(0, windows.motion, losses)
+
+
+def losses_of(data: PositionData, servos: Servos, windows: Windows) -> Float[Tensor, "W n"]:
+    """Losses of windows [rad^2]."""
+    return window_losses(errors_of_one(data, servos, windows), windows)
 
 
 def mostly_better(gain: Float[Tensor, "m n"]) -> Bool[Tensor, " n"]:
