@@ -58,26 +58,23 @@ def answer_gap(task: GapTask) -> tuple[LogAnswer, dict[str, Any]]:
             found = diagnose_torque(robot, log, settings=task.settings, force=force)
         except TorchidError as error:
             text = " ".join(str(error).replace(str(path), task.log.path).split())
-            return {"refused": text}, {}
-        words = {"gap": found.plain(), "seconds": sum(log.duration), "doubts": list(doubts.said)}
-        return words, {}
+            return {"refused": text}
+        return {"gap": found.plain(), "seconds": sum(log.duration), "doubts": list(doubts.said)}
 
     question = {"kind": "gap", "settings": asdict(task.settings)}
     try:
-        digest, key, entry, found = answered(
+        digest, key, words, found = answered(
             task.log, task.model, Store(task.place), question, compute
         )
     except LogError as error:
         return LogAnswer.unopened(task.log, error), {}
-    if "refused" in entry.words:
-        return LogAnswer.about(
-            task.log, "refused", entry.words["refused"], sha256=digest, key=key
-        ), {}
-    gap, doubts = entry.words["gap"], entry.words["doubts"]
+    if "refused" in words:
+        return LogAnswer.about(task.log, "refused", words["refused"], sha256=digest, key=key), {}
+    gap, doubts = words["gap"], words["doubts"]
     wanted = ("status", "where", "which", "how_far")
     answer = LogAnswer.about(
         task.log, "doubtful" if doubts else "good", *doubts, sha256=digest, key=key,
-        seconds=entry.words["seconds"], found=found,
+        seconds=words["seconds"], found=found,
     )  # fmt: skip
     return answer, {name: gap[name] for name in wanted}
 
