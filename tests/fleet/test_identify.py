@@ -124,7 +124,7 @@ def test_what_is_unchanged_is_not_computed_again(found, model, logs, store, monk
     monkeypatch.setattr(tasks, "_reduced", None)  # would raise
     monkeypatch.setattr(tasks, "estimate", None)
     again = fleet_identify(model, logs, store=store)
-    assert all(a.found for a in again.logs)
+    assert all(a.stored for a in again.logs)
     assert again.plain() == found.plain()
 
 

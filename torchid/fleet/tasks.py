@@ -49,11 +49,11 @@ class LogAnswer(LogRow, frozen=True, kw_only=True):
 
     Attributes:
         temperature: mean of the log's column `temperature` [degC]; None without one.
-        found: whether the answer was there already.
+        stored: whether the answer was there already.
     """
 
     temperature: float | None = None
-    found: bool = False
+    stored: bool = False
 
     @classmethod
     def about(cls, log: FleetLog, verdict: Judged, *evidence: str, **more: Any) -> "LogAnswer":
@@ -80,7 +80,7 @@ def answer_log(task: LogTask) -> LogAnswer:
         TorchidError: the store cannot be written, or somebody writes to the log.
     """
     try:
-        digest, key, (about, _), found = answered(
+        digest, key, (about, _), stored = answered(
             task.log,
             task.model,
             Store(task.place),
@@ -91,7 +91,7 @@ def answer_log(task: LogTask) -> LogAnswer:
         return LogAnswer.unopened(task.log, error)
     verdict, evidence, more = about
     return LogAnswer.about(
-        task.log, verdict, *evidence, sha256=digest, key=key, found=found, **more
+        task.log, verdict, *evidence, sha256=digest, key=key, stored=stored, **more
     )
 
 
@@ -156,19 +156,19 @@ def _reduced(
             yield log
 
     try:
-        found = reduce_log(model, watched())
+        reduced = reduce_log(model, watched())
     except TorchidError as error:
         text = " ".join(str(error).replace(str(path), name).split())
         return ("refused", [*evidence, text], {}), None
     more = {
-        "seconds": found.seconds,
-        "noise": tuple(found.fit.noise.tolist()),
-        "correlation": found.correlation,
-        "blocks": len(found.factors.rows),
+        "seconds": reduced.seconds,
+        "noise": tuple(reduced.fit.noise.tolist()),
+        "correlation": reduced.correlation,
+        "blocks": len(reduced.factors.rows),
         "temperature": temperature_of(path),
     }
     verdict: Judged = "doubtful" if evidence else "good"
-    return (verdict, [*evidence, *found.warnings], more), found.factors
+    return (verdict, [*evidence, *reduced.warnings], more), reduced.factors
 
 
 @dataclass(frozen=True)

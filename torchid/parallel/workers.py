@@ -176,20 +176,20 @@ def each(
     """
     say = progress or (lambda stage, done, total: None)
     say(stage, 0, len(jobs))
-    found: dict[int, Result] = {}
+    results: dict[int, Result] = {}
     try:
         with opened(1 if len(jobs) < 2 else workers) as (pool, slots):
             for k, done in _finished(function, jobs, range(len(jobs)), pool, slots):
                 if isinstance(done, _Raised):
                     raise done.error
-                found[k] = done
-                say(stage, len(found), len(jobs))
+                results[k] = done
+                say(stage, len(results), len(jobs))
     except BrokenExecutor as error:
         raise TorchidError(
             "a process was ended from outside; memory may have run out.",
             hint="fewer processes; what is done already stays",
         ) from error
-    return [found[k] for k in range(len(jobs))]
+    return [results[k] for k in range(len(jobs))]
 
 
 def attempted(
@@ -216,7 +216,7 @@ def attempted(
     """
     say = progress or (lambda stage, done, total: None)
     say(stage, 0, len(jobs))
-    found: dict[int, Result | Failure] = {}
+    results: dict[int, Result | Failure] = {}
     tries: Counter[int] = Counter()
     todo, suspects = deque(range(len(jobs))), deque[int]()
 
@@ -224,8 +224,8 @@ def attempted(
         """One more try that gave nothing; whether it was the last."""
         tries[k] += 1
         if tries[k] > retries:
-            found[k] = Failure(reason, tries[k])
-            say(stage, len(found), len(jobs))
+            results[k] = Failure(reason, tries[k])
+            say(stage, len(results), len(jobs))
         return tries[k] > retries
 
     while todo or suspects:
@@ -236,8 +236,8 @@ def attempted(
             with opened(crew, 2 if alone and workers != 1 else 1) as (pool, slots):
                 for k, done in _finished(function, jobs, batch, pool, slots):
                     if not isinstance(done, _Raised):
-                        found[k] = done
-                        say(stage, len(found), len(jobs))
+                        results[k] = done
+                        say(stage, len(results), len(jobs))
                     elif isinstance(done.error, BrokenExecutor | RefusedError):
                         raise done.error
                     elif not failed(k, done.words):
@@ -248,8 +248,8 @@ def attempted(
                 suspects.extend(broken.under_way)
             elif not failed(batch[0], ended):
                 suspects.append(batch[0])
-        todo = deque(k for k in todo if k not in found and k not in suspects)
-    return [found[k] for k in range(len(jobs))]
+        todo = deque(k for k in todo if k not in results and k not in suspects)
+    return [results[k] for k in range(len(jobs))]
 
 
 @dataclass(frozen=True)
@@ -280,15 +280,15 @@ def _finished(
     slots: int,
 ) -> Iterator[tuple[int, Result | _Raised]]:
     """Jobs by number with what came of them, each as it is done, no more than `slots` under way."""
-    left, running = deque(numbers), dict[Future[Any], int]()
+    waiting, running = deque(numbers), dict[Future[Any], int]()
     here = isinstance(pool, Serial)  # nothing crosses a wire
     try:
-        while left or running:
-            while left and len(running) < slots:
-                job = jobs[left[0]]
+        while waiting or running:
+            while waiting and len(running) < slots:
+                job = jobs[waiting[0]]
                 task = (function, job) if here else (by_value, function, pickle.dumps(job))
-                running[pool.submit(*task)] = left[0]
-                left.popleft()
+                running[pool.submit(*task)] = waiting[0]
+                waiting.popleft()
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             # A future is cancelled where the engine behind it has gone, as with its scheduler.
             broken = [f for f in done if f.cancelled() or isinstance(f.exception(), BrokenExecutor)]
@@ -305,7 +305,7 @@ def _finished(
         # Giving a task to a pool that has just ended says so, too.
         if isinstance(error, _Broken):
             raise
-        raise _Broken(list(running.values()) or [left[0]]) from error
+        raise _Broken(list(running.values()) or [waiting[0]]) from error
     finally:
         for future in running:
             future.cancel()
