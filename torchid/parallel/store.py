@@ -130,9 +130,8 @@ def local_file(place: str) -> Iterator[Path]:
     with TemporaryDirectory() as folder:
         copy = Path(folder) / place.rstrip("/").rpartition("/")[2]
         try:
-            with fsspec.open(place, "rb") as source, open(copy, "wb") as target:
-                while piece := source.read(1 << 22):
-                    target.write(piece)
+            files, path = fsspec.url_to_fs(place)
+            files.get_file(path, str(copy))
         except (OSError, ImportError, ValueError) as error:
             raise LogError(f"'{place}' cannot be read.", got=str(error).split("\n")[0]) from error
         yield copy
