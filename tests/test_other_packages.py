@@ -7,7 +7,7 @@ from importlib import import_module
 import pytest
 
 from tests.documents import PACKAGES, ROOT
-from torchid.other_packages import COMMANDS, FIGURES, PUBLIC, RECORDS, WORKERS, loaded
+from torchid.other_packages import COMMANDS, FIGURES, PUBLIC, RECORDS, loaded
 
 BESIDE = tuple(name for name in PACKAGES if name != "torchid")
 
@@ -30,5 +30,3 @@ def test_every_place_is_there_and_beside_torchid(place):
 def test_modules_are_there():
     for name, module in PUBLIC.items():
         assert callable(getattr(import_module(module), name))
-    for module in WORKERS.values():
-        import_module(module)

@@ -15,8 +15,6 @@ COMMANDS = {
     "withheld score": "torchid_bench.app.withheld:score_command",
 }
 """Functions of commands, by what is typed behind `torchid`."""
-WORKERS = {"study": "torchid_study.study"}
-"""What the processes of a command load."""
 PUBLIC = {
     "equal_torque_study": "torchid_study.equal_torque.study",
     "compare_wrenches": "torchid_study.equal_torque.given_sets",

@@ -1,6 +1,5 @@
 """Every command from the outside: what it prints, writes and returns."""
 
-import importlib
 import json
 import os
 import subprocess
@@ -302,23 +301,3 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path, more: tuple[str, ...])
     os.close(writing)
     assert (done.returncode, done.stderr) == (0, "")
     assert more or json.loads((tmp_path / "r.json").read_text())["schema"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "module"),
-    [
-        (("fleet", "identify", "panda", "logs", "--workers", "4"), "torchid.fleet.tasks"),
-        (("study", "3r", "--workers=2"), "torchid_study.study"),
-        (("fleet", "identify", "panda", "logs"), None),
-        (("gap", "panda", "--workers", "4"), None),
-        ((), None),
-    ],
-)
-def test_what_processes_load_is_loaded_ahead(monkeypatch, arguments, module):
-    from torchid import app
-
-    served = []
-    monkeypatch.setattr("torchid.parallel.workers.serve", served.append)
-    app.preload_workers(arguments)
-    assert served == ([] if module is None else [module])
-    assert module is None or importlib.import_module(module)

@@ -56,8 +56,12 @@ def test_distances_are_those_of_closed_forms():
     drawn = torch.randn(20, 2, 3, generator=g).double()
     where = torch.stack([pose(roll_pitch_yaw(x.tolist()), y) for x, y in drawn])
     still = torch.eye(4).double().expand(20, 4, 4)
-    shape = torch.zeros(20).long()
-    balls, ends = between(shape, shape + len(solids), still, where, 100.0)
+    both = torch.stack([still, where], 1)
+
+    def pair(one, other):
+        return torch.tensor([[one, other]]).expand(20, 2)
+
+    balls, ends = between(pair(0, len(solids)), both, 100.0)
     centres = where @ at[:, 3]
     apart = (centres[:, :3] - at[:3, 3]).norm(dim=-1)
     torch.testing.assert_close(balls, apart - 0.14)
@@ -66,11 +70,11 @@ def test_distances_are_those_of_closed_forms():
     for k in range(3):
         for other in (1 + len(solids), 2):
             shift = pose(None, (0.9 * (at @ turn)[:3, k]))
-            d, _ = between(*(torch.tensor([i]) for i in (1, other)), still[:1], shift[None], 9.0)
+            d, _ = between(pair(1, other)[:1], torch.stack([still[0], shift])[None], 9.0)
             assert float(d) == pytest.approx(0.9 - 2 * float(half[k]), abs=1e-6)
     # A half-space is as far as the support in the direction against its normal says.
     for index, solid in enumerate(solids):
-        d, _ = between(shape + count, shape + index, still, where, 100.0)
+        d, _ = between(pair(count, index), both, 100.0)
         for found, pose_ in zip(d, where, strict=True):
             placed = pose_ @ solid.pose
             n = placed[:3, :3].T @ normal
@@ -87,9 +91,8 @@ def test_distances_are_those_of_closed_forms():
 
 def test_beyond_the_farthest_only_that_is_told():
     ball = capsule(pose(), 0.1, 0.0)
-    one, other = torch.tensor([0]), torch.tensor([1])
-    away = pose(None, [0, 0, 5.0])[None]
-    d, _ = Distances([ball, ball], NONE).between(one, other, pose()[None], away, 0.3)
+    poses = torch.stack([pose(), pose(None, [0, 0, 5.0])])[None]
+    d, _ = Distances([ball, ball], NONE).between(torch.tensor([[0, 1]]), poses, 0.3)
     assert float(d) == 0.3
 
 

@@ -9,7 +9,6 @@ import torch
 from tests.fleet.simulated import Plan, make
 from torchid.design.motion import measurements
 from torchid.fleet.factors import (
-    Factors,
     combined,
     estimate,
     in_stretches,
@@ -114,13 +113,6 @@ def test_an_order_of_the_number_alone() -> None:
     assert tree("a", pair) == "a"
     assert tree("abcd", pair) == "((ab)(cd))"
     assert tree(iter("abcdefg"), pair) == "(((ab)(cd))((ef)g))"
-
-
-def test_triangles_come_back_from_a_store(model, reduced) -> None:
-    factors = reduced[0].factors
-    back = Factors.of_arrays(factors.arrays(), model.layout)
-    assert all(torch.equal(a, b) for a, b in zip(factors.blocks, back.blocks, strict=True))
-    assert torch.equal(factors.rows, back.rows)
 
 
 def test_a_session_is_fitted_as_identify_fits_it(model, logs) -> None:

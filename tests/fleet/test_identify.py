@@ -124,7 +124,7 @@ def test_what_is_unchanged_is_not_computed_again(found, model, logs, store, monk
     monkeypatch.setattr(tasks, "_reduced", None)  # would raise
     monkeypatch.setattr(tasks, "estimate", None)
     again = fleet_identify(model, logs, store=store)
-    assert all(a.found for a in again.logs)
+    assert all(a.stored for a in again.logs)
     assert again.plain() == found.plain()
 
 
@@ -200,7 +200,7 @@ def test_a_log_that_changes_while_it_is_read_is_not_used(
     (answer,) = reduce_fleet(model, [FleetLog("a", "b", str(path))], place)
     assert answer.verdict == "failed"
     assert "changed while it was read" in answer.evidence[0]
-    assert not list((tmp_path / "other").rglob("*.npz"))
+    assert not list((tmp_path / "other").rglob("output.pkl"))
 
 
 def test_a_worker_of_another_version_is_refused(model, logs, store, monkeypatch) -> None:
@@ -213,7 +213,7 @@ def test_a_full_disk_is_no_fault_of_the_log(model, logs, tmp_path, monkeypatch) 
     def full(*args, **kwargs):
         raise TorchidError("'x' cannot be written: No space left on device")
 
-    monkeypatch.setattr(Store, "write", full)
+    monkeypatch.setattr(Store, "answer", full)
     (answer,) = reduce_fleet(model, logs[:1], Store(str(tmp_path)))
     assert (answer.verdict, answer.sha256) == ("failed", "")
     assert "No space left" in answer.evidence[0]

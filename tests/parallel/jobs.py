@@ -2,7 +2,6 @@
 
 import os
 import signal
-import sys
 import time
 from pathlib import Path
 
@@ -38,9 +37,9 @@ def refuse(x: float) -> float:
     raise RefusedError("a worker has another torchid than the command.")
 
 
-def state(_: int) -> tuple[bool, str]:
-    """Whether torch has been loaded already, and where this works."""
-    return "torch" in sys.modules, os.getcwd()
+def state(_: int) -> tuple[str, str]:
+    """Where this works, and with how many threads."""
+    return os.getcwd(), os.environ["OMP_NUM_THREADS"]
 
 
 def tensors(count: int) -> list[object]:

@@ -1,40 +1,62 @@
 """An answer is there as a whole, or not at all."""
 
-import numpy as np
 import pytest
+import torch
 
 from torchid.errors import LogError, TorchidError
 from torchid.parallel.store import Store, content_hash, key_of, local_file, stamp
 
 
+def never():
+    raise AssertionError("this was asked before")
+
+
 @pytest.mark.parametrize("place", ["folder", "memory://answers"])
-def test_what_is_written_is_read(place, tmp_path) -> None:
+def test_the_same_question_is_never_answered_twice(place, tmp_path) -> None:
     store = Store(str(tmp_path / place) if place == "folder" else place)
-    assert store.read("ab12") is None
-    arrays = {"x": np.arange(6.0).reshape(2, 3), "none": np.zeros((0, 2))}
-    store.write("ab12", {"verdict": "good", "noise": [1.0, float("nan")]}, arrays)
-    found = store.read("ab12")
-    assert found is not None
-    assert found.words == {"verdict": "good", "noise": [1.0, None]}
-    assert {k: v.tolist() for k, v in found.arrays.items()} == {
-        "x": [[0, 1, 2], [3, 4, 5]],
-        "none": [],
-    }
+    assert "ab12" not in store
+    with pytest.raises(TorchidError, match="does not have ab12"):
+        store.kept("ab12")
+    answer = ["good", {"noise": float("inf")}, torch.arange(6.0).reshape(2, 3)]
+    assert store.answer("ab12", lambda: answer) is answer
+    found = Store(store.place).answer("ab12", never)
+    assert found[:2] == answer[:2]
+    assert torch.equal(found[2], answer[2])
+    assert "ab12" in store
+    assert "ab13" not in store
 
 
-@pytest.mark.parametrize("left", [0, 10, 200])
+def test_what_fails_is_no_answer(tmp_path) -> None:
+    store = Store(str(tmp_path))
+    with pytest.raises(AssertionError):
+        store.answer("ab12", never)
+    assert store.answer("ab12", lambda: 1) == 1
+
+
+@pytest.mark.parametrize("left", [0, 10, 60])
 def test_a_damaged_answer_is_none(left, tmp_path) -> None:
     store = Store(str(tmp_path))
-    store.write("ab12", {}, {"x": np.arange(100.0)})
-    path = tmp_path / "ab" / "ab12.npz"
+    store.answer("ab12", lambda: list(range(1000)))
+    (path,) = tmp_path.rglob("output.pkl")
     path.write_bytes(path.read_bytes()[:left])
-    assert store.read("ab12") is None
+    assert store.answer("ab12", lambda: 1) == 1
+    assert store.answer("ab12", never) == 1
 
 
-def test_a_store_that_cannot_be_written_says_so(tmp_path) -> None:
-    (tmp_path / "ab").touch()
+def test_a_store_that_cannot_be_written_says_so(tmp_path, monkeypatch) -> None:
+    (tmp_path / "file").touch()
     with pytest.raises(TorchidError, match="cannot be made"):
-        Store(str(tmp_path)).write("ab12", {}, {})
+        Store(str(tmp_path / "file")).answer("ab12", lambda: 1)
+
+    def full(*args: object, **options: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    store = Store(str(tmp_path))
+    assert "ab12" not in store
+    monkeypatch.setattr("joblib._store_backends.numpy_pickle.dump", full)
+    with pytest.raises(TorchidError, match="No space left"):
+        store.answer("ab12", lambda: 1)
+    assert not list(tmp_path.rglob("output.pkl"))
 
 
 def test_keys_are_of_content() -> None:

@@ -21,13 +21,12 @@ import sys
 import tempfile
 import time
 import types
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
 
-import numpy as np
+import joblib
 import yaml
 
 from tests.fleet.simulated import Plan, make
@@ -39,9 +38,9 @@ from torchid_bench.withheld import case_set
 
 TEMPORARY = ".torchid-"
 """Begin of the names of files that are not yet what they will be; nothing reads them."""
-NOT_COMPARED = ("seconds", "saved", "elapsed", "started")
+NOT_COMPARED = ("duration", "seconds", "time", "saved", "elapsed", "started")
 """Entries of results that are times of the run."""
-COMPARED = (".json", ".npz", ".yaml")
+COMPARED = (".json", ".yaml")
 """Results whose bits are compared; pages and figures hold dates."""
 
 
@@ -197,7 +196,7 @@ def _half(path: Path) -> str | None:
     content = path.read_bytes()
     readers: dict[str, Callable[[], object]] = {
         ".json": lambda: json.loads(content),
-        ".npz": lambda: _arrays(path),
+        ".pkl": lambda: joblib.load(path),
         ".yaml": lambda: yaml.safe_load(content)["name"],
         ".png": lambda: imread(io.BytesIO(content)),
         ".parquet": lambda: pyarrow.parquet.read_table(path),
@@ -211,13 +210,6 @@ def _half(path: Path) -> str | None:
     return None
 
 
-def _arrays(path: Path) -> dict[str, np.ndarray]:
-    if not zipfile.is_zipfile(path):
-        raise ValueError("no archive")
-    with np.load(path, allow_pickle=False) as found:
-        return {name: found[name] for name in found.files}
-
-
 def results(folder: Path) -> dict[str, str]:
     """What a command has left, but for times: by file, in a form that is the same for the same
     bits."""
@@ -226,20 +218,11 @@ def results(folder: Path) -> dict[str, str]:
         name = str(path.relative_to(folder))
         if path.suffix == ".json":
             found[name] = json.dumps(_timeless(json.loads(path.read_bytes())))
-        elif path.suffix == ".npz":
-            found[name] = str(_timeless({k: _plain(v) for k, v in _arrays(path).items()}))
         elif path.suffix == ".yaml":
             found[name] = path.read_text()
         else:
             found[name] = "there"
     return found
-
-
-def _plain(array: np.ndarray) -> object:
-    if array.dtype == np.uint8:  # words of a store's answer
-        with contextlib.suppress(ValueError):
-            return json.loads(array.tobytes())
-    return array.dtype.str, array.shape, array.tobytes()
 
 
 def _timeless(value: object) -> object:

@@ -12,15 +12,11 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from torchid.other_packages import WORKERS
-
 INTERRUPTED = 130
 """Exit code of a command that Ctrl-C ends, as shells have it."""
 _KEPT = (("MALLOC_MMAP_THRESHOLD_", -3, 1 << 25), ("MALLOC_TRIM_THRESHOLD_", -1, 1 << 30))
 """Of the GNU C library: variable, parameter of mallopt (3), and bytes: the most that it takes of
 the first, and what a process may keep at the end of its heap."""
-_LOADED = WORKERS | {"extract": "torchid.extraction.extract", "fleet": "torchid.fleet.tasks"}
-"""What the processes of a command load."""
 _ONE_EACH = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -55,16 +51,6 @@ def set_environment(arguments: Sequence[str]) -> None:
             os.environ.setdefault(name, "1")
 
 
-def preload_workers(arguments: Sequence[str]) -> None:
-    """Where a command is to have processes (`--workers`), what they are forked from loads its
-    libraries while this one loads its own."""
-    module = _LOADED.get(arguments[0]) if arguments else None
-    if module is not None and any(a.partition("=")[0] == "--workers" for a in arguments):
-        from torchid.parallel.workers import serve
-
-        serve(module)
-
-
 def exit_now(*_: object) -> None:
     """End the program, for Ctrl-C while modules load, which would turn it into errors of their own.
     Nothing has been begun."""
@@ -84,7 +70,6 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, exit_now)
     set_environment(sys.argv[1:])
-    preload_workers(sys.argv[1:])
     try:
         from torchid.app.commands import run
     except Exception as error:  # too little memory for a library, or one that is not whole

@@ -1,5 +1,6 @@
 """`torchid fleet`: many units of one robot type, many logs, one machine or several."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,7 +20,6 @@ from torchid.gap.settings import GapSettings
 if TYPE_CHECKING:
     from torchid.fleet.manifest import FleetLog
     from torchid.fleet.model import FleetModel
-    from torchid.fleet.tasks import LogAnswer
     from torchid.parallel.store import Store
     from torchid.parallel.workers import Workers
 
@@ -135,13 +135,13 @@ def identify_command(
             part = reduce_fleet(
                 model, logs, store, workers=crew, part=engine.array, progress=progress
             )
-        _say_part(output, part, engine.array)
+        _say_part(output, engine.array, [(a.log, a.verdict, a.evidence[-1:]) for a in part])
         return
     with output.progress("reducing logs") as progress:
-        found = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
+        fleet = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
     if save_model is not None:
-        output.put(save_model, partial(torchid.write_robot, known_model(found, unit)))
-    output.give(found.record, "fleet.json", shown, seed=seed)
+        output.put(save_model, partial(torchid.write_robot, known_model(fleet, unit)))
+    output.give(fleet.record, "fleet.json", shown, seed=seed)
 
 
 @command
@@ -169,15 +169,15 @@ def gap_command(
 
     model, logs, crew, store = engine.begin(units, FleetSettings(force=force), output)
     with output.progress("diagnosing logs") as progress:
-        found = fleet_gap(
+        gaps = fleet_gap(
             model, logs, settings=settings, store=store, workers=crew, part=engine.array,
             progress=progress,
         )  # fmt: skip
     if engine.array is not None:
-        _say_part(output, tuple(answer for answer, _ in found.answers), engine.array)
+        _say_part(output, engine.array, [(x.log, x.status, [x.evidence]) for x in gaps.logs])
         return
     output.give(
-        found.record,
+        gaps,
         "fleet_gap.json",
         gap_shown,
         seed=settings.seed,
@@ -218,18 +218,19 @@ def watch_command(
     model, logs, crew, store = engine.begin(units, settings, output)
     with output.progress("reducing logs") as progress:
         fleet = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
-    found = watch(fleet, every)
-    output.give(found.record, "fleet_watch.json", watch_shown, seed=seed)
+    output.give(watch(fleet, every), "fleet_watch.json", watch_shown, seed=seed)
 
 
-def _say_part(output: Output, part: "tuple[LogAnswer, ...]", array: tuple[int, int]) -> None:
-    """What became of a part of the logs."""
-    refused = [a for a in part if a.verdict in ("refused", "failed")]
+def _say_part(
+    output: Output, array: tuple[int, int], logs: Sequence[tuple[str, str, Sequence[str]]]
+) -> None:
+    """What became of a part of the logs: each with its verdict and why."""
+    unused = [(log, *why) for log, verdict, why in logs if verdict in ("refused", "failed")]
     output.say(
-        f"part {array[0]} of {array[1]}: {len(part)} logs, {len(refused)} of them not used; the "
+        f"part {array[0]} of {array[1]}: {len(logs)} logs, {len(unused)} of them not used; the "
         "same command without --array pools all parts"
     )
-    output.warn(f"{a.log}: {a.evidence[-1]}" for a in refused)
+    output.warn(map(": ".join, unused))
 
 
 _ALL = identify_command, gap_command, watch_command

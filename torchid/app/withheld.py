@@ -25,9 +25,9 @@ class Workers:
     @property
     def count(self) -> int:
         """Of processes; all cores that this one may use, by default."""
-        from torchid.parallel.workers import cores
+        from joblib import cpu_count
 
-        return self.jobs or cores()
+        return self.jobs or cpu_count()
 
 
 @command

@@ -66,8 +66,6 @@ class Clearance(Restriction):
         clearance: distance asked for [m].
         names: (G,) of what each shape belongs to: links, `base`, `floor`, `workspace`.
         link: (G,) number of the link that each shape is fixed to; 0 for what stands still.
-        centre, radius: (G, 3), (G,) of a ball around each shape, in its link's frame [m]; a
-            half-space has none (nan, 0).
         planes: (F, 4) unit normals and offsets of the half-spaces, the last F shapes.
         pairs: (P, 2) shapes that are checked against each other, the one on the earlier link
             first.
@@ -84,8 +82,6 @@ class Clearance(Restriction):
     clearance: float
     names: tuple[str, ...]
     link: Int[Tensor, " G"]
-    centre: Float[Tensor, "G 3"]
-    radius: Float[Tensor, " G"]
     planes: Float[Tensor, "F 4"]
     pairs: Int[Tensor, "P 2"]
     needed: Float[Tensor, " P"]
@@ -103,19 +99,16 @@ class Clearance(Restriction):
         wanted = self.needed + (self.room / 4).clamp(max=_SEARCH_MARGIN)
         with torch.no_grad():
             row, pair = (self._apart(poses) < wanted).nonzero(as_tuple=True)
-            first, second = self.pairs[pair].unbind(-1)
-            ends = poses[row, self.link[first]], poses[row, self.link[second]]
+            shapes = self.pairs[pair]
+            ends = poses[row.unsqueeze(1), self.link[shapes]]
             farthest = float(wanted.max()) + RESOLUTION if len(wanted) else 0.0
-            now, points = self.distances.between(first, second, *ends, farthest)
+            now, points = self.distances.between(shapes, ends, farthest)
             # Nearest points in their links' frames, and the direction from the first to the second.
-            local = [
-                _moved(torch.linalg.inv(e), x) for e, x in zip(ends, points.unbind(1), strict=True)
-            ]
+            local = _moved(torch.linalg.inv(ends), points)
             gap = points[:, 1] - points[:, 0]
             way = gap / torch.where(now.abs() < 1e-9, torch.inf, now).unsqueeze(-1)
-        first_point = _moved(poses[row, self.link[first]], local[0])
-        second_point = _moved(poses[row, self.link[second]], local[1])
-        change = ((second_point - first_point - gap) * way).sum(-1)
+        first, second = _moved(poses[row.unsqueeze(1), self.link[shapes]], local).unbind(1)
+        change = ((second - first - gap) * way).sum(-1)
         short = (wanted[pair] - now - change).clamp(min=0) / FAR_ROOM
         # Of each pair the instant counts at which it is nearest.
         worst = q.new_zeros(q[..., 0, 0].numel(), len(self.pairs))
@@ -133,15 +126,15 @@ class Clearance(Restriction):
 
     def strain(self, q: Float[Tensor, "K n"]) -> Float[Tensor, " K"]:
         """0 with much room in postures, 1 where a pair is as near as it may be."""
-        left = (self._exact(q, FAR_ROOM) - self.needed) / self.room
-        return (1 - left).clamp(min=0).amax(-1)
+        spare = (self._exact(q, FAR_ROOM) - self.needed) / self.room
+        return (1 - spare).clamp(min=0).amax(-1)
 
     def impossible(self, q: Float[Tensor, " n"]) -> RobotError:
         """Which pair is too near in posture q."""
-        found = self._exact(q.unsqueeze(0), FAR_ROOM)[0]
-        worst = int((found - self.needed).argmin())
+        apart = self._exact(q.unsqueeze(0), FAR_ROOM)[0]
+        worst = int((apart - self.needed).argmin())
         first, second = (self.names[k] for k in self.pairs[worst].tolist())
-        distance = 1000 * float(found[worst])
+        distance = 1000 * float(apart[worst])
         return RobotError(
             f"robot '{self.robot.name}': no motion found keeps {second} clear of {first}.",
             got=f"{distance:.0f} mm in the posture that leaves most room"
@@ -157,13 +150,13 @@ class Clearance(Restriction):
         for trajectory in trajectories:
             t = _times(trajectory, 10)
             q = trajectory.at(t).q.detach().reshape(-1, self.robot.n)
-            found = self._exact(q, FAR_ROOM)
-            row, pair = divmod(int((found - self.needed).argmin()), len(self.pairs))
-            spare = float(found[row, pair] - self.needed[pair])
+            apart = self._exact(q, FAR_ROOM)
+            row, pair = divmod(int((apart - self.needed).argmin()), len(self.pairs))
+            spare = float(apart[row, pair] - self.needed[pair])
             if spare < min(best.spare, FAR_ROOM):
                 first, second = (self.names[k] for k in self.pairs[pair].tolist())
                 time = float(t[row % len(t)])
-                best = Nearest(float(found[row, pair]), spare, first, second, time)
+                best = Nearest(float(apart[row, pair]), spare, first, second, time)
         return best
 
     def _poses(self, q: Float[Tensor, "K n"]) -> Float[Tensor, "K L 4 4"]:
@@ -173,7 +166,8 @@ class Clearance(Restriction):
 
     def _apart(self, poses: Float[Tensor, "K L 4 4"]) -> Float[Tensor, "K P"]:
         """What pairs are apart at least, by the balls around them."""
-        balls = _moved(poses[:, self.link], self.centre)
+        centre, radius = self.distances.balls
+        balls = _moved(poses[:, self.link], centre)
         first, second = self.pairs.unbind(-1)
         out = (balls[:, first] - balls[:, second]).norm(dim=-1)
         flat = len(self.link) - len(self.planes)
@@ -181,7 +175,7 @@ class Clearance(Restriction):
         if plane is not None:
             height = (balls[:, second] * plane[:, :3]).sum(-1) - plane[:, 3]
             out = torch.where(first >= flat, height, out)
-        return out - self.radius[first] - self.radius[second]
+        return out - radius[first] - radius[second]
 
     def _exact(self, q: Float[Tensor, "K n"], room: float) -> Float[Tensor, "K P"]:
         """Distances in postures; those beyond what is needed and `room` are only at least so."""
@@ -195,11 +189,10 @@ class Clearance(Restriction):
         self, poses: Float[Tensor, "R L 4 4"], pair: Int[Tensor, " R"], room: float
     ) -> Float[Tensor, " R"]:
         """The distance of one pair a row."""
-        first, second = self.pairs[pair].unbind(-1)
-        rows = torch.arange(len(pair))
-        ends = poses[rows, self.link[first]], poses[rows, self.link[second]]
+        shapes = self.pairs[pair]
+        ends = poses[torch.arange(len(pair)).unsqueeze(1), self.link[shapes]]
         farthest = float(self.needed.max()) + room if len(self.needed) else room
-        return self.distances.between(first, second, *ends, farthest)[0]
+        return self.distances.between(shapes, ends, farthest)[0]
 
     def _proved(self, trajectory: FourierTrajectory | Sinusoid) -> bool:
         """Whether one motion keeps the distances at every instant."""
@@ -222,8 +215,8 @@ class Clearance(Restriction):
         farthest = float(lost.max()) if lost.numel() else 0.0
         # The balls around the shapes prove most intervals.
         balls = self._apart(self._poses(trajectory.at(t).q))
-        left = (balls[:-1] + balls[1:] - lost) / 2 < self.needed
-        interval, pair = left.nonzero(as_tuple=True)
+        unproved = (balls[:-1] + balls[1:] - lost) / 2 < self.needed
+        interval, pair = unproved.nonzero(as_tuple=True)
         start, end, lost = start[interval], end[interval], lost[interval, pair]
         before, after = apart(start, pair), apart(end, pair)
         # The rest is halved.
@@ -231,11 +224,11 @@ class Clearance(Restriction):
             needed = self.needed[pair]
             if bool((torch.minimum(before, after) < needed).any()):
                 return False
-            left = (before + after - lost) / 2 < needed
-            if bool((lost[left] < RESOLUTION).any()):
+            unproved = (before + after - lost) / 2 < needed
+            if bool((lost[unproved] < RESOLUTION).any()):
                 return False
-            start, end, pair = start[left], end[left], pair[left]
-            before, after = before[left], after[left]
+            start, end, pair = start[unproved], end[unproved], pair[unproved]
+            before, after = before[unproved], after[unproved]
             middle = (start + end) / 2
             between = apart(middle, pair)
             start, end = torch.cat([start, middle]), torch.cat([middle, end])
@@ -270,7 +263,6 @@ def motion_clearance(
 
     Raises:
         TorchidError: a negative clearance, or a workspace that is no box.
-        MissingExtraError: there is something to check, and MuJoCo is not installed.
         RobotError: the robot's file is no longer what it was read from, or its limits are
             incomplete.
     """
@@ -281,8 +273,6 @@ def motion_clearance(
     planes, plane_names = _planes(floor, workspace, shapes)
     names = [("base", *robot.link_names)[k] for k in link] + plane_names
     count = len(solids)
-    balls = [_ball(solid) for solid in solids] + [_NO_BALL] * len(planes)
-    centre, radius = (torch.stack(part) for part in zip(*balls, strict=True))
     where = torch.tensor(link + [0] * len(planes))
     # Links without shapes, as between the joints of one body, leave their neighbours adjacent.
     drawn = [k for k, s in enumerate(solids) if s.corners is not None or bool(s.size.any())]
@@ -296,11 +286,11 @@ def motion_clearance(
     ]
     pairs += [(count + f, b) for f in range(len(planes)) for b in range(count) if link[b]]
     chosen = torch.tensor(pairs, dtype=torch.long).reshape(-1, 2)
-    every = torch.ones(len(pairs), dtype=torch.float64)
+    every, distances = torch.ones(len(pairs), dtype=torch.float64), Distances(solids, planes)
     made = Clearance(
-        robot, usage, clearance, tuple(names), where, centre, radius, planes, chosen,
-        clearance * every, FAR_ROOM * every, _arms(robot, usage, where, centre, radius, chosen),
-        Distances(solids, planes), warnings=tuple(warnings),
+        robot, usage, clearance, tuple(names), where, planes, chosen, clearance * every,
+        FAR_ROOM * every, _arms(robot, usage, where, distances, chosen), distances,
+        warnings=tuple(warnings),
     )  # fmt: skip
     return _sensible(made) if pairs else made
 
@@ -321,11 +311,11 @@ def _solids(robot: Robot, shapes: LinkShapes | None) -> tuple[list[Solid], list[
         shapes = assembled([None] * robot.n_links, ())
     solids, link = list(shapes.base or ()), [0] * len(shapes.base or ())
     for k in range(robot.n_links):
-        own = list(shapes.solids[k]) if shapes.solids else []
+        of_link = list(shapes.solids[k]) if shapes.solids else []
         if not shapes.known[k]:
-            own += [capsule(pose(None, point), 0.0, 0.0) for point in points[k]]
-        solids += own
-        link += [k + 1] * len(own)
+            of_link += [capsule(pose(None, point), 0.0, 0.0) for point in points[k]]
+        solids += of_link
+        link += [k + 1] * len(of_link)
     # A link without mass is there to hold joints together; a DH table draws nothing at all.
     heavy = [True] * robot.n_links
     if robot.parameters is not None and any(shapes.known):
@@ -367,32 +357,17 @@ def _planes(
             axis = [float(k == j) for j in range(3)]
             rows += [[*axis, low], [*(-x for x in axis), -high]]
             names += [f"the workspace's {end} of {'xyz'[k]}" for end in ("minimum", "maximum")]
-    given = torch.tensor(rows, dtype=torch.float64).reshape(-1, 4)
+    planes = torch.tensor(rows, dtype=torch.float64).reshape(-1, 4)
     if shapes is None:
-        return given, names
-    return torch.cat([given, shapes.planes]), names + ["the model's plane"] * len(shapes.planes)
-
-
-_NO_BALL = torch.full((3,), math.nan, dtype=torch.float64), torch.tensor(0.0, dtype=torch.float64)
-
-
-def _ball(solid: Solid) -> tuple[Float[Tensor, "3"], Float[Tensor, ""]]:
-    """Centre and radius of a ball around a solid, in its link's frame."""
-    size = solid.size
-    if solid.corners is not None:
-        centre = (solid.corners.amin(0) + solid.corners.amax(0)) / 2
-        radius = (solid.corners - centre).norm(dim=-1).amax()
-        return _moved(solid.pose, centre), radius
-    sizes = {"box": size.norm(), "ellipsoid": size.amax(), "cylinder": size.norm()}
-    return solid.pose[:3, 3], sizes.get(solid.kind, size.sum())
+        return planes, names
+    return torch.cat([planes, shapes.planes]), names + ["the model's plane"] * len(shapes.planes)
 
 
 def _arms(
     robot: Robot,
     usage: float,
     link: Int[Tensor, " G"],
-    centre: Float[Tensor, "G 3"],
-    radius: Float[Tensor, " G"],
+    distances: Distances,
     pairs: Int[Tensor, "P 2"],
 ) -> Float[Tensor, "P n"]:
     """How fast the distance of pairs can change per speed of each joint [m or 1].
@@ -405,6 +380,9 @@ def _arms(
     slides = torch.tensor([drive.joint_type is JointType.PRISMATIC for drive in drives])
     reach = robot.on_links(position_limits(robot, usage)[0].T).abs().amax(0) * slides
     out = reach.new_zeros((len(pairs), robot.n))
+    if not len(pairs):
+        return out
+    centre, radius = distances.balls
     for p, (a, b) in enumerate(pairs.tolist()):
         i, j = int(link[a]) - 1, int(link[b]) - 1
         before, between = _between_links(robot, i, j)
@@ -452,13 +430,13 @@ def _sensible(made: Clearance) -> Clearance:
     generator = torch.Generator().manual_seed(0)
     drawn = torch.rand((_POSTURES, robot.n), generator=generator, dtype=torch.float64)
     zero = torch.zeros(robot.n, dtype=torch.float64).clamp(lower, upper)
-    found = made._exact(torch.cat([zero.unsqueeze(0), lower + drawn * (upper - lower)]), FAR_ROOM)
-    largest, smallest = found.amax(0), found.amin(0)
+    apart = made._exact(torch.cat([zero.unsqueeze(0), lower + drawn * (upper - lower)]), FAR_ROOM)
+    largest, smallest = apart.amax(0), apart.amin(0)
     wall = made.pairs[:, 0] >= len(made.link) - len(made.planes)
     # A link that turns on the floor is as near to it whatever the motion. Of what is far, it is
     # only known that it is far.
     still = (largest - smallest < RESOLUTION) & (largest < made.needed + FAR_ROOM - RESOLUTION)
-    overlap = ~wall & ((found[0] < 0) | (largest < RESOLUTION))
+    overlap = ~wall & ((apart[0] < 0) | (largest < RESOLUTION))
     close = ~wall & ~overlap & ~still & (largest < made.needed + RESOLUTION)
 
     def named(which: Tensor) -> str:

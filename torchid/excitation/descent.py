@@ -132,13 +132,28 @@ def _merge(
     )
 
 
-def best_of(
-    parts: Sequence[FourierTrajectory],
+def improved(
+    start: FourierTrajectory,
+    limits: MotionLimits,
     cost: Callable[[FourierTrajectory, Tensor], Tensor],
     t: Float[Tensor, " T"],
-) -> tuple[FourierTrajectory, Float[Tensor, " K"]]:
-    """The trajectory of least cost among those of several batches, and the costs of all."""
+    iterations: int,
+    progress: Progress | None,
+    kept: Restriction | None = None,
+) -> tuple[FourierTrajectory, FourierTrajectory, Float[Tensor, " K"]]:
+    """The trajectory of least cost at times t among the starts and what `descend` makes of them:
+    a search that found nothing better returns the best start.
+
+    Returns:
+        The starts within the restrictions (restarts, n, L), the best (n, L), and the costs of all,
+        the starts' first.
+
+    Raises:
+        RobotError: no motion keeps the restrictions.
+    """
+    begun = start if kept is None else kept.within(start)
+    parts = begun, descend(start, limits, cost, iterations, progress, kept)
     with torch.no_grad():
         costs = torch.cat([cost(x, t) for x in parts]).nan_to_num(nan=math.inf)
-    candidates = [x.select(k) for x in parts for k in range(len(x.q0))]
-    return candidates[int(costs.argmin())], costs
+    part, k = divmod(int(costs.argmin()), len(start.q0))
+    return begun, parts[part].select(k), costs

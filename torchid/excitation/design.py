@@ -19,20 +19,19 @@ from torchid.effects.base import JointEffect, Motion
 from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError, TorchidError
 from torchid.excitation.clearance import Clearance
-from torchid.excitation.descent import HARDLY, Progress, best_of, descend
+from torchid.excitation.descent import HARDLY, Progress, improved
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.restriction import restricted
 from torchid.excitation.settings import DURATION, EXCITED_EFFECTS, HARMONICS, RESTARTS, USAGE
 from torchid.excitation.torque import TorqueLimits, nominal_torque_limits
-from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.excitation.trajectories import Designed, random_trajectory
 from torchid.identification.base_parameters import (
     BaseParameters,
     base_parameters,
     stacked_regressor,
 )
 from torchid.inputs import RobotLike, as_robot
-from torchid.log.model import Log
 from torchid.robot.model import Basis, Robot
 from torchid.typing import Float
 
@@ -41,7 +40,7 @@ _RATE = 50.0  # [Hz], for the condition numbers that are reported
 
 
 @dataclass(frozen=True, eq=False)
-class Excitation:
+class Excitation(Designed):
     """A designed trajectory and what the design gained.
 
     Attributes:
@@ -84,14 +83,6 @@ class Excitation:
         ordered = sorted(self.condition_before)
         k = len(ordered)
         return (ordered[(k - 1) // 2] + ordered[k // 2]) / 2
-
-    def log(self, rate: float = 100.0) -> Log:
-        """The motion as a log without torque: t [s], q, dq, ddq (T, n), `rate` samples a second.
-
-        Raises:
-            TorchidError: a rate that is too low.
-        """
-        return trajectory_log(self.trajectory, rate)
 
 
 def excite(
@@ -151,8 +142,8 @@ def excite(
     """
     robot = as_robot(robot)
     robot.require_fixed_base("the design of motions")
-    known = [e for e in effects if not isinstance(e, str)]
-    known += on_every_joint([e for e in effects if isinstance(e, str)], robot.n)
+    modelled = [e for e in effects if not isinstance(e, str)]
+    modelled += on_every_joint([e for e in effects if isinstance(e, str)], robot.n)
     if criterion not in ("condition", "d_optimal"):
         raise TorchidError(
             "unknown criterion.", got=criterion, available=["condition", "d_optimal"]
@@ -165,7 +156,7 @@ def excite(
     limits = motion_limits(robot, usage=usage)
     torque = torque or nominal_torque_limits(robot, usage=usage)
     kept = restricted(torque, clearance)
-    base = base_parameters(robot, known, basis=basis)
+    base = base_parameters(robot, modelled, basis=basis)
     weights = row_weights(robot)
     start = random_trajectory(
         robot,
@@ -176,11 +167,10 @@ def excite(
         harmonics=harmonics,
         duration=duration,
     )
-    given = start if kept is None else kept.within(start)
 
     def information(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
         motion = trajectory.at(t).to(device)
-        y = base_regressor(robot, base, motion, weights, effects=known)
+        y = base_regressor(robot, base, motion, weights, effects=modelled)
         y = y.reshape(restarts, -1, len(base))
         return (y.transpose(1, 2) @ y / t.shape[0]).cpu()
 
@@ -189,16 +179,13 @@ def excite(
 
     def condition(trajectory: FourierTrajectory) -> float:
         motion = trajectory.sample(_RATE).motion
-        return condition_number(robot, base, motion, weights, effects=known)
+        return condition_number(robot, base, motion, weights, effects=modelled)
 
-    found = descend(start, limits, cost, iterations, progress, kept)
-    before = [condition(given.select(k)) for k in range(restarts)]
     t = torch.arange(0, duration, 1 / _RATE, dtype=torch.float64)
-    # Starts compete too: a search that found nothing better returns the best of them.
-    best, costs = best_of((given, found), cost, t)
+    begun, best, costs = improved(start, limits, cost, t, iterations, progress, kept)
     return Excitation(
         best,
-        tuple(before),
+        tuple(condition(begun.select(k)) for k in range(restarts)),
         condition(best),
         criterion,
         base,

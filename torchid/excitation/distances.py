@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchid.errors import MissingExtraError
 from torchid.robot.solids import Solid
 from torchid.typing import Float, Int, Tensor
 
@@ -28,12 +27,10 @@ class Distances:
         self._solids, self._planes = solids, planes
 
     @cached_property
-    def _compiled(self) -> "tuple[Any, Any, Any, Tensor]":
-        """MuJoCo, its model and data, and the pose (G, 4, 4) of every shape in its link."""
-        try:
-            import mujoco
-        except ImportError as error:
-            raise MissingExtraError("mujoco", "mjcf", "Checking a motion for collisions") from error
+    def _compiled(self) -> "tuple[Any, Any, Tensor]":
+        """MuJoCo's model and data, and the pose (G, 4, 4) of every shape in its link."""
+        import mujoco
+
         spec = mujoco.MjSpec()
         for solid in self._solids:
             _add(mujoco, spec, solid)
@@ -51,38 +48,40 @@ class Distances:
         placed = np.tile(np.eye(4), (model.ngeom, 1, 1))
         placed[:, :3, :3] = data.geom_xmat.reshape(-1, 3, 3)
         placed[:, :3, 3] = data.geom_xpos
-        return mujoco, model, data, torch.from_numpy(placed)
+        return model, data, torch.from_numpy(placed)
+
+    @property
+    def balls(self) -> tuple[Float[Tensor, "G 3"], Float[Tensor, " G"]]:
+        """Centre of a ball around each shape, in its link's frame, and radius [m]; a half-space has
+        none (nan, 0)."""
+        model, _, placed = self._compiled
+        centre, radius = placed[:, :3, 3].clone(), torch.from_numpy(model.geom_rbound.copy())
+        centre[len(self._solids) :] = torch.nan
+        return centre, radius
 
     def between(
-        self,
-        first: Int[Tensor, " R"],
-        second: Int[Tensor, " R"],
-        first_pose: Float[Tensor, "R 4 4"],
-        second_pose: Float[Tensor, "R 4 4"],
-        farthest: float,
+        self, shapes: Int[Tensor, "R 2"], poses: Float[Tensor, "R 2 4 4"], farthest: float
     ) -> tuple[Float[Tensor, " R"], Float[Tensor, "R 2 3"]]:
         """Distances (R,) [m], negative where shapes overlap, and the nearest points (R, 2, 3) of
         both, in the frame that the links' poses are given in.
 
         Args:
-            first, second: shapes.
-            first_pose, second_pose: of the links that they belong to.
+            shapes: pairs.
+            poses: of the links that they belong to.
             farthest: distance from which on only that it is as far is told, and no points [m].
-
-        Raises:
-            MissingExtraError: MuJoCo is not installed.
         """
-        mujoco, model, data, placed = self._compiled
-        shapes = torch.stack([first, second], 1)
-        poses = torch.stack([first_pose, second_pose], 1) @ placed[shapes]
-        turns = poses[..., :3, :3].reshape(len(first), 2, 9).numpy()
+        from mujoco import mj_geomDistance
+
+        model, data, placed = self._compiled
+        poses = poses @ placed[shapes]
+        turns = poses[..., :3, :3].reshape(len(shapes), 2, 9).numpy()
         places = np.ascontiguousarray(poses[..., :3, 3].numpy())
-        out, points = np.empty(len(first)), np.zeros((len(first), 6))
-        positions, matrices, find = data.geom_xpos, data.geom_xmat, mujoco.mj_geomDistance
+        out, points = np.empty(len(shapes)), np.zeros((len(shapes), 6))
+        positions, matrices = data.geom_xpos, data.geom_xmat
         for k, (one, other) in enumerate(shapes.tolist()):
             positions[one], positions[other] = places[k]
             matrices[one], matrices[other] = turns[k]
-            out[k] = find(model, data, one, other, farthest, points[k])
+            out[k] = mj_geomDistance(model, data, one, other, farthest, points[k])
         return torch.from_numpy(out), torch.from_numpy(points).reshape(-1, 2, 3)
 
 

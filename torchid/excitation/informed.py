@@ -21,15 +21,14 @@ import torch
 
 from torchid.errors import TorchidError
 from torchid.excitation.clearance import Clearance
-from torchid.excitation.descent import HARDLY, Progress, best_of, descend
+from torchid.excitation.descent import HARDLY, Progress, improved
 from torchid.excitation.design import base_regressor, excite
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.restriction import restricted
 from torchid.excitation.torque import TorqueLimits, identified_torque_limits
-from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.excitation.trajectories import Designed, random_trajectory
 from torchid.identification.values import Prior
-from torchid.log.model import Log
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
 
@@ -40,7 +39,7 @@ LEAST_KNOWN = 30.0
 
 
 @dataclass(frozen=True, eq=False)
-class InformedDesign:
+class InformedDesign(Designed):
     """A motion, and what it would add.
 
     Attributes:
@@ -65,14 +64,6 @@ class InformedDesign:
     goal: Goal
     warnings: tuple[str, ...]
     torque: TorqueLimits | None = None
-
-    def log(self, rate: float = 100.0) -> Log:
-        """The motion as a log without torque: t [s], q, dq, ddq (T, n), `rate` samples a second.
-
-        Raises:
-            TorchidError: a rate that is too low.
-        """
-        return trajectory_log(self.trajectory, rate)
 
     @property
     def hardly(self) -> bool:
@@ -130,15 +121,13 @@ def design_for(
     random = random_trajectory(robot, seed, count=restarts, fill=True, **settings)
     start = _with_last(random, plain.trajectory)
     kept = restricted(torque, clearance)
-    given = start if kept is None else kept.within(start)
     targets = least_known(prior) if goal == "a_optimal" else torch.ones(len(prior.base)).bool()
 
     def cost(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
         return _cost(prior, information(robot, prior, trajectory, t), targets, goal)
 
-    found = descend(start, limits, cost, iterations, progress, kept)
     t = _times(prior, duration)
-    best, _ = best_of((given, found), cost, t)
+    _, best, _ = improved(start, limits, cost, t, iterations, progress, kept)
     return InformedDesign(
         best,
         plain.trajectory,

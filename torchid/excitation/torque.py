@@ -26,7 +26,8 @@ from torchid.typing import Bool, Float, Tensor
 MARGIN = 0.01
 """Share of the usable torque that is left free, for what happens between instants."""
 
-NOMINAL = "nominal parameters"
+NOMINAL, CORRECTED = "nominal parameters", "corrected model"
+"""Models, for people: the robot's own, and that of a diagnosis."""
 
 _PENALTY = 2.0  # beside the logarithm of a condition number, for torque of twice its limit
 _SEARCH_MARGIN = 0.02  # the search's instants are further apart
@@ -198,17 +199,6 @@ def identified_torque_limits(
         source += f" ({unknown} not determined: {'nominal' if nominal else '0'})"
     parameters, effects = full_set(prior.base, prior.effects, values)
     return TorqueLimits.of(replace(robot, parameters=parameters), effects, source, usage)
-
-
-def corrected_torque_limits(
-    robot: Robot, effects: Sequence[Valued], *, usage: float = 1.0
-) -> TorqueLimits | None:
-    """Torque limits by a diagnosis's corrected model with effects; None without limits.
-
-    Raises:
-        RobotError: limits that do not contain 0.
-    """
-    return TorqueLimits.of(robot, effects, "corrected model", usage)
 
 
 def has_torque_limits(robot: Robot) -> bool:

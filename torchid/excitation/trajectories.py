@@ -209,3 +209,17 @@ def trajectory_log(
         source="trajectory",
         warnings=trajectory.warnings,
     )
+
+
+class Designed:
+    """A motion that was designed."""
+
+    trajectory: FourierTrajectory
+
+    def log(self, rate: float = 100.0) -> Log:
+        """The motion as a log without torque: t [s], q, dq, ddq (T, n), `rate` samples a second.
+
+        Raises:
+            TorchidError: a rate that is too low.
+        """
+        return trajectory_log(self.trajectory, rate)

@@ -96,7 +96,7 @@ def extract(
     uniform = torch.rand(shape, generator=generator, dtype=problem.box.dtype)
     state, history = start(uniform, _FIRST_SIGMA), list[tuple[Tensor, Tensor]]()
     blocks = _blocks(problem, settings, device)
-    with opened(workers if len(blocks) > 1 else 1, _advanced) as (pool, _):
+    with opened(workers if len(blocks) > 1 else 1) as (pool, _):
         for stage in range(settings.stages):
             parts = [
                 _Block(problem, settings, device, stage, state.part(block), block.start)

@@ -4,7 +4,8 @@ from typing import Literal
 
 from msgspec import UNSET, UnsetType, field
 
-from torchid.results.record import Ends, Part, Real, Record, Rows
+from torchid.fleet.record import Spread
+from torchid.results.record import Part, Real, Record, Rows
 from torchid.typing import Float, Tensor
 
 Kind = Literal["identifications", "gap diagnoses", "parameter sets"]
@@ -31,32 +32,23 @@ class TorqueSpread(Part, frozen=True):
     errors: Float[Tensor, "m n"] | None = None
 
 
-class ComparedParameter(Part, frozen=True, kw_only=True):
-    """One coefficient in m results.
+class ComparedParameter(Spread, frozen=True, kw_only=True):
+    """One coefficient in m results, of units of one type or of one unit.
 
     Attributes:
-        name, unit: of it.
         cause: of a coefficient of a diagnosis, e.g. `coulomb_friction of joint 2`; else empty.
         verdict: `differ`: the test of equal values rejects them; `never_determined`: relative
             standard deviation above 50 % in every result that has it; `not_compared`: fewer than
             two results give it with a standard deviation; else `agree`.
         own, own_std: (m,) of each result; nan where it has none. A value that a fit held, e.g. at
             zero, has no standard deviation.
-        mean, std: of the units that the results are of, and how well it is known.
-        between, between_ci95: spread from result to result, one standard deviation.
         p: of Welch's test that all values are equal, adjusted for the number of coefficients.
     """
 
-    name: str
-    unit: str
     cause: str
     verdict: Verdict
     own: Float[Tensor, " m"]
     own_std: Float[Tensor, " m"]
-    mean: Real
-    std: Real
-    between: Real = field(name="unit_std")
-    between_ci95: Ends = field(name="unit_std_ci95")
     p: Real = field(name="p_adjusted")
 
 

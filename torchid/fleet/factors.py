@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from typing import TypeVar
 
-import numpy as np
 import torch
 
 from torchid.design.motion import measurements
@@ -86,26 +85,6 @@ class Factors:
         pairs = zip(self.blocks, other.blocks, strict=True)
         blocks = tuple(torch.cat(pair) for pair in pairs)
         return Factors(blocks, torch.cat([self.rows, other.rows]))
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """For a store: the triangles alone."""
-        out = {"rows": self.rows.numpy()}
-        for i, r in enumerate(self.blocks):
-            upper = torch.triu_indices(*r.shape[1:])
-            out[f"r{i}"] = r[:, upper[0], upper[1]].numpy()
-        return out
-
-    @classmethod
-    def of_arrays(cls, arrays: dict[str, np.ndarray], layout: Layout) -> "Factors":
-        """Back from `arrays`."""
-        blocks = []
-        for i, columns in enumerate(layout.columns):
-            c = len(columns) + 1
-            packed, upper = torch.from_numpy(arrays[f"r{i}"]), torch.triu_indices(c, c)
-            full = packed.new_zeros(len(packed), c, c)
-            full[:, upper[0], upper[1]] = packed
-            blocks.append(full)
-        return cls(tuple(blocks), torch.from_numpy(arrays["rows"]))
 
 
 def tree(parts: Iterable[_T], combine: Callable[[_T, _T], _T]) -> _T:

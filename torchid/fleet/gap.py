@@ -3,7 +3,6 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
 from typing import Any, Literal
 
 from msgspec import UNSET, UnsetType
@@ -23,7 +22,7 @@ from torchid.json_data import plain
 from torchid.log.readers import open_log
 from torchid.parallel.store import Store
 from torchid.parallel.workers import Failure, Progress, Workers, attempted
-from torchid.results.record import Joint, Part, Real, Result, RobotRecord, Rows
+from torchid.results.record import Joint, Part, Real, RobotRecord, Rows
 from torchid.robot.library import named_record
 from torchid.statistics.proportion import clopper_pearson
 
@@ -55,29 +54,26 @@ def answer_gap(task: GapTask) -> tuple[LogAnswer, dict[str, Any]]:
             log = with_gain(open_log(path, task.model.request)[1], task.model)
             robot, force = task.model.robot, task.model.settings.force
             doubts = ask_first(robot, log, force=force)
-            found = diagnose_torque(robot, log, settings=task.settings, force=force)
+            diagnosis = diagnose_torque(robot, log, settings=task.settings, force=force)
         except TorchidError as error:
             text = " ".join(str(error).replace(str(path), task.log.path).split())
-            return {"refused": text}, {}
-        words = {"gap": found.plain(), "seconds": sum(log.duration), "doubts": list(doubts.said)}
-        return words, {}
+            return {"refused": text}
+        return {"gap": diagnosis.plain(), "seconds": sum(log.duration), "doubts": list(doubts.said)}
 
     question = {"kind": "gap", "settings": asdict(task.settings)}
     try:
-        digest, key, entry, found = answered(
+        digest, key, words, stored = answered(
             task.log, task.model, Store(task.place), question, compute
         )
     except LogError as error:
         return LogAnswer.unopened(task.log, error), {}
-    if "refused" in entry.words:
-        return LogAnswer.about(
-            task.log, "refused", entry.words["refused"], sha256=digest, key=key
-        ), {}
-    gap, doubts = entry.words["gap"], entry.words["doubts"]
+    if "refused" in words:
+        return LogAnswer.about(task.log, "refused", words["refused"], sha256=digest, key=key), {}
+    gap, doubts = words["gap"], words["doubts"]
     wanted = ("status", "where", "which", "how_far")
     answer = LogAnswer.about(
         task.log, "doubtful" if doubts else "good", *doubts, sha256=digest, key=key,
-        seconds=entry.words["seconds"], found=found,
+        seconds=words["seconds"], stored=stored,
     )  # fmt: skip
     return answer, {name: gap[name] for name in wanted}
 
@@ -134,7 +130,7 @@ class FleetEffect(Part, frozen=True, kw_only=True):
         return effect_label(self.effect, [j + 1 for j in self.joints])
 
 
-class FleetGapRecord(RobotRecord, frozen=True, kw_only=True, tag="torchid.fleet_gap/1"):
+class FleetGap(RobotRecord, frozen=True, eq=False, kw_only=True, tag="torchid.fleet_gap/1"):
     """A fleet's gaps as the JSON has them.
 
     Attributes:
@@ -153,6 +149,9 @@ class FleetGapRecord(RobotRecord, frozen=True, kw_only=True, tag="torchid.fleet_
     notes: tuple[str, ...]
     seed: int | UnsetType = UNSET
 
+    def __repr__(self) -> str:
+        return f"FleetGap('{self.robot}', {len(self.units)} units)"
+
     @property
     def table(self) -> Rows[FleetEffect]:
         """The effects."""
@@ -166,67 +165,50 @@ def effect_label(effect: str, joints: Sequence[int]) -> str:
     return f"{effect} of joint {', '.join(map(str, joints))}"
 
 
-@dataclass(frozen=True, eq=False)
-class FleetGap(Result):
-    """Diagnoses of a fleet.
-
-    Attributes:
-        model: the type.
-        answers: of the logs, each with its diagnosis; empty where there is none.
-    """
-
-    model: FleetModel
-    answers: tuple[tuple[LogAnswer, dict[str, Any]], ...]
-
-    def __repr__(self) -> str:
-        return f"FleetGap('{self.model.robot.name}', {len(self.record.units)} units)"
-
-    @cached_property
-    def record(self) -> FleetGapRecord:
-        """As the JSON has it."""
-        units = sorted({a.unit for a, gap in self.answers if gap})
-        # By effect and place: units, what it cannot be told from, coefficients.
-        having: dict[tuple[str, str, tuple[int, ...]], list[tuple[str, dict]]] = defaultdict(list)
-        for answer, gap in self.answers:
-            for entry in gap.get("which", ()):
-                place = entry["effect"], entry["family"], tuple(entry["joints"])
-                having[place].append((answer.unit, entry))
-        effects = []
-        for (effect, family, joints), entries in having.items():
-            own = dict(reversed(entries))
-            low, high = clopper_pearson(len(own), len(units))
-            scope: Scope = "type" if low > HALF else "unit" if high < HALF else "some"
-            effects.append(
-                FleetEffect(
-                    effect=effect,
-                    family=family,
-                    joints=tuple(Joint(j - 1) for j in joints),
-                    units=tuple(sorted(own)),
-                    share=len(own) / len(units),
-                    ci95=(low, high),
-                    scope=scope,
-                    ambiguous_with=tuple(
-                        sorted({name for _, e in entries for name in e["ambiguous_with"]})
-                    ),
-                    coefficients={
-                        unit: {
-                            name: value
-                            for name, value in own[unit]["parameters"].items()
-                            if isinstance(value, float)
-                        }
-                        for unit in sorted(own)
-                    },
-                )
+def described(model: FleetModel, answers: Sequence[tuple[LogAnswer, dict[str, Any]]]) -> FleetGap:
+    """Diagnoses of a fleet's logs, each with what became of the log; empty where there is none."""
+    units = sorted({a.unit for a, gap in answers if gap})
+    # By effect and place: units, what it cannot be told from, coefficients.
+    having: dict[tuple[str, str, tuple[int, ...]], list[tuple[str, dict]]] = defaultdict(list)
+    for answer, gap in answers:
+        for entry in gap.get("which", ()):
+            place = entry["effect"], entry["family"], tuple(entry["joints"])
+            having[place].append((answer.unit, entry))
+    effects = []
+    for (effect, family, joints), entries in having.items():
+        by_unit = dict(reversed(entries))
+        low, high = clopper_pearson(len(by_unit), len(units))
+        scope: Scope = "type" if low > HALF else "unit" if high < HALF else "some"
+        effects.append(
+            FleetEffect(
+                effect=effect,
+                family=family,
+                joints=tuple(Joint(j - 1) for j in joints),
+                units=tuple(sorted(by_unit)),
+                share=len(by_unit) / len(units),
+                ci95=(low, high),
+                scope=scope,
+                ambiguous_with=tuple(
+                    sorted({name for _, e in entries for name in e["ambiguous_with"]})
+                ),
+                coefficients={
+                    unit: {
+                        name: value
+                        for name, value in by_unit[unit]["parameters"].items()
+                        if isinstance(value, float)
+                    }
+                    for unit in sorted(by_unit)
+                },
             )
-        return FleetGapRecord.of(
-            self,
-            **named_record(self.model.robot),
-            version=__version__,
-            units=tuple(units),
-            effects=tuple(sorted(effects, key=lambda e: (-e.share, e.effect, e.joints))),
-            logs=tuple(_row(*pair) for pair in self.answers),
-            notes=self.model.robot.warnings,
         )
+    return FleetGap(
+        **named_record(model.robot),
+        version=__version__,
+        units=tuple(units),
+        effects=tuple(sorted(effects, key=lambda e: (-e.share, e.effect, e.joints))),
+        logs=tuple(_row(*pair) for pair in answers),
+        notes=model.robot.warnings,
+    )
 
 
 def _row(answer: LogAnswer, gap: dict[str, Any]) -> DiagnosedLog:
@@ -280,14 +262,14 @@ def fleet_gap(
     settings = settings or GapSettings(rollout=False)
     with kept(store, workers) as place:
         tasks = [GapTask(log, model, place.place, settings) for log in part_of(logs, part)]
-        found = attempted(answer_gap, tasks, workers, "diagnosing logs", progress)
+        outcomes = attempted(answer_gap, tasks, workers, "diagnosing logs", progress)
         answers = [
             (LogAnswer.failed(task.log, one), {}) if isinstance(one, Failure) else one
-            for task, one in zip(tasks, found, strict=True)
+            for task, one in zip(tasks, outcomes, strict=True)
         ]
         if part is None:
             write_index(place, [a for a, _ in answers], "gap.parquet")
     if not any(gap for _, gap in answers):
         first = plain([a.evidence[-1] for a, _ in answers[:3]])
         raise TorchidError("no log of the fleet could be diagnosed.", got="; ".join(first))
-    return FleetGap(model, tuple(answers))
+    return described(model, answers)

@@ -4,7 +4,6 @@ logs -> factors of blocks -> sessions -> units -> type        reduced once, kept
 sessions' estimates -> spread between units and days -> odd units
 """
 
-import io
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -12,6 +11,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from tempfile import TemporaryDirectory
 
+import fsspec
 import pyarrow as pa
 import pyarrow.parquet
 import torch
@@ -355,9 +355,8 @@ def write_index(store: Store, answers: Sequence[LogAnswer], name: str = INDEX) -
         }
         for a in answers
     ]  # fmt: skip
-    stream = io.BytesIO()
-    pa.parquet.write_table(pa.Table.from_pylist(rows), stream)
-    store.put(f"{store.place.rstrip('/')}/{name}", stream)
+    files, place = fsspec.url_to_fs(store.place)
+    pa.parquet.write_table(pa.Table.from_pylist(rows), f"{place}/{name}", filesystem=files)
 
 
 def _notes(

@@ -40,13 +40,28 @@ class LogRow(Part, frozen=True, kw_only=True):
     blocks: int = 0
 
 
-class PooledParameter(Part, frozen=True, kw_only=True):
-    """One base parameter over the fleet.
+class Spread(Part, frozen=True, kw_only=True):
+    """One parameter over units of one type.
 
     Attributes:
         name, unit: of it.
-        mean, std, ci95: of the type.
+        mean, std: of the type, and how well it is known.
         between, between_ci95: spread from unit to unit, one standard deviation.
+    """
+
+    name: str
+    unit: str
+    mean: Real
+    std: Real
+    between: Real = field(name="unit_std")
+    between_ci95: Ends = field(name="unit_std_ci95")
+
+
+class PooledParameter(Spread, frozen=True, kw_only=True):
+    """One base parameter over the fleet.
+
+    Attributes:
+        ci95: of the mean.
         daily, daily_ci95: from day to day of one unit.
         noise: standard deviation of a typical session's estimate.
         units, sessions: how many tell it.
@@ -54,13 +69,7 @@ class PooledParameter(Part, frozen=True, kw_only=True):
             units; None where units do not differ.
     """
 
-    name: str
-    unit: str
-    mean: Real
-    std: Real
     ci95: Ends
-    between: Real = field(name="unit_std")
-    between_ci95: Ends = field(name="unit_std_ci95")
     daily: Real = field(name="day_std")
     daily_ci95: Ends = field(name="day_std_ci95")
     noise: Real = field(name="noise_std")

@@ -4,14 +4,12 @@ A task may be run twice, or be ended at any moment; its answer is in the store a
 all. What crosses the wire is the row of a log or the estimate of a session.
 """
 
-import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from torchid.doctor.examine import signal_checks
@@ -32,13 +30,9 @@ from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
 from torchid.fleet.reading import first_minute, stretches, temperature_of
 from torchid.fleet.record import Judged, LogRow
-from torchid.json_data import plain
 from torchid.log.model import Log
-from torchid.parallel.store import Entry, Store, content_hash, key_of, local_file, stamp
+from torchid.parallel.store import Answer, Store, content_hash, key_of, local_file, stamp
 from torchid.parallel.workers import Failure
-
-ESTIMATED = ("values", "covariance", "freedom", "noise")
-"""Arrays of an estimate."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +49,11 @@ class LogAnswer(LogRow, frozen=True, kw_only=True):
 
     Attributes:
         temperature: mean of the log's column `temperature` [degC]; None without one.
-        found: whether the answer was there already.
+        stored: whether the answer was there already.
     """
 
     temperature: float | None = None
-    found: bool = False
+    stored: bool = False
 
     @classmethod
     def about(cls, log: FleetLog, verdict: Judged, *evidence: str, **more: Any) -> "LogAnswer":
@@ -86,7 +80,7 @@ def answer_log(task: LogTask) -> LogAnswer:
         TorchidError: the store cannot be written, or somebody writes to the log.
     """
     try:
-        digest, key, entry, found = answered(
+        digest, key, (about, _), stored = answered(
             task.log,
             task.model,
             Store(task.place),
@@ -95,12 +89,9 @@ def answer_log(task: LogTask) -> LogAnswer:
         )
     except LogError as error:  # there is no such file, or it cannot be opened
         return LogAnswer.unopened(task.log, error)
-    words = dict(entry.words)
-    verdict, evidence = words.pop("verdict"), words.pop("evidence")
-    if "noise" in words:
-        words["noise"] = tuple(math.nan if x is None else x for x in words["noise"])
+    verdict, evidence, more = about
     return LogAnswer.about(
-        task.log, verdict, *evidence, sha256=digest, key=key, found=found, **words
+        task.log, verdict, *evidence, sha256=digest, key=key, stored=stored, **more
     )
 
 
@@ -109,8 +100,8 @@ def answered(
     model: FleetModel,
     store: Store,
     question: Mapping[str, Any],
-    compute: Callable[[Path], tuple[dict[str, Any], dict[str, np.ndarray]]],
-) -> tuple[str, str, Entry, bool]:
+    compute: Callable[[Path], Answer],
+) -> tuple[str, str, Answer, bool]:
     """The answer to a question about a log: SHA-256 of the log, key, answer, and whether the store
     had it.
 
@@ -119,7 +110,7 @@ def answered(
         model: who asks.
         store: where answers are kept.
         question: what is asked besides.
-        compute: words and arrays of the log in a file.
+        compute: the answer, of the log in a file.
 
     Raises:
         RefusedError: this worker has another torchid.
@@ -129,25 +120,28 @@ def answered(
     torch.set_num_threads(1)
     model.require_same_version()
     with local_file(log.path) as path:
-        before = stamp(path)
-        digest = content_hash(path)
+        before, digest = stamp(path), content_hash(path)
         key = key_of({**question, "log": digest, "model": model.key})
-        entry = store.read(key)
-        if entry is not None:
-            return digest, key, entry, True
-        words, arrays = compute(path)
-        if stamp(path) != before:
-            raise ChangedError(f"'{log.path}' changed while it was read.")
-    store.write(key, words, arrays)
-    return digest, key, Entry(plain(words), arrays), False
+
+        def of_whole_log() -> Answer:
+            answer = compute(path)
+            if stamp(path) != before:
+                raise ChangedError(f"'{log.path}' changed while it was read.")
+            return answer
+
+        kept = key in store
+        return digest, key, store.answer(key, of_whole_log), kept
 
 
 class ChangedError(TorchidError):
     """A log that somebody writes to: another try may find it whole."""
 
 
-def _reduced(model: FleetModel, path: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Words and factors of a log; only words where it cannot be used, whatever is wrong with it."""
+def _reduced(
+    model: FleetModel, path: Path, name: str
+) -> tuple[tuple[Judged, list[str], dict[str, Any]], Factors | None]:
+    """Verdict on a log, evidence, more that its row says, and its factors; none where it cannot be
+    used, whatever is wrong with it."""
     evidence: list[str] = []
 
     def watched() -> Iterator[Log]:
@@ -162,20 +156,19 @@ def _reduced(model: FleetModel, path: Path, name: str) -> tuple[dict[str, Any], 
             yield log
 
     try:
-        found = reduce_log(model, watched())
+        reduced = reduce_log(model, watched())
     except TorchidError as error:
         text = " ".join(str(error).replace(str(path), name).split())
-        return {"verdict": "refused", "evidence": [*evidence, text]}, {}
-    words: dict[str, Any] = {
-        "verdict": "doubtful" if evidence else "good",
-        "evidence": [*evidence, *found.warnings],
-        "seconds": found.seconds,
-        "noise": found.fit.noise,
-        "correlation": found.correlation,
-        "blocks": len(found.factors.rows),
+        return ("refused", [*evidence, text], {}), None
+    more = {
+        "seconds": reduced.seconds,
+        "noise": tuple(reduced.fit.noise.tolist()),
+        "correlation": reduced.correlation,
+        "blocks": len(reduced.factors.rows),
         "temperature": temperature_of(path),
     }
-    return plain(words), found.factors.arrays()
+    verdict: Judged = "doubtful" if evidence else "good"
+    return (verdict, [*evidence, *reduced.warnings], more), reduced.factors
 
 
 @dataclass(frozen=True)
@@ -218,46 +211,26 @@ def answer_unit(task: UnitTask) -> UnitAnswer:
     """
     torch.set_num_threads(1)
     task.model.require_same_version()
-    store, layout = Store(task.place), task.model.layout
-    out, wholes = [], []
+    store, sessions, wholes = Store(task.place), [], []
     for name, keys in task.sessions:
         key = key_of({"kind": "session", "logs": keys, "model": task.model.key})
-        entry = store.read(key)
-        if entry is None:
-            logs = [factors_in(store, k, task.model) for k in keys]
-            fitted = estimate(reduce(Factors.beside, logs), task.model)
-            whole = tree([f.whole for f in logs], both)
-            kept = {f"estimate_{k}": getattr(fitted, k).numpy() for k in ESTIMATED}
-            kept |= whole.arrays()
-            store.write(key, {"blocks": fitted.blocks}, kept)
-            entry = Entry({"blocks": fitted.blocks}, kept)
-        parts = {k: torch.from_numpy(entry.arrays[f"estimate_{k}"]) for k in ESTIMATED}
-        out.append((name, Estimate(**parts, blocks=entry.words["blocks"])))
-        wholes.append(Factors.of_arrays(entry.arrays, layout))
+        fitted, whole = store.answer(key, partial(_session, store, keys, task.model))
+        sessions.append((name, fitted))
+        wholes.append(whole)
     # All sessions together, in the order of their names.
     every_key = tuple(k for _, keys in task.sessions for k in keys)
     key = key_of({"kind": "unit", "logs": every_key, "model": task.model.key})
-    if store.read(key) is None:
-        store.write(key, {}, tree(wholes, both).arrays())
-    return UnitAnswer(task.unit, tuple(out), key)
+    store.answer(key, lambda: tree(wholes, both))
+    return UnitAnswer(task.unit, tuple(sessions), key)
 
 
-def factors_in(store: Store, key: str, model: FleetModel) -> Factors:
-    """Factors from the store.
-
-    Raises:
-        TorchidError: they are not there.
-    """
-    entry = store.read(key)
-    if entry is None:
-        raise TorchidError(
-            f"the store '{store.place}' does not have {key[:12]}, which it had.",
-            hint="do all workers see the same folder?",
-        )
-    return Factors.of_arrays(entry.arrays, model.layout)
+def _session(store: Store, keys: Sequence[str], model: FleetModel) -> tuple[Estimate, Factors]:
+    """The fit of a session's logs, and the factor of all their rows."""
+    logs = [store.kept(key)[1] for key in keys]
+    return estimate(reduce(Factors.beside, logs), model), tree([f.whole for f in logs], both)
 
 
 def whole_type(store: Store, keys: list[str], model: FleetModel) -> tuple[Factors, Solved]:
     """The factors of all units, and the fit of all rows."""
-    whole = tree((factors_in(store, key, model) for key in keys), both)
+    whole = tree(map(store.kept, keys), both)
     return whole, solved(whole, model.layout)

@@ -69,7 +69,7 @@ class WatchedUnit(Part, frozen=True, kw_only=True):
     evidence: tuple[Real, ...]
 
 
-class WatchRecord(RobotRecord, frozen=True, kw_only=True, tag="torchid.fleet_watch/1"):
+class Watch(RobotRecord, frozen=True, eq=False, kw_only=True, tag="torchid.fleet_watch/1"):
     """What drifts in a fleet, as the JSON has it.
 
     Attributes:
@@ -88,24 +88,13 @@ class WatchRecord(RobotRecord, frozen=True, kw_only=True, tag="torchid.fleet_wat
     notes: tuple[str, ...]
     seed: int | UnsetType = UNSET
 
-    @property
-    def table(self) -> Rows[Alarm]:
-        """The alarms."""
-        return Rows(self.alarms)
-
-
-class Watch(WatchRecord, frozen=True, eq=False, kw_only=True, tag="torchid.fleet_watch/1"):
-    """What drifts in a fleet, and the `fleet` that was identified."""
-
-    fleet: Fleet
-
     def __repr__(self) -> str:
         return f"Watch('{self.robot}', {len(self.alarms)} alarms)"
 
     @property
-    def record(self) -> WatchRecord:  # type: ignore[override]
-        """As the JSON has it."""
-        return WatchRecord.of(self)
+    def table(self) -> Rows[Alarm]:
+        """The alarms."""
+        return Rows(self.alarms)
 
 
 def watch(fleet: Fleet, every: float = SESSIONS) -> Watch:
@@ -133,13 +122,13 @@ def watch(fleet: Fleet, every: float = SESSIONS) -> Watch:
     alarms, units = list[Alarm](), list[WatchedUnit]()
     for unit in fleet.units:
         if len(unit.sessions) >= FEWEST:
-            watched, own = _watched(unit, fleet.base, warm, daily, every)
+            watched, changes = _watched(unit, fleet.base, warm, daily, every)
             units.append(watched)
-            alarms += own
+            alarms += changes
     alarms.sort(key=lambda a: (-a.evidence, a.unit, a.parameter))
     return Watch(
         **named_record(fleet.model.robot), version=__version__, false_alarm_every=every,
-        alarms=tuple(alarms), units=tuple(units), notes=fleet.notes, fleet=fleet,
+        alarms=tuple(alarms), units=tuple(units), notes=fleet.notes,
     )  # fmt: skip
 
 
@@ -152,8 +141,8 @@ def _watched(
 ) -> tuple[WatchedUnit, list[Alarm]]:
     """One unit, and what has changed in it."""
     names, estimates = zip(*unit.sessions, strict=True)
-    known = [warm.get((unit.unit, name)) for name in names]
-    heat = torch.tensor([[t] for t in known if t is not None], dtype=torch.float64)
+    degrees = [warm.get((unit.unit, name)) for name in names]
+    heat = torch.tensor([[t] for t in degrees if t is not None], dtype=torch.float64)
     if len(heat) < len(names) or float(heat.std()) == 0:
         heat = torch.zeros(len(names), 0, dtype=torch.float64)
     values = torch.stack([e.values for e in estimates], 1)
@@ -165,34 +154,34 @@ def _watched(
         there = values[b].isfinite().nonzero().flatten()
         if len(there) < FEWEST:
             continue
-        found = drift(values[b, there], variances[b, there], freedom[b, there], heat[there])
-        share = found.evidence / threshold
+        change = drift(values[b, there], variances[b, there], freedom[b, there], heat[there])
+        share = change.evidence / threshold
         strongest[there] = torch.maximum(strongest[there], share)
         over = (share >= 1).nonzero().flatten().tolist()
-        if not over or found.since is None:
+        if not over or change.since is None:
             continue
-        since, said = names[there[found.since]], names[there[over[0]]]
-        percent = 100 * (found.after - found.before) / abs(found.before)
+        since, sure_at = names[there[change.since]], names[there[over[0]]]
+        percent = 100 * (change.after - change.before) / abs(change.before)
         by_heat = None
         if heat.shape[1]:
-            late = torch.arange(len(there)) >= found.since
+            late = torch.arange(len(there)) >= change.since
             warmer = heat[there][late].mean(0) - heat[there][~late].mean(0)
-            by_heat = float(100 * (found.slope @ warmer) / abs(found.before))
+            by_heat = float(100 * (change.slope @ warmer) / abs(change.before))
         word = "rose" if percent > 0 else "fell"
         apart = "" if by_heat is None else f", the temperature's {by_heat:+.0f} % apart"
         alarms.append(
             Alarm.of(
-                found,
+                change,
                 unit=unit.unit,
                 parameter=name,
                 since=since,
-                said_at=said,
+                said_at=sure_at,
                 percent=percent,
                 by_temperature=by_heat,
-                evidence=float(found.evidence.max()),
+                evidence=float(change.evidence.max()),
                 threshold=threshold,
                 sentence=f"{unit.unit}: {name} {word} by {abs(percent):.0f} % since {since}, from "
-                f"{found.before:.4g} to {found.after:.4g} {of}{apart}",
+                f"{change.before:.4g} to {change.after:.4g} {of}{apart}",
             )
         )
     temperature = tuple(heat[:, 0].tolist()) if heat.shape[1] else ()
@@ -217,14 +206,14 @@ def _daily(fleet: Fleet) -> tuple[Float[Tensor, " B"], int]:
         noise.append(variances[:, 1:] + variances[:, :-1])
     every = torch.cat(steps, 1)
     typical = MAD_TO_SIGMA * every.abs().nanmedian(1).values
-    known = torch.cat(noise, 1).nanmedian(1).values
-    return ((typical.square() - known) / 2).clamp(min=0).nan_to_num(), every.shape[1]
+    of_estimates = torch.cat(noise, 1).nanmedian(1).values
+    return ((typical.square() - of_estimates) / 2).clamp(min=0).nan_to_num(), every.shape[1]
 
 
 def _temperatures(fleet: Fleet) -> dict[tuple[str, str], float]:
     """Mean temperature by unit and session, over logs that have one."""
-    found: dict[tuple[str, str], list[float]] = defaultdict(list)
+    degrees: dict[tuple[str, str], list[float]] = defaultdict(list)
     for a in fleet.logs:
         if a.verdict in USED and a.temperature is not None:
-            found[a.unit, a.session].append(a.temperature)
-    return {key: sum(own) / len(own) for key, own in found.items()}
+            degrees[a.unit, a.session].append(a.temperature)
+    return {key: sum(several) / len(several) for key, several in degrees.items()}

@@ -10,7 +10,7 @@ from torchid.excitation.clearance import Clearance
 from torchid.excitation.design import excite
 from torchid.excitation.informed import Goal, InformedDesign, design_for
 from torchid.excitation.settings import DURATION, HARMONICS, RESTARTS, USAGE
-from torchid.excitation.torque import corrected_torque_limits
+from torchid.excitation.torque import CORRECTED, TorqueLimits
 from torchid.gap.record import GapRecord
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
@@ -37,14 +37,14 @@ def read_asking(path: str | Path) -> Asking | PositionRecord:
     Raises:
         TorchidError: another kind of file, or a fault in it, with its place.
     """
-    found = read(
+    record = read(
         path,
         ("torchid.identification/1", "torchid.gap/1", "torchid.position_gap/1"),
         "a result that a motion can be designed for",
         "torchid identify or torchid gap ROBOT LOG... --json FILE",
     )
-    assert isinstance(found, Asking | PositionRecord)
-    return found
+    assert isinstance(record, Asking | PositionRecord)
+    return record
 
 
 def hides_cause(record: GapRecord) -> bool:
@@ -68,20 +68,20 @@ def prior_of_diagnosis(record: GapRecord, robot: Robot, source: str) -> Prior:
             hint="write it again: torchid gap ROBOT LOG... --json FILE",
         )
     refuse_another(source, model, robot)
-    found = nominal_base(model)
-    assert found.covariance is not None
-    assert found.factor is not None
-    root = found.factor[:-1, :-1]
-    left = torch.tensor([j.after for j in record.how_far.per_joint], dtype=torch.float64)
+    nominal = nominal_base(model)
+    assert nominal.covariance is not None
+    assert nominal.factor is not None
+    root = nominal.factor[:-1, :-1]
+    remainder = torch.tensor([j.after for j in record.how_far.per_joint], dtype=torch.float64)
     return Prior(
-        found.base,
-        plain_effects(found.effects, "the design of the next motion"),
-        found.values,
-        found.known,
-        found.covariance.diagonal().clamp(min=0).sqrt(),
+        nominal.base,
+        plain_effects(nominal.effects, "the design of the next motion"),
+        nominal.values,
+        nominal.known,
+        nominal.covariance.diagonal().clamp(min=0).sqrt(),
         root.T @ root,
-        torch.ones_like(found.values),
-        torch.diag(1 / left.clamp(min=1e-6 * float(left.max()))),
+        torch.ones_like(nominal.values),
+        torch.diag(1 / remainder.clamp(min=1e-6 * float(remainder.max()))),
         2 * record.band_hz,
     )
 
@@ -161,7 +161,7 @@ def excite_for(
             progress=stage(progress, "designing"),
         )  # fmt: skip
     found = open_questions(record, robot, source)
-    limits = corrected_torque_limits(found.setting.robot, found.setting.given, usage=usage)
+    limits = TorqueLimits.of(found.setting.robot, found.setting.given, CORRECTED, usage)
     plain = excite(
         robot, effects=(), seed=seed, restarts=restarts, torque=limits, usage=usage,
         harmonics=harmonics, duration=duration, clearance=clearance,

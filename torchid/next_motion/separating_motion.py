@@ -21,9 +21,8 @@ from torchid.excitation.descent import LONGER
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import MotionLimits, largest_scale, motion_limits
 from torchid.excitation.restriction import restricted
-from torchid.excitation.torque import TorqueLimits, corrected_torque_limits
-from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.log.model import Log
+from torchid.excitation.torque import CORRECTED, TorqueLimits
+from torchid.excitation.trajectories import Designed, random_trajectory
 from torchid.next_motion.rows import Rows, Setting
 from torchid.next_motion.separation import (
     SAME_DIFFERENCE,
@@ -61,7 +60,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Separation:
+class Separation(Designed):
     """A motion and what it separates.
 
     Attributes:
@@ -86,14 +85,6 @@ class Separation:
     torque: TorqueLimits | None = None
     kind: str = "ambiguity"
     notes: tuple[str, ...] = ()
-
-    def log(self, rate: float = 100.0) -> Log:
-        """The motion as a log without torque: t [s], q, dq, ddq (T, n), `rate` samples a second.
-
-        Raises:
-            TorchidError: a rate that is too low.
-        """
-        return trajectory_log(self.trajectory, rate)
 
     @property
     def hardly(self) -> bool:
@@ -133,7 +124,7 @@ def design_separation(
         TorchidError: no motion tried separates any pair.
     """
     limits = motion_limits(setting.robot, usage=usage)
-    torque = corrected_torque_limits(setting.robot, setting.given, usage=usage)
+    torque = TorqueLimits.of(setting.robot, setting.given, CORRECTED, usage)
     kept_by = restricted(torque, clearance)
     tried = [plain, *_random(setting.robot, plain, seed, usage, evaluations)]
     if kept_by is not None:

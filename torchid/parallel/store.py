@@ -1,45 +1,34 @@
 """What was computed, by the SHA-256 of all that it depends on: the same question is never answered
 twice, and half an answer is never seen.
 
-One file an answer, `ab/abcdef....npz`: arrays, and what is no array as JSON. It is written under
-another name and renamed; where the place is a URL (s3://, gs://), the object appears when all of it
-is there.
+Answers are kept by joblib's Memory, pickled: whoever may write into a store can have the workers
+that read it run any code.
 """
 
 import hashlib
-import io
 import json
-import zipfile
-import zlib
-from collections.abc import Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeVar
 
-import numpy as np
+import fsspec
+from joblib.memory import (
+    CacheWarning,
+    FileSystemStoreBackend,
+    MemorizedFunc,
+    Memory,
+    register_store_backend,
+)
 
 from torchid.errors import LogError, TorchidError
-from torchid.files import atomic_write
 from torchid.json_data import plain
 
-WORDS = "json"
-"""Name of the array that holds what is no array."""
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One answer.
-
-    Attributes:
-        words: JSON-ready data.
-        arrays: by name.
-    """
-
-    words: dict[str, Any]
-    arrays: dict[str, np.ndarray]
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
@@ -48,61 +37,73 @@ class Store:
 
     place: str
 
-    def path(self, key: str) -> str:
-        """Where the answer of a key is."""
-        return f"{self.place.rstrip('/')}/{key[:2]}/{key}.npz"
-
-    def read(self, key: str) -> Entry | None:
-        """The answer; None where there is none, or where its file is damaged."""
+    @cached_property
+    def _kept(self) -> MemorizedFunc:
+        backend = "fsspec" if is_url(self.place) else "local"
         try:
-            if is_url(self.place):
-                import fsspec
-
-                with fsspec.open(self.path(key), "rb") as file:
-                    content = file.read()
-            else:
-                content = Path(self.path(key)).read_bytes()
-        except FileNotFoundError:
-            return None
-        try:
-            with np.load(io.BytesIO(content), allow_pickle=False) as found:
-                arrays = {name: found[name] for name in found.files}
-            return Entry(json.loads(arrays.pop(WORDS).tobytes()), arrays)
-        except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError):
-            return None
-
-    def write(self, key: str, words: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
-        """Keep an answer.
-
-        Raises:
-            TorchidError: it cannot be written: a full disk, a folder that takes no file.
-        """
-        text = json.dumps(plain(words), allow_nan=False).encode()
-        stream = io.BytesIO()
-        np.savez(stream, **{WORDS: np.frombuffer(text, np.uint8)}, **arrays)  # type: ignore[arg-type]
-        self.put(self.path(key), stream)
-
-    def put(self, place: str, stream: io.BytesIO) -> None:
-        """Write a file of the store, whole or not at all.
-
-        Raises:
-            TorchidError: it cannot be written: a full disk, a folder that takes no file.
-        """
-        if is_url(self.place):
-            import fsspec
-
-            with fsspec.open(place, "wb", auto_mkdir=True) as file:
-                file.write(stream.getbuffer())
-            return
-        path = Path(place)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            memory = Memory(self.place, backend=backend, compress=1, verbose=0)
+            return memory.cache(_answer, ignore=["compute"])
         except OSError as error:
             raise TorchidError(
-                f"the folder '{path.parent}' cannot be made: {error.strerror or error}."
+                f"the folder '{self.place}' cannot be made: {error.strerror or error}."
             ) from error
-        with atomic_write(path, "wb") as file:
-            file.write(stream.getbuffer())
+
+    def __contains__(self, key: str) -> bool:
+        return self._kept.check_call_in_cache(key, None)
+
+    def answer(self, key: str, compute: Callable[[], Answer]) -> Answer:
+        """The answer to a question; computed, and kept, where there is none or a damaged one.
+
+        Raises:
+            TorchidError: it cannot be written: a full disk, a folder that takes no file.
+        """
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", CacheWarning)
+            try:
+                return self._kept(key, compute)
+            except CacheWarning as warning:
+                reason = str(warning).rpartition("Exception: ")[2]
+                raise TorchidError(f"'{self.place}' cannot be written: {reason}") from warning
+
+    def kept(self, key: str) -> Any:
+        """The answer to a question that was asked before.
+
+        Raises:
+            TorchidError: it is not there.
+        """
+
+        def missing() -> None:
+            raise TorchidError(
+                f"the store '{self.place}' does not have {key[:12]}, which it had.",
+                hint="do all workers see the same folder?",
+            )
+
+        return self.answer(key, missing)
+
+
+def _answer(key: str, compute: Callable[[], Answer]) -> Answer:
+    """What is kept by key."""
+    return compute()
+
+
+class _Remote(FileSystemStoreBackend):
+    """Answers behind a URL."""
+
+    def configure(
+        self, location: str, verbose: int = 0, backend_options: Mapping[str, Any] | None = None
+    ) -> None:
+        """Begin at a URL, with joblib's options."""
+        # Another worker's answers are there as well, whatever was listed before.
+        files, self.location = fsspec.url_to_fs(location, use_listings_cache=False)
+        self.verbose, self.mmap_mode = verbose, None
+        self.compress = (backend_options or {})["compress"]
+        self._open_item, self._item_exists = files.open, files.exists
+        self._move_item = files.mv
+        self.create_location = partial(files.makedirs, exist_ok=True)
+        self.clear_location = partial(files.rm, recursive=True)
+
+
+register_store_backend("fsspec", _Remote)
 
 
 def key_of(parts: Mapping[str, Any]) -> str:
@@ -126,14 +127,11 @@ def local_file(place: str) -> Iterator[Path]:
     if not is_url(place):
         yield Path(place)
         return
-    import fsspec
-
     with TemporaryDirectory() as folder:
         copy = Path(folder) / place.rstrip("/").rpartition("/")[2]
         try:
-            with fsspec.open(place, "rb") as source, open(copy, "wb") as target:
-                while piece := source.read(1 << 22):
-                    target.write(piece)
+            files, path = fsspec.url_to_fs(place)
+            files.get_file(path, str(copy))
         except (OSError, ImportError, ValueError) as error:
             raise LogError(f"'{place}' cannot be read.", got=str(error).split("\n")[0]) from error
         yield copy

@@ -7,23 +7,12 @@
     an Executor         of mpi4py, ipyparallel, loky, ...; whoever made it ends it
 """
 
-import multiprocessing
-import multiprocessing.connection
 import os
 import pickle
 import signal
-import sys
-import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    wait,
-)
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -38,24 +27,14 @@ Progress = Callable[[str, int, int], None]
 
 Workers = int | str | Executor
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment of a process."""
 
 RETRIES = 2
 """Times that a task is tried again."""
 
-FORKS = sys.platform == "linux"
-"""Whether processes come from a server. Apple's libraries do not survive a fork, and Windows has
-none: there each process loads all by itself."""
-
 PATIENCE = 20
 """Time in which a dask scheduler must answer, and have a worker [s]."""
-
-
-def cores() -> int:
-    """That this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def stage(progress: Progress | None, name: str) -> Callable[[int, int], None] | None:
@@ -101,14 +80,11 @@ class Serial(Executor):
 
 
 @contextmanager
-def opened(
-    workers: Workers, function: Callable[..., Any], least: int = 1
-) -> Iterator[tuple[Executor, int]]:
+def opened(workers: Workers, least: int = 1) -> Iterator[tuple[Executor, int]]:
     """An executor, and how many tasks to give it at a time.
 
     Args:
         workers: see above.
-        function: that they are started for.
         least: processes are started even for `workers` of 1 where this is 2.
 
     Raises:
@@ -125,35 +101,32 @@ def opened(
     elif workers == 1 and least == 1:
         yield Serial(), 1
     else:
-        context = multiprocessing.get_context("forkserver" if FORKS else "spawn")
-        serve(function.__module__)
-        with _one_thread_each():
-            pool = ProcessPoolExecutor(workers, context, begin, (os.getcwd(),))
-            try:
-                # No more tasks than processes: when one ends, those given are those it was busy
-                # with or beside.
-                yield pool, workers
-            finally:
-                pool.shutdown(wait=True, cancel_futures=True)
+        pool = _processes(workers)
+        try:
+            # No more tasks than processes: when one ends, those given are those it was busy with
+            # or beside.
+            yield pool, workers
+        except BaseException:
+            pool.shutdown(kill_workers=True)
+            raise
 
 
-def serve(module: str) -> None:
-    """Start the server that processes are forked from, unless it is there. It loads torch and a
-    module once for all of them, which takes seconds, and does nothing else: no thread is missing
-    in what is forked from it but that of Arrow's allocator, which starts it again."""
-    if not FORKS:
-        return
-    from multiprocessing import forkserver, resource_tracker
+def _processes(count: int) -> Any:
+    """Processes that work in this folder, the same ones as before where they still wait. They
+    inherit that Ctrl-C is held back, which is for this process to hear."""
+    from joblib.externals.loky import get_reusable_executor
 
-    multiprocessing.set_forkserver_preload(["torch", module])
-    resource_tracker.ensure_running()  # which lets signals through again
-    # Ctrl-C is for this process to tell; whoever is forked hears of it again (`begin`).
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    posix = hasattr(signal, "pthread_sigmask")
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if posix else set()
     try:
-        with _one_thread_each():
-            forkserver.ensure_running()
+        pool = get_reusable_executor(
+            count, initializer=os.chdir, initargs=(os.getcwd(),), env=ONE_THREAD
+        )
+        pool.submit(os.getpid)  # which starts them
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if posix:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return pool
 
 
 @contextmanager
@@ -203,20 +176,20 @@ def each(
     """
     say = progress or (lambda stage, done, total: None)
     say(stage, 0, len(jobs))
-    found: dict[int, Result] = {}
+    results: dict[int, Result] = {}
     try:
-        with opened(1 if len(jobs) < 2 else workers, function) as (pool, slots):
+        with opened(1 if len(jobs) < 2 else workers) as (pool, slots):
             for k, done in _finished(function, jobs, range(len(jobs)), pool, slots):
                 if isinstance(done, _Raised):
                     raise done.error
-                found[k] = done
-                say(stage, len(found), len(jobs))
+                results[k] = done
+                say(stage, len(results), len(jobs))
     except BrokenExecutor as error:
         raise TorchidError(
             "a process was ended from outside; memory may have run out.",
             hint="fewer processes; what is done already stays",
         ) from error
-    return [found[k] for k in range(len(jobs))]
+    return [results[k] for k in range(len(jobs))]
 
 
 def attempted(
@@ -243,7 +216,7 @@ def attempted(
     """
     say = progress or (lambda stage, done, total: None)
     say(stage, 0, len(jobs))
-    found: dict[int, Result | Failure] = {}
+    results: dict[int, Result | Failure] = {}
     tries: Counter[int] = Counter()
     todo, suspects = deque(range(len(jobs))), deque[int]()
 
@@ -251,8 +224,8 @@ def attempted(
         """One more try that gave nothing; whether it was the last."""
         tries[k] += 1
         if tries[k] > retries:
-            found[k] = Failure(reason, tries[k])
-            say(stage, len(found), len(jobs))
+            results[k] = Failure(reason, tries[k])
+            say(stage, len(results), len(jobs))
         return tries[k] > retries
 
     while todo or suspects:
@@ -260,11 +233,11 @@ def attempted(
         batch = [suspects.popleft()] if alone else list(todo)
         crew: Workers = 1 if alone and isinstance(workers, int) else workers
         try:
-            with opened(crew, function, 2 if alone and workers != 1 else 1) as (pool, slots):
+            with opened(crew, 2 if alone and workers != 1 else 1) as (pool, slots):
                 for k, done in _finished(function, jobs, batch, pool, slots):
                     if not isinstance(done, _Raised):
-                        found[k] = done
-                        say(stage, len(found), len(jobs))
+                        results[k] = done
+                        say(stage, len(results), len(jobs))
                     elif isinstance(done.error, BrokenExecutor | RefusedError):
                         raise done.error
                     elif not failed(k, done.words):
@@ -275,8 +248,8 @@ def attempted(
                 suspects.extend(broken.under_way)
             elif not failed(batch[0], ended):
                 suspects.append(batch[0])
-        todo = deque(k for k in todo if k not in found and k not in suspects)
-    return [found[k] for k in range(len(jobs))]
+        todo = deque(k for k in todo if k not in results and k not in suspects)
+    return [results[k] for k in range(len(jobs))]
 
 
 @dataclass(frozen=True)
@@ -307,15 +280,15 @@ def _finished(
     slots: int,
 ) -> Iterator[tuple[int, Result | _Raised]]:
     """Jobs by number with what came of them, each as it is done, no more than `slots` under way."""
-    left, running = deque(numbers), dict[Future[Any], int]()
+    waiting, running = deque(numbers), dict[Future[Any], int]()
     here = isinstance(pool, Serial)  # nothing crosses a wire
     try:
-        while left or running:
-            while left and len(running) < slots:
-                job = jobs[left[0]]
+        while waiting or running:
+            while waiting and len(running) < slots:
+                job = jobs[waiting[0]]
                 task = (function, job) if here else (by_value, function, pickle.dumps(job))
-                running[pool.submit(*task)] = left[0]
-                left.popleft()
+                running[pool.submit(*task)] = waiting[0]
+                waiting.popleft()
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             # A future is cancelled where the engine behind it has gone, as with its scheduler.
             broken = [f for f in done if f.cancelled() or isinstance(f.exception(), BrokenExecutor)]
@@ -332,7 +305,7 @@ def _finished(
         # Giving a task to a pool that has just ended says so, too.
         if isinstance(error, _Broken):
             raise
-        raise _Broken(list(running.values()) or [left[0]]) from error
+        raise _Broken(list(running.values()) or [waiting[0]]) from error
     finally:
         for future in running:
             future.cancel()
@@ -346,47 +319,3 @@ def by_value(function: Callable[[Job], Result], job: bytes) -> bytes:
     may have open.
     """
     return pickle.dumps(function(pickle.loads(job)))
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes started within have one thread; theirs are read when numpy and torch are loaded."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-def begin(folder: str) -> None:
-    """Begin a process that works in a folder and ends with its parent: where that is killed, it
-    would wait for work for ever. Ctrl-C ends what it does, without a word, and a second later the
-    process."""
-    os.chdir(folder)
-
-    def stop(number: int, frame: object) -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        ended = threading.Timer(1.0, os._exit, (130,))
-        ended.daemon = True
-        ended.start()
-        raise SystemExit(130)
-
-    signal.signal(signal.SIGINT, stop)
-    if FORKS:
-        if signal.SIGINT in signal.sigpending():  # heard while the server held it back
-            os._exit(130)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    sentinel = parent.sentinel
-
-    def watch() -> None:
-        multiprocessing.connection.wait([sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()

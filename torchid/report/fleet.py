@@ -4,10 +4,10 @@ from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 
-from torchid.fleet.gap import FleetGapRecord
+from torchid.fleet.gap import FleetGap
 from torchid.fleet.identify import USED
 from torchid.fleet.record import FleetRecord, LogRow
-from torchid.fleet.watch import WatchRecord
+from torchid.fleet.watch import Watch
 from torchid.report.cautions import caution_section
 from torchid.report.colours import BLUE, GREY, RED
 from torchid.report.page.document import Origin, Page
@@ -27,7 +27,7 @@ def shown(found: FleetRecord) -> Shown:
     return Shown(verdict=verdict(found), parts=tables(found), warnings=found.notes)
 
 
-def gap_shown(found: FleetGapRecord) -> Shown:
+def gap_shown(found: FleetGap) -> Shown:
     """All that there is to see of a fleet's gaps."""
     return Shown(
         verdict=gap_verdict(found),
@@ -38,7 +38,7 @@ def gap_shown(found: FleetGapRecord) -> Shown:
     )
 
 
-def watch_shown(found: WatchRecord) -> Shown:
+def watch_shown(found: Watch) -> Shown:
     """All that there is to see of what drifts."""
     return Shown(verdict=watch_verdict(found), parts=[alarm_table(found)], warnings=found.notes)
 
@@ -114,7 +114,7 @@ def tables(found: FleetRecord) -> list[Table]:
 SCOPES = {"type": "the type's", "some": "some units'", "unit": "a unit's own"}
 
 
-def gap_verdict(found: FleetGapRecord) -> str:
+def gap_verdict(found: FleetGap) -> str:
     """Which effects the type has, and which are a unit's own."""
     of_type = [e.label for e in found.effects if e.scope == "type"]
     own = [f"{e.label} ({', '.join(e.units[:3])})" for e in found.effects if e.scope == "unit"]
@@ -123,7 +123,7 @@ def gap_verdict(found: FleetGapRecord) -> str:
     return said + (f"; units of their own have {listed(own, most=MOST)}." if own else ".")
 
 
-def effect_table(found: FleetGapRecord) -> Table:
+def effect_table(found: FleetGap) -> Table:
     """Effects over the fleet."""
     rows: list[list[Cell]] = [
         [
@@ -138,7 +138,7 @@ def effect_table(found: FleetGapRecord) -> Table:
     return Table("effects over the fleet", columns, rows, "llrrpp")
 
 
-def diagnosed_table(found: FleetGapRecord, most: int) -> Table:
+def diagnosed_table(found: FleetGap, most: int) -> Table:
     """Logs, their gaps over the noise, and what is named."""
     rows: list[list[Cell]] = [
         [
@@ -155,7 +155,7 @@ def diagnosed_table(found: FleetGapRecord, most: int) -> Table:
     return Table(title, columns, rows[:most], "lllrrrp", note)
 
 
-def gap_map(found: FleetGapRecord) -> Figure:
+def gap_map(found: FleetGap) -> Figure:
     """Units by effects and places; what is named is filled, and the type's effects are blue."""
     effects, units = found.effects, found.units
     height = min(40.0, 1.6 + 0.16 * len(units))
@@ -171,7 +171,7 @@ def gap_map(found: FleetGapRecord) -> Figure:
     return figure
 
 
-def fleet_gap_page(found: FleetGapRecord, origin: Origin) -> Page:
+def fleet_gap_page(found: FleetGap, origin: Origin) -> Page:
     """The page of a fleet's gaps, sortable."""
     caption = (
         "Which unit has which effect, and where. Blue: surely more than half of the units have it; "
@@ -202,7 +202,7 @@ def fleet_gap_page(found: FleetGapRecord, origin: Origin) -> Page:
     )
 
 
-def watch_verdict(found: WatchRecord) -> str:
+def watch_verdict(found: Watch) -> str:
     """The clearest change, and how many there are."""
     sessions = sum(len(u.sessions) for u in found.units)
     over = f"{count(len(found.units), 'unit')} over {count(sessions, 'session')}"
@@ -212,7 +212,7 @@ def watch_verdict(found: WatchRecord) -> str:
     return f"{found.robot}, {over}: {count(changed, 'unit')} changed. {found.alarms[0].sentence}."
 
 
-def alarm_table(found: WatchRecord) -> Table:
+def alarm_table(found: Watch) -> Table:
     """What changed, the clearest first."""
     rows: list[list[Cell]] = [
         [

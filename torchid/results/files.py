@@ -33,8 +33,8 @@ RECORDS = other_packages.RECORDS | {
     "torchid.doctor/1": "torchid.doctor.record:DoctorRecord",
     "torchid.compare/2": "torchid.fleet.comparison:Comparison",
     "torchid.fleet/1": "torchid.fleet.record:FleetRecord",
-    "torchid.fleet_gap/1": "torchid.fleet.gap:FleetGapRecord",
-    "torchid.fleet_watch/1": "torchid.fleet.watch:WatchRecord",
+    "torchid.fleet_gap/1": "torchid.fleet.gap:FleetGap",
+    "torchid.fleet_watch/1": "torchid.fleet.watch:Watch",
     "torchid.gap.calibration/1": "torchid.withheld.planted:CalibrationRecord",
     "torchid.withheld.own/1": "torchid.withheld.own:OwnRecord",
 }

@@ -184,7 +184,7 @@ def speed(count: int, seconds: float) -> dict:
             wall2, used2 = time.perf_counter(), processor_time()
             fleet_identify(model, logs, store=store, workers=workers)
             wall2, used2 = time.perf_counter() - wall2, processor_time() - used2
-            stored = sum(p.stat().st_size for p in Path(store.place).rglob("*.npz"))
+            stored = sum(p.stat().st_size for p in Path(store.place).rglob("output.pkl"))
             out["workers"][workers] = {
                 "load_before": load, "reduce_wall_s": wall, "reduce_cpu_s": used,
                 "reduce_log_hours_per_core_hour": hours / used * 3600,

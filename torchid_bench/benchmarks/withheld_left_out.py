@@ -15,11 +15,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
+from joblib import cpu_count
+
 from torchid import __version__
 from torchid.effects.registry import FAMILIES, KINDS, effect_kind
 from torchid.errors import TorchidError
 from torchid.json_data import plain, read_json, write_json
-from torchid.parallel.workers import Progress, cores, each
+from torchid.parallel.workers import Progress, each
 from torchid_bench.benchmarks.withheld_page import counts_table, listed, markdown_table
 from torchid_bench.withheld.case_set import ANSWER, LOG, ROBOT, write_case
 from torchid_bench.withheld.measures import Verdict, rate, verdict
@@ -216,7 +218,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--effects", help="comma-separated; all by default")
     parser.add_argument("--per-effect", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=cores())
+    parser.add_argument("--jobs", type=int, default=cpu_count())
     parser.add_argument("--again", action="store_true", help="replace answers of another torchid")
     given = parser.parse_args()
     result = leave_out(

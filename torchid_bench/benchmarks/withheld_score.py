@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from joblib import cpu_count
 
 from torchid.design.columns import Columns, Model
 from torchid.effects.registry import EVENTS, KINDS, effect_from_record
@@ -36,7 +37,7 @@ from torchid.gap.validate.traces import traces
 from torchid.json_data import plain, read_json, write_json
 from torchid.log.columns import log_from_columns
 from torchid.log.model import Log
-from torchid.parallel.workers import Progress, cores
+from torchid.parallel.workers import Progress
 from torchid.report.panels import save
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
@@ -217,7 +218,7 @@ def main() -> None:
     for name in ("oracle", "truth"):
         parser.add_argument(f"--no-{name}", action="store_true")
     parser.add_argument("--partial", action="store_true", help="leave out unanswered cases")
-    parser.add_argument("--jobs", type=int, default=cores())
+    parser.add_argument("--jobs", type=int, default=cpu_count())
     given = parser.parse_args()
     cases = read_cases(given.folder)
     keys = read_keys(cases, given.keys or keys_beside(given.folder))

@@ -50,10 +50,8 @@ def finished(
     low, high = problem.box.unbind(-1)
     if conditions:
         com = slice(problem.n, 4 * problem.n)
-        asked = within.conditions.com_box.reshape(-1, 2).to(low)
         low, high = low.clone(), high.clone()
-        low[com] = torch.maximum(low[com], asked[:, 0])
-        high[com] = torch.minimum(high[com], asked[:, 1])
+        low[com], high[com] = torch.from_numpy(AskedSets(within).box).reshape(-1, 2).to(low).T
     physics = [f"inertia_{k + 1}" for k in range(problem.n)]
     without = [name for name in physics if name in excluded or not conditions]
     ends = [_end(within, one, conditions, without) for one in p]
