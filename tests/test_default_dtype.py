@@ -10,7 +10,7 @@ from torchid.effects.base import JointEffect, Motion
 from torchid.effects.instants import shifted
 from torchid.effects.registry import KINDS
 from torchid.export.dynamics import random_states
-from torchid.robot.chain import tool_jacobian
+from torchid.robot.jacobian import tool_jacobian
 from torchid.statistics.random_effects import Sessions, heterogeneity
 
 ROBOT = torchid.load_robot("3r")

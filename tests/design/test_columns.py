@@ -86,13 +86,12 @@ def test_however_many_fit_into_memory_the_columns_are_the_same(
     """Effects one by one and segment by segment, or all of them at once. Of gears every second is
     looked at: those of one stiffness, for the stiffest that is there says how fine steps are."""
     step = 2 if name == "backlash" else 1
+    monkeypatch.setattr("torchid.design.columns.KEPT", 0)
     effects = list(KINDS[name].starts(ROBOT))[:40:step]  # type: ignore[attr-defined]
     found = []
     for values in (1, 10**9):
         monkeypatch.setattr("torchid.design.columns.AT_ONCE", values)
-        # Of a long log nothing is kept.
         columns = Columns(Model.of(ROBOT), samples)
-        columns._kept = None
         found.append(list(columns.of_several(effects)))
     for (place, x), (other, y) in zip(*found, strict=True):
         assert place == other
@@ -144,9 +143,16 @@ def test_the_gap_is_what_the_model_lacks() -> None:
     assert float(gap[[0, 2]].abs().max()) < 1e-8
 
 
-def test_columns_are_kept_and_those_of_another_model_are_others(columns: Columns) -> None:
+def test_columns_are_kept_and_those_of_another_model_are_others(
+    columns: Columns, monkeypatch: pytest.MonkeyPatch
+) -> None:
     effect = LoadDependentFriction(1)
     assert columns.of(effect)[1] is columns.of(effect)[1]
+    monkeypatch.setattr("torchid.design.columns.KEPT", columns._held)
+    assert columns.of(effect)[1] is columns.of(effect)[1]
+    more = LoadDependentFriction(2)  # for which there is no room
+    assert columns.of(more)[1].equal(columns.of(more)[1])
+    assert columns.of(more)[1] is not columns.of(more)[1]
     other = Columns(Model(ROBOT, ((TorqueOffset(1), [50.0]),)), columns.samples)
     assert not torch.allclose(other.of(effect)[1], columns.of(effect)[1], atol=1.0)
 

@@ -12,7 +12,7 @@ from tests.trees import package_urdfs
 from torchid.dynamics import forward
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.identification.base_parameters import base_parameters
-from torchid.robot.chain import tool_jacobian
+from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot, Tip
 

@@ -13,7 +13,7 @@ from torchid.dynamics import forward, lagrange
 from torchid.dynamics.compiled import compiled_dynamics
 from torchid.dynamics.newton_euler import inverse_dynamics, joint_wrenches
 from torchid.dynamics.regressor import regressor, regressor_chunks
-from torchid.robot.chain import tool_jacobian
+from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.model import JointType, Robot, tool_pose
 
 

@@ -18,8 +18,8 @@ from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
-from torchid.robot.chain import tool_jacobian
 from torchid.robot.inertia import InertialParameters
+from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.model import Robot
 
 pytestmark = pytest.mark.usefixtures("types_unchecked")

@@ -1,6 +1,6 @@
 """`torchid gap`: where simulator and arm disagree, which effects cause it, how far it shrinks."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -100,17 +100,25 @@ def gap_command(
         _pair(output, trials, asked, settings)
         return
     found, log, apart, files = trials.open(output, settings.held_out_fraction)
-    from torchid.export.correct import file_format, require_field
+    from torchid.design.sensor import sensor_of
     from torchid.report.brief import model_words
     from torchid.report.diagnosis import shown
-    from torchid.report.exported import correction_shown
-    from torchid.report.view import require_viewer
 
     if asked.view is not None:
+        from torchid.report.view import require_viewer
+
         require_viewer(asked.view)
-    kind = None if asked.to is None else file_format(asked.to)
-    if kind is not None:
+    kind = None
+    if asked.to is not None:  # what writes a simulator's files takes a second to load
+        from torchid.export.correct import file_format, require_field
+        from torchid.report.exported import correction_shown
+
+        kind = file_format(asked.to)
         require_field(kind, found, log)
+    screen_only = not (output.json_file or output.out or output.report or output.verbose)
+    if screen_only and sensor_of(log, found) != "position":
+        # The screen has no simulated motion, which takes as long as the search.
+        settings = replace(settings, rollout=False)
     # The log is handed over where it is not needed again: a long one takes half of the memory.
     handed = [log]
     if kind is None and asked.calibrate is None:

@@ -26,9 +26,9 @@ from torchid.typing import Float, Tensor
 AT_ONCE = 4_000_000
 """Values that are evaluated and filtered at a time: bounds the memory of long logs."""
 
-KEPT = 50_000
-"""Samples of all joints together up to which columns are kept for the next time: 4000 columns of a
-joint are then 0.2 GB; those of longer logs are evaluated again."""
+KEPT = 25_000_000
+"""Values of columns that are kept for the next time (0.2 GB), the first that are evaluated: of a
+long log the others are evaluated again."""
 
 ROUNDING = 1e-11
 """Size of a signal, relative to the largest of its effect, that is rounding."""
@@ -91,27 +91,29 @@ class Columns:
         self.model = model
         self.samples = samples
         self.motions = [s.motion._replace(torque=model.load(s.motion)) for s in samples.segments]
-        short = len(samples) * model.robot.n <= KEPT
         # The rigid body's columns, once evaluated: of all models of the arm.
         self._rigid: list[Tensor] = []
         self._lasting: dict[Contact, list[Tensor]] = {}
         # By effect, or by a kind and its shapes.
-        self._kept: dict[object, tuple[type[Effect], Place, Tensor]] | None = {} if short else None
+        self._kept: dict[object, tuple[type[Effect], Place, Tensor]] = {}
+        self._held = 0
 
     def at(self, model: Model) -> "Columns":
         """Columns of the same samples at another model of the arm. The rigid body's stay as they
         are; so does what no load enters, as long as the parameters do or it is one joint's alone,
         which knows no parameters."""
         new = Columns(model, self.samples)
-        new._rigid = self._rigid
-        if self._kept is not None and new._kept is not None:
-            same = model.robot is self.model.robot
-            new._kept |= {
-                k: v
-                for k, v in self._kept.items()
-                if "torque" not in v[0].needs and (same or issubclass(v[0], JointEffect))
-            }
+        new._rigid, same = self._rigid, model.robot is self.model.robot
+        for key, (kind, place, columns) in self._kept.items():
+            if "torque" not in kind.needs and (same or issubclass(kind, JointEffect)):
+                new._keep(key, kind, place, columns)
         return new
+
+    def _keep(self, key: object, kind: type[Effect], place: Place, columns: Tensor) -> None:
+        """Keep columns for the next time, if there is room."""
+        if self._held + columns.numel() <= KEPT:
+            self._held += columns.numel()
+            self._kept[key] = kind, place, columns
 
     @property
     def n(self) -> int:
@@ -126,13 +128,15 @@ class Columns:
 
     def of(self, effect: Effect) -> tuple[Place, Float[Tensor, "..."]]:
         """Columns of an effect: (C, N) of its joint, or (C, n, N) of all joints."""
-        if self._kept is not None and effect in self._kept:
-            _, place, columns = self._kept[effect]
-            return place, columns
-        place, columns = self._evaluated(effect)
-        if self._kept is not None:
-            self._kept[effect] = type(effect), place, columns
-        return place, columns
+        if effect in self._kept:
+            return self._kept[effect][1:]
+        if not isinstance(effect, JointEffect):
+            assert isinstance(effect, ModelEffect)
+            return next(self.of_several([effect]))
+        motions = [only(m, effect.joint) for m in self.motions]
+        columns = self._sampled([replace(effect, joint=0).columns(m).T for m in motions])
+        self._keep(effect, type(effect), effect.joint, columns)
+        return effect.joint, columns
 
     def of_several(
         self, effects: Sequence[ModelEffect]
@@ -144,23 +148,15 @@ class Columns:
         at_once = max(1, values // max(len(m.q) for m in self.motions))
         for k in range(0, len(effects), at_once):
             asked = effects[k : k + at_once]
-            some = [e for e in asked if self._kept is None or e not in self._kept]
+            some = [e for e in asked if e not in self._kept]
             parts: list[list[Tensor]] = [[] for _ in some]
             for segments, _ in self._in_groups(values // len(some)) if some else ():
                 for own, signals in zip(parts, self._signals(some, segments), strict=True):
                     own.append(self._sampled(signals))
             new = {e: self._felt(torch.cat(x, -1)) for e, x in zip(some, parts, strict=True)}
-            if self._kept is not None:
-                self._kept |= {e: (type(e), *x) for e, x in new.items()}
+            for e, x in new.items():
+                self._keep(e, type(e), *x)
             yield from (new[e] if e in new else self.of(e) for e in asked)
-
-    def _evaluated(self, effect: Effect) -> tuple[Place, Float[Tensor, "..."]]:
-        if isinstance(effect, JointEffect):
-            motions = [only(m, effect.joint) for m in self.motions]
-            one = replace(effect, joint=0)
-            return effect.joint, self._sampled([one.columns(m).T for m in motions])
-        assert isinstance(effect, ModelEffect)
-        return next(self.of_several([effect]))
 
     def _felt(self, columns: Float[Tensor, "C n N"]) -> tuple[Place, Float[Tensor, "..."]]:
         """Columns on the joint that alone feels them, or on all."""
@@ -168,7 +164,7 @@ class Columns:
         # What only rounding has put there would be given any coefficient.
         columns = columns * (peak > ROUNDING * peak.max()).unsqueeze(2)
         felt = (peak.amax(0) > ROUNDING * peak.max()).nonzero().flatten().tolist()
-        return (felt[0], columns[:, felt[0]]) if len(felt) == 1 else (None, columns)
+        return (felt[0], columns[:, felt[0]].clone()) if len(felt) == 1 else (None, columns)
 
     def on_all_joints(self, effect: Effect) -> Float[Tensor, "C n N"]:
         """Columns of an effect, zero on joints that do not feel it."""
@@ -192,7 +188,7 @@ class Columns:
     ) -> Float[Tensor, "S C N"]:
         """Columns of a joint effect for a list of shapes."""
         key = kind, joint, tuple(shapes.flatten().tolist())
-        if self._kept is not None and key in self._kept:
+        if key in self._kept:
             return self._kept[key][2]
         motions = [only(m, joint) for m in self.motions]
         total = sum(m.q.shape[0] for m in motions) * len(kind.coefficients)
@@ -201,9 +197,9 @@ class Columns:
             given = [s.reshape(-1, 1, 1) for s in some.unbind(1)]
             signals = [kind.formula(m, *given)[..., 0, :].transpose(-1, -2) for m in motions]
             parts.append(self._sampled([x if given else x.unsqueeze(0) for x in signals]))
-        if self._kept is not None:
-            self._kept[key] = kind, joint, torch.cat(parts)
-        return torch.cat(parts)
+        columns = torch.cat(parts)
+        self._keep(key, kind, joint, columns)
+        return columns
 
     @property
     def regressor(self) -> Float[Tensor, "L 10 n N"]:

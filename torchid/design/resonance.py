@@ -18,7 +18,6 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from scipy.signal import butter, lfilter, welch
 
 from torchid.design.columns import Columns
 from torchid.dynamics.regressor import regressor_chunks
@@ -325,6 +324,8 @@ class _Joint:
     @cached_property
     def late(self) -> list[Tensor]:
         """Spectra of what the load would be less, were it delayed or filtered."""
+        from scipy.signal import butter, lfilter
+
         out = []
         for (load, _), motion in zip(self.driven, self.spectra.motions, strict=True):
             t, rate = motion.require("t", "a delay"), self.spectra.samples.rate
@@ -354,6 +355,8 @@ def wiener(
         rate: of them [Hz].
         top: frequency [Hz] below which they are looked at.
     """
+    from scipy.signal import welch
+
     width = min(round(2 * rate), *(len(x) for x in signals))
     parts = [welch(x.numpy(), rate, nperseg=width) for x in signals]
     frequency = parts[0][0]

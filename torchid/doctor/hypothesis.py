@@ -1,7 +1,7 @@
 """What a log may mean: which column is which joint, of which sign and size, under which gravity."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,9 @@ from torchid.statistics.jackknife import from_left_out
 
 FEWEST = 5
 """Rows that a joint must have in a block of time to be judged there."""
+
+_TOGETHER = 4000
+"""Rows whose regressors are evaluated at a time: of fewer the calls take longer than the work."""
 
 Rows = np.ndarray | slice
 """Of a block of time."""
@@ -41,6 +44,11 @@ class Hypothesis:
     gravity: tuple[float, ...]
     late: float = 0.0
     zero: tuple[float, ...] = ()
+
+    @property
+    def moved(self) -> tuple:
+        """What the rigid body's columns depend on."""
+        return self.q_order, self.q_factor, self.gravity, self.zero
 
     @classmethod
     def literal(cls, robot: Robot) -> "Hypothesis":
@@ -117,6 +125,8 @@ class Judge:
         self.samples = samples
         self.cone = cone(robot)
         self._columns: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}
+        self._expected: dict[tuple, Hypothesis] = {}
+        self._rigid: dict[tuple, torch.Tensor] = {}
         self._torques: dict[float, np.ndarray] = {}
         ends = np.searchsorted(samples.block.numpy(), np.arange(BLOCKS + 1)).tolist()
         self.members = [slice(*pair) for pair in itertools.pairwise(ends)]
@@ -171,20 +181,36 @@ class Judge:
 
     def columns(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
         """(T, n, P) regressor with each joint's own columns, and its (B, n, P, P) products."""
-        key = (hypothesis.q_order, hypothesis.q_factor, hypothesis.gravity, hypothesis.zero)
+        key = hypothesis.moved
         if key not in self._columns:
             if len(self._columns) > 6:
                 del self._columns[next(iter(self._columns))]
-            n, gravity = self.robot.n, torch.tensor(hypothesis.gravity, dtype=torch.float64)
-            q, dq, ddq, _ = self.motion(hypothesis).unbind(-1)
-            rigid = regressor(replace(self.robot, gravity=gravity), q, dq, ddq)
-            own, each = rigid.new_zeros(len(q), n, OWN * n), self.own(hypothesis)
+            n, rigid = self.robot.n, self._regressor(hypothesis)
+            own, each = rigid.new_zeros(len(rigid), n, OWN * n), self.own(hypothesis)
             for i in range(n):
                 own[:, i, OWN * i : OWN * (i + 1)] = each[:, i]
             rows = torch.cat([rigid, own], -1).numpy()
             a = rows * self.moving(hypothesis)[..., None]
             self._columns[key] = (a, _products(a, self.members))
         return self._columns[key]
+
+    def expect(self, hypotheses: Iterable[Hypothesis]) -> None:
+        """These are scored next: their regressors are evaluated together."""
+        self._expected, self._rigid = {h.moved: h for h in hypotheses}, {}
+
+    def _regressor(self, hypothesis: Hypothesis) -> torch.Tensor:
+        """(T, n, 10 n) regressor, and those of hypotheses under the same gravity that follow."""
+        if hypothesis.moved not in self._rigid:
+            gravity, count = hypothesis.gravity, len(self.samples.motion)
+            some = {hypothesis.moved: hypothesis}
+            some |= {k: h for k, h in self._expected.items() if h.gravity == gravity}
+            some = dict(itertools.islice(some.items(), max(1, _TOGETHER // count)))
+            self._expected = {k: h for k, h in self._expected.items() if k not in some}
+            robot = replace(self.robot, gravity=torch.tensor(gravity, dtype=torch.float64))
+            motion = torch.cat([self.motion(h) for h in some.values()])
+            parts = regressor(robot, *motion[..., :3].unbind(-1)).split(count)
+            self._rigid |= zip(some, parts, strict=True)
+        return self._rigid.pop(hypothesis.moved)
 
     def own(self, hypothesis: Hypothesis) -> torch.Tensor:
         """(T, n, OWN) what is each joint's own: dq, direction of motion, ddq, one."""

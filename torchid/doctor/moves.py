@@ -131,6 +131,7 @@ def _units(
     def loss(log_factor: float) -> float:
         return judge.score(now.scaled(turning, q=math.exp(log_factor)), weights).loss
 
+    judge.expect(now.scaled(turning, q=math.exp(x)) for x in SCALES)
     best = minimum(loss, SCALES, step=0.05)
     if abs(best) > math.log(LEAST_GAIN):
         named = (x for x in _TURNS if abs(math.log(x) - best) < _NEAR_UNIT)

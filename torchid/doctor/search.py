@@ -104,6 +104,7 @@ def _greedy(
         # Every move with the weights of the present fit, then those near or below it properly.
         base = judge.score(now)
         tried = [m for m in all_moves(judge, now) if zeros or m.kind != "zero"]
+        judge.expect(m.after for m in tried)
         quick = [(judge.score(m.after, base.fit.weights).loss, m) for m in tried]
         looked = [
             ((judge.score(m.after).loss if loss < base.loss + _LOOK else loss) - base.loss, m)

@@ -20,6 +20,7 @@ from torchid.effects.base import (
 from torchid.effects.c_text import add
 from torchid.effects.parameters import travel
 from torchid.effects.variation import ArmCoefficient, needed
+from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.model import Robot, tool_pose
 from torchid.typing import Float
 
@@ -93,9 +94,6 @@ class PlaneContact(ModelEffect):
         cls, effects: Sequence[ModelEffect], motion: Motion, robot: Robot | None = None
     ) -> Iterator[Columns]:
         """Columns of several planes, which share poses and Jacobians."""
-        # Loading pytorch-kinematics takes a second, so it waits for the first contact.
-        from torchid.robot.chain import tool_jacobian
-
         arm = needed(robot, cls.name)
         pose, jacobian = tool_pose(arm, motion.q), tool_jacobian(arm, motion.q)
         for effect in effects:

@@ -20,6 +20,7 @@ from torchid.effects.base import (
 from torchid.effects.c_text import add
 from torchid.effects.instants import interval, shifted
 from torchid.effects.variation import ArmCoefficient, OneJointEffect, needed, on_joint, with_joint
+from torchid.robot.jacobian import point_of_link, tool_jacobian
 from torchid.robot.model import Robot
 from torchid.typing import Float
 
@@ -172,9 +173,6 @@ class Contact(ModelEffect):
 
     def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """J' of the position of the point that pushes, in the window (T, n, 3)."""
-        # Loading pytorch-kinematics takes a second, so it waits for the first contact.
-        from torchid.robot.chain import point_of_link, tool_jacobian
-
         arm, tip = needed(robot, self.name), self.tip
         point = tip if self.along is None else point_of_link(arm, tip or "", self.along)
         columns = tool_jacobian(arm, motion.q, point)[..., :3, :].mT

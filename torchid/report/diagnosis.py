@@ -14,7 +14,6 @@ from torchid.report import gap, gap_figures, position
 from torchid.report.brief import Screen, model_words
 from torchid.report.causes import cause_table, meaning_table, not_testable_table
 from torchid.report.cautions import caution_section
-from torchid.report.exported import simulator_block
 from torchid.report.friction import friction_picture, friction_table
 from torchid.report.over_time import NARROW, OverTime, motion_over_time, torque_over_time
 from torchid.report.page.answer import first_steps
@@ -232,6 +231,8 @@ def _sections(d: TorqueDiagnosis | PositionDiagnosis) -> list[Section]:
         ]  # fmt: skip
         notes = [*d.record.noise_floor.notes, *gap.remarks(record)]
         unseen: Parts = [not_testable_table(record), gap.experiment_table(record)]
+        from torchid.report.exported import simulator_block
+
         block = simulator_block(d.corrected, d.nearest_fields) if record.which else ""
     else:
         assert isinstance(record, PositionRecord)

@@ -1,21 +1,14 @@
-"""The robot as a pytorch-kinematics chain, and the Jacobian of the tool from it.
+"""The robot as a pytorch-kinematics chain.
 
 The chain is built from our float64 matrices: pytorch-kinematics' own readers parse numbers in
 float32. Every joint turns about z between two constant poses, as in torchid.robot.model.
 """
 
-from functools import lru_cache
-
 import pytorch_kinematics as pk
 import torch
 from torch import Tensor
 
-from torchid.errors import RobotError
-from torchid.robot.model import JointType, Limits, Robot, Tip, free_name
-from torchid.typing import Float, Joints
-
-_TOGETHER = 2000
-"""Configurations at a time [1]: the poses of an arm of seven joints then stay in the cache."""
+from torchid.robot.model import JointType, Limits, Robot, free_name
 
 
 def to_chain(
@@ -47,87 +40,6 @@ def to_chain(
         last = _append(last, _fixed(robot.link_names[i], robot.after[i], dtype))
     tool = _append(last, _fixed(free_name("tool", taken), end.pose, dtype))
     return _serial(root, tool, robot, dtype)
-
-
-def tool_jacobian(
-    robot: Robot, q: Joints, tip: str | Tip | None = None
-) -> Float[Tensor, "*batch 6 n"]:
-    """Geometric Jacobian of the tool, or of another point of the arm, in axes of the base frame.
-
-    Args:
-        robot: the robot.
-        q: (..., n) joint positions [rad or m]; its dtype and device are the result's.
-        tip: which of several tips, by its name; or any point, as `point_of_link` gives it.
-
-    Returns:
-        (..., 6, n). Rows 0-2: velocity of the tool's origin per unit joint velocity [m/rad or 1];
-        rows 3-5: angular velocity of the tool [1 or rad/m, 0 for a prismatic joint]. Linear
-        first, so that J' (force, moment at the tool's origin) is the joint torque. Columns of
-        joints that do not move the tip are zero.
-
-    Raises:
-        RobotError: several tips and none chosen, or none of that name.
-    """
-    end = tip if isinstance(tip, Tip) else robot.end(tip)
-    chain = _folded_chain(robot, end, q.dtype, q.device)
-    if robot.is_serial and end.link == robot.n_links - 1:
-        parts = [chain.jacobian(some) for some in q.reshape(-1, robot.n).split(_TOGETHER)]
-        return torch.cat(parts).reshape(*q.shape[:-1], 6, robot.n)
-    line = list(robot.ancestors(end.link))
-    on_line = robot.on_links(q.reshape(-1, robot.n))[:, line]
-    own = torch.cat([chain.jacobian(some) for some in on_line.split(_TOGETHER)])
-    out = own.new_zeros(len(own), 6, robot.n)
-    for k, link in enumerate(line):
-        drive = robot.drives[link]
-        out[:, :, drive.coordinate] += own[:, :, k] * drive.ratio
-    return out.reshape(*q.shape[:-1], 6, robot.n)
-
-
-@lru_cache(maxsize=64)
-def point_of_link(robot: Robot, link: str, along: float) -> Tip:
-    """A point between a link's own joint and the next one.
-
-    Args:
-        robot: the robot.
-        link: by its name.
-        along: 0 at its own joint, 1 at the next one; of several that at the farthest, of none the
-            tip.
-
-    Raises:
-        RobotError: no such link.
-    """
-    if link not in robot.link_names:
-        raise RobotError(
-            f"robot '{robot.name}' has no such link.",
-            got=link,
-            expected="the name of one",
-            available=list(robot.link_names),
-        )
-    i = robot.link_names.index(link)
-    # Origins in the link's frame: of its own joint, of those that it carries, and of tips.
-    after = robot.after[i]
-    near = -after[:3, :3].T @ after[:3, 3]
-    carried = [robot.before[k][:3, 3] for k, p in enumerate(robot.parents) if p == i]
-    ends = carried or [tip.pose[:3, 3] for tip in robot.ends if tip.link == i] or [near]
-    far = max(ends, key=lambda x: float((x - near).norm()))
-    pose = torch.eye(4, dtype=after.dtype, device=after.device)
-    pose[:3, 3] = near + along * (far - near)
-    return Tip(link, i, pose)
-
-
-@lru_cache(maxsize=64)
-def _folded_chain(
-    robot: Robot, end: Tip, dtype: torch.dtype, device: torch.device
-) -> "pk.SerialChain":
-    """The chain without its link frames: half the frames, and twice as fast."""
-    root = last = _fixed("base", None, dtype)
-    line = robot.ancestors(end.link)
-    for i in line:
-        above = robot.parents[i]
-        placed = robot.before[i] if above < 0 else robot.after[above] @ robot.before[i]
-        last = _append(last, _moving(robot, i, f"moved {i}", placed, dtype))
-    tool = _append(last, _fixed("tool", robot.after[end.link] @ end.pose, dtype))
-    return _serial(root, tool, robot, dtype).to(device=device)
 
 
 def _append(last: "pk.Frame", frame: "pk.Frame") -> "pk.Frame":

@@ -22,7 +22,7 @@ import torchid
 from torchid.design.columns import Columns, Model
 from torchid.dynamics.newton_euler import joint_wrenches
 from torchid.gap.data import prepare
-from torchid.robot.chain import tool_jacobian
+from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.model import Robot, tool_pose
 
 RATE = 250

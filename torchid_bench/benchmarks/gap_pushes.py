@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 from torchid.log.model import Log
-from torchid.robot.chain import tool_jacobian
+from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.model import Robot
 from torchid.statistics.proportion import wilson
 from torchid_bench.benchmarks.gap_plant import generator

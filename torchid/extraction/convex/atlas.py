@@ -26,7 +26,7 @@ from typing import Literal
 
 import numpy as np
 import torch
-from scipy import stats
+from scipy.special import gammaincinv
 
 from torchid.errors import TorchidError
 from torchid.extraction.convex.certificate import loss_matrix
@@ -106,7 +106,7 @@ def confidence_region(
     eigenvalues, vectors = np.linalg.eigh(c[np.ix_(free, free)] / scale / scale[:, None])
     whiten = vectors.T / np.sqrt(np.maximum(eigenvalues, 1e-12))[:, None] / scale
     matrix, offset = whiten @ grouping[free], -whiten @ values[free]
-    radius = float(np.sqrt(stats.chi2.ppf(level, int(free.sum()))))
+    radius = float(np.sqrt(2 * gammaincinv(0.5 * free.sum(), level)))
     least = body.least_norm(matrix, offset)
     widened = least.solution.usable and least.value > radius
     radius = float(np.sqrt(1 + slack) * least.value) if widened else radius

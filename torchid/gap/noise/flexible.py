@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from scipy.special import stdtrit
-from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from torchid.design.motion import MOVING
@@ -137,6 +136,9 @@ def _joint(
     seed: int,
 ) -> Float[Tensor, " N"]:
     """Prediction of each fold by trees grown on the others; zero where nothing is left to train."""
+    # Loading scikit-learn takes a second, which logs without torque do not need.
+    from sklearn.ensemble import HistGradientBoostingRegressor
+
     out = torch.zeros_like(r)
     target = r.cpu().numpy()
     for fold in range(FOLDS):

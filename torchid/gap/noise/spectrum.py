@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 
 import torch
-from scipy.signal import periodogram
 
 from torchid.design.segments import Samples, Segment
 from torchid.log.filtering import ALL_PASSES, frequencies, low_pass
@@ -32,6 +31,8 @@ def white_level(
 def _densities(x: Tensor, p: Segment, cutoff: float) -> Float[Tensor, "n F"]:
     """Periodogram of a tapered signal between the cut-off and the wide band's edge. Without its
     straight line the taper's side lobes are small."""
+    from scipy.signal import periodogram
+
     frequency, density = periodogram(x.cpu().numpy(), p.rate, "hann", detrend="linear", axis=0)
     # From the cut-off of the fit to where the wide band ends, or the filter begins.
     last = min(p.band, ALL_PASSES * p.rate)
