@@ -109,7 +109,10 @@ def test_gradients_of_motion_values_and_bodies(kind: type[Effect]) -> None:
     scales = [1.0] * 3 + [float(p.detach().abs().mean()) for p in model.parameters()]
     ways = [random_like(x, k) * size for k, (x, size) in enumerate(zip(given, scales, strict=True))]
     weight = random_like(moved[0], 9)
-    slopes = torch.autograd.grad((model.torque(*moved, t) * weight).sum(), given)
+    tau = model.torque(*moved, t)
+    with torch.no_grad():
+        torch.testing.assert_close(tau, model.torque(*moved, t), rtol=1e-12, atol=1e-11)
+    slopes = torch.autograd.grad((tau * weight).sum(), given)
     for k, (by, way) in enumerate(zip(slopes, ways, strict=True)):
         if k == 3 and kind.name == "backlash":
             continue  # the gear's stiffness is given by its resonance with the body
@@ -122,6 +125,22 @@ def test_gradients_of_motion_values_and_bodies(kind: type[Effect]) -> None:
 
         wanted = slope(along)
         assert float((by * way).sum()) == pytest.approx(wanted, rel=1e-4, abs=1e-4 * abs(wanted))
+
+
+def test_gradients_follow_a_link_that_swings() -> None:
+    gear = {"effect": "joint_elasticity", "joint": LAST + 1, "compliance": 1e-4, "damping": 3.0}
+    model = ArmModel(replace(robot(), effects=(gear,)))
+    state, t = piece()
+    weight, way = random_like(state[2], 1), random_like(state[2], 2)
+    ddq = state[2].clone().requires_grad_()
+    tau = model.torque(*state[:2], ddq, t)
+    torch.testing.assert_close(tau, model.torque(*state, t), rtol=1e-12, atol=1e-11)
+    (by,) = torch.autograd.grad((tau * weight).sum(), ddq)
+
+    def along(step: float) -> Tensor:
+        return (model.torque(*state[:2], state[2] + step * way, t) * weight).sum()
+
+    assert float((by * way).sum()) == pytest.approx(slope(along), rel=1e-6)
 
 
 @every_kind
@@ -213,7 +232,7 @@ def test_a_coefficient_is_learnt_from_torques() -> None:
 
     for _ in range(5):
         steps.step(loss)
-    assert float(model.values["viscous_friction 2"]) == pytest.approx(0.4, abs=1e-4)
+    assert model.values["viscous_friction 2"].item() == pytest.approx(0.4, abs=1e-4)
     assert model.robot.effects[0]["Fv"] == pytest.approx(0.4, abs=1e-4)
     assert torch.equal(model.pi, truth.pi)
 
@@ -246,7 +265,7 @@ def test_what_is_lacking_is_said_by_name() -> None:
     assert told.value.got == "thermal_friction_drift 1, time_delay 3"
     with pytest.raises(TorchidError, match="one alone is given") as told:
         model.torque(q[0], dq[0], ddq[0], torch.tensor(0.0))
-    assert "time_delay 3, presliding_hysteresis 2, load_hysteresis 3" in str(told.value.got)
+    assert "presliding_hysteresis 2, load_hysteresis 3, time_delay 3" in str(told.value.got)
     with pytest.raises(TorchidError, match="t does not fit"):
         model.torque(q, dq, ddq, torch.arange(7.0))
     with pytest.raises(TorchidError, match="state does not fit"):

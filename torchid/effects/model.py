@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch.nn import Module, Parameter, ParameterDict
 
@@ -26,6 +27,9 @@ from torchid.typing import Float, JointMatrix, Joints, Numbers, Tensor
 
 if TYPE_CHECKING:
     from torchid.results.record import Record
+
+Times = Float[Tensor, "..."] | np.ndarray | Sequence[float] | None
+State = Float[Tensor, "..."] | None
 
 RIGID = "rigid body"
 """The first of the causes of a torque."""
@@ -105,9 +109,9 @@ class ArmModel(Module):
         q: Numbers,
         dq: Numbers,
         ddq: Numbers,
-        t: Float[Tensor, "..."] | Sequence[float] | None = None,
+        t: Times = None,
         *,
-        state: Float[Tensor, "*batch M"] | None = None,
+        state: State = None,
     ) -> Joints:
         """Torque that the motion takes, as the arm's sensors measure it.
 
@@ -116,7 +120,7 @@ class ArmModel(Module):
                 effects that look at other instants any leading shape.
             t: (T,) or (*batch, T) since the arm was switched on or the log began, evenly spaced
                 [s]; where an effect needs it.
-            state: at the first instant, of the M effects with a memory (see `state`).
+            state: (*batch, M) at the first instant, of the M effects with a memory (see `state`).
 
         Returns:
             (*batch, T, n) [N m; N for prismatic joints].
@@ -133,9 +137,9 @@ class ArmModel(Module):
         q: Numbers,
         dq: Numbers,
         ddq: Numbers,
-        t: Float[Tensor, "..."] | Sequence[float] | None = None,
+        t: Times = None,
         *,
-        state: Float[Tensor, "*batch M"] | None = None,
+        state: State = None,
     ) -> dict[str, Joints]:
         """The torque by cause, which adds up to `torque`: `rigid body`, then each effect by its
         name and joint (`viscous_friction 2`). Arguments and errors are those of `torque`."""
@@ -151,9 +155,7 @@ class ArmModel(Module):
             }
         return {name: out[name] for name in (RIGID, *self._kinds)}
 
-    def state(
-        self, q: Numbers, state: Float[Tensor, "*batch M"] | None = None
-    ) -> Float[Tensor, "*batch M"]:
+    def state(self, q: Numbers, state: State = None) -> Float[Tensor, "..."]:
         """State at the last instant of a motion of the M effects with a memory, in the order of
         `effects`: the deflection of the bristles, -1 to 1. A motion that goes on from there begins
         with this instant.
@@ -162,13 +164,20 @@ class ArmModel(Module):
             q: (*batch, T, n) [rad; m].
             state: at its first instant; bristles at rest if None.
 
+        Returns:
+            (*batch, M).
+
         Raises:
             TorchidError: positions of other joints, or of one instant alone.
         """
         (q,) = joint_signals(self.nominal.n, q=q)
         motion = Motion(q, q, q)
-        given = self._states(motion, q.new_zeros(1) if state is None else state)
-        after = [self._remembering(name).after(motion, given[name]) for name in given]
+        before = self._states(motion, q.new_zeros(1) if state is None else state)
+        after = [
+            effect.after(motion, before[name])
+            for name, effect in self._kinds.items()
+            if isinstance(effect, JointEffect) and effect.memory
+        ]
         return torch.stack(after, -1) if after else q.new_zeros(*q.shape[:-2], 0)
 
     def forward_dynamics(
@@ -176,9 +185,9 @@ class ArmModel(Module):
         q: Numbers,
         dq: Numbers,
         tau: Numbers,
-        t: Float[Tensor, "..."] | Sequence[float] | None = None,
+        t: Times = None,
         *,
-        state: Float[Tensor, "*batch M"] | None = None,
+        state: State = None,
     ) -> Joints:
         """Accelerations that a torque gives: the inverse of `torque`, by Newton's method.
 
@@ -195,8 +204,7 @@ class ArmModel(Module):
             TorchidError: effects whose torque depends on accelerations at other instants, or a
                 torque that no acceleration gives; and as `torque`.
         """
-        around = [name for name, e in self._kinds.items() if e.over_time and not _memory(e)]
-        if around:
+        if around := self._named(lambda e: e.over_time and not _memory(e)):
             raise TorchidError(
                 "accelerations do not follow from a torque that depends on other instants, too.",
                 got=", ".join(around),
@@ -228,59 +236,55 @@ class ArmModel(Module):
         wide = face("randomise")(self._posterior, draws=max(2, k), seed=seed)
         return [ArmModel(wide.one(i)).to(self.pi.device) for i in range(k)]
 
-    def _motion(self, q: Numbers, dq: Numbers, ddq: Numbers, t: Any) -> Motion:
+    def _named(self, which: Callable[[Effect], bool]) -> list[str]:
+        """Names of some of the effects."""
+        return [name for name, effect in self._kinds.items() if which(effect)]
+
+    def _motion(self, q: Numbers, dq: Numbers, ddq: Numbers, t: Times) -> Motion:
         """The signals as a motion that all effects can do with."""
         signals = joint_signals(self.nominal.n, q=q, dq=dq, ddq=ddq)
-        if self._kinds:
-            signals = list(torch.broadcast_tensors(*signals))
-        motion = Motion(*signals)
-        timed = [name for name, e in self._kinds.items() if "t" in e.needs]
+        # The rigid body alone broadcasts by itself, with fewer operations.
+        motion = Motion(*(torch.broadcast_tensors(*signals) if self._kinds else signals))
+        timed = self._named(lambda e: "t" in e.needs)
         if t is None and timed:
             raise TorchidError(
                 "the torque of some effects depends on time, and no times are given.",
                 got=", ".join(timed),
                 expected="`t=...`, seconds since the arm was switched on or the log began",
             )
-        if motion.q.ndim < 2 or motion.q.shape[-2] < 2:
-            around = [name for name, e in self._kinds.items() if e.over_time and not _memory(e)]
-            around += [n for n, e in self._kinds.items() if _memory(e) and motion.q.ndim < 2]
-            if around:
-                raise TorchidError(
-                    "the torque of some effects depends on other instants, and one alone is given.",
-                    got=f"{', '.join(around)}; q of shape {tuple(motion.q.shape)}",
-                    expected="signals (*batch, T, n)",
-                )
+        shape = motion.q.shape
+        instants = shape[-2] if len(shape) > 1 else 0
+        # Bristles stand somewhere at one instant, too.
+        around = self._named(lambda e: e.over_time and instants < (1 if _memory(e) else 2))
+        if around:
+            raise TorchidError(
+                "the torque of some effects depends on other instants, and one alone is given.",
+                got=f"{', '.join(around)}; q of shape {tuple(shape)}",
+                expected="signals (*batch, T, n)",
+            )
         if t is None:
             return motion
-        try:
-            return motion._replace(t=as_tensor(t, "t").to(motion.q).expand(motion.q.shape[:-1]))
-        except RuntimeError as error:
-            raise TorchidError(
-                "t does not fit the motion.",
-                got=f"shape {tuple(as_tensor(t, 't').shape)}",
-                expected=f"{tuple(motion.q.shape[:-1])}, or its last axis",
-            ) from error
+        return motion._replace(t=_expanded(as_tensor(t, "t"), motion.q, shape[:-1], "t"))
 
-    def _states(self, motion: Motion, state: Tensor | None) -> dict[str, Tensor]:
-        """State (*batch) of each effect with a memory, by its name; empty without any."""
-        names = [name for name, effect in self._kinds.items() if _memory(effect)]
+    def _states(self, motion: Motion, state: State) -> dict[str, Tensor]:
+        """State (*batch) of each effect with a memory, by its name; empty if None."""
+        names = self._named(_memory)
         if state is None or not names:
             return {}
-        shape = (*motion.q.shape[:-2], len(names))
-        try:
-            own = state.to(motion.q).expand(shape)
-        except RuntimeError as error:
-            raise TorchidError(
-                "the state does not fit the motion and the effects with a memory.",
-                got=f"shape {tuple(state.shape)}",
-                expected=f"{shape}: {', '.join(names)}",
-            ) from error
-        return dict(zip(names, own.unbind(-1), strict=True))
+        each = _expanded(state, motion.q, (*motion.q.shape[:-2], len(names)), "the state")
+        return dict(zip(names, each.unbind(-1), strict=True))
 
-    def _remembering(self, name: str) -> JointEffect:
-        effect = self._kinds[name]
-        assert isinstance(effect, JointEffect)
-        return effect
+
+def _expanded(x: Tensor, like: Tensor, shape: tuple[int, ...], what: str) -> Tensor:
+    """A tensor as one of a shape, or a TorchidError that says what does not fit."""
+    try:
+        return x.to(like).expand(shape)
+    except RuntimeError as error:
+        raise TorchidError(
+            f"{what} does not fit the motion and its effects.",
+            got=f"shape {tuple(x.shape)}",
+            expected=f"{tuple(shape)}, or its last axis",
+        ) from error
 
 
 def inverse_dynamics(
@@ -290,7 +294,7 @@ def inverse_dynamics(
     ddq: Numbers,
     parameters: InertialParameters | None = None,
     *,
-    t: Float[Tensor, "..."] | Sequence[float] | None = None,
+    t: Times = None,
     rigid: bool = False,
 ) -> Joints:
     """Joint torques of the rigid body, tau = M(q) ddq + S(q, dq) dq + g(q) (eq. 2.15), and of all
@@ -336,7 +340,7 @@ def forward_dynamics(
     tau: Numbers,
     parameters: InertialParameters | None = None,
     *,
-    t: Float[Tensor, "..."] | Sequence[float] | None = None,
+    t: Times = None,
     rigid: bool = False,
 ) -> Joints:
     """Joint accelerations that a torque gives: the inverse of `inverse_dynamics`, from

@@ -1,6 +1,5 @@
 """The corrected model in Python: a torch module of whatever a diagnosis answered or wrote."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from torch.nn import Module, Parameter
 from torchid.dynamics.forward import bias_torque
 from torchid.effects.friction_laws import RESTING
 from torchid.effects.instants import interval
-from torchid.effects.model import ArmModel
+from torchid.effects.model import ArmModel, Times
 from torchid.errors import TorchidError
 from torchid.export.randomise_positions import randomise_positions
 from torchid.gap.diagnosis import TorqueDiagnosis
@@ -23,7 +22,7 @@ from torchid.results.files import load
 from torchid.simulation.servo import INDEX, Servos
 from torchid.simulators.servo import ServoTorque
 from torchid.tensors import as_tensor, joint_signals
-from torchid.typing import Float, Joints, Numbers, Tensor
+from torchid.typing import Joints, Numbers
 
 
 class ServoModel(Module):
@@ -63,7 +62,7 @@ class ServoModel(Module):
         q: Numbers,
         dq: Numbers,
         command: Numbers | None = None,
-        t: Float[Tensor, "..."] | Sequence[float] | None = None,
+        t: Times = None,
     ) -> Joints:
         """Torque of the servos at the joints, their friction taken off: what moves links and
         rotors. End stops and a plane are no part of a servo, `replay` has them.
@@ -112,15 +111,7 @@ class ServoModel(Module):
         weight = bias_torque(arm.robot, at, speed).abs()
         return out - share * weight * (speed / RESTING).clamp(-1.0, 1.0)
 
-    def forward(
-        self,
-        q: Numbers,
-        dq: Numbers,
-        command: Numbers | None = None,
-        t: Float[Tensor, "..."] | Sequence[float] | None = None,
-    ) -> Joints:
-        """As `torque`."""
-        return self.torque(q, dq, command, t)
+    forward = torque
 
     def replay(self, logs: LogLike, *, windows: float | None = None) -> Replay:
         """Where the arm would have gone with the commands of logs: `torchid.replay`."""
