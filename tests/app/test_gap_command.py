@@ -118,6 +118,25 @@ def test_friction_is_found_and_the_saved_model_has_it(command, runs, tmp_path, t
     assert said["which"] == []
 
 
+def test_ctrl_c_keeps_the_answer_that_stood(command, runs, tmp_path, monkeypatch):
+    """Of a search that is stopped behind its first answer."""
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("torchid.gap.torque.explain_gap", stopped)
+    logs = [runs / f"{name}.csv" for name in ("a", "b")]
+    done = command("gap", "3r", *logs, *FEW, "--out", tmp_path)
+    assert done.code == 130
+    kept = tmp_path / "so_far.json"
+    assert f"interrupted; the answer so far is in {kept}" in done.err
+    said = json.loads(kept.read_text())
+    assert said["schema"] == "torchid.so_far/1"
+    assert said["answer"]["status"] == "searching"
+    assert [c["joints"] for c in said["answer"]["causes"]] == [[2]]
+    assert "So far" in done.out
+
+
 @pytest.mark.parametrize(
     ("files", "options", "words"),
     [

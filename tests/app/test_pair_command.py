@@ -7,6 +7,7 @@ import pytest
 from tests.pair.test_pair import log
 from torchid.log.readers import write_log
 from torchid.results.files import load
+from torchid.robot.library import load_robot
 
 BOTH = ("--simulated", "sim.csv", "--real", "real.csv")
 
@@ -34,10 +35,17 @@ def test_a_fault_is_said_first(command, pair, tmp_path):
 
 @pytest.mark.slow
 def test_an_effect_with_a_robot(command, pair, tmp_path):
-    record = tmp_path / "pair.json"
+    record, model, page = (tmp_path / f"pair.{kind}" for kind in ("json", "yaml", "html"))
     done = command("gap", "3r", "--simulated", pair / "sim.csv", "--real", pair / "real.csv",
-                   "--effects", "coulomb_friction,torque_offset", "--json", record)  # fmt: skip
+                   "--effects", "coulomb_friction,torque_offset", "--json", record,
+                   "--save-model", model, "--report", page)  # fmt: skip
     assert done.code == 0, done.err
+    (only,) = load_robot(model).effects
+    assert (only["effect"], only["joint"]) == ("coulomb_friction", 2)
+    assert only["Fc"] == pytest.approx(0.8, abs=0.05)
+    text = page.read_text()
+    assert "Simulator beside arm" in text
+    assert "Coulomb friction that only the arm has" in text
     assert "Coulomb friction that only the arm has at joint 2" in " ".join(done.out.split())
     assert json.loads(record.read_text())["which"][0]["joints"] == [2]
 
@@ -47,7 +55,8 @@ def test_an_effect_with_a_robot(command, pair, tmp_path):
     [
         (("--real", "real.csv"), "--simulated"),
         (("--simulated", "sim.csv"), "--real"),
-        ((*BOTH, "--save-model", "x.yaml"), "--save-model"),
+        ((*BOTH, "--save-model", "x.yaml"), "needs its ROBOT"),
+        ((*BOTH, "--view", "x.mcap"), "--view"),
         (("3r", "sim.csv", *BOTH), "LOG"),
         (("ur10e", *BOTH), "joint"),
     ],
@@ -57,6 +66,16 @@ def test_bad_options(command, pair, monkeypatch, arguments, words):
     done = command("gap", *arguments)
     assert done.code == 1
     assert words in done.err
+
+
+@pytest.mark.slow
+def test_without_effects_there_is_no_corrected_model(command, pair, tmp_path):
+    done = command("gap", "3r", "--simulated", pair / "fast.csv", "--real", pair / "real.csv",
+                   "--save-model", tmp_path / "x.yaml", "--json", tmp_path / "x.json")  # fmt: skip
+    assert done.code == 1
+    assert "no corrected model" in done.err
+    assert not (tmp_path / "x.yaml").exists()
+    assert json.loads((tmp_path / "x.json").read_text())["faults"]
 
 
 def test_without_a_pair_robot_and_logs_are_needed(command):

@@ -13,7 +13,7 @@ from torchid.effects.names import NAMES
 from torchid.effects.registry import (
     _NAMED,
     KINDS,
-    nominal_effect_torque,
+    effect_torque,
     nominal_effects,
     on_every_joint,
 )
@@ -42,7 +42,7 @@ def test_nominal_effects_of_built_in_robots(name: str) -> None:
     expected = torch.zeros(6, robot.n, dtype=torch.float64)
     for record in robot.effects:
         expected[:, record["joint"] - 1] += by_hand(record, state.dq[:, record["joint"] - 1])
-    torch.testing.assert_close(nominal_effect_torque(robot, state), expected)
+    torch.testing.assert_close(effect_torque(robot, found, state), expected)
 
 
 def by_hand(record: MappingProxyType, dq: Tensor) -> Tensor:
@@ -58,7 +58,7 @@ def test_a_robot_without_effects_has_no_effect_torque() -> None:
     robot = arm("3r")
     state = Motion(*states(robot, 4))
     assert nominal_effects(robot) == []
-    assert torch.equal(nominal_effect_torque(robot, state), torch.zeros(4, 3, dtype=torch.float64))
+    assert torch.equal(effect_torque(robot, [], state), torch.zeros(4, 3, dtype=torch.float64))
 
 
 @pytest.mark.parametrize(

@@ -123,11 +123,14 @@ def gap_command(
     handed = [log]
     if kind is None and asked.calibrate is None:
         del log
-    with output.progress("preparing") as progress, trials.line_to_mend():
+    with (
+        output.progress("preparing") as progress,
+        output.kept_so_far(progress) as watch,
+        trials.line_to_mend(),
+    ):
         result = torchid.diagnose(
             found, handed.pop(), held_out=apart, settings=settings, servo=asked.servo,
-            force=asked.force, progress=progress,
-            watch=None if progress is None else progress.so_far,
+            force=asked.force, progress=progress, watch=watch,
         )  # fmt: skip
     model = None if asked.save_model is None else str(asked.save_model)
     held_out = [path.stem for path in trials.held_out or ()]
@@ -179,6 +182,7 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
     """A simulator's logs against the arm's."""
     from torchid.log.readers import open_logs
     from torchid.report.pair import shown
+    from torchid.robot.config_files import robot_file
 
     if not asked.simulated or not asked.real:
         raise TorchidError(
@@ -190,17 +194,22 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
     others = {
         "LOG": trials.logs and not own,
         "--held-out": trials.held_out and not current().held_out,
-        "--save-model": asked.save_model,
         "--to": asked.to,
         "--view": asked.view,
-        "--report": output.report,
     }
     if any(others.values()):
         raise TorchidError(
             "--simulated and --real take the logs' place, and go without these.",
             got=", ".join(name for name, given in others.items() if given),
         )
+    if asked.save_model is not None and not trials.robot:
+        raise TorchidError("--save-model corrects the simulator's robot, and needs its ROBOT.")
     robot = trials.load() if trials.robot else None
+    sides = (("simulated", asked.simulated), ("real", asked.real))
+    named = [(side, str(path), path) for side, paths in sides for path in paths]
+    files = output.hashed(
+        [*([("robot", trials.robot, robot_file(trials.robot))] if robot else []), *named]
+    )
 
     def read(paths: list[Path]) -> "torchid.Log":
         opened = open_logs(paths, trials.request(robot))
@@ -211,4 +220,9 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
         result = torchid.compare_pair(
             simulated, real, robot, settings=settings, force=asked.force, progress=progress
         )
-    output.give(result, "pair.json", shown, seed=settings.seed)
+    kept = output.keep(
+        result, "pair.json", shown, seed=settings.seed, files=files,
+        settings={} if result.of_arm is None else settings_of(result.of_arm, None),
+    )  # fmt: skip
+    output.put(asked.save_model, result.write_corrected)
+    output.tell(kept)

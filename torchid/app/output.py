@@ -133,6 +133,35 @@ class Output:
         console = _Console(highlight=False)
         return console if console.is_terminal else _Console(highlight=False, width=120)
 
+    @contextmanager
+    def kept_so_far(
+        self, watcher: "_Lines | _Bars | None"
+    ) -> "Iterator[Callable[[Answer], None] | None]":
+        """What takes answers so far, and shows them; where Ctrl-C stops the work, the last one is
+        written to --json and to DIR/so_far.json, and printed."""
+        if watcher is None:
+            yield None
+            return
+        stood: list[Answer] = []
+
+        def watch(answer: "Answer") -> None:
+            stood[:] = [answer]
+            watcher.so_far(answer)
+
+        try:
+            yield watch
+        except KeyboardInterrupt as stop:
+            if not stood:
+                raise
+            from torchid.results.record import as_plain
+
+            self.write_json({"schema": SO_FAR, "answer": as_plain(stood[0])}, "so_far.json")
+            self.say(stood[0].headline)
+            files = [str(file) for file in self.written]
+            raise KeyboardInterrupt(
+                *([f"the answer so far is in {', '.join(files)}"] if files else [])
+            ) from stop
+
     def write_json(self, data: Mapping[str, Any], name: str) -> None:
         """To --json and to DIR/name, whichever were given."""
         if str(self.json_file) == "-":
@@ -281,6 +310,8 @@ class Output:
             yield watcher
 
 
+SO_FAR = "torchid.so_far/1"
+"""Schema of an answer that stood when a command was stopped; no other command reads it."""
 SAID_EVERY_S = 10.0
 """Least time between two lines of what is known so far [s]."""
 

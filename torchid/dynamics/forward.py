@@ -81,7 +81,8 @@ def forward_dynamics(
     tau: Numbers,
     parameters: InertialParameters | None = None,
 ) -> Joints:
-    """Joint accelerations of the rigid body, from M(q) ddq = tau - S(q, dq) dq - g(q) (eq. 2.15).
+    """Joint accelerations of the rigid body, from M(q) ddq = tau - S(q, dq) dq - g(q) (eq. 2.15),
+    without the robot's effects, which `torchid.forward_dynamics` has.
 
     Args:
         robot: kinematics and gravity.
@@ -96,13 +97,6 @@ def forward_dynamics(
     Raises:
         RobotError: no parameters given and none in the robot.
         TorchidError: not numbers of all joints.
-
-    >>> import torchid
-    >>> robot = torchid.load_robot("3r")
-    >>> q, dq, ddq = [0.1, -0.4, 0.7], [1.0, 0.0, -2.0], [3.0, -1.0, 2.0]
-    >>> tau = torchid.inverse_dynamics(robot, q, dq, ddq)
-    >>> [round(x, 9) for x in forward_dynamics(robot, q, dq, tau).tolist()]
-    [3.0, -1.0, 2.0]
     """
     robot = as_robot(robot)
     q, dq, tau = joint_signals(robot.n, q=q, dq=dq, tau=tau)

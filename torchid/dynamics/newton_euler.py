@@ -29,7 +29,8 @@ def inverse_dynamics(
     ddq: Numbers,
     parameters: InertialParameters | None = None,
 ) -> Joints:
-    """Joint torques of the rigid body, tau = M(q) ddq + S(q, dq) dq + g(q) (eq. 2.15).
+    """Joint torques of the rigid body, tau = M(q) ddq + S(q, dq) dq + g(q) (eq. 2.15), without the
+    robot's effects, which `torchid.inverse_dynamics` adds.
 
     Args:
         robot: kinematics and gravity.
@@ -44,13 +45,6 @@ def inverse_dynamics(
     Raises:
         RobotError: no parameters given and none in the robot.
         TorchidError: not numbers of all joints.
-
-    >>> import torch, torchid
-    >>> robot = torchid.load_robot("kuka_lwr4")
-    >>> rest = torch.zeros(7, dtype=torch.float64)
-    >>> upright = inverse_dynamics(robot, rest, rest, rest)  # gravity alone
-    >>> upright.shape, bool(upright[0].abs() < 1e-9)  # joint 1 is vertical: it carries none
-    (torch.Size([7]), True)
     """
     robot = as_robot(robot)
     state = joint_signals(robot.n, q=q, dq=dq, ddq=ddq)
@@ -111,14 +105,14 @@ def _along(
     pi, geometry = parameters.pi.to(q), chain_geometry(robot)
 
     def found(motion: Sequence[Sequence[Tensor]], like: Tensor) -> Tensor:
-        return stacked(*forces(geometry, kinematics(geometry, *motion), _components(pi)), like)
+        return stacked(*forces(geometry, kinematics(geometry, *motion), components(pi)), like)
 
     if pi.ndim > 2:
         return found([x.unbind(-1) for x in (q, dq, ddq)], _broadcast_like(q, pi))
     return _in_chunks(found, q, dq, ddq)
 
 
-def _components(pi: Float[Tensor, "*batch n 10"]) -> list[list[Scalar]]:
+def components(pi: Float[Tensor, "*batch n 10"]) -> list[list[Scalar]]:
     """Each parameter as a float where it is one number, which folds it into the kernels."""
     if pi.ndim == 2 and not pi.requires_grad:
         return pi.tolist()

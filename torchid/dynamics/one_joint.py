@@ -3,7 +3,7 @@ computed once for all of them."""
 
 import torch
 
-from torchid.dynamics.newton_euler import CHUNK
+from torchid.dynamics.newton_euler import CHUNK, components
 from torchid.dynamics.recursion import chain_geometry, forces, kinematics
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
@@ -24,11 +24,11 @@ def torques_of_one_joint(
         own: its q, dq, ddq.
     """
     geometry = chain_geometry(robot)
-    pi = robot.require_parameters("inverse dynamics").pi.double().tolist()
+    pi = components(robot.require_parameters("inverse dynamics").pi.to(state[0]).double())
     instants, n = state[0].shape
     batch = own[0].shape[:-1]
     # Joint by joint, time last: filters along time find it contiguous.
-    out = torch.empty(*batch, n, instants, dtype=torch.float64)
+    out = torch.empty(*batch, n, instants, dtype=torch.float64, device=own[0].device)
     step = max(1, CHUNK // max(1, batch.numel()))
     for start in range(0, instants, step):
         some = slice(start, start + step)

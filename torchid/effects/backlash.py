@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from torchid.effects.base import Coefficient, Columns, Example, ModelEffect, Motion
 from torchid.effects.gear import Driven, Gear, joint_load, link_lags
@@ -113,13 +112,12 @@ class Backlash(OneJointEffect):
             for motion in motions:
                 load, inertia = joint_load(arm, motion.state, joint)
                 inertia = inertia[:, joint, None]
-                size = float(inertia.abs().mean())
+                size = float(inertia.detach().abs().mean())
                 gear = Gear.ringing(size, contact, ratio, places[-1][1], drag)
                 # The motor has a part of the inertia, which does not fly; most often nothing.
                 shares = [e.rotor for e in own]
-                rotor = float(inertia.abs().min()) * torch.tensor(
-                    shares if any(shares) else [0.0], dtype=torch.float64
-                )
+                shares = shares if any(shares) else [0.0]
+                rotor = float(inertia.detach().abs().min()) * inertia.new_tensor(shares)
                 there = motion.ddq[:, joint, None].double() * rotor
                 t = motion.require("t", cls.name)
                 links.append(Driven(load[:, None] - there, inertia - rotor, t, gear))

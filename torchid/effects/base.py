@@ -201,6 +201,11 @@ class Effect(ABC):
         return replace(self, at=float(values[0]))  # type: ignore[call-arg]
 
     @property
+    def over_time(self) -> bool:
+        """Whether its torque at one instant depends on other instants of the motion."""
+        return False
+
+    @property
     def ranges(self) -> tuple[tuple[float, float], ...]:
         """Least and largest that each coefficient can be: on any arm, unless the columns are those
         of one size alone."""
@@ -218,7 +223,7 @@ class Effect(ABC):
         return None
 
     def all_torques(
-        self, motion: Motion, values: Sequence[float], robot: "Robot | None" = None
+        self, motion: Motion, values: Sequence[float] | Tensor, robot: "Robot | None" = None
     ) -> Float[Tensor, "*batch n"]:
         """Torque of all joints (..., n) [N m; N] for the given coefficients."""
         columns = self.torque_columns(motion, robot)
@@ -342,6 +347,21 @@ class JointEffect(Effect):
         """Its joint."""
         return (self.joint,)
 
+    @property
+    def over_time(self) -> bool:
+        """Whether it has a memory."""
+        return self.memory
+
+    def columns_from(
+        self, motion: Motion, state: Float[Tensor, "*batch"]
+    ) -> Float[Tensor, "*batch T C"]:
+        """Of one with a memory: its `columns` from a state at the first instant."""
+        raise NotImplementedError
+
+    def after(self, motion: Motion, state: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+        """Of one with a memory: its state at the last instant."""
+        raise NotImplementedError
+
     def columns(self, motion: Motion) -> Float[Tensor, "*batch C"]:
         """Columns (..., C) of the torque of joint `joint`, one a coefficient."""
         shapes = (
@@ -377,6 +397,11 @@ class ModelEffect(Effect):
     def joints(self) -> tuple[int, ...]:
         """None: it belongs to the whole arm, unless it says where it is."""
         return ()
+
+    @property
+    def over_time(self) -> bool:
+        """Whether it needs times for more than the window in which it is there."""
+        return "t" in self.needs and not self.windowed
 
     @classmethod
     def candidates(cls, robot: "Robot") -> "list[ModelEffect]":

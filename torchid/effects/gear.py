@@ -15,7 +15,7 @@ and does not pull: k dz(d) + D d' has the sign of dz(d), or is zero.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -111,21 +111,29 @@ class _Pieces(NamedTuple):
     """A motion cut into P pieces of W instants, each with its lead.
 
     Attributes:
-        load, inertia: (W, P, 1 or B), as in `Driven`.
+        load, inertia: (W, P, 1 or B), as in `Driven`: arrays, or tensors that gradients follow.
         gear: B of them.
         rate: of the samples [Hz].
     """
 
-    load: np.ndarray
-    inertia: np.ndarray
+    load: Any
+    inertia: Any
     gear: Gear
     rate: float
 
     @property
-    def start(self) -> np.ndarray:
+    def start(self) -> Any:
         """(P, B) angles at rest on the flank that the torque presses against."""
         first = self.load[0]
-        return first / self.gear.stiffness + np.sign(first) * self.gear.play / 2
+        xp: Any = torch if isinstance(first, Tensor) else np
+        stiffness, play = xp.asarray(self.gear.stiffness), xp.asarray(self.gear.play)
+        return first / stiffness + xp.sign(first) * play / 2
+
+    @property
+    def least(self) -> float:
+        """The least inertia."""
+        lightest = self.inertia.min()
+        return float(lightest.detach() if isinstance(lightest, Tensor) else lightest)
 
     def flat(self, x: np.ndarray) -> np.ndarray:
         """(P * B,) of what holds for pieces, gears, or pieces with gears."""
@@ -145,7 +153,7 @@ def link_lag(
 def link_lags(links: Sequence[Driven]) -> list[Lag]:
     """How links of several joints and trajectories lag behind their motors: those with play that
     need equally many steps of integration are integrated side by side."""
-    found: dict[int, Sequence[np.ndarray]] = {}
+    found: dict[int, Sequence[np.ndarray] | Sequence[Tensor]] = {}
     flying: dict[tuple[int, int, int], list[tuple[int, _Pieces]]] = {}
     for k, (load, inertia, t, gear) in enumerate(links):
         # All pieces side by side, each with its lead; before the first instant the motion is held.
@@ -153,61 +161,85 @@ def link_lags(links: Sequence[Driven]) -> list[Lag]:
         piece, lead = max(1, round(PIECE * rate)), round(LEAD * rate)
         index = np.arange(0, len(t), piece) + np.arange(-lead, piece)[:, None]
         index = np.clip(index, 0, len(t) - 1)
-        least = max(LEAST_INERTIA * float(inertia.abs().mean()), 1e-12)
-        raised = inertia.double().clamp(min=least)
-        u, m = np.broadcast_arrays(load.double().numpy()[index], raised.numpy()[index])
-        own = _Pieces(u, m, gear, rate)
-        if gear.play.any():
-            flying.setdefault((_steps(own), lead, piece), []).append((k, own))
-        else:
+        least = max(LEAST_INERTIA * float(inertia.detach().abs().mean()), 1e-12)
+        raised = inertia.double().clamp(min=least).cpu()
+        u, m = torch.broadcast_tensors(load.double().cpu()[index], raised[index])
+        traced = u.requires_grad or m.requires_grad
+        own = _Pieces(u, m, gear, rate) if traced else _Pieces(u.numpy(), m.numpy(), gear, rate)
+        if not gear.play.any():
             found[k] = [x[lead:] for x in _swings(own)]
+        elif traced:
+            found[k] = [x[lead:] for x in _traced_flight(own)]
+        else:
+            flying.setdefault((_steps(own), lead, piece), []).append((k, own))
     for (steps, lead, _), some in flying.items():
         flights = _flights([own for _, own in some], steps, lead)
         found |= {k: flight for (k, _), flight in zip(some, flights, strict=True)}
-    return [_in_a_row(found[k], len(link.t)) for k, link in enumerate(links)]
+    return [
+        Lag(*(_in_a_row(x, len(link.t)).to(link.load.device) for x in found[k]))
+        for k, link in enumerate(links)
+    ]
 
 
-def _in_a_row(pieces: Sequence[np.ndarray], total: int) -> Lag:
+def _in_a_row(pieces: np.ndarray | Tensor, total: int) -> Float[Tensor, "T B"]:
     """Pieces (W, P, B) one after the other again."""
-    return Lag(
-        *(
-            torch.from_numpy(x.transpose(1, 0, 2).reshape(-1, x.shape[2])[:total].copy())
-            for x in pieces
-        )
-    )
+    x = torch.as_tensor(pieces)
+    return x.transpose(0, 1).reshape(-1, x.shape[2])[:total].clone()
 
 
 def _steps(pieces: _Pieces) -> int:
     """So many steps between two samples as the stiffest gear with the lightest link needs; odd, so
     that a rate is known in the middle."""
-    stiffest, lightest = pieces.gear.stiffness.max(), pieces.inertia.min()
-    fastest = math.sqrt(float(stiffest / lightest)) / (2 * math.pi)
+    fastest = math.sqrt(float(pieces.gear.stiffness.max()) / pieces.least) / (2 * math.pi)
     steps = max(1, math.ceil(STEPS * fastest / pieces.rate))
     return steps + 1 - steps % 2
 
 
-def _swings(pieces: _Pieces) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _swings(pieces: _Pieces) -> Sequence[Any]:
     """Angle, rate and acceleration (W, P, B) without play: exact where the torque is linear and the
     inertia constant from one sample to the next. The gears are damped less than critically."""
-    u, m, gear, rate = pieces
-    k, damping, x = gear.stiffness, gear.damping, pieces.start
+    u, m, rate = pieces.load, pieces.inertia, pieces.rate
+    # Of arrays or of tensors, which call the same functions by the same names.
+    xp: Any = torch if isinstance(u, Tensor) else np
+    k, damping, x = xp.asarray(pieces.gear.stiffness), xp.asarray(pieces.gear.damping), pieces.start
     # The deflection that follows a torque which grows so, and how the link swings about it.
-    slope = np.diff(u, axis=0) * rate / k
+    slope = (u[1:] - u[:-1]) * rate / k
     still = u[:-1] / k - damping / k * slope
     decay = damping / (2 * m[:-1])
-    omega = np.sqrt(np.maximum(k / m[:-1] - decay**2, 1e-12))
-    fade = np.exp(-decay / rate)
-    sine, cosine = fade * np.sin(omega / rate) / omega, fade * np.cos(omega / rate)
+    omega = xp.sqrt(xp.clip(k / m[:-1] - decay**2, 1e-12, None))
+    fade = xp.exp(-decay / rate)
+    sine, cosine = fade * xp.sin(omega / rate) / omega, fade * xp.cos(omega / rate)
     own, cross, back, rest = cosine + decay * sine, sine, -k / m[:-1] * sine, cosine - decay * sine
-    xs, vs = np.empty((2, len(u), *x.shape))
-    v = np.zeros_like(x)
-    xs[0], vs[0] = x, v
+    xs, vs = [x], [xp.zeros_like(x)]
     for i in range(len(still)):
-        away, speed = x - still[i], v - slope[i]
-        x = still[i] + slope[i] / rate + own[i] * away + cross[i] * speed
-        v = slope[i] + back[i] * away + rest[i] * speed
-        xs[i + 1], vs[i + 1] = x, v
-    return xs, vs, (u - k * xs - damping * vs) / m
+        away, speed = xs[-1] - still[i], vs[-1] - slope[i]
+        xs.append(still[i] + slope[i] / rate + own[i] * away + cross[i] * speed)
+        vs.append(slope[i] + back[i] * away + rest[i] * speed)
+    angle, speeds = xp.stack(xs), xp.stack(vs)
+    return angle, speeds, (u - k * angle - damping * speeds) / m
+
+
+def _traced_flight(pieces: _Pieces) -> Sequence[Tensor]:
+    """The same with play as `_flights` has it, of one motion, on tensors that gradients follow."""
+    u, m, gear, rate = pieces
+    k, damping, play, drag = map(torch.from_numpy, gear)
+    steps, x, v = _steps(pieces), pieces.start, torch.zeros_like(u[0])
+    xs, vs, middle = [x], [v], []
+    for i in range(len(u) - 1):
+        own, grows = 1 / (steps * rate) / m[i], (u[i + 1] - u[i]) / steps
+        for step in range(steps):
+            push = v + own * (u[i] + step * grows)
+            beyond = x - torch.minimum(torch.maximum(x, -play / 2), play / 2)
+            touching = (push - own * k * beyond) / (1 + own * damping)
+            pushes = (push - touching) * beyond > 0
+            v = torch.where(pushes, touching, push / (1 + own * drag))
+            x = x + v / (steps * rate)
+            if step == steps // 2:
+                middle.append(v)
+        xs.append(x)
+        vs.append(v)
+    before, after = torch.stack([middle[0], *middle]), torch.stack([*middle, middle[-1]])
+    return torch.stack(xs), torch.stack(vs), (after - before) * rate
 
 
 def _flights(some: Sequence[_Pieces], steps: int, lead: int) -> list[list[np.ndarray]]:

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchid.effects.base import Coefficient, Columns, Example, JointEffect, Motion, Shape
 from torchid.effects.scan import affine_scan
+from torchid.typing import Float
 
 
 @dataclass(frozen=True)
@@ -69,9 +70,22 @@ class PreslidingHysteresis(JointEffect):
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
         """z along the trajectory (..., T, n, 1), 0 at its first instant; shapes: length."""
-        step = torch.diff(motion.q, dim=-2, prepend=motion.q[..., :1, :])
-        kept, gained = cls._step(step, *shapes)
-        return affine_scan(kept, gained, kept.new_zeros(())).unsqueeze(-1)
+        return cls._bristles(motion.q, motion.q.new_zeros(()), *shapes).unsqueeze(-1)
+
+    def columns_from(
+        self, motion: Motion, state: Float[Tensor, "*batch"]
+    ) -> Float[Tensor, "*batch T 1"]:
+        """The same on its joint, from bristles that stand somewhere."""
+        return self._own(motion, state)
+
+    def after(self, motion: Motion, state: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+        """How the bristles stand at the last instant."""
+        return self._own(motion, state)[..., -1, 0]
+
+    def _own(self, motion: Motion, state: Tensor) -> Float[Tensor, "*batch T 1"]:
+        """Deflection of its joint's bristles."""
+        q = motion.q[..., self.joint, None]
+        return self._bristles(q, state.unsqueeze(-1), q.new_tensor(self.length))
 
     @classmethod
     def initial(cls, motion: Motion, *shapes: Tensor) -> Tensor:
@@ -87,6 +101,14 @@ class PreslidingHysteresis(JointEffect):
         kept, gained = cls._step(motion.dq * dt, *shapes)
         z = kept * state + gained
         return z.unsqueeze(-1), z
+
+    @classmethod
+    def _bristles(
+        cls, q: Float[Tensor, "*batch T k"], first: Tensor, *shapes: Tensor
+    ) -> Float[Tensor, "..."]:
+        """Deflections along positions, from those at the first instant: (..., k), or () for all."""
+        kept, gained = cls._step(torch.diff(q, dim=-2, prepend=q[..., :1, :]), *shapes)
+        return affine_scan(kept, gained, first)
 
     @classmethod
     def _step(cls, step: Tensor, *shapes: Tensor) -> tuple[Tensor, Tensor]:
@@ -125,6 +147,12 @@ class LoadHysteresis(PreslidingHysteresis):
     def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
         """|torque of the model| z (..., T, n, 1); shapes: length."""
         return super().formula(motion, *shapes) * _load(motion)
+
+    def columns_from(
+        self, motion: Motion, state: Float[Tensor, "*batch"]
+    ) -> Float[Tensor, "*batch T 1"]:
+        """The same on its joint, from bristles that stand somewhere."""
+        return self._own(motion, state) * _load(motion)[..., self.joint, :]
 
     @classmethod
     def advance(

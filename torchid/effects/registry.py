@@ -143,14 +143,6 @@ def nominal_others(robot: Robot) -> list[Valued]:
     return [pair for pair in nominal_effects(robot) if pair[0].name not in COLUMN_KINDS]
 
 
-def nominal_effect_torque(robot: Robot, motion: Motion) -> Joints:
-    """Torque (..., n) of the robot's nominal effects."""
-    effects = nominal_effects(robot)
-    if all(effect.name in COLUMN_KINDS for effect, _ in effects):
-        return effect_torque(robot, effects, motion)
-    return effect_torque(robot, effects, motion, inverse_dynamics(robot, *motion.state))
-
-
 def effect_torque(
     robot: Robot, effects: Sequence[Valued], motion: Motion, rigid: Joints | None = None
 ) -> Joints:

@@ -14,12 +14,11 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.effects.registry import (
     Valued,
     effect_from_record,
-    nominal_effect_torque,
+    model_torque,
     nominal_effects,
 )
 from torchid.errors import LogError, TorchidError
@@ -244,7 +243,7 @@ def nominal_torque(robot: Robot, motion: Motion) -> Float[Tensor, "*batch n"]:
     Raises:
         RobotError: the robot has no nominal parameters.
     """
-    return inverse_dynamics(robot, *motion.state) + nominal_effect_torque(robot, motion)
+    return model_torque(robot, nominal_effects(robot), motion)
 
 
 def _check(robot: Robot, motion: Log) -> None:

@@ -1,12 +1,14 @@
 """The answer: where the gap lies, which effects cause it, how far it shrinks."""
 
+import csv
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from msgspec import UNSET
 
@@ -15,6 +17,7 @@ from torchid.design.segments import EDGE, NEVER, Samples, Segment
 from torchid.effects.base import Coefficient, Effect, Motion
 from torchid.effects.names import PLACES
 from torchid.effects.registry import Valued
+from torchid.files import atomic_write
 from torchid.gap.record import (
     Budget,
     Experiment,
@@ -36,6 +39,7 @@ from torchid.gap.record import (
 )
 from torchid.gap.settings import GapSettings
 from torchid.json_data import plain
+from torchid.notebooks import data_frame
 from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
 from torchid.results.friction import FrictionLaw
 from torchid.results.record import Rows, by_joint
@@ -46,9 +50,11 @@ from torchid.robot.model import JointType, Robot, torque_unit
 from torchid.robot.writer import write_robot
 from torchid.simulation.two_models import Rollout, SimulatedMotion
 from torchid.simulators.nearest_fields import NearestFields, nearest_fields
-from torchid.typing import Bool, Float, Tensor
+from torchid.typing import Bool, Float, Int, Tensor
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
     from torchid.next_motion.separating_motion import Separation
 
 UNLIKE = 0.5
@@ -102,6 +108,66 @@ class Trace:
         """Instants of each joint that count for how far the gap closes."""
         every = self.valid.unsqueeze(1).expand_as(self.measured)
         return every if self.moving is None else every & self.moving
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueOverTime:
+    """Torque of the logs that were judged, one row an instant and joint, in the band of the report.
+
+    Attributes:
+        t: (R,) time in the log [s].
+        log: (R,) name of the trajectory.
+        joint: (R,) from 0; from 1 in frames and files.
+        measured, as_given, corrected: (R,) torque [N m; N]: measured; of the model as given; of the
+            model with what was found, fitted without this instant.
+        counts: (R,) whether the row counts for how far the gap closes.
+    """
+
+    t: Float[np.ndarray, " R"]
+    log: np.ndarray
+    joint: Int[np.ndarray, " R"]
+    measured: Float[np.ndarray, " R"]
+    as_given: Float[np.ndarray, " R"]
+    corrected: Float[np.ndarray, " R"]
+    counts: Bool[np.ndarray, " R"]
+
+    @classmethod
+    def of(cls, traces: Sequence[Trace]) -> "TorqueOverTime":
+        """Of all traces, instant by instant."""
+        n = traces[0].measured.shape[1]
+        times = [t.motion.require("t", "a trace") for t in traces]
+        since = [x - x[0] + trace.stamp for x, trace in zip(times, traces, strict=True)]
+        values = ([t.measured, t.before, t.after, t.counting] for t in traces)
+        torques = (torch.cat(x).flatten().numpy() for x in zip(*values, strict=True))
+        return cls(
+            torch.cat(since).repeat_interleave(n).numpy(),
+            np.repeat([t.name for t in traces], [t.measured.numel() for t in traces]),
+            np.tile(np.arange(n), sum(map(len, times))),
+            *torques,
+        )
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The arrays by name; joints from 1."""
+        return {f.name: getattr(self, f.name) for f in fields(self)} | {"joint": self.joint + 1}
+
+    def to_frame(self) -> "DataFrame":
+        """The columns as a pandas DataFrame.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        return data_frame()(self.columns())
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write the columns, whole or not at all.
+
+        Raises:
+            TorchidError: the file cannot be written.
+        """
+        with atomic_write(Path(path)) as file:
+            rows = csv.writer(file, lineterminator="\n")
+            rows.writerow(self.columns())
+            rows.writerows(zip(*(x.tolist() for x in self.columns().values()), strict=True))
 
 
 def unfollowed(traces: Sequence[Trace]) -> Float[Tensor, " n"]:
@@ -442,6 +508,11 @@ class TorqueDiagnosis(Diagnosis):
             TorchidError: the file cannot be written.
         """
         write_robot(self.corrected, path)
+
+    @property
+    def over_time(self) -> TorqueOverTime:
+        """Measured torque, the model's as given and corrected, of all that was judged."""
+        return TorqueOverTime.of(self.traces)
 
     @property
     def effects(self) -> Rows[FoundEffect]:

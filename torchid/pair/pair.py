@@ -15,6 +15,7 @@ side's by a diagnosis of its own log.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import torch
 
@@ -77,6 +78,19 @@ class PairDiagnosis(Result):
     def record(self) -> PairRecord:
         """As the JSON has it."""
         return self.found
+
+    def write_corrected(self, path: str | Path) -> None:
+        """Write the simulator's robot with what the arm has otherwise, as a .yaml.
+
+        Raises:
+            TorchidError: no effects were sought, or the file cannot be written.
+        """
+        if self.of_arm is None:
+            raise TorchidError(
+                "there is no corrected model: effects of simulator and arm were not compared.",
+                got="; ".join(self.found.warnings),
+            )
+        self.of_arm.write_corrected(path)
 
     @property
     def faults(self) -> tuple[Fault, ...]:

@@ -1,11 +1,15 @@
 """A simulator's log against the arm's, for people."""
 
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
 
 from torchid.pair.pair import PairDiagnosis
 from torchid.pair.record import Fault, OneSided, ServoDifference, WherePair
+from torchid.report import diagnosis
+from torchid.report.cautions import caution_section
 from torchid.report.gap_figures import CLEAR, excess_words
-from torchid.report.table import Shown, Table, cell
+from torchid.report.table import Origin, Page, Section, Shown, Table, cell
 from torchid.results.words import (
     effect_words,
     joints_words,
@@ -107,7 +111,26 @@ def _more(one: OneSided) -> str:
 
 def shown(found: PairDiagnosis) -> Shown:
     """All that there is to see of a pair."""
-    return Shown(verdict=verdict(found), parts=tables(found), warnings=found.record.warnings)
+    return Shown(
+        verdict=verdict(found),
+        parts=tables(found),
+        warnings=found.record.warnings,
+        page=partial(page, found),
+    )
+
+
+def page(found: PairDiagnosis, origin: Origin) -> Page:
+    """The page of a pair: where both differ, and below it the diagnosis of the arm beside the
+    simulator, where effects were sought."""
+    own = (
+        Section("Simulator and arm", tables(found), folded=False),
+        caution_section(found.record.warnings),
+    )
+    title, said = "Simulator beside arm", verdict(found)
+    if found.of_arm is None:
+        return Page(title, said, (), origin, sections=own)
+    whole = diagnosis.page(found.of_arm, origin)
+    return replace(whole, title=title, verdict=said, sections=(*own, *whole.sections))
 
 
 def tables(found: PairDiagnosis) -> list[Table | None]:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchid.effects.base import Effect, ModelEffect, Motion
-from torchid.effects.registry import Valued
+from torchid.effects.registry import Valued, nominal_effects
 from torchid.errors import TorchidError
 from torchid.robot.model import Robot
 from torchid.simulation.closed_loop import plant_of
@@ -47,14 +47,14 @@ def rollout(
 ) -> Rollout:
     """Motions that measured torques give.
 
-    Effects in the sensors are undone on the torque where they are an affine map of it at each
-    instant (gains, crosstalk), and on the initial position where they only add a constant to it;
-    others (a delay, a compliance) are ignored and named. An open loop drifts even with a good
-    model, so windows should be short.
+    The robot has its own effects and those given. Effects in the sensors are undone on the torque
+    where they are an affine map of it at each instant (gains, crosstalk), and on the initial
+    position where they only add a constant to it; others (a delay, a compliance) are ignored and
+    named. An open loop drifts even with a good model, so windows should be short.
 
     Args:
-        robot: with parameters; its own nominal effects count too.
-        effects: beyond the nominal ones.
+        robot: with parameters.
+        effects: beyond its own.
         q0, dq0: state at the first sample [rad, rad/s; m, m/s].
         tau: measured torque at the samples [N m; N], on straight lines between them.
         dt: seconds between samples.
@@ -71,7 +71,7 @@ def rollout(
     if not 0 < dt < math.inf:
         raise TorchidError("the time between samples is positive.", got=dt, expected="> 0 s")
     plant = plant_of(robot, [list(effects)], q0)
-    true, shift, ignored = undone(robot, effects, tau)
+    true, shift, ignored = undone(robot, [*nominal_effects(robot), *effects], tau)
     begin = Motion(q0 - shift, dq0, torch.zeros_like(q0))
     arms = len(true)
     steps = max(1, math.ceil(dt / longest_step - 1e-9))

@@ -9,7 +9,7 @@ starts. Neighbouring rollouts share data: intervals come from whole blocks of th
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -205,11 +205,9 @@ def _motions(
 
 def _simulated(robot: Robot, windows: Windows) -> tuple[Float[Tensor, "B T n"], Sequence[str]]:
     """Positions at the samples, and names of effects left out."""
-    # As effects beyond a bare robot, those in the sensors are undone.
-    bare, effects = replace(robot, effects=()), nominal_effects(robot)
     q0, dt = windows.q[:, 0], windows.dt
     run = rollout(
-        bare, effects, q0, windows.dq0, windows.tau, dt, windows.t0, longest_step=_LONGEST_STEP
+        robot, (), q0, windows.dq0, windows.tau, dt, windows.t0, longest_step=_LONGEST_STEP
     )
     return run.q, run.ignored
 

@@ -224,7 +224,6 @@ class ServoTorque:
         if environments is None:
             self._step = 0
 
-    @torch.no_grad()
     def torque(
         self, command: Float[Tensor, "B J"], q: Float[Tensor, "B J"], dq: Float[Tensor, "B J"]
     ) -> Float[Tensor, "B J"]:
