@@ -303,15 +303,14 @@ def _point_mass(free: Tensor) -> Tensor:
 def _point_mass_solution(
     estimator: Float[Tensor, "10 T"], null: Float[Tensor, "10 D"], joint: Joint
 ) -> Tensor:
-    """Nonlinear least squares from the general payload's mass and centre of mass; from 1 kg away
-    from the origin where the rows do not tell the mass: of no mass they say nothing at all."""
+    """Nonlinear least squares from the general payload's mass and centre of mass. A mass that the
+    rows do not tell begins at 1 kg, a moment away from zero: without a mass no place matters."""
     general = estimator @ joint.values
     mass = float(general[0])
     place = general[1:4] / mass if mass > 0 else torch.zeros_like(general[1:4])
-    told = float(null[0].abs().sum()) <= _VANISHES * float(null.abs().sum().clamp(min=1e-300))
-    if not told:
-        general = torch.cat([torch.ones_like(general[:1]), general[1:]])
-        place = general[1:4] + _AWAY
+    open_ = null.abs().sum(1) > _VANISHES * null.abs().sum().clamp(min=1e-300)
+    if bool(open_[0]):
+        mass, place = 1.0, general[1:4] + _AWAY * open_[1:4]
     # A square factor has the same sums of squares, and no fewer rows than parameters.
     table = torch.cat([joint.design, (joint.rest @ joint.values).unsqueeze(1)], 1)
     r = torch.linalg.qr(torch.cat([table, table.new_zeros(11, 11)]), mode="r").R
@@ -322,7 +321,7 @@ def _point_mass_solution(
     def slope(x: object) -> object:
         return (r[:, :-1] @ jacobian(_point_mass, torch.as_tensor(x))).numpy()
 
-    start = torch.cat([general[:1], place.clamp(-1, 1)]).numpy()
+    start = torch.cat([general.new_tensor([mass]), place.clamp(-1, 1)]).numpy()
     found = least_squares(residual, start, slope, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
     return torch.from_numpy(found.x)
 
