@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from tests.trees import package_urdfs
+from torchid.feasibility.plausibility import bodies
 from torchid.feasibility.record import check
 from torchid.feasibility.units import unit_findings
 from torchid.robot.inertia import InertialParameters
@@ -148,3 +149,44 @@ def test_published_arms_have_no_findings():
     assert {path.name: sentences(load_robot(path)) for path in tried} == {
         path.name: [] for path in tried
     }
+
+
+@pytest.mark.parametrize("links", [slice(None), slice(1, 2)])
+def test_links_as_dense_as_steel_are_named_with_their_share_of_the_mass(links):
+    """An export of solid parts: masses and inertias times one factor, the shape is right."""
+    robot = load_robot("kuka_lwr4")
+    own = bodies(robot.parameters).density[links]
+    factor = 6000.0 / float(own[torch.isfinite(own)].quantile(0.5))
+    (found,) = unit_findings(planted("kuka_lwr4", mass=factor, inertia=factor, links=links))
+    assert found.link == (2 if links == slice(1, 2) else None)
+    assert "'link_2'" in found.sentence
+    assert "of the" in found.sentence
+    assert "nearly solid steel; compare their mass with the maker's" in found.sentence
+
+
+GRIPPER = """<joint name="mount" type="fixed"><parent link="l1"/><child link="gripper"/>
+<origin xyz="0 0 0.3"/></joint><link name="gripper"><inertial><mass value="0.9"/>
+<origin xyz="0 0 0.05"/><inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/>
+</inertial></link>"""
+
+
+@pytest.mark.parametrize("rest", ["", GRIPPER])
+def test_a_link_too_light_for_its_inertia_has_two_remedies_also_where_another_is_fixed_to_it(
+    tmp_path, rest
+):
+    """7 g with the inertia of a bar of 0.7 kg, 0.3 m long: 0.00525 kg m^2, 0.09 m of gyration."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(f"""<robot name="arm"><link name="base"/><link name="l1"><inertial>
+<mass value="0.007"/><origin xyz="0 0 0.15"/><inertia ixx="0.00525" iyy="0.00525" izz="0.0003"
+ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="j" type="revolute"><parent link="base"/>
+<child link="l1"/><limit lower="-1" upper="1" effort="9" velocity="1"/></joint><link name="tool"/>
+<joint name="f" type="fixed"><parent link="l1"/><child link="tool"/><origin xyz="0 0 0.3"/></joint>
+{rest}</robot>""")
+    robot = load_robot(path, tip="tool")
+    (found,) = unit_findings(robot)
+    assert found.link == 1
+    assert found.sentence.startswith("'l1': ")
+    assert "inertias 1000 times too large" in found.sentence
+    mass = float(found.sentence.split("or like another mass: ")[1].split()[0])
+    assert mass == pytest.approx(0.7, rel=0.2)
+    assert found.sentence.endswith(f"{mass:g} kg has this inertia")

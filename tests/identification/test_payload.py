@@ -169,12 +169,10 @@ def test_any_consistent_payload_on_any_arm_with_a_wrist(name, seed):
     assert torch.equal(found.nearest, found.parameters)
 
 
-def from_change(robot, base, change, covariance, degrees=math.inf):
+def from_change(robot, base, change, covariance, degrees=math.inf, model="general"):
     """The payload behind a change of base parameters with a covariance."""
     found = known_rows(torch.eye(len(change), dtype=torch.float64), change, degrees)
-    return payload_from_evidence(
-        robot, base, (), (replace(found, covariance=covariance),), "general"
-    )
+    return payload_from_evidence(robot, base, (), (replace(found, covariance=covariance),), model)
 
 
 def planar(n: int, gravity=(0.0, -9.81, 0.0)) -> Robot:
@@ -222,6 +220,27 @@ def test_what_a_planar_arm_cannot_tell_is_said(robot):
     torch.testing.assert_close(
         torque.flatten(1).T @ found.nearest, torque.flatten(1).T @ BOX, rtol=0, atol=1e-5
     )
+
+
+@pytest.mark.parametrize("gravity", [(0.0, -9.81, 0.0), (0.0, 0.0, -9.81)])
+def test_a_point_whose_mass_no_base_parameter_has_is_known_or_open_and_never_zero(gravity):
+    """One axis tells m c across it by gravity and m c^2 by inertia: m = |m c|^2 / (m c^2). Without
+    gravity across it, m c^2 alone is told, and nothing of m or of m c."""
+    robot = replace(planar(1, gravity), after=torch.eye(4, dtype=torch.float64).unsqueeze(0))
+    point = body(0.7, (0.01, -0.04, 0.05), (0, 0, 0))
+    base, change = noiseless_change(robot, point)
+    spread = 1e-12 * torch.eye(len(base), dtype=torch.float64)
+    found = from_change(robot, base, change, spread, 30.0, model="point_mass")
+    inertia = found.parameters[9]
+    assert float(inertia) == pytest.approx(0.7 * (0.01**2 + 0.04**2), rel=1e-6)
+    if gravity[1]:
+        assert float(found.link.mass.value) == pytest.approx(0.7, rel=1e-4)
+        torch.testing.assert_close(found.parameters[1:3], point[1:3], rtol=1e-4, atol=0)
+        assert set(found.undetermined) >= {"mcz"}
+    else:
+        assert {"m", "mcx", "mcy", "mcz"} <= set(found.undetermined)
+        assert bool(found.link.parameters.value[:4].isnan().all())
+        assert not found.seen
 
 
 _NAMES = ("m", "mcx", "mcy", "mcz", "Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz")

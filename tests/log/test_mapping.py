@@ -332,3 +332,32 @@ def test_joints_without_a_torque_sensor(tmp_path: Path, columns: str, torque: li
     assert read_log(path, columns=columns).tau[0].tolist() == torque
     with pytest.raises(LogError, match="only that there is none"):
         read_log(path, columns="tau1=e1")
+
+
+def test_a_known_external_torque_is_subtracted_and_this_is_said(tmp_path: Path) -> None:
+    """A load cell behind the drive of joint 2: the motor gives friction and what the cell tells."""
+    friction = np.stack([0.2 * np.cos(T), 0.3 * np.sin(T)], 1)
+    cell = np.array([4.0, 5.0, 6.0, 5.0, 4.0])
+    tau = friction + np.stack([np.zeros(5), cell], 1)
+    own = {"t": T, "q1": T, "q2": T, "tau1": tau[:, 0], "tau2": tau[:, 1]}
+    named = save(tmp_path / "named.csv", own | {"ext2": cell})
+    mapped = save(tmp_path / "mapped.csv", own | {"load_cell": -1e3 * cell})
+    for path, columns in ((named, None), (mapped, "ext2=-load_cell mNm")):
+        log = read_log(path, columns=columns)
+        assert log.tau is not None
+        assert np.abs(log.tau.numpy() - friction).max() < 1e-12
+        (said,) = log.warnings
+        assert "External torque is subtracted" in said
+        assert "tau2 - ext2" in said
+    both = save(tmp_path / "both.csv", own | {"cell1": 0 * cell, "cell2": cell})
+    log = read_log(both, columns="ext=cell{j}")
+    assert log.tau is not None
+    assert np.abs(log.tau.numpy() - friction).max() < 1e-12
+
+
+def test_an_external_torque_needs_a_torque_and_a_joint(tmp_path: Path) -> None:
+    own = {"t": T, "q1": T}
+    with pytest.raises(LogError, match="no tau to take them from"):
+        read_log(save(tmp_path / "none.csv", own | {"ext1": T}))
+    with pytest.raises(LogError, match="no joint of column ext2"):
+        read_log(save(tmp_path / "two.csv", own | {"tau1": T, "ext2": T}))

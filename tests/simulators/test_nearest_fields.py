@@ -55,20 +55,19 @@ def test_a_file_with_the_nearest_fields_is_nearer_and_loses_what_it_says(to) -> 
     truth = replace(arm("3r"), effects=(*HELD, *WITHOUT[:3]))
     rows = nearest_fields(columns_of(truth), to)
     effects = [(row.joint, *row.effects) for row in rows]
-    assert effects == [(j, one["effect"]) for j, one in enumerate(WITHOUT[:3])]
+    assert effects == [(j, one["effect"]) for j, one in enumerate(WITHOUT[:2])]
     errors = []
     for some in ((), rows):
         columns = columns_of(as_in_file(truth, some, to), truth)
         keep = moving_samples(columns.samples)
-        errors.append([float(columns.gap[j, keep[j]].square().mean().sqrt()) for j in range(3)])
+        errors.append([float(columns.gap[j, keep[j]].square().mean().sqrt()) for j in range(2)])
     assert [row.made for row in rows] == pytest.approx(errors[0], rel=1e-6)
     assert [row.lost for row in rows] == pytest.approx(errors[1], rel=1e-6)
     assert all(row.lost < 0.5 * row.made for row in rows if row.fields)
-    hysteresis, load, offset = rows
+    hysteresis, load = rows
     assert hysteresis.fields.keys() == {"friction"}
     assert 3.0 < hysteresis.fields["friction"] < 4.0, "less than it reaches, for it comes late"
     assert load.fields["friction"] > 0.5
-    assert not offset.fields, "no spring is added where none is"
 
 
 def test_no_field_takes_a_sign_that_simulators_refuse() -> None:
@@ -84,9 +83,24 @@ def test_errors_of_the_sensors_are_in_no_field() -> None:
     rows = nearest_fields(columns_of(robot), "mjcf")
     assert [row.effects for row in rows] == [("presliding_hysteresis",)]
     mjcf, urdf = simulator_block(robot, rows).split("<!-- URDF")
-    assert "no field for: time_delay -->" in mjcf
+    assert "no field for" not in mjcf
+    assert "correct the log, not the simulator: time delay of joint 3: Shift the torque's" in urdf
     assert f"the nearest is frictionloss {rows[0].fields['friction']:.3g} instead of 0;" in mjcf
     assert f'frictionloss="{rows[0].fields["friction"]:.6g}"' in mjcf
     assert f"{rows[0].lost:.2g} of {rows[0].made:.2g} N m RMS are lost" in mjcf
     # Those of one format are no other's.
-    assert "no field for: presliding_hysteresis and time_delay -->" in urdf
+    assert "no field for: presliding_hysteresis -->" in urdf
+
+
+def test_an_offset_of_a_sensor_is_no_friction_where_the_joint_moves_one_way_alone() -> None:
+    robot = replace(arm("3r"), effects=(*HELD, {**WITHOUT[2], "joint": 2}))
+    columns = columns_of(robot)
+    (segment,) = columns.samples.segments
+    one_way = replace(segment, motion=segment.motion._replace(dq=segment.motion.dq.abs() + 0.1))
+    rows = nearest_fields(Columns(columns.model, Samples([one_way], BAND)), "mjcf")
+    assert rows == ()
+    joint = simulator_block(robot, rows).splitlines()[2]
+    assert joint == '<joint name="joint_2" frictionloss="0.5"/>'
+    assert "correct the log, not the simulator: torque offset of joint 2: Subtract F0" in (
+        simulator_block(robot, rows)
+    )

@@ -21,6 +21,7 @@ from torchid.doctor.samples import samples
 from torchid.doctor.search import CLEAR, Search, rms, search
 from torchid.doctor.size import check_nominal, check_size
 from torchid.errors import LogError
+from torchid.feasibility.units import unit_findings
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.json_data import plain
 from torchid.log.checks import check_joints
@@ -34,6 +35,8 @@ MODEL_CHECKS = (
     "torque explained", "joint order", "torque sign", "position sign", "gain of a joint", "gravity",
     "lag", "torque unit", "excitation",
 )  # fmt: skip
+FILE = "masses of the file"
+"""Check of the robot's nominal parameters alone."""
 _MINOR = "unseen joint sign"
 """No fault is hidden where it cannot be told: a mirrored arm has the same torques."""
 
@@ -129,6 +132,10 @@ def examine(
     settled = by_torque(robot, log, checks)
     if settled is not None:
         checks, now = signal_checks(robot, log, (*fixes, settled))
+    # What a fit has made of the links is no mistake of a file.
+    if robot.knowledge is None and (odd := unit_findings(robot)):
+        text = "; ".join(finding.sentence for finding in odd)
+        checks.append(judged(FILE, "doubtful", text, fix="correct the robot's file"))
     if any(c.name == "clock" and c.verdict == "wrong" and not c.repairs for c in checks):
         result = Examination(robot, log, tuple(checks))
     else:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from torchid.doctor.check import Check
-from torchid.doctor.examine import LEAST_SAMPLES, Examination, examine
+from torchid.doctor.examine import FILE, LEAST_SAMPLES, Examination, examine
 from torchid.doctor.faults import CHECK_OF
 from torchid.doctor.kind import holds_no_gravity
 from torchid.doctor.search import EXPLAINED
@@ -52,7 +52,7 @@ class Doubts:
 
     Attributes:
         short: for the headline; empty where nothing does.
-        warnings: with the evidence.
+        warnings: with the evidence, and what is odd about the robot's file.
         wrong: whether a fault is sure, which no answer settles.
     """
 
@@ -92,12 +92,14 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False) -> Doubts:
     wrong = [c for c in odd if _stops(c, found)]
     if wrong and not force:
         raise WrongLogError(found, wrong)
-    if not odd:
-        return Doubts()
     odd.sort(key=lambda c: c not in wrong)
-    notes = tuple(f"{c.evidence}{f'; {c.fix}' if c.fix else ''}." for c in odd)
+    # The model's own mistakes are what a diagnosis is for: no doubt of the log.
+    every = (*odd, *(c for c in found.checks if c.name == FILE))
+    notes = tuple(f"Caution: {c.evidence}{f'; {c.fix}' if c.fix else ''}." for c in every)
+    if not odd:
+        return Doubts(warnings=notes)
     text = f"Wrong log: {_names(wrong)}." if wrong else f"Doubt: {_in_short(odd[0])}."
-    return Doubts(text, tuple(f"Caution: {note}" for note in notes), bool(wrong))
+    return Doubts(text, notes, bool(wrong))
 
 
 def _stops(check: Check, found: Examination) -> bool:

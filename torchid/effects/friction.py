@@ -104,6 +104,7 @@ class TorqueOffset(JointEffect):
     name = "torque_offset"
     family = "constant"
     branch = "sensing"
+    of_sensor = True
     coefficients = (Coefficient("F0", "N m", False, "offset"),)
     servo = ("offset",)
     positions = True

@@ -89,6 +89,7 @@ class TorqueShare(OneJointEffect):
 
     family = "gravity"
     branch = "sensing"
+    of_sensor = True
     needs = frozenset({"torque"})
 
     @property
@@ -189,6 +190,7 @@ class EncoderOffset(OneJointEffect):
     name = "encoder_offset"
     family = "gravity"
     branch = "sensing"
+    of_sensor = True
     coefficients = (
         Coefficient("offset", "rad", False, "true position minus the measured one", 0.35),
     )

@@ -48,6 +48,7 @@ class TimeDelay(OneJointEffect):
     name = "time_delay"
     family = "phase"
     branch = "sensing"
+    of_sensor = True
     needs = frozenset({"torque", "t"})
     coefficients = (Coefficient("delay", "s", True, "by which the torque is late", 0.1),)
     meaning = "The torque is filtered or stamped later than the position."
@@ -98,6 +99,7 @@ class FilterLag(ModelEffect):
     name = "filter_lag"
     family = "phase"
     branch = "sensing"
+    of_sensor = True
     needs = frozenset({"robot", "t", "velocity"})
     coefficients = (
         Coefficient("lag", "s", True, "by which velocity and acceleration are late", 0.1),

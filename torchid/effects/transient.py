@@ -258,6 +258,7 @@ class DroppedSamples(OneJointEffect):
     name = "dropped_samples"
     family = "transient"
     branch = "sensing"
+    of_sensor = True
     needs = frozenset({"torque", "t", "age"})
     jumps = True
     coefficients = (

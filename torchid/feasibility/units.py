@@ -5,10 +5,13 @@ times too large or too dense. Two numbers of a link tell: its radius of gyration
 length, and its density, that of a body with its inertia, about 1000 kg/m^3. In makers' models of
 arms, hands, legs and humanoids the medians are within a factor of 3 and of 6 of these. Wrong units
 move both by powers of ten, and together they say which. What all links have in common shows in the
-medians; a single link has to be one that no body can be, or nearly.
+medians; a single link has to be one that no body can be, or nearly. An <inertial> that is merged
+with others is looked at by itself. Links of the density of steel are told, too: an export of solid
+parts. Makers' links that matter reach half of that.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -54,8 +57,12 @@ _ROOM = 1.05
 """The same, of a light body of which only the joints are known, and nearer than its end may be."""
 _AWAY = 5.0
 """Sizes of a link that its centre of mass may be beyond its joints and its shapes."""
-_HEAVY = 10.0
+_HEAVY = 3.0
 """Torque that holds the arm over the limit: arms whose springs bear their weight have 1.7."""
+_SOLID = 4500.0
+"""Density of links that hold housing, motor and gear, from which on they are too heavy [kg/m^3]."""
+_MATTERS = 0.1
+"""Share of the moving mass that one link alone must have to be too heavy: motors are dense."""
 _MESHES = 100.0
 """Size of a link's shapes over its length; makers' links have up to 14."""
 _MOST = 6
@@ -93,43 +100,73 @@ def nominal_findings(robot: Robot) -> tuple[Finding, ...]:
 
 
 def unit_findings(robot: Robot) -> tuple[Finding, ...]:
-    """What in a robot's nominal parameters looks like another unit, or like a power of ten.
+    """What in a robot's nominal parameters looks like another unit, like a power of ten, or like
+    solid metal.
 
     Links without mass, and points, are passed over. Shapes are read from the robot's file where a
     link looks too small for its matter.
+
+    Raises:
+        RobotError: the file is no longer what the robot was read from.
     """
-    parameters = robot.parameters
-    if parameters is None or robot.floating:
+    if robot.parameters is None or robot.floating:
         return ()
-    own, mass, size = bodies(parameters), parameters.mass, link_lengths(robot)
+    merged = [one for one in own_inertials(robot) if not one.alone and one.moving_link is not None]
+    place = [*range(robot.n_links), *(one.moving_link for one in merged)]
+    names = [*robot.link_names, *(one.link for one in merged)]
+    rows = [*robot.parameters.pi]
+    for one in merged:
+        j = one.inertia_about_com
+        rows.append(InertialParameters.from_com(j.new_tensor(one.mass), j.new_zeros(3), j).pi)
+    parameters = InertialParameters(torch.stack(rows))
+    own, mass, total = bodies(parameters), parameters.mass, robot.parameters.mass.sum()
+    whole = torch.arange(len(place)) < robot.n_links
+    lengths = size = link_lengths(robot)[place]
     known = own.gyration > 0
     ball = mass / (4 / 3 * math.pi * (2.5**0.5 * own.gyration) ** 3)
     density = own.density.minimum(torch.maximum(_FLAT * ball, own.density.clamp(max=_DENSITY)))
     at = torch.stack([own.gyration / size / _GYRATION, density / _DENSITY], -1).log10()
-    common = _common(at, known)
-    found = {} if common is None else {common[0]: common[1]}
-    away = outside_box(parameters.com, joint_points(robot).transpose(-1, -2))
-    rest = known if common is None else known & ~common[1]
+    common = _common(at, known & whole)
+    away = torch.zeros_like(mass)
+    away[whole] = outside_box(robot.parameters.com, joint_points(robot).transpose(-1, -2))
+    # Of a link that is one of those, its parts are, too.
+    rest = known if common is None else known & ~common[1][place]
     odd = rest & (own.gyration > _OUTSIDE * size) | (away > _AWAY * size)
     shapes = _read_shapes(robot) if bool(odd.any()) else None
     drawn = torch.zeros_like(known)
     if shapes is not None:
-        sides = (shapes.boxes[..., 1] - shapes.boxes[..., 0]).norm(dim=-1).nan_to_num(0.0)
+        sides = (shapes.boxes[..., 1] - shapes.boxes[..., 0]).norm(dim=-1).nan_to_num(0.0)[place]
         size = torch.maximum(size, sides)
         drawn = sides > 0
-        inside = torch.where(drawn, outside_box(parameters.com, shapes.boxes), torch.inf)
-        away = torch.minimum(away, inside)
-    strayed = (away > _AWAY * size) & (mass > 0)  # what is merged there makes inertias, too
-    rest = rest & ~strayed
-    light = (density < torch.where(drawn, DENSITIES[0], _LIGHTEST)) & (mass > 0.01 * mass.sum())
-    most = torch.where(light, torch.where(drawn, _OUTSIDE, _ROOM), _FAR_OUTSIDE)
-    outside = own.gyration > most * size
-    for (link,) in each(rest & (outside | (ball > DENSITIES[1]))):
-        words = _nearest(at[link])
-        found[words] = found.get(words, torch.zeros_like(known)).index_fill(
-            0, torch.tensor(link), True
+        inside = torch.where(
+            drawn[whole], outside_box(robot.parameters.com, shapes.boxes), torch.inf
         )
-    out = [_finding(robot, links, _as_bodies(own, links), words) for words, links in found.items()]
+        away[whole] = torch.minimum(away[whole], inside)
+    strayed = (away > _AWAY * size) & (mass > 0)  # what is merged there makes inertias, too
+    rest = rest & ~strayed[place]
+    inertia = mass * own.gyration**2
+    matters = (mass > 0.01 * total) | (inertia > 0.01 * inertia[whole].nan_to_num(0.0).amax())
+    light = (density < torch.where(drawn, DENSITIES[0], _LIGHTEST)) & matters
+    most = torch.where(light, torch.where(drawn, _OUTSIDE, _ROOM), _FAR_OUTSIDE)
+    bad = rest & ((own.gyration > most * size) & (whole | matters) | (ball > DENSITIES[1]) & whole)
+    # The sum of links that are merged says nothing beside the one that is wrong.
+    parts = {place[k] for (k,) in each(bad & ~whole)}
+    out = []
+    if common is not None:
+        words, links = common
+        out.append(_finding(names, links, _as_bodies(own, links), f"they look like {words}"))
+    usual = mass * (own.gyration / lengths / _GYRATION) ** 2
+    alone: dict[str, Bool[Tensor, " K"]] = {}
+    for (link,) in each(bad):
+        if link not in parts:
+            alone.setdefault(_nearest(at[link]), torch.zeros_like(known))[link] = True
+    for words, links in alone.items():
+        other = f"or like another mass: {_from_to(usual[links])} kg has this inertia"
+        out.append(
+            _finding(
+                names, links, _as_bodies(own, links), f"they look like {words}, {other}", place
+            )
+        )
     if bool(strayed.any()):
         far = (away / size)[strayed]
         # The centre of a link is about a fifth of it from its joints, the farthest of them half.
@@ -138,15 +175,41 @@ def unit_findings(robot: Robot) -> tuple[Finding, ...]:
             f"centres of mass up to {float(away[strayed].max()):.3g} m beyond links of up to "
             f"{float(size[strayed].max()):.2g} m"
         )
-        out.append(_finding(robot, strayed, said, f"{unit} for m"))
+        out.append(_finding(names, strayed, said, f"they look like {unit} for m"))
+    return tuple(out or _too_heavy(robot, own, density))
+
+
+def _too_heavy(robot: Robot, own: Bodies, density: Float[Tensor, " K"]) -> list[Finding]:
+    """Links of the density of steel, most of them or one alone, and an arm that cannot hold itself.
+
+    Args:
+        robot: with its n links.
+        own: they, and those merged in them.
+        density: theirs, of thin links at most what balls may have (K,) [kg/m^3].
+    """
+    assert robot.parameters is not None
+    mass, n = robot.parameters.mass, robot.n_links
+    finite, density = own.density[:n] < torch.inf, density[:n]
+    links = finite & (mass > _MATTERS / 2 * mass.sum())
+    if bool(links.any()) and float(density[links].quantile(0.5)) > _SOLID:
+        links &= own.density[:n] > _SOLID
+    else:
+        links = finite & (mass > _MATTERS * mass.sum()) & (density > _SOLID)
+    out = []
+    if bool(links.any()):
+        said = (
+            f"{float(mass[links].sum()):.3g} of the {float(mass.sum()):.3g} kg that move, with "
+            f"inertias of bodies of {_from_to(own.density[:n][links])} kg/m^3"
+        )
+        words = "nearly solid steel; compare their mass with the maker's"
+        out.append(_finding(robot.link_names, links, said, words))
     loads: list[list[Finding]] = [[]]
-    if not out:
-        add_gravity_loads(loads, InertialParameters(parameters.pi.unsqueeze(0)), robot, 0)
+    add_gravity_loads(loads, InertialParameters(robot.parameters.pi.unsqueeze(0)), robot, 0)
     for load in loads[0]:
         if load.value > _HEAVY:
-            words = f"{load.sentence}: the masses, or the limit, may be in another unit"
+            words = f"{load.sentence}: the masses, or the limit, may be wrong, or in another unit"
             out.append(replace(load, what=UNITS, sentence=words))
-    return tuple(out)
+    return out
 
 
 def shape_findings(robot: Robot, shapes: LinkShapes | None) -> tuple[Finding, ...]:
@@ -158,7 +221,8 @@ def shape_findings(robot: Robot, shapes: LinkShapes | None) -> tuple[Finding, ..
     if not bool(large.any()):
         return ()
     said = f"shapes of up to {float(sides[large].max()):.3g} m"
-    return (_finding(robot, large, said, 'meshes in mm: scale="0.001 0.001 0.001"'),)
+    words = 'they look like meshes in mm: scale="0.001 0.001 0.001"'
+    return (_finding(robot.link_names, large, said, words),)
 
 
 def _common(
@@ -202,9 +266,21 @@ def _as_bodies(own: Bodies, links: Bool[Tensor, " L"]) -> str:
     )
 
 
-def _finding(robot: Robot, links: Bool[Tensor, " L"], said: str, words: str) -> Finding:
+def _from_to(values: Float[Tensor, " K"]) -> str:
+    low, high = (f"{float(f'{float(x):.2g}'):g}" for x in values.aminmax())
+    return low if low == high else f"{low} to {high}"
+
+
+def _finding(
+    names: Sequence[str],
+    links: Bool[Tensor, " K"],
+    said: str,
+    words: str,
+    place: Sequence[int] | None = None,
+) -> Finding:
+    """Of links of these names, each merged into the moving link of its `place`, or one itself."""
     numbers = [link for (link,) in each(links)]
-    names = listed((f"'{robot.link_names[k]}'" for k in numbers), most=_MOST)
-    sentence = f"{names}: {said}: they look like {words}"
-    link = numbers[0] + 1 if len(numbers) == 1 else None
-    return Finding(link, UNITS, len(numbers), 0.0, sentence)
+    who = listed((f"'{names[k]}'" for k in numbers), most=_MOST)
+    at = numbers if place is None else [place[k] for k in numbers]
+    link = at[0] + 1 if len(numbers) == 1 else None
+    return Finding(link, UNITS, len(numbers), 0.0, f"{who}: {said}: {words}")

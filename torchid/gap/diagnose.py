@@ -98,8 +98,6 @@ def diagnose(
             )  # fmt: skip
         else:
             found = _of_positions(robot, log, held_out, settings, servo, say, watch)
-    if not doubts.short:
-        return found
     answer = found.answer
     settled = answer.status in ("no_gap", "negligible") or answer.less >= SETTLED
     text = "" if settled and not doubts.wrong else doubts.short

@@ -57,6 +57,9 @@ _UNSEEN = 1e-7
 _RESOLVED = 1e-6
 """Share of others, in units of the columns, below which rows tell a parameter by itself."""
 
+_AWAY = 0.1
+"""How far from the origin the search for a point of unknown mass begins [m]."""
+
 _INSIDE, _AT_NO_DISTANCE, _SURE = 1e-8, 1e-7, 1e6
 """Of the nearest consistent body: its least eigenvalue; what directions that are at no distance
 count beside it, so that they do not run away; and what those without a variance do."""
@@ -239,7 +242,7 @@ def fit_payload(model: Model, robot: Robot, joint: Joint) -> Fitted:
         to_parameters = partial(_symmetric, robot)
     elif model == "point_mass":
         to_parameters = _point_mass
-        free = _point_mass_solution(_estimator(joint, torch.eye(10).to(free))[0], joint)
+        free = _point_mass_solution(*_estimator(joint, torch.eye(10).to(free)), joint)
     estimator, null = _estimator(joint, jacobian(to_parameters, free))
     if model != "point_mass":
         free = estimator @ joint.values
@@ -297,11 +300,17 @@ def _point_mass(free: Tensor) -> Tensor:
     return InertialParameters.from_com(mass, place, free.new_zeros(1, 6)).pi[0]
 
 
-def _point_mass_solution(estimator: Float[Tensor, "10 T"], joint: Joint) -> Tensor:
-    """Nonlinear least squares from the general payload's mass and centre of mass."""
+def _point_mass_solution(
+    estimator: Float[Tensor, "10 T"], null: Float[Tensor, "10 D"], joint: Joint
+) -> Tensor:
+    """Nonlinear least squares from the general payload's mass and centre of mass. A mass that the
+    rows do not tell begins at 1 kg, a moment away from zero: without a mass no place matters."""
     general = estimator @ joint.values
     mass = float(general[0])
     place = general[1:4] / mass if mass > 0 else torch.zeros_like(general[1:4])
+    open_ = null.abs().sum(1) > _VANISHES * null.abs().sum().clamp(min=1e-300)
+    if bool(open_[0]):
+        mass, place = 1.0, general[1:4] + _AWAY * open_[1:4]
     # A square factor has the same sums of squares, and no fewer rows than parameters.
     table = torch.cat([joint.design, (joint.rest @ joint.values).unsqueeze(1)], 1)
     r = torch.linalg.qr(torch.cat([table, table.new_zeros(11, 11)]), mode="r").R
@@ -312,7 +321,7 @@ def _point_mass_solution(estimator: Float[Tensor, "10 T"], joint: Joint) -> Tens
     def slope(x: object) -> object:
         return (r[:, :-1] @ jacobian(_point_mass, torch.as_tensor(x))).numpy()
 
-    start = torch.cat([general[:1], place.clamp(-1, 1)]).numpy()
+    start = torch.cat([general.new_tensor([mass]), place.clamp(-1, 1)]).numpy()
     found = least_squares(residual, start, slope, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
     return torch.from_numpy(found.x)
 

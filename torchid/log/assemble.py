@@ -16,7 +16,7 @@ from torchid.log.columns import (
     log_from_columns,
 )
 from torchid.log.guess import commanded_columns, proposed_mapping
-from torchid.log.mapping import SENSORLESS, ColumnMapping, Source, read_mapping
+from torchid.log.mapping import KEYS, SENSORLESS, ColumnMapping, Source, read_mapping
 from torchid.log.sources import (
     Piece,
     labels_of,
@@ -27,7 +27,7 @@ from torchid.log.sources import (
 )
 from torchid.log.table import AbsentColumnError, Request, Table, natural
 
-_ARRAYS = {prefix: prefix for prefix in PREFIXES.values()} | {"current": "i"}
+_ARRAYS = {prefix: prefix for prefix in (*PREFIXES.values(), "ext")} | {"current": "i"}
 
 
 def log_from_table(
@@ -145,7 +145,10 @@ def _read(table: Table, mapping: ColumnMapping) -> "torchid.Log":
     columns |= _own_columns(table, rest, samples)
     for key in [key for key in sources if key not in ("t", "traj")]:
         values = signal_of(key, sources[key], pieces[key], arrays, samples, table)
-        columns |= {f"{key}{k + 1}": values[:, k] for k in range(values.shape[1])}
+        if key in KEYS:
+            columns |= {f"{key}{k + 1}": values[:, k] for k in range(values.shape[1])}
+        else:  # of one joint
+            columns[key] = values[:, 0]
     return log_from_columns(_with_sensorless(columns, sources, mapping), table.path)
 
 

@@ -4,6 +4,9 @@ Columns: t [s]; q1..qn [rad or m]; and, where there are any, dq1.. ddq1.. tau1..
 i1.. [A], ql1.. [rad or m] of encoders on the links' side, u1.. [rad or m] commanded; traj, an
 integer that separates trajectories; and, of a base that moves, its pose and twist (`base_motion`),
 whose six coordinates come before the joints'. Any other column is ignored.
+
+ext1.. [N m or N] are what joints are known to give to something outside of the model, as a load
+cell behind a drive tells it: they are subtracted from tau, and no part of the Log.
 """
 
 import re
@@ -23,7 +26,7 @@ PREFIXES = {
     "q": "q", "dq": "dq", "ddq": "ddq", "tau": "tau", "current": "i", "ql": "ql", "u": "u",
 }  # fmt: skip
 JOINT_SIGNALS = tuple(PREFIXES)
-_JOINT_COLUMN = re.compile(r"(ql|q|dq|ddq|tau|i|u)(\d+)")
+_JOINT_COLUMN = re.compile(r"(ql|q|dq|ddq|tau|i|u|ext)(\d+)")
 EXPECTED = (
     "t, q1..qn and, where known, dq1..dqn, ddq1..ddqn, tau1..taun or i1..in, ql1..qln, u1..un, traj"
 )
@@ -58,9 +61,10 @@ def log_from_columns(columns: Columns, path: str | Path) -> "torchid.Log":
         wanted = "samples" if samples == 0 else "a trajectory"
         raise LogError(f"'{path}' has {what}.", got=samples, expected=wanted)
     trajectory, names = _trajectories(columns.get("traj"), samples, path)
-    warnings: tuple[str, ...] = ()
+    warnings = _without_external(signals, columns, path)
     if has_base(columns, f"'{path}'"):
-        signals, warnings = _with_base(signals, columns, trajectory, path)
+        signals, left = _with_base(signals, columns, trajectory, path)
+        warnings += left
     return torchid.Log(
         t=torch.from_numpy(t),
         **signals,
@@ -69,6 +73,25 @@ def log_from_columns(columns: Columns, path: str | Path) -> "torchid.Log":
         source=str(path),
         warnings=warnings,
     )
+
+
+def _without_external(signals: dict[str, Any], columns: Columns, path: Path) -> tuple[str, ...]:
+    """Take known external torques from the torque, and say so."""
+    known = [(int(m[2]), m[0]) for name in columns
+             if (m := _JOINT_COLUMN.fullmatch(name)) and m[1] == "ext"]  # fmt: skip
+    tau = signals.get("tau")
+    if not known:
+        return ()
+    if tau is None:
+        raise LogError(f"'{path}' has external torques and no tau to take them from.",
+                       got=", ".join(first_names([name for _, name in known])))  # fmt: skip
+    count = tau.shape[1]
+    for number, name in known:
+        if not 1 <= number <= count:
+            raise LogError(f"'{path}' has no joint of column {name}.", expected=f"ext1..ext{count}")
+        tau[:, number - 1] -= tau.new_tensor(_numeric(columns[name], name, path, len(tau)))
+    names = ", ".join(f"tau{k} - {name}" for k, name in sorted(known))
+    return (f"External torque is subtracted: '{path}' gives {names}.",)
 
 
 def _with_base(

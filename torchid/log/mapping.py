@@ -1,4 +1,4 @@
-"""Which columns of somebody else's table are t, q, dq, ddq, tau, i and traj, and in which units.
+"""Which columns of somebody else's table are t, q, dq, ddq, tau, i, ext and traj, and their units.
 
 As text, entries are separated by commas:
 
@@ -17,7 +17,8 @@ factor `*0.001` (or ` /1000`), and at the end, after a space, what is added to t
 
 `*` in a source stands for anything, and every value of it is a trajectory (`demo_*/q`); `t=500 Hz`
 makes up the time where none is recorded; `none` leaves out what would be taken by its name, and
-`tau1=none` says that joint 1 has no torque sensor, whether or not there is a column for it.
+`tau1=none` says that joint 1 has no torque sensor, whether or not there is a column for it. `ext`
+is a known external torque, which is subtracted from tau; `ext2=load_cell N` that of joint 2 alone.
 """
 
 import re
@@ -35,6 +36,7 @@ from torchid.yaml_data import parsed_yaml
 KEYS = tuple(UNITS)
 SENSORLESS = re.compile(r"(?:tau|i)([1-9]\d*)")
 """Key of a joint whose torque or current is not measured."""
+_ONE_JOINT = re.compile(r"ext[1-9]\d*")
 _ALIASES = {"current": "i", "time": "t"}
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FACTOR = re.compile(rf"(?:\s*\*|\s+/|(?<=\s(?:rev|deg|rpm|rad))/)\s*({_NUMBER}|\[[^\]]*\])\s*$")
@@ -169,7 +171,7 @@ def _listed(value: Any) -> list[Any]:
 
 def _key(text: str, name: str) -> str:
     key = _ALIASES.get(text.strip(), text.strip())
-    if key not in KEYS and not SENSORLESS.fullmatch(key):
+    if key not in KEYS and not SENSORLESS.fullmatch(key) and not _ONE_JOINT.fullmatch(key):
         raise LogError(f"{name} maps an unknown column.", got=text.strip(), available=KEYS)
     return key
 
@@ -221,10 +223,11 @@ def _built(
         return Source(columns, factors, unit=unit, rate=rate)
     scale = unit_factor(key, unit) if unit else 1.0
     if scale is None:
+        units = list(UNITS[key.rstrip("0123456789")])
         raise LogError(
             f"{key} cannot be in this unit.",
             got=unit,
-            available=[*UNITS[key], "Hz (t=500 Hz)"] if key == "t" else list(UNITS[key]),
+            available=[*units, "Hz (t=500 Hz)"] if key == "t" else units,
             hint="quote names that have spaces: q='Joint {j} pos' deg; a factor: *0.001",
         )
     return Source(columns, tuple(scale * f for f in factors), offsets, unit)

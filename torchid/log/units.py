@@ -19,6 +19,7 @@ UNITS: dict[str, dict[str, float]] = {
     "traj": {},
 }
 """Of each kind of column, the first unit is ours (a prismatic joint's are m and N)."""
+UNITS["ext"] = UNITS["tau"]
 
 STEPS = {0.15: "", 150.0: "ms", 150e3: "us", 150e6: "ns"}
 """Largest usual step of stamps in each unit: between 10 kHz and 7 Hz, they do not overlap."""
@@ -39,11 +40,11 @@ def unit_factor(kind: str, unit: str) -> float | None:
     """How much of our unit one of `unit` is; None for a unit this kind of column cannot have.
 
     Args:
-        kind: a key of `UNITS`.
+        kind: a key of `UNITS`, with the number of a joint or without.
         unit: as people write it: `deg/s`, `N m`, `mN.m`, `rad/s2`, `µs`.
     """
     plain = re.sub(r"[\s.·()\[\]]", "", unit).replace("²", "2")
     for alias, name in _ALIASES.items():
         plain = re.sub(rf"^{alias}(?=$|/)", name, plain)
     plain = re.sub(r"/s(ec)?2$", "/s^2", re.sub(r"/sec$", "/s", plain))
-    return UNITS[kind].get(plain)
+    return UNITS[kind.rstrip("0123456789")].get(plain)

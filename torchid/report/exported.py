@@ -202,6 +202,7 @@ def randomisation_shown(done: Randomisation, files: Sequence[str]) -> Shown:
 def simulator_block(robot: Robot, nearest: Sequence[NearestFields] = ()) -> str:
     """Attributes of the joints for MJCF and URDF. Of an effect without a field the nearest fields
     are in them, and a comment says what is lost; what none comes near is named there, too.
+    What is a sensor's fault is in no field: the log is to be corrected.
 
     Args:
         robot: corrected.
@@ -229,8 +230,19 @@ def simulator_block(robot: Robot, nearest: Sequence[NearestFields] = ()) -> str:
         lines += [f"<!-- {_nearest(row, held[row.joint], robot)} -->" for row in own]
         # A double hyphen would end a comment.
         told = {name for row in own for name in row.effects}
-        left = dict.fromkeys(effect.name for effect, _ in rest if effect.name not in told)
+        left = dict.fromkeys(
+            effect.name for effect, _ in rest if effect.name not in told and not effect.of_sensor
+        )
         lines += [f"<!-- no field for: {listed(list(left)).replace('--', '-')} -->"] if left else []
+    sensors: dict[str, list[int]] = {}
+    for effect, _ in rest:  # no format has a field for one
+        if effect.of_sensor:
+            sensors.setdefault(effect.name, []).extend(effect.joints)
+    lines += [
+        f"<!-- correct the log, not the simulator: {effect_words(name)} of {joints_words(joints)}: "
+        f"{KINDS[name].remedy.replace('--', '-')} -->"
+        for name, joints in sensors.items()
+    ]
     return "\n".join(lines)
 
 

@@ -54,7 +54,8 @@ def nearest_fields(columns: Columns, to: Target) -> tuple[NearestFields, ...]:
     joints, rest = split(columns.model.robot, to)
     torques: dict[str, Tensor] = {}
     for effect, values in rest:
-        if not (isinstance(effect, BodyEffect) or effect.event or changes_measurement(effect)):
+        if not (isinstance(effect, BodyEffect) or effect.event or effect.of_sensor
+                or changes_measurement(effect)):  # fmt: skip
             torque = columns.torque(effect, values)
             torques[effect.name] = torques.get(effect.name, 0.0) + torque
     moving = moving_samples(columns.samples)
