@@ -49,7 +49,7 @@ _PUBLIC = PUBLIC | {
     "Diagnosis": "torchid.results.answer",
     "GapSettings": "torchid.gap.settings",
     "ServoArm": "torchid.position.model",
-    "replay": "torchid.position.model",
+    "replay": "torchid.position.replay",
     "compare_pair": "torchid.pair.pair",
     "withheld_own": "torchid.withheld.own",
     "compare_results": "torchid.fleet.compare",
