@@ -21,9 +21,7 @@ def play(folder: Path) -> np.ndarray:
     model = builder.finalize(device="cpu")
     labels = [label.rpartition("/")[2] for label in model.joint_label]
     joints = [labels.index(name) for name in motion.joints]
-    places, rows = (
-        start.numpy()[joints] for start in (model.joint_q_start, model.joint_qd_start)
-    )
+    places, rows = (start.numpy()[joints] for start in (model.joint_q_start, model.joint_qd_start))
     solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True, disable_contacts=True)
     out = np.full(motion.control.shape, np.nan)
     for w in range(len(out)):
