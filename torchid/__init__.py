@@ -50,7 +50,7 @@ _PUBLIC = PUBLIC | {
     "Diagnosis": "torchid.results.answer",
     "GapSettings": "torchid.gap.settings",
     "ServoArm": "torchid.position.model",
-    "replay": "torchid.position.model",
+    "replay": "torchid.position.replay",
     "compare_pair": "torchid.pair.pair",
     "calibrate": "torchid.withheld.planted",
     "withheld_own": "torchid.withheld.own",

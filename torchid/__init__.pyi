@@ -34,7 +34,7 @@ from torchid.log.readers import write_log as write_log
 from torchid.next_motion.design import excite_for as excite_for
 from torchid.pair.pair import compare_pair as compare_pair
 from torchid.position.model import ServoArm as ServoArm
-from torchid.position.model import replay as replay
+from torchid.position.replay import replay as replay
 from torchid.report.plots import draw as draw
 from torchid.report.view import write_view as write_view
 from torchid.results.answer import Diagnosis as Diagnosis

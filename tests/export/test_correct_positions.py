@@ -22,7 +22,8 @@ from torchid.export.results import servo_dynamics
 from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid_parameters
 from torchid.log.readers import write_log
 from torchid.position.data import tracks_of
-from torchid.position.model import ServoArm, replay
+from torchid.position.model import ServoArm
+from torchid.position.replay import replay
 from torchid.robot.library import load_robot
 from torchid.robot.origin import same_places
 from torchid.simulation.servo import INDEX, Servos

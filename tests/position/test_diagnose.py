@@ -11,8 +11,8 @@ from tests.position.planted import COUNT, planted, robot, true_servos
 from torchid.position.data import prepare
 from torchid.position.diagnose import _parted, _still, _without, diagnose_positions, some_of
 from torchid.position.effects import BY_NAME
-from torchid.position.model import replay
 from torchid.position.record import Accuracy
+from torchid.position.replay import replay
 from torchid.position.search import Found
 from torchid.report.position import remarks, tables
 from torchid.results.files import load

@@ -13,9 +13,9 @@ from torch import Tensor
 from torchid.dynamics.recursion import ChainGeometry, chain_geometry, forces, kinematics
 from torchid.dynamics.scalars import ZERO, Scalar
 from torchid.dynamics.world_frame import Posture, arms_of
-from torchid.inputs import RobotLike, as_robot
 from torchid.robot.inertia import InertialParameters
-from torchid.robot.model import Robot
+from torchid.robot.library import as_robot
+from torchid.robot.model import Robot, RobotLike
 from torchid.tensors import joint_signals
 from torchid.typing import BroadcastJoints, JointMatrix, Joints, Numbers
 

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from torchid.dynamics.recursion import chain_geometry, forces, kinematics
 from torchid.dynamics.scalars import Scalar
-from torchid.inputs import RobotLike, as_robot
 from torchid.robot.inertia import InertialParameters
-from torchid.robot.model import Robot
+from torchid.robot.library import as_robot
+from torchid.robot.model import Robot, RobotLike
 from torchid.tensors import joint_signals
 from torchid.typing import Float, Joints, Numbers, Wrenches
 

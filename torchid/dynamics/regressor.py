@@ -23,9 +23,9 @@ from torchid.dynamics.recursion import (
     kinematics,
     regressor_rows,
 )
-from torchid.inputs import RobotLike, as_robot
 from torchid.robot.inertia import PARAMETERS_PER_LINK
-from torchid.robot.model import Robot
+from torchid.robot.library import as_robot
+from torchid.robot.model import Robot, RobotLike
 from torchid.tensors import joint_signals
 from torchid.typing import Float, Numbers
 

@@ -28,7 +28,8 @@ from torchid.log.model import Log
 from torchid.position.data import PositionData, prepare
 from torchid.position.diagnose import refitted
 from torchid.position.diagnosis import PositionDiagnosis
-from torchid.position.model import ServoArm, replay
+from torchid.position.model import ServoArm
+from torchid.position.replay import replay
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of

@@ -15,6 +15,8 @@ from torchid.export.results import Exportable, dynamics_of
 from torchid.export.servo_mjcf import JOINTS, SAID, unsaid_parameters
 from torchid.export.write_actuator import Package, write_actuator
 from torchid.export.write_plain import write_c, write_yaml
+from torchid.export.write_usd import SAID as IN_LAYER
+from torchid.export.write_usd import write_usd
 from torchid.export.write_xml import write_xml
 from torchid.feasibility.plausibility import LEAD, by_percent
 from torchid.feasibility.record import Check, check_sets
@@ -30,9 +32,9 @@ from torchid.robot.origin import of_own_file
 from torchid.simulators.joint_dynamics import Target
 from torchid.simulators.servo import AS_EFFORT
 
-Format = Literal["urdf", "mjcf", "yaml", "c", "isaaclab", "mjlab"]
+Format = Literal["urdf", "mjcf", "yaml", "c", "usd", "isaaclab", "mjlab"]
 SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml"}
-SUFFIXES |= {"yaml": ".yaml", "c": ".c"}
+SUFFIXES |= {"yaml": ".yaml", "c": ".c", "usd": "_joints.usda"}
 SUFFIXES |= {to: f"_actuator_{to}.py" for to in get_args(Package)}
 
 
@@ -119,7 +121,7 @@ def export_dynamics(
         to: format. All but c and actuators need
             physical parameters: of base parameters those nearest to the robot's own that have
             exactly them, or, where no bodies do, the nearest bodies that nearly do. isaaclab and
-            mjlab are actuator classes that add the effects at run time.
+            mjlab are actuator classes that add the effects at run time, usd is a layer of joints.
         folder: made if need be.
         name: of the file, without suffix; the robot's own by default.
         nominal: the robot that the result belongs to, with its own parameters.
@@ -163,8 +165,8 @@ def export_dynamics(
     edited = edited_of(model, to) if xml else None
     ratios = ratios_to_file(dynamics.arm, edited if to == "mjcf" else None)
     found, written = None, dynamics.robot
-    # C and actuators hold no bodies of base parameters.
-    if to not in get_args(Package) and (dynamics.base is None or to != "c"):
+    # C, layers and actuators hold no bodies of base parameters.
+    if to not in get_args(Package) and (dynamics.base is None or to not in ("c", "usd")):
         dynamics, written, found = _bodies(dynamics, nominal, geometry, force)
     folder.mkdir(parents=True, exist_ok=True)
     motion = random_states(dynamics.robot, seed)
@@ -172,6 +174,8 @@ def export_dynamics(
         draft, comparisons = write_yaml(dynamics, written, path, motion)
     elif to == "c":
         draft, comparisons = write_c(dynamics, path, motion)
+    elif to == "usd":
+        draft, comparisons = write_usd(dynamics, path)
     elif to == "isaaclab" or to == "mjlab":
         draft, comparisons = write_actuator(dynamics, to, folder, name, motion)
     else:
@@ -226,14 +230,15 @@ def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
     """What of servos that were not refitted a format does not say."""
     if dynamics.arm is None or dynamics.late is not None:
         return ()
-    said = AS_EFFORT if to in get_args(Package) else SAID if to == "mjcf" else JOINTS
+    own = {"mjcf": SAID, "usd": IN_LAYER}
+    said = AS_EFFORT if to in get_args(Package) else own.get(to, JOINTS)
     names = unsaid_parameters(dynamics.arm.servos, said)
     if not names:
         return ()
     hint = ""
     if to == "mjcf":
         hint = "; torchid.simulators.servo makes them at run time, and `log=...` refits the others"
-    elif said == JOINTS:
+    elif to not in get_args(Package):
         hint = '; `to="mjcf"` says gains, delays, clips and stops, too'
     return (f"of the servos {', '.join(names)} are not in it{hint}",)
 

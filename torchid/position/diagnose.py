@@ -40,11 +40,12 @@ from torchid.position.judge import (
     of_motions,
     value_interval,
 )
-from torchid.position.model import ServoArm, accuracy
+from torchid.position.model import ServoArm
 from torchid.position.odds import alike_rises, drawn_windows, effect_sure
 from torchid.position.payload import Loaded, with_load
 from torchid.position.record import Accuracy, PositionFinding
 from torchid.position.repeats import PositionNoise, noise_of_repeats
+from torchid.position.replay import accuracy
 from torchid.position.rods import PER_METRE
 from torchid.position.search import (
     ALIKE,

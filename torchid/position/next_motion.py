@@ -25,8 +25,9 @@ from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.effects import BY_NAME, CORE
 from torchid.position.fit import TOGETHER_S
 from torchid.position.judge import Equations, equations
-from torchid.position.model import ServoArm, replay
+from torchid.position.model import ServoArm
 from torchid.position.record import PositionRecord
+from torchid.position.replay import replay
 from torchid.position.rods import with_rods
 from torchid.results.files import read_as
 from torchid.results.record import Joint, Part, Real, Record, Rows

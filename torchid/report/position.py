@@ -12,10 +12,10 @@ from msgspec import UNSET
 
 from torchid.errors import TorchidError
 from torchid.position.diagnosis import PositionDiagnosis
-from torchid.position.model import Replay
 from torchid.position.next_motion import NextCommands
 from torchid.position.nominal import unit_of
 from torchid.position.record import JointRecord, NominalRecord, PositionRecord
+from torchid.position.replay import Replay
 from torchid.report.causes import cause_table, meaning_table, not_testable_table
 from torchid.report.colours import AFTER, GREY, INK
 from torchid.report.over_time import motion_over_time

@@ -26,7 +26,7 @@ RECORDS = other_packages.RECORDS | {
     "torchid.pair/1": "torchid.pair.record:PairRecord",
     "torchid.position_gap/1": "torchid.position.record:PositionRecord",
     "torchid.position_motion/1": "torchid.position.next_motion:NextCommandsRecord",
-    "torchid.replay/1": "torchid.position.model:ReplayRecord",
+    "torchid.replay/1": "torchid.position.replay:ReplayRecord",
     "torchid.correction/1": "torchid.export.record:CorrectionRecord",
     "torchid.randomisation/1": "torchid.export.record:RandomisationRecord",
     "torchid.export/1": "torchid.export.record:ExportRecord",

@@ -10,10 +10,13 @@ from torchid.robot.model import Robot
 
 Target = Literal["mjcf", "urdf"]
 """Files of simulators."""
+Fields = Target | Literal["usd"]
+"""Formats with fields of joints."""
 
-SAID: dict[Target, frozenset[str]] = {
+SAID: dict[Fields, frozenset[str]] = {
     "mjcf": frozenset({"damping", "friction", "armature", "stiffness", "offset"}),
     "urdf": frozenset({"damping", "friction"}),
+    "usd": frozenset({"damping", "friction", "armature"}),
 }
 """Fields of `JointDynamics` that a format has."""
 
@@ -42,7 +45,7 @@ class JointDynamics:
         return -self.offset / self.stiffness if self.stiffness else 0.0
 
 
-def attributes_in(to: Target, effect: Effect, values: Sequence[float]) -> dict[str, float] | None:
+def attributes_in(to: Fields, effect: Effect, values: Sequence[float]) -> dict[str, float] | None:
     """What an effect adds to its joint's fields in a format; None where it has no field there."""
     added = effect.attributes(values)
     return added if added is not None and SAID[to].issuperset(added) else None
@@ -67,7 +70,7 @@ def dynamics_of_links(robot: Robot, joints: Sequence[JointDynamics]) -> tuple[Jo
     )
 
 
-def split(robot: Robot, to: Target) -> tuple[tuple[JointDynamics, ...], tuple[Valued, ...]]:
+def split(robot: Robot, to: Fields) -> tuple[tuple[JointDynamics, ...], tuple[Valued, ...]]:
     """Attributes of the n joints, and the effects that are not among them."""
     joints = [JointDynamics() for _ in range(robot.n)]
     rest: list[Valued] = []

@@ -20,7 +20,8 @@ from torchid.position.data import WINDOW_S, prepare
 from torchid.position.diagnose import MOST, some_of
 from torchid.position.effects import CORE
 from torchid.position.fit import fit
-from torchid.position.model import ServoArm, replay
+from torchid.position.model import ServoArm
+from torchid.position.replay import replay
 from torchid.position.search import _start
 from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of

@@ -13,7 +13,8 @@ import torch
 
 from torchid.log.model import Log
 from torchid.position.diagnose import answer
-from torchid.position.model import ServoArm, replay
+from torchid.position.model import ServoArm
+from torchid.position.replay import replay
 from torchid_bench.benchmarks.position_errors import fold_parser, read_folds
 
 

@@ -7,7 +7,8 @@ pytest.importorskip("mujoco")
 import torch
 
 from torchid.log.readers import read_log
-from torchid.position.model import ServoArm, replay
+from torchid.position.model import ServoArm
+from torchid.position.replay import replay
 from torchid.robot.library import load_robot
 from torchid.simulation.servo import INDEX, Servos
 from torchid_bench.withheld.case_set import write_case
