@@ -42,15 +42,24 @@ def arm_with(servos: Servos) -> ServoArm:
 
 @pytest.mark.nightly
 def test_a_stop_is_where_positions_end(tmp_path):
-    """A stop of the simulation of servos gives way, a joint's limit does not."""
+    """A stop of the simulation of servos gives way, a joint's limit does not: nor does one of the
+    file, where the log is beyond it."""
     arm = arm_with(true_servos(3, stop_high=(3, 0.1)))
     log = planted(arm.servos, motions=3, seconds=8.0, seed=2)
-    done = correct(robot(), arm, log, "mjcf", tmp_path)
+    low, high = log.q.amin(0), log.q.amax(0)
+    limits = torch.stack([low - 1.0, high + torch.tensor([1.0, -0.05, 1.0])], 1)
+    given = replace(robot(), limits=replace(robot().limits, position=limits))
+    done = correct(given, arm, log, "mjcf", tmp_path)
+    said = f"joint 2: the log reaches {float(high[1]):.4g} rad (m), and the limit of "
+    (widened,) = (w for w in done.warnings if "the log reaches" in w)
+    assert widened.startswith(said)
     last = 1e3 * float((log.q - log.u)[:, 2].square().mean().sqrt())
     assert float(done.judged.nominal[2]) == pytest.approx(last)
     assert float(done.judged.engine[2]) < 0.5 * last
     model = mujoco.MjModel.from_xml_path(str(done.files[0]))
-    assert model.joint("joint_3").range[1] == pytest.approx(float(log.q[:, 2].max()))
+    assert model.joint("joint_3").range[1] == pytest.approx(float(high[2]))
+    assert model.joint("joint_2").range == pytest.approx([float(low[1]) - 1, float(high[1])])
+    assert model.joint("joint_1").range == pytest.approx(limits[0].tolist())
 
 
 @pytest.mark.parametrize("name", some(CASES, 1))

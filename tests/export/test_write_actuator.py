@@ -106,11 +106,11 @@ def test_files_run_where_the_package_is(package: str, tmp_path: Path) -> None:
 def test_servos_run_where_the_package_is(package: str, tmp_path: Path) -> None:
     robot = arm("3r")
     servos = {"kp": 40.0, "kd": 1.5, "damping": [1.0, 2.0, 3.0], "armature": 0.2, "coulomb": 0.3}
-    servo = ServoArm.of(robot, **servos, delay=0.01, clip=3.0, load_share=[0.0, 0.1, 0.0])
+    servo = ServoArm.of(robot, **servos, delay=0.01, clip=3.0, stop_high=2.0)
     done = export_dynamics(servo_dynamics(servo), package, tmp_path, "arm", nominal=robot)  # type: ignore[arg-type]
     assert [f.name for f in done.files] == [f"arm_actuator_{package}.py", "arm_servos.yaml"]
-    assert done.notes == ("of the servos load_share are not in it",)
-    assert "; load_share are not made" in done.files[0].read_text()
+    assert done.notes == ("of the servos stop_high are not in it",)
+    assert "; stop_high are not made" in done.files[0].read_text()
     made = runpy.run_path(str(done.files[0]))
     names, x = list(robot.joint_names), torch.linspace(-0.2, 0.2, 6).view(2, 3)
     if package == "isaaclab":

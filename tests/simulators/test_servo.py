@@ -121,6 +121,7 @@ LATE = {"kd": 0.5, "delay": 0.043}
             (LATE | {"clip": 60.0, "dead_zone": 0.01}, 1e-3),
             (LATE | {"integral": 200.0}, 1e-3),
             (LATE | {"stiction": 5.0, "stribeck_speed": 0.1, "motor_share": 0.1}, 4e-3),
+            (LATE | {"load_share": 0.2, "offset": 1.0}, 1e-3),
             (LATE | {"acceleration": 8.0, "stiction": 5.0, "stribeck_speed": 0.1}, 4e-3),
             # Steps of held commands against lines through them.
             ({"delay": 0.02}, 2e-3),
@@ -206,9 +207,14 @@ def test_environments_have_servos_of_their_own(tmp_path):
 
 def test_what_an_effort_does_not_hold_is_said():
     robot = arm("3r")
-    servos = Servos.neutral(3, kp=50.0, damping=2.0, load_share=0.1, stop_high=1.0, coulomb=0.4)
-    drives = ServoTorque(robot, servos, dt=0.005)
+    servos = Servos.neutral(3, kp=50.0, damping=2.0, stop_high=1.0, coulomb=0.4)
+    assert ServoTorque(robot, servos, dt=0.005).ignored == ("stop_high",)
+    servos.joint[:, INDEX["load_share"]] = 0.1
+    # Without the other joints nobody knows the load.
+    drives = ServoTorque(robot, servos, ["joint_3", "joint_1"], dt=0.005)
     assert drives.ignored == ("load_share", "stop_high")
+    servos.joint[:, INDEX["load_share"]] = 0.0
+    drives = ServoTorque(robot, servos, dt=0.005)
     x, still, quick = torch.zeros(1, 3), torch.zeros(1, 3), torch.ones(1, 3)
     assert float(drives.torque(x, still, quick).abs().max()) == 0
     added = ServoTorque(robot, servos, dt=0.005, fields=True).torque(x, still, quick)

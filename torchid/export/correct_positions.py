@@ -21,7 +21,13 @@ from torchid.export.correction import (
 from torchid.export.dynamics import Dynamics, in_places_of, require_same_arm
 from torchid.export.export import edited_of, ratios_to_file
 from torchid.export.results import servo_dynamics
-from torchid.export.servo_mjcf import SAID, ServosInMujoco, unsaid_parameters, write_servos
+from torchid.export.servo_mjcf import (
+    SAID,
+    STOPS,
+    ServosInMujoco,
+    unsaid_parameters,
+    write_servos,
+)
 from torchid.export.write_xml import xml_of
 from torchid.log.checks import own_units
 from torchid.log.model import Log
@@ -34,7 +40,7 @@ from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of
 from torchid.simulators.servo import AS_EFFORT, AT_RUN_TIME, SetPoints
-from torchid.typing import Float, Tensor
+from torchid.typing import Bool, Float, Tensor
 
 WINDOW_S = 10.0
 """Motions begin again at the measured position after so long [s]."""
@@ -76,7 +82,12 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
     if asked.held_out is not None:
         on, data = asked.held_out, _prepared(arm, asked.held_out)
     alone, running = refitted(arm, fitted, SAID, (*SAID, *AT_RUN_TIME))
-    own, beside = (_in_engine(robot, _rigid(one, log), data) for one in (alone, running))
+    limits = _limits(robot)
+    reach = torch.stack([fitted.q.amin(0), fitted.q.amax(0)], 1)
+    passed = torch.stack([reach[:, 0] < limits[:, 0], reach[:, 1] > limits[:, 1]], 1)
+    own, beside = (
+        _in_engine(robot, _rigid(one, robot, reach, passed), data) for one in (alone, running)
+    )
     judged = Judged(
         unit="mrad",
         held_out="the log that was fitted" if asked.held_out is None else "a held-out log",
@@ -105,9 +116,14 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
         title = f"{words}, all of it at run time"
         files.append(asked.write(servo_dynamics(drives), title, asked.with_effects))
     warnings = dict.fromkeys(words for one in files for words in one.warnings)
+    widened = [
+        f"joint {j + 1}: the log reaches {float(reach[j, end]):.4g} rad (m), and the limit of "
+        f"{float(limits[j, end]):.4g} that the joint has in '{robot.name}' is moved there"
+        for j, end in passed.nonzero().tolist()
+    ]
     return Correction(
-        robot, judged, tuple(files), (*judged.worse_than_claimed, *warnings), servos=alone,
-        no_field=no_field, beside=servos,
+        robot, judged, tuple(files), (*judged.worse_than_claimed, *widened, *warnings),
+        servos=alone, no_field=no_field, beside=servos,
     )  # fmt: skip
 
 
@@ -142,13 +158,25 @@ def _require_follows(judged: Judged) -> None:
         )
 
 
-def _rigid(arm: ServoArm, log: Log) -> ServoArm:
-    """The arm with stops where a log's positions end: those of a fit give way, a file's do not."""
-    joint, q = arm.servos.joint.clone(), log.q * arm.scale
-    for name, end in (("stop_low", q.amin(0)), ("stop_high", q.amax(0))):
+def _limits(robot: Robot) -> Float[Tensor, "n 2"]:
+    """Limits of the joints' positions; infinite where there are none [rad; m]."""
+    if robot.limits.position is not None:
+        return robot.limits.position
+    return torch.tensor([[-torch.inf, torch.inf]], dtype=torch.float64).repeat(robot.n, 1)
+
+
+def _rigid(
+    arm: ServoArm, robot: Robot, reach: Float[Tensor, "n 2"], passed: Bool[Tensor, "n 2"]
+) -> ServoArm:
+    """The arm with the limits of the robot that is written, and stops where a log's positions end:
+    in the place of those of a fit, which give way as a file's do not, and of limits that the log
+    passes."""
+    joint = arm.servos.joint.clone()
+    for name, end, beyond in zip(STOPS, reach.T, passed.T, strict=True):
         stop = joint[:, INDEX[name]]
-        joint[:, INDEX[name]] = torch.where(stop.isfinite(), end, stop)
-    return replace(arm, servos=replace(arm.servos, joint=joint))
+        joint[:, INDEX[name]] = torch.where(stop.isfinite() | beyond, end, stop)
+    limited = replace(arm.robot, limits=robot.limits)
+    return replace(arm, robot=limited, servos=replace(arm.servos, joint=joint))
 
 
 def _in_engine(

@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from torchid.dynamics.forward import gravity_torque
+from torchid.dynamics.forward import bias_torque
 from torchid.effects.friction_laws import RESTING
 from torchid.errors import TorchidError
 from torchid.robot.model import Robot
@@ -45,9 +45,8 @@ AT_RUN_TIME = ("kd", "acceleration", "speed")
 """Parameters of servos that set-points at run time make true."""
 FIELDS = ("damping", "coulomb", "armature")
 """Parameters that simulators have fields of joints for."""
-NOT_AS_EFFORT = ("load_share", "stop_low", "stop_high")
-"""Parameters that an actuator does nothing about: it does not know what the arm weighs, and limits
-are the joint's."""
+NOT_AS_EFFORT = ("stop_low", "stop_high")
+"""Parameters that an actuator does nothing about: limits are the joint's."""
 AS_EFFORT = tuple(p.name for p in PARAMETERS if p.name not in NOT_AS_EFFORT)
 """Parameters that are true where all of a servo is made at run time."""
 
@@ -144,7 +143,9 @@ class ServoTorque:
     """The torque of position servos, as that of an explicit actuator, batched over environments.
 
     Damping, dry friction and armature are left to the simulator's own fields, which it meets
-    implicitly; `ignored` is left to nobody here.
+    implicitly; `ignored` is left to nobody here. Friction by the load takes the robot's gravity and
+    velocity torques in every step, on the CPU, and integral action where it begins: both need an
+    actuator of all joints.
 
     Attributes:
         joints: of the robot, in the order of the given names.
@@ -201,7 +202,10 @@ class ServoTorque:
         servos = Servos(joint, plane, repeated=every.repeated)
         p = {x.name: servos.of(x.name).to(device, dtype) for x in PARAMETERS}
         neutral = {x.name: x.neutral for x in PARAMETERS}
-        unmade = [name for name in NOT_AS_EFFORT if bool((p[name] != neutral[name]).any())]
+        self._knows_load = sorted(self.joints) == list(range(robot.n))
+        self._loaded = self._knows_load and bool((p["load_share"] > 0).any())
+        out_of_reach = NOT_AS_EFFORT if self._knows_load else ("load_share", *NOT_AS_EFFORT)
+        unmade = [name for name in out_of_reach if bool((p[name] != neutral[name]).any())]
         self.ignored = (*unmade, *["plane"] * bool((every.plane[..., 4] > 0).any()))
         self._p, self._dt, self._steps, self._fields = p, dt, steps, fields
         self._resting, self._robot = resting, robot
@@ -266,6 +270,8 @@ class ServoTorque:
         self._sum = (self._sum + p["integral"] * dt * error).clamp(-p["clip"], p["clip"])
         dry = p["stiction"] * torch.exp(-dq.abs() / p["stribeck_speed"])
         dry = dry + p["motor_share"] * motor.abs()
+        if self._loaded:
+            dry = dry + p["load_share"] * self._load(q, dq).abs()
         out = motor + p["offset"]
         if self._fields:
             dry, out = dry + p["coulomb"], out - (p["damping"] - inside) * dq
@@ -275,13 +281,18 @@ class ServoTorque:
         """What integral action has summed where the arm stands still, gravity's torque borne;
         nothing where the other joints are not known."""
         p = self._p
-        if sorted(self.joints) != list(range(self._robot.n)):
+        if not self._knows_load:
             return torch.zeros_like(q)
-        at = torch.zeros(len(q), self._robot.n, dtype=torch.float64)
-        at[:, self.joints] = q.cpu().double()
-        weight = gravity_torque(self._robot, at) - compensation(self._robot, at)
-        weight = weight[:, self.joints].to(q)
+        weight = self._load(q, torch.zeros_like(q))
         return torch.where(p["integral"] > 0, weight - p["offset"] - p["kp"] * error, 0.0)
+
+    def _load(self, q: Float[Tensor, "B J"], dq: Float[Tensor, "B J"]) -> Float[Tensor, "B J"]:
+        """Torque of the robot's bodies at a constant velocity, less what compensates gravity
+        [N m; N]."""
+        at = torch.zeros(2, len(q), self._robot.n, dtype=torch.float64)
+        at[..., self.joints] = torch.stack([q, dq]).cpu().double()
+        borne = bias_torque(self._robot, *at) - compensation(self._robot, at[0])
+        return borne[:, self.joints].to(q)
 
 
 def drawn_servos(path: str | Path, servos: Servos) -> Servos:

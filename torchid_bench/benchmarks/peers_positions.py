@@ -2,12 +2,12 @@
 
     python -m torchid_bench.benchmarks.peers_positions ROBOT LOG... [--folds 5] [--windows 60]
 
-MuJoCo's own toolbox (`pip install "mujoco[sysid]"`) fits the parameters that playground's set-up of
-the arm has: kp, damping, armature and dry friction of each joint (24 of six joints), and one delay
-of all commands, to windows of 2 s from their measured start. `default` has MuJoCo's dry friction,
-which creeps; `firm` has solimpfriction .9999, with which a joint that is stuck stays there. Masses
-are the file's, and the simulator, its derivatives and its optimiser MuJoCo's own. Each residual is
-the difference of positions in radians: its own default divides by each window's size.
+MuJoCo's own toolbox (`pip install "mujoco[sysid]"`) fits what every servo of torchid's has: kp,
+damping, armature, dry friction, an offset of the command and a delay of each joint (36 of six
+joints), to windows of 2 s from their measured start. `default` has MuJoCo's dry friction, which
+creeps; `firm` has solimpfriction .9999, with which a joint that is stuck stays there. Masses are
+the file's, and the simulator, its derivatives and its optimiser MuJoCo's own. Each residual is the
+difference of positions in radians: its own default divides by each window's size.
 """
 
 import io
@@ -40,6 +40,8 @@ RANGE = {"kp": 30.0, "damping": 30.0, "armature": 30.0, "frictionloss": 100.0}
 STEPS = 4
 """Of the simulator, from one row of a log to the next."""
 DELAY_S, LATEST_S = 0.04, 0.15
+FARTHEST = 0.3
+"""Offset of a command that a fit may have [rad]."""
 FIRM = [0.9999, 0.9999, 0.001, 0.5, 2]
 """`solimpfriction` with which a joint that is stuck stays there."""
 
@@ -67,7 +69,8 @@ def spec_of(robot: Any, folder: Path, step: float, *, firm: bool) -> mujoco.MjSp
 
 
 def parameters(names: Sequence[str]) -> Any:
-    """Logarithms of each joint's four, and the delay in tenths of a second."""
+    """Logarithms of each joint's four, its offset in radians, and its delay in tenths of a
+    second."""
     out = sysid.ParameterDict()
     for joint in names:
         for what, start in START.items():
@@ -84,7 +87,14 @@ def parameters(names: Sequence[str]) -> Any:
             middle, width = np.log(start), np.log(RANGE[what])
             bounds = middle - width, middle + width
             out.add(sysid.Parameter(f"{joint} {what}", middle, *bounds, modifier=change))
-    out.add(sysid.Parameter("delay", 10 * DELAY_S, 0.0, 10 * LATEST_S))
+
+        # After kp, which makes the actuator anew.
+        def shift(s: Any, p: Any, joint: str = joint) -> None:
+            servo = s.actuator(joint)
+            servo.biasprm[0] = servo.gainprm[0] * p.value[0]
+
+        out.add(sysid.Parameter(f"{joint} offset", 0.0, -FARTHEST, FARTHEST, modifier=shift))
+        out.add(sysid.Parameter(f"{joint} delay", 10 * DELAY_S, 0.0, 10 * LATEST_S))
     return out
 
 
@@ -101,8 +111,9 @@ def residual(spec: mujoco.MjSpec, data: PositionData, chunks: Iterable[tuple[int
         known = np.arange(first, row + len(times) // STEPS + 1)
         moved = []
         for p in param_dicts:
-            at = times - p["delay"].value[0] / 10
-            late = np.stack([np.interp(at, dt * known, x) for x in u[known].T], 1)
+            delays = [p[f"{joint} delay"].value[0] / 10 for joint in data.robot.joint_names]
+            both = zip(delays, u[known].T, strict=True)
+            late = np.stack([np.interp(times - delay, dt * known, x) for delay, x in both], 1)
             moved.append(sysid.TimeSeries(times, late, control_signal[0].signal_mapping))
         return sysid.sysid_rollout(control_signal=moved, **rest)
 
