@@ -16,7 +16,6 @@ from torchid.app.project import current
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
-from torchid.parallel.workers import cores
 
 if TYPE_CHECKING:
     from torchid.results.answer import Diagnosis
@@ -153,6 +152,8 @@ def gap_command(
         output.put(output.out / "correction.json", done.save)
         to_print.append(correction_shown(done))
     if asked.calibrate is not None:
+        from joblib import cpu_count
+
         from torchid.gap.diagnosis import TorqueDiagnosis
         from torchid.report.withheld import calibration_shown
 
@@ -160,7 +161,7 @@ def gap_command(
             raise TorchidError("--calibrate plants causes of torque, and this log has none.")
         with output.progress("planting causes") as progress:
             checked = torchid.calibrate(
-                result, log, count=asked.calibrate, jobs=cores(), progress=progress
+                result, log, count=asked.calibrate, jobs=cpu_count(), progress=progress
             )
         output.put(output.out and output.out / "calibration.json", checked.save)
         to_print.append(calibration_shown(checked))

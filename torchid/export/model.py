@@ -16,8 +16,9 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import GapRecord
 from torchid.inputs import LogLike, RobotLike
 from torchid.position.diagnosis import PositionDiagnosis
-from torchid.position.model import Replay, ServoArm, replay
+from torchid.position.model import ServoArm
 from torchid.position.record import PositionRecord
+from torchid.position.replay import Replay, replay
 from torchid.results.files import load
 from torchid.simulation.servo import INDEX, Servos
 from torchid.simulators.servo import ServoTorque
