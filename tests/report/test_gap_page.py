@@ -63,10 +63,9 @@ def test_verdict_and_status(status, undrawn):
 def test_one_screen_then_sections_that_fold(undrawn):
     tree = page_of(with_motion(diagnosis()))
     assert headings(tree) == [
+        "Torque of the joint that errs most, over time and over what it may depend on",
         "Motion: the arm and the simulation, before and after",
-        "Torque, before and after",
         "Where the error lies",
-        "What the error depends on",
         "The causes in numbers (1 cause)",
         "Errors in numbers",
         "For your simulator",
@@ -74,7 +73,7 @@ def test_one_screen_then_sections_that_fold(undrawn):
         "What this log could not show",
         "How this was obtained",
     ]
-    # The first figure and the motion are seen at once, and nothing else below the answer.
+    # The worst joint is seen at once, over time and over its laws, and nothing else below the answer.
     opened = [d.xpath("./summary/h2")[0].text_content() for d in tree.xpath("//details[@open]")]
     assert opened == headings(tree)[:1]
     assert [f.get("id") for f in tree.xpath("//section[@id='answer']//figure")] == ["robot"]
@@ -147,7 +146,7 @@ def test_captions_say_where(undrawn):
     )
     assert captions["robot"].startswith("Figure 1. The robot in a pose of this log.")
     assert "RMS 0.61 N m before and 0.07 after" in captions["joint_2"]
-    assert list(captions) == ["robot", "torque", "where", "joint_2"]
+    assert list(captions) == ["robot", "torque", "joint_2", "where"]
 
 
 def test_what_holds_nothing_is_not_drawn(undrawn):
@@ -162,7 +161,7 @@ def test_what_holds_nothing_is_not_drawn(undrawn):
 def test_every_figure_is_drawn(status):
     tree = page_of(with_motion(diagnosis(status, **SHORT)))
     names = [f.get("id") for f in tree.iter("figure")]
-    assert names == ["robot", "motion", "torque", "where", "joint_2"]
+    assert names == ["robot", "torque", "joint_2", "motion", "where"]
     assert all(len(svg.xpath(".//*")) > 10 for svg in tree.iter("svg"))
 
 
@@ -189,8 +188,8 @@ def test_plotly_stands_there_once_and_gets_the_very_numbers(undrawn):
     assert f"'sha256-{digest}'" in policy
     assert "unsafe" not in policy.split("script-src")[1]
     data = [json.loads(x) for x in tree.xpath("//script[@type='application/json']/text()")]
-    motion, torque = data
-    assert [one["quantity"] for one in data] == ["position", "torque"]
+    torque, motion = data
+    assert [one["quantity"] for one in data] == ["torque", "position"]
     assert motion["joints"] == ["1", "2", "3"]
     most, coded = motion["runs"][0]["curves"]["after"][1]
     shares = np.frombuffer(base64.b64decode(coded), "<i2") / 32767

@@ -3,6 +3,7 @@ its page: one screen with the answer, and below it what it rests on, which folds
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 from torchid.errors import TorchidError
@@ -242,13 +243,24 @@ def _sections(d: TorqueDiagnosis | PositionDiagnosis) -> list[Section]:
         ]  # fmt: skip
         notes, unseen = position.remarks(record), [not_testable_table(record)]
     motion = _over_time("motion", motion_over_time(d), text)
+    # First what an engineer looks at: the joint that errs most, over time and over all else.
+    moved = Section("Motion: the arm and the simulation, before and after", [motion])
+    first = [replace(moved, folded=False)]
+    if torque is not None:
+        first = [
+            Section(
+                "Torque of the joint that errs most, over time and over what it may depend on",
+                [torque, *against[:1]],
+                folded=False,
+            ),
+            moved,
+        ]
     code = "The corrected joints, to copy into the simulator's file; torchid export writes it."
     named = count(len(d.answer.causes), "cause")
     return [
-        Section("Motion: the arm and the simulation, before and after", [motion], folded=False),
-        Section("Torque, before and after", [torque], folded=motion is not None),
+        *first,
         Section("Where the error lies", where),
-        Section("What the error depends on", against),
+        Section("What the error of other joints depends on", against[1:]),
         Section("Friction, one law a joint", laws),
         Section(f"The causes in numbers ({named})", [cause_table(record), meaning_table(record)]),
         Section("Errors in numbers", numbers),
