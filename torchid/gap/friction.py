@@ -18,7 +18,7 @@ from torchid.effects.registry import Valued
 from torchid.gap.diagnosis import HowFar, unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.search.dissipation import over_speed
-from torchid.gap.search.findings import Judged
+from torchid.gap.search.findings import Judged, with_a_name
 from torchid.gap.search.shares import Shares
 from torchid.gap.validate.decide import Decision
 from torchid.results.friction import (
@@ -30,6 +30,7 @@ from torchid.results.friction import (
 )
 from torchid.results.record import Rows
 from torchid.robot.model import joint_unit
+from torchid.statistics.criteria import LIKELY
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Float, Tensor
 
@@ -102,12 +103,16 @@ class _Friction:
         """
         robot, far = self.problem.given.model.robot, self.decision.checked.far
         named = [k for k, one in enumerate(self.decision.judged) if self._terms_effects(one)]
-        sure = [self.decision.judged[k].branch_sure for k in named]
+        judged = [self.decision.judged[k] for k in named]
+        sure = [max(one.branch_sure, one.law_sure) for one in judged]
+        told = with_a_name(self.decision.judged, taken.of_all(far.less)[0])
+        nameless = [k for k in named if not told[k]]
         removes = taken.of_bars(far.rms_before, far.rms_after)[named].sum(0)
         return FrictionLaw(
             joint=self.joint,
             how_sure=max(sure, default=None),
             share=self._share(named, taken, far),
+            unnamed=self._share(nameless, taken, far) if max(sure, default=0.0) >= LIKELY else 0.0,
             removes=tuple(removes.tolist()),
             unit=joint_unit(robot, self.joint),
             speed_unit=unit_of("rad/s", [self.joint], robot),

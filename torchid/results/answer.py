@@ -334,7 +334,7 @@ class Answer(Part, frozen=True, kw_only=True):
             elif self.status in ("detected_unexplained", "partly_explained"):
                 rest = " The rest has no known cause."
         # The two largest causes with their numbers; fewer words where these do not fit.
-        groups = list(self.groups(self.causes))
+        groups = list(self.groups(self.entries))
         for most, values, rivals in (
             (2, True, 2), (2, False, 1), (1, True, 2), (1, False, 1), (1, False, 0)
         ):  # fmt: skip
@@ -378,12 +378,16 @@ class Answer(Part, frozen=True, kw_only=True):
             joint = cause.joints[0] if len(cause.joints) == 1 else -1
             if joint in laws and laws[joint].has(cause.effect):
                 own.setdefault(joint, []).append(cause)
-        several = {joint: causes for joint, causes in own.items() if len(causes) > 1}
+        several = {
+            joint: causes
+            for joint, causes in own.items()
+            if len(causes) > 1 or laws[joint].unnamed != 0
+        }
         if not several:
             return self.causes
         out = [c for c in self.causes if not any(c in several.get(j, ()) for j in c.joints[:1])]
         for joint, causes in several.items():
-            law, whole = laws[joint], sum(c.closes for c in causes)
+            law, whole = laws[joint], laws[joint].unnamed + sum(c.closes for c in causes)
             one = LawCause(
                 effect="friction", joints=(joint,), how_sure=law.how_sure, closes=whole,
                 remedy=REMEDY, law=law,

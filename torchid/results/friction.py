@@ -82,6 +82,7 @@ class FrictionLaw(Part, frozen=True, kw_only=True):
         how_sure: probability that any friction is there that the model lacks, whichever it is;
             None where none was found.
         share: of the error that it takes away, the sum of its terms'.
+        unnamed: part of its share by terms none of which has a name by itself.
         removes: what it takes away of each joint's error [N m; N], likewise.
         unit, speed_unit: of torque and speed.
         details: the surest first.
@@ -93,6 +94,7 @@ class FrictionLaw(Part, frozen=True, kw_only=True):
     joint: Joint
     how_sure: float | None
     share: Real
+    unnamed: Real = 0.0
     removes: tuple[Real, ...]
     unit: str
     speed_unit: str

@@ -35,7 +35,7 @@ from torchid.gap.search.evidence import (
     residual,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.odds import Misfit, Odds, Place, Rival, place_of
+from torchid.gap.search.odds import Misfit, Odds, Place, Rival, law_of, place_of
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.shares import Shares
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excluding
@@ -61,12 +61,16 @@ class Judged:
         others: what may stand there instead, one term or a pair, with the rise of the evidence.
         odds: of everything that may be there.
         at_an_end: whether its shape is at the end of its range.
+        law: the place of the friction of its joint, of which it is one term of several.
+        law_sure: probability that there is any.
     """
 
     place: Place
     others: tuple[tuple[float, tuple[Term, ...]], ...]
     odds: Odds
     at_an_end: bool = False
+    law: Place | None = None
+    law_sure: float = 0.0
 
     @property
     def term(self) -> Term:
@@ -80,7 +84,8 @@ class Judged:
 
     def beside(self, misfit: Misfit) -> "Judged":
         """The same beside another misfit."""
-        return replace(self, odds=self.place.odds(misfit))
+        law = 0.0 if self.law is None else self.law.odds(misfit).sure
+        return replace(self, odds=self.place.odds(misfit), law_sure=law)
 
     def confirmed(self, shrinks: Float[Tensor, " n"]) -> "Judged":
         """The same beside data that were not fitted.
@@ -95,7 +100,8 @@ class Judged:
         joint = term.place
         if joint is None:
             joint = int(self.place.question.fall(fit, without).argmax())
-        return replace(self, odds=self.odds.confirmed(float(shrinks[joint])))
+        share = float(shrinks[joint])
+        return replace(self, odds=self.odds.confirmed(share), law_sure=share * self.law_sure)
 
     @property
     def one_of_a_set(self) -> bool:
@@ -111,6 +117,11 @@ class Judged:
     def named(self) -> bool:
         """Whether it, or one of its set, is likelier there than not."""
         return self.sure >= LIKELY
+
+    @property
+    def unnamed(self) -> bool:
+        """Whether neither it, nor the friction of its joint as a whole, has a name."""
+        return not self.named and self.law_sure < LIKELY
 
     @property
     def ambiguous_with(self) -> tuple[str, ...]:
@@ -152,6 +163,7 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
         draws: logs that might have been.
     """
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
+    laws = friction_of(found, draws)
     out = []
     for k, term in enumerate(found.terms):
         # What the others leave, refitted.
@@ -164,7 +176,33 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
         own = own_torque(found.solution, fixed + k)
         place = place_of(question, (fit, without), term, own, draws, rivals)
         pairs = tuple((rise, terms) for rise, terms, _ in others)
-        out.append(Judged(place, pairs, place.odds(misfit), at_an_end(question, term)))
+        law = None
+        if term.place is not None and is_friction(term):
+            law = laws.get(term.place)
+        judged = Judged(place, pairs, place.odds(misfit), at_an_end(question, term), law)
+        out.append(judged.beside(misfit))
+    return out
+
+
+def is_friction(term: Term) -> bool:
+    """Whether a term is a part of the friction of one joint."""
+    return term.place is not None and all(e.branch == "friction" for e in term.effects)
+
+
+def friction_of(found: Explanation, draws: Draws) -> dict[int, Place]:
+    """The place of the friction of each joint that has it in several terms."""
+    question, fit, fixed = found.question, found.fit, len(found.question.fixed)
+    joints: dict[int, list[int]] = {}
+    for k, term in enumerate(found.terms):
+        if term.place is not None and is_friction(term):
+            joints.setdefault(term.place, []).append(k)
+    out = {}
+    for joint, numbers in joints.items():
+        if len(numbers) > 1:
+            terms = [found.terms[k] for k in numbers]
+            without = refit(question, fit, excluding(found.terms, terms), 10)
+            own = own_torque(found.solution, *(fixed + k for k in numbers))
+            out[joint] = law_of(question, (fit, without), terms, own, draws)
     return out
 
 
@@ -176,7 +214,7 @@ def at_an_end(question: Question, term: Term) -> bool:
 
 def unsure_terms(judged: Sequence[Judged]) -> list[Term]:
     """Terms that are less likely there than not: no names."""
-    return [j.term for j in judged if not j.named]
+    return [j.term for j in judged if j.unnamed]
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,8 +251,9 @@ def describe_findings(
     shares, alone = taken.of_all(far.less)
     removes = taken.of_bars(far.rms_before, far.rms_after).tolist()
     effects, parametric, undecided, rivals = [], [], [], []
+    named = with_a_name(judged, shares)
     for k, (term, one) in enumerate(zip(found.terms, judged, strict=True)):
-        if not one.named:
+        if not named[k]:
             continue
         names = one.ambiguous_with
         near = ((r, other) for r, (other, *more) in one.others if not more)
@@ -239,9 +278,9 @@ def describe_findings(
                 ambiguous_with=names,
                 std=tuple(std.tolist()),
                 p_value=p,
-                how_sure=one.sure,
-                one_of_a_set=one.one_of_a_set,
-                branch_sure=one.branch_sure,
+                how_sure=one.sure if one.named else one.law_sure,
+                one_of_a_set=one.one_of_a_set or not one.named,
+                branch_sure=max(one.branch_sure, one.law_sure),
                 replication=replication(one.place.own, found.solution, fixed + k, samples),
                 share=shares[k],
                 alone=alone[k],
@@ -256,6 +295,25 @@ def describe_findings(
         tuple(undecided),
         tuple(rivals),
     )
+
+
+def with_a_name(judged: Sequence[Judged], shares: Sequence[float]) -> list[bool]:
+    """Which terms are told by name: those that are likely; and of the friction of a joint that is
+    there, while none of its terms is likely by itself, the one that takes most.
+
+    Args:
+        judged: terms.
+        shares: of the error that each takes.
+    """
+    out = [one.named for one in judged]
+    joints: dict[int, list[int]] = {}
+    for k, one in enumerate(judged):
+        if one.law is not None and one.law_sure >= LIKELY and one.term.place is not None:
+            joints.setdefault(one.term.place, []).append(k)
+    for numbers in joints.values():
+        if not any(out[k] for k in numbers):
+            out[max(numbers, key=lambda k: shares[k])] = True
+    return out
 
 
 def _change(found: Explanation, links: Sequence[int]) -> str:

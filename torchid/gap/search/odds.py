@@ -138,6 +138,21 @@ class Place:
         return Odds(sure, nothing, others.pop(), tuple(others))
 
 
+def law_of(
+    question: Question,
+    fits: tuple[Fitted, Fitted],
+    terms: Sequence[Term],
+    own: OwnTorque,
+    draws: Draws,
+) -> Place:
+    """The place of the friction of a joint, in several terms: one law, which is there or not."""
+    place = place_of(question, fits, terms[0], own, draws)
+    # However many terms it has, it is one cause.
+    ((gain, paid),) = place.instead
+    paid -= (len(terms) - 1) * question.price(EXPECTED)
+    return replace(place, instead=((gain, paid),))
+
+
 def place_of(
     question: Question,
     fits: tuple[Fitted, Fitted],

@@ -46,18 +46,18 @@ class OwnTorque:
         return out
 
 
-def own_torque(solution: Solution, k: int) -> OwnTorque:
-    """Of the k-th term of a solution."""
-    # Its coefficients, and less of the others' what they would make in its place.
-    own = solution.at(k)
+def own_torque(solution: Solution, *numbers: int) -> OwnTorque:
+    """Of some terms of a solution together, by their numbers."""
+    # Their coefficients, and less of the others' what they would make in their place.
     x = torch.zeros(len(solution.a), dtype=torch.float64)
-    x[own] = solution.values[k]
     others = torch.ones(len(x), dtype=torch.bool)
-    others[own] = False
-    rest = [t for i, t in enumerate(solution.terms) if i != k]
+    for k in numbers:
+        x[solution.at(k)] = solution.values[k]
+        others[solution.at(k)] = False
+    rest = [t for i, t in enumerate(solution.terms) if i not in numbers]
     if rest:
-        gram, right = solution.products[others], solution.products[others][:, own]
-        x[others] = -prior_of(rest).solve(gram[:, others], right @ solution.values[k]).x
+        gram, right = solution.products[others], solution.products[others][:, ~others]
+        x[others] = -prior_of(rest).solve(gram[:, others], right @ x[~others]).x
     weight = solution.weight.sqrt().unsqueeze(1)
     return OwnTorque(torch.tensordot(x, solution.a, 1) * weight, solution.left * weight)
 

@@ -99,7 +99,7 @@ def terms_without_name(
     question, solution = found.question, found.solution
     out = []
     for k, one in enumerate(judged):
-        if one.named:
+        if not one.unnamed:
             continue
         at = len(question.fixed) + k
         closes = question.fall(found.fit, one.without).sqrt()

@@ -42,7 +42,7 @@ class Decision:
         not fitted."""
         far = self.checked.far
         squares = taken.of_bars(far.rms_before.square(), far.rms_after.square())
-        return squares[[not one.named for one in self.judged]].sum(0)
+        return squares[[one.unnamed for one in self.judged]].sum(0)
 
 
 def decide(found: Explanation, problem: Problem) -> Decision:
@@ -67,7 +67,7 @@ def decide(found: Explanation, problem: Problem) -> Decision:
     dropped = None
     if judged and len(unsure_terms(judged)) == len(judged):
         dropped = found, tuple(judged)
-        taken_back |= any(one.named for one in likely)
+        taken_back |= not all(one.unnamed for one in likely)
         found = without_terms(found, found.terms, problem)
         checked = check(found, problem)
         judged, misfit = [], misfit_of(found, checked, problem)
