@@ -146,7 +146,7 @@ def no_torque(log: Log) -> LogError:
         f"log '{log.source}' has no torque.",
         got=", ".join(column_names(log)),
         expected="columns tau1.., or i1.. and drive gains; `torchid gap` takes commands u1.., too",
-        hint=None if log.current is None else gains,
+        hint=gains if log.current is not None else 'name its columns: `columns="tau=NAME_{j} Nm"`',
     )
 
 
@@ -169,8 +169,8 @@ def _too_short(log: Log, rate: float, cutoff: float | None) -> LogError:
 
 
 def resting_speed(motion: Motion) -> Float[Tensor, " n"]:
-    """Speed (n,) above which each joint moves: `MOVING`, or a share of its own where it is slower in
-    nearly all of the motion and yet goes farther than a push moves a joint that is held."""
+    """Speed (n,) above which each joint moves: `MOVING`, or a share of its own where it is slower
+    in nearly all of the motion and yet goes farther than a push moves a joint that is held."""
     speed = motion.dq.abs()
     fast = torch.quantile(speed[:: max(1, len(speed) // 100_000)], 0.99, dim=0)
     slow = (speed > MOVING).double().mean(0) < HARDLY

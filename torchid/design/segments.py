@@ -43,6 +43,7 @@ STOP = 0.1
 NEVER = 1e-3
 """A joint that travels less than this never moves [rad or m]."""
 
+
 @dataclass(frozen=True, eq=False)
 class Segment:
     """One trajectory in the wide band.
