@@ -150,6 +150,21 @@ def test_a_joint_at_rest_counts_only_if_it_hardly_ever_moves():
     assert bool(counts[:, 2].all())
 
 
+def test_a_slow_joint_rests_by_its_own_speeds_and_a_held_one_by_absolute_ones():
+    """Joint 1 at 18 mrad/s, to and fro with pauses of a third of the time; joint 2 is held, and its
+    velocity is noise."""
+    t = torch.arange(0, 48.0, 1 / RATE, dtype=torch.float64)
+    pause = (t % 3.0) < 1.0
+    dq = 0.018 * torch.where(((t / 3).floor() % 2) == 0, 1.0, -1.0) * ~pause
+    noise = 0.006 * torch.randn(len(t), generator=torch.Generator().manual_seed(0)).double()
+    dq = torch.stack([dq, noise], 1)
+    q = dq.cumsum(0) / RATE
+    motion = Motion(q, dq, torch.zeros_like(q), torch.sign(dq))
+    counts = moving_instants(segment_of(motion))
+    assert torch.equal(counts[:, 0], ~pause)
+    assert bool(counts[:, 1].all()), "it hardly moves: all of its samples tell what holds it"
+
+
 def test_joints_that_never_move():
     run = sines(2.0, 3.0)
     q = run.motion.q * torch.tensor([1.0, 1e-4])

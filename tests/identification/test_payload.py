@@ -517,3 +517,27 @@ def test_the_last_links_columns_are_what_a_payload_adds():
     robot = arm("panda")
     base, change = noiseless_change(robot, BOX)
     torch.testing.assert_close(last_link_columns(robot, base) @ BOX, change, rtol=0, atol=1e-12)
+
+
+def test_a_change_that_no_rigid_payload_makes_is_not_sure_of_a_mass():
+    """A change of 0.3 kg less with inertias of 0.9 kg more is neither a payload nor exchanged
+    logs: the nearest body is given, and its interval is as wide as it is away."""
+    robot = load_robot("3r")
+    other = BOX.clone()
+    other[0] = -0.3
+    base, change = noiseless_change(robot, other)
+    spread = 1e-6 * torch.eye(len(base), dtype=torch.float64)
+    found = from_change(robot, base, change, spread, 30.0)
+    assert found.rejected
+    assert not found.consistent_within
+    mass = found.link.mass
+    assert float(mass.low) < 0 < float(mass.high), "nothing of a mass is sure"
+    assert float(InertialParameters(found.parameters.unsqueeze(0)).consistency_margin()) > 0
+    assert any(w.startswith("no rigid body within the 95 % region") for w in found.warnings)
+    assert not any("exchanged" in w for w in found.warnings)
+    # Exchanged logs make such a change, and keep their interval.
+    base, change = noiseless_change(robot, -BOX)
+    found = from_change(robot, base, change, spread, 30.0)
+    assert not found.rejected
+    assert float(found.link.mass.high) < 0
+    assert any("exchanged" in w for w in found.warnings)

@@ -11,9 +11,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from torchid.errors import LogError
+from torchid.log.assemble import unused_columns
 from torchid.log.columns import columns_of
+from torchid.log.csv_file import csv_table
 from torchid.log.mapping import KEYS, read_mapping
 from torchid.log.readers import read_log
+from torchid.log.table import Request
 from torchid.log.units import UNITS, unit_factor
 
 from .examples import same, snapshot, uniform
@@ -361,3 +364,8 @@ def test_an_external_torque_needs_a_torque_and_a_joint(tmp_path: Path) -> None:
         read_log(save(tmp_path / "none.csv", own | {"ext1": T}))
     with pytest.raises(LogError, match="no joint of column ext2"):
         read_log(save(tmp_path / "two.csv", own | {"tau1": T, "ext2": T}))
+
+
+def test_columns_that_were_read_by_their_names_are_not_called_unused(tmp_path: Path) -> None:
+    path = save(tmp_path / "named.csv", {"time": T, "pos_1": T, "pos_2": 2 * T, "room": T})
+    assert unused_columns(csv_table(path, Request())) == ["room"]

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import torch
 
-from torchid.design.motion import MOVING, Measurement, direction, fast_speed
-from torchid.design.segments import HARDLY, Samples, Segment, widened
+from torchid.design.motion import HARDLY, MOVING, Measurement, direction, fast_speed
+from torchid.design.segments import Samples, Segment, widened
 from torchid.dynamics.forward import mass_matrix
 from torchid.errors import LogError
 from torchid.log.model import Log

@@ -18,6 +18,16 @@ MOVING = RESTING
 """A joint moves when its own |dq| exceeds this [rad/s or m/s]; slower, static friction can hold
 any torque and the sign of dq is noise."""
 
+YIELDS = 0.02
+"""A joint that is held gives way to a push by less than this [rad or m]."""
+
+HARDLY = 0.1
+"""Share of the time below which a joint hardly moves: what holds it is then most of what is known
+about it, and all its samples count."""
+
+_SLOW = 0.1
+"""Share of the fast speed of a joint that is slow in all of the log, below which it is at rest."""
+
 LONG = 20_000_000
 """Values of a signal, samples times joints, from which on a log is filtered a part at a time."""
 
@@ -136,7 +146,7 @@ def no_torque(log: Log) -> LogError:
         f"log '{log.source}' has no torque.",
         got=", ".join(column_names(log)),
         expected="columns tau1.., or i1.. and drive gains; `torchid gap` takes commands u1.., too",
-        hint=None if log.current is None else gains,
+        hint=gains if log.current is not None else 'name its columns: `columns="tau=NAME_{j} Nm"`',
     )
 
 
@@ -158,9 +168,19 @@ def _too_short(log: Log, rate: float, cutoff: float | None) -> LogError:
     )
 
 
+def resting_speed(motion: Motion) -> Float[Tensor, " n"]:
+    """Speed (n,) above which each joint moves: `MOVING`, or a share of its own where it is slower
+    in nearly all of the motion and yet goes farther than a push moves a joint that is held."""
+    speed = motion.dq.abs()
+    fast = torch.quantile(speed[:: max(1, len(speed) // 100_000)], 0.99, dim=0)
+    slow = (speed > MOVING).double().mean(0) < HARDLY
+    slow &= motion.q.amax(0) - motion.q.amin(0) > YIELDS
+    return torch.where(slow, _SLOW * fast, MOVING).clamp(max=MOVING)
+
+
 def moves(motion: Motion) -> Bool[Tensor, "T n"]:
     """Whether each joint moves."""
-    return motion.dq.abs() > MOVING
+    return motion.dq.abs() > resting_speed(motion)
 
 
 def fast_speed(measured: Sequence[Measurement]) -> Float[Tensor, " n"]:

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import torch
 
-from torchid.design.motion import MOVING, Measurement, timed
+from torchid.design.motion import HARDLY, MOVING, YIELDS, Measurement, resting_speed, timed
 from torchid.effects.base import Motion
 from torchid.log.filtering import ZeroPhaseFilter, extended, low_pass
 from torchid.typing import Bool, Float, Signals, Tensor
@@ -42,13 +42,6 @@ STOP = 0.1
 
 NEVER = 1e-3
 """A joint that travels less than this never moves [rad or m]."""
-
-YIELDS = 0.02
-"""A joint that is held gives way to a push by less than this [rad or m]."""
-
-HARDLY = 0.1
-"""Share of the time below which a joint hardly moves: what holds it is then most of what is known
-about it, and all its samples count."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,13 +215,14 @@ def moving_instants(
     so near to a reversal are left out, and those twice as near to a dwell: there the joint may
     stick, and no law of sliding says with which torque."""
     dq = segment.motion.dq
-    moving = dq.abs() > MOVING
+    resting = resting_speed(segment.motion)
+    moving = dq.abs() > resting
     if reach is None:
         return moving | (moving.double().mean(0) < HARDLY)
     sign = torch.sign(dq)
     turns = torch.zeros_like(sign)
     turns[1:] = (sign[1:] != sign[:-1]).to(sign)
-    slow = (dq.abs() < 0.5 * MOVING).to(sign)
+    slow = (dq.abs() < 0.5 * resting).to(sign)
     dwells = 1 - widened(1 - slow, 0.5 * STOP * segment.rate)
     for j, own in enumerate(torch.as_tensor(reach).expand(segment.n).tolist()):
         column = slice(j, j + 1)

@@ -119,8 +119,8 @@ class Effect(ABC):
         smooth: whether its columns differentiate the model's torque, so that it is evaluated on a
             motion that is low-passed as the rows are.
         linearised: whether its columns are a secant, taken at the field `at`.
-        of_sensor: whether it is an error of what was measured, so that the log is to be
-            corrected and no simulator.
+        of_sensor: whether it is an error of what was measured: the log is to be corrected, and no
+            simulator.
         scale_of_torque: whether it is the error of a measured torque's scale.
         of_bodies: whether its columns need the links' own parameters: the same base parameters,
             split among the links in another way, give others.

@@ -19,11 +19,10 @@ from torchid.design.bands import (
 )
 from torchid.design.columns import Columns
 from torchid.design.held import held_ages_of
-from torchid.design.motion import MOVING, Measurement, measurements
+from torchid.design.motion import HARDLY, Measurement, measurements, moves
 from torchid.design.resonance import Swing, swings
 from torchid.design.segments import (
     EDGE,
-    HARDLY,
     Samples,
     Segment,
     moving_samples,
@@ -259,11 +258,11 @@ def prepare(
         )
     samples = Samples(long, narrow)
     # What the log cannot show: joints that hardly slide, velocities and ages it does not hold.
-    moves = torch.cat([s.motion.dq.abs() > MOVING for s in long]).double().mean(0)
+    sliding = torch.cat([moves(s.motion) for s in long]).double().mean(0)
     there = {"velocity": all(s.own_velocity for s in long)}
     there["age"] = all(s.motion.age is not None for s in long)
     missing = frozenset(name for name, holds in there.items() if not holds)
-    keep, slides = moving_samples(samples), moves >= HARDLY
+    keep, slides = moving_samples(samples), sliding >= HARDLY
     keep[list(robot.free)] = True
     band = report_band(samples, min(widest, highest))
     positions = noise * band**2.5

@@ -169,7 +169,7 @@ def fit(
     if not bool(kept.any()):
         raise IdentificationError(
             "no row is left to fit.",
-            got="no joint ever moves faster than 0.02 rad/s" if source.moving_only else "no sample",
+            got="no joint ever moves" if source.moving_only else "no sample",
             hint='use `rows="all"`',
         )
     robust, whitening = kept.double(), torch.eye(source.layout.robot.n, dtype=torch.float64)

@@ -201,6 +201,13 @@ class Payload(Record, frozen=True, kw_only=True, tag="torchid.payload/1"):
         return self.estimate.determined
 
     @property
+    def rejected(self) -> bool:
+        """Whether no rigid payload on the last link, nor exchanged logs, make such a change: the
+        parameters are then those of the nearest body, with intervals as wide as it is away."""
+        found = self.nearest is not None and torch.equal(self.nearest, self.parameters)
+        return found and not self.consistent_within
+
+    @property
     def table(self) -> Rows[Change]:
         """What changed beside the payload."""
         return Rows((*self.effect_changes, *self.unexplained))
@@ -248,7 +255,13 @@ def findings(payload: Payload) -> list[str]:
         )
     if payload.undetermined:
         said.append("not determined by this arm and these logs: " + ", ".join(payload.undetermined))
-    if payload.consistent or not payload.seen:
+    if payload.rejected:
+        said.append(
+            "no rigid body within the 95 % region: the change is not that of a rigid payload on "
+            "the last link, or the model lacks something; the nearest body is given, with "
+            "intervals as wide as it is away"
+        )
+    elif payload.consistent or not payload.seen:
         pass
     elif payload.consistent_within:
         said.append(
@@ -257,11 +270,6 @@ def findings(payload: Payload) -> list[str]:
         )
     elif payload.model != "general":
         said.append(f"no rigid body has these parameters; the model `{payload.model}` may not hold")
-    else:
-        said.append(
-            "no rigid body within the 95 % region: the change is not that of a rigid payload on "
-            "the last link, or the standard deviations are too small"
-        )
     changed = payload.friction_changes
     if changed:
         count = len(payload.effect_changes)
@@ -563,9 +571,11 @@ def _payload(robot: Robot, model: Model, fitted: Fitted, largest: Float[Tensor, 
     """
     theta, covariance, freedom, felt = fitted.of(torch.clone)
     degrees, quantile = float(freedom[0]), float(student_quantile(LEVEL, freedom)[0])
-    half = student_quantile(LEVEL, freedom) * covariance.diagonal().clamp(min=0).sqrt()
-    determined = felt & (half <= largest)
-    seen = bool(determined[0]) and float(theta[0]) > max(float(half[0]), _ROUNDING)
+
+    def half() -> Float[Tensor, "10"]:
+        return student_quantile(LEVEL, freedom) * covariance.diagonal().clamp(min=0).sqrt()
+
+    determined = felt & (half() <= largest)
     everything = bool(felt.all())
     body = InertialParameters(theta.unsqueeze(0))
     margin = float(body.consistency_margin()[0])
@@ -575,14 +585,15 @@ def _payload(robot: Robot, model: Model, fitted: Fitted, largest: Float[Tensor, 
     if not consistent and model == "general" and bool(torch.equal(determined, felt) and felt.any()):
         nearest, distance, directions = nearest_consistent(theta, covariance, fitted.null)
         consistent = not everything and distance < _SAME
-        # Squared size of the 95 % region in so many directions (Hotelling's T^2).
-        least = float(freedom[felt].min()) if bool(felt.any()) else math.inf
-        left, region = least - directions + 1, math.inf
-        if directions > 0 and left > 1e6:
-            region = float(chdtri(directions, 1 - LEVEL))
-        elif directions > 0 and left > 0:
-            region = directions * least / left * float(fdtri(directions, left, LEVEL))
+        region = _region(directions, float(freedom[felt].min()))
         within = consistent or distance <= region
+        if not within and nearest_consistent(-theta, covariance, fitted.null)[1] > region:
+            # No payload on the last link, nor exchanged logs: errors are larger than the logs'
+            # blocks say, by what the nearest body is away (Birge 1932).
+            fitted = replace(fitted, free=nearest, wider=max(1.0, distance / directions))
+            theta, covariance, *_ = fitted.of(torch.clone)
+            determined = felt & (half() <= largest)
+    seen = bool(determined[0]) and float(theta[0]) > max(float(half()[0]), _ROUNDING)
     link, tool = torch.eye(4, dtype=theta.dtype), torch.linalg.inv(robot.tool)
     unknown = zip(PARAMETER_NAMES, determined.tolist(), strict=True)
     return Payload(
@@ -610,6 +621,16 @@ def _payload(robot: Robot, model: Model, fitted: Fitted, largest: Float[Tensor, 
         warnings=(),
         cutoff=None,
     )
+
+
+def _region(directions: int, freedom: float) -> float:
+    """Squared size of a 95 % region in so many directions (Hotelling's T^2)."""
+    left = freedom - directions + 1
+    if directions > 0 and left > 1e6:
+        return float(chdtri(directions, 1 - LEVEL))
+    if directions > 0 and left > 0:
+        return directions * freedom / left * float(fdtri(directions, left, LEVEL))
+    return math.inf
 
 
 def _body(fitted: Fitted, pose: Tensor, largest: Float[Tensor, "10"], seen: bool) -> Body:

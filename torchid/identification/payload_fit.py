@@ -203,6 +203,7 @@ class Fitted:
         joint: the regression.
         to_parameters: from (F,) to the ten parameters in the last link's frame.
         null: (F, D) directions of `free` that the rows say nothing about.
+        wider: by which variances are larger than the rows' errors say.
     """
 
     free: Float[Tensor, " F"]
@@ -210,6 +211,7 @@ class Fitted:
     joint: Joint
     to_parameters: Callable[[Tensor], Tensor]
     null: Float[Tensor, "F D"]
+    wider: float = 1.0
 
     def of(
         self, function: Callable[[Tensor], Tensor]
@@ -224,7 +226,8 @@ class Fitted:
         moved = (slope @ self.null).abs()
         size = slope.abs() @ self.null.abs()
         determined = (moved <= _VANISHES * size.clamp(min=1e-300)).all(-1)
-        return composed(self.free), *self.joint.spread(slope @ self.estimator), determined
+        covariance, freedom = self.joint.spread(slope @ self.estimator)
+        return composed(self.free), self.wider * covariance, freedom, determined
 
 
 def last_link_columns(robot: Robot, base: BaseParameters) -> Float[Tensor, "B 10"]:

@@ -192,6 +192,9 @@ class _Columns(Mapping[str, np.ndarray]):
 
 def unused_columns(table: Table, mapping: ColumnMapping | None = None) -> list[str]:
     """The columns that `log_from_table` leaves where they are."""
+    if mapping is None and not {"t", "q", "q1"} & table.columns.keys():
+        guessed = proposed_mapping(table)  # by which it was read
+        mapping = read_mapping(guessed[0]) if guessed and not guessed[1] else None
     mapping = mapping or ColumnMapping({})
     values = _wildcards(table, mapping)
     parts = [mapping] if values is None else [mapping.at(value) for value in values]

@@ -34,7 +34,7 @@ def shown(result: Identification) -> Shown:
     return Shown(
         parts=tables(result),
         warnings=result.warnings,
-        last=verdict(result),
+        verdict=verdict(result),
         figures=figures(result),
         page=partial(identification_page, result),
     )
@@ -375,8 +375,8 @@ QUANTITIES = (
 
 def payload_shown(payload: Payload) -> Shown:
     """All that there is to see of a payload."""
-    tables, last = payload_tables(payload), payload_headline(payload)
-    return Shown(parts=tables, warnings=payload.warnings, last=last)
+    said = payload_headline(payload)
+    return Shown(verdict=said, parts=payload_tables(payload), warnings=payload.warnings)
 
 
 def payload_tables(payload: Payload) -> list[Table]:
@@ -406,6 +406,13 @@ def payload_headline(payload: Payload) -> str:
             f"The logs with the payload carry {-float(mass.value):.4g} kg less than those without: "
             "are they exchanged?"
         )
+    half = payload.quantile * float(mass.std)
+    if payload.rejected:
+        known = f"the nearest has {float(mass.value):.3g} ± {half:.2g} kg (95 %)"
+        return (
+            f"No rigid payload on the last link of {payload.robot} explains its change of torque: "
+            f"{'its mass is not known' if math.isnan(half) else known}."
+        )
     if bool(mass.value.isnan()):
         return f"The mass that {payload.robot} carries is not known from these logs."
     if not payload.seen:
@@ -414,7 +421,6 @@ def payload_headline(payload: Payload) -> str:
     if payload.consistent or payload.consistent_within:
         within = "" if payload.consistent else " within its interval"
         verdict = f"physically consistent{within}"
-    half = payload.quantile * float(mass.std)
     place = ", ".join("?" if math.isnan(c) else f"{1e3 * c:.1f}" for c in com.value.tolist())
     return (
         f"{payload.robot} carries {float(mass.value):.4g} ± {half:.2g} kg (95 %), centre of mass "

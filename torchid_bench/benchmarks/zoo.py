@@ -502,7 +502,7 @@ def _cpu_seconds() -> float:
 
 
 def _headline(file: Path | None, document: dict[str, Any], out: str, err: str) -> str:
-    """A diagnosis' headline, the doctor's conclusion, the last paragraph of others, or the error."""
+    """A diagnosis' headline, the doctor's conclusion, the first paragraph of others, or the error."""
     if file is not None and "answer" in document:
         import torchid
 
@@ -514,7 +514,7 @@ def _headline(file: Path | None, document: dict[str, Any], out: str, err: str) -
         return (errors or err.splitlines()[-1:] or [""])[0]
     skipped = ("written", "For a simulator")
     lines = "\n".join(line for line in out.splitlines() if not line.startswith(skipped))
-    return " ".join(lines.strip().split("\n\n")[-1].split())
+    return " ".join(lines.strip().split("\n\n")[0].split())
 
 
 def _complaints(document: dict[str, Any]) -> str:
