@@ -295,3 +295,11 @@ def test_a_ratio_is_written_beside_the_files_gain_or_not_at_all(tmp_path):
     text = done.files[0].read_text()
     assert f"joint_2: kp: {260 / 998:.3g} x the file's." in text
     assert "joint_1: kp" not in text
+
+
+def test_a_ratio_that_was_refitted_is_called_one(tmp_path):
+    """Where the file has no gain, as a URDF has none."""
+    arm = replace(arm_with(true_servos(3)), unanchored=(1,))
+    log = planted(arm.servos, motions=2, seconds=6.0, seed=2)
+    text = correct(robot(), arm, log, "mjcf", tmp_path).files[0].read_text()
+    assert "joint_2: kp: a ratio. Nothing anchors" in text

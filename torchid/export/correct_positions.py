@@ -70,7 +70,8 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
     robot, log = asked.robot, asked.log
     require_same_arm(arm.robot, robot, "servos are")
     arm = replace(arm, robot=in_places_of(arm.robot, robot))
-    ratios_to_file(arm, edited_of(robot, asked.to) if asked.with_effects in (True, False) else None)
+    if not isinstance(asked.with_effects, bool):
+        ratios_to_file(arm, None)
     yaml = asked.folder / f"{asked.stem}_effects.yaml"
     if asked.with_effects and yaml.resolve() in [Path(file).resolve() for file in asked.keep]:
         raise TorchidError(

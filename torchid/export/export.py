@@ -1,5 +1,6 @@
 """Write a result's dynamics in another format, reload them, and compare before they are kept."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -163,7 +164,9 @@ def export_dynamics(
         )
     xml = to in get_args(Target)
     edited = edited_of(model, to) if xml else None
-    ratios = ratios_to_file(dynamics.arm, edited if to == "mjcf" else None)
+    ratios = ratios_to_file(
+        dynamics.arm, edited if to == "mjcf" else None, refitted=dynamics.late is not None
+    )
     found, written = None, dynamics.robot
     # C, layers and actuators hold no bodies of base parameters.
     if to not in get_args(Package) and (dynamics.base is None or to not in ("c", "usd")):
@@ -250,9 +253,11 @@ def _of_weight(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
     return ("gravity compensation (gravcomp) is not in it",)
 
 
-def ratios_to_file(arm: ServoArm | None, file: Robot | None) -> dict[int, float]:
+def ratios_to_file(
+    arm: ServoArm | None, file: Robot | None, *, refitted: bool = False
+) -> dict[int, float]:
     """Of joints (from 0) whose torques nothing anchors, kp over that of the actuators in the MJCF
-    that is edited.
+    that is edited; NaN where it has none, of servos that were refitted to a log and have been run.
 
     Raises:
         TorchidError: there is none to which a gain would be a ratio.
@@ -261,7 +266,7 @@ def ratios_to_file(arm: ServoArm | None, file: Robot | None) -> dict[int, float]
         return {}
     own = [] if file is None else mjcf_servos(Path(file.source), file.joint_names)
     lost = [j for j in arm.unanchored if not own or "kp" not in own[j]]
-    if lost:
+    if lost and not refitted:
         raise TorchidError(
             f"the gain of {joint_list(lost)} is known as a ratio alone, so it is not exported.",
             got="no load and no known gain anchors the torques of the servo, friction and armature",
@@ -270,7 +275,8 @@ def ratios_to_file(arm: ServoArm | None, file: Robot | None) -> dict[int, float]
             hint="record the joint while it holds a load against gravity, or with a known mass in "
             "the hand",
         )
-    return {j: float(arm.servos.of("kp")[j]) / own[j]["kp"] for j in arm.unanchored}
+    kp = arm.servos.of("kp").tolist()
+    return {j: math.nan if j in lost else kp[j] / own[j]["kp"] for j in arm.unanchored}
 
 
 def stem_of(robot: Robot) -> str:

@@ -83,7 +83,7 @@ def write_servos(
         source: what the file is called in errors.
         late: by how much commands are late by being held [s]; None for not at all.
         ratios: of joints (from 0) whose torques nothing anchors: kp over that of the file before,
-            which a comment says.
+            which a comment says; NaN where the file had none.
 
     Raises:
         TorchidError: a joint of the robot has no name in the file.
@@ -108,7 +108,8 @@ def write_servos(
         node = _actuator(root, name)
         node.attrib.update(_general(values, step))
         if ratios and j in ratios:
-            words = f"kp: {ratios[j]:.3g} x the file's. {RATIOS_ALONE}"
+            beside = "a ratio" if math.isnan(ratios[j]) else f"{ratios[j]:.3g} x the file's"
+            words = f"kp: {beside}. {RATIOS_ALONE}"
             node.addprevious(said := comment(f"{name}: {words}"))
             said.tail = node.getparent().text
         # What the servo can is fitted; a limit of the nominal robot would come before it.

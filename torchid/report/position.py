@@ -146,7 +146,8 @@ def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> T
             found["kp"] = (joint.kp, joint.kp_ci95)
         for name in dict.fromkeys([*servo.values, *servo.register_units]):
             stated = servo.values.get(name)
-            if not {name, as_share(name)} & found.keys() and stated is None:
+            unasked = not {name, as_share(name)} & found.keys() and stated is None
+            if unasked or name == "damping_share":  # of what the clip limits, which none seeks
                 continue
             text = "never moves" if joint.never_moves else "not needed"
             if joint.ratio_only and name in TORQUES and not joint.never_moves:

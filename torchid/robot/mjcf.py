@@ -450,8 +450,8 @@ def _servo(mujoco: Any, model: Any, actuator: int, joint: int, gear: float) -> d
         "scale": -gain / (b1 * gear),
         "offset": b0 * gear,
     }
-    # What a limit of force holds is the actuator's alone.
-    values["damping_share"] = own / damping if damping > 0 else 0.0
+    if own > 0:  # what a limit of force holds is the actuator's alone
+        values["damping_share"] = own / damping
     limits = []
     if model.actuator_forcelimited[actuator]:
         limits.append(abs(model.actuator_forcerange[actuator]).max() * abs(gear))
