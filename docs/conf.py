@@ -40,7 +40,7 @@ napoleon_numpy_docstring = False
 
 NAVIGATION = {
     "Tutorial": ("tutorial",),
-    "How to": ("your-log", "lerobot", "your-quadruped", "log-doctor", "python", "export", "pair",
+    "How to": ("your-log", "coming-from", "lerobot", "your-quadruped", "log-doctor", "python", "export", "pair",
                "report", "compare", "fleet", "next-experiment"),
     "Reference": ("robots", "effects", "glossary", "equations", "results", "zoo", "gap-results",
                   "position-results", "speed", "withheld", "trust", "api/*", "../CHANGELOG"),
