@@ -40,8 +40,8 @@ napoleon_numpy_docstring = False
 
 NAVIGATION = {
     "Tutorial": ("tutorial",),
-    "How to": ("your-log", "lerobot", "your-quadruped", "log-doctor", "python", "export", "pair",
-               "report", "compare", "fleet", "next-experiment"),
+    "How to": ("your-log", "coming-from", "lerobot", "your-quadruped", "log-doctor", "python",
+               "export", "pair", "report", "compare", "fleet", "next-experiment"),
     "Reference": ("robots", "effects", "glossary", "equations", "results", "zoo", "gap-results",
                   "position-results", "speed", "withheld", "trust", "api/*", "../CHANGELOG"),
     "Explanation": ("concepts", "knowledge", "equal-torque", "design", "../CONTRIBUTING"),

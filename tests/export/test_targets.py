@@ -82,13 +82,10 @@ def test_mjlab_moves_as_mujoco_does(kind: str, tmp_path: Path) -> None:
     assert np.abs(expected - motion.q[:, None]).max() > 0.05
 
 
-@pytest.mark.parametrize("kind", ["fields", "servos"])
-def test_newton_moves_as_mujoco_does(kind: str, tmp_path: Path) -> None:
-    """Newton's reader of MJCF passes over delays, so none is in the file."""
+def test_newton_moves_as_mujoco_does(tmp_path: Path) -> None:
+    """By torques, with the fields of the MJCF."""
     python_of("newton")
-    fields = robot_dynamics(with_effects("ur10e"))
-    servos = servo_dynamics(ServoArm.of(arm("3r"), **{**SERVOS, "delay": 0.0}, **JOINTS))
-    motion = prepared(fields if kind == "fields" else servos, tmp_path, "mjcf")
+    motion = prepared(robot_dynamics(with_effects("ur10e")), tmp_path, "mjcf")
     expected, found = play("mujoco", tmp_path), play("newton", tmp_path)
     np.testing.assert_allclose(found, expected, atol=1e-3)  # float32
     assert np.abs(expected - motion.q[:, None]).max() > 0.05

@@ -86,13 +86,14 @@ def test_verdict_of_what_is_not_determined_and_of_joints_that_rest(result):
 
 
 @pytest.mark.slow
-def test_a_coefficient_that_is_held(result):
+@pytest.mark.parametrize("why", ["held", "at its bound"])
+def test_a_coefficient_that_is_held(result, why):
     free = result.free.clone()
     free[0] = False
-    rows = rows_of(
-        parsed(render(identification_page(replace(result, free=free), made()))), "Base parameters"
-    )
-    assert rows[0][3:] == ["held at 0", "-", "-"]
+    bounded = result.base.names[:1] if why == "at its bound" else ()
+    one = replace(result, free=free, bounded=tuple(bounded))
+    rows = rows_of(parsed(render(identification_page(one, made()))), "Base parameters")
+    assert rows[0][3:] == [why, "-", "-"]
 
 
 @pytest.mark.slow

@@ -54,7 +54,8 @@ def test_tables_show_the_errors(result):
 def test_absorbed_and_held_coefficients_are_marked(result):
     text = text_of(result)
     assert "in a sum" in text  # Ia1, Ia2
-    assert ("0 (held)" in text) == bool(result.bounded or result.undetermined)
+    assert ("0 (at its bound)" in text) == bool(result.bounded)
+    assert ("0 (held)" in text) == bool(result.undetermined)
 
 
 def test_everything_prints_as_one_line(result):

@@ -75,7 +75,7 @@ def effect_tables(result: Identification) -> list[Table]:
         if b is None or not base.is_single(b):
             return "in a sum"
         if not bool(result.free[b]):
-            return "0 (held)"
+            return f"0 ({_held(result, b)})"
         return f"{float(result.values[b]):.4g} ± {float(result.std[b]):.2g}"
 
     # Each effect with the texts of its coefficients.
@@ -296,6 +296,11 @@ def _named(names: Sequence[str]) -> str:
     return listed((short(name, 30) for name in names), most=_MOST_NAMED)
 
 
+def _held(result: Identification, k: int) -> str:
+    """Why a coefficient is 0: the data ask for less than physics allows, or do not tell it."""
+    return "at its bound" if result.base.names[k] in result.bounded else "held"
+
+
 def coefficient_table(result: Identification, which: Sequence[int], title: str) -> Table:
     """Values with standard deviations and 95 % intervals.
 
@@ -307,7 +312,7 @@ def coefficient_table(result: Identification, which: Sequence[int], title: str) 
     ends = result.interval().tolist()
     rows = []
     for k in which:
-        spread, std = ("held at 0", "-", "-"), float(result.std[k])
+        spread, std = (_held(result, k), "-", "-"), float(result.std[k])
         if bool(result.free[k]):
             low, high = (_to_digits(end, std) for end in ends[k])
             percent = float(result.relative_std_percent[k])

@@ -645,6 +645,10 @@ def main() -> int:
     asked = given.rows.split(",") if given.rows else list(every)
     if unknown := [name for name in asked if name not in every]:
         parser.error(f"no row {', '.join(unknown)}; there are {', '.join(every)}")
+    absent = [name for name in asked if not (given.data / every[name].folder).is_dir()]
+    asked = [name for name in asked if name not in absent]
+    if absent:
+        print(f"Not there, so left out: {', '.join(absent)}.")
     given.work.mkdir(parents=True, exist_ok=True)
     waiting = [n for n in asked if given.again or not kept_steps(every[n], given.work)]
     started = time.monotonic()
