@@ -36,7 +36,7 @@ from torchid.export.xml_tree import (
 from torchid.robot.chain import tool_jacobian
 from torchid.robot.model import JointType, Robot, Tip
 from torchid.simulation.servo import INDEX, PARAMETERS, Servos
-from torchid.simulation.servo_loop import CONTACT_DAMPING, Tracks, Windows
+from torchid.simulation.servo_loop import CONTACT_DAMPING, Tracks, Windows, upwards
 from torchid.simulators.servo import SetPoints
 from torchid.typing import Float
 
@@ -51,8 +51,8 @@ _HELD = 1e9
 """Armature of joints that the robot does not have [kg m^2; kg]: gravity does not move them."""
 STEP = 0.002
 """MuJoCo's own where a file says none [s]."""
-_POINT, _RADIUS = "touches", 1e-3
-"""Name of the point of an arm that touches a plane, and its radius [m]."""
+_TOUCHED, _POINT, _RADIUS = "torchid_plane", "torchid_point", 1e-3
+"""Names of a plane and of the arm's point that touches it, and the radius of that [m]."""
 _SOFT = 0.01
 """Impedance of that contact [1]: so little of the arm's mass moves with what gives way."""
 _STIFF = {"solreflimit": "0.004 1", "solimplimit": "0.9999 0.9999 0.001"}
@@ -121,7 +121,8 @@ def write_servos(
             span = " ".join(number(math.degrees(x) if turn else x) for x in both)
             nodes[name].attrib.update({"range": span, "limited": "true"} | _STIFF)
     # Those of an earlier export are not this arm's.
-    for node in [n for n in root.iter("{*}geom", "{*}pair") if n.get("name") in (PLANE, _POINT)]:
+    ours = (_TOUCHED, _POINT)
+    for node in [n for n in root.iter("{*}geom", "{*}pair") if n.get("name") in ours]:
         node.getparent().remove(node)
     if float(servos.plane[4]) > 0:
         _write_plane(root, robot, servos, source)
@@ -133,11 +134,10 @@ def _write_plane(root: Any, robot: Robot, servos: Servos, source: str) -> None:
     *place, level, stiffness = servos.plane.tolist()
     link = servos.link % robot.n_links
     body = Bodies(root, source).find(robot.link_names[link])
-    up = -robot.gravity.double() if bool(robot.gravity.any()) else torch.eye(3).double()[2]
-    up = up / up.norm()
+    up = upwards(robot)
     shape = {"contype": "0", "conaffinity": "0", "group": "3", "mass": "0"}
     new_child(child_or_new(root, "worldbody"), "geom").attrib.update(
-        {"name": PLANE, "type": "plane", "size": "1 1 0.1", "zaxis": text(up)}
+        {"name": _TOUCHED, "type": "plane", "size": "1 1 0.1", "zaxis": text(up)}
         | {"pos": text(up * (level - _RADIUS))} | shape
     )  # fmt: skip
     new_child(body, "geom").attrib.update(
@@ -147,8 +147,8 @@ def _write_plane(root: Any, robot: Robot, servos: Servos, source: str) -> None:
     given = (1 - _SOFT) * _inverse_mass(robot, servos, link)
     direct = [-stiffness * given, -CONTACT_DAMPING * given]
     new_child(child_or_new(root, "contact"), "pair").attrib.update(
-        {"name": PLANE, "geom1": PLANE, "geom2": _POINT, "condim": "1", "margin": "0", "gap": "0"}
-        | {"solref": text(direct), "solimp": f"{number(_SOFT)} {number(_SOFT)} 0.001"}
+        {"name": _TOUCHED, "geom1": _TOUCHED, "geom2": _POINT, "condim": "1", "margin": "0"}
+        | {"gap": "0", "solref": text(direct), "solimp": f"{number(_SOFT)} {number(_SOFT)} 0.001"}
     )
 
 
