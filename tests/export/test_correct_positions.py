@@ -25,6 +25,7 @@ from torchid.position.data import tracks_of
 from torchid.position.model import ServoArm
 from torchid.position.replay import replay
 from torchid.robot.library import load_robot
+from torchid.robot.model import link_poses
 from torchid.robot.origin import same_places
 from torchid.simulation.servo import INDEX, Servos
 from torchid.simulation.servo_loop import windows_of
@@ -155,6 +156,30 @@ def test_a_base_that_a_file_lets_go_is_held(tmp_path):
     begun = (log.q[:1].numpy(), torch.zeros(1, 3).double().numpy())
     q = ServosInMujoco(file, arm.robot).moved(arm.servos, tracks, windows, *begun)
     assert float((q - log.q).abs().max()) < 0.03
+
+
+def test_an_arm_rests_on_its_plane(tmp_path):
+    """As deep as in the simulation of servos; of a copy of a copy, too."""
+    servos = true_servos(3)
+    free = planted(servos, motions=2, seconds=4.0, seed=5)
+    point = torch.tensor([0.3, 0.0, 0.1, 1.0], dtype=torch.float64)
+    level = float((link_poses(robot(), free.q)[:, 2] @ point)[:, 2].median())
+    servos.plane[:] = torch.tensor([*point[:3], level, 5000.0])
+    arm = arm_with(servos)
+    log = planted(servos, motions=2, seconds=4.0, seed=5)
+    pushed = (log.q - free.q).square().mean().sqrt()
+    assert float(pushed) > 0.03
+    assert not unsaid_parameters(servos, SAID)
+    tracks = tracks_of(log, arm.scale)
+    windows = windows_of(tracks, None)
+    begun = (log.q[tracks.first].numpy(), torch.zeros(2, 3).double().numpy())
+    for name in ("first", "second"):
+        done = export_dynamics(
+            servo_dynamics(arm), "mjcf", tmp_path, name, nominal=arm.robot, original=arm.robot
+        )
+        q = ServosInMujoco(done.files[0], arm.robot).moved(servos, tracks, windows, *begun)
+        assert float((q - log.q).square().mean().sqrt() / pushed) < 0.1
+        arm = replace(arm, robot=load_robot(done.files[0]))
 
 
 @pytest.mark.nightly

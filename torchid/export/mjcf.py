@@ -100,7 +100,7 @@ def edited_mjcf(
             got=", ".join(robot.locked),
             hint="the formats urdf and yaml take them",
         )
-    _write_chain(_Bodies(file.root, str(original)), robot, joints, degrees)
+    _write_chain(Bodies(file.root, str(original)), robot, joints, degrees)
     if gravity:
         child_or_new(file.root, "option", first=True).set("gravity", text(robot.gravity))
     if folder.resolve() != original.parent.resolve():
@@ -109,7 +109,7 @@ def edited_mjcf(
 
 
 def _write_chain(
-    bodies: "_Bodies", robot: Robot, joints: Sequence[JointDynamics], degrees: bool
+    bodies: "Bodies", robot: Robot, joints: Sequence[JointDynamics], degrees: bool
 ) -> None:
     """Inertials and joints of the chain; a body with several joints is several links."""
     parameters = robot.require_parameters("an export")
@@ -153,7 +153,7 @@ def _write_chain(
         raise bodies.not_written(robot.link_names[-1])
 
 
-class _Bodies:
+class Bodies:
     """The <body> elements of a file, by name or by their order."""
 
     def __init__(self, root: Any, source: str):

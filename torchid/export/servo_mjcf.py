@@ -5,7 +5,8 @@ of them: their force, and where the arm goes with a log's commands.
 
 Damping, dry friction and armature are the joint's. Commands hold until the next one, as simulators
 do it, so what is held is part of a servo's delay. `torchid.simulators.servo.SetPoints` adds at run
-time what a servo makes of its commands before it controls.
+time what a servo makes of its commands before it controls. What a point of the arm may touch is a
+plane, with which that point alone collides.
 """
 
 import math
@@ -17,9 +18,11 @@ import numpy as np
 import torch
 
 from torchid.digits import number
+from torchid.dynamics.forward import mass_matrix
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.checks import EXACT, Comparison, missing, relative_difference
 from torchid.export.engines import LoadedInMujoco, without_warnings
+from torchid.export.mjcf import Bodies
 from torchid.export.xml_tree import (
     XmlFile,
     child,
@@ -29,17 +32,20 @@ from torchid.export.xml_tree import (
     local,
     new_child,
     replace,
+    text,
 )
-from torchid.robot.model import JointType, Robot
+from torchid.robot.chain import tool_jacobian
+from torchid.robot.model import JointType, Robot, Tip
 from torchid.simulation.servo import INDEX, PARAMETERS, Servos
-from torchid.simulation.servo_loop import Tracks, Windows
+from torchid.simulation.servo_loop import CONTACT_DAMPING, Tracks, Windows, upwards
 from torchid.simulators.servo import SetPoints
 from torchid.typing import Float
 
 JOINTS = ("damping", "coulomb", "armature", "damping_share")
 """Parameters of servos that are a joint's."""
 STOPS = ("stop_low", "stop_high")
-SAID = ("kp", *JOINTS, "offset", "delay", "scale", "lag", "clip", *STOPS)
+PLANE = "plane"
+SAID = ("kp", *JOINTS, "offset", "delay", "scale", "lag", "clip", *STOPS, PLANE)
 """Parameters of servos that an MJCF says. It says kd of the joint's rate, and not of the command's,
 which `AT_RUN_TIME` adds."""
 RATIOS_ALONE = (
@@ -50,6 +56,10 @@ _HELD = 1e9
 """Armature of joints that the robot does not have [kg m^2; kg]: gravity does not move them."""
 STEP = 0.002
 """MuJoCo's own where a file says none [s]."""
+_TOUCHED, _POINT, _RADIUS = "torchid_plane", "torchid_point", 1e-3
+"""Names of a plane and of the arm's point that touches it, and the radius of that [m]."""
+_SOFT = 0.01
+"""Impedance of that contact [1]: so little of the arm's mass moves with what gives way."""
 _STIFF = {"solreflimit": "0.004 1", "solimplimit": "0.9999 0.9999 0.001"}
 """Of an end stop: MuJoCo's own gives way by degrees where a servo presses on."""
 
@@ -61,8 +71,8 @@ def unsaid_parameters(servos: Servos, names: Collection[str] = SAID) -> dict[str
         joints = (servos.of(p.name) != p.neutral).nonzero().flatten().tolist()
         if p.name not in names and joints:
             out[p.name] = tuple(joints)
-    if float(servos.plane[4]) > 0:
-        out["plane"] = ()
+    if float(servos.plane[4]) > 0 and PLANE not in names:
+        out[PLANE] = ()
     return out
 
 
@@ -123,6 +133,47 @@ def write_servos(
             both = [e if math.isfinite(e) else g for e, g in zip(ends, given, strict=True)]
             span = " ".join(number(math.degrees(x) if turn else x) for x in both)
             nodes[name].attrib.update({"range": span, "limited": "true"} | _STIFF)
+    # Those of an earlier export are not this arm's.
+    ours = (_TOUCHED, _POINT)
+    for node in [n for n in root.iter("{*}geom", "{*}pair") if n.get("name") in ours]:
+        node.getparent().remove(node)
+    if float(servos.plane[4]) > 0:
+        _write_plane(root, robot, servos, source)
+
+
+def _write_plane(root: Any, robot: Robot, servos: Servos, source: str) -> None:
+    """A plane, a point of a link, and the contact of these two alone, whose force is `stiffness`
+    times the depth, and `CONTACT_DAMPING` times the speed into the plane."""
+    *place, level, stiffness = servos.plane.tolist()
+    link = servos.link % robot.n_links
+    body = Bodies(root, source).find(robot.link_names[link])
+    up = upwards(robot)
+    shape = {"contype": "0", "conaffinity": "0", "group": "3", "mass": "0"}
+    new_child(child_or_new(root, "worldbody"), "geom").attrib.update(
+        {"name": _TOUCHED, "type": "plane", "size": "1 1 0.1", "zaxis": text(up)}
+        | {"pos": text(up * (level - _RADIUS))} | shape
+    )  # fmt: skip
+    new_child(body, "geom").attrib.update(
+        {"name": _POINT, "type": "sphere", "size": number(_RADIUS), "pos": text(place)} | shape
+    )
+    # MuJoCo's force is the reference acceleration over (1 - d) / d times a constant of the bodies.
+    given = (1 - _SOFT) * _inverse_mass(robot, servos, link)
+    direct = [-stiffness * given, -CONTACT_DAMPING * given]
+    new_child(child_or_new(root, "contact"), "pair").attrib.update(
+        {"name": _TOUCHED, "geom1": _TOUCHED, "geom2": _POINT, "condim": "1", "margin": "0"}
+        | {"gap": "0", "solref": text(direct), "solimp": f"{number(_SOFT)} {number(_SOFT)} 0.001"}
+    )
+
+
+def _inverse_mass(robot: Robot, servos: Servos, link: int) -> float:
+    """What a force on the centre of mass of a link accelerates it along its own line, where all
+    joints are at 0, and as a mean over three axes [1/kg]: MuJoCo's `body_invweight0`."""
+    q = torch.zeros(1, robot.n, dtype=torch.float64)
+    centre = torch.eye(4, dtype=torch.float64)
+    centre[:3, 3] = robot.require_parameters("a contact").com[link]
+    rows = tool_jacobian(robot, q, Tip("centre", link, centre))[0, :3]
+    mass = mass_matrix(robot, q)[0] + torch.diag(servos.of("armature"))
+    return float((rows @ torch.linalg.solve(mass, rows.T)).trace()) / 3
 
 
 def _actuator(root: Any, joint: str) -> Any:
@@ -168,7 +219,7 @@ def _general(values: dict[str, float], step: float) -> dict[str, str]:
 
 
 class ServosInMujoco(LoadedInMujoco):
-    """An MJCF with servos in MuJoCo, contacts turned off.
+    """An MJCF with servos in MuJoCo, without contacts of shapes.
 
     Args:
         path: the file.
@@ -180,7 +231,9 @@ class ServosInMujoco(LoadedInMujoco):
     """
 
     def __init__(self, path: Path, robot: Robot):
-        super().__init__(path, robot, "CONTACT")
+        super().__init__(path, robot)
+        # Pairs that the file names stay.
+        self.model.geom_contype[:] = self.model.geom_conaffinity[:] = 0
         driven = self.model.actuator_trnid[:, 0].tolist()
         joints = [int(self.model.dof_jntid[row]) for row in self.rows]
         if not set(joints) <= set(driven):

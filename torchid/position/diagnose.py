@@ -344,7 +344,8 @@ def refitted(arm: ServoArm, data: PositionData, *allowed: Collection[str]) -> tu
         arm: whose servos may have more.
         data: of the same robot, from `prepare`.
         allowed: of `torchid.simulation.servo.PARAMETERS`, the core's among them, once for each of
-            the answers; others than the core's are free where the arm has them.
+            the answers; others than the core's are free where the arm has them. A `plane` stays
+            where the arm has it, or goes.
     """
     windows = some_of(windows_of(data.tracks, WINDOW_S), MOST)
     used = {p.name: arm.servos.of(p.name) != p.neutral for p in PARAMETERS}
@@ -355,17 +356,18 @@ def refitted(arm: ServoArm, data: PositionData, *allowed: Collection[str]) -> tu
     neutral = torch.tensor([p.neutral for p in PARAMETERS], dtype=torch.float64)
     simple, out = None, []
     for names in allowed:
-        free = {name: used[name] for name in names if bool(used[name].any())}
+        free = {name: on for name, on in used.items() if name in names and bool(on.any())}
+        plane = arm.servos.plane * ("plane" in names)
         said = torch.tensor([p.name in names for p in PARAMETERS])
         joint = torch.where(said, arm.servos.joint, neutral)
         # What is searched on a logarithmic scale begins at a number.
         least = 1e-6 * float(joint[:, INDEX["kp"]].max())
         begun = [torch.where(logs, joint.clamp(min=least), joint)]
-        if bool((joint != arm.servos.joint).any()) or bool(arm.servos.plane[4] > 0):
+        if bool((joint != arm.servos.joint).any()) or bool((plane != arm.servos.plane).any()):
             # Where something is missing plain servos may be the better beginning.
             simple = simple or plain(data, windows)
             begun.append(torch.where(core, simple.servos.joint, joint))
-        servos = replace(arm.servos, plane=torch.zeros_like(arm.servos.plane))
+        servos = replace(arm.servos, plane=plane)
         ends = [
             fit(data, replace(servos, joint=one), free, windows, profiles=True, iterations=12)
             for one in begun

@@ -1,7 +1,8 @@
 """Boxes of the links' geoms in an MJCF, through MuJoCo's compiled model.
 
-Geoms that can collide count; for a body without any, all of them do. Primitive geoms are exact,
-meshes are their corners, anything else is the box that MuJoCo has of it.
+Geoms that can collide count; for a body without any, all of them do but those of a contact pair:
+these are places that touch. Primitive geoms are exact, meshes are their corners, anything else is
+the box that MuJoCo has of it.
 """
 
 from collections.abc import Mapping
@@ -135,7 +136,8 @@ def _body_shapes(
     colliding = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
     kinds = mujoco.mjtGeom
     endless = {int(kinds.mjGEOM_PLANE), int(kinds.mjGEOM_HFIELD)}
-    chosen = colliding or list(geoms)
+    paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
+    chosen = colliding or [g for g in geoms if g not in paired]
     absent = body in shapeless and (shapeless[body] or not colliding)
     if absent or any(int(model.geom_type[g]) in endless for g in chosen):
         return None

@@ -144,9 +144,7 @@ def body_at(
     body = q, bias, torch.zeros_like(mass), own, off, off.abs().sum(2)
     if link is None:
         return Body(*body)
-    # Upwards is against gravity; a robot without gravity has no floor, but z.
-    up = -robot.gravity.to(q) if bool(robot.gravity.any()) else torch.eye(3).to(q)[2]
-    up = up / up.norm()
+    up = upwards(robot).to(q)
     poses = link_poses(robot, q)
     points = poses[:, link, :3]
     # A joint turns points about its axis, or moves them along it (geometric Jacobian).
@@ -168,6 +166,12 @@ def body_at(
         ratio = slope.new_tensor([drive.ratio for drive in robot.drives])
         slope = own.index_add(1, follow, slope * ratio[:, None])
     return Body(*body, up @ points, slope)
+
+
+def upwards(robot: Robot) -> Float[Tensor, "3"]:
+    """Unit vector against gravity; a robot without gravity has no floor, but z."""
+    up = -robot.gravity.double() if bool(robot.gravity.any()) else torch.eye(3).double()[2]
+    return up / up.norm()
 
 
 def _springs(robot: Robot, q: Float[Tensor, "T n"]) -> Float[Tensor, "T n"]:
