@@ -56,6 +56,8 @@ class ArmModel(Module):
 
     Attributes:
         nominal: the rigid body alone, as a robot without effects.
+        pi: (L, 10) its inertial parameters.
+        values: coefficients of each effect, by the names of `parts`.
 
     Args:
         robot: with inertial parameters; its name or file will do.
