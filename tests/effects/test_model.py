@@ -337,6 +337,17 @@ def test_public_dynamics_have_the_effects() -> None:
     torch.testing.assert_close(torchid.forward_dynamics(own, q, dq, rigid, rigid=True), ddq)
     heavier = torchid.InertialParameters(2 * own.parameters.pi)
     torch.testing.assert_close(torchid.inverse_dynamics(own, q, dq, ddq, heavier), 2 * rigid + more)
+    pi = own.parameters.pi.clone().requires_grad_()
+    slopes = [
+        torch.autograd.grad(
+            torchid.inverse_dynamics(
+                own, q, dq, ddq, torchid.InertialParameters(pi), rigid=body
+            ).sum(),
+            pi,
+        )
+        for body in (False, True)
+    ]
+    torch.testing.assert_close(*slopes)
     sets = torchid.InertialParameters(own.parameters.pi.expand(2, 1, -1, -1))
     with pytest.raises(TorchidError, match="one set"):
         torchid.inverse_dynamics(own, q, dq, ddq, sets)
