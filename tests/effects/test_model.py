@@ -1,10 +1,13 @@
 """The torque of a robot with effects as a module: the answer's, in any batch, with gradients."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from torch import Tensor
 
 import torchid
@@ -86,17 +89,13 @@ def test_the_torque_is_what_the_answer_predicts(kind: type[Effect], tmp_path) ->
 
 
 @every_kind
-@pytest.mark.parametrize("batch", [(), (1,), (2, 3)])
-def test_a_batch_of_motions_is_each_of_them(kind: type[Effect], batch: tuple[int, ...]) -> None:
+def test_two_motions_at_once_are_each_of_them(kind: type[Effect]) -> None:
     model = ArmModel(with_one(kind))
-    count = max(1, int(torch.tensor(batch).prod()))
-    each = [piece(60 * k) for k in range(count)]
-    many = [torch.stack(x).reshape(*batch, 40, -1) for x in zip(*(s for s, _ in each), strict=True)]
-    times = torch.stack([t for _, t in each]).reshape(*batch, 40)
-    whole = model.torque(*many, times)
-    assert whole.shape == (*batch, 40, model.nominal.n)
-    for (state, t), found in zip(each, whole.reshape(-1, 40, model.nominal.n), strict=True):
-        torch.testing.assert_close(found, model.torque(*state, t), rtol=1e-12, atol=1e-11)
+    each = [piece(), piece(160)]
+    many = [torch.stack(x) for x in zip(*(state for state, _ in each), strict=True)]
+    both = model.torque(*many, torch.stack([t for _, t in each]))
+    for (state, t), tau in zip(each, both, strict=True):
+        torch.testing.assert_close(tau, model.torque(*state, t), rtol=1e-12, atol=1e-11)
 
 
 @every_kind
@@ -105,22 +104,24 @@ def test_gradients_of_motion_values_and_bodies(kind: type[Effect]) -> None:
     model = ArmModel(with_one(kind)).requires_grad_()
     state, t = piece()
     moved = [x.requires_grad_() for x in state]
-    given = [*moved, *model.parameters()]
+    leaves = [*moved, *model.parameters()]
     scales = [1.0] * 3 + [float(p.detach().abs().mean()) for p in model.parameters()]
-    ways = [random_like(x, k) * size for k, (x, size) in enumerate(zip(given, scales, strict=True))]
+    ways = [
+        random_like(x, k) * size for k, (x, size) in enumerate(zip(leaves, scales, strict=True))
+    ]
     weight = random_like(moved[0], 9)
     tau = model.torque(*moved, t)
     with torch.no_grad():
         torch.testing.assert_close(tau, model.torque(*moved, t), rtol=1e-12, atol=1e-11)
-    slopes = torch.autograd.grad((tau * weight).sum(), given)
+    slopes = torch.autograd.grad((tau * weight).sum(), leaves)
     for k, (by, way) in enumerate(zip(slopes, ways, strict=True)):
         if k == 3 and kind.name == "backlash":
             continue  # the gear's stiffness is given by its resonance with the body
 
         def along(step: float, k: int = k, way: Tensor = way) -> Tensor:
-            given[k].data += step * way
+            leaves[k].data += step * way
             out = (model.torque(*moved, t) * weight).sum()
-            given[k].data -= step * way
+            leaves[k].data -= step * way
             return out
 
         wanted = slope(along)
@@ -189,6 +190,23 @@ def moves(n: int = 3, seed: int = 4) -> list[Tensor]:
     return [torch.sin(w * t), w * torch.cos(w * t), -(w**2) * torch.sin(w * t)]
 
 
+LATE = {"effect": "time_delay", "joint": 1, "delay": 0.013}
+
+
+@given(batch=st.lists(st.integers(0, 3), max_size=3), late=st.booleans(), seed=st.integers(0, 99))
+@settings(max_examples=20, deadline=None)
+def test_a_batch_of_motions_is_each_of_them(batch: list[int], late: bool, seed: int) -> None:
+    model, count = friction(*[LATE] * late), math.prod(batch)
+    each = [moves(seed=seed + k) for k in range(count)]
+    empty = [torch.zeros(0, 80, 3, dtype=torch.float64)] * 3
+    flat = [torch.stack(x) for x in zip(*each, strict=True)] if each else empty
+    t = torch.arange(80, dtype=torch.float64) / 50
+    tau = model.torque(*(x.reshape(*batch, 80, 3) for x in flat), t)
+    assert tau.shape == (*batch, 80, 3)
+    for own, motion in zip(tau.reshape(count, 80, 3), each, strict=True):
+        torch.testing.assert_close(own, model.torque(*motion, t), rtol=1e-12, atol=1e-12)
+
+
 @pytest.mark.parametrize("cut", [1, 30, 79])
 def test_a_motion_in_two_pieces_is_the_whole(cut: int) -> None:
     """The second piece begins with the last instant of the first, and its state."""
@@ -202,6 +220,7 @@ def test_a_motion_in_two_pieces_is_the_whole(cut: int) -> None:
     torch.testing.assert_close(after, model.state(whole[0]), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_gradients_of_accelerations() -> None:
     """Of the implicit function, by gradcheck: motion, torque, inertial parameters, coefficients."""
     model = friction().requires_grad_()
@@ -213,8 +232,8 @@ def test_gradients_of_accelerations() -> None:
         return torch.func.functional_call(model, {name: fv}, (q, dq, tau), {}, tie_weights=False)
 
     model.forward = model.forward_dynamics  # what `functional_call` calls
-    given = (q, dq, tau, model.values["viscous_friction 2"].detach())
-    assert torch.autograd.gradcheck(accelerations, [x.requires_grad_() for x in given], atol=1e-5)
+    leaves = (q, dq, tau, model.values["viscous_friction 2"].detach())
+    assert torch.autograd.gradcheck(accelerations, [x.requires_grad_() for x in leaves], atol=1e-5)
 
 
 def test_a_coefficient_is_learnt_from_torques() -> None:
@@ -318,6 +337,17 @@ def test_public_dynamics_have_the_effects() -> None:
     torch.testing.assert_close(torchid.forward_dynamics(own, q, dq, rigid, rigid=True), ddq)
     heavier = torchid.InertialParameters(2 * own.parameters.pi)
     torch.testing.assert_close(torchid.inverse_dynamics(own, q, dq, ddq, heavier), 2 * rigid + more)
+    pi = own.parameters.pi.clone().requires_grad_()
+    slopes = [
+        torch.autograd.grad(
+            torchid.inverse_dynamics(
+                own, q, dq, ddq, torchid.InertialParameters(pi), rigid=body
+            ).sum(),
+            pi,
+        )
+        for body in (False, True)
+    ]
+    torch.testing.assert_close(*slopes)
     sets = torchid.InertialParameters(own.parameters.pi.expand(2, 1, -1, -1))
     with pytest.raises(TorchidError, match="one set"):
         torchid.inverse_dynamics(own, q, dq, ddq, sets)

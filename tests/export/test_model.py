@@ -40,6 +40,9 @@ def test_a_diagnosis_is_its_corrected_model_and_draws_of_it(
     taus = [one.torque(*motion) for one in drawn]
     assert all(0 < float((x - tau).abs().max()) < float(tau.abs().max()) for x in taus)
     assert torch.equal(model.sample(1, seed=2)[0].pi, model.sample(1, seed=2)[0].pi)
+    # The file says how sure it is, too.
+    (one,) = others[1].sample(1)
+    assert 0 < float((one.torque(*motion) - tau).abs().max()) < float(tau.abs().max())
 
 
 def servo_arm(**values: float) -> ServoArm:

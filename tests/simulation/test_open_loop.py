@@ -1,5 +1,7 @@
 """Rollouts: closed form, batches, sensors undone, divergence."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -70,6 +72,11 @@ def test_sensors_are_undone_where_they_can_be(
     assert seen.tau is not None
     out = rollout(robot, law, seen.q[:1], seen.dq[:1], seen.tau.unsqueeze(0), 1 / 500)
     assert out.ignored == (() if undone else (name,))
+    ((kind, values),) = law
+    with_it = replace(robot, effects=(kind.record(values),))
+    same = rollout(with_it, [], seen.q[:1], seen.dq[:1], seen.tau.unsqueeze(0), 1 / 500)
+    assert same.ignored == out.ignored
+    torch.testing.assert_close(same.q, out.q, rtol=0, atol=0)
     if undone:
         assert float((out.q[0] - seen.q).abs().max()) < 1e-4
         plain = rollout(robot, [], seen.q[:1], seen.dq[:1], seen.tau.unsqueeze(0), 1 / 500)

@@ -225,5 +225,7 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
         result, "pair.json", shown, seed=settings.seed, files=files,
         settings={} if result.of_arm is None else settings_of(result.of_arm, None),
     )  # fmt: skip
-    output.put(asked.save_model, result.write_corrected)
-    output.tell(kept)
+    try:
+        output.put(asked.save_model, result.write_corrected)
+    finally:  # what differs is said where it is no model, too
+        output.tell(kept)

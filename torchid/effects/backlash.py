@@ -112,6 +112,7 @@ class Backlash(OneJointEffect):
             for motion in motions:
                 load, inertia = joint_load(arm, motion.state, joint)
                 inertia = inertia[:, joint, None]
+                # Gradients leave the gear as it is, which its resonance with the body says.
                 size = float(inertia.detach().abs().mean())
                 gear = Gear.ringing(size, contact, ratio, places[-1][1], drag)
                 # The motor has a part of the inertia, which does not fly; most often nothing.

@@ -56,6 +56,8 @@ class ArmModel(Module):
 
     Attributes:
         nominal: the rigid body alone, as a robot without effects.
+        pi: (L, 10) its inertial parameters.
+        values: coefficients of each effect, by the names of `parts`.
 
     Args:
         robot: with inertial parameters; its name or file will do.
@@ -330,7 +332,7 @@ def inverse_dynamics(
     robot = as_robot(robot)
     if rigid or not robot.effects:
         return newton_euler.inverse_dynamics(robot, q, dq, ddq, parameters)
-    return ArmModel(_with(robot, parameters)).torque(q, dq, ddq, t)
+    return _module(robot, parameters).torque(q, dq, ddq, t)
 
 
 def forward_dynamics(
@@ -373,21 +375,24 @@ def forward_dynamics(
     robot = as_robot(robot)
     if rigid or not robot.effects:
         return forward.forward_dynamics(robot, q, dq, tau, parameters)
-    return ArmModel(_with(robot, parameters)).forward_dynamics(q, dq, tau, t)
+    return _module(robot, parameters).forward_dynamics(q, dq, tau, t)
 
 
-def _with(robot: Robot, parameters: InertialParameters | None) -> Robot:
-    """The robot with other parameters, of which there is one set."""
-    if parameters is None:
-        return robot
-    if parameters.pi.ndim > 2:
+def _module(robot: Robot, parameters: InertialParameters | None) -> ArmModel:
+    """The model of a robot with these parameters, or its own; gradients go to what is given."""
+    if parameters is not None:
+        robot = robot.with_parameters(parameters)
+    own = robot.require_parameters("a model of its torque")
+    if own.pi.ndim > 2:
         raise TorchidError(
             f"the effects of '{robot.name}' are of one set of inertial parameters.",
-            got=f"{tuple(parameters.pi.shape)}",
+            got=f"{tuple(own.pi.shape)}",
             expected=f"({robot.n_links}, 10)",
             hint="`rigid=True` leaves the effects out",
         )
-    return robot.with_parameters(parameters)
+    model = ArmModel(robot)
+    model.nominal = replace(model.nominal, parameters=own)
+    return model
 
 
 def _cause(effect: Effect) -> str:
