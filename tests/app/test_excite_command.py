@@ -1,7 +1,6 @@
 """`torchid excite` from the outside: room, first runs, files for controllers."""
 
 import json
-import sys
 
 import pytest
 import torch
@@ -97,23 +96,6 @@ def test_refused_and_nothing_written(command, tmp_path, robot, arguments, messag
     assert done.code == 1
     assert message in words(done.err)
     assert [path.name for path in tmp_path.iterdir()] == [arm.name]
-
-
-def test_without_mujoco_only_what_is_asked_for_is_refused(command, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    arm = shaped_arm("6r", tmp_path)
-    data = tmp_path / "m.json"
-    done = command("excite", arm, *RANDOM, "--to", tmp_path / "m.csv", "--json", data)
-    assert done.code == 0, done.err
-    assert "collisions were not checked" in done.out
-    assert "torchid[mjcf]" in done.out
-    record = json.loads(data.read_text())["clearance"]
-    assert record["checked"] is False
-    assert "mujoco" in record["not_checked"][0]
-    done = command("excite", arm, *RANDOM, "--to", tmp_path / "n.csv", "--floor", -1)
-    assert done.code == 1
-    assert "torchid[mjcf]" in done.err
-    assert not (tmp_path / "n.csv").exists()
 
 
 def test_table_5_1_is_not_repaired(command, tmp_path):

@@ -101,7 +101,7 @@ def excite_command(
     """Design an exciting trajectory within the robot's limits, at rest at both ends.
 
     Torque limits are kept by the robot's parameters, or those that RESULT holds, if there are any;
-    the links of a URDF or MJCF are kept apart (needs torchid's extra `mjcf`).
+    the links of a URDF or MJCF are kept apart.
 
     Example: `torchid excite kuka_lwr4 --out motion`
 

@@ -270,7 +270,6 @@ def motion_clearance(
 
     Raises:
         TorchidError: a negative clearance, or a workspace that is no box.
-        MissingExtraError: there is something to check, and MuJoCo is not installed.
         RobotError: the robot's file is no longer what it was read from, or its limits are
             incomplete.
     """

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from torchid.errors import MissingExtraError, TorchidError
+from torchid.errors import TorchidError
 from torchid.excitation.clearance import Clearance, Nearest, motion_clearance
 from torchid.excitation.design import Excitation, excite
 from torchid.excitation.fourier import FourierTrajectory
@@ -221,7 +221,6 @@ def plan(
 
     Raises:
         RobotError: the limits are incomplete, or no motion keeps them.
-        MissingExtraError: a floor or a workspace is asked for, and MuJoCo is not installed.
         TorchidError: a criterion, a device or a result that does not fit.
     """
     clearance, unknown = clearance_of(robot, room or Room(), asked.usage)
@@ -248,12 +247,7 @@ def clearance_of(
 ) -> tuple[Clearance | None, tuple[str, ...]]:
     """What the robot's motions are checked for, None where there is nothing; and what is not
     checked for want of knowledge, one sentence each."""
-    try:
-        found = motion_clearance(robot, usage=usage, **vars(room))
-    except MissingExtraError as error:
-        if room.floor is not None or room.workspace is not None:
-            raise
-        return None, (f"collisions were not checked: {error.problem} {error.hint}",)
+    found = motion_clearance(robot, usage=usage, **vars(room))
     return (found if len(found.pairs) else None), found.warnings
 
 
