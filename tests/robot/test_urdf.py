@@ -345,6 +345,19 @@ def test_a_world_that_is_nowhere_declared_is_what_the_base_stands_on(tmp_path):
     assert link_shapes(robot) is not None
 
 
+def test_a_link_may_be_named_as_mujocos_own(tmp_path):
+    parts = (joint("stand", "world", "a", "fixed"), link("world", ""), A, B, joint("j", "a", "b"))
+    robot = read_urdf(write(tmp_path, *parts))
+    assert (robot.base.name, robot.link_names, robot.warnings) == ("world", ("b",), ())
+    assert read_urdf(tmp_path / "r.urdf", root="world").joint_names == ("j",)
+
+
+def test_limits_that_do_not_count_are_numbers_too(tmp_path):
+    for kind in ("continuous", "planar"):
+        with pytest.raises(RobotError, match="<limit lower> is not a number"):
+            one_joint(tmp_path, '<limit lower="x"/>', kind)
+
+
 def test_unknown_tip_lists_the_links(tmp_path):
     with pytest.raises(RobotError) as raised:
         read_urdf(gripper(tmp_path), tip="nose")

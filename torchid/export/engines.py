@@ -197,7 +197,7 @@ class RefusedFileError(TorchidError):
 
 
 def engine_of(path: Path, robot: Robot) -> "InMujoco | InPinocchio":
-    """The engine of a file: MuJoCo of an MJCF, Pinocchio of a URDF (MuJoCo where it is missing)."""
+    """The engine of a file: MuJoCo of an MJCF, Pinocchio of a URDF, or MuJoCo without it."""
     if path.suffix.lower() == ".urdf":
         try:
             return InPinocchio(path, robot)

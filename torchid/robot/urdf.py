@@ -118,8 +118,10 @@ def urdf_tree(root: Any, source: str, warnings: list[str]) -> Tree:
     zero = {
         what: [
             f"'{joint.get('name')}'"
-            for joint in root.xpath("joint[@type != 'fixed']")
-            if {float(v) for key in keys for v in joint.xpath(f"limit/@{key}")} == {0.0}
+            for joint in root.xpath("joint[limit and @type != 'fixed']")
+            if {optional_number(joint.find("limit"), key, source, finite=False) for key in keys}
+            - {None}
+            == {0.0}
             and (what, joint.get("type")) != ("position", "continuous")
         ]
         for what, keys in _LIMITS.items()
