@@ -114,7 +114,6 @@ def test_very_many_sets_are_cut_off_and_all_in_the_record(tmp_path):
 
 
 def test_mjcf(tmp_path):
-    pytest.importorskip("mujoco")
     path = tmp_path / "arm.xml"
     path.write_text(
         '<mujoco><worldbody><body name="a"><joint axis="0 0 1"/><geom type="box" '

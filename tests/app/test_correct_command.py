@@ -12,8 +12,6 @@ from torchid.log.readers import write_log
 from torchid.robot.library import load_robot
 from torchid.simulation.sensors import Sensors, measured_log
 
-pytest.importorskip("mujoco")
-
 FEW = ("--effects", "coulomb_friction,stribeck_friction")
 FRICTION = (
     {"effect": "coulomb_friction", "joint": 2, "Fc": 0.6},

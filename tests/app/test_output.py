@@ -15,7 +15,6 @@ from torchid.robot.library import load_robot
         ("refit: `parameters='free'`", "refit: --parameters free"),
         ("hold out its end: `held_out_fraction=0.3`", "hold out its end: --held-out-fraction 0.3"),
         ("`force=True` writes it", "--force writes it"),
-        ("or go without `compiled=True`", "or go without --compile"),
         ("`worthwhile=...`, `gain=...`", "--worthwhile, --gain"),
         ('`columns="t=ms ms,q=pos_{j} deg"`', '--columns "t=ms ms,q=pos_{j} deg"'),
         ('`topic="/joint_states"`', "--topic /joint_states"),
@@ -33,7 +32,7 @@ def test_what_is_no_option_stays(text: str) -> None:
 
 
 def test_options_are_those_of_all_commands() -> None:
-    assert option_names()["compiled"] == "--compile"  # identify
+    assert option_names()["error_cutoff"] == "--error-cutoff"  # identify
     assert option_names()["background"] == "--background"  # gap
     assert "logs" not in option_names()  # an argument without a name
 

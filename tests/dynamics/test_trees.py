@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from tests.arms import relative, states
 from tests.trees import random_tree
 from torchid.dynamics import forward, lagrange
-from torchid.dynamics.compiled import compiled_dynamics
 from torchid.dynamics.newton_euler import inverse_dynamics, joint_wrenches
 from torchid.dynamics.regressor import regressor, regressor_chunks
 from torchid.robot.jacobian import tool_jacobian
@@ -135,15 +134,3 @@ def test_a_tree_that_is_a_chain_has_the_chains_bits() -> None:
     q, dq, ddq = states(both, 8)
     arm = inverse_dynamics(same, q[:, :4], dq[:, :4], ddq[:, :4], pi)
     assert torch.equal(inverse_dynamics(both, q, dq, ddq)[:, :4], arm)
-
-
-@pytest.mark.nightly
-def test_compiled_trees() -> None:
-    motion = states(HUMANLIKE, 40)
-    compiled = compiled_dynamics(HUMANLIKE, chunk=16)
-    assert (
-        relative(compiled.inverse_dynamics(*motion), inverse_dynamics(HUMANLIKE, *motion)) < 1e-11
-    )
-    eager = torch.cat([c.row(1, [(2, 3)]) for c in regressor_chunks(HUMANLIKE, *motion)], 1)
-    fast = torch.cat([c.row(1, [(2, 3)]) for c in compiled.regressor_chunks(*motion)], 1)
-    assert relative(fast, eager) < 1e-11

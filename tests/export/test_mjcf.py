@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -16,8 +17,6 @@ from torchid.errors import TorchidError
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.simulators.joint_dynamics import split
-
-mujoco = pytest.importorskip("mujoco")
 
 
 def mujoco_torque(path: Path, robot, q, dq, ddq):  # type: ignore[no-untyped-def]

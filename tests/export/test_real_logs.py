@@ -36,7 +36,6 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("to", some(["urdf", "mjcf", "c"], 1))
 def test_a_ur10e_goes_back_into_its_urdf(tmp_path, sets, to):
-    pytest.importorskip("mujoco")
     run("export", sets, "--to", to, "--out", tmp_path / to)
     data = json.loads((tmp_path / to / f"export_{to}.json").read_text())
     assert data["feasible"]

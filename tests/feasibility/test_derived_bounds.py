@@ -220,7 +220,8 @@ def test_bounds_of_a_link_with_a_shape_are_its_boxs(tmp_path):
 
 def test_typical_bodies_are_those_of_a_simulator_that_knows_the_density(tmp_path):
     """MuJoCo's inertia of the same box at 1000 kg/m^3."""
-    mujoco = pytest.importorskip("mujoco")
+    import mujoco
+
     model = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><body><joint/><geom type='box' size='0.1 0.05 0.2' pos='0 0 0.2' "
         "density='1000'/></body></worldbody></mujoco>"

@@ -202,7 +202,6 @@ PAIRS = Path(__file__).parents[2] / "torchid_bench/benchmarks/pairs.py"
 @pytest.mark.parametrize("number", some([0, 3, 4, 5, 7], 2))
 def test_pairs_of_mujoco(number):
     """A handful of the generator's pairs, of a seed on which thresholds were chosen."""
-    pytest.importorskip("mujoco")
     own = runpy.run_path(str(PAIRS))
     result = own["one"]((903, number, False))
     assert result["right"], result

@@ -73,7 +73,7 @@ def test_one_screen_then_sections_that_fold(undrawn):
         "What this log could not show",
         "How this was obtained",
     ]
-    # The worst joint is seen at once, over time and over its laws, and nothing else below the answer.
+    # The worst joint is seen at once, over time and over its laws; all else below it folds.
     opened = [d.xpath("./summary/h2")[0].text_content() for d in tree.xpath("//details[@open]")]
     assert opened == headings(tree)[:1]
     assert [f.get("id") for f in tree.xpath("//section[@id='answer']//figure")] == ["robot"]

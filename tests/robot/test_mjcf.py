@@ -1,13 +1,13 @@
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import torch
 
-from torchid.errors import MissingExtraError, RobotError
+from torchid.errors import RobotError
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.library import load_robot
 from torchid.robot.mjcf import mjcf_servos, read_mjcf
@@ -16,7 +16,6 @@ from torchid.robot.shapes import link_shapes
 from torchid.robot.writer import write_robot
 from torchid.simulation.servo_loop import compensation
 
-mujoco = pytest.importorskip("mujoco")
 EXACT = 1e-12
 
 # Joints off the body's origin, two joints on one body, a slide, angles in degrees and `ref`,
@@ -334,20 +333,6 @@ def test_missing_meshes_are_told_with_a_hint(tmp_path, text):
     with pytest.raises(RobotError, match=r"no\.(stl|xml)") as raised:
         read_mjcf(write(tmp_path, text))
     assert "meshes" in raised.value.hint
-
-
-def test_missing_mujoco_names_the_extra(arm, monkeypatch):
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(MissingExtraError, match=r"torchid\[mjcf\]"):
-        read_mjcf(arm)
-
-
-def test_old_mujoco_is_refused(arm, monkeypatch):
-    monkeypatch.setattr(mujoco, "__version__", "3.14.9")
-    with pytest.raises(RobotError, match="too old"):
-        read_mjcf(arm)
-    monkeypatch.setattr(mujoco, "__version__", "3.15.0")
-    assert read_mjcf(arm).n == 5
 
 
 @pytest.mark.parametrize("explicit", [True, False])

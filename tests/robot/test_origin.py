@@ -69,7 +69,6 @@ def test_a_file_of_another_format_is_not_read(saved: Path) -> None:
 
 
 def test_an_mjcf_is_found_too(tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
     (file, *_) = torchid.export_dynamics("3r", "mjcf", tmp_path, "arm", nominal="3r").files
     text = file.read_text()
     file.write_text(text.replace("<worldbody>", "<worldbody><!-- by hand -->"))

@@ -328,7 +328,6 @@ MJCF = """<mujoco><worldbody><body name="a" pos="0 0 1">
 
 
 def test_mjcf_geoms(tmp_path):
-    pytest.importorskip("mujoco")
     path = tmp_path / "arm.xml"
     path.write_text(MJCF.format(""))
     robot = load_robot(path)
@@ -349,7 +348,6 @@ def test_mjcf_geoms(tmp_path):
 
 
 def test_mjcf_meshes_are_their_corners(tmp_path):
-    pytest.importorskip("mujoco")
     write_stl(tmp_path / "m.stl", "binary")
     path = tmp_path / "arm.xml"
     path.write_text(

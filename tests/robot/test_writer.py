@@ -46,7 +46,6 @@ def robot(request: pytest.FixtureRequest, tmp_path: Path) -> Robot:
     if kind == "urdf":
         return load_robot(request.getfixturevalue("arm_urdf"))
     if kind == "mjcf":
-        pytest.importorskip("mujoco")
         (tmp_path / "arm.xml").write_text(MJCF, encoding="utf-8")
         return load_robot(tmp_path / "arm.xml")
     return arm(kind)

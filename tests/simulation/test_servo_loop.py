@@ -66,7 +66,8 @@ def drawn(n: int, seed: int) -> Servos:
 
 def by_mujoco(robot, servos: Servos, u: np.ndarray, step: float) -> np.ndarray:
     """(T, n) positions of MuJoCo's model with the same servos, from rest at the first command."""
-    mujoco = pytest.importorskip("mujoco")
+    import mujoco
+
     model = MujocoOracle(robot).model
     p = {name: servos.joint[:, k].numpy() for name, k in INDEX.items()}
     model.opt.timestep = step

@@ -4,6 +4,7 @@ import copy
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -29,9 +30,7 @@ from torchid.export.export import export_dynamics
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.simulation.open_loop import rollout
-
-mujoco = pytest.importorskip("mujoco")
-from torchid.simulators.mujoco import Effects  # noqa: E402
+from torchid.simulators.mujoco import Effects
 
 FIELDS = tuple(
     {"effect": kind, "joint": j, name: value}

@@ -86,7 +86,8 @@ def test_a_time_that_is_none(dt):
 
 def in_mujoco(robot, servos: Servos, u: np.ndarray, step: float) -> np.ndarray:
     """(T, n) positions where MuJoCo is given the effort of `ServoTorque`, at rest at first."""
-    mujoco = pytest.importorskip("mujoco")
+    import mujoco
+
     model = MujocoOracle(robot).model
     model.opt.timestep = step
     model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)

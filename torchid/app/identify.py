@@ -65,7 +65,6 @@ def identify_command(
             essential=Switch,
             force=Switch,
             error_cutoff=opt.Hertz,
-            compiled=Annotated[bool, typer.Option("--compile")],
         ),
     ],
     seed: opt.Seed = 0,
@@ -84,7 +83,6 @@ def identify_command(
         force: Go on with a log that looks wrong (order or sign of joints, units, gravity, lag), and
             show a result that predicts its own log worse than no model does, too.
         error_cutoff: Report errors under this filter, not the fit's.
-        compiled: Compile the regressor (needs a C++ compiler); for very long logs.
     """
     found, log, apart, files = trials.open(output, settings.held_out_fraction)
     from torchid.report.identification import shown

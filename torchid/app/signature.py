@@ -53,7 +53,7 @@ _PANELS = (
     ("Search", "background parameters worthwhile worthwhile_torque gain_std max_effects rollout"),
     ("Search", "runs stages generations population penalty schedule engine certificate"),
     ("Fit", "cutoff held_out_fraction rows reversal method covariance signs essential"),
-    ("Fit", "error_cutoff compiled"),
+    ("Fit", "error_cutoff"),
     (
         "Motion",
         "kind criterion basis usage speed count harmonics restarts clearance floor workspace",

@@ -2,7 +2,7 @@
 
 The dynamics is written once in this style. A Python float is a constant of the robot's geometry;
 products with 0 and 1 vanish before any kernel runs, so a DH robot with right angles costs what its
-hand-simplified equations would. The same code runs eagerly, under autograd and under torch.compile.
+hand-simplified equations would. The same code runs eagerly and under autograd.
 """
 
 from typing import NamedTuple

@@ -1,11 +1,10 @@
 """A corrected file of a simulator, by logs of any kind: `correct`."""
 
 from collections.abc import Sequence
-from importlib import util
 from pathlib import Path
 
 from torchid.design.sensor import sensor_of
-from torchid.errors import MissingExtraError, TorchidError
+from torchid.errors import TorchidError
 from torchid.export.correct_positions import correct_positions
 from torchid.export.correct_torque import correct_torque
 from torchid.export.correction import Correction, CorrectionRequest
@@ -30,15 +29,8 @@ _FILES: dict[str, Target] = {
 
 
 def file_format(asked: str) -> Target:
-    """mjcf or urdf: what a format's or simulator's files are.
-
-    Raises:
-        MissingExtraError: no engine that runs such files is installed.
-    """
-    to = _FILES[asked]
-    if util.find_spec("mujoco") is None and (to != "urdf" or util.find_spec("pinocchio") is None):
-        raise MissingExtraError("mujoco", "mjcf", f"Checking a corrected {to} on the log")
-    return to
+    """mjcf or urdf: what a format's or simulator's files are."""
+    return _FILES[asked]
 
 
 def require_field(to: Target, robot: Robot, log: Log) -> None:
@@ -84,7 +76,6 @@ def correct(
 
     Raises:
         LogError: logs that do not fit the robot.
-        MissingExtraError: no engine that runs the format is installed.
         TorchidError: another arm, servos in another format, or a file that is no better than the
             robot as given.
 

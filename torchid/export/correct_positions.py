@@ -63,7 +63,6 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
 
     Raises:
         LogError: logs that do not fit the robot, or have no commands.
-        MissingExtraError: MuJoCo is not installed.
         TorchidError: another arm, or a file that follows hardly better than its commands.
     """
     arm = full.corrected if isinstance(full, PositionDiagnosis) else full

@@ -199,7 +199,7 @@ def _forward(
         return ()
     windows = windows_of(on.segments, starts, max(horizons))
     positions = None
-    with suppress(TorchidError):  # not installed, or it refuses a URDF that Pinocchio reads
+    with suppress(TorchidError):  # it refuses a URDF that Pinocchio reads
         positions = InMujoco(path, robot).positions(windows)
     out = []
     for row in replayed.horizons:
@@ -243,7 +243,7 @@ def _warnings(
             "leave, and no others would cost much less"
         )
     if any(one.starts and one.engine is None for one in judged.forward):
-        said.append("MuJoCo is missing or refuses the file: it was not simulated forwards")
+        said.append("MuJoCo refuses the file: it was not simulated forwards")
     if nominal.parameters is not None:
         odd = projection.odd_links(nominal.parameters)
         if odd:

@@ -92,8 +92,6 @@ def check_mujoco(
     what = f"{_RIGID}, armature, damping, spring; friction"
     try:
         engine = LoadedInMujoco(path, robot)
-    except MissingExtraError:
-        return missing("MuJoCo", what, "not installed")
     except RefusedFileError as error:
         return missing(error.reader, what, f"cannot load the file: {error.got}")
     note = _bare(engine.mujoco, engine.model, robot)
@@ -199,11 +197,7 @@ class RefusedFileError(TorchidError):
 
 
 def engine_of(path: Path, robot: Robot) -> "InMujoco | InPinocchio":
-    """The engine of a file: MuJoCo of an MJCF, Pinocchio of a URDF (MuJoCo where it is missing).
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """The engine of a file: MuJoCo of an MJCF, Pinocchio of a URDF, or MuJoCo without it."""
     if path.suffix.lower() == ".urdf":
         try:
             return InPinocchio(path, robot)
@@ -250,12 +244,11 @@ class LoadedInMujoco:
         off: of mujoco.mjtDisableBit, without its prefix.
 
     Raises:
-        MissingExtraError: MuJoCo is not installed.
-        TorchidError: it refuses the file, for a body off the chain for instance.
+        TorchidError: MuJoCo refuses the file, for a body off the chain for instance.
     """
 
     def __init__(self, path: Path, robot: Robot, *off: str):
-        self.mujoco = _imported("mujoco", "mjcf", robot)
+        self.mujoco = import_module("mujoco")
         self.name = f"MuJoCo {self.mujoco.__version__}"
         try:
             self.model = mujoco_model(self.mujoco, path)
@@ -291,7 +284,7 @@ class InMujoco(LoadedInMujoco):
         robot: whose joints are meant.
 
     Raises:
-        MissingExtraError, TorchidError: as LoadedInMujoco.
+        TorchidError: as LoadedInMujoco.
     """
 
     def __init__(self, path: Path, robot: Robot):
@@ -324,14 +317,6 @@ class InMujoco(LoadedInMujoco):
         return torch.from_numpy(out)
 
 
-def _imported(package: str, extra: str, robot: Robot) -> Any:
-    try:
-        return import_module(package)
-    except ImportError as error:
-        purpose = f"Checking a file of '{robot.name}' on the log"
-        raise MissingExtraError(package, extra, purpose) from error
-
-
 @contextmanager
 def without_warnings(mujoco: Any) -> Iterator[None]:
     """An arm that runs away is part of the answer: MuJoCo neither prints it nor writes a file of
@@ -358,7 +343,11 @@ class InPinocchio:
     """
 
     def __init__(self, path: Path, robot: Robot):
-        self.pin = _imported("pinocchio", "bench", robot)
+        try:
+            self.pin = import_module("pinocchio")
+        except ImportError as error:
+            purpose = f"Checking a file of '{robot.name}' on the log"
+            raise MissingExtraError("pinocchio", "bench", purpose) from error
         self.name = f"Pinocchio {self.pin.__version__}"
         mjcf = path.suffix.lower() == ".xml"
         try:

@@ -81,7 +81,7 @@ class Forward(Part, frozen=True, rename={"horizon": "horizon_s", "engine": "file
         starts: number of simulations.
         nominal, full: (n,) RMS error [rad; m] of the robot as given and of the diagnosed one, by
             torchid; None where no trajectory is as long.
-        engine: (n,) of the file; None where MuJoCo is not installed, or refuses it.
+        engine: (n,) of the file; None where MuJoCo refuses it.
     """
 
     horizon: float

@@ -19,8 +19,8 @@ import torch
 
 from torchid.digits import number
 from torchid.dynamics.forward import mass_matrix
-from torchid.errors import MissingExtraError, TorchidError
-from torchid.export.checks import EXACT, Comparison, missing, relative_difference
+from torchid.errors import TorchidError
+from torchid.export.checks import EXACT, Comparison, relative_difference
 from torchid.export.engines import LoadedInMujoco, without_warnings
 from torchid.export.mjcf import Bodies
 from torchid.export.xml_tree import (
@@ -226,8 +226,7 @@ class ServosInMujoco(LoadedInMujoco):
         robot: whose joints are meant.
 
     Raises:
-        MissingExtraError: MuJoCo is not installed.
-        TorchidError: it refuses the file, or a joint has no actuator there.
+        TorchidError: MuJoCo refuses the file, or a joint has no actuator there.
     """
 
     def __init__(self, path: Path, robot: Robot):
@@ -309,10 +308,7 @@ class ServosInMujoco(LoadedInMujoco):
 def check_servos(path: Path, robot: Robot, servos: Servos) -> Comparison:
     """MuJoCo's force of servos at random commands and positions, against their equation."""
     what = "force of the servos"
-    try:
-        engine = ServosInMujoco(path, robot)
-    except MissingExtraError:
-        return missing("MuJoCo", what, "not installed: `pip install 'torchid[mjcf]'`")
+    engine = ServosInMujoco(path, robot)
     draw = np.random.default_rng(0)
     u, q, dq = draw.uniform(-0.2, 0.2, (3, 50, robot.n))
     kp, kd, scale, offset, clip = (

@@ -30,7 +30,6 @@ from torchid.export.xml_tree import (
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import JointType, Limits, Robot, free_name
 from torchid.robot.tree import Choice, choose
-from torchid.robot.urdf import urdf_tree
 from torchid.robot.xml_numbers import TENSOR, parse_xml
 from torchid.simulators.joint_dynamics import JointDynamics, dynamics_of_links
 from torchid.typing import Tensor
@@ -53,6 +52,8 @@ def edited_urdf(
         joints: attributes of its n joints.
         folder: where the copy will lie, for relative references to meshes.
     """
+    from torchid.robot.urdf import urdf_tree  # MuJoCo's import takes .15 s
+
     file = read_xml(original)
     part = choose(urdf_tree(parse_xml(original), str(original), []), choice)
     links = {node.get("name", "").strip(): node for node in children(file.root, "link")}

@@ -7,7 +7,7 @@ from pathlib import Path
 from torchid import __version__
 from torchid.effects.base import Motion
 from torchid.effects.registry import Valued, nominal_effects
-from torchid.errors import MissingExtraError, TorchidError
+from torchid.errors import TorchidError
 from torchid.export.checks import Comparison, Draft, compared, require_agreement, staged_files
 from torchid.export.dynamics import (
     Dynamics,
@@ -126,8 +126,6 @@ def _read_back(staged_path: Path, path: Path, original: Robot | None) -> Robot:
         return load_robot(
             staged_path, **(Choice() if original is None else choice_of(original)).options
         )
-    except MissingExtraError:
-        raise
     except TorchidError as error:
         raise TorchidError(
             "what was written cannot be read back, so nothing was kept.",

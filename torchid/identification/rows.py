@@ -14,12 +14,12 @@ grow without end with the log.
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import torch
 
 from torchid.design.motion import Measurement, moves
-from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
+from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.friction import TorqueOffset, ViscousFriction
 from torchid.effects.inertia import RotorInertia
@@ -44,9 +44,6 @@ MEMORY = 1e9
 
 LITTLE = 300e6
 """The same beside a log so long that its motion is not kept either."""
-
-Chunks = Callable[[Tensor, Tensor, Tensor], Iterator[RegressorChunk]]
-"""From q, dq, ddq (M, n) to pieces of the regressor."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +161,6 @@ class RowSource:
         measured: filtered trajectories.
         layout: the columns.
         moving_only: leave out rows whose own joint does not move.
-        compiled: evaluate the regressor by compiled code (see torchid.dynamics.compiled).
         progress: called with (pieces done, pieces in all) while a pass is made.
     """
 
@@ -174,17 +170,11 @@ class RowSource:
         layout: Layout,
         *,
         moving_only: bool = False,
-        compiled: bool = False,
         progress: Callable[[int, int], None] | None = None,
     ):
         self.measured = tuple(measured)
         self.layout = layout
         self.moving_only = moving_only
-        self._chunks: Chunks = partial(regressor_chunks, layout.robot)
-        if compiled:
-            from torchid.dynamics.compiled import compiled_dynamics
-
-            self._chunks = compiled_dynamics(layout.robot).regressor_chunks
         self._progress = progress
         self._kept: list[RowBlock] | None = None
 
@@ -198,7 +188,7 @@ class RowSource:
         total = sum(len(_pieces(m)) for m in self.measured)
         done = 0
         for m, first in zip(self.measured, self.boundaries, strict=False):
-            for block in _blocks(m, self.layout, self._chunks, self.moving_only, first):
+            for block in _blocks(m, self.layout, self.moving_only, first):
                 if kept is not None:
                     kept.append(block)
                 yield block
@@ -280,7 +270,7 @@ def _filtered(
 
 
 def _blocks(
-    m: Measurement, layout: Layout, chunks: Chunks, moving_only: bool, first_instant: int
+    m: Measurement, layout: Layout, moving_only: bool, first_instant: int
 ) -> Iterator[RowBlock]:
     step, tail, pieces = _step(m), _tail(m), _pieces(m)
     # Where none is measured; what holds a base that moves is zero, and known.
@@ -307,7 +297,7 @@ def _blocks(
                 torch.cat([_filtered(m, x, d, a, b), _filtered(m, next(y), 1, a, b)]).cpu()
                 for x, y, (a, b, d) in zip(smooth, sharp, group, strict=True)
             ]
-            for smooth in _smooth_columns(thin, layout, chunks)
+            for smooth in _smooth_columns(thin, layout)
         ]
         for (a, b, _), own, motion, *augmented in zip(group, reach, motions, *rows, strict=True):
             keep = moves(motion.part(slice(a - own.start, b - own.start, step))).cpu()
@@ -340,14 +330,14 @@ def own_columns(effect: Effect, motion: Motion) -> list[Float[Tensor, "T C"]]:
 
 
 def _smooth_columns(
-    motions: Sequence[Motion], layout: Layout, chunks: Chunks
+    motions: Sequence[Motion], layout: Layout
 ) -> Iterator[tuple[Float[Tensor, "C _"], ...]]:
     """Smooth columns of each torque row along several motions, made in one go and split again."""
     joined = Motion(*(torch.cat(x) for x in zip(*(m.state for m in motions), strict=True)))
     smooth = {e: e.columns(joined) for e in layout.effects if isinstance(e, LINEAR)}
     rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
     start = 0
-    for chunk in chunks(*joined.state):
+    for chunk in regressor_chunks(layout.robot, *joined.state):
         here = slice(start, start := start + len(chunk.like))
         for i, (pairs, own) in enumerate(zip(layout.rigid, layout.own, strict=True)):
             effects = [(layout.effects[e], c) for e, c in own]

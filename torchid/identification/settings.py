@@ -38,7 +38,6 @@ class Settings:
         held_out_fraction: share of each trajectory's end kept for validation, where no log is.
         error_cutoff: [Hz] filter under which errors are reported; the fit's if None.
         force: show a result that predicts its own log worse than no model does, too.
-        compiled: evaluate the final regressor by compiled code; pays on very long logs.
 
     >>> Settings(effects=("viscous_friction",), cutoff=10.0).method
     'huber'
@@ -55,7 +54,6 @@ class Settings:
     essential: bool = False
     held_out_fraction: float = 0.0
     error_cutoff: float | None = None
-    compiled: bool = False
     force: bool = False
 
     def __post_init__(self) -> None:

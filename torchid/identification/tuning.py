@@ -100,7 +100,6 @@ class Training:
             measured,
             self.layout,
             moving_only=self.moving_only,
-            compiled=self.settings.compiled,
             progress=report,
         )
 

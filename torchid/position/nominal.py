@@ -15,7 +15,6 @@ import torch
 from torchid.errors import TorchidError
 from torchid.position.model import ServoArm
 from torchid.results.words import unit_behind
-from torchid.robot.mjcf import mjcf_servos
 from torchid.robot.model import Robot
 from torchid.robot.yaml_values import parsed_yaml
 from torchid.simulation.servo import INDEX, NAMES, PARAMETERS, Servos
@@ -182,6 +181,8 @@ def nominal_servos(robot: Robot, text: str | None) -> tuple[NominalServo, ...]:
         return read_servos(text, robot.n)
     path = Path(robot.source)
     if path.suffix.lower() == ".xml" and path.is_file():
+        from torchid.robot.mjcf import mjcf_servos
+
         values = mjcf_servos(path, robot.joint_names)
         return tuple(NominalServo(ACTUATOR, v) for v in values) if any(values) else ()
     if path.suffix.lower() not in (".yaml", ".yml") or not path.is_file():

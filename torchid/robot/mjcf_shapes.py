@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import torch
 
 from torchid.robot.mjcf import compiled, given_pose
@@ -41,12 +42,9 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
     Raises:
         RobotError: MuJoCo cannot compile the file any more.
     """
-    # The robot was read with it: `torchid.robot.mjcf` says how to get it where it is missing.
-    import mujoco
-
-    found = compiled(mujoco, path)
+    found = compiled(path)
     model = found.model
-    own = [_body_shapes(mujoco, model, body, found.shapeless) for body in range(model.nbody)]
+    own = [_body_shapes(model, body, found.shapeless) for body in range(model.nbody)]
     parts: dict[str, tuple[list[Solid], str] | None] = {}
     read: dict[str, list[Solid]] = {}
     problems = []
@@ -69,7 +67,7 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
         f"shapes of {', '.join(problems)} are unknown: a geom has no end (plane, height field), a "
         "mesh is absent, or a body has mass and no geom."
     )
-    base, planes = _world(mujoco, model)
+    base, planes = _world(model)
     if any(collides and not _moved_by(model, b) for b, collides in found.shapeless.items()):
         base = None
     return assembled(
@@ -82,7 +80,7 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
     )
 
 
-def _world(mujoco: Any, model: Any) -> tuple[tuple[Solid, ...] | None, Tensor]:
+def _world(model: Any) -> tuple[tuple[Solid, ...] | None, Tensor]:
     """Solids of what collides and is fixed to the world, None where one is a height field; and
     planes (F, 4), unit normal and offset."""
     kinds = mujoco.mjtGeom
@@ -99,7 +97,7 @@ def _world(mujoco: Any, model: Any) -> tuple[tuple[Solid, ...] | None, Tensor]:
         elif kind == kinds.mjGEOM_HFIELD:
             known = False
         else:
-            solids.append(_solid(mujoco, model, geom, placed))
+            solids.append(_solid(model, geom, placed))
     none = torch.zeros((0, 4), dtype=torch.float64)
     return tuple(solids) if known else None, torch.stack(planes) if planes else none
 
@@ -127,7 +125,7 @@ def _placed(model: Any, body: int) -> Tensor:
 
 
 def _body_shapes(
-    mujoco: Any, model: Any, body: int, shapeless: Mapping[int, bool]
+    model: Any, body: int, shapeless: Mapping[int, bool]
 ) -> tuple[list[Solid], str] | None:
     """Solids of a body's geoms in the frame of the body that moves it; None where one has no
     end, or is an absent mesh."""
@@ -142,12 +140,10 @@ def _body_shapes(
     if absent or any(int(model.geom_type[g]) in endless for g in chosen):
         return None
     placed = _placed(model, body)
-    return [_solid(mujoco, model, g, placed) for g in chosen], (
-        "collision" if colliding else "visual"
-    )
+    return [_solid(model, g, placed) for g in chosen], ("collision" if colliding else "visual")
 
 
-def _solid(mujoco: Any, model: Any, geom: int, placed: Tensor) -> Solid:
+def _solid(model: Any, geom: int, placed: Tensor) -> Solid:
     kinds = mujoco.mjtGeom
     at = placed @ given_pose(model, "geom", geom)
     size = torch.tensor(model.geom_size[geom].tolist(), dtype=torch.float64)

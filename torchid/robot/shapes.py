@@ -19,7 +19,6 @@ import torch
 from torchid.errors import RobotError
 from torchid.robot.config_files import is_urdf
 from torchid.robot.inertia import InertialParameters, six
-from torchid.robot.mjcf_shapes import mjcf_shapes
 from torchid.robot.model import JointType, Robot
 from torchid.robot.solids import (
     LinkShapes,
@@ -33,7 +32,6 @@ from torchid.robot.solids import (
     points,
 )
 from torchid.robot.tree import Tree, with_joints_held
-from torchid.robot.urdf import urdf_tree
 from torchid.robot.xml_numbers import (
     attribute,
     child,
@@ -156,6 +154,8 @@ def own_inertials(robot: Robot) -> tuple[OwnInertial, ...]:
 
 def _tree_of(path: Path, robot: Robot) -> tuple[Tree, dict[str, Any]]:
     """A URDF's tree with the robot's joints held, and its <link> elements by name."""
+    from torchid.robot.urdf import urdf_tree  # MuJoCo's import takes .15 s
+
     root, source = parse_xml(path), str(path)
     tree, _ = with_joints_held(urdf_tree(root, source, []), robot.locked)
     return tree, {attribute(link, "name", source): link for link in root.findall("link")}
@@ -248,6 +248,8 @@ def link_shapes(robot: Robot) -> LinkShapes | None:
     if is_urdf(path):
         return urdf_shapes(path, robot)
     if path.suffix.lower() == ".xml":
+        from torchid.robot.mjcf_shapes import mjcf_shapes
+
         return mjcf_shapes(path, robot)
     return None
 

@@ -192,34 +192,14 @@ class Tree:
         """The link no joint carries.
 
         Raises:
-            RobotError: a joint between unknown links, a link with two parents, no or several
-                roots, or a cycle.
+            RobotError: there is no such link, or several.
         """
-        carried: dict[str, str] = {}
-        for joint in self.joints:
-            for end in (joint.parent, joint.child):
-                if end not in self.links:
-                    raise RobotError(
-                        f"{self.source}: joint '{joint.name}' names a link that does not exist.",
-                        got=end,
-                        available=list(self.links),
-                    )
-            if joint.child in carried:
-                raise RobotError(
-                    f"{self.source}: link '{joint.child}' is the child of two joints, so this is "
-                    "not a tree.",
-                    got=f"joints '{carried[joint.child]}' and '{joint.name}'",
-                )
-            carried[joint.child] = joint.name
-        roots = [name for name in self.links if name not in carried]
-        if len(roots) > 1:
+        roots = [name for name in self.links if name not in self.above]
+        if len(roots) != 1:
             raise RobotError(
-                f"{self.source}: links that no joint connects; a robot has one root.", got=roots
+                f"{self.source}: a robot has one root, a link that no joint carries.",
+                got=", ".join(roots) or "none: links form a cycle",
             )
-        reached = set(self.descendants(roots[0])) if roots else set()
-        lost = [name for name in self.links if name not in reached]
-        if lost:
-            raise RobotError(f"{self.source}: links that form a cycle.", got=lost)
         return roots[0]
 
     def descendants(self, link: str) -> list[str]:

@@ -1,41 +1,38 @@
-"""Read a URDF: lxml for the file, float64 for the numbers.
+"""Read a URDF by MuJoCo's parser (`torchid.robot.spec`).
 
 What a model holds beyond rigid bodies and joints of one freedom is refused or told in `warnings`;
 <visual>, <collision>, <gazebo>, <mujoco> and <transmission> are not looked at.
 """
 
-from collections.abc import Mapping
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
+import mujoco
+from lxml import etree
 
 from torchid.errors import RobotError
 from torchid.robot.assemble import assemble
-from torchid.robot.inertia import InertialParameters, move
-from torchid.robot.model import STANDARD_GRAVITY, JointType, Robot
-from torchid.robot.tree import Base, Choice, Following, Interval, Tree, TreeJoint
+from torchid.robot.model import STANDARD_GRAVITY, Robot, free_name
+from torchid.robot.spec import FAILURES, listening, spec_tree
+from torchid.robot.tree import Base, Choice, Following, Tree, TreeJoint
 from torchid.robot.xml_numbers import (
+    EXPAND,
     attribute,
     child,
-    inertial_values,
     numbers,
     optional_number,
-    origin,
     parse_xml,
-    unit_axis,
 )
 
-_MOTIONS = {
-    "revolute": JointType.REVOLUTE,
-    "continuous": JointType.REVOLUTE,
-    "prismatic": JointType.PRISMATIC,
-    "fixed": None,
-}
+_WORLD = "world"
 _REFUSED = ("floating", "planar")
 _REFUSED_AS = "joint '{}' is {}; only revolute, continuous and prismatic joints are known"
-_RANGE = ("lower", "upper")
-_LIMITS = {"position": _RANGE, "velocity": ("velocity",), "effort": ("effort",)}
+_LIMITS = {"position": ("lower", "upper"), "velocity": ("velocity",), "effort": ("effort",)}
 
 
 def read_urdf(
@@ -96,133 +93,150 @@ def urdf_tree(root: Any, source: str, warnings: list[str]) -> Tree:
     Raises:
         RobotError: see `read_urdf`.
     """
-    links: dict[str, Tensor | None] = {}
-    for element in root.findall("link"):
-        name = attribute(element, "name", source)
-        if name in links:
-            raise RobotError(f"{source}: two links have the same name.", got=name)
-        links[name] = _inertial(element, f"{source}: link '{name}'")
-    joints: dict[str, TreeJoint] = {}
-    for element in root.findall("joint"):
-        joint = _joint(element, source, warnings)
-        if joint.name in joints:
-            raise RobotError(f"{source}: two joints have the same name.", got=joint.name)
-        joints[joint.name] = joint
-    if not links:
+    if root.find("link") is None:
         raise RobotError(f"{source}: the robot has no links.")
-    if "world" not in links and any(joint.parent == "world" for joint in joints.values()):
-        links["world"] = None
-        root.append(root.makeelement("link", {"name": "world"}))
+    written = [_written(element, source) for element in root.findall("joint")]
+    links = [attribute(link, "name", source) for link in root.findall("link")]
+    if _WORLD not in links and any(joint.parent == _WORLD for joint in written):
+        links.append(_WORLD)
+        root.append(root.makeelement("link", {"name": _WORLD}))
         warnings.append("its link 'world' is nowhere declared: taken for what the base stands on")
-    # A sentence on limits of 0, which exporters write when nothing was entered.
-    limited = [
-        (joint, limit)
-        for joint in root.findall("joint")
-        if joint.get("type") != "fixed" and (limit := joint.find("limit")) is not None
+    for word, names in (("links", links), ("joints", [joint.name for joint in written])):
+        twice = [name for name, count in Counter(names).items() if count > 1]
+        if twice:
+            raise RobotError(f"{source}: two {word} have the same name.", got=twice[0])
+    tree = Tree(dict.fromkeys(links), tuple(written), source)
+    tree = _with_numbers(tree, [*root.findall("link"), *root.findall("joint")])
+    tree.root()  # there is one
+    warnings += [
+        f"joint '{joint.name}' has negative {key} ({getattr(joint, key):g})"
+        for joint in tree.joints
+        for key in ("damping", "friction")
+        if getattr(joint, key) < 0
     ]
-    found = {
+    # A sentence on limits of 0, which exporters write when nothing was entered.
+    zero = {
         what: [
             f"'{joint.get('name')}'"
-            for joint, limit in limited
-            if {optional_number(limit, key, "", finite=False) for key in keys} - {None} == {0.0}
+            for joint in root.xpath("joint[limit and @type != 'fixed']")
+            if {optional_number(joint.find("limit"), key, source, finite=False) for key in keys}
+            - {None}
+            == {0.0}
             and (what, joint.get("type")) != ("position", "continuous")
         ]
         for what, keys in _LIMITS.items()
     }
-    said = [f"{what} of {', '.join(names)}" for what, names in found.items() if names]
-    warnings += [f"limits of 0 are not used: {'; '.join(said)}"] if said else []
-    return Tree(links, tuple(joints.values()), source)
+    listed = [f"{what} of {', '.join(names)}" for what, names in zero.items() if names]
+    warnings += [f"limits of 0 are not used: {'; '.join(listed)}"] if listed else []
+    return tree
 
 
-def _inertial(link: Any, where: str) -> Tensor | None:
-    """(10,) parameters in the link frame, or None."""
-    inertial = link.find("inertial")
-    if inertial is None:
-        return None
-    mass, tensor = inertial_values(inertial, where)
-    # In the axes of the inertial frame and about its origin, the centre of mass.
-    own = InertialParameters.from_com(tensor.new_tensor(mass), tensor.new_zeros(3), tensor)
-    return move(own.pi, origin(inertial, where))
-
-
-def _joint(element: Any, source: str, warnings: list[str]) -> TreeJoint:
+def _written(element: Any, source: str) -> TreeJoint:
+    """What MuJoCo does not keep of a <joint>: the names, the limit of its velocity, what it
+    mimics."""
     name = attribute(element, "name", source)
     where = f"{source}: joint '{name}'"
     kind = attribute(element, "type", where)
-    if kind not in _MOTIONS and kind not in _REFUSED:
-        raise RobotError(
-            f"{where}: unknown joint type.", got=kind, available=[*_MOTIONS, *_REFUSED]
+    parent, carried = (
+        attribute(child(element, tag, where), "link", where) for tag in ("parent", "child")
+    )
+    limit, mimic = element.find("limit"), element.find("mimic")
+    most: dict[str, float | None] = {}
+    for key in ("velocity", "effort") if limit is not None else ():
+        most[key] = value = optional_number(limit, key, where, finite=False)
+        if value and value < 0:
+            raise RobotError(f"{where}: <limit {key}> is negative.", got=value)
+    fastest = most.get("velocity")
+    following = None
+    if mimic is not None:
+        ratio = optional_number(mimic, "multiplier", where)
+        following = Following(
+            attribute(mimic, "joint", where),
+            1.0 if ratio is None else ratio,
+            optional_number(mimic, "offset", where) or 0.0,
         )
-    motion = _MOTIONS.get(kind)
-    parent = attribute(child(element, "parent", where), "link", where)
-    carried = attribute(child(element, "child", where), "link", where)
-    if kind == "fixed":
-        return TreeJoint(name, parent, carried, origin=origin(element, where))
-    axis = element.find("axis")
-    direction = None if axis is None else numbers(axis, "xyz", 3, where)
-    position, velocity, torque = _limits(element, kind, where)
-    # Damping and friction, 0 where not given.
-    dynamics = element.find("dynamics")
-    losses = dict.fromkeys(("damping", "friction"), 0.0)
-    for key in losses if dynamics is not None else ():
-        losses[key] = value = optional_number(dynamics, key, where) or 0.0
-        if value < 0:
-            warnings.append(f"joint '{name}' has negative {key} ({value:g})")
     return TreeJoint(
         name,
         parent,
         carried,
-        motion,
-        origin(element, where),
-        unit_axis(direction or [1.0, 0.0, 0.0], where),
-        position=position,
-        velocity=velocity,
-        torque=torque,
-        damping=losses["damping"],
-        friction=losses["friction"],
+        velocity=(-fastest, fastest) if fastest else None,
         refused=_REFUSED_AS.format(name, kind) if kind in _REFUSED else None,
         floating=kind == "floating",
-        mimic=_following(element, where),
+        mimic=following,
     )
 
 
-def _following(element: Any, where: str) -> Following | None:
-    """Of a <mimic>, whose ratio and offset are 1 and 0 where not given."""
-    mimic = element.find("mimic")
-    if mimic is None:
-        return None
-    ratio = optional_number(mimic, "multiplier", where)
-    return Following(
-        attribute(mimic, "joint", where),
-        1.0 if ratio is None else ratio,
-        optional_number(mimic, "offset", where) or 0.0,
-    )
+def _with_numbers(tree: Tree, elements: Sequence[Any]) -> Tree:
+    """The tree with the numbers that MuJoCo reads of its links and joints, which are the
+    elements."""
+    place = {name: name for name in tree.links}
+    if _WORLD in place:  # a body of this name MuJoCo has itself
+        place[_WORLD] = free_name(_WORLD, set(place))
+    read = spec_tree(_parsed(tree, elements, place), tree.source)
+    numbers_of = {joint.child: joint for joint in read.joints}
+    joints = []
+    for joint in tree.joints:
+        own = numbers_of[place[joint.child]]
+        if own.motion is None:
+            own = replace(joint, origin=own.origin, velocity=None, mimic=None)
+        else:
+            own = replace(own, parent=joint.parent, child=joint.child, velocity=joint.velocity)
+            own = replace(own, mimic=joint.mimic)
+        joints.append(own)
+    return Tree({name: read.links[k] for name, k in place.items()}, tuple(joints), tree.source)
 
 
-def _limits(
-    element: Any, kind: str, where: str
-) -> tuple[Interval | None, Interval | None, Interval | None]:
-    """Position, velocity and torque limits; None where not given, or 0 (see `_unknown_limits`)."""
-    limit = element.find("limit")
-    if limit is None:
-        return None, None, None
-    velocity = _symmetric(limit, "velocity", where)
-    torque = _symmetric(limit, "effort", where)
-    if kind == "continuous":
-        return None, velocity, torque
-    # URDF's default for one that is missing is 0.
-    low, high = (optional_number(limit, key, where, finite=False) or 0.0 for key in _RANGE)
-    if low == high == 0.0:
-        return None, velocity, torque
-    if low >= high:
-        raise RobotError(f"{where}: the lower limit is not below the upper.", got=[low, high])
-    return (low, high), velocity, torque
+def _parsed(tree: Tree, elements: Sequence[Any], place: Mapping[str, str]) -> Any:
+    """The spec of links, inertias and joints alone, links named as `place` says; each element is on
+    a line of its own, which MuJoCo's errors tell."""
+    bare, turned = etree.Element("robot", name="robot"), list[tuple[str, str, list[float]]]()
+    parts: list[str | TreeJoint] = [*place.values(), *tree.joints]
+    for element, part in zip(elements, parts, strict=True):
+        where = f"{tree.source}: {element.tag} '{element.get('name')}'"
+        if isinstance(part, TreeJoint):
+            body, key = place.get(part.child, part.child), "quat"
+            kind = "fixed" if part.refused else element.get("type").strip()
+            own = etree.SubElement(bare, "joint", name=part.name, type=kind)
+            etree.SubElement(own, "parent", link=place.get(part.parent, part.parent))
+            etree.SubElement(own, "child", link=body)
+            kept = ["origin"] + ["axis", "limit", "dynamics"] * (kind != "fixed")
+        else:
+            body, key, kept = part, "iquat", ["inertial"]
+            own = etree.SubElement(bare, "link", name=part)
+        own.extend(deepcopy(e) for tag in kept if (e := element.find(tag)) is not None)
+        _refuse_words(own, where)
+        for origin in own.xpath(".//origin[@quat_xyzw]"):  # which MuJoCo does not know
+            turn = numbers(origin, "quat_xyzw", 4, where) or []
+            if not any(turn):
+                raise RobotError(f"{where}: <origin quat_xyzw> is zero.")
+            turned.append((body, key, [turn[3], *turn[:3]]))
+    for element in bare.iter():
+        element.text, element.tail = None, "\n" if element.getparent() is bare else None
+    listening()
+    try:
+        spec = mujoco.MjSpec.from_string(etree.tostring(bare, encoding="unicode"))
+    except FAILURES as error:
+        text = " ".join(str(error).removeprefix("XML Error: ").split())
+        text = text.replace("URDF body not found", "links form a cycle")
+        line = re.search(r" Element '(\w+)', line (\d+)", text)
+        if line is None:
+            raise RobotError(f"{tree.source}: {text}") from error
+        there = elements[int(line[2]) - 1]
+        raise RobotError(
+            f"{tree.source}: {there.tag} '{there.get('name')}': <{line[1]}>: "
+            f"{text[: line.start()]}."
+        ) from error
+    for body, key, turn in turned:
+        setattr(spec.body(body), key, turn)
+    return spec
 
 
-def _symmetric(limit: Any, key: str, where: str) -> Interval | None:
-    value = optional_number(limit, key, where, finite=False)
-    if not value:
-        return None
-    if value < 0:
-        raise RobotError(f"{where}: <limit {key}> is negative.", got=value)
-    return (-value, value)
+def _refuse_words(element: Any, where: str) -> None:
+    """Raise RobotError for a macro, or a number which MuJoCo would take for 0."""
+    for part in element.iter():
+        for key, value in part.attrib.items():
+            what = f"{where}: <{part.tag} {key}>"
+            if "${" in value or "$(" in value:
+                raise RobotError(f"{what} holds a xacro macro.", got=value, hint=EXPAND)
+            if "nan" in value.lower().split():
+                raise RobotError(f"{what} is not finite.", got=repr(value))

@@ -19,7 +19,7 @@ TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of a URDF's <inertia>, in torchid's order."""
 _XACRO = "ros.org/wiki/xacro"
 _PACKAGE = "import sys, xacro; print(xacro.process_file(sys.argv[1]).toprettyxml())"
-_EXPAND = "expand it: `xacro a.urdf.xacro > a.urdf`"
+EXPAND = "expand it: `xacro a.urdf.xacro > a.urdf`"
 
 
 def parse_xml(path: Path) -> Any:
@@ -137,7 +137,7 @@ def numbers(
         return None
     what = f"{where}: <{element.tag} {name}>"
     if "${" in text or "$(" in text:
-        raise RobotError(f"{what} holds a xacro macro.", got=text, hint=_EXPAND)
+        raise RobotError(f"{what} holds a xacro macro.", got=text, hint=EXPAND)
     try:
         values = [float(word) for word in text.split()]
     except ValueError as error:
@@ -185,12 +185,3 @@ def origin(element: Any, where: str) -> Tensor:
         return pose(quaternion([xyzw[3], *xyzw[:3]]), position)
     rpy = numbers(found, "rpy", 3, where) or [0.0, 0.0, 0.0]
     return pose(roll_pitch_yaw(rpy), position)
-
-
-def unit_axis(values: list[float], where: str) -> Tensor:
-    """(3,) unit vector along a joint axis; a zero axis is a RobotError."""
-    axis = torch.tensor(values, dtype=torch.float64)
-    # A subnormal axis would give an infinite quotient, so its length is compared, not its entries.
-    if float(axis.norm()) < 1e-12:
-        raise RobotError(f"{where}: the axis has no direction.", got=values)
-    return axis / axis.norm()

@@ -32,7 +32,7 @@ from torchid.effects.backlash import Backlash
 from torchid.effects.base import Motion
 from torchid.effects.phase import FilterLag, JointElasticity, TimeDelay
 from torchid.effects.registry import nominal_effects
-from torchid.errors import MissingExtraError, TorchidError
+from torchid.errors import TorchidError
 from torchid.robot.model import Robot
 from torchid.simulation.closed_loop import plant_of
 from torchid.simulation.loads import Loads, changes_measurement
@@ -61,16 +61,12 @@ class Effects:
             friction and springs are overwritten.
 
     Raises:
-        MissingExtraError: MuJoCo is not installed.
         TorchidError: a model without one of the robot's joints, or one model twice; an explicit
             integrator, which meets nothing implicitly.
     """
 
     def __init__(self, robot: Robot, simulations: Sequence[tuple[Any, Any]]):
-        try:
-            self._mujoco = import_module("mujoco")
-        except ImportError as error:
-            raise MissingExtraError("mujoco", "mjcf", "Running effects in MuJoCo") from error
+        self._mujoco = import_module("mujoco")
         if len({id(model) for model, _ in simulations}) < len(simulations):
             raise TorchidError(
                 "simulations share a model, and each changes its friction at every step.",

@@ -1,13 +1,12 @@
 # ruff: noqa: E402 (threads are set before numpy and torch are imported)
 """Torchid beside its peers in one run: ratios, alternated, medians; what became slower is printed.
 
-    python -m torchid_bench.benchmarks.ratios [--compile] [--rounds N] [--save]
+    python -m torchid_bench.benchmarks.ratios [--rounds N] [--save]
 
 Every line is one thing that both can do, on one thread: they run in turn, and the ratio is the
 median over the rounds of (processor time of the peer / of torchid), so above 1 torchid is faster. A
 peer that is not installed is left out. `ratios.json` holds the ratios of the last release; one that
-has fallen by more than a fifth is printed. `--save` writes the file anew; `--compile` adds
-torch.compile, whose first call takes up to a minute.
+has fallen by more than a fifth is printed. `--save` writes the file anew.
 """
 
 import os
@@ -36,7 +35,6 @@ import torch
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.arms import arm
-from torchid.dynamics.compiled import compiled_dynamics
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.excitation.design import excite
@@ -99,7 +97,7 @@ def ratio(line: Line, rounds: int) -> tuple[float, float, float]:
     return (*middle, statistics.median(p / o for p, o in pairs))  # type: ignore[return-value]
 
 
-def dynamics(compiled: bool) -> Iterator[Line]:
+def dynamics() -> Iterator[Line]:
     """Newton-Euler and the regressor against Pinocchio's and MuJoCo's calls in a Python loop."""
     robot = load_robot("kuka_lwr4")
     generator = torch.Generator().manual_seed(0)
@@ -107,12 +105,13 @@ def dynamics(compiled: bool) -> Iterator[Line]:
         torch.randn(SAMPLES, robot.n, generator=generator, dtype=torch.float64) for _ in range(3)
     )
     rows = list(zip(*(x[:LOOPED].numpy() for x in motion), strict=True))
-    kinds = [("eager", lambda: inverse_dynamics(robot, *motion))]
-    regressors = [("eager", lambda: drain(regressor_chunks(robot, *motion)))]
-    if compiled:
-        fast = compiled_dynamics(robot)
-        kinds.append(("compiled", lambda: fast.inverse_dynamics(*motion)))
-        regressors.append(("compiled", lambda: drain(fast.regressor_chunks(*motion))))
+
+    def torques() -> None:
+        inverse_dynamics(robot, *motion)
+
+    def rows_of_all() -> None:
+        drain(regressor_chunks(robot, *motion))
+
     if find_spec("pinocchio"):
         from tests.oracles import PinocchioOracle
 
@@ -127,10 +126,8 @@ def dynamics(compiled: bool) -> Iterator[Line]:
             for row in rows:
                 pin.computeJointTorqueRegressor(model, data, *row)
 
-        for name, ours in kinds:
-            yield f"inverse dynamics, {name} / Pinocchio", rnea, LOOPED, ours, SAMPLES
-        for name, ours in regressors:
-            yield f"torque regressor, {name} / Pinocchio", columns, LOOPED, ours, SAMPLES
+        yield "inverse dynamics, eager / Pinocchio", rnea, LOOPED, torques, SAMPLES
+        yield "torque regressor, eager / Pinocchio", columns, LOOPED, rows_of_all, SAMPLES
     if find_spec("mujoco"):
         from tests.oracles import MujocoOracle
 
@@ -142,8 +139,7 @@ def dynamics(compiled: bool) -> Iterator[Line]:
                 d.qpos[:], d.qvel[:], d.qacc[:] = q, dq, ddq
                 mujoco.mj_inverse(m, d)
 
-        name, ours = kinds[0]
-        yield f"inverse dynamics, {name} / MuJoCo", inverse, LOOPED, ours, SAMPLES
+        yield "inverse dynamics, eager / MuJoCo", inverse, LOOPED, torques, SAMPLES
 
 
 def effects_in_mujoco(folder: Path) -> Iterator[Line]:
@@ -334,7 +330,6 @@ def slower(found: dict[str, float], committed: dict[str, float]) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--compile", action="store_true", help="measure torch.compile too")
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--save", action="store_true", help="write the committed ratios anew")
     args = parser.parse_args()
@@ -347,7 +342,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         every = (
-            dynamics(args.compile), effects_in_mujoco(place), evolution(), identification(),
+            dynamics(), effects_in_mujoco(place), evolution(), identification(),
             toolbox(place / "toolbox"),
         )  # fmt: skip
         for line in (line for some in every for line in some):

@@ -1,9 +1,6 @@
 """A case without effects is what the library's own simulation makes of the same servos."""
 
 import pytest
-
-pytest.importorskip("mujoco")
-
 import torch
 
 from torchid.log.readers import read_log

@@ -5,13 +5,10 @@ import json
 import re
 from typing import Any
 
-import numpy as np
-import pytest
-
-pytest.importorskip("mujoco")
-
 import mujoco
+import numpy as np
 import pyarrow.parquet as pq
+import pytest
 
 from tests.marks import some
 from torchid.json_data import plain

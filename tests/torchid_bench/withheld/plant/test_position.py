@@ -2,11 +2,8 @@
 
 from dataclasses import replace
 
-import pytest
-
-pytest.importorskip("mujoco")
-
 import numpy as np
+import pytest
 
 from torchid.errors import TorchidError
 from torchid_bench.withheld.plant.arms import arm_named
