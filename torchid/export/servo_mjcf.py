@@ -34,7 +34,7 @@ from torchid.export.xml_tree import (
     replace,
     text,
 )
-from torchid.robot.chain import tool_jacobian
+from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.model import JointType, Robot, Tip
 from torchid.simulation.servo import INDEX, PARAMETERS, Servos
 from torchid.simulation.servo_loop import CONTACT_DAMPING, Tracks, Windows, upwards
