@@ -66,7 +66,7 @@ def test_the_first_number_is_the_files(cause):
         at = answer.causes[0].joints[0]
         assert size.was == pytest.approx(values[at])
         assert size.value == pytest.approx(true, rel=0.1)
-        assert "changed" in answer.headline
+        assert "changed" in answer.headline.lower()
     assert not bool(found.ratio_only.any())
     assert found.record.how_far.file.whole_mrad == answer.before
     assert "as it is" not in model_words(answer, None, "arm.xml", ())

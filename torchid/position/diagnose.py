@@ -417,7 +417,9 @@ def _answer(
         # How late commands come within a sample is no cause.
         own = replace(file, free={"delay": torch.ones_like(explained).expand(data.robot.n)})
         of_joints = tuple(effect for effect in EFFECTS if effect.parameters)
-        found, _, alike = alone(data, own, few, early, (*GAINS, *of_joints))
+        # What came as near before the gains were refitted is no rival yet.
+        found, _, _ = alone(data, own, few, early, (*GAINS, *of_joints))
+        alike: Rivals = {}
         found = replace(found, free={**simple.free, **found.free})
         found = refit(data, found, few, iterations=8)
         before, after = (losses_of(data, m.servos, few).sum(0) for m in (simple, found))
