@@ -11,7 +11,8 @@ from tests.position.planted import planted, robot, true_servos
 from tests.simulation.bodies import flywheel
 from torchid.position.diagnose import diagnose_positions
 from torchid.position.file_servos import weighing_otherwise
-from torchid.position.model import ServoArm, replay
+from torchid.position.model import ServoArm
+from torchid.position.replay import replay
 from torchid.report.brief import model_words
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot

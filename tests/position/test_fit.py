@@ -11,8 +11,8 @@ from tests.position.planted import DT, planted, robot, true_servos
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.position.data import prepare
-from torchid.position.diagnose import _changes
 from torchid.position.equal import pooled
+from torchid.position.file_servos import changes_of
 from torchid.position.fit import _step, errors, fit, loss, moved, searched, sensitivities
 from torchid.position.judge import equations, of_motions, value_interval, window_losses
 from torchid.position.model import ServoArm
@@ -116,7 +116,7 @@ def test_what_is_new_changed_and_as_known(found):
     joint[1, INDEX["kp"]], joint[1, INDEX["clip"]], joint[1, INDEX["delay"]] = 130.0, 40.0, 0.0
     start = ServoArm(robot(), Servos(joint, servos.plane), torch.ones(3).double())
     shares = torch.tensor([True, False, False])
-    changes = _changes(start, known, shares, torch.tensor([False, False, True]))
+    changes = changes_of(start, known, shares, torch.tensor([False, False, True]))
     states = {(c.joint, c.parameter): c.state for c in changes}
     assert states[1, "kp"] == "changed"
     assert states[1, "clip"] == "open"  # a limit that the log may not have reached
@@ -138,7 +138,7 @@ def test_a_limit_that_the_file_leaves_at_infinity_is_new(found, monkeypatch):
     start = ServoArm(robot(), servos, torch.ones(3).double())
     none = torch.tensor([False] * 3)
     assert math.isinf(float(servos.joint[1, INDEX["clip"]]))
-    (change,) = [c for c in _changes(start, known, none, none) if c.parameter == "clip"]
+    (change,) = [c for c in changes_of(start, known, none, none) if c.parameter == "clip"]
     assert (change.joint, change.state, change.now) == (1, "new", 6.0)
     assert math.isnan(change.was)
 
