@@ -108,11 +108,3 @@ def test_bad_options(command, folder, tmp_path, monkeypatch, arguments, words):
     for word in words:
         assert word in outcome.err, outcome.err
     assert not list(tmp_path.iterdir())
-
-
-def test_an_engine_that_is_missing_is_said_before_the_search(command, folder, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    outcome = command("correct", "3r", folder / "check.csv", "--to", "mjcf")
-    assert outcome.code == 1
-    assert "torchid[mjcf]" in outcome.err
-    assert "searching" not in outcome.err

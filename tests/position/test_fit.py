@@ -122,7 +122,7 @@ def test_what_is_new_changed_and_as_known(found):
     assert states[1, "clip"] == "open"  # a limit that the log may not have reached
     assert states[1, "delay"] == "new"
     assert states[1, "armature"] == states[0, "damping/kp"] == "as known"
-    assert (0, "kp") not in states
+    assert states[0, "kp"] == "open"  # no motion tells the scale of its torques
     assert {j for j, _ in states} == {0, 1}
 
 

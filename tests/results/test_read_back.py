@@ -26,7 +26,10 @@ CANNOT = {
     # Robots, simulators and logs that files are written from, or replayed, are not in the file.
     "Correction": {"files"},
     "Randomisation": {"one", "write"},
-    "PositionDiagnosis": {"closed", "corrected", "unseen", "write_corrected"},
+    "PositionDiagnosis": {"before", "closed", "corrected", "unseen", "write_corrected"},
+    "PairDiagnosis": {"write_corrected"},
+    # Torques over time are not in the file.
+    "TorqueDiagnosis": {"over_time"},
     "Replay": {"error"},
 }  # fmt: skip
 """What a loaded result cannot do, and why."""

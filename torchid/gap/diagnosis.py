@@ -468,7 +468,7 @@ class TorqueDiagnosis(Diagnosis):
                 noise=floor.ends,
             ),
             causes=tuple(sorted(causes, key=lambda c: -c.closes)),
-            unnamed=sum(e.share for e in self.suspects if not math.isnan(e.share)),
+            unnamed=sum((e.share for e in self.suspects if not math.isnan(e.share)), 0.0),
             friction=tuple(law.brief for law in self.friction),
             suspects=tuple(e.cause for e in self.suspects),
             small=tuple(e.cause for e in self.small),

@@ -123,14 +123,15 @@ def beside_file(
         first = effect.parameters[0]
         factor = file.of(first) / found.servos.of(first)
         if first in TORQUES and first != "kp" and bool((factor.isfinite() & (factor > 0)).all()):
-            # What is not free keeps its share of the gain; or all torques are others by one factor.
+            # What is not free keeps its share of the gain; or, where the gain is not the file's, all
+            # torques are others by one factor.
             scaled = found.servos.joint.clone()
             scaled[:, _TORQUES] *= torch.where(asked, factor, 1.0)[:, None]
             rest = {**free, "kp": free["kp"] & ~asked}
             begun = replace(found.servos, joint=scaled)
             other = fit(data, begun, rest, windows, plane=found.plane, iterations=3)
             one, two = (losses_of(data, s, windows).sum(0) for s in (servos, other))
-            joint = torch.where((one <= two)[:, None], servos.joint, other.joint)
+            joint = torch.where(((one <= two) | by_file)[:, None], servos.joint, other.joint)
             servos = replace(servos, joint=joint)
         whole, without = (losses_of(data, s, windows) for s in (found.servos, servos))
         gain = of_motions(without - whole, windows)

@@ -58,7 +58,7 @@ def calibration_headline(found: Calibration) -> str:
     outside = [p for p in found.planted if p.effect == OUTSIDE]
     right, also = (sum(x) for x in ((p.named for p in inside), (p.in_set for p in inside)))
     text = (
-        f"Of {len(inside)} causes {found.times:g} times as large as what is left of this log, "
+        f"Of {len(inside)} causes {found.times:g} times as large as the error that remains, "
         f"{right} were named, {also} with those in a set"
     )
     sure = sum((p.how_sure or 0.0) >= SET_MASS for p in outside)
@@ -79,7 +79,7 @@ def calibration_table(found: Calibration) -> Table:
         where = _joints(sorted({p.joint for p in same}))
         rows.append((kind, where, *cells, others))
     heads = ("planted", "joints", "named", "in a set", "its branch", "named beside or instead")
-    return Table("Causes planted in what is left of this log", heads, rows, "pppppp")
+    return Table("Causes planted in the error that remains", heads, rows, "pppppp")
 
 
 def _joints(joints: Sequence[int]) -> str:

@@ -25,6 +25,7 @@ from torchid.errors import TorchidError
 from torchid.gap.data import prepare
 from torchid.gap.diagnosis import Finding, TorqueDiagnosis
 from torchid.gap.torque import diagnose_torque
+from torchid.inputs import LogLike, as_log
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress, each
@@ -145,7 +146,7 @@ class Calibration(Result):
 
 def calibrate(
     diagnosis: TorqueDiagnosis,
-    log: Log,
+    log: LogLike,
     *,
     count: int = 30,
     times: float = TIMES,
@@ -165,7 +166,18 @@ def calibrate(
 
     Raises:
         TorchidError: a floating base, or less than one cause.
+
+    >>> import torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> motion = torchid.excite(robot, seed=1, duration=10.0, restarts=1, iterations=0).log()
+    >>> friction = {"effect": "viscous_friction", "joint": 2, "Fv": 0.5}
+    >>> log = torchid.simulate(robot, motion, effects=[friction])
+    >>> few = torchid.GapSettings(effects=("viscous_friction", "joint_spring"))
+    >>> found = torchid.diagnose(robot, log, settings=few)
+    >>> [(p.effect, p.joint + 1) for p in torchid.calibrate(found, log, count=1).planted]
+    [('viscous_friction', 2)]
     """
+    log = as_log(log, diagnosis.robot)
     diagnosis.corrected.require_fixed_base("the calibration")
     if count < 1:
         raise TorchidError("a calibration plants causes.", got=count, expected="1 or more")
