@@ -268,8 +268,8 @@ def _as_the_file(
     near, there = follows(other, servos, simple.free, noise, windows)
     if not bool((near | still).all()):
         return None
-    without = losses_of(data, found.servos, windows).sum(0)
-    with_it = losses_of(other, there.servos, windows).sum(0)
+    without = losses_of(data, found.servos, windows)
+    with_it = losses_of(other, there.servos, windows)
     return _Answer(other, there, {GRAVITY.name: (without, with_it)}, {}, None)
 
 
