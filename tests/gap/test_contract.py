@@ -33,7 +33,7 @@ def holds(record: dict[str, Any], seconds: float | None = None) -> list[str]:
         seconds: length of the longest trajectory, where it is known [s].
     """
     n = len(record["where"]["joints"])
-    said = [*_status(record), *_budget(record), *_how_far(record, n)]
+    said = [*_status(record), *_budget(record), *_shares(record), *_how_far(record, n)]
     for entry in record["which"]:
         said += [f"{entry['effect']} {entry['joints']}: {s}" for s in _entry(entry, record, n)]
         if entry["effect"] == "payload":
@@ -83,6 +83,21 @@ def _budget(record: dict[str, Any]) -> Iterator[str]:
             yield f"the budget sums to {sum(shares.values()):.6g}"
         if not any(shares.values()):
             yield "the budget is all zero"
+
+
+def _shares(record: dict[str, Any]) -> Iterator[str]:
+    """Of names, of what friction laws hold beside them, and of terms without a name: they add up to
+    what the error has fallen by, unless parameters were refitted in any case."""
+    far = record["how_far"]
+    if record["status"] not in CLOSES or record["settings"].get("refitted"):
+        return
+    links = [e for e in record["parametric"] if not e["links"]]
+    total = sum(e["share"] for e in (*record["which"], *links))
+    total += sum(law["unnamed"] for law in record["friction"])
+    total += sum(e["share"] or 0.0 for e in record["suspects"])
+    less = 1 - far["rms_after"] / far["rms_before"]
+    if abs(total - less) > 1e-6:
+        yield f"shares add up to {total:.4f} of an error that has lost {less:.4f}"
 
 
 def _how_far(record: dict[str, Any], n: int) -> Iterator[str]:
@@ -218,17 +233,20 @@ SOUND: dict[str, Any] = {
     "which": [
         {"effect": "coulomb_friction", "family": "sign", "joints": [2], "ambiguous_with": [],
          "parameters": {"Fc": -0.3, "smoothing": 0.0}, "std": {"Fc": 0.01}, "p_value": 1e-5,
-         "notes": []},
+         "notes": [], "share": 0.5},
         {"effect": "payload", "family": "inertia", "joints": [2], "ambiguous_with": [],
          "parameters": dict(zip(BODY, (1, 0.1, 0, 0, 0.01, 0, 0, 0.02, 0, 0.02), strict=True)),
-         "std": {"m": 0.1}, "p_value": 1e-3, "notes": []},
+         "std": {"m": 0.1}, "p_value": 1e-3, "notes": [], "share": 0.2},
         {"effect": "thermal_friction_drift", "family": "time", "joints": [1],
          "ambiguous_with": [], "parameters": {"dFv": 0.1, "dFc": 0.0, "T": 20.0},
-         "std": {"dFv": 0.01, "dFc": 0.01}, "p_value": 1e-3, "notes": []},
+         "std": {"dFv": 0.01, "dFc": 0.01}, "p_value": 1e-3, "notes": [], "share": -0.1},
     ],
+    "friction": [{"unnamed": 0.15}],
+    "suspects": [{"share": 0.05}, {"share": None}],
     "parametric": [],
     "budget": {"parametric": 0.1, "structural": 0.8, "unexplained": 0.1},
     "how_far": {"closed": 0.9, "closed_ci95": [0.85, 0.95], "noise_floor_rms": [0.1, 0.2],
+                "rms_before": 2.0, "rms_after": 0.4,
                 "per_joint": [{"joint": 1}, {"joint": 2}]},
     "settings": {"alpha": 0.01},
     "corrected": {"effects": [{"effect": "coulomb_friction", "joint": 2, "Fc": 0.5}]},
@@ -266,6 +284,7 @@ def test_a_sound_record_keeps_it() -> None:
         (_set("budget", "structural", 0.5), "sums to 0.7"),
         (_set("budget", "structural", None), "no numbers"),
         (_set("budget", {"parametric": 0, "structural": 0, "unexplained": 0}), "all zero"),
+        (_set("suspects", 0, "share", 0.01), "shares add up to 0.7600"),
         (_set("which", 0, "p_value", 0.02), "p is 0.02"),
         (_set("which", 0, "p_value", None), "p is None"),
         (_set("which", 0, "joints", [0]), "joints are not 1..n"),
