@@ -54,7 +54,7 @@ def undrawn(monkeypatch):
 def test_verdict_and_status(status, undrawn):
     d = diagnosis(status, **SHORT)
     tree = page_of(d)
-    assert text_of(tree, "verdict") == d.answer.headline
+    assert text_of(tree, "verdict").replace("\u00a0→\u00a0", " -> ") == d.answer.headline
     assert STATUS[status] in text_of(tree, "facts")
     assert tree.xpath("//header/*[1]")[0].tag == "h1"
     assert tree.xpath("//header/*[2]")[0].get("class") == "verdict"
