@@ -26,7 +26,7 @@ def found():
 def test_the_first_screen(found):
     made = origin(arguments=["torchid", "gap"], started=0.0, seeds={}, settings={}, files=())
     tree = parsed(render(page(found, made)))
-    assert text_of(tree, "verdict") == found.answer.headline
+    assert text_of(tree, "verdict").replace("\u00a0→\u00a0", " -> ") == found.answer.headline
     facts = text_of(tree, "facts")
     for said in ("35 mrad", "11.5 mrad", "5 mrad", "explained"):
         assert said in facts
