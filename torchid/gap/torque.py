@@ -11,6 +11,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import torch
+
 from torchid.design.columns import Model
 from torchid.effects.registry import EVENTS
 from torchid.errors import LogError
@@ -32,6 +34,7 @@ from torchid.gap.search.known import after_log, known_of
 from torchid.gap.search.shares import shares_of
 from torchid.gap.search.unnamed import small_effects, suspects, terms_without_name
 from torchid.gap.settings import GapSettings
+from torchid.gap.validate.bodies import with_bodies_nearest
 from torchid.gap.validate.closing import budget, residuals
 from torchid.gap.validate.decide import Decision, decide
 from torchid.gap.validate.judge import status_of, warnings_of
@@ -101,14 +104,19 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
         decision.found, decision.checked, problem.data, problem.settings
     )  # fmt: skip
     taken = shares_of(found, fitted_first=problem.fitted_first)
-    named = describe_findings(found, decision.judged, taken, checked.far)
+    # What is recommended is a robot of bodies; what that costs is said.
+    corrected, cost = found.solution.model, torch.zeros(problem.robot.n)
+    if any(t.of_links for t in found.solution.terms):
+        robot, cost = with_bodies_nearest(corrected.robot, data.segments)
+        corrected = replace(corrected, robot=robot)
+    named = describe_findings(found, decision.judged, taken, checked.far, corrected.robot)
     said = with_refit(named, decision, problem)
     joints, regimes = where(checked.shown, checked.noise.floor, settings.seed, band=data.band)
     unseen = not_testable(found, data)
     # What was known, and what is now: the corrected model holds laws, for a push is no part of it.
     after = after_log(found, problem)
-    lasting = tuple(p for p in found.solution.model.effects if p[0].name not in EVENTS)
-    corrected = Model(found.solution.model.robot, lasting).described()
+    lasting = tuple(p for p in corrected.effects if p[0].name not in EVENTS)
+    recommended = Model(corrected.robot, lasting).described()
     known = known_of(found, problem, after, decision.least)
     said = with_changes(said, known)
     small = small_effects(found, problem, decision.misfit)
@@ -132,7 +140,7 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
         shares = budget(checked.refitted, checked.shown, checked.noise.floor)
     return TorqueDiagnosis(
         robot=problem.given.model.described(),
-        corrected=replace(corrected, knowledge=after),
+        corrected=replace(recommended, knowledge=after),
         status=status_of(
             said,
             replace(checked, far=far),
@@ -159,7 +167,7 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
         cutoff=data.samples.cutoff,
         settings=settings,
         refitted=problem.wanted.free,
-        warnings=ordered(warnings_of(found, checked, problem)),
+        warnings=ordered(warnings_of(found, checked, problem, cost)),
         friction=friction_laws(decision, problem, taken),
         joint_fits=joint_fits(found, said, problem),
         residual=residuals(checked.shown),

@@ -123,7 +123,7 @@ def beside_file(
         first = effect.parameters[0]
         factor = file.of(first) / found.servos.of(first)
         if first in TORQUES and first != "kp" and bool((factor.isfinite() & (factor > 0)).all()):
-            # What is not free keeps its share of the gain; or, where the gain is not the file's, all
+            # What is not free keeps its share of the gain; or, where that is not the file's, all
             # torques are others by one factor.
             scaled = found.servos.joint.clone()
             scaled[:, _TORQUES] *= torch.where(asked, factor, 1.0)[:, None]

@@ -41,6 +41,7 @@ from torchid.gap.search.shares import Shares
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excluding
 from torchid.results.answer import NotTestable
 from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import Robot
 from torchid.statistics.bagging import Draws
 from torchid.statistics.criteria import LIKELY
 from torchid.typing import Float, Int, Tensor
@@ -235,7 +236,7 @@ class Findings:
 
 
 def describe_findings(
-    found: Explanation, judged: Sequence[Judged], taken: Shares, far: HowFar
+    found: Explanation, judged: Sequence[Judged], taken: Shares, far: HowFar, corrected: Robot
 ) -> Findings:
     """Findings of an explanation, each with what it cannot be told from; of the terms that have a
     name.
@@ -245,6 +246,7 @@ def describe_findings(
         judged: its terms.
         taken: what each takes of the error.
         far: how far all of them close it together.
+        corrected: the robot that is recommended.
     """
     question, fixed = found.question, len(found.question.fixed)
     samples = question.candidates.columns.samples
@@ -263,7 +265,7 @@ def describe_findings(
             links = term.effects[0].joints if term.name == LINK else ()
             took = alone[k], tuple(removes[k]), one.branch_sure
             every = shares[k], p, names, one.sure, *took
-            parametric.append(Parametric(links, *every, change=_change(found, links)))
+            parametric.append(Parametric(links, *every, change=_change(found, links, corrected)))
             continue
         separable = _separable(found, one)
         if separable is not None:
@@ -316,11 +318,11 @@ def with_a_name(judged: Sequence[Judged], shares: Sequence[float]) -> list[bool]
     return out
 
 
-def _change(found: Explanation, links: Sequence[int]) -> str:
-    """Of a link, from the model that is corrected to the corrected one; empty of no link."""
-    own = [found.solution.start.robot.own_links[joint] for joint in links]
-    both = (found.solution.start, found.solution.model)
-    every = [m.robot.require_parameters("a change").pi[own] for m in both]
+def _change(found: Explanation, links: Sequence[int], corrected: Robot) -> str:
+    """Of a link, from the model that is corrected to the recommended one; empty of no link."""
+    start = found.solution.start.robot
+    own = [start.own_links[joint] for joint in links]
+    every = [r.require_parameters("a change").pi[own] for r in (start, corrected)]
     return body_change(*(InertialParameters(pi[0]) for pi in every)) if own else ""
 
 

@@ -22,7 +22,7 @@ from torchid.gap.search.solve import Solution, solve_terms
 from torchid.gap.search.terms import BASE, Term, Wanted, excluding, fixed_terms
 from torchid.gap.validate.closing import Closing, closing, known_noise, levels
 from torchid.gap.validate.traces import traces
-from torchid.robot.model import joint_list
+from torchid.robot.model import joint_list, joint_unit
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_length, block_numbers
 from torchid.statistics.criteria import CLEAR_EXCESS, EXCESS
@@ -215,8 +215,15 @@ def status_of(
     return "explained" if said.effects else "parametric_only"
 
 
-def warnings_of(found: Explanation, checked: Checked, problem: Problem) -> list[str]:
-    """What a user must know beside the findings."""
+def warnings_of(
+    found: Explanation, checked: Checked, problem: Problem, cost: Float[Tensor, " n"]
+) -> list[str]:
+    """What a user must know beside the findings.
+
+    Args:
+        found, checked, problem: as for `check`.
+        cost: (n,) torque by which the recommended bodies differ from the fitted ones [N m; N].
+    """
     solution, settings, judged = found.solution, problem.settings, problem.judged
     out = [*problem.data.warnings, *checked.noise.floor.notes]
     out += [] if judged is None else judged.warnings
@@ -243,14 +250,12 @@ def warnings_of(found: Explanation, checked: Checked, problem: Problem) -> list[
     events = sorted({e.name for e, _ in solution.model.effects if e.name in EVENTS})
     if events:
         out.append(f"For this log alone, not part of the corrected model: {', '.join(events)}.")
-    changed = any(t.of_links for t in solution.terms)
-    # Corrected parameters that no body has.
-    margins = solution.model.robot.require_parameters("a check").consistency_margin()
-    if changed and bool((margins < 0).any()):
+    if bool((cost > 0).any()):
+        worst = int(cost.argmax())
+        size = f"{float(cost[worst]):.2g} {joint_unit(problem.robot, worst)}"
         out.append(
-            "Caution: the corrected inertial parameters fit the torque but are not "
-            "physically possible. `torchid check corrected.yaml --nearest near.json` finds "
-            "possible ones near in torque."
+            "Caution: no bodies have the fitted inertial parameters. The corrected model has those "
+            f"nearest in torque, {size} from it on joint {worst + 1}, where most."
         )
     if problem.fitted_first:
         out.append(
