@@ -16,7 +16,7 @@ _LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 def sources() -> list[Path]:
     """The packages' modules, but for benchmarks, which are scripts."""
     every = (path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
-    return sorted(path for path in every if path.parent.name != "benchmarks")
+    return sorted(path for path in every if "benchmarks" not in path.parts)
 
 
 def blocks(page: Path, language: str) -> list[str]:

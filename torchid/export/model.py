@@ -6,8 +6,6 @@ from pathlib import Path
 import torch
 from torch.nn import Module, Parameter
 
-from torchid.dynamics.forward import bias_torque
-from torchid.effects.friction_laws import RESTING
 from torchid.effects.instants import interval
 from torchid.effects.model import ArmModel, Times
 from torchid.errors import TorchidError
@@ -20,7 +18,7 @@ from torchid.position.model import ServoArm
 from torchid.position.record import PositionRecord
 from torchid.position.replay import Replay, replay
 from torchid.results.files import load
-from torchid.simulation.servo import INDEX, Servos
+from torchid.simulation.servo import Servos
 from torchid.simulators.servo import ServoTorque
 from torchid.tensors import as_tensor, joint_signals
 from torchid.typing import Joints, Numbers
@@ -105,12 +103,7 @@ class ServoModel(Module):
             device=at.device, dtype=at.dtype, dt=interval(times), fields=True,
         )  # fmt: skip
         each = [drives.torque(*instant) for instant in zip(*flat, strict=True)]
-        out = torch.stack(each, 1).reshape(at.shape)
-        share = self.joint[:, INDEX["load_share"]].to(at)
-        if not bool((share > 0).any()):
-            return out
-        weight = bias_torque(arm.robot, at, speed).abs()
-        return out - share * weight * (speed / RESTING).clamp(-1.0, 1.0)
+        return torch.stack(each, 1).reshape(at.shape)
 
     forward = torque
 

@@ -208,9 +208,7 @@ def _not_modelled(spec: Any, model: Any, mimics: int, without_gravity: bool) -> 
         f"{rest} equality constraint(s) are not modelled": rest,
         f"{model.ntendon} tendon(s) are not modelled": model.ntendon,
         "gravity compensation of bodies (gravcomp) counts where commands are replayed; torques "
-        "of a log hold gravity, unless --torque without-gravity says that they hold none": (
-            model.body_gravcomp.any()
-        ),
+        "of a log hold gravity, unless it is read as one without": (model.body_gravcomp.any()),
         "forces of the surrounding fluid (density, viscosity) are not modelled": (
             model.opt.density or model.opt.viscosity
         ),
