@@ -249,8 +249,8 @@ def _servos(document: dict[str, Any]) -> Iterator[Claim]:
 
 
 def _payload(document: dict[str, Any]) -> tuple[Claim, ...]:
-    """The load; numbers that no motion determines are left out, and the load open where all of the
-    others may be zero."""
+    """The load, open where all of its numbers may be zero; numbers that no motion determines are
+    open."""
     own = document["parameters"]
     sizes = tuple(
         (name, value, row[k] ** 0.5)
@@ -260,7 +260,8 @@ def _payload(document: dict[str, Any]) -> tuple[Claim, ...]:
         if known and value is not None and row[k] is not None
     )
     seen = document["seen"] or any(abs(value) > 2 * std for _, value, std in sizes)
-    return (Claim("payload", (), sizes, 1.0 if seen else 0.0),)
+    unknown = [Claim("payload")] if not all(own["determined"]) else []
+    return (Claim("payload", (), sizes, 1.0 if seen else 0.0), *unknown)
 
 
 def _identified(document: dict[str, Any]) -> Iterator[Claim]:
