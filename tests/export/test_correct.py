@@ -4,6 +4,8 @@ of the effects that it has no field for."""
 import runpy
 from dataclasses import replace
 
+import mujoco
+import numpy as np
 import pytest
 import torch
 
@@ -174,6 +176,37 @@ def test_every_effect_without_a_field_is_named_with_what_is_kept(done):
         assert one.lost / one.made == pytest.approx(1 - one.share, abs=0.1)
     text = done.exports[0].files[0].read_text()
     assert f"torque_offset of joint 2 ({offset.lost:.2g} of 0.4 RMS are lost)" in text
+
+
+@pytest.mark.parametrize(("power", "within"), [(1.5, 0.02), (2.0, 0.04)])
+def test_friction_over_speed_is_the_files_damping(power, within, tmp_path):
+    """Lubricant that thins: MuJoCo's own passive torque at the speeds of the log is the law's, and
+    beyond them, where the law would drive, the file resists."""
+    still = log_of(arm("3r"))
+    fastest = float(still.q[:, 0].diff().abs().max()) * 100.0
+    bend = -3.0 * fastest ** (1 - power)
+    others = [e for e in FIELDS if (e["effect"], e["joint"]) != ("viscous_friction", 1)]
+    law = [
+        {"effect": "viscous_friction", "joint": 1, "Fv": 6.0},
+        {"effect": "power_law_friction", "joint": 1, "F2": bend, "a": power},
+    ]
+    truth = replace(arm("3r"), effects=(*others, *law))
+    data = prepare(arm("3r"), log_of(truth), None, widest=20.0)
+    robot = Projector(arm("3r"), truth, data, "mjcf").projection().robot
+    done = export_dynamics(robot, "mjcf", tmp_path, nominal=arm("3r"), geometry="none")
+    model = mujoco.MjModel.from_xml_path(str(done.files[0]))
+    simulated = mujoco.MjData(model)
+
+    def damper(speed: float) -> float:
+        simulated.qvel[:] = speed, 0, 0
+        mujoco.mj_forward(model, simulated)
+        return -float(simulated.qfrc_damper[0])
+
+    assert min(damper(speed) for speed in fastest * np.linspace(0.1, 16, 300)) > 0
+    for speed in fastest * np.linspace(0.1, 1, 10):
+        expected = 0.6 + 6.0 * speed + bend * speed**power
+        found = damper(speed) + model.dof_frictionloss[0]
+        assert found == pytest.approx(expected, abs=within * 6.0 * fastest)
 
 
 @pytest.mark.slow

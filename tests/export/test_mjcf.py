@@ -13,6 +13,8 @@ from lxml import etree
 from tests.arms import ISSUE_ARMS, arm, mixed_arm, relative, states
 from tests.export.arms import FRICTION, exported, with_other, write_mjcf, write_urdf
 from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.effects.base import Motion
+from torchid.effects.registry import model_torque, nominal_effects
 from torchid.errors import TorchidError
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
@@ -54,6 +56,22 @@ def test_a_new_file(robot, tmp_path):
     model = mujoco.MjModel.from_xml_path(str(done.files[0]))
     assert model.dof_frictionloss[0] == 1 / 3
     assert model.nu == robot.n
+
+
+def test_powers_of_the_speed_that_damping_has_are_in_the_file(tmp_path):
+    laws = [{"effect": "viscous_friction", "joint": 2, "Fv": 3.1}]
+    laws += [
+        {"effect": "power_law_friction", "joint": 2, "F2": f, "a": a}
+        for f, a in ((-0.7, 2.0), (0.2, 3.0))
+    ]
+    robot = with_other(arm("3r"), effects=tuple(laws))
+    done = exported(robot, "mjcf", tmp_path)
+    assert len(done.files) == 1, "nothing is left for a sidecar"
+    motion = Motion(*states(robot, 10))
+    expected = model_torque(robot, nominal_effects(robot), motion)
+    assert relative(mujoco_torque(done.files[0], robot, *motion.state), expected) < 1e-12
+    again = model_torque(read := load_robot(done.files[0]), nominal_effects(read), motion)
+    assert relative(again, expected) < 1e-12
 
 
 def test_the_copy_has_the_results_dynamics(tmp_path):

@@ -34,7 +34,7 @@ def asked(
     a = seen.repeat(6, 1)
     x = torch.cat([pi.flatten().double(), torch.tensor([1.0, second])])
     y = a @ x + torch.randn(len(a), generator=g, dtype=torch.float64) / weight
-    return Quadratic(a.T @ a, a.T @ y, float(y @ y), torch.tensor([True, True]))
+    return Quadratic(a.T @ a, a.T @ y, float(y @ y), torch.eye(2).double())
 
 
 def heavier(robot: Robot, factor: float) -> Tensor:
@@ -47,7 +47,9 @@ def test_slopes_are_the_functions(name, bounded):
     robot = arm(name)
     room = room_of(robot)
     room = room if bounded else room.bodies_alone
-    question = _Question.of(asked(robot, heavier(robot, 1.2), 12), room)
+    torque = asked(robot, heavier(robot, 1.2), 12)
+    sums = torch.tensor([[1.0, 0.0], [0.5, 2.0]], dtype=torch.float64)
+    question = _Question.of(replace(torque, positive=sums), room)
     g = torch.Generator().manual_seed(1)
     x = question.start * (1 + 0.02 * torch.rand(question.start.shape, generator=g).double())
     gradient, hessian = question.slopes(x, 0.3)
@@ -70,7 +72,7 @@ def test_the_minimum_is_that_of_a_conic_solver(strength):
     robot = arm("3r")
     room = room_of(robot).bodies_alone
     torque = asked(robot, heavier(robot, 1.3), 20)
-    torque = replace(torque, positive=torch.tensor([False, False]))
+    torque = replace(torque, positive=torch.zeros(0, 2).double())
     question = _Question.of(torque, room)
     mine = question.start
     for value in (1.0, 0.1, 0.01, 1e-3):
@@ -112,6 +114,11 @@ def test_what_the_torque_shows_is_found_and_the_rest_stays_nominal(name):
     # What physics forbids is next to nothing, and never negative.
     wrong = nearest_bodies(asked(robot, true, 40 * robot.n), room_of(robot).bodies_alone)
     assert 0 < float(wrong.coefficients[1]) < 0.05
+    # Of a sum that is forbidden the one may be negative where the other makes up for it.
+    sums = torch.tensor([[1.0, 0.0], [1.0, 2.0]], dtype=torch.float64)
+    wrong = replace(asked(robot, true, 40 * robot.n), positive=sums)
+    first, second = nearest_bodies(wrong, room_of(robot).bodies_alone).coefficients.tolist()
+    assert -0.6 < second < -0.4 < 0.8 < first
     blind = nearest_bodies(replace(torque, h=0 * torque.h, b=0 * torque.b), room_of(robot))
     nominal = robot.require_parameters("a test").pi.double()
     assert float((blind.pi[:, 0] / nominal[:, 0] - 1).abs().max()) < 0.05

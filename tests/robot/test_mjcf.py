@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import torch
 
+from torchid.effects.base import Motion
+from torchid.effects.registry import effect_torque, nominal_effects
 from torchid.errors import RobotError
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.library import load_robot
@@ -189,6 +191,31 @@ def test_friction_loss_is_coulomb_friction(tmp_path):
     assert [dict(e) for e in robot.effects] == [
         {"effect": "coulomb_friction", "joint": 1, "Fc": 0.3}
     ]
+
+
+def test_damping_over_speed_is_mujocos(tmp_path):
+    robot = one_joint(tmp_path, 'damping="2 -1.5 0.5"')
+    assert "linear part alone" in " ".join(robot.warnings)
+    model = mujoco.MjModel.from_xml_path(robot.source)
+    data, speeds = mujoco.MjData(model), torch.linspace(-3, 3, 13, dtype=torch.float64).unsqueeze(1)
+    motion = Motion(0 * speeds, speeds, 0 * speeds)
+    torques = effect_torque(robot, nominal_effects(robot), motion)
+    for speed, torque in zip(speeds, torques, strict=True):
+        data.qvel[:] = speed
+        mujoco.mj_forward(model, data)
+        assert float(torque) == pytest.approx(-data.qfrc_damper[0], rel=1e-12)
+
+
+def test_damping_of_a_joint_that_follows_is_part_of_the_others(tmp_path):
+    """Power: what the follower's damper takes is what the torque on its coordinate takes."""
+    body = '<body><joint name="{0}"{1}/><geom size="0.1" mass="1"/>'
+    upper, lower = body.format("a", ""), body.format("b", ' damping="2 -1 0.5"')
+    text = f"""<mujoco><worldbody>{upper}{lower}</body></body></worldbody><equality>
+    <joint joint1="b" joint2="a" polycoef="0 -2 0 0 0"/></equality></mujoco>"""
+    robot = read_mjcf(write(tmp_path, text))
+    speed = torch.tensor([[0.7]], dtype=torch.float64)
+    torque = effect_torque(robot, nominal_effects(robot), Motion(0 * speed, speed, 0 * speed))
+    assert float(torque * 0.7) == pytest.approx(2 * 1.4**2 - 1.4**3 + 0.5 * 1.4**4, rel=1e-12)
 
 
 def test_a_spring_is_an_effect(tmp_path):

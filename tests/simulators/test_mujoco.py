@@ -45,6 +45,7 @@ BESIDE: dict[str, tuple[Effect, list[float]]] = {
     "stribeck": (StribeckFriction(0, vs=0.3), [0.8]),
     "load": (LoadDependentFriction(1), [0.08]),
     "power": (PowerLawFriction(2, a=1.6), [0.7]),
+    "damping": (PowerLawFriction(1, a=3.0), [0.3]),
     "asymmetric": (AsymmetricFriction(1), [0.2, 0.1]),
     "offset": (TorqueOffset(1), [0.4]),
     "spring": (JointSpring(2, curvature=-1.0), [2.0, -0.5]),

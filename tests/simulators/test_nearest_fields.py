@@ -70,6 +70,22 @@ def test_a_file_with_the_nearest_fields_is_nearer_and_loses_what_it_says(to) -> 
     assert load.fields["friction"] > 0.5
 
 
+def test_friction_that_thins_is_damping_over_speed_that_resists_at_any() -> None:
+    thinning = {"effect": "power_law_friction", "joint": 1, "F2": -0.9, "a": 1.5}
+    robot = replace(arm("3r"), effects=(*HELD, thinning))
+    (row,) = nearest_fields(columns_of(robot), "mjcf")
+    assert row.lost < 0.1 * row.made
+    damper = replace(split(robot, "mjcf")[0][0], **row.fields)
+    assert damper.quadratic < 0
+    assert damper.resists
+    assert f'damping="{damper.damping:.6g} {damper.quadratic:.6g} {damper.cubic:.6g}"' in (
+        simulator_block(robot, [row])
+    )
+    (straight,) = nearest_fields(columns_of(robot), "urdf")
+    assert straight.fields.keys() <= {"damping", "friction"}
+    assert row.lost < 0.5 * straight.lost
+
+
 def test_no_field_takes_a_sign_that_simulators_refuse() -> None:
     driving = {"effect": "power_law_friction", "joint": 3, "F2": -3.0, "a": 1.5}
     robot = replace(arm("3r"), effects=(*HELD, driving))

@@ -8,7 +8,7 @@ than the state; so its coefficients are compared, and constraints are turned off
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -99,10 +99,12 @@ def check_mujoco(
     wrong = _wrong(joints, {"friction": [loss[row] for row in engine.rows]})
     loss[:] = 0.0
     # What is expected: the rigid body with the attributes that MuJoCo knows, without dry friction.
-    damping, armature, stiffness, offset = torch.tensor(
-        [[j.damping, j.armature, j.stiffness, j.offset] for j in joints], dtype=torch.float64
+    damping, quadratic, cubic, _, armature, stiffness, offset = torch.tensor(
+        [astuple(joint) for joint in joints], dtype=torch.float64
     ).T
-    expected = inverse_dynamics(robot, *motion.state) + damping * motion.dq + armature * motion.ddq
+    speed = motion.dq.abs()
+    resisting = (damping + quadratic * speed + cubic * speed**2) * motion.dq
+    expected = inverse_dynamics(robot, *motion.state) + resisting + armature * motion.ddq
     expected = expected + stiffness * motion.q + offset
     return _with_note(
         compared(engine.name, what, motion, expected, engine.inverse(motion)), wrong, note

@@ -37,13 +37,6 @@ from torchid.typing import Tensor
 
 _JOINTS = ("joint", "freejoint")
 _UNNAMED = re.compile(r"body_(\d+)_*")
-ATTRIBUTES = {
-    "damping": "damping",
-    "frictionloss": "friction",
-    "armature": "armature",
-    "stiffness": "stiffness",
-}
-"""Attributes of a <joint>, and what they are in `JointDynamics`."""
 SHARP = "0.999 0.999 0.001"
 """solimpfriction of joints with dry friction. By MuJoCo's own, which gives way in proportion to
 the inertia, a light wrist has its friction only at speeds that it hardly reaches."""
@@ -108,6 +101,17 @@ def edited_mjcf(
     return file
 
 
+def attributes_of(joint: JointDynamics) -> dict[str, tuple[float, ...]]:
+    """Numbers of the attributes of a <joint>."""
+    curve = (joint.quadratic, joint.cubic)
+    return {
+        "damping": (joint.damping, *(curve if any(curve) else ())),
+        "frictionloss": (joint.friction,),
+        "armature": (joint.armature,),
+        "stiffness": (joint.stiffness,),
+    } | ({"springref": (joint.rest,)} if joint.stiffness else {})
+
+
 def _write_chain(
     bodies: "Bodies", robot: Robot, joints: Sequence[JointDynamics], degrees: bool
 ) -> None:
@@ -141,13 +145,12 @@ def _write_chain(
             raise bodies.not_written(name)
         for node, k in zip(own, waiting, strict=True):
             # All of them, so that defaults of a class do not count.
-            for key, attribute in ATTRIBUTES.items():
-                node.set(key, number(getattr(dynamics[k], attribute)))
+            turns = degrees and robot.drives[k].joint_type is JointType.REVOLUTE
+            for key, values in attributes_of(dynamics[k]).items():
+                unit = _DEGREES if turns and key == "springref" else 1.0
+                node.set(key, text(unit * x for x in values))
             if dynamics[k].friction:
                 node.set("solimpfriction", SHARP)
-            if dynamics[k].stiffness:
-                turns = degrees and robot.drives[k].joint_type is JointType.REVOLUTE
-                node.set("springref", number(dynamics[k].rest * (_DEGREES if turns else 1.0)))
         waiting = []
     if waiting:
         raise bodies.not_written(robot.link_names[-1])
@@ -326,8 +329,6 @@ def _joint(robot: Robot, i: int, values: JointDynamics) -> dict[str, str]:
         known = None if drive in robot.mimics else getattr(robot.limits, limits)
         if known is not None and bool(torch.isfinite(known[drive.coordinate]).all()):
             out[key] = text(known[drive.coordinate])
-    attributes = {**ATTRIBUTES, "springref": "rest"}
-    sizes = {key: getattr(values, attribute) for key, attribute in attributes.items()}
     if values.friction:
         out["solimpfriction"] = SHARP
-    return out | {key: number(size) for key, size in sizes.items() if size}
+    return out | {key: text(sizes) for key, sizes in attributes_of(values).items() if any(sizes)}

@@ -5,6 +5,7 @@ the torque of the log. An effect without a field is then kept by the others as f
 by how far follows from the fit itself: its torque is given to the fit as if it were all there is.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,6 +13,8 @@ import torch
 
 from torchid.design.columns import Columns, Model
 from torchid.effects.base import Effect
+from torchid.effects.friction import ViscousFriction
+from torchid.effects.friction_laws import PowerLawFriction, StribeckFriction
 from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.effects.spring import JointSpring
@@ -33,7 +36,7 @@ from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot
 from torchid.simulation.loads import changes_measurement
 from torchid.simulation.open_loop import runs, undone
-from torchid.simulators.joint_dynamics import Target, attributes_in, kinds_in
+from torchid.simulators.joint_dynamics import CURVES, Target, attributes_in, kinds_in
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Tensor
 
@@ -42,11 +45,22 @@ WORDS = {
     "coulomb_friction": "frictionloss",
     "rotor_inertia": "armature",
     "joint_spring": "stiffness",
+    "power_law_friction": "damping",
 }
 """How the files call it; a URDF calls the second one friction."""
 
 WORTH = 0.02
-"""Share of the error that springs must take away to be in the file: a body's weight is one, too."""
+"""Share of the error that springs must take away to be in the file (a body's weight is one, too),
+and so must curves of damping."""
+
+_SPEEDS = 2.0 ** torch.arange(-6.0, 6.25, 0.25, dtype=torch.float64)
+"""In units of a joint's fastest in the log: where its damper may not drive it."""
+_BETWEEN = 1 / math.cosh(math.log(2.0) / 8)
+"""b0 + b1 s + b2 s^2 is nowhere negative between these, if _BETWEEN (b0 + b2 s^2) + b1 s is at none
+of them: its least, at s = sqrt(b0 / b2), is within a factor 2^(1/8) of one."""
+
+_CURVED = (PowerLawFriction, StribeckFriction)
+"""Friction that is a curve of the joint's speed."""
 
 PRICE = 0.05
 """Share of the error that bodies a person believes may cost before it is said."""
@@ -111,9 +125,9 @@ class Projector:
         # A joint whose torque says nothing keeps what the nominal robot has there.
         silent = set(data.silent)
         heard = [j for j in range(nominal.n) if j not in silent]
-        # Springs are where they are found only.
-        kinds = [kind for kind in kinds_in(to) if kind is not JointSpring]
-        self.fields: list[Effect] = [kind(j) for kind in kinds for j in heard]
+        # Springs and curves are where they are found only.
+        every: list[Effect] = [kind(j) for kind in kinds_in(to) for j in heard]
+        self.fields = [f for f in every if not isinstance(f, JointSpring | PowerLawFriction)]
         self.given = [
             (effect, values)
             for effect, values in nominal_effects(nominal)
@@ -124,24 +138,27 @@ class Projector:
         self._settle(model.effects)
 
     def _settle(self, effects: Sequence[Valued]) -> None:
-        """Which springs the file has, whether its bodies are believable, and how near they are."""
-        springs: list[Effect] = []
+        """Which springs and curves the file has, and whether and how near its bodies are
+        believable."""
+        beyond: list[list[Effect]] = []
         if self.to == "mjcf":
             constant = ("joint_spring", "torque_offset")
             at = {j for e, _ in effects if e.name in constant for j in e.joints}
-            springs = [JointSpring(j) for j in sorted(at)]
+            curved = {e.joint for e, _ in effects if isinstance(e, _CURVED)} - {*self.data.silent}
+            curves = [PowerLawFriction(j, a) for j in sorted(curved) for a in CURVES]
+            beyond = [[JointSpring(j) for j in sorted(at)], [*curves]]
         every = torch.ones(len(self.data.samples), dtype=torch.bool)
         bodies = self.room
         without = self._quadratic(self.fields, every)
         found = nearest_bodies(without, bodies)
-        if springs:
-            self.fields += springs
-            with_springs = self._quadratic(self.fields, every)
-            other = nearest_bodies(with_springs, bodies)
+        for more in filter(None, beyond):
+            before, self.fields = self.fields, [*self.fields, *more]
+            beside = self._quadratic(self.fields, every)
+            other = nearest_bodies(beside, bodies)
             if other.least < (1 - WORTH) * found.least:
-                without, found = with_springs, other
+                without, found = beside, other
             else:
-                self.fields = self.fields[: -len(springs)]
+                self.fields = before
         # The least that any parameters leave, bodies or not.
         free = torch.linalg.lstsq(without.h, without.b, driver="gelsd").solution
         least = max(without.error(free), 1e-3 * without.square**0.5)
@@ -170,13 +187,24 @@ class Projector:
         weight = self.weight * fitted
         y = ((self.torque if torque is None else torque) * weight).flatten()
         a = (self._matrix(fields) * weight).flatten(1)
-        # A file's spring pulls back.
-        positive = [
-            c.non_negative or (c.name == "k" and f in self.fields)
-            for f in fields
-            for c in f.coefficients
-        ]
-        return Quadratic(a @ a.T, a @ y, float(y @ y), torch.tensor(positive).bool())
+        return Quadratic(a @ a.T, a @ y, float(y @ y), self._signs(fields))
+
+    def _signs(self, fields: Sequence[Effect]) -> Float[Tensor, "C E"]:
+        """Sums of the fields' coefficients that are not negative: a file's spring pulls back, and
+        its damper resists at every speed."""
+        own = [(f, c) for f in fields for c in f.coefficients]
+        one = torch.eye(len(own), dtype=torch.float64)
+        row = {f: one[k] for k, (f, _) in enumerate(own)}
+        alone = [c.non_negative or (c.name == "k" and f in self.fields) for f, c in own]
+        rows = [one[torch.tensor(alone).bool()]]
+        for j in range(self.nominal.n):
+            powers = [ViscousFriction(j), *(PowerLawFriction(j, a) for a in CURVES)]
+            if set(powers).issubset(row):
+                s = _SPEEDS * max(float(m.dq[:, j].abs().max()) for m in self.columns.motions)
+                damper = torch.stack([row[f] for f in powers])
+                at = torch.stack([_BETWEEN * s**0, s, _BETWEEN * s**2], 1)
+                rows += [at @ damper, damper[-1:]]
+        return torch.cat(rows)
 
     def projection(self) -> Projection:
         """The fit to all samples."""
@@ -204,11 +232,13 @@ class Projector:
                 continue
             if changes_measurement(effect):
                 sensed.append((effect, values))
-            elif not self._has_field(effect, values):
+            elif isinstance(effect, PowerLawFriction) or not self._has_field(effect, values):
                 others.append(effect)
-        # A spring of the diagnosis stands in the place of the file's.
+        # A spring of the diagnosis stands in the place of the file's, and its friction in that of
+        # curves.
         at = {e.joints for e in others if isinstance(e, JointSpring)}
-        own = [f for f in self.fields if not isinstance(f, JointSpring) or f.joints not in at]
+        straight = [f for f in self.fields if not isinstance(f, PowerLawFriction)]
+        own = [f for f in straight if not isinstance(f, JointSpring) or f.joints not in at]
         fields = [*own, *dict.fromkeys(others)]
         true = undone(self.full, sensed, self.torque.T.unsqueeze(0))[0][0].T
         torque = self._quadratic(fields, fitted, true)
@@ -242,7 +272,9 @@ class Projector:
         known = self.full.knowledge
         if known is None:
             return None
-        own, there = (known_coefficients(some) for some in (pairs, nominal_effects(self.full)))
+        # Of a curve another power may have the same name.
+        straight = [pair for pair in pairs if not isinstance(pair[0], PowerLawFriction)]
+        own, there = (known_coefficients(some) for some in (straight, nominal_effects(self.full)))
         names = [name for name in own if name in known.coefficients and name in there]
         whole = folded_robot(self.full)
         pi = [r.require_parameters("a correction").pi.double() for r in (robot, whole)]
@@ -259,8 +291,10 @@ class Projector:
                 alike.setdefault(key, []).append((effect, values))
         matrix, bodies = self._matrix(self.fields), PARAMETERS_PER_LINK * self.nominal.n_links
         weighted = (matrix * self.weight).flatten(1)
-        # Of each coefficient its field, and where that field's first one is.
-        names = [f for f in self.fields for _ in f.coefficients]
+        # Coefficients of each field of the file.
+        groups: dict[tuple[str, int], list[int]] = {}
+        for k, f in enumerate([field for field in self.fields for _ in field.coefficients]):
+            groups.setdefault((WORDS[f.name], f.joints[0]), []).append(k)
         counts = self.data.keep.sum(1).clamp(min=1)
         out = []
         for pairs in alike.values():
@@ -273,13 +307,12 @@ class Projector:
                 for one in (torque, torque - torch.tensordot(x, matrix, 1))
             )
             # The field that carries most of what is kept; all bodies are one.
-            sizes = [float((x[:bodies] @ weighted[:bodies]).norm())]
-            sizes += (x[bodies:].abs() * weighted[bodies:].norm(dim=1)).tolist()
-            k = sizes.index(max(sizes)) - 1
+            most = float((x[:bodies] @ weighted[:bodies]).norm())
             joints = tuple(sorted({j for effect, _ in pairs for j in effect.joints}))
             carrier: tuple[str, int | None, float | None] = ("bodies", None, None)
-            if k >= 0:
-                value = float(self.found.coefficients[names.index(names[k])])
-                carrier = (WORDS[names[k].name], names[k].joints[0], value)
+            for (word, j), own in groups.items():
+                at = [bodies + k for k in own]
+                if (size := float((x[at] @ weighted[at]).norm())) > most:
+                    most, carrier = size, (word, j, float(self.found.coefficients[own[0]]))
             out.append(Kept(pairs[0][0].name, joints, max(0.0, 1 - left), *carrier, made, lost))
         return tuple(sorted(out, key=lambda one: one.share))

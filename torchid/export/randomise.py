@@ -334,7 +334,7 @@ class _Near:
         """The nearest bodies; the first answer is where the search for the others begins."""
         y = self.matrix @ pi.flatten()
         # What is left anyway is one on each row, beside which the bodies' part counts.
-        whole, none = float(y @ y) + len(y), torch.zeros(0, dtype=torch.bool)
+        whole, none = float(y @ y) + len(y), torch.zeros(0, 0).double()
         asked = Quadratic(self.square, self.matrix.T @ y, whole, none)
         if self.last is None:
             self.last = nearest_bodies(asked, self.room, spent=NEARLY)

@@ -27,7 +27,7 @@ from torchid.feasibility.plausibility import DENSITIES
 from torchid.robot.inertia import InertialParameters, pseudo_inertia_basis
 from torchid.robot.model import Robot
 from torchid.robot.shapes import joint_points, link_lengths, link_shapes, typical_bodies
-from torchid.typing import Bool, Float, Tensor
+from torchid.typing import Float, Tensor
 
 SPENT_SHARE = 0.02
 """Share of the least torque error that may be spent on bodies nearer to the nominal ones."""
@@ -70,13 +70,13 @@ class Quadratic:
 
     Attributes:
         h, b, square: H (K, K), b (K,) and y'y; x is ten parameters a link, then coefficients.
-        positive: (E,) coefficients that physics forbids to be negative.
+        positive: (C, E) sums of coefficients that physics forbids to be negative; no weight is.
     """
 
     h: Float[Tensor, "K K"]
     b: Float[Tensor, " K"]
     square: float
-    positive: Bool[Tensor, " E"]
+    positive: Float[Tensor, "C E"]
 
     def error(self, x: Float[Tensor, " K"]) -> float:
         """Root of the squared error."""
@@ -250,7 +250,7 @@ def nearest_bodies(
     >>> from torchid import load_robot
     >>> robot = load_robot("3r")
     >>> zero = torch.zeros(30, 30, dtype=torch.float64)
-    >>> nothing = Quadratic(zero, zero[0], 1.0, torch.zeros(0, dtype=torch.bool))
+    >>> nothing = Quadratic(zero, zero[0], 1.0, torch.zeros(0, 0).double())
     >>> found = nearest_bodies(nothing, room_of(robot))
     >>> bool((found.pi[:, 0] / robot.parameters.mass - 1).abs().max() < 0.05)
     True
@@ -312,12 +312,11 @@ class _Question:
     unit: float
     near: Float[Tensor, "n 10 4 4"]
     start: Float[Tensor, " K"]
-    sizes: Float[Tensor, " E"]
     walls: float = 1.0
 
     @staticmethod
     def of(torque: Quadratic, room: Room) -> "_Question":
-        n, count = len(room.nominal), len(torque.positive)
+        n, count = len(room.nominal), torque.positive.shape[1]
         free = torch.linalg.lstsq(torque.h, torque.b, driver="gelsd").solution
         unit = torque.unit(free)
         basis = pseudo_inertia_basis()
@@ -328,8 +327,8 @@ class _Question:
         own = torque.h.diagonal()[10 * n :]
         sizes = (unit / own.clamp(min=1e-12 * float(own.max()) if count else 0.0)).sqrt()
         sizes = torch.where(own > 0, sizes, torch.ones_like(sizes))
-        start = torch.cat([_inside(room).flatten(), torch.where(torque.positive, sizes, 0.0)])
-        return _Question(torque, room, unit, inner @ basis @ inner.mT, start, sizes)
+        start = torch.cat([_inside(room).flatten(), sizes * torque.positive.any(0)])
+        return _Question(torque, room, unit, inner @ basis @ inner.mT, start)
 
     def about(self, x: Float[Tensor, " K"]) -> "_Question":
         """The same in units of the error there."""
@@ -372,7 +371,7 @@ class _Question:
         n = len(self.room.nominal)
         pi, c = x[: 10 * n].view(n, 10), x[10 * n :]
         own, near, inside = self._parts(pi)
-        signs = (c / self.sizes)[self.torque.positive]
+        signs = self.torque.positive @ c
         if bool((inside <= 0).any()) or bool((signs <= 0).any()):
             return float("inf")
         logs = []
@@ -419,9 +418,9 @@ class _Question:
         for k in range(n):
             part = slice(10 * k, 10 * k + 10)
             hessian[part, part] += strength * curved[k]
-        signs = torch.where(self.torque.positive, _SIGN / torch.where(c == 0, 1.0, c), 0.0)
-        gradient[10 * n :] -= signs
-        hessian[10 * n :, 10 * n :] += torch.diag(signs.square() / _SIGN)
+        signs = self.torque.positive / (self.torque.positive @ c).unsqueeze(1)
+        gradient[10 * n :] -= _SIGN * signs.sum(0)
+        hessian[10 * n :, 10 * n :] += _SIGN * signs.T @ signs
         return gradient, hessian
 
 

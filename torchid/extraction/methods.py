@@ -86,7 +86,8 @@ def near_set(problem: Problem, *, proof: Certificate | None = None) -> Found:
         )
     columns, offset = target.matrix_by_link.double(), target.offset.double()
     square = float(offset @ offset) + target.left**2
-    loss = Quadratic(columns.T @ columns, columns.T @ offset, square, problem.non_negative)
+    signs = torch.eye(len(problem.non_negative)).double()[problem.non_negative]
+    loss = Quadratic(columns.T @ columns, columns.T @ offset, square, signs)
     room = room_within(problem.robot, problem.bounds.mass, torch.stack([low, high], -1))
     tried = [
         nearest_bodies(loss, replace(room, least=room.least + share * room.nominal))

@@ -2,7 +2,7 @@
 its joints as text for a simulator's file."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from xml.sax.saxutils import quoteattr
 
@@ -12,7 +12,7 @@ from torchid.effects.registry import KINDS
 from torchid.export.correct_positions import WINDOW_S
 from torchid.export.correction import Correction
 from torchid.export.export import Export
-from torchid.export.mjcf import ATTRIBUTES
+from torchid.export.mjcf import attributes_of
 from torchid.export.projection import Kept
 from torchid.export.randomisation import Randomisation
 from torchid.feasibility.margins import inertia_eigenvalues
@@ -224,7 +224,7 @@ def simulator_block(robot: Robot, nearest: Sequence[NearestFields] = ()) -> str:
         lines.append(f"<!-- {to.upper()}: into the joint of the same name{angles} -->")
         for name, one in zip(robot.joint_names, joints, strict=True):
             said = _attributes(one, to).items()
-            text = "".join(f' {key}="{value:.6g}"' for key, value in said if value or not mjcf)
+            text = "".join(f' {key}="{value}"' for key, value in said if value != "0" or not mjcf)
             text = f"{text}/>" if mjcf else f"> <dynamics{text}/> </joint>"
             lines.append(f"<joint name={quoteattr(name)}{text}")
         lines += [f"<!-- {_nearest(row, held[row.joint], robot)} -->" for row in own]
@@ -246,12 +246,11 @@ def simulator_block(robot: Robot, nearest: Sequence[NearestFields] = ()) -> str:
     return "\n".join(lines)
 
 
-def _attributes(joint: JointDynamics, to: Target) -> dict[str, float]:
+def _attributes(joint: JointDynamics, to: Target, digits: int = 6) -> dict[str, str]:
     """Attributes of a joint, as the format calls them."""
-    if to == "urdf":
-        return {"damping": joint.damping, "friction": joint.friction}
-    given = {key: getattr(joint, attribute) for key, attribute in ATTRIBUTES.items()}
-    return given | ({"springref": joint.rest} if joint.stiffness else {})
+    urdf = {"damping": (joint.damping,), "friction": (joint.friction,)}
+    given: Mapping[str, tuple[float, ...]] = attributes_of(joint) if to == "mjcf" else urdf
+    return {key: " ".join(f"{x + 0.0:.{digits}g}" for x in values) for key, values in given.items()}
 
 
 def _nearest(row: NearestFields, held: JointDynamics, robot: Robot) -> str:
@@ -261,11 +260,11 @@ def _nearest(row: NearestFields, held: JointDynamics, robot: Robot) -> str:
     made = f"{row.made:.2g} {joint_unit(robot, row.joint)} RMS"
     if not row.fields:
         return f"{what} no field comes near; all {made} are lost"
-    before = _attributes(held, row.to)
-    after = _attributes(replace(held, **row.fields), row.to)
+    before = _attributes(held, row.to, 3)
+    after = _attributes(replace(held, **row.fields), row.to, 3)
     said = [
-        f"{key} {value:.3g} instead of {before.get(key, 0):.3g}"
+        f"{key} {value} instead of {before.get(key, 0)}"
         for key, value in after.items()
-        if value != before.get(key, 0)
+        if value != before.get(key, "0")
     ]
     return f"{what} the nearest is {listed(said)}; {row.lost:.2g} of {made} are lost"

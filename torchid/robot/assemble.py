@@ -17,11 +17,14 @@ from torchid.typing import Float
 
 # Below this share of the largest eigenvalue a negative one is rounding, as for a point mass.
 _ROUNDING = 1e-12
-_EFFECTS = (
-    ("viscous_friction", "Fv", "damping"),
-    ("coulomb_friction", "Fc", "friction"),
-    ("rotor_inertia", "Ia", "armature"),
+_EFFECTS: tuple[tuple[dict[str, Any], str, str, int], ...] = (
+    ({"effect": "viscous_friction"}, "Fv", "damping", 2),
+    ({"effect": "coulomb_friction"}, "Fc", "friction", 1),
+    ({"effect": "rotor_inertia"}, "Ia", "armature", 2),
+    ({"effect": "power_law_friction", "a": 2.0}, "F2", "quadratic", 3),
+    ({"effect": "power_law_friction", "a": 3.0}, "F2", "cubic", 4),
 )
+"""Effects of the fields of a joint, and the power of its ratio with which a follower's count."""
 
 
 def assemble(
@@ -103,15 +106,14 @@ def _effects(part: Part, own: Sequence[TreeJoint]) -> Iterator[Mapping[str, Any]
     """Records of the joints' dynamics: those of joints that follow act on the joint that they
     follow, a torque times their ratio."""
     followers = [(joint, joint.mimic) for joint in part.joints if joint.mimic is not None]
-    for effect, symbol, field in _EFFECTS:
-        power = 1 if field == "friction" else 2
+    for effect, symbol, field, power in _EFFECTS:
         for i, joint in enumerate(own, start=1):
             value = getattr(joint, field)
             for other, way in followers:
                 if way.joint == joint.name:
                     value += abs(way.ratio) ** power * getattr(other, field)
             if value:
-                yield MappingProxyType({"effect": effect, "joint": i, symbol: value})
+                yield MappingProxyType({**effect, "joint": i, symbol: value})
     for i, joint in enumerate(own, start=1):
         k, c0 = joint.stiffness, -joint.stiffness * joint.rest
         for other, way in followers:

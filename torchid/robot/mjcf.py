@@ -1,7 +1,7 @@
 """Read MJCF through MuJoCo's own compiler: defaults, includes and geometry inertias are its work.
 
-The compiled model is float64. What MuJoCo has beyond rigid bodies, linear damping and springs,
-dry friction and armature on joints of one freedom is told in `warnings`.
+The compiled model is float64. What MuJoCo has beyond rigid bodies, damping, linear springs, dry
+friction and armature on joints of one freedom is told in `warnings`.
 """
 
 from collections.abc import Iterable, Mapping
@@ -215,7 +215,8 @@ def _not_modelled(spec: Any, model: Any, mimics: int, without_gravity: bool) -> 
         "the model turns gravity off: gravity is zero": without_gravity,
     }
     return [
-        f"joint '{joint.name}' has nonlinear damping or stiffness: it is not modelled"
+        f"joint '{joint.name}' has nonlinear damping (commands are replayed with its linear part "
+        "alone) or stiffness (it is not modelled)"
         for joint in spec.joints
         if np.any(np.ravel(joint.damping)[1:]) or np.any(np.ravel(joint.stiffness)[1:])
     ] + [sentence for sentence, holds in others.items() if holds]

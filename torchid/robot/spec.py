@@ -154,6 +154,8 @@ class _Reader:
         if float(axis.norm()) < _SHORTEST_AXIS:
             raise RobotError(f"{self.source}: {where}: the axis has no direction.")
         anchor = torch.tensor(self.finite(own.pos, where), dtype=torch.float64)
+        whole = joint.damping if own is joint else [*own.damping, *np.ravel(own.dampingpoly)]
+        damping, quadratic, cubic = self.finite(whole, where)
         return TreeJoint(
             name,
             above,
@@ -165,7 +167,9 @@ class _Reader:
             child_pose=pose(None, -anchor),
             position=self._range(joint),
             torque=self._torque(joint),
-            damping=value("damping"),
+            damping=damping,
+            quadratic=quadratic,
+            cubic=cubic,
             friction=value("frictionloss"),
             armature=value("armature"),
             stiffness=value("stiffness"),

@@ -69,6 +69,7 @@ class TreeJoint:
         child_pose: (4, 4) pose of the child link frame in the moved joint frame.
         position, velocity, torque: lower and upper limits, None where not given.
         damping: [N m s/rad or N s/m].
+        quadratic, cubic: of the damper's torque, with |dq| dq and dq^3.
         friction: Coulomb friction [N m or N].
         armature: inertia reflected from the rotor [kg m^2 or kg].
         stiffness: of a spring between parent and child [N m/rad or N/m].
@@ -90,6 +91,8 @@ class TreeJoint:
     velocity: Interval | None = None
     torque: Interval | None = None
     damping: float = 0.0
+    quadratic: float = 0.0
+    cubic: float = 0.0
     friction: float = 0.0
     armature: float = 0.0
     stiffness: float = 0.0

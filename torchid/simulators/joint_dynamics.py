@@ -1,10 +1,13 @@
 """Which effects a format knows: attributes of its joints, and what is left beside them."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 from torchid.effects.base import Effect, JointEffect
+from torchid.effects.friction_laws import PowerLawFriction
 from torchid.effects.registry import KINDS, Valued, nominal_effects
 from torchid.robot.model import Robot
 
@@ -14,11 +17,15 @@ Fields = Target | Literal["usd"]
 """Formats with fields of joints."""
 
 SAID: dict[Fields, frozenset[str]] = {
-    "mjcf": frozenset({"damping", "friction", "armature", "stiffness", "offset"}),
+    "mjcf": frozenset(
+        {"damping", "quadratic", "cubic", "friction", "armature", "stiffness", "offset"}
+    ),
     "urdf": frozenset({"damping", "friction"}),
     "usd": frozenset({"damping", "friction", "armature"}),
 }
 """Fields of `JointDynamics` that a format has."""
+CURVES = {2.0: "quadratic", 3.0: "cubic"}
+"""Powers of the speed that the damping of an MJCF has beside the first (MuJoCo 3.11 and later)."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +34,8 @@ class JointDynamics:
 
     Attributes:
         damping: viscous friction Fv [N m s/rad; N s/m].
+        quadratic, cubic: of the damper's torque damping dq + quadratic |dq| dq + cubic dq^3
+            [N m s^2/rad^2, N m s^3/rad^3; N s^2/m^2, N s^3/m^3].
         friction: Coulomb friction Fc [N m; N]; `frictionloss` in MJCF.
         armature: rotor inertia Ia [kg m^2; kg].
         stiffness: of a straight spring, k [N m/rad; N/m].
@@ -34,6 +43,8 @@ class JointDynamics:
     """
 
     damping: float = 0.0
+    quadratic: float = 0.0
+    cubic: float = 0.0
     friction: float = 0.0
     armature: float = 0.0
     stiffness: float = 0.0
@@ -44,21 +55,31 @@ class JointDynamics:
         """Position at which the spring is at rest, `springref` [rad; m]."""
         return -self.offset / self.stiffness if self.stiffness else 0.0
 
+    @property
+    def resists(self) -> bool:
+        """Whether the damper drives the joint at no speed."""
+        least = min(self.damping, self.cubic)
+        return least >= 0 and self.quadratic >= -2 * math.sqrt(self.damping * self.cubic)
+
 
 def attributes_in(to: Fields, effect: Effect, values: Sequence[float]) -> dict[str, float] | None:
     """What an effect adds to its joint's fields in a format; None where it has no field there."""
     added = effect.attributes(values)
+    if isinstance(effect, PowerLawFriction) and effect.a in CURVES:
+        added = {CURVES[effect.a]: values[0]}
     return added if added is not None and SAID[to].issuperset(added) else None
 
 
-def kinds_in(to: Target) -> dict[type[JointEffect], tuple[str, ...]]:
-    """Effects that a format's joints have fields for, and a field for each coefficient."""
-    ones = {
-        kind: attributes_in(to, kind.exemplar(0), [1.0] * len(kind.coefficients))
+def kinds_in(to: Target) -> dict[Callable[[int], JointEffect], tuple[str, ...]]:
+    """Effects, by their joint, that a format has fields for, and a field for each coefficient."""
+    ones: dict[Callable[[int], JointEffect], Effect] = {
+        kind: kind.exemplar(0)
         for kind in KINDS.values()
-        if issubclass(kind, JointEffect)
+        if issubclass(kind, JointEffect) and kind is not PowerLawFriction
     }
-    return {kind: tuple(added) for kind, added in ones.items() if added is not None}
+    ones |= {partial(PowerLawFriction, a=a): PowerLawFriction(0, a) for a in CURVES}
+    fields = {kind: attributes_in(to, e, [1.0] * len(e.coefficients)) for kind, e in ones.items()}
+    return {kind: tuple(added) for kind, added in fields.items() if added is not None}
 
 
 def dynamics_of_links(robot: Robot, joints: Sequence[JointDynamics]) -> tuple[JointDynamics, ...]:

@@ -130,6 +130,7 @@ class Effects:
         self.restart()
         for model, _ in self.simulations:
             model.jnt_stiffness[model.dof_jntid[self._rows]] = 0.0
+            model.dof_dampingpoly[self._rows] = 0.0
             model.dof_armature[self._rows] = armature.numpy()
             model.dof_solimp[self._rows, :3] = SHARP
 

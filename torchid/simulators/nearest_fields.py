@@ -5,6 +5,7 @@ least squares, and with the signs that simulators take (`scipy.optimize.lsq_line
 """
 
 import math
+from dataclasses import replace
 from itertools import chain, combinations
 
 import torch
@@ -97,7 +98,8 @@ def _projected(
     r = torch.linalg.qr(torch.cat([*span.values(), torque.unsqueeze(0)]).T).R
     names = [key for keys in span for key in keys]
     size = r.norm(dim=0).clamp(min=1e-12)
-    least = {key: -getattr(held, key) for key in names} | {"offset": -math.inf}
+    free = ("offset", "quadratic")
+    least = {key: -math.inf if key in free else -getattr(held, key) for key in names}
     if "stiffness" in least:  # a spring stays one
         least["stiffness"] *= 1 - WORTH
     best, fields, left = made, {}, made
@@ -108,12 +110,10 @@ def _projected(
         a, b = (r[:, at] / size[at]).numpy(), r[:, -1].numpy()
         found = lsq_linear(a, b, (low, math.inf), method="bvls")
         rest = math.sqrt(2 * found.cost)
-        if rest + WORTH * made * len(some) < best:
-            best, left = rest + WORTH * made * len(some), rest
-            change = (found.x / size[at].numpy()).tolist()
-            total = [getattr(held, key) + x for key, x in zip(keys, change, strict=True)]
-            # At a bound of zero a sum may lie below it by rounding, which no simulator takes.
-            fields = {
-                k: x if k == "offset" else max(0.0, x) for k, x in zip(keys, total, strict=True)
-            }
+        change = (found.x / size[at].numpy()).tolist()
+        total = [getattr(held, key) + x for key, x in zip(keys, change, strict=True)]
+        # At a bound of zero a sum may lie below it by rounding, which no simulator takes.
+        values = {k: x if k in free else max(0.0, x) for k, x in zip(keys, total, strict=True)}
+        if rest + WORTH * made * len(some) < best and replace(held, **values).resists:
+            best, left, fields = rest + WORTH * made * len(some), rest, values
     return fields, left
