@@ -23,6 +23,7 @@ from torchid.design.columns import Columns
 from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.gear import Gear, joint_load, link_lag
 from torchid.effects.instants import shifted
+from torchid.effects.variation import rigid_torque
 from torchid.log.filtering import extended, fast_length
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.typing import Bool, Float, Tensor
@@ -188,6 +189,7 @@ class _Spectra:
         self.usable = bool(self.above.any()) and bool((self.count > 0).all())
         gaps = [s.tau[first] - columns.model.torque(s, self.samples)[first] for s in segments]
         chunks = [list(regressor_chunks(self.robot, *m.state)) for m in self.motions]
+        self.rigid = [rigid_torque(self.robot, *m.state) for m in self.motions if self.usable]
         self.joints = []
         for i in range(self.n if self.usable else 0):
             moved = self.robot.moved_by(i)
@@ -295,7 +297,8 @@ class _Joint:
         self.leave(spectra.of(rest))
         self.torque = spectra.power(spectra.of([t.unsqueeze(0) for t in tau]))
         # What drives the link: the load that is signal, and the joint's column of M(q).
-        driven = [joint_load(spectra.robot, m.state, joint) for m in spectra.motions]
+        pairs = zip(spectra.motions, spectra.rigid, strict=True)
+        driven = [joint_load(spectra.robot, m.state, joint, x) for m, x in pairs]
         smooth = wiener([load for load, _ in driven], rate, spectra.top)
         self.driven = [(smooth(load), column) for load, column in driven]
 

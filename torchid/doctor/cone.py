@@ -8,6 +8,7 @@ unknowns that are not negative: one small non-negative least-squares problem (La
 is what makes signs and the direction of gravity decidable from a log alone.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,16 @@ _MODEL = 0.02
 a link a few points, and what is gained below this says nothing."""
 _RANK = 1e-9
 _UNSEEN = 1e-6
+_MORE = 20
+"""Unknowns that are taken up at a time."""
+_TRIES = 50
+_HELPS = 1e-11
+"""Part of the target along a column that is still left, from which on the column helps."""
+
+Weights = np.ndarray | None
+"""(n,) of the joints."""
+Unknowns = Sequence[int] | np.ndarray
+"""Numbers of those that may be more than zero."""
 
 
 @dataclass(frozen=True)
@@ -49,13 +60,9 @@ class Normal:
 
     def part(self, blocks: np.ndarray) -> "Normal":
         """Of some blocks."""
-        return Normal(
-            self.gram[blocks],
-            self.cross[blocks],
-            self.square[blocks],
-            self.count[blocks],
-            self.spread,
-        )
+        every = self.gram, self.cross, self.square, self.count
+        gram, cross, square, count = (x[blocks] for x in every)
+        return Normal(gram, cross, square, count, self.spread)
 
     def without(self, block: int) -> "Normal":
         """The other blocks."""
@@ -110,43 +117,47 @@ class Fit:
         x: (P,) parameters.
         variance: (n,) mean squared error of each joint's rows.
         weights: (n,) what each row counted, times the spread of its torque.
+        used: the unknowns that are more than zero, among U.
     """
 
     x: np.ndarray
     variance: np.ndarray
     weights: np.ndarray
+    used: Unknowns
 
 
-def fit(normal: Normal, bodies: np.ndarray, *, weights: np.ndarray | None = None) -> Fit:
+def fit(normal: Normal, bodies: np.ndarray, given: Weights = None, used: Unknowns = ()) -> Fit:
     """Maximum likelihood with an unknown variance of each joint, by reweighting.
 
     Args:
         normal: rows.
         bodies: (P, U) what may be.
-        weights: (n,) of another fit, kept; None to find them.
+        given: (n,) weights of another fit, kept; None to find them.
+        used: unknowns of another fit, from which the search for these begins.
     """
     gram, cross = normal.gram.sum(0), normal.cross.sum(0)
     total = np.maximum(normal.count.sum(0), 1)
     live = normal.spread > 0
     spread = np.where(live, normal.spread, 1.0)
-    given = weights
     rounds = _ROUNDS if given is None else 1
     w = live / spread if given is None else np.where(live, given, 0.0) / spread
     x = np.zeros(gram.shape[-1])
     variance = spread.copy()
     for _ in range(rounds):
-        x = _solve(np.tensordot(w, gram, 1), w @ cross, bodies)
+        x, used = _solve(np.tensordot(w, gram, 1), w @ cross, bodies, used)
         square = normal.square.sum(0) - 2 * cross @ x + gram @ x @ x
         variance = np.maximum(square, 0.0) / total
         if given is None:
             w = live / (variance + _MODEL**2 * spread)
-    return Fit(x, variance, w * spread)
+    return Fit(x, variance, w * spread, used)
 
 
-def _solve(gram: np.ndarray, cross: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Parameters M u with u >= 0 that minimise x' G x - 2 c' x."""
+def _solve(
+    gram: np.ndarray, cross: np.ndarray, matrix: np.ndarray, used: Unknowns
+) -> tuple[np.ndarray, Unknowns]:
+    """Parameters M u with u >= 0 that minimise x' G x - 2 c' x, and which u are not zero."""
     if not gram.any():
-        return np.zeros(len(gram))
+        return np.zeros(len(gram)), used
     size = np.sqrt(np.diagonal(gram))
     size = np.where(size > 0, size, 1.0)
     value, vector = np.linalg.eigh(gram / np.outer(size, size))
@@ -157,8 +168,25 @@ def _solve(gram: np.ndarray, cross: np.ndarray, matrix: np.ndarray) -> np.ndarra
     norm = np.linalg.norm(rows, axis=0)
     # What hardly shows in these rows is rounding, and would be fitted with masses of any size.
     norm[norm < _UNSEEN * norm.max(initial=0.0)] = np.inf
-    u, _ = nnls(rows / norm, target, maxiter=50 * rows.shape[1])
-    return matrix @ (u / norm)
+    u = _not_negative(rows / norm, target, used)
+    return matrix @ (u / norm), u.nonzero()[0]
+
+
+def _not_negative(a: np.ndarray, y: np.ndarray, used: Unknowns) -> np.ndarray:
+    """Unknowns (U,), zero or more, with which columns (R, U) of length one come nearest to y (R,):
+    found among a few of them, to which come those that would help most, until none would."""
+    most, least = 50 * a.shape[1], _HELPS * np.linalg.norm(y)
+    u, helps = np.zeros(a.shape[1]), a.T @ y
+    for _ in range(_TRIES):
+        some = np.union1d(used, np.argsort(helps)[-_MORE:]).astype(int)
+        u[:] = 0.0
+        u[some], _ = nnls(a[:, some], y, maxiter=most)
+        used = u.nonzero()[0]
+        helps = a.T @ (y - a[:, used] @ u[used])
+        helps[some] = 0.0
+        if helps.max() <= least:
+            return u
+    return nnls(a, y, maxiter=most)[0]
 
 
 def shares(variance: np.ndarray, spread: np.ndarray) -> np.ndarray:

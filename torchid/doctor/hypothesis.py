@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchid.doctor.cone import OWN, Fit, Normal, cone, fit, shares
+from torchid.doctor.cone import OWN, Fit, Normal, Unknowns, Weights, cone, fit, shares
 from torchid.doctor.samples import BLOCKS, Samples
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import regressor
@@ -124,6 +124,8 @@ class Judge:
         self.robot = robot
         self.samples = samples
         self.cone = cone(robot)
+        self._used: Unknowns = ()
+        self._scores: dict[tuple, Score] = {}
         self._columns: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}
         self._expected: dict[tuple, Hypothesis] = {}
         self._rigid: dict[tuple, torch.Tensor] = {}
@@ -131,18 +133,27 @@ class Judge:
         ends = np.searchsorted(samples.block.numpy(), np.arange(BLOCKS + 1)).tolist()
         self.members = [slice(*pair) for pair in itertools.pairwise(ends)]
 
-    def score(self, hypothesis: Hypothesis, weights: np.ndarray | None = None) -> Score:
+    def score(self, hypothesis: Hypothesis, weights: Weights = None) -> Score:
         """The fit on all rows; with given weights of a fit that was made, three times faster."""
-        normal = self.normal(hypothesis)
-        found = fit(normal, self.cone, weights=weights)
-        return Score(hypothesis, found, shares(found.variance, normal.spread))
+        key = hypothesis, None if weights is None else tuple(weights.tolist())
+        if key not in self._scores:
+            normal = self.normal(hypothesis)
+            found = self.fit(normal, weights)
+            self._scores[key] = Score(hypothesis, found, shares(found.variance, normal.spread))
+        return self._scores[key]
+
+    def fit(self, normal: Normal, weights: Weights = None) -> Fit:
+        """The best bodies for some rows, sought from those that the last rows had."""
+        found = fit(normal, self.cone, weights, self._used)
+        self._used = found.used
+        return found
 
     def held_out(self, hypothesis: Hypothesis) -> np.ndarray:
         """(B, n) errors of each block under the fit to the others, as shares of the spread; NaN
         where a joint does not move."""
         normal, rows = self.normal(hypothesis), []
         for b in range(BLOCKS):
-            found = fit(normal.without(b), self.cone)
+            found = self.fit(normal.without(b))
             error = shares(normal.mean_square(found.x)[b], normal.spread)
             rows.append(np.where(normal.count[b] >= FEWEST, error, np.nan))
         return np.stack(rows)
@@ -154,7 +165,7 @@ class Judge:
         members = members or self.members
         moving = self.moving(hypothesis)
         tau = self.torque(hypothesis) * moving
-        cross = [(tau[m].T[:, None] @ a[m].transpose(1, 0, 2))[:, 0] for m in members]
+        cross = [(tau[m].T[:, None] @ a[:, m])[:, 0] for m in members]
         square = [(tau[m] ** 2).sum(0) for m in members]
         counts = np.stack([moving[m].sum(0) for m in members])
         total = np.maximum(counts.sum(0), 1)
@@ -180,17 +191,18 @@ class Judge:
         return self.samples.moving[:, list(hypothesis.q_order)].numpy()
 
     def columns(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
-        """(T, n, P) regressor with each joint's own columns, and its (B, n, P, P) products."""
+        """(n, T, P) regressor with each joint's own columns, and its (B, n, P, P) products."""
         key = hypothesis.moved
         if key not in self._columns:
             if len(self._columns) > 6:
                 del self._columns[next(iter(self._columns))]
-            n, rigid = self.robot.n, self._regressor(hypothesis)
-            own, each = rigid.new_zeros(len(rigid), n, OWN * n), self.own(hypothesis)
+            rigid, own = (f(hypothesis).numpy() for f in (self._regressor, self.own))
+            count, n, links = rigid.shape
+            a = np.zeros((n, count, links + OWN * n))
             for i in range(n):
-                own[:, i, OWN * i : OWN * (i + 1)] = each[:, i]
-            rows = torch.cat([rigid, own], -1).numpy()
-            a = rows * self.moving(hypothesis)[..., None]
+                a[i, :, :links] = rigid[:, i]
+                a[i, :, links + OWN * i : links + OWN * (i + 1)] = own[:, i]
+            a *= self.moving(hypothesis).T[..., None]
             self._columns[key] = (a, _products(a, self.members))
         return self._columns[key]
 
@@ -235,9 +247,12 @@ class Judge:
 
 
 def _products(a: np.ndarray, members: Sequence[Rows]) -> np.ndarray:
-    """(B, n, P, P) products of the columns (T, n, P), a block of rows apart."""
-    joints = [np.ascontiguousarray(a[m].transpose(1, 0, 2)) for m in members]
-    return np.stack([x.transpose(0, 2, 1) @ x for x in joints])
+    """(B, n, P, P) products of the columns (n, T, P), a block of rows apart."""
+    out = np.empty((len(members), len(a), *2 * a.shape[-1:]))
+    for own, m in zip(out, members, strict=True):
+        x = a[:, m]
+        np.matmul(x.transpose(0, 2, 1), x, out=own)
+    return out
 
 
 Family = Callable[[float], Hypothesis]
@@ -278,11 +293,11 @@ def profile(
     best = minimum(loss, (*grid, start), step)
     values = (best - step, best, best + step)
     normals = [judge.normal(family(x)) for x in values]
-    weights = fit(normals[1], judge.cone).weights
+    weights = judge.fit(normals[1]).weights
     estimates = []
     for b in range(BLOCKS):
         others = [normal.without(b) for normal in normals]
-        errors = [shares(fit(x, judge.cone, weights=weights).variance, x.spread) for x in others]
+        errors = [shares(judge.fit(x, weights).variance, x.spread) for x in others]
         estimates.append(_vertex(values, [float(np.log(e).sum()) for e in errors]))
     left_out = torch.tensor(estimates, dtype=torch.float64).unsqueeze(1)
     low, high = from_left_out(left_out).interval(left_out.new_tensor([best]))[0].tolist()

@@ -191,7 +191,7 @@ def _assigned(judge: Judge, now: Hypothesis) -> Iterator[Move]:
         rows = moving[:, i]
         if rows.sum() < 2 * a.shape[-1]:
             continue
-        u, s, _ = np.linalg.svd(a[rows, i], full_matrices=False)
+        u, s, _ = np.linalg.svd(a[i, rows], full_matrices=False)
         basis = u[:, s > 1e-8 * max(s[0], 1e-300)]
         left = tau[rows] - basis @ (basis.T @ tau[rows])
         errors[i] = left.std(0) / scale

@@ -49,7 +49,7 @@ def check_runs(judge: Judge, hypothesis: Hypothesis) -> list[Check]:
     for place, run in enumerate(runs):
         piece[owner == run] = PIECES * place + np.arange(count[run]) * PIECES // count[run]
     normal = judge.normal(hypothesis, [piece == k for k in range(piece.max() + 1)])
-    plain = fit(normal, judge.cone)
+    plain = judge.fit(normal)
     n = judge.robot.n  # columns of the last link's parameters among those of all links
     last = np.r_[n - 1, n + 3 * (n - 1) : 4 * n, 4 * n + 6 * (n - 1) : 10 * n]
     body = judge.cone[last][:, judge.cone[last].any(0)]
@@ -60,7 +60,7 @@ def check_runs(judge: Judge, hypothesis: Hypothesis) -> list[Check]:
             mine = np.arange(PIECES * place, PIECES * (place + 1))
             load = _Own(last, sign * body)
             wide, cone = _with_own(normal, judge.cone, mine, load)
-            x = fit(wide, cone, weights=plain.weights).x
+            x = fit(wide, cone, plain.weights, plain.used).x
             gain = _loss(normal, mine, plain.x) - _loss(wide, mine, x)
             looked += [(gain, names[run], mine, load)] if gain > CLEAR else []
     for _, name, mine, load in sorted(looked, key=lambda x: -x[0])[:MOST_LOOKED]:

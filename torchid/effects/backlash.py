@@ -12,6 +12,7 @@ from torchid.effects.variation import (
     OneJointEffect,
     link_lag_torque,
     needed,
+    rigid_torque,
     secant_at,
 )
 from torchid.robot.model import Robot
@@ -105,12 +106,13 @@ class Backlash(OneJointEffect):
         arm = needed(robot, cls.name)
         plays = [e for e in effects if isinstance(e, cls)]
         links, rotors, places = [], [], []
+        rigid = [rigid_torque(arm, *m.state) for m in motions]
         for joint in dict.fromkeys(e.joint for e in plays):
             own = [e for e in plays if e.joint == joint]
             places.append((joint, [secant_at(e.at, 1e-7) for e in own]))
             contact, ratio, drag = zip(*((e.contact, e.ratio, e.drag) for e in own), strict=True)
-            for motion in motions:
-                load, inertia = joint_load(arm, motion.state, joint)
+            for motion, torque in zip(motions, rigid, strict=True):
+                load, inertia = joint_load(arm, motion.state, joint, torque)
                 inertia = inertia[:, joint, None]
                 # Gradients leave the gear as it is, which its resonance with the body says.
                 size = float(inertia.detach().abs().mean())
@@ -126,8 +128,8 @@ class Backlash(OneJointEffect):
         lags = zip(rotors, link_lags(links), strict=True)
         for joint, widths in places:
             changes = []
-            for motion, (rotor, lag) in zip(motions, lags, strict=False):
-                change = link_lag_torque(arm, motion, joint, *(x.T for x in lag))
+            for motion, torque, (rotor, lag) in zip(motions, rigid, lags, strict=False):
+                change = link_lag_torque(arm, motion, joint, torque, *(x.T for x in lag))
                 change[..., joint] += (rotor * lag.acceleration).T
                 changes.append(change)
             for at, *torques in zip(widths, *changes, strict=True):

@@ -80,15 +80,15 @@ class Lag(NamedTuple):
 
 
 def joint_load(
-    robot: Robot, state: tuple[Tensor, Tensor, Tensor], joint: int
+    robot: Robot, state: tuple[Tensor, Tensor, Tensor], joint: int, rigid: Tensor | None = None
 ) -> tuple[Float[Tensor, " T"], Float[Tensor, "T n"]]:
     """Torque (T,) that a rigid link would ask for along a motion (T, n), and the joint's column
-    M(q) e_j (T, n) of the mass matrix."""
+    M(q) e_j (T, n) of the mass matrix; `rigid` is the `rigid_torque` there where it is known."""
     q, dq, ddq = state
+    rigid = rigid_torque(robot, q, dq, ddq) if rigid is None else rigid
     unit = torch.zeros_like(q)
     unit[:, joint] = 1.0
-    torque, more = (rigid_torque(robot, q, dq, a) for a in (ddq, ddq + unit))
-    return torque[:, joint], more - torque
+    return rigid[:, joint], rigid_torque(robot, q, dq, ddq + unit) - rigid
 
 
 class Driven(NamedTuple):

@@ -193,32 +193,35 @@ class JointElasticity(OneJointEffect):
     ) -> Iterator[Columns]:
         """Those of several; links that swing on one joint side by side."""
         arm, t = needed(robot, cls.name), motion.require("t", cls.name)
+        rigid = rigid_torque(arm, *motion.state)
         elastic = [e for e in effects if isinstance(e, cls)]
         found: dict[JointElasticity, Columns] = {}
         for joint in dict.fromkeys(e.joint for e in elastic if e.damping > 0):
             own = [e for e in elastic if e.joint == joint and e.damping > 0]
             at = np.array([secant_at(e.at, 1e-10) for e in own])
-            load, column = joint_load(arm, motion.state, joint)
+            load, column = joint_load(arm, motion.state, joint, rigid)
             gear = Gear(1 / at, np.array([e.damping for e in own]), 0 * at, 0 * at)
             lags = link_lag(load[:, None], column[:, joint, None], t, gear)
-            change = link_lag_torque(arm, motion, joint, *(x.T for x in lags))
+            change = link_lag_torque(arm, motion, joint, rigid, *(x.T for x in lags))
             for e, a, torque in zip(own, at.tolist(), change, strict=True):
                 found[e] = (torque / a).to(motion.q).unsqueeze(-1)
         for e in elastic:
-            yield found[e] if e in found else e.torque_columns(motion, robot)
+            yield found[e] if e in found else e._deflected(motion, arm, rigid)
 
     def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Secant of the torque of all joints over the joint's compliance (T, n, 1)."""
-        if self.damping > 0:
-            return next(self.columns_of([self], motion, robot))
-        arm, t = needed(robot, self.name), motion.require("t", self.name)
+        return next(self.columns_of([self], motion, robot))
+
+    def _deflected(self, motion: Motion, arm: Robot, rigid: Float[Tensor, "T n"]) -> Columns:
+        """The same of a link that does not ring."""
+        t = motion.require("t", self.name)
         at = secant_at(self.at, 1e-10)
         load = motion.require("torque", self.name)[:, self.joint].double()
         # Twice: the deflection changes the torque that causes it.
-        change = self._change(arm, motion, t, at * load)[:, self.joint]
+        change = self._change(arm, motion, rigid, at * load)[:, self.joint]
         # Two instants are needed for a rate to filter at.
         load = load + (low_passed(change, 1 / interval(t), self.band) if len(t) > 1 else change)
-        return (self._change(arm, motion, t, at * load) / at).to(motion.q).unsqueeze(-1)
+        return (self._change(arm, motion, rigid, at * load) / at).to(motion.q).unsqueeze(-1)
 
     def sharp(self) -> "list[JointElasticity]":
         """Links that swing, of several compliances and dampings."""
@@ -239,11 +242,12 @@ class JointElasticity(OneJointEffect):
         return [replace(self, at=self.at * c, damping=self.damping * d) for c, d in steps]
 
     def _change(
-        self, robot: Robot, motion: Motion, t: Float[Tensor, " T"], lag: Float[Tensor, " T"]
+        self, robot: Robot, motion: Motion, rigid: Float[Tensor, "T n"], lag: Float[Tensor, " T"]
     ) -> Float[Tensor, "T n"]:
         """Change of the torque by a deflection."""
+        t = motion.require("t", self.name)
         rate = derivative(lag, t)
-        return link_lag_torque(robot, motion, self.joint, lag, rate, derivative(rate, t))
+        return link_lag_torque(robot, motion, self.joint, rigid, lag, rate, derivative(rate, t))
 
     def measured(
         self, motion: Motion, values: Sequence[float], robot: Robot | None = None

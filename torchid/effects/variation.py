@@ -101,6 +101,7 @@ def link_lag_torque(
     robot: Robot,
     motion: Motion,
     joint: int,
+    rigid: Float[Tensor, "T n"],
     by: Float[Tensor, "*batch T"],
     rate: Float[Tensor, "*batch T"],
     acceleration: Float[Tensor, "*batch T"],
@@ -111,12 +112,13 @@ def link_lag_torque(
         robot: with parameters.
         motion: of the motors.
         joint: whose link lags.
+        rigid: the model's torque along the motion, as `rigid_torque` has it [N m; N].
         by, rate, acceleration: angle by which it lags, and its derivatives.
     """
     lags = zip(motion.state, (by, rate, acceleration), strict=True)
     q, dq, ddq = (x[:, joint].double() - lag.double() for x, lag in lags)
     lagging = torques_of_one_joint(robot, motion.state, joint, (q, dq, ddq))
-    return lagging - rigid_torque(robot, *motion.state).T.contiguous().T
+    return lagging - rigid.T.contiguous().T
 
 
 def secant_at(at: float, smallest: float) -> float:

@@ -387,12 +387,13 @@ class Windows:
         likely: list[tuple[int, float, Span]] = []
         spans: Spans = []
         scales: list[float] = []
+        once = [self.once(start, start + length) for _, start, length in self.looked]
         while len(likely) < MOST_CONTACTS:
             best: tuple[bool, float, int, int, float] | None = None
             # Windows of each length that gain most, and how long the push is that gains most.
             closely: list[tuple[float, int, int, Span]] = []
             for i, (gain, start, length) in enumerate(self.looked):
-                free = _free(start, length, spans) & self.once(start, start + length)
+                free = _free(start, length, spans) & once[i]
                 masked = gain.masked_fill(~free, -math.inf)
                 for k in masked.argsort(descending=True)[:WINDOWS_EACH].tolist():
                     if masked[k] > -math.inf:

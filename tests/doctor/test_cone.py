@@ -1,0 +1,36 @@
+"""Bodies that fit best: at the optimum, from wherever the search begins."""
+
+import numpy as np
+import pytest
+
+from torchid.doctor.cone import Normal, fit
+
+ROWS, JOINTS, PARAMETERS, UNKNOWNS = 40, 2, 12, 90
+
+
+def rows(seed: int) -> tuple[Normal, np.ndarray]:
+    """Normal equations of one block of rows, and what may be."""
+    draw = np.random.default_rng(seed)
+    a = draw.normal(size=(JOINTS, ROWS, PARAMETERS))
+    y = draw.normal(size=(JOINTS, ROWS, 1))
+    count = np.full((1, JOINTS), ROWS)
+    products = (a.transpose(0, 2, 1) @ a)[None], (a.transpose(0, 2, 1) @ y)[None, ..., 0]
+    normal = Normal(*products, np.square(y).sum((1, 2))[None], count, y.var((1, 2)))
+    return normal, np.abs(draw.normal(size=(PARAMETERS, UNKNOWNS)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_unknown_helps_at_the_optimum_wherever_the_search_begins(seed: int) -> None:
+    normal, bodies = rows(seed)
+    weights = np.ones(JOINTS)
+    found = fit(normal, bodies, weights)
+    weight = weights / normal.spread
+    gram, cross = np.tensordot(weight, normal.gram[0], 1), weight @ normal.cross[0]
+    helps = bodies.T @ (cross - gram @ found.x)
+    scale = np.abs(bodies.T @ cross).max()
+    assert len(found.used)
+    assert np.abs(helps[found.used]).max() < 1e-9 * scale
+    assert helps.max() < 1e-9 * scale
+    others = np.setdiff1d(np.arange(UNKNOWNS), found.used)
+    for used in (found.used, others):
+        assert np.allclose(fit(normal, bodies, weights, used).x, found.x, atol=1e-9)
