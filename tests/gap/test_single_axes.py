@@ -150,3 +150,32 @@ def test_torque_that_follows_no_model_is_a_gap():
     assert found.status == "detected_unexplained"
     assert "does not follow the model" in found.answer.headline
     assert "no gap" not in str(found.answer).lower()
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_one_path_at_two_speeds_is_not_asked_for_again(again):
+    """Dry and viscous friction on a path at 10 and 20 degrees/s: its speeds are there, its noise
+    where one of them is there twice."""
+    logs, random, smooth = [], np.random.default_rng(0), np.hanning(41) / np.hanning(41).sum()
+    for name, degrees in [("slow", 10.0), ("fast", 20.0), ("fast again", 20.0)][: 2 + again]:
+        speed, parts = np.radians(degrees), []
+        for way in np.radians([60.0, -50.0, 30.0, -40.0]):
+            parts += [np.zeros(200), np.full(int(200 * abs(way) / speed), np.sign(way))]
+        dq = np.convolve(speed * np.concatenate(parts), smooth, "same")
+        q, t = np.cumsum(dq) / 200, np.arange(len(dq)) / 200
+        tau = 0.5 * np.tanh(dq / 0.01) + 0.8 * dq + 0.01 * random.standard_normal(len(t))
+        logs.append(torchid.Log(t, q[:, None], tau=tau[:, None], names=(name,)))
+    settings = torchid.GapSettings(
+        rollout=False, effects=("viscous_friction", "coulomb_friction"), parameters="trusted"
+    )
+    log = torchid.Log.concatenate(logs)
+    found = torchid.diagnose(single_axis(), log, settings=settings, force=True)
+    advice = [w for w in found.warnings if "noise" in w]
+    assert advice == (
+        []
+        if again
+        else [
+            "Next time: record fast again at the same speed, which bounds the noise. slow has its "
+            "path at 0.5 times the speed: that tells friction by speed alone."
+        ]
+    )

@@ -43,6 +43,9 @@ from torchid.robot.library import load_robot
 EDGE = round(3 * RATE / 8.0)
 """Samples left out at both ends: three periods of the cut-off."""
 
+FLOOR = {"low": [1e-9] * 3, "high": [0.4] * 3, "source": "bracket"}
+"""Noise of a log that repeats nothing."""
+
 NOISE = torch.tensor([0.5, 0.4, 0.2], dtype=torch.float64)
 
 
@@ -264,9 +267,8 @@ def test_pairs_of_a_diagnosis(robot):
 
 
 def test_without_repeats_the_noise_is_the_upper_bound_and_a_background_is_fitted(robot):
-    floor = {"low": [1e-9] * 3, "high": [0.4] * 3, "source": "bracket"}
     settings = {"background": ["viscous_friction"], "parameters": "free"}
-    found = left_open(robot, noise_floor=floor, settings=settings)
+    found = left_open(robot, noise_floor=FLOOR, settings=settings)
     torch.testing.assert_close(found.setting.noise, torch.full((3,), 0.4, dtype=torch.float64))
     assert found.setting.free
     assert (ViscousFriction(2),) in found.setting.fitted
@@ -331,7 +333,9 @@ def test_untestable_effects_are_asked_for_at_a_tenth_of_the_torque(robot):
         ({"corrected": None}, "(?s)corrected model.*write it again"),
         ({"which": [found_effect("contact", 1, ambiguous_with=["saturation"])]},
          "(?s)no motion settles.*contact of joint"),
-        ({"which": [], "status": "detected_unexplained"}, "(?s)drive one trajectory twice"),
+        ({"which": [], "status": "detected_unexplained", "noise_floor": FLOOR},
+         "(?s)drive one trajectory twice"),
+        ({"which": [], "status": "detected_unexplained"}, "no effect found$"),
     ],
 )  # fmt: skip
 def test_diagnoses_that_ask_for_no_motion(robot, changes, match):
