@@ -24,7 +24,7 @@ from torchid.identification.base_parameters import base_parameters
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.next_motion.ambiguity import open_questions, rivals
 from torchid.next_motion.rows import RATE, Rows, Setting
-from torchid.next_motion.separating_motion import _hardly, design_separation
+from torchid.next_motion.separating_motion import Separation, _hardly, design_separation
 from torchid.next_motion.separation import (
     DECISIVE,
     SAME_SHARE,
@@ -239,6 +239,32 @@ def test_what_no_motion_settles_is_refused_with_what_would(robot, setting):
     assert found.hopeless == tuple(lost)
     said = separation_verdict(found, "not_testable")
     assert "No motion tried settles payload; encoder_offset of joint 1" in said
+
+
+@pytest.mark.parametrize(
+    ("kind", "told", "of_plain", "said"),
+    [
+        ("not_testable", [2.0, 1.5], [0.1, 1.5],
+         "Drive this motion: of 2 causes that the log could not have shown this one shows 2, where "
+         "a cause is a tenth of the joint's torque: viscous friction of joint 2 and coulomb "
+         "friction of joint 1; a plain exciting motion of the same length 1."),
+        ("not_testable", [0.1, 0.1], [0.1, 0.1], "Drive another motion: of 2 causes"),
+        ("ambiguity", [0.4, 1.5], [0.1, 1.5],
+         "Drive this motion: it is expected to settle 1 of 2 questions about viscous friction and "
+         "Coulomb friction, a plain exciting motion of the same length 1. The hardest, "
+         "viscous_friction, joint 2, takes 3 drives."),
+        ("ambiguity", [0.01, 1.5], [0.01, 1.5],
+         "It will hardly settle viscous_friction, joint 2."),
+        ("ambiguity", [1.0, 1.5], [1.0, 1.5], "Drive this motion, or a plain one: it is expected "
+         "to settle 2 of 2 questions"),
+    ],
+)  # fmt: skip
+def test_what_to_drive_is_said_first(robot, kind, told, of_plain, said):
+    motion = random_trajectory(robot, 1, fill=True, duration=8.0)
+    pairs = (pair(ViscousFriction(1), [1.0]), pair(CoulombFriction(0), [1.0]))
+    numbers = [tuple(Discrimination(DECISIVE * x, x) for x in both) for both in (of_plain, told)]
+    found = Separation(motion, motion, pairs, *numbers, (), (), None)
+    assert said in separation_verdict(found, kind)
 
 
 def left_open(model, robot=None, **changes):
