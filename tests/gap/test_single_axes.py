@@ -63,12 +63,12 @@ def looping(length: float = 0.004, *, bent: bool = False, amplitudes=(0.012, 0.0
     return torchid.Log.concatenate(logs)
 
 
-def late(seconds: float):
-    """Plain friction on the same slide, logged late."""
+def late(*seconds: float):
+    """Plain friction on the same slide, logged late: by one time, or by one a motion."""
     t, random, logs = np.arange(0.0, 20.0, 1 / 200), np.random.default_rng(1), []
-    for amplitude in (0.012, 0.018, 0.030):
+    for amplitude, own in zip((0.012, 0.018, 0.030), (*seconds, *2 * seconds), strict=False):
         q = amplitude * (np.sin(np.pi * t) + 0.2 * np.sin(1.07 * t))
-        s = t - seconds
+        s = t - own
         dq = amplitude * (np.pi * np.cos(np.pi * s) + 0.2 * 1.07 * np.cos(1.07 * s))
         noise = 20 * random.standard_normal(len(t))
         tau = 800 * np.tanh(dq / 0.002) + 2000 * dq + noise
@@ -101,6 +101,14 @@ def test_a_lag_is_still_a_lag(seconds):
         "doubtful" if seconds < 0.1 else "wrong"
     )  # how much of it bodies explain
     assert lag.estimate == pytest.approx(seconds, abs=0.002)
+
+
+def test_lags_that_differ_from_motion_to_motion_are_none():
+    result = torchid.examine(single_axis("P", known=False), late(0.02, 0.05, 0.08), first=True)
+    (lag,) = [c for c in result.checks if c.name == "lag"]
+    assert lag.verdict == "cannot tell"
+    assert lag.evidence.endswith("a lag would be one time in all of them")
+    assert lag.repairs == ()
 
 
 @pytest.mark.slow
