@@ -9,6 +9,7 @@ import torch
 import torchid
 from tests.arms import single_axis
 from tests.marks import some
+from torchid.report.causes import cause_table
 
 
 def turning(seconds: float = 40.0, *, velocity: bool = True) -> torchid.Log:
@@ -146,6 +147,10 @@ def test_a_load_on_a_vertical_axis_has_no_mass(out):
     known = {s.name: s.value for s in load.sizes if s.determined}
     assert known == ({} if out else {"Jzz": pytest.approx(0.5 * inertia, rel=0.05)})
     assert "kg" not in found.answer.headline.replace("kg m²", "")
+    assert load.values().endswith("; mass not told")
+    (row,) = cause_table(found.record).rows
+    assert str(row[2]).startswith("m, not determined" if out else "Jzz = ")
+    assert "m = " not in str(row[2])
 
 
 def test_torque_that_follows_no_model_is_a_gap():

@@ -145,8 +145,7 @@ def separation_verdict(s: Separation, kind: str) -> str:
         )
     else:
         names = listed(dict.fromkeys(effect_words(r.truth.effect.name) for r in s.rivals))
-        k = min(range(of_all), key=lambda k: s.after[k].reached)
-        rival, told = s.rivals[k], s.after[k]
+        rival, told = min(zip(s.rivals, s.after, strict=True), key=lambda pair: pair[1].reached)
         hardest = _place(rival) + (f" against {rival.name}" if rival.name else "")
         times = math.ceil(DECISIVE / max(told.difference, 1e-9))
         out = (
