@@ -178,6 +178,8 @@ def _lags_apart(judge: Judge, at: Callable[[float], Hypothesis], late: float) ->
     """The runs whose own lags are farthest apart, in words; empty where they may be the lag of all
     [s], or differ by less than half of it. Bodies are those of all runs at each lag."""
     runs, pieces = pieces_of_runs(judge)
+    if len(runs) < 2:
+        return ""
     lags = (late * _SHARES).tolist()
     parts = np.arange(PIECES * len(runs)).reshape(-1, PIECES)
     # Of each run all pieces, then all but one after the other.
@@ -193,8 +195,6 @@ def _lags_apart(judge: Judge, at: Callable[[float], Hypothesis], late: float) ->
         left_out = torch.tensor(without, dtype=torch.float64).unsqueeze(1)
         ends = from_left_out(left_out).interval(left_out.new_tensor([best]))[0].tolist()
         own.append((best, *ends, judge.samples.names[run]))
-    if not own:
-        return ""
     (least, _, below, first), (most, above, _, last) = min(own), max(own)
     if below >= above or most - least < 0.5 * abs(late):
         return ""
