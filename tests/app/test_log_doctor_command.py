@@ -34,7 +34,9 @@ def test_a_log_that_other_commands_refuse_is_examined_and_mended(bad: Path, tmp_
     copy, out = tmp_path / "mended.parquet", tmp_path / "out"
     text = run("log", "doctor", "3r_friction", bad, "--apply", copy, "--out", out, code=1)
     assert "degrees" in text
-    assert "fine: " in text
+    first, rest = text.split("Do first: ")
+    assert "Wrong: position unit." in first
+    assert "fine: " in rest
     assert bad.read_bytes() == before
     data = json.loads((out / "doctor.json").read_text())
     assert data["schema"] == "torchid.doctor/1"

@@ -9,6 +9,7 @@ import torch
 import torchid
 from tests.arms import single_axis
 from tests.marks import some
+from torchid.report.causes import cause_table
 
 
 def turning(seconds: float = 40.0, *, velocity: bool = True) -> torchid.Log:
@@ -63,12 +64,12 @@ def looping(length: float = 0.004, *, bent: bool = False, amplitudes=(0.012, 0.0
     return torchid.Log.concatenate(logs)
 
 
-def late(seconds: float):
-    """Plain friction on the same slide, logged late."""
+def late(*seconds: float):
+    """Plain friction on the same slide, logged late: by one time, or by one a motion."""
     t, random, logs = np.arange(0.0, 20.0, 1 / 200), np.random.default_rng(1), []
-    for amplitude in (0.012, 0.018, 0.030):
+    for amplitude, own in zip((0.012, 0.018, 0.030), (*seconds, *2 * seconds), strict=False):
         q = amplitude * (np.sin(np.pi * t) + 0.2 * np.sin(1.07 * t))
-        s = t - seconds
+        s = t - own
         dq = amplitude * (np.pi * np.cos(np.pi * s) + 0.2 * 1.07 * np.cos(1.07 * s))
         noise = 20 * random.standard_normal(len(t))
         tau = 800 * np.tanh(dq / 0.002) + 2000 * dq + noise
@@ -101,6 +102,14 @@ def test_a_lag_is_still_a_lag(seconds):
         "doubtful" if seconds < 0.1 else "wrong"
     )  # how much of it bodies explain
     assert lag.estimate == pytest.approx(seconds, abs=0.002)
+
+
+def test_lags_that_differ_from_motion_to_motion_are_none():
+    result = torchid.examine(single_axis("P", known=False), late(0.02, 0.05, 0.08), first=True)
+    (lag,) = [c for c in result.checks if c.name == "lag"]
+    assert lag.verdict == "cannot tell"
+    assert lag.evidence.endswith("a lag would be one time in all of them")
+    assert lag.repairs == ()
 
 
 @pytest.mark.slow
@@ -138,6 +147,10 @@ def test_a_load_on_a_vertical_axis_has_no_mass(out):
     known = {s.name: s.value for s in load.sizes if s.determined}
     assert known == ({} if out else {"Jzz": pytest.approx(0.5 * inertia, rel=0.05)})
     assert "kg" not in found.answer.headline.replace("kg m²", "")
+    assert load.values().endswith("; mass not told")
+    (row,) = cause_table(found.record).rows
+    assert str(row[2]).startswith("m, not determined" if out else "Jzz = ")
+    assert "m = " not in str(row[2])
 
 
 def test_torque_that_follows_no_model_is_a_gap():
@@ -150,3 +163,32 @@ def test_torque_that_follows_no_model_is_a_gap():
     assert found.status == "detected_unexplained"
     assert "does not follow the model" in found.answer.headline
     assert "no gap" not in str(found.answer).lower()
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_one_path_at_two_speeds_is_not_asked_for_again(again):
+    """Dry and viscous friction on a path at 10 and 20 degrees/s: its speeds are there, its noise
+    where one of them is there twice."""
+    logs, random, smooth = [], np.random.default_rng(0), np.hanning(41) / np.hanning(41).sum()
+    for name, degrees in [("slow", 10.0), ("fast", 20.0), ("fast again", 20.0)][: 2 + again]:
+        speed, parts = np.radians(degrees), []
+        for way in np.radians([60.0, -50.0, 30.0, -40.0]):
+            parts += [np.zeros(200), np.full(int(200 * abs(way) / speed), np.sign(way))]
+        dq = np.convolve(speed * np.concatenate(parts), smooth, "same")
+        q, t = np.cumsum(dq) / 200, np.arange(len(dq)) / 200
+        tau = 0.5 * np.tanh(dq / 0.01) + 0.8 * dq + 0.01 * random.standard_normal(len(t))
+        logs.append(torchid.Log(t, q[:, None], tau=tau[:, None], names=(name,)))
+    settings = torchid.GapSettings(
+        rollout=False, effects=("viscous_friction", "coulomb_friction"), parameters="trusted"
+    )
+    log = torchid.Log.concatenate(logs)
+    found = torchid.diagnose(single_axis(), log, settings=settings, force=True)
+    advice = [w for w in found.warnings if "noise" in w]
+    assert advice == (
+        []
+        if again
+        else [
+            "Next time: record fast again at the same speed, which bounds the noise. slow has its "
+            "path at 0.5 times the speed: that tells friction by speed alone."
+        ]
+    )

@@ -24,7 +24,7 @@ from torchid.identification.base_parameters import base_parameters
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.next_motion.ambiguity import open_questions, rivals
 from torchid.next_motion.rows import RATE, Rows, Setting
-from torchid.next_motion.separating_motion import _hardly, design_separation
+from torchid.next_motion.separating_motion import Separation, _hardly, design_separation
 from torchid.next_motion.separation import (
     DECISIVE,
     SAME_SHARE,
@@ -42,6 +42,9 @@ from torchid.robot.library import load_robot
 
 EDGE = round(3 * RATE / 8.0)
 """Samples left out at both ends: three periods of the cut-off."""
+
+FLOOR = {"low": [1e-9] * 3, "high": [0.4] * 3, "source": "bracket"}
+"""Noise of a log that repeats nothing."""
 
 NOISE = torch.tensor([0.5, 0.4, 0.2], dtype=torch.float64)
 
@@ -238,6 +241,32 @@ def test_what_no_motion_settles_is_refused_with_what_would(robot, setting):
     assert "No motion tried settles payload; encoder_offset of joint 1" in said
 
 
+@pytest.mark.parametrize(
+    ("kind", "told", "of_plain", "said"),
+    [
+        ("not_testable", [2.0, 1.5], [0.1, 1.5],
+         "Drive this motion: of 2 causes that the log could not have shown this one shows 2, where "
+         "a cause is a tenth of the joint's torque: viscous friction of joint 2 and coulomb "
+         "friction of joint 1; a plain exciting motion of the same length 1."),
+        ("not_testable", [0.1, 0.1], [0.1, 0.1], "Drive another motion: of 2 causes"),
+        ("ambiguity", [0.4, 1.5], [0.1, 1.5],
+         "Drive this motion: it is expected to settle 1 of 2 questions about viscous friction and "
+         "Coulomb friction, a plain exciting motion of the same length 1. The hardest, "
+         "viscous_friction, joint 2, takes 3 drives."),
+        ("ambiguity", [0.01, 1.5], [0.01, 1.5],
+         "It will hardly settle viscous_friction, joint 2."),
+        ("ambiguity", [1.0, 1.5], [1.0, 1.5], "Drive this motion, or a plain one: it is expected "
+         "to settle 2 of 2 questions"),
+    ],
+)  # fmt: skip
+def test_what_to_drive_is_said_first(robot, kind, told, of_plain, said):
+    motion = random_trajectory(robot, 1, fill=True, duration=8.0)
+    pairs = (pair(ViscousFriction(1), [1.0]), pair(CoulombFriction(0), [1.0]))
+    numbers = [tuple(Discrimination(DECISIVE * x, x) for x in both) for both in (of_plain, told)]
+    found = Separation(motion, motion, pairs, *numbers, (), (), None)
+    assert said in separation_verdict(found, kind)
+
+
 def left_open(model, robot=None, **changes):
     """What a diagnosis by hand leaves open, as it would be read from its file."""
     data = json.dumps(open_gap(model, **changes)).encode()
@@ -264,9 +293,8 @@ def test_pairs_of_a_diagnosis(robot):
 
 
 def test_without_repeats_the_noise_is_the_upper_bound_and_a_background_is_fitted(robot):
-    floor = {"low": [1e-9] * 3, "high": [0.4] * 3, "source": "bracket"}
     settings = {"background": ["viscous_friction"], "parameters": "free"}
-    found = left_open(robot, noise_floor=floor, settings=settings)
+    found = left_open(robot, noise_floor=FLOOR, settings=settings)
     torch.testing.assert_close(found.setting.noise, torch.full((3,), 0.4, dtype=torch.float64))
     assert found.setting.free
     assert (ViscousFriction(2),) in found.setting.fitted
@@ -331,7 +359,9 @@ def test_untestable_effects_are_asked_for_at_a_tenth_of_the_torque(robot):
         ({"corrected": None}, "(?s)corrected model.*write it again"),
         ({"which": [found_effect("contact", 1, ambiguous_with=["saturation"])]},
          "(?s)no motion settles.*contact of joint"),
-        ({"which": [], "status": "detected_unexplained"}, "(?s)drive one trajectory twice"),
+        ({"which": [], "status": "detected_unexplained", "noise_floor": FLOOR},
+         "(?s)drive one trajectory twice"),
+        ({"which": [], "status": "detected_unexplained"}, "no effect found$"),
     ],
 )  # fmt: skip
 def test_diagnoses_that_ask_for_no_motion(robot, changes, match):

@@ -1,6 +1,7 @@
 """The answer on one screen of a terminal."""
 
 import itertools
+import math
 import subprocess
 import sys
 
@@ -114,14 +115,29 @@ def test_which_model_to_use() -> None:
         "--out DIR"
     )
     assert "--save-model" in model_words(some, None, "r.urdf", [])
-    right = msgspec.structs.replace(answer(2, ()), status="no_gap")
-    assert model_words(right, None, "r.urdf", []).startswith("Use r.urdf as it is")
     # An error without a sure cause is no reason to use a file as it is.
     unsure = msgspec.structs.replace(answer(2, ()), status="detected_unexplained")
     assert model_words(unsure, None, "r.urdf", []) == (
         "This log gives no model that is surely better: r.urdf errs 20 N m, and no cause of it is "
         "sure."
     )
+
+
+@pytest.mark.parametrize("status", ["no_gap", "negligible"])
+@pytest.mark.parametrize(
+    ("noise", "measured", "said"),
+    [
+        ((15.0, 19.0), True, "Use r.urdf as it is: its error of 20 N m is noise (15 to 19)."),
+        ((5.0, 6.0), True, "no better model than r.urdf, which errs 20 N m (noise 5 to 6)."),
+        ((15.0, math.nan), False, "than r.urdf, which errs 20 N m (noise 15 to unknown)."),
+        ((0.0, 30.0), False, "than r.urdf, which errs 20 N m (noise 0 to 30)."),
+    ],
+)
+def test_a_file_is_used_as_it_is_where_its_error_is_noise(status, noise, measured, said) -> None:
+    right = msgspec.structs.replace(
+        answer(2, ()), status=status, noise=noise, noise_measured=measured
+    )
+    assert model_words(right, None, "r.urdf", []).endswith(said)
 
 
 @pytest.mark.parametrize(

@@ -173,5 +173,4 @@ def correct_command(
         with_effects=beside, keep=trials.inputs,
     )  # fmt: skip
     shown = output.keep(done, "correction.json", correction_shown)
-    output.verdict(result.answer.headline)
-    output.tell(shown)
+    output.tell(replace(shown, parts=[result.answer.headline, *shown.parts]))

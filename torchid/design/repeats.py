@@ -202,7 +202,7 @@ def _lags(one: Segment, two: Segment, *, same: bool) -> list[int]:
     """Lags [samples] at which q_one(t) and q_two(t + lag) differ least, coarsely."""
     step = max(1, int(one.rate / _COARSE))
     x, y = one.motion.q[::step].T, two.motion.q[::step].T
-    spread = _spread(one.motion.q).unsqueeze(-1)
+    spread = spread_of(one.motion.q).unsqueeze(-1)
     x, y = x / spread, y / spread
     shortest = round(SHORTEST * one.rate / step)
     if min(x.shape[-1], y.shape[-1]) < shortest + same:  # a motion and itself: a lag at least
@@ -245,7 +245,7 @@ def _difference(
     return lags, (energy - 2 * correlation[lags % size]) / ((stop - start) * x.shape[0])
 
 
-def _spread(q: Samples) -> Float[Tensor, " n"]:
+def spread_of(q: Samples) -> Float[Tensor, " n"]:
     """Standard deviation of each joint, a tenth of the liveliest joint's at least."""
     spread = q[:: max(1, len(q) // 2_000)].std(0)
     return spread.clamp(min=max(1e-12, 0.1 * float(spread.max())))
@@ -287,7 +287,7 @@ def _agreeing(
         (one.motion.dq, two.motion.dq, VELOCITY_AGREES),
     ):
         there = _read(y, slice(start + whole, stop + whole, step), lag - whole)
-        gap = (there - x[start:stop:step]) / _spread(x)
+        gap = (there - x[start:stop:step]) / spread_of(x)
         limit = (looser * tolerance) ** 2
         agrees &= (_local_mean(gap.square().T, one.rate / step) < limit).all(0)
         if not bool(agrees.any()):
@@ -323,7 +323,7 @@ def _read(x: Float[Tensor, "_ n"], rows: slice, shift: float) -> Float[Tensor, "
 def _correction(one: Segment, two: Segment, pairs: Sequence[Pair]) -> float:
     """Seconds to add to the lag, by one step of Gauss-Newton on q_a(t) = q_b(t + lag)."""
     top = bottom = 0.0
-    weight = 1 / _spread(one.motion.q).square()
+    weight = 1 / spread_of(one.motion.q).square()
     step = max(1, int(one.rate / _FINE))
     for p in pairs:
         here, there = (slice(r.start, r.stop, step) for r in (p.rows_a, p.rows_b))
@@ -353,7 +353,7 @@ def _runs(mask: Bool[Tensor, " T"]) -> list[tuple[int, int]]:
 def _moves(q: Samples, rows: slice) -> bool:
     """Whether some joint moves in these rows as it does in the trajectory."""
     part = q[rows][:: max(1, (rows.stop - rows.start) // 20_000)]
-    return bool((part.std(0) > MOVES * _spread(q)).any())
+    return bool((part.std(0) > MOVES * spread_of(q)).any())
 
 
 @dataclass(frozen=True)

@@ -1,20 +1,23 @@
 """What torque tells with an interval: where gravity points, and how late torque is logged."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 import numpy as np
+import torch
 from msgspec import structs
 
 from torchid.doctor.check import Check, judged, said, with_choices
-from torchid.doctor.cone import OWN
+from torchid.doctor.cone import OWN, fit
 from torchid.doctor.faults import choices_of, gravity_fix, improvement_text
-from torchid.doctor.hypothesis import Hypothesis, Judge, minimum, profile
+from torchid.doctor.hypothesis import Hypothesis, Judge, lowest, minimum, profile
 from torchid.doctor.repair import ShiftTorque
+from torchid.doctor.runs import PIECES, loss_of, pieces_of_runs
 from torchid.doctor.search import CLEAR, EXPLAINED, TIE, Search
 from torchid.log.model import Log
 from torchid.robot.model import joint_list
+from torchid.statistics.jackknife import from_left_out
 
 TILT = math.radians(5.0)
 """Tilts below this are within what a floor, a flange and a model of the friction make."""
@@ -30,6 +33,8 @@ this size explains away, leaves less to gain. On healthy logs it was 0.12 at mos
 _LOOPS = tuple(math.log(0.03 * 2**k) for k in range(6))
 """Logarithms of the shares of half a joint's range that are tried for a loop over position."""
 _GRID = (-0.04, -0.02, 0.02, 0.04)
+_SHARES = np.linspace(-0.5, 2.5, 13)
+"""Of a lag of all runs, that a run's own may be."""
 
 
 def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> Check:
@@ -104,7 +109,7 @@ def looped(judge: Judge, result: Search) -> Judge | None:
     """A judge with a loop over position in the place of dry friction that steps, where a log's
     torque looks late and this explains it better: a lag is one time at all speeds and amplitudes,
     a loop is one distance. None where the torque is late, or nothing is."""
-    lag, end = check_lag(judge, result), result.final.hypothesis
+    lag, end = check_lag(judge, result, by_run=False), result.final.hypothesis
     if lag.verdict not in ("wrong", "doubtful") or not isinstance(lag.estimate, float):
         return None
     late = judge.score(replace(end, late=lag.estimate)).loss
@@ -122,8 +127,14 @@ def looped(judge: Judge, result: Search) -> Judge | None:
     return Judge(judge.robot, judge.samples.looped(share)) if least < late else None
 
 
-def check_lag(judge: Judge, result: Search) -> Check:
-    """Lag of torque behind position [s], with an interval."""
+def check_lag(judge: Judge, result: Search, *, by_run: bool = True) -> Check:
+    """Lag of torque behind position [s], with an interval; it is none where runs differ in theirs.
+
+    Args:
+        judge: of the log.
+        result: of the search for faults.
+        by_run: whether each run's own is looked at.
+    """
     end = result.final.hypothesis
     reach = judge.samples.reach - 1e-6
     if not judge.live(end):
@@ -150,6 +161,9 @@ def check_lag(judge: Judge, result: Search) -> Check:
     clear = long and gain > CLEAR
     likely = away > least and gain > LIKELY
     if (clear or likely) and result.explained:
+        if by_run and (apart := _lags_apart(judge, at, found.value)):
+            evidence = f"{text}; {apart}: a lag would be one time in all of them"
+            return structs.replace(check, verdict="cannot tell", evidence=evidence)
         repair = ShiftTorque(float(f"{found.value:.4g}"))
         # A delay, gears or friction of the arm's own look the same where bodies explain the torque.
         live = judge.live(end)
@@ -158,6 +172,33 @@ def check_lag(judge: Judge, result: Search) -> Check:
     if half > 0.05 or searched or long or not result.explained:
         return structs.replace(check, verdict="cannot tell")
     return check
+
+
+def _lags_apart(judge: Judge, at: Callable[[float], Hypothesis], late: float) -> str:
+    """The runs whose own lags are farthest apart, in words; empty where they may be the lag of all
+    [s], or differ by less than half of it. Bodies are those of all runs at each lag."""
+    runs, pieces = pieces_of_runs(judge)
+    if len(runs) < 2:
+        return ""
+    lags = (late * _SHARES).tolist()
+    parts = np.arange(PIECES * len(runs)).reshape(-1, PIECES)
+    # Of each run all pieces, then all but one after the other.
+    some = [[own, *(np.delete(own, k) for k in range(PIECES))] for own in parts]
+    losses = []
+    for lag in lags:
+        normal = judge.normal(at(lag), pieces)
+        x = fit(normal, judge.cone).x
+        losses.append([[loss_of(normal, left, x) for left in own] for own in some])
+    own = []
+    for run, each in zip(runs, np.array(losses).transpose(1, 2, 0), strict=True):
+        best, *without = (lowest(lags, x.tolist()) for x in each)
+        left_out = torch.tensor(without, dtype=torch.float64).unsqueeze(1)
+        ends = from_left_out(left_out).interval(left_out.new_tensor([best]))[0].tolist()
+        own.append((best, *ends, judge.samples.names[run]))
+    (least, _, below, first), (most, above, _, last) = min(own), max(own)
+    if below >= above or most - least < 0.5 * abs(late):
+        return ""
+    return f"{1e3 * least:.1f} ms in {first} and {1e3 * most:.1f} ms in {last}"
 
 
 CONDITION = 300.0

@@ -316,6 +316,12 @@ def minimum(loss: Callable[[float], float], grid: Sequence[float], step: float) 
     return min(at, key=lambda x: at[x])
 
 
+def lowest(values: Sequence[float], losses: Sequence[float]) -> float:
+    """The lowest point of the parabola around the lowest of some values, as far apart as others."""
+    k = min(max(int(np.argmin(losses)), 1), len(values) - 2)
+    return _vertex(values[k - 1 : k + 2], losses[k - 1 : k + 2])
+
+
 def _vertex(values: Sequence[float], losses: Sequence[float]) -> float:
     """The lowest point of the parabola through three points, at most two steps away."""
     a, b, c = losses

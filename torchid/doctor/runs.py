@@ -40,15 +40,10 @@ class _Own:
 def check_runs(judge: Judge, hypothesis: Hypothesis) -> list[Check]:
     """A check whether one run agrees with the others with a load of its own alone; nothing where
     there are not two runs that are long enough to be held against each other."""
-    owner, names = judge.samples.run.numpy(), judge.samples.names
-    count = np.bincount(owner, minlength=len(names))
-    runs = np.flatnonzero(count >= PIECES * LEAST_ROWS).tolist()
+    runs, pieces = pieces_of_runs(judge)
     if len(runs) < 2 or not judge.live(hypothesis):
         return []
-    piece = np.full(len(owner), PIECES * len(runs))
-    for place, run in enumerate(runs):
-        piece[owner == run] = PIECES * place + np.arange(count[run]) * PIECES // count[run]
-    normal = judge.normal(hypothesis, [piece == k for k in range(piece.max() + 1)])
+    normal, names = judge.normal(hypothesis, pieces), judge.samples.names
     plain = judge.fit(normal)
     n = judge.robot.n  # columns of the last link's parameters among those of all links
     last = np.r_[n - 1, n + 3 * (n - 1) : 4 * n, 4 * n + 6 * (n - 1) : 10 * n]
@@ -61,12 +56,24 @@ def check_runs(judge: Judge, hypothesis: Hypothesis) -> list[Check]:
             load = _Own(last, sign * body)
             wide, cone = _with_own(normal, judge.cone, mine, load)
             x = fit(wide, cone, plain.weights, plain.used).x
-            gain = _loss(normal, mine, plain.x) - _loss(wide, mine, x)
+            gain = loss_of(normal, mine, plain.x) - loss_of(wide, mine, x)
             looked += [(gain, names[run], mine, load)] if gain > CLEAR else []
     for _, name, mine, load in sorted(looked, key=lambda x: -x[0])[:MOST_LOOKED]:
         if (found := _contradicts(judge, normal, name, mine, load)) is not None:
             return [found]
     return [said("runs", "fine", count=len(runs))]
+
+
+def pieces_of_runs(judge: Judge) -> tuple[list[int], list[np.ndarray]]:
+    """Runs that are long enough to be held against each other; and which rows are in each of the
+    `PIECES` of one after the other, at the end those of no such run."""
+    owner = judge.samples.run.numpy()
+    count = np.bincount(owner, minlength=len(judge.samples.names))
+    runs = np.flatnonzero(count >= PIECES * LEAST_ROWS).tolist()
+    piece = np.full(len(owner), PIECES * len(runs))
+    for place, run in enumerate(runs):
+        piece[owner == run] = PIECES * place + np.arange(count[run]) * PIECES // count[run]
+    return runs, [piece == k for k in range(piece.max() + 1)]
 
 
 def _contradicts(
@@ -98,7 +105,7 @@ def _left_out(
     (B, columns) values of its own parameters."""
     wide, bodies = _with_own(normal, cone, mine, own)
     fits = [fit(wide.without(k), bodies).x for k in mine]
-    losses = [_loss(wide, np.array([k]), x) for k, x in zip(mine, fits, strict=True)]
+    losses = [loss_of(wide, np.array([k]), x) for k, x in zip(mine, fits, strict=True)]
     return np.array(losses), np.stack(fits)[:, normal.gram.shape[-1] :]
 
 
@@ -116,7 +123,7 @@ def _with_own(
     return replace(normal, gram=gram, cross=cross), bodies
 
 
-def _loss(normal: Normal, parts: np.ndarray, x: np.ndarray) -> float:
+def loss_of(normal: Normal, parts: np.ndarray, x: np.ndarray) -> float:
     """Sum of the joints' log errors in some parts."""
     some = normal.part(parts)
     count = some.count.sum(0)

@@ -87,13 +87,13 @@ def open_questions(record: GapRecord, robot: Robot, source: str) -> Open:
             + ("every effect that a motion can bring about was testable, and every one found has "
                "one name." if not notes else "no motion settles the remainder."),
             got="; ".join([f"status {record.status}", *(found or ["no effect found"]), *notes]),
-            hint=_unexplained(record.status),
+            hint=_unexplained(record),
         )  # fmt: skip
     return Open(kind, setting, tuple(asked), tuple(notes))
 
 
-def _unexplained(status: str) -> str | None:
-    if status != "detected_unexplained":
+def _unexplained(record: GapRecord) -> str | None:
+    if record.status != "detected_unexplained" or record.noise_floor.source == "repeats":
         return None
     return "the gap is unexplained: drive one trajectory twice, so that its noise is known"
 

@@ -16,6 +16,7 @@ from torchid.report.cautions import cautions
 from torchid.report.page.answer import first_steps
 from torchid.results.answer import UNCHANGED, Answer, Cause, JointRow, cause_cells, ordered
 from torchid.results.words import count, span, sure
+from torchid.statistics.criteria import EXCESS
 
 MOST_LINES = 23
 """Of the screen; with the prompt's command and the files' line they are 25."""
@@ -209,7 +210,10 @@ def model_words(answer: Answer, model: str | None, given: str, held_out: Sequenc
         held_out: names of logs that took part in nothing; empty where each was left out in turn.
     """
     if answer.status in ("no_gap", "negligible"):
-        return f"Use {given} as it is: this log gives no better model."
+        size, noise = f"{answer.before:.3g} {answer.unit}", span(answer.noise)
+        if answer.noise_measured and answer.before <= math.sqrt(EXCESS) * answer.noise[1]:
+            return f"Use {given} as it is: its error of {size} is noise ({noise})."
+        return f"This log gives no better model than {given}, which errs {size} (noise {noise})."
     if not answer.causes or not answer.after < answer.before:
         errs = f"{given} errs" if answer.given == "as given" else "a plain servo errs"
         return (

@@ -65,9 +65,10 @@ def _joints(found: FoundEffect | UnnamedEffect | PositionFinding) -> tuple[int, 
 def _values(cause: Cause, found: FoundEffect | UnnamedEffect | PositionFinding | None) -> str:
     """Numbers of a cause, a line each, and its shapes in brackets."""
     values = []
-    for size in cause.sizes[:MOST_SIZES]:
+    for size in sorted(cause.sizes, key=lambda s: not s.determined)[:MOST_SIZES]:
         unsure = size.std is not None and abs(size.value) < HALF_95 * size.std
-        values.append(named_size(size) + (", not determined" if unsure else ""))
+        words = named_size(size) if size.determined else size.name
+        values.append(words + (", not determined" if unsure else ""))
     if not values:
         values = ["see the corrected model" if cause.effect == "link_inertia" else "-"]
     values += ["..."] if len(cause.sizes) > MOST_SIZES else []

@@ -31,9 +31,13 @@ def doctor_shown(examination: Examination) -> Shown:
     """All that there is to see of an examination."""
     names = [c.name for c in examination.checks if c.verdict == "fine"]
     fine = f"fine: {', '.join(names)}" if names else "nothing is fine"
-    told = [fine, f"\n{conclusion(examination)}", choices(examination)]
-    drawn = {"doctor": partial(torque_figure, examination)}
-    return Shown(parts=[doctor_table(examination), *told], figures=drawn)
+    remedy = next((c.fix for c in examination.by_verdict() if c.verdict == "wrong" and c.fix), "")
+    first = f" Do first: {remedy.rstrip('.')}." if remedy else ""
+    return Shown(
+        verdict=f"{conclusion(examination)}{first}",
+        parts=[doctor_table(examination), fine, choices(examination)],
+        figures={"doctor": partial(torque_figure, examination)},
+    )
 
 
 def choices(examination: Examination) -> str:

@@ -17,7 +17,7 @@ from torchid.export.projection import Kept
 from torchid.export.randomisation import Randomisation
 from torchid.feasibility.margins import inertia_eigenvalues
 from torchid.report.table import Shown, Table, cells, joint_numbers
-from torchid.results.words import count, effect_words, joints_words, listed, number_list
+from torchid.results.words import count, effect_words, joints_words, listed, number_list, percent
 from torchid.robot.model import JointType, Robot, joint_unit, torque_unit
 from torchid.simulation.servo import Servos
 from torchid.simulators.joint_dynamics import JointDynamics, Target, split
@@ -68,19 +68,16 @@ def _given(nominal: Robot) -> str:
 def correction_shown(done: Correction) -> Shown:
     """All that there is to see of a correction."""
     judged = done.judged
-    means = [float(x.nanmean()) for x in (judged.engine, judged.full, judged.nominal)]
+    mine, full, before = (float(x.nanmean()) for x in (judged.engine, judged.full, judged.nominal))
     if judged.unit == "%":
-        parts, before = correction_tables(done), f"the {_given(done.nominal)}"
-        errors = "misses {:.1f} % of the joints' torque on average; all effects leave {:.1f} %"
-        end = f", and {before} leaves {means[2]:.0f} %."
+        parts, of, given = correction_tables(done), "% of the torque", f"the {_given(done.nominal)}"
     else:
-        parts = servo_tables(done)
-        errors = "misses the positions by {:.1f} mrad on average; all effects leave {:.1f}"
-        end = f", and the commands themselves are {means[2]:.1f} away."
+        parts, of, given = servo_tables(done), "mrad", "the bare commands"
+    less = f" ({percent(1 - mine / before)} less)" if before > 0 else ""
     warnings = [*done.warnings, *(w for export in done.exports for w in export.warnings)]
     return Shown(
-        verdict=f"On {judged.held_out} {judged.by} with the corrected file "
-        f"{errors.format(*means[:2])}{end}",
+        verdict=f"{done.files[0].name} errs {mine:.1f} {of} in {judged.by}, {given} {before:.1f}"
+        f"{less}, on {judged.held_out}. All effects leave {full:.1f}.",
         parts=parts,
         warnings=dict.fromkeys(warnings),
         last=f"written: {', '.join(map(str, done.files))}",

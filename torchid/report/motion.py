@@ -12,7 +12,7 @@ from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.separation import DECISIVE, Rival, name_pairs, other_means
 from torchid.report.log import trajectory_figure
 from torchid.report.table import Shown, Table, more_rows
-from torchid.results.words import number_list, percent, short
+from torchid.results.words import count, effect_words, listed, number_list, percent, short
 from torchid.robot.model import Robot, joint_unit
 
 
@@ -70,9 +70,7 @@ def torque_table(robot: Robot, use: TorqueUse) -> Table:
     return Table(title, ("joint", "torque", "limit", "share"), rows, least_width=len(title))
 
 
-HARDLY_BETTER = (
-    "the designed motion hardly beats a plain one: driving that a tenth longer tells as much."
-)
+HARDLY_BETTER = "a plain exciting motion, driven a tenth longer, tells as much as the designed one."
 
 
 def friction_warning(use: TorqueUse) -> tuple[str, ...]:
@@ -135,29 +133,29 @@ def separation_verdict(s: Separation, kind: str) -> str:
     """What the motion separates, or shows."""
     of_all = len(s.rivals)
     after, without = (sum(t.reached >= 1 for t in x) for x in (s.after, s.with_plain))
+    drive = "Drive this motion, or a plain one" if s.hardly else "Drive this motion"
+    plain = f"a plain exciting motion of the same length {without}"
     if kind == "not_testable":
+        seen = [r for r, told in zip(s.rivals, s.after, strict=True) if told.reached >= 1]
+        names = listed(name_pairs(seen).replace("_", " ").split("; "), most=3)
         out = (
-            f"Of {of_all} effects and places that the log could not have shown and a motion can, "
-            f"this motion shows {after} where they are a tenth of the joint's torque, a plain "
-            f"exciting motion of the same length {without}."
+            f"{drive if seen else 'Drive another motion'}: of {count(of_all, 'cause')} that the "
+            f"log could not have shown this one shows {after}, where a cause is a tenth of the "
+            f"joint's torque{': ' if seen else ''}{names}; {plain}."
         )
     else:
-        names = " and ".join(dict.fromkeys(r.truth.effect.name for r in s.rivals))
-        k = min(range(of_all), key=lambda k: s.after[k].reached)
-        rival, told = s.rivals[k], s.after[k]
-        other = f" against {rival.name}" if rival.name else ""
-        hardest = f"{_place(rival)}{other}: {told.difference:.3g} in squared residuals over noise"
-        if told.reached < 1 and told.difference >= DECISIVE:
-            hardest += ", but only a small share of what the effect explains"
-        elif told.reached < 1:
-            times = math.ceil(DECISIVE / max(told.difference, 1e-9))
-            hardest += f", {DECISIVE:g} decide" + (
-                f": drive it {times} times" if times < 20 else ""
-            )
+        names = listed(dict.fromkeys(effect_words(r.truth.effect.name) for r in s.rivals))
+        rival, told = min(zip(s.rivals, s.after, strict=True), key=lambda pair: pair[1].reached)
+        hardest = _place(rival) + (f" against {rival.name}" if rival.name else "")
+        times = math.ceil(DECISIVE / max(told.difference, 1e-9))
         out = (
-            f"For {names}, this motion is expected to decide {after} of {of_all} questions, a "
-            f"plain exciting motion of the same length {without}. The hardest is {hardest}."
+            f"{drive}: it is expected to settle {after} of {count(of_all, 'question')} about "
+            f"{names}, {plain}."
         )
+        if told.reached < 1 and (times == 1 or times >= 20):
+            out += f" It will hardly settle {hardest}."
+        elif told.reached < 1:
+            out += f" The hardest, {hardest}, takes {times} drives."
     both = {(r.name, r.truth.effect.name) for r in s.rivals}
     nested = [r for r in s.hopeless if (r.truth.effect.name, r.name) in both]
     for one, other in dict.fromkeys((r.truth.effect.name, r.name) for r in nested):

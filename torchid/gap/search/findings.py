@@ -40,6 +40,7 @@ from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.shares import Shares
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excluding
 from torchid.results.answer import NotTestable
+from torchid.results.words import count
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.statistics.bagging import Draws
@@ -467,8 +468,8 @@ def _notes(
     told = directions(found.question, term)
     if term.name == PAYLOAD and told < len(values):
         out.append(
-            f"the motion determines {told} combinations of the ten parameters only; these values "
-            "are one choice of many with the same torque"
+            f"the motion determines {count(told, 'combination')} of the ten parameters only; these "
+            "values are one choice of many with the same torque"
         )
     if term.name == PAYLOAD:
         # Ten numbers are a body only if their pseudo-inertia is.

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.design.columns import Columns
+from torchid.design.paths import same_paths
 from torchid.effects.registry import EVENTS
 from torchid.gap.data import Data
 from torchid.gap.diagnosis import Trace, is_foreign, unfollowed
@@ -12,9 +13,7 @@ from torchid.gap.folds import FEW
 from torchid.gap.noise.floor import Noise, noise_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import Status
-from torchid.gap.search.evidence import (
-    refit,
-)
+from torchid.gap.search.evidence import refit
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.findings import Findings
 from torchid.gap.search.odds import Misfit
@@ -22,6 +21,7 @@ from torchid.gap.search.solve import Solution, solve_terms
 from torchid.gap.search.terms import BASE, Term, Wanted, excluding, fixed_terms
 from torchid.gap.validate.closing import Closing, closing, known_noise, levels
 from torchid.gap.validate.traces import traces
+from torchid.results.words import listed
 from torchid.robot.model import joint_list, joint_unit
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_length, block_numbers
@@ -30,6 +30,9 @@ from torchid.typing import Float, Int, Tensor
 
 STRUCTURE = 0.25
 """Predictable share of a joint's noise variance from which structure is worth saying [1]."""
+
+SAME_SPEED = 1.1
+"""Ratio of two speeds along one path below which they are the same [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,10 +240,7 @@ def warnings_of(
             "ROBOT LOG` checks it."
         )
     if checked.noise.floor.source != "repeats":
-        out.append(
-            "Next time: record one motion twice. None is repeated here, so the noise has no "
-            "upper bound."
-        )
+        out.append(f"Next time: {_what_bounds_noise(problem)}")
     if len(found.terms) >= settings.max_effects:
         out.append(
             f"Caution: stopped at {settings.max_effects} effects; there may be more "
@@ -275,6 +275,26 @@ def warnings_of(
             f"Caution: on data that was not fitted, the corrected model is worse on {joints}."
         )
     return out + needs_trust(found)
+
+
+def _what_bounds_noise(problem: Problem) -> str:
+    """What to record so that the noise has an upper bound, beside what is there already."""
+    segments, pairs = problem.data.segments, problem.repeats.pairs
+    if pairs:
+        names = listed(dict.fromkeys(segments[k].name for p in pairs for k in (p.a, p.b)), most=3)
+        return f"repeat {names} for longer. That is too short to give the noise an upper bound."
+    for path in same_paths(segments)[:1]:
+        first, again = segments[path.a].name, segments[path.b].name
+        if max(path.speed, 1 / path.speed) < SAME_SPEED:
+            return (
+                f"drive {first} again at the same times. {again} has its path and speed but other "
+                "rests, so the noise has no upper bound."
+            )
+        return (
+            f"record {again} again at the same speed, which bounds the noise. {first} has its path "
+            f"at {1 / path.speed:.2g} times the speed: that tells friction by speed alone."
+        )
+    return "record one motion twice. None is repeated here, so the noise has no upper bound."
 
 
 def needs_trust(found: Explanation) -> list[str]:
