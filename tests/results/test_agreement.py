@@ -75,7 +75,8 @@ def test_where_no_most_of_the_runs_agree_all_differ():
     for factors in ((0.5, 1.5), (0.4, 0.4, 1.6, 1.6), (0.2, 1.0, 1.8)):
         rows = agreement_of([runs_of(*factors)])
         assert len(odd_of(rows)) == len(factors)
-        assert f"in run1, {rows[-1].words} in run" in disagreement(rows)
+        text = f"from {rows[0].words} in run1 to {rows[-1].words} in run"
+        assert text in disagreement(rows)
 
 
 def test_a_run_that_can_not_tell_has_no_value():
@@ -119,3 +120,11 @@ def test_sentences():
     )
     rows = agreement_of([runs_of(0.0, 0.0, 3.0)])
     assert "of 1.500 ± 0.010 N m, the others none, while" in disagreement(rows)
+
+
+def test_of_many_odd_runs_the_first_are_said():
+    text = disagreement(agreement_of([runs_of(*[1.0] * 6, *[2.0] * 5)]))
+    assert text.startswith("run7 wants Coulomb friction on joint 2 of 1.000 ± 0.010 N m, run8 ")
+    assert "run9 wants" in text
+    assert "run10 wants" not in text
+    assert ", 2 runs more differ, the others of 0.500" in text

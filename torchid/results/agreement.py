@@ -97,12 +97,12 @@ def _apart(runs: list[RunValue]) -> str:
     if not others:
         ends = sorted(odd, key=lambda r: r.value)
         low, high = (f"{r.words} in {r.run}" for r in (ends[0], ends[-1]))
-        return f"no two runs in three agree on {name}: {low}, {high}"
+        return f"the runs do not agree on {name}, from {low} to {high}"
     weights = [r.std**-2 for r in others]
     mean = sum(w * r.value for w, r in zip(weights, others, strict=True)) / sum(weights)
     rest = measure(mean, sum(weights) ** -0.5, unit_behind(runs[0].unit))
     rest = f"of {rest}" if any(r.wanted for r in others) else "none"
     them = f"the {'others' if len(others) > 1 else 'other'} {rest}"
-    wants = [f"{r.run} wants {name} of {r.words}" if r.wanted else f"{r.run} wants no {name}"
-             for r in odd[:MOST]]  # fmt: skip
-    return f"{', '.join(wants)}, {them}"
+    wants = [f"{r.run} wants {f'{name} of {r.words}' if r.wanted else f'no {name}'}" for r in odd]
+    more = [f"{count(len(odd) - MOST, 'run')} more differ"] if len(odd) > MOST else []
+    return f"{', '.join([*wants[:MOST], *more])}, {them}"
