@@ -102,7 +102,8 @@ def agreement_table(record: GapRecord | PositionRecord) -> Table:
     rows = []
     for runs in by_cause(record.agreement):
         one = runs[0]
-        shown = sorted(runs, key=lambda r: r.verdict != "differs")[:MOST_RUNS]
+        first = sorted(runs, key=lambda r: r.verdict != "differs")
+        shown = runs if len(runs) <= MOST_RUNS else first[:MOST_RUNS]
         each = [f"{r.run}: {r.words if r.wanted is not None else '-'}" for r in shown]
         each = [f"{t} *" if r.verdict == "differs" else t for t, r in zip(each, shown, strict=True)]
         each += [f"and {len(runs) - MOST_RUNS} more"] if len(runs) > MOST_RUNS else []
