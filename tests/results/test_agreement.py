@@ -92,9 +92,16 @@ def test_a_run_that_can_not_tell_has_no_value():
 
 def test_nothing_is_said_of_one_run_or_of_what_has_no_size():
     parts = [MotionScale("run1", 10.0 * k, 10.0 * k + 10, x, 0.02) for k, x in enumerate((1, 3))]
+    same = Size(name="Fc", unit="N m", value=0.5, std=0.02, was=0.5)
     bare = Cause(effect="link_inertia", joints=(1,))
+    unchanged = Cause(effect="coulomb_friction", joints=(2,), sizes=(same,))
     rows = agreement_of(
-        [(FRICTION, replication_of(parts)), (FRICTION, None), runs_of(1, 3, cause=bare)]
+        [
+            (FRICTION, replication_of(parts)),
+            (FRICTION, None),
+            runs_of(1, 3, cause=bare),
+            runs_of(1, 3, cause=unchanged),
+        ]
     )
     assert rows == ()
     assert agreement(rows) == ""

@@ -107,9 +107,10 @@ def agreement_of(causes: Iterable[tuple[Cause, Replication | None]]) -> Rows[Run
     for cause, again in causes:
         runs = {} if again is None else _by_run(again.motions)
         told = {name: (x, v) for name, (x, v) in runs.items() if v <= TELLING_STD**2}
-        sizes = [(abs(s.value) / s.std, s) for s in cause.sizes if s.std and s.determined]
-        if sizes and len(told) > 1:
-            asked.append((cause, max(sizes, key=lambda pair: pair[0])[1], runs, told))
+        known = [s for s in cause.sizes if s.std and s.determined and s.value != s.was]
+        if known and len(told) > 1:
+            best = max(known, key=lambda s: abs(s.value) / (s.std or math.inf))
+            asked.append((cause, best, runs, told))
     rows = []
     for cause, size, runs, told in asked:
         x, v = torch.tensor(list(told.values()), dtype=torch.float64).unbind(1)
