@@ -75,6 +75,17 @@ def test_what_results_do_not_have_in_common_is_said(tmp_path):
     assert [p.name for p in found.having("not_compared")] == ["Ia3"]
 
 
+def test_what_stands_at_a_bound_is_said(tmp_path):
+    one, two = several(tmp_path, 2)
+    data = json.loads(two.read_text())
+    data["bounded"] = ["Fc2", "Fv1"]
+    two.write_text(json.dumps(data))
+    notes = compare_results([one, two]).notes
+    assert [n for n in notes if "bound" in n] == [
+        "b: fitted at the bound of physics, 0: Fc2 and Fv1"
+    ]
+
+
 def test_without_the_robot_there_is_no_torque(tmp_path):
     paths = several(tmp_path, 2, model=False)
     found = compare_results(paths)

@@ -19,6 +19,7 @@ from torchid.gap.record import Budget, Parametric, Status
 from torchid.report.diagnosis import STATUS, page, which_model
 from torchid.report.page import document as rendering
 from torchid.report.page.document import InputFile, origin, render
+from torchid.results.replication import MotionScale, replication_of
 from torchid.results.words import effect_words
 from torchid.simulation.two_models import Horizon, Rollout, SimulatedMotion, TorqueGap
 
@@ -269,3 +270,19 @@ def test_how_it_was_obtained(undrawn):
 def test_of_the_library_there_is_no_command(undrawn):
     (block,) = page_of(diagnosis(), made(arguments=[])).iter("pre")
     assert "MJCF" in block.text_content()  # what is to be copied
+
+
+@pytest.mark.parametrize("runs", [1, 3])
+def test_the_agreement_of_several_runs_is_a_section_that_folds(runs, undrawn):
+    scales = [MotionScale(f"run{k}", 0.0, 8.0, x, 0.02) for k, x in enumerate((0.9, 0.9, 1.4), 1)]
+    again = replication_of([*scales[:runs], *scales[:runs]])
+    d = diagnosis(findings=(replace(FRICTION, replication=again),), **SHORT)
+    tree = page_of(d)
+    title = "Whether the runs agree"
+    assert (title in headings(tree)) == (runs > 1)
+    if runs > 1:
+        section = tree.xpath(f"//details[summary//*[contains(text(), '{title}')]]")[0]
+        assert section.get("open") is None
+        text = " ".join(section.text_content().split())
+        assert "run3 wants Coulomb friction on joint 2 of 0.854 ± 0.009 N m" in text
+        assert "run1: 0.549 ± 0.009 N m" in text

@@ -9,10 +9,11 @@ from msgspec import structs
 from tests.position.diagnosed import diagnosis, finding
 from tests.report.page.reading import parsed, rows_of, text_of
 from torchid.position.record import Accuracy
-from torchid.report.diagnosis import page
+from torchid.report.diagnosis import page, shown
 from torchid.report.over_time import motion_over_time
 from torchid.report.page.document import origin, render
 from torchid.report.position import figures, nominal_table, remarks, tables, worst_joints
+from torchid.results.replication import MotionScale, replication_of
 
 PROFILE = finding("set_point_profile", 2, 14.0, 6.5, acceleration=39.0)
 PLANE = finding("plane_contact", None, 8.0, 6.0)
@@ -124,3 +125,15 @@ def test_a_size_whose_interval_holds_nothing_is_not_determined():
     unsure = structs.replace(one, ci95={"stop_high": (-0.1, 0.9)})
     texts = [str(c) for row in tables(diagnosis(unsure).record)[1].rows for c in row]
     assert any("not determined" in text for text in texts)
+
+
+def test_what_each_motion_wants_of_a_servo():
+    scales = [MotionScale(f"run{k}", 0.0, 8.0, x, 0.05) for k, x in enumerate((0.9, 0.9, 1.6), 1)]
+    again = replication_of(scales)
+    found = diagnosis(structs.replace(PROFILE, replication=again), PLANE)
+    assert [r.value for r in found.agreement] == pytest.approx([0.9 * 39, 0.9 * 39, 1.6 * 39])
+    assert [r.verdict for r in found.record.agreement] == ["agrees", "agrees", "differs"]
+    assert "run3 wants set point profile on joint 2 of 62 ± 2 rad/s²" in shown(found).parts[0]
+    # A factor on commands is 1 without the effect.
+    scale = structs.replace(finding("command_gain", 1, 9.0, 4.0, scale=1.2), replication=again)
+    assert [r.value for r in diagnosis(scale).agreement] == pytest.approx([1.18, 1.18, 1.32])

@@ -21,7 +21,7 @@ from torchid.gap.record import FoundEffect, GapRecord
 from torchid.identification.model import model_torque
 from torchid.identification.record import IdentificationRecord
 from torchid.results.record import robot_record
-from torchid.results.words import count, percent
+from torchid.results.words import count, listed, percent
 from torchid.robot.inertia import InertialParameters, parameter_names, parameter_units
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
@@ -94,6 +94,8 @@ def of_identifications(
                 f"{label} was fitted without {', '.join(missing)}: what they explain may have gone "
                 "into its other parameters"
             )
+        if r.bounded:
+            notes.append(f"{label}: fitted at the bound of physics, 0: {listed(r.bounded, most=5)}")
         for name in r.fit.trajectories:
             if seen.setdefault(name, label) != label:
                 notes.append(

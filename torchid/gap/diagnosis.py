@@ -40,10 +40,11 @@ from torchid.gap.record import (
 from torchid.gap.settings import GapSettings
 from torchid.json_data import plain
 from torchid.notebooks import data_frame
+from torchid.results.agreement import RunValue
 from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
 from torchid.results.friction import FrictionLaw
 from torchid.results.record import Rows, by_joint
-from torchid.results.replication import Replication
+from torchid.results.replication import Replication, agreement_of
 from torchid.results.words import count, effect_words, joints_words, listed
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot, torque_unit
@@ -401,6 +402,13 @@ class TorqueDiagnosis(Diagnosis):
         """Accepted effects, then links whose inertial parameters changed, as the JSON has them."""
         links = (_link(p) for p in self.parametric if p.links)
         return (*(f.record(self.robot) for f in self.findings), *links)
+
+    @cached_property
+    def agreement(self) -> Rows[RunValue]:
+        """What each run alone wants of each cause, one row each; empty of one run."""
+        every: Sequence[FoundEffect | UnnamedEffect]
+        every = (*self.which, *self.small, *self.suspects)
+        return agreement_of((e.cause, e.replication) for e in every)
 
     @cached_property
     def record(self) -> GapRecord:

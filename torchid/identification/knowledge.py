@@ -11,16 +11,11 @@ from torchid.effects.registry import KINDS, Valued, nominal_effects
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.least_squares import orthonormal
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
-from torchid.robot.knowledge import NOTHING, Knowledge, coefficient_keys
+from torchid.robot.knowledge import BETWEEN, NOTHING, Knowledge, coefficient_keys
 from torchid.robot.model import Robot
 from torchid.statistics.jackknife import fit_statistics
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Int, Tensor
-
-BETWEEN = 0.05
-"""Standard deviation of friction from one session of an arm to the next, as a share of it, where no
-sessions tell it [1]: with the temperature of the grease viscous friction changes by 2 to 10 % a
-day (docs/fleet.md)."""
 
 CHANGING = ("speed", "sign", "hysteresis")
 """Families of effects that temperature changes."""

@@ -34,10 +34,11 @@ from torchid.position.record import (
     error_words,
 )
 from torchid.position.repeats import PositionNoise
+from torchid.results.agreement import RunValue
 from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
 from torchid.results.record import Rows, by_joint
-from torchid.results.replication import Replication
-from torchid.simulation.servo import INDEX, Servos
+from torchid.results.replication import Replication, agreement_of
+from torchid.simulation.servo import INDEX, PARAMETERS, Servos
 from torchid.statistics.criteria import LIKELY, UNLIKELY
 from torchid.typing import Bool, Float, Tensor
 
@@ -241,6 +242,19 @@ class PositionDiagnosis(Diagnosis):
             doubt=self.doubt or UNSET,
         )
 
+    @cached_property
+    def agreement(self) -> Rows[RunValue]:
+        """What each run alone wants of each effect's first number, one row each; empty of one
+        run."""
+        # A factor is of what was found beside a servo without the effect.
+        neutral = {p.name: p.neutral for p in PARAMETERS if p.kind == "real"}
+        replace = msgspec.structs.replace
+        return agreement_of(
+            (replace(f.cause, sizes=(replace(s, was=neutral.get(s.name)),)), f.replication)
+            for f in self.findings
+            for s in f.sizes[:1]
+        )
+
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(f.effect for f in self.findings)) or "no gap"
         return f"PositionDiagnosis('{self.data.robot.name}', {names})"
@@ -273,6 +287,7 @@ class PositionDiagnosis(Diagnosis):
         return PositionRecord(
             robot=data.robot.name,
             answer=self.answer,
+            agreement=self.agreement,
             motions=len(names),
             status=self.status,
             where=WhereRecord(joints=joints, regimes=tuple(chain.from_iterable(regimes))),

@@ -8,11 +8,13 @@ from torchid.gap.record import FoundEffect, GapRecord, UnnamedEffect
 from torchid.position.record import PositionFinding, PositionRecord
 from torchid.report.cautions import number_ranges
 from torchid.report.table import Table
+from torchid.results.agreement import by_cause
 from torchid.results.answer import Answer, Cause, NotTestable, named_size
 from torchid.results.replication import repeat_words
 from torchid.results.words import (
     effect_words,
     joints_words,
+    measure,
     number_list,
     percent,
     sure,
@@ -24,6 +26,8 @@ from torchid.statistics.proportion import HALF_95
 
 MOST_SIZES = 12
 """Numbers of a cause that are listed."""
+MOST_RUNS = 12
+"""Runs that are listed of a cause."""
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 
 
@@ -92,6 +96,24 @@ def _corrects(found: FoundEffect | PositionFinding, robot: Robot | None) -> bool
         r.get("effect") == found.effect and (not joints or r.get("joint") in joints)
         for r in robot.effects
     )
+
+
+def agreement_table(record: GapRecord | PositionRecord) -> Table:
+    """What each run alone wants of each cause: of many runs those that differ."""
+    rows = []
+    for runs in by_cause(record.agreement):
+        one = runs[0]
+        first = sorted(runs, key=lambda r: r.verdict != "differs")
+        shown = runs if len(runs) <= MOST_RUNS else first[:MOST_RUNS]
+        each = [f"{r.run}: {r.words if r.wanted is not None else '-'}" for r in shown]
+        each = [f"{t} *" if r.verdict == "differs" else t for t, r in zip(each, shown, strict=True)]
+        each += [f"and {len(runs) - MOST_RUNS} more"] if len(runs) > MOST_RUNS else []
+        merged = measure(one.merged, one.merged_std, unit_behind(one.unit))
+        name = f"{one.cause}, {one.parameter}"
+        rows.append((name, "\n".join(each), merged, f"{one.spread:.2g}"))
+    note = "* contradicts most of the runs; -: this run cannot tell; spread: beyond their own std"
+    columns = ("cause", "value by run, from it alone (± std)", "of all runs", "spread")
+    return Table("agreement of the runs", columns, rows, "pprr", note)
 
 
 def meaning_table(record: GapRecord | PositionRecord) -> Table:

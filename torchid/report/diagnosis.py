@@ -13,7 +13,7 @@ from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.record import PositionRecord
 from torchid.report import gap, gap_figures, position
 from torchid.report.brief import Screen, model_words
-from torchid.report.causes import cause_table, meaning_table, not_testable_table
+from torchid.report.causes import agreement_table, cause_table, meaning_table, not_testable_table
 from torchid.report.cautions import caution_section
 from torchid.report.friction import friction_picture, friction_table
 from torchid.report.over_time import NARROW, OverTime, motion_over_time, torque_over_time
@@ -21,6 +21,7 @@ from torchid.report.page.answer import first_steps
 from torchid.report.panels import Figures, Picture
 from torchid.report.skeleton import PHONE, skeleton_of
 from torchid.report.table import Code, Origin, Page, Section, Shown, Table
+from torchid.results.agreement import agreement, disagreement
 from torchid.results.answer import MOST_SIZES, Answer, Diagnosis, DiagnosisRecord, named_size
 from torchid.results.words import count, percent, span, sure
 from torchid.simulation.two_models import RESTART_S, Horizon
@@ -81,11 +82,13 @@ def shown(result: Diagnosis | DiagnosisRecord, model: str = "") -> Shown:
         assert isinstance(result, PositionDiagnosis | PositionRecord)
         band, lower, notes = None, position.tables(record), position.remarks(record)
         figures = position.figures(result)
+    odd, runs = disagreement(record.agreement, most=1), agreement_table(record)
+    warnings = (*([f"Caution: {odd}"] if odd else []), *record.warnings)
     return Shown(
-        screen=Screen(answer=record.answer, band=band, warnings=record.warnings, model=model),
+        screen=Screen(answer=record.answer, band=band, warnings=warnings, model=model),
         verdict=record.answer.headline,
-        parts=[suspects_table(record.answer), *lower, *notes],
-        warnings=record.warnings,
+        parts=[suspects_table(record.answer), agreement(record.agreement), runs, *lower, *notes],
+        warnings=warnings,
         last=model,
         figures=figures,
         page=partial(page, result) if isinstance(result, Diagnosis) else None,
@@ -256,13 +259,14 @@ def _sections(d: TorqueDiagnosis | PositionDiagnosis) -> list[Section]:
             moved,
         ]
     code = "The corrected joints, to copy into the simulator's file; torchid export writes it."
-    named = count(len(d.answer.causes), "cause")
+    named, said = count(len(d.answer.causes), "cause"), agreement(record.agreement)
     return [
         *first,
         Section("Where the error lies", where),
         Section("What the error of other joints depends on", against[1:]),
         Section("Friction, one law a joint", laws),
         Section(f"The causes in numbers ({named})", [cause_table(record), meaning_table(record)]),
+        Section("Whether the runs agree", [[said] if said else [], agreement_table(record)]),
         Section("Errors in numbers", numbers),
         Section("For your simulator", [Code(block, code)] if block else []),
         caution_section([*record.warnings, *notes]),

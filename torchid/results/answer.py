@@ -17,8 +17,9 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from torchid.notebooks import html_table
+from torchid.results.agreement import RunValue
 from torchid.results.friction import FrictionLaw
-from torchid.results.record import Ends, Joint, Part, Real, Record, Result
+from torchid.results.record import Ends, Joint, Part, Real, Record, Result, Rows
 from torchid.results.words import (
     BRANCHES,
     effect_words,
@@ -527,6 +528,11 @@ class Diagnosis(Result):
         """What each joint's error is, which causes close it, and what to do."""
         raise NotImplementedError
 
+    @property
+    def agreement(self) -> Rows[RunValue]:
+        """What each run alone wants of each cause, one row each; empty of one run."""
+        raise NotImplementedError
+
     def write_corrected(self, path: str | Path) -> None:
         """Write the corrected robot, with its effects or servos, as a .yaml.
 
@@ -545,9 +551,11 @@ class DiagnosisRecord(Record, frozen=True, eq=False, kw_only=True):
     Attributes:
         answer: what it answers; None in files of older versions.
         explanation: what the command printed beside it: tables and sentences.
+        agreement: what each run alone wants of each cause; empty of one run.
     """
 
     answer: Answer | None = None
+    agreement: tuple[RunValue, ...] = ()
     explanation: dict[str, Any] | UnsetType = UNSET
 
     def _repr_html_(self) -> str:

@@ -20,6 +20,11 @@ from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.yaml_values import known, numbers
 from torchid.typing import Float, Tensor
 
+BETWEEN = 0.05
+"""Standard deviation of friction from one session of an arm to the next, as a share of it, where no
+sessions tell it [1]: with the temperature of the grease viscous friction changes by 2 to 10 % a
+day (docs/fleet.md)."""
+
 KEYS = ("sources", "coefficients", "rows", "left", "between_sessions")
 """Of the yaml; `rows` are those of the root, numbers in a text each, and so is `left`;
 `between_sessions` has a text a coefficient, its name and a number."""

@@ -10,8 +10,8 @@ from torchid.gap.problem import Problem
 from torchid.gap.record import Known, KnownCoefficient, Open
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.terms import BASE, LINK
-from torchid.identification.knowledge import BETWEEN, known_names, learned
-from torchid.robot.knowledge import Knowledge
+from torchid.identification.knowledge import known_names, learned
+from torchid.robot.knowledge import BETWEEN, Knowledge
 from torchid.typing import Float, Tensor
 
 AS_CAD = (

@@ -45,6 +45,17 @@ class OwnTorque:
             out.append((scale, information**-0.5))
         return out
 
+    def own_factors(self, parts: Sequence[slice]) -> Factors:
+        """The same, as unsure as what each part leaves at its own factor, not at that of all."""
+        whole = self.left.square().mean(1).clamp(min=1e-300)
+        out = []
+        for rows, (scale, std) in zip(parts, self.factors(parts), strict=True):
+            torque = self.torque[:, rows]
+            left = (self.left[:, rows] - (scale - 1) * torque).square().mean(1) / whole
+            noise = float((torque.square().sum(1) * left).sum())
+            out.append((scale, std**2 * noise**0.5 if noise > 0 else std))
+        return out
+
 
 def own_torque(solution: Solution, *numbers: int) -> OwnTorque:
     """Of some terms of a solution together, by their numbers."""
@@ -75,7 +86,7 @@ def replication(own: OwnTorque, solution: Solution, k: int, samples: Samples) ->
     if term.inertial or any(e.event or e.family == "time" for e in term.effects):
         return None
     places = motions(samples)
-    factors = own.factors([rows for _, rows in places])
+    factors = own.own_factors([rows for _, rows in places])
     return replication_of(
         [MotionScale(*name, *f) for (name, _), f in zip(places, factors, strict=True)]
     )

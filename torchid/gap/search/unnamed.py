@@ -105,7 +105,8 @@ def terms_without_name(
         closes = question.fall(found.fit, one.without).sqrt()
         numbers = solution.values[at], solution.std[at], closes, one.odds.sure
         entry = _entry(solution.terms[at], *numbers, solution.model.robot)
-        out.append(structs.replace(entry, share=shares[k]))
+        again = replication(one.place.own, solution, at, question.candidates.columns.samples)
+        out.append(structs.replace(entry, share=shares[k], replication=again))
     return tuple(sorted(out, key=lambda e: -e.how_sure))
 
 
