@@ -62,7 +62,7 @@ def _postures(segment: Segment, spread: Float[Tensor, " n"]) -> Samples:
     return q[torch.nn.functional.pad(changes, (1, 0), value=True)]
 
 
-def _walks(shorter: Samples, longer: Samples) -> bool:
+def _walks(shorter: Float[Tensor, "T n"], longer: Float[Tensor, "U n"]) -> bool:
     """Whether all of one path can be walked within another."""
     index = torch.arange(len(longer))
     reached = torch.ones(len(longer), dtype=torch.bool)
