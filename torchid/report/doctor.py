@@ -59,7 +59,7 @@ def torque_figure(examination: Examination) -> Figure | None:
     end = search.final.hypothesis
     columns, _ = judge.columns(end)
     measured, moving = judge.torque(end), judge.moving(end)
-    explained = np.where(moving, columns @ search.final.fit.x, np.nan)
+    explained = np.where(moving, (columns @ search.final.fit.x).T, np.nan)
     n, x = examination.robot.n, "low-passed samples, all trajectories"
     figure, grid = joint_rows(n, ("",), (10, 0.8 + 1.3 * n), x=x)
     for k, axes in enumerate(grid[:, 0]):
