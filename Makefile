@@ -109,7 +109,7 @@ docs-site: $(VENV)/.dev
 
 # Torchid beside its peers, a minute or two; what became a fifth slower than torchid_bench/benchmarks/ratios.json is printed.
 bench: $(VENV)/.dev
-	$(BIN)/python -m torchid_bench.benchmarks.ratios --compile
+	$(BIN)/python -m torchid_bench.benchmarks.ratios
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
