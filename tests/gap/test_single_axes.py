@@ -147,7 +147,7 @@ def test_a_load_on_a_vertical_axis_has_no_mass(out):
     known = {s.name: s.value for s in load.sizes if s.determined}
     assert known == ({} if out else {"Jzz": pytest.approx(0.5 * inertia, rel=0.05)})
     assert "kg" not in found.answer.headline.replace("kg m²", "")
-    assert load.values().endswith("; mass not told")
+    assert load.values().endswith("; mass not known")
     (row,) = cause_table(found.record).rows
     assert str(row[2]).startswith("m, not determined" if out else "Jzz = ")
     assert "m = " not in str(row[2])

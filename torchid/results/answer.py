@@ -123,12 +123,12 @@ class Cause(Part, frozen=True, kw_only=True):
     def values(self, std: bool = True) -> str:
         """Its numbers: `0.61 ± 0.02 N m`, `k = -1.0 ± 0.2 N m/rad, c0 = 8.8 ± 0.5 N m`, those that
         the model had with other values alone; where the data determine none of them, or bodies have
-        none, how much of the error it removes; and of a load that its mass is not told. Without
+        none, how much of the error it removes; and of a load that its mass is not known. Without
         standard deviations the first alone."""
         sizes = [s for s in self.sizes if s.was is not None or not self.changed]
         sizes = [s for s in sizes if s.determined]
         massless = self.effect == "payload" and any(not s.determined for s in self.sizes[:1])
-        end = "; mass not told" if massless else ""
+        end = "; mass not known" if massless else ""
         sizes = sizes[:1] if self.effect == "payload" else sizes[:MOST_SIZES]
         if not sizes:
             return "" if math.isnan(self.closes) else f"{percent(self.closes)} of the error{end}"
