@@ -31,7 +31,7 @@ def test_torque_on_a_grid_is_added_at_the_log_s_own_stamps():
     segments = prepare(ROBOT, LOG, None).segments
     grids = [torch.arange(len(s.tau)) / s.rate for s in segments]
     added = [torch.stack([g, 2 * g, -g][: LOG.n], 1).double() for g in grids]
-    moved = with_torque(LOG, segments, added)
+    moved = with_torque(LOG, [s.rate for s in segments], added)
     for rows in LOG.slices():
         t = (LOG.t[rows] - LOG.t[rows][0]).numpy()
         change = (moved.tau[rows] - LOG.tau[rows]).numpy()
@@ -41,8 +41,8 @@ def test_torque_on_a_grid_is_added_at_the_log_s_own_stamps():
 
 def test_every_cause_is_as_large_as_asked_for_and_on_one_joint(diagnosis):
     bed = Bed(diagnosis.corrected, LOG, diagnosis.settings)
-    plantings = list(islice(_plantings(diagnosis, bed, TIMES), 14))
     segments = prepare(ROBOT, LOG, None).segments
+    plantings = list(islice(_plantings(diagnosis, bed, segments, TIMES), 14))
     left = diagnosis.how_far.rms_after
     for one in plantings:
         low = (ZeroPhaseFilter(s.rate, min(diagnosis.band, 0.4 * s.rate)) for s in segments)

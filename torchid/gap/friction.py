@@ -55,12 +55,13 @@ def friction_laws(decision: Decision, problem: Problem, taken: Shares) -> Rows[F
     samples = problem.data.samples
     speeds = samples.of([s.motion.dq.T for s in samples.segments])
     columns = decision.found.question.candidates.columns.at(decision.found.solution.model)
+    told = with_a_name(decision.judged, taken.of_all(decision.checked.far.less)[0])
     out = []
     for joint in range(samples.n):
         own = speeds[joint, problem.data.keep[joint] & (speeds[joint] != 0)]
         friction = _Friction(decision, problem, columns, speeds[joint], joint)
         if len(own) >= FEWEST and (friction.corrected or friction.given):
-            out.append(friction.law(own, taken))
+            out.append(friction.law(own, taken, told))
     return Rows(out)
 
 
@@ -94,18 +95,18 @@ class _Friction:
         """Of the corrected model."""
         return [p for p in self.decision.found.solution.model.effects if self._is_own(p[0])]
 
-    def law(self, own: Float[Tensor, " M"], taken: Shares) -> FrictionLaw:
+    def law(self, own: Float[Tensor, " M"], taken: Shares, told: list[bool]) -> FrictionLaw:
         """The law.
 
         Args:
             own: speeds of the samples in which the joint moves.
             taken: what each term takes of the error.
+            told: which terms are told by name.
         """
         robot, far = self.problem.given.model.robot, self.decision.checked.far
         named = [k for k, one in enumerate(self.decision.judged) if self._terms_effects(one)]
         judged = [self.decision.judged[k] for k in named]
         sure = [max(one.branch_sure, one.law_sure) for one in judged]
-        told = with_a_name(self.decision.judged, taken.of_all(far.less)[0])
         nameless = [k for k in named if not told[k]]
         removes = taken.of_bars(far.rms_before, far.rms_after)[named].sum(0)
         return FrictionLaw(

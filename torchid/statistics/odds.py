@@ -19,11 +19,6 @@ Factors = list[tuple[float, float]]
 """By which factors parts of the data want a cause, each with its standard deviation."""
 
 
-def probability(rises: Sequence[float]) -> float:
-    """Of a cause, from the rise of each that may be there in its place."""
-    return 1 / (1 + sum(math.exp(min(0.5 * rise, 500.0)) for rise in rises))
-
-
 def unknown_rise(ratio: float, share: float, ways: Sequence[Factors] = ()) -> float:
     """That something unknown is there in the place of a cause.
 

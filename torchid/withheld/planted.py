@@ -186,15 +186,17 @@ def calibrate(
     model = replace(diagnosis.corrected, knowledge=None)
     bed = Bed(model, log, replace(again, held_out_fraction=0.0))
     before = diagnose_torque(bed.robot, log, settings=bed.settings, force=True)
-    plantings = list(islice(_plantings(diagnosis, bed, times), count))
-    judge = partial(_planted, bed, before)
+    segments = prepare(bed.robot, log, None).segments
+    plantings = list(islice(_plantings(diagnosis, bed, segments, times), count))
+    judge = partial(_planted, bed, before, [s.rate for s in segments])
     planted = each(judge, plantings, jobs, "planting causes", progress)
     return Calibration(diagnosis, times, tuple(planted))
 
 
-def _plantings(diagnosis: TorqueDiagnosis, bed: Bed, times: float) -> Iterator[Planting]:
+def _plantings(
+    diagnosis: TorqueDiagnosis, bed: Bed, segments: Sequence[Segment], times: float
+) -> Iterator[Planting]:
     """Causes, the most wanted first, without end unless no joint moves."""
-    segments = prepare(bed.robot, bed.log, None).segments
     motions = [_with_load(bed.robot, s.motion) for s in segments]
     names = [f.effect.name for f in diagnosis.findings]
     names += [name for f in diagnosis.findings for name in f.ambiguous_with]
@@ -263,9 +265,11 @@ def _law_of_none(
     ]
 
 
-def _planted(bed: Bed, before: TorqueDiagnosis, planting: Planting) -> Planted:
+def _planted(
+    bed: Bed, before: TorqueDiagnosis, rates: Sequence[float], planting: Planting
+) -> Planted:
     torch.set_num_threads(1)
-    log = with_torque(bed.log, prepare(bed.robot, bed.log, None).segments, planting.torque)
+    log = with_torque(bed.log, rates, planting.torque)
     found = diagnose_torque(bed.robot, log, settings=bed.settings, force=True)
     there = {(f.effect.name, f.located) for f in before.findings}
     new = [f for f in found.findings if (f.effect.name, f.located) not in there]
@@ -291,15 +295,19 @@ def _alike(finding: Finding, branch: str, place: tuple[int, ...]) -> bool:
     return finding.effect.branch == branch and finding.located == place
 
 
-def with_torque(
-    log: Log, segments: Sequence[Segment], added: Sequence[Float[Tensor, "T n"]]
-) -> Log:
-    """A log with torques on the grids of its segments added at its own stamps."""
+def with_torque(log: Log, rates: Sequence[float], added: Sequence[Float[Tensor, "T n"]]) -> Log:
+    """A log with torques added at its own stamps, given on a grid of each trajectory.
+
+    Args:
+        log: with torques.
+        rates: of the grids [Hz], which begin with the trajectories.
+        added: torques on them [N m; N].
+    """
     assert log.tau is not None
     tau = log.tau.clone()
-    for rows, segment, torque in zip(log.slices(), segments, added, strict=True):
+    for rows, rate, torque in zip(log.slices(), rates, added, strict=True):
         t = (log.t[rows] - log.t[rows][0]).numpy()
-        grid = np.arange(len(torque)) / segment.rate
+        grid = np.arange(len(torque)) / rate
         columns = [np.interp(t, grid, x) for x in torque.T.numpy()]
         tau[rows] += torch.from_numpy(np.stack(columns, 1))
     return log.replace(tau=tau)

@@ -38,6 +38,7 @@ from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
 from torchid.statistics.criteria import SET_MASS
 from torchid.statistics.proportion import wilson
+from torchid.withheld.planted import with_torque
 from torchid_bench.benchmarks.gap_hard import CAUSES, RIGHT, Truth
 from torchid_bench.benchmarks.gap_plant import Scene, gap, generator, plant
 from torchid_bench.benchmarks.gap_real import FRICTION, UR10E, logs
@@ -153,18 +154,6 @@ def scene_of(robot: Robot, log: Log, noise: Sequence[float], band: float, finest
     )
 
 
-def with_torque(log: Log, scene: Scene, added: Sequence[torch.Tensor]) -> Log:
-    """The log with torques on the scene's grid added at its own stamps."""
-    assert log.tau is not None
-    tau = log.tau.clone()
-    for rows, torque in zip(log.slices(), added, strict=True):
-        t = (log.t[rows] - log.t[rows][0]).numpy()
-        grid = np.arange(len(torque)) / scene.rate
-        columns = [np.interp(t, grid, x) for x in torque.T.numpy()]
-        tau[rows] += torch.from_numpy(np.stack(columns, 1))
-    return log.replace(tau=tau)
-
-
 def modelled(
     label: str, source: Source, data: Path, work: Path
 ) -> tuple[Robot, Log, dict[str, Any]]:
@@ -220,7 +209,7 @@ def run(label: str, source: Source, data: Path, work: Path, args: argparse.Names
                 }
             if not max(float(x.abs().max()) for x in added) > 0:
                 continue  # no torque shows it there
-            log = with_torque(second, fine, added)
+            log = with_torque(second, [fine.rate] * len(added), added)
             found = answer(robot, log, settings_of(source))
             file.write_text(json.dumps({"planted": key, "answer": found}))
             names = [(w["effect"], w["joints"]) for w in found["which"]]

@@ -23,9 +23,8 @@ from torchid.gap.search.odds import Odds, place_of
 from torchid.gap.search.solve import Solution, solve_terms
 from torchid.gap.search.terms import BASE, PAYLOAD
 from torchid.robot.inertia import InertialParameters
-from torchid.statistics.bagging import Draws
+from torchid.statistics.bagging import Draws, bagged
 from torchid.statistics.blocks import block_numbers
-from torchid.statistics.odds import probability
 
 LOAD = [0.5, 0.05, -0.02, 0.1, 0.08, 0.0, 0.0, 0.08, 0.0, 0.08]
 
@@ -89,7 +88,8 @@ def test_a_shape_at_the_end_of_its_range_is_never_told_alone(a: float, others: s
     assert set(judged.ambiguous_with) == others
     now, then = comparable(question, fit, without)
     rises = [then.evidence - now.evidence, *(rise for rise, *_ in found)]
-    assert probability(rises) > 0.99  # they are named, not believed
+    sure, *_ = bagged([(None, rise) for rise in rises], place.draws.as_it_is)
+    assert sure > 0.99  # they are named, not believed
 
 
 @pytest.mark.parametrize("bodies", [True, False])

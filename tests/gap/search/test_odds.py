@@ -13,9 +13,9 @@ from torchid.gap.search.evidence import fit_terms
 from torchid.gap.search.odds import Misfit, Odds, place_of
 from torchid.gap.search.replication import own_torque
 from torchid.gap.search.solve import solve_terms
-from torchid.statistics.bagging import Draws
+from torchid.statistics.bagging import Draws, bagged
 from torchid.statistics.blocks import block_numbers
-from torchid.statistics.odds import DOUBT, probability, stands_in
+from torchid.statistics.odds import DOUBT, stands_in
 
 NOISE = 0.01
 
@@ -62,7 +62,9 @@ def test_the_odds_end_where_misfit_begins():
 
 
 def test_with_half_of_the_error_left_no_cause_is_surer_than_nine_in_ten():
-    assert probability([-500.0, 2 * math.log(DOUBT * 0.25)]) == pytest.approx(0.9)
+    log = Draws.of(torch.arange(2)).as_it_is
+    sure, *_ = bagged([(None, -500.0), (None, 2 * math.log(DOUBT * 0.25))], log)
+    assert sure == pytest.approx(0.9)
 
 
 def test_what_another_law_leaves_to_a_proxy_is_less_sure():

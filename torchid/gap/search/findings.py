@@ -86,8 +86,7 @@ class Judged:
 
     def beside(self, misfit: Misfit) -> "Judged":
         """The same beside another misfit."""
-        law = 0.0 if self.law is None else self.law.odds(misfit).sure
-        return replace(self, odds=self.place.odds(misfit), law_sure=law)
+        return replace(self, odds=self.place.odds(misfit), law_sure=_sure_of(self.law, misfit))
 
     def confirmed(self, shrinks: Float[Tensor, " n"]) -> "Judged":
         """The same beside data that were not fitted.
@@ -147,6 +146,11 @@ class Judged:
         return self.odds.sure + sum(mass for mass, same in pairs if same)
 
 
+def _sure_of(law: Place | None, misfit: Misfit) -> float:
+    """Probability that a joint has any friction, where that is asked."""
+    return 0.0 if law is None else law.odds(misfit).sure
+
+
 def _branch(term: Term) -> str:
     return KINDS[LINK if term.name == BASE else term.name].branch
 
@@ -178,33 +182,28 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
         own = own_torque(found.solution, fixed + k)
         place = place_of(question, (fit, without), term, own, draws, rivals)
         pairs = tuple((rise, terms) for rise, terms, _ in others)
-        law = None
-        if term.place is not None and is_friction(term):
-            law = laws.get(term.place)
-        judged = Judged(place, pairs, place.odds(misfit), at_an_end(question, term), law)
-        out.append(judged.beside(misfit))
+        law, ended = laws.get(k), at_an_end(question, term)
+        odds, law_sure = place.odds(misfit), _sure_of(law, misfit)
+        out.append(Judged(place, pairs, odds, ended, law, law_sure))
     return out
 
 
-def is_friction(term: Term) -> bool:
-    """Whether a term is a part of the friction of one joint."""
-    return term.place is not None and all(e.branch == "friction" for e in term.effects)
-
-
 def friction_of(found: Explanation, draws: Draws) -> dict[int, Place]:
-    """The place of the friction of each joint that has it in several terms."""
+    """By the number of each term that is friction of a joint which has several: the place of all of
+    them together."""
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
     joints: dict[int, list[int]] = {}
     for k, term in enumerate(found.terms):
-        if term.place is not None and is_friction(term):
+        if term.place is not None and all(e.branch == "friction" for e in term.effects):
             joints.setdefault(term.place, []).append(k)
-    out = {}
-    for joint, numbers in joints.items():
+    out: dict[int, Place] = {}
+    for numbers in joints.values():
         if len(numbers) > 1:
             terms = [found.terms[k] for k in numbers]
             without = refit(question, fit, excluding(found.terms, terms), 10)
             own = own_torque(found.solution, *(fixed + k for k in numbers))
-            out[joint] = law_of(question, (fit, without), terms, own, draws)
+            law = law_of(question, (fit, without), terms, own, draws)
+            out |= dict.fromkeys(numbers, law)
     return out
 
 
