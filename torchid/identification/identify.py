@@ -311,12 +311,19 @@ def refuse_useless(
         return
     moved, said = _travel(log)
     slow = [j for j, x in enumerate(moved) if x < HARDLY_MOVES]
-    hint = "" if not slow else f"; {joint_list(slow)} hardly move"
+    hint = f"; {joint_list(slow)} hardly move" if slow else ""
+    # Joints that do move have shown what they can: then the torque has not.
+    expected = (
+        "every joint moving through much of its range, slowly and fast"
+        if slow
+        else "motors that make the motion: of a free swing, or of a hand's, their torque is small "
+        "beside gravity's and inertia's, whose errors are then all that it shows"
+    )
     raise IdentificationError(
         "these logs determine no model: over all rows it predicts the torque worse than zero does.",
-        got=f"an error of {float(percent[worse].max()):.2g} % of the torque on "
+        got=f"an error of {float(percent[worse].max()):.3g} % of the torque on "
         f"{joint_list(worse)}; condition number {condition:.1e}; {said}{hint}",
-        expected="every joint moving through much of its range, slowly and fast",
+        expected=expected,
         hint="`torchid excite` designs such a motion; `force=True` (`--force`) shows the numbers "
         "all the same",
     )

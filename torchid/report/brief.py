@@ -15,7 +15,7 @@ from torchid.errors import visible
 from torchid.report.cautions import cautions
 from torchid.report.page.answer import first_steps
 from torchid.results.answer import UNCHANGED, Answer, Cause, JointRow, cause_cells, ordered
-from torchid.results.words import count, span, sure
+from torchid.results.words import count, digits, span, sure
 from torchid.statistics.criteria import EXCESS
 
 MOST_LINES = 23
@@ -95,7 +95,9 @@ class Screen:
             yield self._table(rows[: detail.joints], detail, width)
             if rest := rows[detail.joints :]:
                 left = max((r.error.after for r in rest if not r.never_moves), default=0.0)
-                yield Text(f"and {count(len(rest), 'more joint')}, {left:.3g} at most: --verbose")
+                yield Text(
+                    f"and {count(len(rest), 'more joint')}, {digits(left)} at most: --verbose"
+                )
         for same in answer.shared():
             text, how_sure, _ = cause_cells(same)
             yield Text(visible(f"{answer.where(same)}: {text} ({how_sure})"))
@@ -123,9 +125,9 @@ class Screen:
             if row.never_moves:
                 table.add_row(label, "never moves")
                 continue
-            cells = [label, f"{error.before:.3g} -> {error.after:.3g}"]
+            cells = [label, f"{digits(error.before)} -> {digits(error.after)}"]
             if wide:
-                cells.append(span(error.noise, ".2g", " - "))
+                cells.append(span(error.noise, 2, " - "))
                 cells.append(bar(error.before, error.after, longest))
             text = "; ".join(_causes(row, detail)) or self._hint(row, detail)
             table.add_row(*(Text(visible(cell)) for cell in (*cells, text)))
@@ -210,7 +212,7 @@ def model_words(answer: Answer, model: str | None, given: str, held_out: Sequenc
         held_out: names of logs that took part in nothing; empty where each was left out in turn.
     """
     if answer.status in ("no_gap", "negligible"):
-        size, noise = f"{answer.before:.3g} {answer.unit}", span(answer.noise)
+        size, noise = f"{digits(answer.before)} {answer.unit}", span(answer.noise)
         if answer.noise_measured and answer.before <= math.sqrt(EXCESS) * answer.noise[1]:
             return f"Use {given} as it is: its error of {size} is noise ({noise})."
         return f"This log gives no better model than {given}, which errs {size} (noise {noise})."
@@ -218,10 +220,12 @@ def model_words(answer: Answer, model: str | None, given: str, held_out: Sequenc
         errs = f"{given} errs" if answer.given == "as given" else "a plain servo errs"
         return (
             f"This log gives no model that is surely better: {errs} "
-            f"{answer.before:.3g} {answer.unit}, and no cause of it is sure."
+            f"{digits(answer.before)} {answer.unit}, and no cause of it is sure."
         )
     on = f"on {', '.join(held_out)}" if held_out else "on motions left out of the fit"
-    change = f"errs {answer.after:.3g} {answer.unit} {on}, {answer.given} {answer.before:.3g}"
+    change = (
+        f"errs {digits(answer.after)} {answer.unit} {on}, {answer.given} {digits(answer.before)}"
+    )
     if model is None:
         return f"The corrected model {change}. --save-model corrected.yaml keeps it."
     target = "mjcf" if answer.unit == "mrad" else "urdf"  # a URDF has no servos

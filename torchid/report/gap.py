@@ -14,6 +14,7 @@ from torchid.report.panels import Picture
 from torchid.report.table import Table
 from torchid.results.record import as_plain
 from torchid.results.words import (
+    digits,
     effect_words,
     interval,
     listed,
@@ -52,7 +53,7 @@ def joint_table(record: GapRecord) -> Table:
     levels = [(far[g.joint].before, far[g.joint].after, *g.noise_floor_rms) for g in joints]
 
     def sizes(unit: str, before: float, after: float, *noise: float) -> tuple[str, str, str]:
-        return f"{before:.3g} {unit}", f"{after:.3g}", span(noise, to=" - ")
+        return f"{digits(before)} {unit}", digits(after), span(noise, to=" - ")
 
     rows = [
         (
@@ -175,7 +176,7 @@ def joint_pictures(d: TorqueDiagnosis) -> list[Picture]:
     for k, joint in enumerate(gap_figures.worst_joints(d.record) if d.traces else ()):
         own = d.record.how_far.per_joint[joint]
         unit = joint_unit(d.robot, joint)
-        change = f"RMS {own.before:.3g} {unit} before and {own.after:.3g} after"
+        change = f"RMS {digits(own.before)} {unit} before and {digits(own.after)} after"
         out.append(
             Picture(
                 f"joint_{joint + 1}",

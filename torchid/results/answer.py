@@ -22,6 +22,7 @@ from torchid.results.friction import FrictionLaw
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result, Rows
 from torchid.results.words import (
     BRANCHES,
+    digits,
     effect_words,
     joint_labels,
     joints_words,
@@ -301,8 +302,8 @@ class Answer(Part, frozen=True, kw_only=True):
         return f"{self.doubt} {self._headline(LONGEST - len(self.doubt) - 1)}"
 
     def _headline(self, longest: int) -> str:
-        change = f"{self.before:.3g} -> {self.after:.3g} {self.unit}"
-        size = f"{self.before:.3g} {self.unit}"
+        change = f"{digits(self.before)} -> {digits(self.after)} {self.unit}"
+        size = f"{digits(self.before)} {self.unit}"
         noise = span(self.noise)
         if self.status == "searching":
             return self._so_far(longest)
@@ -356,15 +357,15 @@ class Answer(Part, frozen=True, kw_only=True):
         """Of a search that goes on: where the error is, and what removes most of it."""
         moving = [j for j in self.joints if j.before == j.before]
         worst = sorted(moving, key=lambda j: -j.before)[:2]
-        joints = listed(f"joint {j.joint + 1} ({j.before:.3g})" for j in worst)
-        text = f"So far: {self.error} is {self.before:.3g} {self.unit}, largest on {joints}."
+        joints = listed(f"joint {j.joint + 1} ({digits(j.before)})" for j in worst)
+        text = f"So far: {self.error} is {digits(self.before)} {self.unit}, largest on {joints}."
         if self.causes:
             names = [
                 same[0].name if same[0].effect == "link_inertia" else
                 f"{same[0].name} ({self.where(same)})"
                 for same in self.groups(self.causes)
             ]  # fmt: skip
-            text += f" Likeliest: {listed(names, most=3)}; {self.after:.3g} {self.unit} remain."
+            text += f" Likeliest: {listed(names, most=3)}; {digits(self.after)} {self.unit} remain."
         return _cut(text, 2 * longest)
 
     def suspect_words(self, cause: Cause) -> str:
@@ -457,8 +458,8 @@ class Answer(Part, frozen=True, kw_only=True):
             if row.never_moves:
                 out.append((row.label, "-", "-", "-", "never moves", "-", ""))
                 continue
-            noise = span(row.error.noise, ".2g", " - ")
-            numbers = (f"{row.error.before:.3g}", f"{row.error.after:.3g}", noise)
+            noise = span(row.error.noise, 2, " - ")
+            numbers = (digits(row.error.before), digits(row.error.after), noise)
             first, *others = [cause_cells((c,)) for c in row.causes] or [("-", "", "")]
             out.append((row.label, *numbers, *first))
             out += [("", "", "", "", *other) for other in others]
@@ -571,7 +572,7 @@ def ordered(warnings: Iterable[str]) -> tuple[str, ...]:
 
 def size_words(size: Size) -> str:
     """`0.61 ± 0.02 N m`, `9.1 ± 0.3 N m s/rad, was 4.0`."""
-    was = "" if size.was is None else f", was {size.was:.3g}"
+    was = "" if size.was is None else f", was {digits(size.was)}"
     return measure(size.value, size.std, unit_behind(size.unit)) + was
 
 

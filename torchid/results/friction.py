@@ -6,7 +6,7 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from torchid.results.record import Joint, Part, Real
-from torchid.results.words import sure, unit_behind
+from torchid.results.words import digits, sure, unit_behind
 
 LEAST = 0.05
 """Probability of a detail from which on it is said."""
@@ -117,6 +117,6 @@ class FrictionLaw(Part, frozen=True, kw_only=True):
         known = known if every else known[len(known) // 2 :][:1]
         if not known:
             return ""
-        sizes = ", ".join(f"{x.size:.2g}" for x in known)
-        speeds = ", ".join(f"{x.speed:.1g}" for x in known)
+        sizes = ", ".join(digits(x.size, 2) for x in known)
+        speeds = ", ".join(digits(x.speed, 1) for x in known)
         return f"{sizes} {unit_behind(self.unit)} at {speeds} {unit_behind(self.speed_unit)}"

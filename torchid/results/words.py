@@ -55,6 +55,11 @@ def measure(value: float, std: float | None, unit: str) -> str:
     return f"{value:.{decimals}f} ± {std:.{decimals}f} {unit}".rstrip()
 
 
+def digits(value: float, most: int = 3) -> str:
+    """A number of so many digits at most, without an exponent where that can be read: `2870`."""
+    return f"{float(f'{value:.{most}g}'):g}"
+
+
 def unit_words(unit: str) -> str:
     """`kg m^2` as `kg m²`."""
     return unit.replace("^2", "²").replace("^3", "³")
@@ -65,16 +70,16 @@ def unit_behind(unit: str) -> str:
     return "" if unit == "1" else unit_words(unit)
 
 
-def span(ends: Iterable[float], digits: str = ".3g", to: str = " to ") -> str:
+def span(ends: Iterable[float], most: int = 3, to: str = " to ") -> str:
     """`0.1 to 0.2`; one number where both read the same; an end that is NaN is unknown."""
-    return to.join(dict.fromkeys(f"{x:{digits}}" if x == x else "unknown" for x in ends))
+    return to.join(dict.fromkeys(digits(x, most) if x == x else "unknown" for x in ends))
 
 
 def within(value: float, ends: tuple[float, float], unit: str) -> str:
     """`39 [35.1, 42.9] rad/s²`; the value alone where there is no interval."""
     low, high = ends
-    size = f"{value:.3g}" if math.isnan(low) else f"{value:.3g} [{low:.3g}, {high:.3g}]"
-    return f"{size} {unit_behind(unit)}".rstrip()
+    both = "" if math.isnan(low) else f" [{digits(low)}, {digits(high)}]"
+    return f"{digits(value)}{both} {unit_behind(unit)}".rstrip()
 
 
 def percent(value: float) -> str:
