@@ -115,7 +115,8 @@ class Cause(Part, frozen=True, kw_only=True):
     def name(self) -> str:
         """In words."""
         if self.branch:
-            return f"{BRANCHES[self.branch]}: {msgspec.structs.replace(self, branch='').name}"
+            likely = msgspec.structs.replace(self, branch="").name
+            return f"{BRANCHES[self.branch]} (likely {likely})"
         if self.effect != "link_inertia":
             return effect_words(self.effect)
         links = listed(str(k + 1) for k in self.joints)
@@ -416,7 +417,7 @@ class Answer(Part, frozen=True, kw_only=True):
             text = Cause(effect=first.effect, joints=joints).name
         else:
             place = f" on {self.where(same)}" if any(c.joints for c in same) else ""
-            text = ("changed " if first.changed else "") + first.name + place
+            text = ("changed " if first.changed else "") + common_name(first, same) + place
         known = [s for s in first.sizes if s.determined]
         inner = []
         if values and len(same) == 1 and known and (len(known) == 1 or first.effect == "payload"):
@@ -581,6 +582,13 @@ def named_size(size: Size) -> str:
     return f"{size.name} = {size_words(size)}"
 
 
+def common_name(cause: Cause, others: Sequence[Cause]) -> str:
+    """The name of a cause among others: of one effect no more than is sure of each."""
+    if cause.effect == "link_inertia":  # whose name has its place
+        return cause.name
+    return next((c for c in others if c.effect == cause.effect and c.branch), cause).name
+
+
 def first_clause(remedy: str) -> str:
     """The first clause of a remedy."""
     return re.split(r"[,;:(]", remedy, maxsplit=1)[0].strip().rstrip(".")
@@ -598,7 +606,7 @@ def cause_cells(same: Sequence[Cause]) -> tuple[str, str, str]:
         return (text + first.rivals, *end)
     size = first.sizes[0]
     values = ", ".join(f"{c.sizes[0].rounded:g}" for c in same)
-    sizes = f"{first.name} {size.name} = {values} {unit_behind(size.unit)}".rstrip()
+    sizes = f"{common_name(first, same)} {size.name} = {values} {unit_behind(size.unit)}".rstrip()
     return (sizes + next((c.rivals for c in same if c.rivals), ""), *end)
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from torchid.results.answer import Answer, Cause, LawCause, size_words
+from torchid.results.answer import Answer, Cause, LawCause, common_name, size_words
 from torchid.results.words import effect_words, listed, percent, sure
 
 CLEAR = 0.99
@@ -42,7 +42,7 @@ def first_steps(answer: Answer) -> list[str]:
         return sum(shares) if add else max(shares, default=0.0)
 
     for remedy, causes in sorted(same.items(), key=lambda pair: -worth(pair[1])):
-        what = listed(dict.fromkeys(c.name for c in causes))
+        what = listed(dict.fromkeys(common_name(c, causes) for c in causes))
         if causes[0].effect != "link_inertia":  # whose name has its place
             what += f", {answer.where(causes)}"
         removes = f" ({percent(worth(causes))} of the error)" if add else ""

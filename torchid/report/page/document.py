@@ -38,7 +38,7 @@ from torchid.report.colours import AFTER, BEFORE, BLUE, GREEN, GREY, GRID, INK, 
 from torchid.report.page.answer import cause_line
 from torchid.report.panels import Picture, plain_texts, printable
 from torchid.report.table import Code, InputFile, Origin, Page, Table
-from torchid.results.words import span, value_words
+from torchid.results.words import digits, span, value_words
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -162,7 +162,7 @@ def environment() -> "Environment":
         lstrip_blocks=True,
     )
     made.filters["thousands"] = lambda k: f"{k:,}".replace(",", "\u202f")
-    made.filters |= {"kind": _kind, "cause_line": cause_line, "span": span}
+    made.filters |= {"kind": _kind, "cause_line": cause_line, "digits": digits, "span": span}
     made.tests["holds"] = contains
     made.filters["marked"] = lambda text: _marked(escape(printable(text)))
     return made
