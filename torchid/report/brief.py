@@ -90,7 +90,7 @@ class Screen:
         answer, rows = self.answer, self.answer.joint_rows()
         yield Text(visible(answer.headline), "bold")
         if rows:
-            band = f" below {self.band:g} Hz" if self.band else ""
+            band = f" below {digits(self.band)} Hz" if self.band else ""
             yield Text(f"{answer.title}{band}, on data that was not fitted", "italic")
             yield self._table(rows[: detail.joints], detail, width)
             if rest := rows[detail.joints :]:

@@ -66,7 +66,9 @@ def joint_table(record: GapRecord) -> Table:
     if unit := torque_unit(robot, ""):
         rows.append(("all", *sizes(unit, *map(math.hypot, *levels)), "", ""))
     regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"
-    title = f"where, and how far: RMS of the torque the model lacks, below {record.band_hz:g} Hz"
+    title = (
+        f"where, and how far: RMS of the torque the model lacks, below {digits(record.band_hz)} Hz"
+    )
     columns = ("joint", "as given", "corrected", "noise", "share", regimes)
     return Table(title, columns, rows, "prrrrp", budget_words(record))
 
@@ -145,7 +147,7 @@ def remarks(record: GapRecord) -> list[str]:
     source = "repeats of a motion" if record.noise_floor.source == "repeats" else "the residual"
     out = [
         f"Errors are of data that no model was fitted to, while each joint moves, below "
-        f"{record.band_hz:g} Hz. The fit is below {record.cutoff_hz:g} Hz. The noise is estimated "
+        f"{digits(record.band_hz)} Hz. The fit is below {digits(record.cutoff_hz)} Hz. The noise is estimated "
         f"from {source}.",
     ]
     if not stands_out(record):
