@@ -147,8 +147,8 @@ def remarks(record: GapRecord) -> list[str]:
     source = "repeats of a motion" if record.noise_floor.source == "repeats" else "the residual"
     out = [
         f"Errors are of data that no model was fitted to, while each joint moves, below "
-        f"{digits(record.band_hz)} Hz. The fit is below {digits(record.cutoff_hz)} Hz. The noise is estimated "
-        f"from {source}.",
+        f"{digits(record.band_hz)} Hz. The fit is below {digits(record.cutoff_hz)} Hz. The noise "
+        f"is estimated from {source}.",
     ]
     if not stands_out(record):
         out.append("The error is spread evenly over all kinds of motion.")
