@@ -103,6 +103,7 @@ format: $(VENV)/.dev
 docs: $(VENV)/.dev
 	$(BIN)/torchid effects --out docs
 	$(BIN)/python docs/draw_concepts.py
+	PYTHONPATH=. $(BIN)/python docs/draw_house.py
 
 docs-site: $(VENV)/.dev
 	$(BIN)/python -m sphinx -b html -E -W --keep-going -q -c docs . build/site
