@@ -108,3 +108,13 @@ def test_it_is_read_back_and_is_a_table(tmp_path):
     frame = diagnosis.record.friction.to_frame()
     assert list(frame["joint"]) == [1]
     assert list(diagnosis.answer.friction.to_frame()["joint"]) == [1]
+
+
+@pytest.mark.parametrize("explained", [True, False])
+def test_a_model_that_explains_nothing_is_in_doubt_until_the_answer_says_why(explained):
+    """Ten times the friction is another torque than this arm's, as of a log of another one."""
+    effects = SETTINGS.effects if explained else ("rotor_inertia",)
+    own = ({"effect": "coulomb_friction", "joint": 1, "Fc": 1.0},)
+    robot, settings = replace(single_axis(), effects=own), replace(SETTINGS, effects=effects)
+    warnings = torchid.diagnose(robot, motor(), settings=settings).warnings
+    assert any("explains nothing" in text for text in warnings) != explained

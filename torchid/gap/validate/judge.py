@@ -8,7 +8,7 @@ from torchid.design.columns import Columns
 from torchid.design.paths import same_paths
 from torchid.effects.registry import EVENTS
 from torchid.gap.data import Data
-from torchid.gap.diagnosis import Trace, is_foreign, unfollowed
+from torchid.gap.diagnosis import UNLIKE, Trace, is_foreign, unfollowed
 from torchid.gap.folds import FEW
 from torchid.gap.noise.floor import Noise, noise_of
 from torchid.gap.problem import Problem
@@ -230,8 +230,11 @@ def warnings_of(
     solution, settings, judged = found.solution, problem.settings, problem.judged
     out = [*problem.data.warnings, *checked.noise.floor.notes]
     out += [] if judged is None else judged.warnings
-    # A gap larger than the torque's own variation: the log may be of another robot.
-    useless = unfollowed(checked.shown) > 1
+    # A gap larger than the torque's own variation: the log may be of another robot, unless the
+    # answer says what it is.
+    far = checked.far
+    open_still = far.rms_after.square() > UNLIKE * far.rms_before.square()
+    useless = (unfollowed(checked.shown) > 1) & open_still
     if 2 * int(useless.sum()) > len(useless):
         joints = ", ".join(str(j + 1) for j in useless.nonzero().flatten().tolist())
         out.append(
