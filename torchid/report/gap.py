@@ -180,8 +180,7 @@ def joint_pictures(d: TorqueDiagnosis) -> list[Picture]:
             Picture(
                 f"joint_{joint + 1}",
                 f"What the model lacks on joint {joint + 1}: {change}.{'' if k else _AGAINST}",
-                f"Gap of joint {joint + 1} against velocity, position, acceleration, torque and "
-                f"time, and its spectrum: {change}.",
+                f"Gap of joint {joint + 1} against velocity, position and torque: {change}.",
                 partial(gap_figures.joint_figure, d, joint),
             )
         )
