@@ -10,13 +10,14 @@ import torch
 from tests.gap.diagnoses import coulomb, diagnosis, floor, some_left, trace
 from tests.marks import quick_first
 from torchid.errors import TorchidError
+from torchid.report.diagnosis import figures
 from torchid.report.friction import (
     MOST_SAMPLES,
     friction_figure,
     friction_picture,
     friction_table,
 )
-from torchid.report.gap_figures import binned, figures, map_figure, samples, worst_joints
+from torchid.report.gap_figures import binned, map_figure, samples, worst_joints
 from torchid.report.panels import save
 from torchid.results.friction import FrictionAt, FrictionCurve, FrictionLaw
 from torchid.results.record import Rows

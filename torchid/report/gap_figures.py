@@ -1,8 +1,6 @@
 """Figures of a diagnosis: where the gap lies, how far it shrinks, and the gap of one joint against
 everything it may depend on."""
 
-from collections.abc import Callable
-from functools import partial
 from typing import get_args
 
 import numpy as np
@@ -11,18 +9,14 @@ import torch
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.record import GapRecord, Regime, RegimeGap
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
-from torchid.report.friction import friction_figure
-from torchid.report.over_time import motion_over_time, torque_over_time
 from torchid.report.panels import (
     SMALL,
     Figure,
-    Figures,
     finish,
     map_with_bars,
     panel,
     rows_of,
 )
-from torchid.report.skeleton import skeleton_of
 from torchid.results.words import interval, percent, regime_words
 from torchid.robot.model import joint_unit
 from torchid.statistics.jackknife import student_quantile
@@ -47,42 +41,13 @@ def clear_regimes(record: GapRecord, joint: int) -> list[RegimeGap]:
         return []
     # Against chance, and in other samples of the log's blocks as well.
     regimes = record.where.regimes
-    found = [r for r in regimes if r.joint == joint and r.p < CLEAR and r.ci95[0] > 0]
-    return sorted(found, key=lambda r: -r.excess)
+    clear = [r for r in regimes if r.joint == joint and r.p < CLEAR and r.ci95[0] > 0]
+    return sorted(clear, key=lambda r: -r.excess)
 
 
 def stands_out(record: GapRecord) -> bool:
     """Whether a kind of motion holds more than its share of some joint's gap."""
     return any(clear_regimes(record, gap.joint) for gap in record.where.joints)
-
-
-def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
-    """What draws each figure, by the names of their files; of a record those that need no torque
-    over time."""
-    record, out = result.record, dict[str, Callable[[], Figure]]()
-    if stands_out(record):
-        out["where"] = partial(map_figure, record)
-    if isinstance(result, TorqueDiagnosis) and result.traces:
-        out |= {
-            f"gap_joint_{j + 1}": partial(joint_figure, result, j) for j in worst_joints(record)
-        }
-        out["torque"] = torque_over_time(result).draw
-        if result.friction:
-            out["friction"] = partial(friction_figure, result)
-    if record.knowledge is not None and record.knowledge.coefficients:
-        out["known"] = partial(known_figure, record)
-    return out
-
-
-def kinds(result: TorqueDiagnosis | GapRecord) -> Figures:
-    """By kind; those of one joint take it as `joint`."""
-    drawn: dict[str, Callable[..., Figure | None]] = {"where": partial(map_figure, result.record)}
-    drawn |= {k: v for k, v in figures(result).items() if not k.startswith("gap_joint")}
-    if isinstance(result, TorqueDiagnosis) and result.traces:
-        drawn |= {"gap": partial(joint_figure, result), "robot": partial(skeleton_of, result)}
-        if (motion := motion_over_time(result)) is not None:
-            drawn["motion"] = motion.draw
-    return drawn
 
 
 def worst_joints(record: GapRecord, most: int = WORST) -> list[int]:
@@ -128,9 +93,9 @@ def known_figure(record: GapRecord) -> Figure:
     after, as a share of the value before; what has changed is marked."""
     known = record.knowledge
     assert known is not None
-    shown = [c for c in known.coefficients if c.before and c.before_std is not None]
-    figure, axes = panel(9.6, 1.4 + 0.24 * max(len(shown), 4))
-    for k, c in enumerate(shown):
+    coefficients = [c for c in known.coefficients if c.before and c.before_std is not None]
+    figure, axes = panel(9.6, 1.4 + 0.24 * max(len(coefficients), 4))
+    for k, c in enumerate(coefficients):
         for value, std, colour, up in (
             (c.before, c.before_std, BEFORE, 0.14),
             (c.after, c.after_std, AFTER, -0.14),
@@ -141,7 +106,7 @@ def known_figure(record: GapRecord) -> Figure:
                 markersize=4, linewidth=1.2,
                 label="known before" if colour == BEFORE else "with this log",
             )  # fmt: skip
-    names = [c.name.replace("_", " ") + (" (changed)" if c.changed else "") for c in shown]
+    names = [c.name.replace("_", " ") + (" (changed)" if c.changed else "") for c in coefficients]
     rows_of(axes, names, SMALL)
     axes.set_xlabel("of the value before")
     low, high = axes.get_xlim()
