@@ -12,7 +12,7 @@ from tests.report.page.reading import parsed, rows_of, text_of
 from tests.report.test_gap_page import SHORT
 from torchid.app.output import Output
 from torchid.report.page import document as rendering
-from torchid.report.table import Shown
+from torchid.report.table import Report
 from torchid.robot.config_files import robot_file
 from torchid_study.report.study import page as study_report
 from torchid_study.settings import study_file
@@ -110,7 +110,7 @@ def test_all_studies_have_pages_of_their_own(command, tmp_path, monkeypatch):
     monkeypatch.setattr("torchid_study.study.run_study", run)
     monkeypatch.setattr(study_report, "study_page", lambda found, _: found.settings.name)
     monkeypatch.setattr(study_report, "seeds_and_settings", lambda _: {})
-    monkeypatch.setattr(study_report, "shown", lambda _: Shown(parts=[]))
+    monkeypatch.setattr(study_report, "shown", lambda _: Report(parts=[]))
     monkeypatch.setattr(Output, "write_page", write)
     done = command("study", "all", "--report", tmp_path / "page.html")
     assert done.code == 0, done.err

@@ -27,7 +27,7 @@ from torchid.gap.data import prepare
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.log.readers import write_log
-from torchid.report.exported import correction_shown, correction_tables
+from torchid.report.exported import correction_tables, report_of_correction
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.knowledge import Knowledge
 from torchid.robot.library import load_robot
@@ -373,7 +373,7 @@ def test_a_joint_whose_torque_says_nothing_keeps_what_it_has(full, logs, tmp_pat
     assert all(bool(one.engine[2].isnan()) for one in done.judged.forward)
     text = "\n".join(str(row) for table in correction_tables(done) for row in table.rows)
     assert "nan" not in text
-    assert "nan" not in correction_shown(done).verdict
+    assert "nan" not in report_of_correction(done).verdict
     assert done.plain()["judged"]["torque_error_percent"]["nominal"][2] is None
 
 

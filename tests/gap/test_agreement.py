@@ -5,7 +5,7 @@ import pytest
 import torchid
 from tests.gap.small_logs import ROBOT, Recording, arm, friction, logged
 from torchid.log.model import Log
-from torchid.report.diagnosis import shown
+from torchid.report.diagnosis import report_of_diagnosis
 
 pytestmark = pytest.mark.slow
 ONLY = ("coulomb_friction", "viscous_friction", "torque_offset")
@@ -38,7 +38,11 @@ def test_each_run_has_its_value_and_the_odd_one_is_named(planted, odd, tmp_path)
     differs = [r.run for r in found.agreement if r.verdict == "differs"]
     assert differs == odd
     # The first screen cautions, where one contradicts the others.
-    cautions = [w for w in shown(found).warnings if " wants Coulomb friction on joint 2 of " in w]
+    cautions = [
+        w
+        for w in report_of_diagnosis(found).warnings
+        if " wants Coulomb friction on joint 2 of " in w
+    ]
     assert [w.split()[1] for w in cautions] == odd
     found.save(tmp_path / "gap.json")
     again = torchid.load(tmp_path / "gap.json")

@@ -16,7 +16,7 @@ from torchid.log.model import Log
 from torchid.pair.align import aligned_trajectories
 from torchid.pair.pair import PairDiagnosis, compare_pair
 from torchid.pair.record import PairRecord
-from torchid.report.pair import shown, verdict
+from torchid.report.pair import report_of_pair, verdict
 from torchid.results.files import load
 from torchid.robot.model import Robot
 from torchid.robot.yaml_file import from_mapping
@@ -125,7 +125,7 @@ def test_the_weaker_gain_and_the_friction_of_the_real_servo_are_named():
     words = verdict(found)
     assert "The real servo of joint 1 has a lower gain" in words
     assert "more dry friction" in words
-    titles = [table.title for table in shown(found).parts]
+    titles = [table.title for table in report_of_pair(found).parts]
     assert any(title.startswith("servos") for title in titles)
 
 

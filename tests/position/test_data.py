@@ -13,7 +13,7 @@ from torchid.export.correct import correct
 from torchid.log.model import Log
 from torchid.position.data import missing_commands, prepare, tracks_of
 from torchid.position.model import ServoArm
-from torchid.report.position import tables
+from torchid.report.position import change_table
 from torchid.results.files import load
 
 DEGREES = 180 / math.pi
@@ -153,7 +153,7 @@ def test_servos_of_the_file_that_are_right_leave_no_gap(log: Log, tmp_path: Path
     assert "changed" not in states.values()
     again = load_result(found, tmp_path)
     assert again.changes == found.changes
-    (table,) = [t for t in tables(found.record) if t.title.startswith("Servos of the robot's file")]
+    table = change_table(found.record)
     assert "as known" in [row[-1] for row in table.rows]
     kept = ServoArm.read(tmp_path / "corrected.yaml")
     assert kept.std is not None

@@ -10,13 +10,14 @@ import torch
 from tests.gap.diagnoses import coulomb, diagnosis, floor, some_left, trace
 from tests.marks import quick_first
 from torchid.errors import TorchidError
+from torchid.report.diagnosis import figures
 from torchid.report.friction import (
     MOST_SAMPLES,
     friction_figure,
     friction_picture,
     friction_table,
 )
-from torchid.report.gap_figures import binned, figures, map_figure, samples, spectrum, worst_joints
+from torchid.report.gap_figures import binned, map_figure, samples, worst_joints
 from torchid.report.panels import save
 from torchid.results.friction import FrictionAt, FrictionCurve, FrictionLaw
 from torchid.results.record import Rows
@@ -127,13 +128,6 @@ def test_intervals_of_bins_know_that_samples_of_a_block_are_alike():
     assert np.median(half) == pytest.approx(1.96 / np.sqrt(240), rel=0.4)
 
 
-def test_spectrum_holds_the_energy():
-    made = (trace(coulomb, some_left),)
-    f, density = spectrum(made, 1, "before")
-    s = samples(made, 1)
-    assert density.sum() * (f[1] - f[0]) == pytest.approx(float(np.var(s["before"])), rel=0.15)
-
-
 def test_samples_are_the_valid_ones():
     made = trace(coulomb, seconds=5.0)
-    assert len(samples((made, made), 1)["t"]) == 2 * int(made.valid.sum())
+    assert len(samples((made, made), 1)["q"]) == 2 * int(made.valid.sum())

@@ -16,7 +16,7 @@ from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import HowFar
 from torchid.gap.record import Parametric, Status
 from torchid.report import gap
-from torchid.report.diagnosis import shown
+from torchid.report.diagnosis import report_of_diagnosis
 from torchid.results.answer import COLUMNS, Answer, Cause, JointError, NotTestable, Size, named_size
 from torchid.results.words import effect_words, listed, measure, percent
 from torchid.simulation.two_models import Horizon, Rollout, TorqueGap
@@ -24,7 +24,7 @@ from torchid.simulation.two_models import Horizon, Rollout, TorqueGap
 
 def text_of(d) -> str:
     console = Console(width=140, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
-    for part in shown(d).parts:
+    for part in report_of_diagnosis(d).parts:
         console.print(part)
     return " ".join(console.export_text().split())
 
@@ -160,7 +160,9 @@ def test_tables_hold_the_numbers():
 @pytest.mark.parametrize("width", [60, 80, 120])
 def test_one_screen_says_it_all(width):
     """Joint, error before and after with its unit, cause, value, how sure, and what to do."""
-    lines = lines_of(shown(diagnosis(findings=(VISCOUS, FRICTION, OFFSET))).screen, width)
+    lines = lines_of(
+        report_of_diagnosis(diagnosis(findings=(VISCOUS, FRICTION, OFFSET))).screen, width
+    )
     worst = next(k for k, line in enumerate(lines) if line.split()[:1] == ["2"])
     row = " ".join(" ".join(lines[worst : worst + 2]).split())
     for part in ("0.61 -> 0.07", "Coulomb friction 0.61", "(> 99 %)"):
@@ -216,7 +218,7 @@ def test_rollouts_are_told():
         sentences=("Too short for 2 s.",),
     )  # fmt: skip
     d = replace(d, how_far=replace(d.how_far, rollout=rollout))
-    assert "0.5 s 0.31 [0.25, 0.40] 10 % 0 %" in text_of(d)
+    assert "0.5 0.31 [0.25, 0.4] 10 % 0 %" in text_of(d)
     assert "Too short for 2 s." in gap.remarks(d.record)
 
 

@@ -9,10 +9,11 @@ from msgspec import structs
 from tests.position.diagnosed import diagnosis, finding
 from tests.report.page.reading import parsed, rows_of, text_of
 from torchid.position.record import Accuracy
-from torchid.report.diagnosis import page, shown
+from torchid.report.causes import cause_table
+from torchid.report.diagnosis import figures, page, report_of_diagnosis
 from torchid.report.over_time import motion_over_time
 from torchid.report.page.document import origin, render
-from torchid.report.position import figures, nominal_table, remarks, tables, worst_joints
+from torchid.report.position import nominal_table, remarks, where_table, worst_joints
 from torchid.results.replication import MotionScale, replication_of
 
 PROFILE = finding("set_point_profile", 2, 14.0, 6.5, acceleration=39.0)
@@ -47,14 +48,15 @@ def test_without_a_finding():
     made = origin(arguments=[], started=0.0, seeds={}, settings={}, files=())
     text = parsed(render(page(plain, made))).text_content()
     assert "No known effect explains a plain servo's error" in text
-    assert sum(map(bool, tables(plain.record))) == 1
+    assert not cause_table(plain.record)
+    assert not nominal_table(plain.record)
     assert "nominal" not in plain.plain()
 
 
 def test_figures_by_name(found):
     assert set(figures(found)) == {"where", "gap_joint_2", "gap_joint_1"}
     assert worst_joints(found.record) == [1, 0]  # the third never moves
-    assert "joint 1:" in found.plot("joint", joint=0).get_suptitle()
+    assert "joint 1:" in found.plot("motion", joint=0).get_suptitle()
     # The joint is shown where the plain servo errs most: rows 400 to 599, in the first motion.
     motion = motion_over_time(found)
     assert motion.worst(1) == 0
@@ -69,7 +71,7 @@ def test_figures_by_name(found):
 
 
 def test_nominal_beside_found(found):
-    nominal = nominal_table(found.record, found.record.nominal)
+    nominal = nominal_table(found.record)
     rows = [row for row in nominal.rows if row[0] == "2"]
     assert rows == [
         ("2", "STS3215", "kp", "17.8 N m/rad", "260 [250, 270] N m/rad"),
@@ -79,10 +81,9 @@ def test_nominal_beside_found(found):
         ),
         ("2", "STS3215", "resolution", "1.53 mrad", "1.53 mrad"),
     ]  # fmt: skip
-    assert ("3", "STS3215", "kp", "17.8 N m/rad", "never moves") in nominal_table(
-        found.record, found.record.nominal
-    ).rows
-    assert tables(found.record)[0].rows[2][-1] == "-"
+    assert ("3", "STS3215", "kp", "17.8 N m/rad", "never moves") in nominal.rows
+    kp = where_table(found.record).columns.index("kp")
+    assert [row[kp] for row in where_table(found.record).rows][2] == "-"
     assert found.plain()["where"]["joints"][2]["kp"] is None
     (first, *_) = found.plain()["nominal"]
     assert first["joint"] == 1
@@ -123,7 +124,7 @@ def test_where_an_answer_is_worse_than_a_plain_servo_is_said():
 def test_a_size_whose_interval_holds_nothing_is_not_determined():
     one = finding("end_stop", 2, 14.0, 6.0, stop_high=0.4)
     unsure = structs.replace(one, ci95={"stop_high": (-0.1, 0.9)})
-    texts = [str(c) for row in tables(diagnosis(unsure).record)[1].rows for c in row]
+    texts = [str(c) for row in cause_table(diagnosis(unsure).record).rows for c in row]
     assert any("not determined" in text for text in texts)
 
 
@@ -133,7 +134,10 @@ def test_what_each_motion_wants_of_a_servo():
     found = diagnosis(structs.replace(PROFILE, replication=again), PLANE)
     assert [r.value for r in found.agreement] == pytest.approx([0.9 * 39, 0.9 * 39, 1.6 * 39])
     assert [r.verdict for r in found.record.agreement] == ["agrees", "agrees", "differs"]
-    assert "run3 wants set point profile on joint 2 of 62 ± 2 rad/s²" in shown(found).parts[0]
+    assert (
+        "run3 wants set point profile on joint 2 of 62 ± 2 rad/s²"
+        in report_of_diagnosis(found).parts[0]
+    )
     # A factor on commands is 1 without the effect.
     scale = structs.replace(finding("command_gain", 1, 9.0, 4.0, scale=1.2), replication=again)
     assert [r.value for r in diagnosis(scale).agreement] == pytest.approx([1.18, 1.18, 1.32])

@@ -47,7 +47,7 @@ def check_command(
     from torchid.feasibility.bounds import read_total_mass
     from torchid.feasibility.derived_bounds import named_bounds
     from torchid.feasibility.record import check_sets
-    from torchid.report.feasibility import findings_lines, shown
+    from torchid.report.feasibility import findings_lines, report_of_check
 
     asked = asked_about(params, robot, part.choice)
     found = asked.robot
@@ -74,7 +74,9 @@ def check_command(
             repaired = nearest_sets(check, asked.others, nearest, data, seed)
         if repaired is not None and bool(repaired.feasible.any()):
             output.written.append(nearest)
-    output.give(data, "feasibility.json", lambda _: shown(check, repaired, data["warnings"]))
+    output.give(
+        data, "feasibility.json", lambda _: report_of_check(check, repaired, data["warnings"])
+    )
     findings = findings_lines(check)
     if findings:
         output.say("\nnot plausible, though not forbidden:")

@@ -34,7 +34,7 @@ def compare_command(
         robot: Where the results do not record it.
     """
     from torchid.fleet.compare import common_robot, compared, read_results
-    from torchid.report.compare import shown
+    from torchid.report.compare import report_of_comparison
 
     read = read_results(results)
     arm = common_robot(read, part.choice) if robot is None else opt.load(robot, part)
@@ -43,4 +43,4 @@ def compare_command(
     log = logs.read(on, arm) if on and arm is not None else None
     with output.progress("comparing"):
         found = compared(read, arm, on=log, seed=seed)
-    output.give(found, "compare.json", shown, seed=seed)
+    output.give(found, "compare.json", report_of_comparison, seed=seed)

@@ -24,7 +24,7 @@ def demo_command(
         seed: Of the withheld cause, the motions and the noise.
     """
     from torchid.report import diagnosis
-    from torchid.report.demo import introduction, shown
+    from torchid.report.demo import introduction, report_of_demo
     from torchid.report.page.document import input_files
     from torchid.withheld.demo import demonstrate, write_files
 
@@ -39,8 +39,8 @@ def demo_command(
     with output.progress("examining the log") as progress:
         demo = demonstrate(files, seed, progress)
     paged = Output(report=folder / "gap.html", quiet=True)
-    paged.keep(demo.diagnosis, "gap.json", diagnosis.shown, seed=seed, files=inputs)
+    paged.keep(demo.diagnosis, "gap.json", diagnosis.report_of_diagnosis, seed=seed, files=inputs)
     output.put(folder / "gap.json", demo.diagnosis.save)
     output.put(folder / "identification.json", demo.identification.save)
-    output.give(demo.plain(), "demo.json", lambda _: shown(demo))
+    output.give(demo.plain(), "demo.json", lambda _: report_of_demo(demo))
     output.say(f"\nThe page: {folder / 'gap.html'}")

@@ -127,7 +127,7 @@ def excite_command(
     from torchid.next_motion.design import read_asking
     from torchid.next_motion.planned import plan
     from torchid.position.record import PositionRecord
-    from torchid.report.motion import design_shown, shown
+    from torchid.report.motion import report_of_design, report_of_motion
 
     asking = None if motion.result is None else read_asking(motion.result)
     recorded = None if isinstance(asking, PositionRecord) or asking is None else asking.model
@@ -151,8 +151,8 @@ def excite_command(
     output.put(target, partial(torchid.write_log, planned.log))
     files.write(planned, output)
     data = planned.plain(None if target is None else target.name)
-    said = output.keep(data, "excitation.json", lambda _: shown(planned))
-    output.tell(design_shown(planned))
+    said = output.keep(data, "excitation.json", lambda _: report_of_motion(planned))
+    output.tell(report_of_design(planned))
     output.tell(said)
 
 
@@ -167,7 +167,7 @@ def _commands(
     """Commands for an arm that logs no torque: written, and what they would show."""
     from torchid.next_motion.planned import clearance_of
     from torchid.position.next_motion import NextCommands
-    from torchid.report.position import commands_shown
+    from torchid.report.position import report_of_commands
 
     clearance, unknown = clearance_of(robot, room, motion.usage)
     with output.progress() as progress:
@@ -177,4 +177,4 @@ def _commands(
         )  # fmt: skip
     assert isinstance(made, NextCommands)
     output.put(target, partial(torchid.write_log, made.log))
-    output.give(made.plain(), "excitation.json", lambda _: commands_shown(made, unknown))
+    output.give(made.plain(), "excitation.json", lambda _: report_of_commands(made, unknown))

@@ -81,7 +81,7 @@ def export_command(
         require_free({"out": output.out}, ["correction.json"])
     from torchid.export.projection import Target
     from torchid.export.results import any_diagnosis, carried
-    from torchid.report.exported import correction_shown, export_shown, randomisation_shown
+    from torchid.report import exported
 
     output.begin()
     folder = output.out or Path()
@@ -91,7 +91,7 @@ def export_command(
         ranges = torchid.randomise(diagnosed, randomise, robot=given, draws=draws, seed=seed)
         files = [str(file) for file in ranges.write(folder, name)]
         plain = {**ranges.plain(), "files": files}
-        told = randomisation_shown(ranges, files)
+        told = exported.report_of_randomisation(ranges, files)
         output.give(plain, "randomisation.json", lambda _: told, seed=seed)
         return
     assert to is not None
@@ -108,7 +108,7 @@ def export_command(
             found.dynamics, to, folder, name, nominal=found.nominal,
             original=found.original, geometry=geometry, force=force, seed=seed, keep=keep,
         )  # fmt: skip
-        output.give(done, f"export_{to}.json", export_shown, seed=seed)
+        output.give(done, f"export_{to}.json", exported.report_of_export, seed=seed)
         return
     if to != "mjcf" and to != "urdf":
         raise TorchidError(
@@ -120,7 +120,7 @@ def export_command(
         found.original, found.dynamics.arm or found.dynamics.robot, read, to, folder, name,
         held_out=apart, settings=replace(found.settings, seed=seed), keep=keep,
     )  # fmt: skip
-    output.give(made, "correction.json", correction_shown)
+    output.give(made, "correction.json", exported.report_of_correction)
 
 
 @command
@@ -159,7 +159,7 @@ def correct_command(
         require_name(name)
     found, log, apart, _ = trials.open(output, settings.held_out_fraction)
     from torchid.export.correct import file_format, require_field
-    from torchid.report.exported import correction_shown
+    from torchid.report.exported import report_of_correction
 
     kind = file_format(to)
     beside = with_effects and (to if to == "isaaclab" or to == "mjlab" else True)
@@ -172,5 +172,5 @@ def correct_command(
         found, result, log, kind, output.out or Path(), name, held_out=apart, settings=settings,
         with_effects=beside, keep=trials.inputs,
     )  # fmt: skip
-    shown = output.keep(done, "correction.json", correction_shown)
+    shown = output.keep(done, "correction.json", report_of_correction)
     output.tell(replace(shown, parts=[result.answer.headline, *shown.parts]))

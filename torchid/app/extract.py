@@ -95,7 +95,7 @@ def extract_command(
     from torchid.extraction.methods import found_by
     from torchid.feasibility.derived_bounds import NONE, WIDE
     from torchid.feasibility.sets import sets_record
-    from torchid.report.extraction import loss_notes, shown
+    from torchid.report.extraction import loss_notes, report_of_extraction
 
     problem, values, notes = sought.problem(arm, loss)
     # Where nothing bounds the bodies but their links' size, a search would answer any of them.
@@ -109,7 +109,7 @@ def extract_command(
     found = replace(found, warnings=told)
     file = sets_record(found.sets, problem.robot, knowledge=problem.robot.knowledge)
     output.put(output.out and output.out / "sets.json", file.save)
-    output.tell(output.keep(found, "extraction.json", shown))
+    output.tell(output.keep(found, "extraction.json", report_of_extraction))
 
 
 @command
@@ -128,7 +128,7 @@ def atlas_command(
         level: Of the confidence region of identified base parameters.
     """
     from torchid.parallel.workers import stage
-    from torchid.report.extraction import atlas_shown
+    from torchid.report.extraction import report_of_atlas
 
     problem, found, notes = sought.problem(arm, "two-step")
     if found.held:
@@ -139,4 +139,4 @@ def atlas_command(
             problem, covariance=found, level=level, progress=stage(progress, "ends")
         )
     data = {**ranges.plain(), "warnings": list(notes)}
-    output.give(data, "atlas.json", lambda _: atlas_shown(ranges, problem, notes))
+    output.give(data, "atlas.json", lambda _: report_of_atlas(ranges, problem, notes))

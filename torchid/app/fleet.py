@@ -124,7 +124,7 @@ def identify_command(
     """
     from torchid.fleet.identify import fleet_identify, reduce_fleet
     from torchid.fleet.known import known_model
-    from torchid.report.fleet import shown
+    from torchid.report.fleet import report_of_fleet
 
     if unit is not None and save_model is None:
         raise TorchidError("--unit is of a model to be written.", expected="--save-model FILE.yaml")
@@ -141,7 +141,7 @@ def identify_command(
         fleet = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
     if save_model is not None:
         output.put(save_model, partial(torchid.write_robot, known_model(fleet, unit)))
-    output.give(fleet.record, "fleet.json", shown, seed=seed)
+    output.give(fleet.record, "fleet.json", report_of_fleet, seed=seed)
 
 
 @command
@@ -165,7 +165,7 @@ def gap_command(
         force: Use logs that look wrong, too.
     """
     from torchid.fleet.gap import fleet_gap
-    from torchid.report.fleet import gap_shown
+    from torchid.report.fleet import report_of_fleet_gap
 
     model, logs, crew, store = engine.begin(units, FleetSettings(force=force), output)
     with output.progress("diagnosing logs") as progress:
@@ -179,7 +179,7 @@ def gap_command(
     output.give(
         gaps,
         "fleet_gap.json",
-        gap_shown,
+        report_of_fleet_gap,
         seed=settings.seed,
         files=output.hashed([("log", log.path, Path(log.path)) for log in logs]),
         settings={"effects": settings.effects or "all", "parameters": settings.parameters},
@@ -211,14 +211,14 @@ def watch_command(
     """
     from torchid.fleet.identify import fleet_identify
     from torchid.fleet.watch import watch
-    from torchid.report.fleet import watch_shown
+    from torchid.report.fleet import report_of_watch
 
     if engine.array is not None:
         raise TorchidError("--array is for `fleet identify`, whose store this command reads.")
     model, logs, crew, store = engine.begin(units, settings, output)
     with output.progress("reducing logs") as progress:
         fleet = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
-    output.give(watch(fleet, every), "fleet_watch.json", watch_shown, seed=seed)
+    output.give(watch(fleet, every), "fleet_watch.json", report_of_watch, seed=seed)
 
 
 def _say_part(

@@ -101,7 +101,7 @@ def gap_command(
     found, log, apart, files = trials.open(output, settings.held_out_fraction)
     from torchid.design.sensor import sensor_of
     from torchid.report.brief import model_words
-    from torchid.report.diagnosis import shown
+    from torchid.report.diagnosis import report_of_diagnosis
 
     if asked.view is not None:
         from torchid.report.view import require_viewer
@@ -110,7 +110,7 @@ def gap_command(
     kind = None
     if asked.to is not None:  # what writes a simulator's files takes a second to load
         from torchid.export.correct import file_format, require_field
-        from torchid.report.exported import correction_shown
+        from torchid.report.exported import report_of_correction
 
         kind = file_format(asked.to)
         require_field(kind, found, log)
@@ -137,7 +137,7 @@ def gap_command(
     # The worst joints of an earlier run may have been others.
     to_print = [
         output.keep(
-            result, "gap.json", partial(shown, model=words), seed=settings.seed,
+            result, "gap.json", partial(report_of_diagnosis, model=words), seed=settings.seed,
             old=["gap_joint_*.png", "which.png", "planted.png"], files=files,
             settings=settings_of(result, asked.servo),
         )
@@ -150,12 +150,12 @@ def gap_command(
             keep=trials.inputs,
         )  # fmt: skip
         output.put(output.out / "correction.json", done.save)
-        to_print.append(correction_shown(done))
+        to_print.append(report_of_correction(done))
     if asked.calibrate is not None:
         from joblib import cpu_count
 
         from torchid.gap.diagnosis import TorqueDiagnosis
-        from torchid.report.withheld import calibration_shown
+        from torchid.report.withheld import report_of_calibration
 
         if not isinstance(result, TorqueDiagnosis):
             raise TorchidError("--calibrate plants causes of torque, and this log has none.")
@@ -164,7 +164,7 @@ def gap_command(
                 result, log, count=asked.calibrate, jobs=cpu_count(), progress=progress
             )
         output.put(output.out and output.out / "calibration.json", checked.save)
-        to_print.append(calibration_shown(checked))
+        to_print.append(report_of_calibration(checked))
     for one in to_print:
         output.tell(one)
 
@@ -182,7 +182,7 @@ def settings_of(result: "Diagnosis", servo: str | None) -> dict[str, object]:
 def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings) -> None:
     """A simulator's logs against the arm's."""
     from torchid.log.readers import open_logs
-    from torchid.report.pair import shown
+    from torchid.report.pair import report_of_pair
     from torchid.robot.config_files import robot_file
 
     if not asked.simulated or not asked.real:
@@ -222,7 +222,7 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
             simulated, real, robot, settings=settings, force=asked.force, progress=progress
         )
     kept = output.keep(
-        result, "pair.json", shown, seed=settings.seed, files=files,
+        result, "pair.json", report_of_pair, seed=settings.seed, files=files,
         settings={} if result.of_arm is None else settings_of(result.of_arm, None),
     )  # fmt: skip
     try:

@@ -85,7 +85,7 @@ def identify_command(
         error_cutoff: Report errors under this filter, not the fit's.
     """
     found, log, apart, files = trials.open(output, settings.held_out_fraction)
-    from torchid.report.identification import shown
+    from torchid.report.identification import report_of_identification
 
     with output.progress("checking the log") as progress:
         doubts = trials.ask_first(found, [log, apart], trials.logs, settings.force)
@@ -97,8 +97,9 @@ def identify_command(
     # Trajectories of an earlier run may have had other names.
     old = ["fit_*.png", "held_out_*.png"]
     output.give(
-        result, "identification.json", shown, seed=seed, old=old, files=files, settings=told
-    )
+        result, "identification.json", report_of_identification, seed=seed, old=old, files=files,
+        settings=told,
+    )  # fmt: skip
     file = output.json_file or (output.out and output.out / "identification.json")
     if file is not None and str(file) != "-":
         output.say(f"For a simulator: torchid export {file} --to urdf --out DIR")
@@ -148,7 +149,7 @@ def payload_command(
     found = arm.load()
     empty = arm.read(arm.logs, found) if arm.logs else None
     full, forced = arm.read(loaded, found), settings.force
-    from torchid.report.identification import payload_shown
+    from torchid.report.identification import report_of_payload
 
     with output.progress("checking the logs") as progress:
         doubts = arm.ask_first(found, [empty], arm.logs, forced) if empty else ()
@@ -158,4 +159,4 @@ def payload_command(
             progress=progress,
         )  # fmt: skip
     carried = structs.replace(carried, warnings=(*doubts, *carried.warnings))
-    output.give(carried, "payload.json", payload_shown, seed=seed)
+    output.give(carried, "payload.json", report_of_payload, seed=seed)

@@ -37,7 +37,7 @@ def doctor_command(
     """
     from torchid.doctor.examine import record
     from torchid.doctor.flag import flag_for
-    from torchid.report.doctor import doctor_shown
+    from torchid.report.doctor import report_of_examination
 
     found = arm.load()
     log = arm.read(arm.logs, found)
@@ -46,7 +46,9 @@ def doctor_command(
     output.put(apply, lambda path: torchid.write_log(result.mended(), path))
     # The fixes as --columns, where the logs have columns of our names.
     flag = None if arm.columns or arm.topic else flag_for(result.repairs, found.n, arm.logs)
-    output.give(record(result, flag), "doctor.json", lambda _: doctor_shown(result), seed=seed)
+    output.give(
+        record(result, flag), "doctor.json", lambda _: report_of_examination(result), seed=seed
+    )
     if apply is not None:
         count = len(result.repairs)
         output.say(f"{apply} is a copy with {count} fix{'es' if count != 1 else ''}")
@@ -82,7 +84,7 @@ def show_command(
     """
     from torchid.design.repeats import repeated_motion
     from torchid.log.overview import look_at, overview_record
-    from torchid.report.log import shown
+    from torchid.report.log import report_of_log
     from torchid.robot.model import JointType
 
     checked: dict[str, Any] = {}
@@ -103,7 +105,7 @@ def show_command(
         log = log if found.drive_gain is None else log.with_torque(found.drive_gain)
     output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
     output.put(save, partial(torchid.write_log, log))
-    output.tell(shown(seen, repeats))
+    output.tell(report_of_log(seen, repeats))
     if seen.problem is not None:
         output.say(as_text("this log cannot be used as it is: ", "red") + as_text(seen.problem))
     if save is not None:

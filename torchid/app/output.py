@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from torchid.report.page.document import InputFile, Origin, Page
-    from torchid.report.table import Shown
+    from torchid.report.table import Report
     from torchid.results.answer import Answer
 
 
@@ -178,7 +178,7 @@ class Output:
             write(path)
             self.written.append(path)
 
-    def give(self, result: Any, name: str, show: "Callable[[Any], Shown]", **about: Any) -> None:
+    def give(self, result: Any, name: str, show: "Callable[[Any], Report]", **about: Any) -> None:
         """Write a result, and then print it; see `keep`."""
         self.tell(self.keep(result, name, show, **about))
 
@@ -186,13 +186,13 @@ class Output:
         self,
         result: Any,
         name: str,
-        show: "Callable[[Any], Shown]",
+        show: "Callable[[Any], Report]",
         *,
         seed: int | None = None,
         old: Sequence[str] = (),
         files: "Sequence[InputFile]" = (),
         settings: Mapping[str, object] | None = None,
-    ) -> "Shown":
+    ) -> "Report":
         """Write a result: its JSON, its figures into DIR, its page, whichever are asked for.
 
         Args:
@@ -260,7 +260,7 @@ class Output:
 
         return input_files(named)
 
-    def tell(self, shown: "Shown") -> None:
+    def tell(self, shown: "Report") -> None:
         """Print all that there is to say of a result; of one that has a screen no more, unless all
         is asked for."""
         if shown.screen is not None:

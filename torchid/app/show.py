@@ -19,10 +19,10 @@ def robot_command(*, arm: opt.Arm, output: Annotated[Kept, "robot.json"]) -> Non
 
     Example: `torchid robot kuka_lwr4`
     """
-    from torchid.report.robot import robot_record, shown
+    from torchid.report.robot import report_of_robot, robot_record
 
     found = arm.load()
-    output.give(robot_record(found), "robot.json", lambda _: shown(found))
+    output.give(robot_record(found), "robot.json", lambda _: report_of_robot(found))
 
 
 @command
@@ -86,12 +86,12 @@ def explain_command(
         result: JSON of any command, or a folder of them.
         report: Of a folder: write an index of its results, links to them and their pages.
     """
-    from torchid.report.explain import shown
+    from torchid.report.explain import report_of_file
 
     if result.is_dir():
-        from torchid.report.page.index import index_shown, write_index
+        from torchid.report.page.index import report_of_folder, write_index
 
-        listing = index_shown(result)
+        listing = report_of_folder(result)
         output.put(output.report, partial(write_index, result))
         output.tell(listing)
         return
@@ -101,6 +101,6 @@ def explain_command(
             got=result,
             hint="the page of one result is written by the command that computes it",
         )
-    data, said = shown(result)
+    data, said = report_of_file(result)
     output.write_json(data, "result.json")
     replace(output, verbose=True).tell(said)

@@ -49,7 +49,7 @@ def own_command(
     Args:
         force: Go on with a log that looks wrong, too.
     """
-    from torchid.report.withheld import own_shown
+    from torchid.report.withheld import report_of_own_check
 
     found, log, apart, _ = trials.open(output)
     with output.progress() as progress, trials.line_to_mend():
@@ -58,4 +58,4 @@ def own_command(
             jobs=workers.count, progress=progress,
         )  # fmt: skip
     output.say(*([result.first.doubt] if result.first.doubt else []))
-    output.give(result, "own.json", own_shown, seed=settings.seed)
+    output.give(result, "own.json", report_of_own_check, seed=settings.seed)

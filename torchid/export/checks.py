@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 import torch
@@ -19,7 +20,7 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import Valued
 from torchid.errors import TorchidError
 from torchid.export.c_code import CFile, identifier
-from torchid.results.record import Part
+from torchid.results.record import Col, Part
 from torchid.robot.config_files import filled_template
 from torchid.typing import Joints
 
@@ -45,13 +46,19 @@ class Comparison(Part, frozen=True, rename={"difference": "largest_relative_diff
         note: why there is no difference, or what was left aside.
     """
 
-    reader: str
-    compared: str
-    states: int
-    difference: float | None
-    limit: float
+    reader: Annotated[str, Col()]
+    compared: Annotated[str, Col()]
+    states: Annotated[int, Col()]
+    difference: Annotated[float | None, Col("largest difference", ".1e")]
+    limit: Annotated[float, Col(digits="g")]
     ok: bool | None = None
     note: str = ""
+
+    @property
+    def result(self) -> Annotated[str, Col()]:
+        """Whether it agrees, and the note."""
+        agrees = "not compared" if self.difference is None else "agrees"
+        return ": ".join(filter(None, (agrees, self.note)))
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,12 +1,14 @@
 """What was exported or corrected, as JSON: schemas torchid.export/1 and torchid.correction/1."""
 
 import math
+from typing import Annotated
 
 import msgspec
 from msgspec import UNSET, UnsetType
 
 from torchid.export.checks import Comparison
-from torchid.results.record import Joint, Part, Real, Record, Rows, Values
+from torchid.results.record import Col, Joint, Part, Real, Record, Rows, Values
+from torchid.results.words import effect_words, joints_or_arm
 from torchid.typing import Float, Tensor
 
 
@@ -118,8 +120,8 @@ class Kept(Part, frozen=True, rename={"share": "kept", "field": "by"}):
             several joints as root of the sum of their mean squares [N m; N].
     """
 
-    effect: str
-    joints: tuple[Joint, ...]
+    effect: Annotated[str, Col(words=effect_words)]
+    joints: Annotated[tuple[Joint, ...], Col(words=joints_or_arm)]
     share: Real
     field: str
     joint: Joint | None
@@ -143,8 +145,8 @@ class BodiesRecord(Part, frozen=True, kw_only=True):
 class UnsaidRow(Part, frozen=True, kw_only=True):
     """A parameter of servos that the file has no field for."""
 
-    parameter: str
-    joints: tuple[Joint, ...]
+    parameter: Annotated[str, Col()]
+    joints: Annotated[tuple[Joint, ...], Col(words=joints_or_arm)]
 
 
 class CorrectionRecord(Record, frozen=True, kw_only=True, tag="torchid.correction/1"):
@@ -190,13 +192,13 @@ class RangeRow(Part, frozen=True, kw_only=True):
         why: one sentence.
     """
 
-    field: str
-    name: str
-    unit: str
-    low: Real
-    high: Real
+    field: Annotated[str, Col()]
+    name: Annotated[str, Col("of")]
+    unit: Annotated[str, Col()]
+    low: Annotated[Real, Col(digits=".4g")]
+    high: Annotated[Real, Col(digits=".4g")]
     centre: Real
-    why: str
+    why: Annotated[str, Col()]
 
 
 class ResidualBand(Part, frozen=True, kw_only=True):
@@ -212,14 +214,14 @@ class ResidualBand(Part, frozen=True, kw_only=True):
         why: one sentence.
     """
 
-    joint: Joint
-    low: Real
-    high: Real
+    joint: Annotated[Joint, Col()]
+    low: Annotated[Real, Col()]
+    high: Annotated[Real, Col()]
     rms: Real
     noise: Real
     unexplained: Real
     correlation: Real = msgspec.field(name="correlation_s")
-    why: str
+    why: Annotated[str, Col()]
 
 
 class Share(Part, frozen=True, kw_only=True):

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from msgspec import UNSET, UnsetType, field
@@ -10,7 +10,7 @@ from msgspec import UNSET, UnsetType, field
 from torchid.extraction.problem import Problem
 from torchid.extraction.settings import SearchSettings
 from torchid.feasibility.sets import SetEntry, SetsFile
-from torchid.results.record import Ends, Part, Real, RobotRecord, Rows
+from torchid.results.record import Col, Ends, Part, Real, RobotRecord, Rows
 from torchid.robot.library import named_record
 from torchid.typing import Float, Tensor
 
@@ -68,16 +68,29 @@ class SearchRecord(SearchSettings):
     contradictions: tuple[str, ...]
 
 
+ON_THE_BOUNDARY = 1e-6
+"""Degree below which a feasible set is said to be on the boundary."""
+
+
+def _degree(value: float) -> str:
+    return "boundary" if abs(value) < ON_THE_BOUNDARY else f"{value:.2g}"
+
+
 class ExtractedSet(SetEntry, frozen=True, kw_only=True):
     """A set as in a file of sets, with its loss, penalty, verdict, and how far its torque is (n,)
     from the one asked for."""
 
-    phi: Real
-    gamma: Real
-    feasible: bool
-    reasons: tuple[str, ...]
-    degree: Real
+    phi: Annotated[Real, Col(digits=".5g")]
+    gamma: Annotated[Real, Col(digits=".2g")]
+    feasible: Annotated[bool, Col()]
+    reasons: Annotated[tuple[str, ...], Col()]
+    degree: Annotated[Real, Col(words=_degree)]
     torque_error_percent: Float[Tensor, " n"]
+
+    @property
+    def far(self) -> Annotated[float, Col("torque of the worst joint", ".2g", "%")]:
+        """Error of the joint whose torque is farthest from the one asked for."""
+        return float(self.torque_error_percent.max())
 
 
 class ProblemRecord(RobotRecord, frozen=True, kw_only=True):
@@ -133,11 +146,11 @@ class ExtractionRecord(
 class AtlasRange(Part, frozen=True, kw_only=True):
     """The range of one parameter over feasible sets of equal torque, and over those of any."""
 
-    name: str
-    unit: str
-    low: Real
-    high: Real
-    bounds: Ends
+    name: Annotated[str, Col("parameter")]
+    unit: Annotated[str, Col()]
+    low: Annotated[Real, Col(digits=".4g")]
+    high: Annotated[Real, Col(digits=".4g")]
+    bounds: Annotated[Ends, Col("within the bounds alone")]
     share_of_bounds: Real
     status: tuple[str, str]
 

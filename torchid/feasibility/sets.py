@@ -13,7 +13,7 @@ from torchid.effects.registry import Valued, column_kind, effect_from_record, no
 from torchid.errors import TorchidError
 from torchid.inputs import RobotLike, as_robot
 from torchid.results.files import contents, parsed
-from torchid.results.record import FINITE, Part, Result, RobotRecord, Rows, Values
+from torchid.results.record import FINITE, Col, Part, Result, RobotRecord, Rows, Values
 from torchid.robot.inertia import InertialParameters, parallel_axis
 from torchid.robot.knowledge import Knowledge, from_mapping, to_mapping
 from torchid.robot.library import named_record
@@ -166,7 +166,7 @@ class SetEntry(Part, frozen=True, kw_only=True):
         effects: with their coefficients, as in a robot's yaml.
     """
 
-    id: str | int | float | None = None
+    id: Annotated[str | int | float | None, Col("set", "g")] = None
     mass: Annotated[Float[Tensor, " n"], FINITE]
     com: Annotated[Float[Tensor, "n 3"], FINITE] | UnsetType = UNSET
     first_moment: Annotated[Float[Tensor, "n 3"], FINITE] | UnsetType = UNSET

@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import UNSET, UnsetType
 
@@ -22,11 +22,15 @@ from torchid.json_data import plain
 from torchid.log.readers import open_log
 from torchid.parallel.store import Store
 from torchid.parallel.workers import Failure, Progress, Workers, attempted
-from torchid.results.record import Joint, Part, Real, RobotRecord, Rows
+from torchid.results.record import Col, Joint, Part, Real, RobotRecord, Rows
+from torchid.results.words import interval, listed, percent, regime_words
 from torchid.robot.library import named_record
 from torchid.statistics.proportion import clopper_pearson
 
 Scope = Literal["type", "some", "unit"]
+
+SCOPES: dict[Scope, str] = {"type": "the type's", "some": "some units'", "unit": "a unit's own"}
+"""In words."""
 
 HALF = 0.5
 """Share of the units: an effect that surely more of them have is the type's, one that surely fewer
@@ -78,6 +82,11 @@ def answer_gap(task: GapTask) -> tuple[LogAnswer, dict[str, Any]]:
     return answer, {name: gap[name] for name in wanted}
 
 
+def _largest(gap: tuple[float, ...]) -> str:
+    """`2.1 on joint 3`."""
+    return f"{max(gap):.2g} on joint {gap.index(max(gap)) + 1}" if gap else "-"
+
+
 class DiagnosedLog(Part, frozen=True, kw_only=True):
     """One log and its diagnosis.
 
@@ -91,15 +100,20 @@ class DiagnosedLog(Part, frozen=True, kw_only=True):
         effects: that are named, e.g. `viscous_friction of joint 2`.
     """
 
-    unit: str
-    session: str
+    unit: Annotated[str, Col()]
+    session: Annotated[str, Col()]
     log: str
-    status: str
+    status: Annotated[str, Col(words=regime_words)]
     evidence: str
     key: str
-    gap: tuple[Real, ...]
-    closed: float | None
+    gap: Annotated[tuple[Real, ...], Col("largest gap / noise", words=_largest)]
+    closed: Annotated[float | None, Col(words=percent)]
     effects: tuple[str, ...]
+
+    @property
+    def named(self) -> Annotated[str, Col()]:
+        """Its effects, or why there is no diagnosis."""
+        return "; ".join(self.effects) or self.evidence
 
 
 class FleetEffect(Part, frozen=True, kw_only=True):
@@ -117,15 +131,15 @@ class FleetEffect(Part, frozen=True, kw_only=True):
     effect: str
     family: str
     joints: tuple[Joint, ...]
-    units: tuple[str, ...]
+    units: Annotated[tuple[str, ...], Col("which", words=lambda units: listed(units, most=4))]
     share: float
-    ci95: tuple[float, float]
-    scope: Scope
-    ambiguous_with: tuple[str, ...]
+    ci95: Annotated[tuple[float, float], Col("95 %", words=interval)]
+    scope: Annotated[Scope, Col("is", words=SCOPES.__getitem__)]
+    ambiguous_with: Annotated[tuple[str, ...], Col("or")]
     coefficients: dict[str, dict[str, float]]
 
     @property
-    def label(self) -> str:
+    def label(self) -> Annotated[str, Col("effect")]:
         """Name and place."""
         return effect_label(self.effect, [j + 1 for j in self.joints])
 

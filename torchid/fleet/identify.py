@@ -22,6 +22,7 @@ from torchid.fleet.factors import Solved
 from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
 from torchid.fleet.record import (
+    USED,
     FleetRecord,
     FleetSettingsRecord,
     Oddity,
@@ -48,9 +49,6 @@ from torchid.statistics.random_effects import FEWEST_UNITS, Pooled, Sessions, po
 
 INDEX = "index.parquet"
 """Of a store: one row a log, for duckdb or pandas."""
-
-USED = ("good", "doubtful")
-"""Verdicts of logs that are used."""
 
 WORTH_PROCESSES = 40
 """Units from which on processes are started to fit them."""

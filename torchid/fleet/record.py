@@ -1,14 +1,20 @@
 """A fleet as its JSON has it: the schema torchid.fleet/1."""
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from msgspec import UNSET, UnsetType, field
 
 from torchid.fleet.settings import FleetSettings
-from torchid.results.record import Ends, Part, Real, RobotRecord, Rows, recorded
+from torchid.results.record import Col, Ends, Part, Real, RobotRecord, Rows, recorded
+from torchid.results.words import short
 from torchid.typing import Float, Tensor
 
 Judged = Literal["good", "doubtful", "refused", "failed"]
+USED: tuple[Judged, ...] = ("good", "doubtful")
+"""Verdicts of logs that are fitted."""
+
+PARAMETER = Annotated[str, Col("base parameter", words=lambda name: short(name, 22))]
+"""A name that tables cut."""
 
 
 class LogRow(Part, frozen=True, kw_only=True):
@@ -27,10 +33,10 @@ class LogRow(Part, frozen=True, kw_only=True):
         blocks: number of blocks.
     """
 
-    unit: str
-    session: str
+    unit: Annotated[str, Col()]
+    session: Annotated[str, Col()]
     log: str
-    verdict: Judged
+    verdict: Annotated[Judged, Col()]
     evidence: tuple[str, ...]
     sha256: str = ""
     key: str = ""
@@ -38,6 +44,11 @@ class LogRow(Part, frozen=True, kw_only=True):
     noise: tuple[Real, ...] = ()
     correlation: Real = field(default=0.0, name="correlation_s")
     blocks: int = 0
+
+    @property
+    def why(self) -> Annotated[str, Col()]:
+        """The first of its evidence, or the last of a log that was not used."""
+        return self.evidence[0 if self.verdict in USED else -1]
 
 
 class Spread(Part, frozen=True, kw_only=True):
@@ -49,12 +60,12 @@ class Spread(Part, frozen=True, kw_only=True):
         between, between_ci95: spread from unit to unit, one standard deviation.
     """
 
-    name: str
+    name: PARAMETER
     unit: str
-    mean: Real
+    mean: Annotated[Real, Col(spread="std", unit_of="unit")]
     std: Real
-    between: Real = field(name="unit_std")
-    between_ci95: Ends = field(name="unit_std_ci95")
+    between: Annotated[Real, Col("units", ".2g")] = field(name="unit_std")
+    between_ci95: Annotated[Ends, Col("95 %", ".2g")] = field(name="unit_std_ci95")
 
 
 class PooledParameter(Spread, frozen=True, kw_only=True):
@@ -70,12 +81,12 @@ class PooledParameter(Spread, frozen=True, kw_only=True):
     """
 
     ci95: Ends
-    daily: Real = field(name="day_std")
+    daily: Annotated[Real, Col("days", ".2g")] = field(name="day_std")
     daily_ci95: Ends = field(name="day_std_ci95")
-    noise: Real = field(name="noise_std")
+    noise: Annotated[Real, Col(digits=".2g")] = field(name="noise_std")
     units: int
     sessions: int
-    sessions_needed: int | None
+    sessions_needed: Annotated[int | None, Col("needed")]
 
 
 class UnitRow(Part, frozen=True, kw_only=True):
@@ -115,14 +126,14 @@ class Oddity(Part, frozen=True, kw_only=True):
         sentence: all of it in words.
     """
 
-    unit: str
-    parameter: str
-    value: Real
+    unit: Annotated[str, Col()]
+    parameter: PARAMETER
+    value: Annotated[Real, Col("its value", spread="std")]
     std: Real
-    others: Real
-    spread: Real
-    deviation: Real
-    p: Real
+    others: Annotated[Real, Col(digits=".4g")]
+    spread: Annotated[Real, Col(digits=".2g")]
+    deviation: Annotated[Real, Col(digits="+.1f")]
+    p: Annotated[Real, Col(digits=".1e")]
     sentence: str
 
 

@@ -2,16 +2,18 @@
 
 from collections import defaultdict
 from collections.abc import Mapping
+from typing import Annotated
 
 import torch
 from msgspec import UNSET, UnsetType, field
 
 from torchid import __version__
 from torchid.errors import TorchidError
-from torchid.fleet.identify import USED, Fleet
+from torchid.fleet.identify import Fleet
+from torchid.fleet.record import PARAMETER, USED
 from torchid.fleet.tasks import UnitAnswer
 from torchid.identification.base_parameters import BaseParameters
-from torchid.results.record import Part, Real, RobotRecord, Rows
+from torchid.results.record import Col, Part, Real, RobotRecord, Rows
 from torchid.robot.library import named_record
 from torchid.statistics.drift import drift
 from torchid.statistics.robust import MAD_TO_SIGMA
@@ -40,14 +42,16 @@ class Alarm(Part, frozen=True, kw_only=True):
         sentence: all of it in words.
     """
 
-    unit: str
-    parameter: str
-    since: str
-    said_at: str
-    before: Real
-    after: Real
-    percent: Real
-    by_temperature: float | None = field(name="percent_by_temperature")
+    unit: Annotated[str, Col()]
+    parameter: PARAMETER
+    since: Annotated[str, Col()]
+    said_at: Annotated[str, Col("sure at")]
+    before: Annotated[Real, Col(digits=".4g")]
+    after: Annotated[Real, Col(digits=".4g")]
+    percent: Annotated[Real, Col("by", "+.0f", "%")]
+    by_temperature: Annotated[float | None, Col("temperature's", "+.0f", "%")] = field(
+        name="percent_by_temperature"
+    )
     evidence: Real
     threshold: Real
     sentence: str

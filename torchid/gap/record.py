@@ -14,6 +14,7 @@ from torchid.results.answer import Cause, DiagnosisRecord, NotTestable, Size
 from torchid.results.friction import FrictionLaw
 from torchid.results.record import (
     FINITE,
+    Col,
     Ends,
     Joint,
     Model,
@@ -24,6 +25,7 @@ from torchid.results.record import (
     face,
 )
 from torchid.results.replication import Replication
+from torchid.results.words import effect_words
 from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
 from torchid.simulation.two_models import Rollout
@@ -116,11 +118,17 @@ class KnownCoefficient(Part, frozen=True, kw_only=True):
 
     name: str
     unit: str
-    before: Real
+    before: Annotated[Real, Col("known before", spread="before_std", unit_of="unit")]
     before_std: float | None
-    after: Real
+    after: Annotated[Real, Col("with this log", spread="after_std", unit_of="unit")]
     after_std: float | None
     changed: bool = False
+
+    @property
+    def words(self) -> Annotated[str, Col("coefficient")]:
+        """`viscous friction Fv3`."""
+        effect, _, place = self.name.rpartition(" ")
+        return f"{effect_words(effect)} {place}"
 
 
 class FoundEffect(Part, frozen=True, kw_only=True):
@@ -248,10 +256,10 @@ class Open(Part, frozen=True, kw_only=True):
         motion: what to drive to know it.
     """
 
-    joint: Joint
+    joint: Annotated[Joint, Col()]
     added_rms: Real
     hides: bool
-    motion: str = ""
+    motion: Annotated[str, Col("to be sure")] = ""
 
 
 class Known(Part, frozen=True, kw_only=True):

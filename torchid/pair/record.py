@@ -1,11 +1,12 @@
 """What a simulator's log and the arm's are told to differ by, as JSON has it: torchid.pair/1."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from msgspec import UNSET, UnsetType
 
 from torchid.gap.record import NoiseFloor, RegimeGap
-from torchid.results.record import Joint, Part, Real, Record, Rows
+from torchid.results.record import Col, Joint, Part, Real, Record, Rows
+from torchid.results.words import joints_words, regime_words
 
 Side = Literal["simulator", "arm"]
 
@@ -82,13 +83,19 @@ class Fault(Part, frozen=True):
         remedy: what to do.
     """
 
-    fault: FaultName
+    fault: Annotated[FaultName, Col(words=regime_words)]
     joints: tuple[Joint, ...]
     side: Side | None
     value: Real
     unit: str
-    meaning: str
-    remedy: str
+    meaning: Annotated[str, Col("what was seen")]
+    remedy: Annotated[str, Col("what to do")]
+
+    @property
+    def where(self) -> Annotated[str, Col()]:
+        """`simulator, joint 2`."""
+        joints = joints_words(self.joints) if self.joints else ""
+        return ", ".join(filter(None, (self.side, joints)))
 
 
 class OneSided(Part, frozen=True):

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 import torch
@@ -30,7 +31,7 @@ from torchid.position.record import PositionRecord
 from torchid.position.replay import replay
 from torchid.position.rods import with_rods
 from torchid.results.files import read_as
-from torchid.results.record import Joint, Part, Real, Record, Rows
+from torchid.results.record import Col, Joint, Part, Real, Record, Rows
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, Servos, as_share
 from torchid.simulation.servo_loop import windows_of
@@ -64,11 +65,11 @@ class OpenParameter(Part, frozen=True, kw_only=True):
         then: half width by the diagnosis and these motions.
     """
 
-    joint: Joint
-    parameter: str
-    why: str
-    now: Real
-    then: Real
+    joint: Annotated[Joint, Col()]
+    parameter: Annotated[str, Col()]
+    why: Annotated[str, Col("open because of")]
+    now: Annotated[Real, Col("now ±", ".2g")]
+    then: Annotated[Real, Col("then ±", ".2g")]
 
 
 class NextCommandsRecord(Record, frozen=True, kw_only=True, tag="torchid.position_motion/1"):

@@ -8,7 +8,7 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from torchid.results.answer import Cause, DiagnosisRecord, NotTestable, Size
-from torchid.results.record import FINITE, Ends, Joint, Part, Real, Rows, Values
+from torchid.results.record import FINITE, Col, Ends, Joint, Part, Real, Rows, Values
 from torchid.results.replication import Replication
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Float, Tensor
@@ -28,12 +28,12 @@ class JointRecord(Part, frozen=True, kw_only=True):
     cause, and the step of its encoder, as the log shows it [mrad], and the 90 % interval of its
     noise, null where no repeat of a motion tells it."""
 
-    joint: Joint
-    name: str = ""
-    commanded_mrad: Real
-    plain_mrad: Real
-    answered_mrad: Real
-    file_mrad: Real = math.nan
+    joint: Annotated[Joint, Col()]
+    name: Annotated[str, Col()] = ""
+    commanded_mrad: Annotated[Real, Col("command", ".1f")]
+    plain_mrad: Annotated[Real, Col("plain servo", ".1f")]
+    answered_mrad: Annotated[Real, Col("corrected", ".1f")]
+    file_mrad: Annotated[Real, Col("file", ".1f")] = math.nan
     kp: Real
     kp_ci95: Ends
     ratio_only: bool
@@ -41,6 +41,11 @@ class JointRecord(Part, frozen=True, kw_only=True):
     unseen_mrad: Real = math.nan
     resolution_mrad: Real = math.nan
     noise_mrad: Ends = (math.nan, math.nan)
+
+    @property
+    def gain(self) -> Annotated[float | str, Col("kp", ".1f")]:
+        """kp [N m/rad], or that torques are known as shares of it alone."""
+        return "ratio" if self.ratio_only and not self.never_moves else self.kp
 
 
 class RegimeRecord(Part, frozen=True, kw_only=True):
@@ -200,13 +205,13 @@ class ChangeRecord(Part, frozen=True, kw_only=True):
         state: `as known`, `changed`, `open` (the log does not say), `new`, or `gone`.
     """
 
-    joint: Joint
-    parameter: str
+    joint: Annotated[Joint, Col()]
+    parameter: Annotated[str, Col("value")]
     unit: str
-    was: Real
-    now: Real
+    was: Annotated[Real, Col("in the file", unit_of="unit")]
+    now: Annotated[Real, Col("found", unit_of="unit")]
     std: Real
-    state: str
+    state: Annotated[str, Col()]
 
 
 class KnownRecord(Part, frozen=True, kw_only=True):

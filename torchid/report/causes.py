@@ -3,10 +3,13 @@ what the log could not show."""
 
 import math
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from torchid.gap.record import FoundEffect, GapRecord, UnnamedEffect
 from torchid.position.record import PositionFinding, PositionRecord
 from torchid.report.cautions import number_ranges
+from torchid.report.panels import Picture
 from torchid.report.table import Table
 from torchid.results.agreement import by_cause
 from torchid.results.answer import Answer, Cause, NotTestable, named_size
@@ -31,6 +34,28 @@ MOST_RUNS = 12
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 
 
+Parts = Sequence[Picture | Table | None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """What a diagnosis of one kind of log rests on, beside what all have; empty parts are left out.
+
+    Attributes:
+        where: where the error lies.
+        friction: of each joint.
+        numbers: errors, and what was known.
+        unseen: beside what the log could not show.
+        remarks: what to know about the tables, one sentence each.
+    """
+
+    where: Parts
+    friction: Parts = ()
+    numbers: Parts
+    unseen: Parts = ()
+    remarks: Sequence[str]
+
+
 def cause_table(record: GapRecord | PositionRecord) -> Table:
     """Every cause with its numbers, and effects that are sure and remove less than was asked for.
 
@@ -39,20 +64,19 @@ def cause_table(record: GapRecord | PositionRecord) -> Table:
     """
     assert isinstance(record.answer, Answer)
     small = record.small if isinstance(record, GapRecord) else ()
-    found = {(f.effect, _joints(f)): f for f in (*record.which, *small)}
+    findings = {(f.effect, _joints(f)): f for f in (*record.which, *small)}
     rows = []
     for cause in (*record.answer.causes, *record.answer.small):
-        own = found.get((cause.effect, cause.joints))
+        finding = findings.get((cause.effect, cause.joints))
         removes = "-" if math.isnan(cause.closes) else percent(cause.closes)
         removes += "" if math.isnan(cause.alone) else f", alone {percent(cause.alone)}"
-        if isinstance(own, UnnamedEffect):
-            removes = f"small: {own.closes_rms:.2g} RMS"
+        if isinstance(finding, UnnamedEffect):
+            removes = f"small: {finding.closes_rms:.2g} RMS"
         others = "\n".join(map(effect_words, cause.ambiguous_with)) or "-"
         joints = number_list(cause.joints, "all")
-        again = repeat_words(None if own is None else own.replication)
-        rows.append(
-            (cause.name, joints, _values(cause, own), others, removes, sure(cause.how_sure), again)
-        )
+        again = repeat_words(None if finding is None else finding.replication)
+        values = _values(cause, finding)
+        rows.append((cause.name, joints, values, others, removes, sure(cause.how_sure), again))
     columns = ("effect", "joints", "value", "could also be", "removes", "sure", "found in")
     note = (
         "or: could also be; removes: share of the error that this cause takes away, the mean over "
@@ -62,11 +86,11 @@ def cause_table(record: GapRecord | PositionRecord) -> Table:
     return Table("which: causes of the error (value ± std)", columns, rows, "lllp", note)
 
 
-def _joints(found: FoundEffect | UnnamedEffect | PositionFinding) -> tuple[int, ...]:
-    return found.located if isinstance(found, FoundEffect) else found.joints
+def _joints(finding: FoundEffect | UnnamedEffect | PositionFinding) -> tuple[int, ...]:
+    return finding.located if isinstance(finding, FoundEffect) else finding.joints
 
 
-def _values(cause: Cause, found: FoundEffect | UnnamedEffect | PositionFinding | None) -> str:
+def _values(cause: Cause, finding: FoundEffect | UnnamedEffect | PositionFinding | None) -> str:
     """Numbers of a cause, a line each, and its shapes in brackets."""
     values = []
     for size in sorted(cause.sizes, key=lambda s: not s.determined)[:MOST_SIZES]:
@@ -76,10 +100,10 @@ def _values(cause: Cause, found: FoundEffect | UnnamedEffect | PositionFinding |
     if not values:
         values = ["see the corrected model" if cause.effect == "link_inertia" else "-"]
     values += ["..."] if len(cause.sizes) > MOST_SIZES else []
-    if isinstance(found, FoundEffect) and found.shape:
-        sizes = ((found.parameters[name], name) for name in found.shape)
+    if isinstance(finding, FoundEffect) and finding.shape:
+        sizes = ((finding.parameters[name], name) for name in finding.shape)
         numbers = [
-            f"{name} = {x:.4g} {unit_behind(found.unit[name])}".rstrip()
+            f"{name} = {x:.4g} {unit_behind(finding.unit[name])}".rstrip()
             for x, name in sizes
             if isinstance(x, int | float)
         ]
@@ -87,13 +111,13 @@ def _values(cause: Cause, found: FoundEffect | UnnamedEffect | PositionFinding |
     return "\n".join(values)
 
 
-def _corrects(found: FoundEffect | PositionFinding, robot: Robot | None) -> bool:
+def _corrects(finding: FoundEffect | PositionFinding, robot: Robot | None) -> bool:
     """Whether the model has this effect at this place already, so that values are changes of it."""
-    if robot is None or not isinstance(found, FoundEffect) or found.effect == "link_inertia":
+    if robot is None or not isinstance(finding, FoundEffect) or finding.effect == "link_inertia":
         return False
-    joints = [j + 1 for j in found.located]
+    joints = [j + 1 for j in finding.located]
     return any(
-        r.get("effect") == found.effect and (not joints or r.get("joint") in joints)
+        r.get("effect") == finding.effect and (not joints or r.get("joint") in joints)
         for r in robot.effects
     )
 
@@ -104,9 +128,11 @@ def agreement_table(record: GapRecord | PositionRecord) -> Table:
     for runs in by_cause(record.agreement):
         one = runs[0]
         first = sorted(runs, key=lambda r: r.verdict != "differs")
-        shown = runs if len(runs) <= MOST_RUNS else first[:MOST_RUNS]
-        each = [f"{r.run}: {r.words if r.wanted is not None else '-'}" for r in shown]
-        each = [f"{t} *" if r.verdict == "differs" else t for t, r in zip(each, shown, strict=True)]
+        listed_runs = runs if len(runs) <= MOST_RUNS else first[:MOST_RUNS]
+        each = [
+            f"{r.run}: {r.words if r.wanted is not None else '-'}{' *' * (r.verdict == 'differs')}"
+            for r in listed_runs
+        ]
         each += [f"and {len(runs) - MOST_RUNS} more"] if len(runs) > MOST_RUNS else []
         merged = measure(one.merged, one.merged_std, unit_behind(one.unit))
         name = f"{one.cause}, {one.parameter}"

@@ -9,7 +9,7 @@ from rich.text import Text
 from torchid.fleet.comparison import ComparedParameter, Comparison, TorqueSpread, Verdict
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
 from torchid.report.panels import Figure, finish, panel, rows_of
-from torchid.report.table import Cell, Shown, Table, cell, cells, joint_numbers
+from torchid.report.table import Cell, Report, Table, cell, cells, joint_numbers
 from torchid.results.words import count, listed, short, unit_behind
 from torchid.statistics.proportion import HALF_95
 
@@ -33,10 +33,10 @@ LONGEST = 20
 """Characters of a coefficient's name in the table; the JSON has all of it."""
 
 
-def shown(found: Comparison) -> Shown:
+def report_of_comparison(found: Comparison) -> Report:
     """All that there is to see of a comparison."""
     parts, drawn = [parameter_table(found), torque_table(found)], partial(forest_figure, found)
-    return Shown(
+    return Report(
         verdict=verdict(found), parts=parts, warnings=found.notes, figures={"parameters": drawn}
     )
 

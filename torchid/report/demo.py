@@ -4,7 +4,7 @@ from torchid.doctor.examine import conclusion
 from torchid.gap.diagnosis import Finding
 from torchid.report.brief import Screen
 from torchid.report.identification import verdict
-from torchid.report.table import Shown, Table
+from torchid.report.table import Report, Table
 from torchid.results.words import effect_words, measure, sure
 from torchid.withheld.demo import Demo, Files
 
@@ -19,11 +19,11 @@ def introduction(files: Files) -> str:
     )
 
 
-def shown(demo: Demo) -> Shown:
+def report_of_demo(demo: Demo) -> Report:
     """Each step under the command that does the same, and what was withheld at the end."""
     files, answer = demo.files, demo.diagnosis.answer
     logs = " ".join(str(path) for path in files.logs)
-    return Shown(
+    return Report(
         parts=[
             f"$ torchid log doctor {files.robot} {logs}\n{conclusion(demo.examination)}\n",
             f"$ torchid identify {files.robot} {logs} --held-out {files.new}\n"

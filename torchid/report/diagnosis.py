@@ -2,8 +2,7 @@
 its page: one screen with the answer, and below it what it rests on, which folds."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from torchid.errors import TorchidError
@@ -13,17 +12,23 @@ from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.record import PositionRecord
 from torchid.report import gap, gap_figures, position
 from torchid.report.brief import Screen, model_words
-from torchid.report.causes import agreement_table, cause_table, meaning_table, not_testable_table
+from torchid.report.causes import (
+    Evidence,
+    agreement_table,
+    cause_table,
+    meaning_table,
+    not_testable_table,
+)
 from torchid.report.cautions import caution_section
-from torchid.report.friction import friction_picture, friction_table
+from torchid.report.friction import friction_figure, friction_picture
 from torchid.report.over_time import NARROW, OverTime, motion_over_time, torque_over_time
 from torchid.report.page.answer import first_steps
-from torchid.report.panels import Figures, Picture
+from torchid.report.panels import Figure, Figures, Picture
 from torchid.report.skeleton import PHONE, skeleton_of
-from torchid.report.table import Code, Origin, Page, Section, Shown, Table
+from torchid.report.table import Code, Origin, Page, Report, Section, Table
 from torchid.results.agreement import agreement, disagreement
 from torchid.results.answer import MOST_SIZES, Answer, Diagnosis, DiagnosisRecord, named_size
-from torchid.results.words import count, percent, span, sure
+from torchid.results.words import count, digits, percent, span, sure
 from torchid.simulation.two_models import RESTART_S, Horizon
 
 STATUS = {
@@ -36,7 +41,6 @@ STATUS = {
     "not_testable": "cannot tell",
 }
 """What a status says, in the fewest words."""
-Parts = Sequence[Picture | Table | None]
 USUAL_S = 0.5
 """Of simulated motion, whose error stands beside the headline [s]."""
 
@@ -56,7 +60,7 @@ def suspects_table(answer: Answer) -> Table:
     return Table(title, columns, rows, "lrrrp")
 
 
-def shown(result: Diagnosis | DiagnosisRecord, model: str = "") -> Shown:
+def report_of_diagnosis(result: Diagnosis | DiagnosisRecord, model: str = "") -> Report:
     """All that there is to see of a diagnosis, or of one that was read back.
 
     Args:
@@ -67,32 +71,34 @@ def shown(result: Diagnosis | DiagnosisRecord, model: str = "") -> Shown:
         TorchidError: the file of an older version, which holds no answer.
     """
     record = result.record
-    assert isinstance(record, DiagnosisRecord)
+    assert isinstance(record, GapRecord | PositionRecord)
     if record.answer is None:
         raise TorchidError(
             "this file of an older version holds no answer.", hint="diagnose its logs again"
         )
-    figures: Figures
-    if isinstance(record, GapRecord):
-        assert isinstance(result, TorqueDiagnosis | GapRecord)
-        band, lower, notes = record.band_hz, gap.tables(record), gap.remarks(record)
-        figures = gap_figures.figures(result)
-    else:
-        assert isinstance(record, PositionRecord)
-        assert isinstance(result, PositionDiagnosis | PositionRecord)
-        band, lower, notes = None, position.tables(record), position.remarks(record)
-        figures = position.figures(result)
-    odd, runs = disagreement(record.agreement, most=1), agreement_table(record)
+    rests_on, odd = evidence(record), disagreement(record.agreement, most=1)
     warnings = (*([f"Caution: {odd}"] if odd else []), *record.warnings)
-    return Shown(
-        screen=Screen(answer=record.answer, band=band, warnings=warnings, model=model),
+    parts = (part for section in _sections(record) for part in section.parts)
+    tables = (part for part in parts if isinstance(part, Table))
+    return Report(
+        screen=Screen(
+            answer=record.answer, band=getattr(record, "band_hz", None), warnings=warnings,
+            model=model,
+        ),
         verdict=record.answer.headline,
-        parts=[suspects_table(record.answer), agreement(record.agreement), runs, *lower, *notes],
+        parts=[
+            suspects_table(record.answer), agreement(record.agreement), *tables, *rests_on.remarks
+        ],
         warnings=warnings,
         last=model,
-        figures=figures,
+        figures=figures(result),
         page=partial(page, result) if isinstance(result, Diagnosis) else None,
-    )
+    )  # fmt: skip
+
+
+def evidence(record: GapRecord | PositionRecord) -> Evidence:
+    """What a diagnosis rests on beside what all have."""
+    return gap.evidence(record) if isinstance(record, GapRecord) else position.evidence(record)
 
 
 def page(result: Diagnosis, origin: Origin) -> Page:
@@ -120,7 +126,7 @@ def page(result: Diagnosis, origin: Origin) -> Page:
                 [f"{line}." for line in answer.suspect_lines if answer.causes],
             ),
         ),
-        sections=_sections(result),
+        sections=_sections(result.record, result),
     )
 
 
@@ -130,13 +136,13 @@ def facts(result: TorqueDiagnosis | PositionDiagnosis) -> list[tuple[str, str]]:
     unit = answer.unit
     out = [
         ("Verdict", STATUS[answer.status]),
-        ("Error before", f"{answer.before:.3g} {unit}"),
-        ("Error after", f"{answer.after:.3g} {unit}"),
+        ("Error before", f"{digits(answer.before)} {unit}"),
+        ("Error after", f"{digits(answer.after)} {unit}"),
         ("Removed", percent(answer.less)),
         ("Noise", f"{span(answer.noise)} {unit}"),
     ]
     if isinstance(result, PositionDiagnosis):
-        return [*out, ("Command alone", f"{result.commanded.whole_mrad:.3g} {unit}")]
+        return [*out, ("Command alone", f"{digits(result.commanded.whole_mrad)} {unit}")]
     row = _usual_horizon(result)
     if row is not None and row.ratio is not None:
         out.append((f"Simulated motion, {row.horizon_s:g} s", f"{row.ratio:.2g} of its error"))
@@ -153,17 +159,17 @@ def _usual_horizon(d: TorqueDiagnosis) -> Horizon | None:
 def which_model(result: TorqueDiagnosis | PositionDiagnosis) -> str:
     """The model as given, or the corrected one, and whether its simulated motion is better."""
     answer = result.answer
-    said = model_words(answer, None, "the model as given", ())
+    text = model_words(answer, None, "the model as given", ())
     row = _usual_horizon(result) if isinstance(result, TorqueDiagnosis) else None
     if not answer.causes or row is None or row.ratio is None:
-        return said
+        return text
     if row.ratio >= 1 or (row.ratio_ci95 is not None and row.ratio_ci95[1] >= 1):
         return (
-            f"{said} Its simulated motion is no better ({row.ratio:.2g} of the error after "
+            f"{text} Its simulated motion is no better ({row.ratio:.2g} of the error after "
             f"{row.horizon_s:g} s): compare both before you simulate."
         )
     return (
-        f"{said} Simulated for {row.horizon_s:g} s its positions err {row.ratio:.2g} times as "
+        f"{text} Simulated for {row.horizon_s:g} s its positions err {row.ratio:.2g} times as "
         "much. `torchid correct ROBOT LOG.. --to mjcf` (or urdf) corrects your simulator's file."
     )
 
@@ -173,7 +179,7 @@ def _arm_picture(result: TorqueDiagnosis | PositionDiagnosis) -> Picture | None:
     if isinstance(result, TorqueDiagnosis) and not result.traces:
         return None
     errors = ", ".join(
-        f"joint {j.joint + 1} {j.before:.3g} to {j.after:.3g}"
+        f"joint {j.joint + 1} {digits(j.before)} to {digits(j.after)}"
         for j in result.answer.joints
         if j.before == j.before
     )
@@ -187,88 +193,123 @@ def _arm_picture(result: TorqueDiagnosis | PositionDiagnosis) -> Picture | None:
     )
 
 
-def _over_time(name: str, shown: OverTime | None, caption: str) -> Picture | None:
+def _signals(name: str, signals: OverTime | None, caption: str) -> Picture | None:
     """A figure over time, for desk and phone, which zooms."""
-    if shown is None or not shown.runs:
+    if signals is None or not signals.runs:
         return None
-    first = f"{shown.quantity} of joint {shown.joints[shown.order[0]]}"
+    first = f"{signals.quantity} of joint {signals.joints[signals.order[0]]}"
     alt = f"Over time: {first}, of the arm and of both models."
-    narrow = partial(shown.draw, None, NARROW)
-    return Picture(name, caption, alt, shown.draw, narrow=narrow, numbers=shown.numbers)
+    narrow = partial(signals.draw, None, NARROW)
+    return Picture(name, caption, alt, signals.draw, narrow=narrow, numbers=signals.numbers)
 
 
-def _sections(d: TorqueDiagnosis | PositionDiagnosis) -> list[Section]:
-    """What an answer rests on, in the same order for every kind of log."""
-    record, block = d.record, ""
-    torque: Picture | None = None
-    against: Parts = ()
-    laws: Parts = ()
+def _sections(
+    record: GapRecord | PositionRecord, live: TorqueDiagnosis | PositionDiagnosis | None = None
+) -> list[Section]:
+    """What an answer rests on, in the same order for every kind of log; what needs signals over
+    time where they are there."""
+    rests_on, runs = evidence(record), agreement(record.agreement)
+    assert record.answer is not None
+    torque = live if isinstance(live, TorqueDiagnosis) else None
+    against = [] if torque is None else gap.joint_pictures(torque)
+    laws = [] if torque is None else [friction_picture(torque)]
+    return [
+        *([] if live is None else _over_time(live, against[:1])),
+        Section("Where the error lies", rests_on.where),
+        Section("What the error of other joints depends on", against[1:]),
+        Section("Friction, one law a joint", [*laws, *rests_on.friction]),
+        Section(
+            f"The causes in numbers ({count(len(record.answer.causes), 'cause')})",
+            [cause_table(record), meaning_table(record)],
+        ),
+        Section("Whether the runs agree", [[runs] if runs else [], agreement_table(record)]),
+        Section("Errors in numbers", rests_on.numbers),
+        Section("For your simulator", [] if torque is None else _simulator_code(torque)),
+        caution_section([*record.warnings, *rests_on.remarks]),
+        Section("What this log could not show", [not_testable_table(record), *rests_on.unseen]),
+    ]
+
+
+def _over_time(d: TorqueDiagnosis | PositionDiagnosis, against: Sequence[Picture]) -> list[Section]:
+    """What an engineer looks at first: the joint that errs most, over time and `against` all else;
+    and the motion of the arm and the simulation."""
     text = (
         "Joint positions: the arm, and both models moved by the same commands, in motions that "
         "were left out of the fit; before, the file's servos, or, where it has none, a plain servo "
         "refitted to this log: a gain, friction, inertia, delay and offset."
     )
+    torque = None
     if isinstance(d, TorqueDiagnosis):
-        assert isinstance(record, GapRecord)
-        rollout = d.how_far.rollout
         text = (
             "Joint positions: the arm, and both models simulated with the measured torque, without "
             f"a controller, anew from the measured state every {RESTART_S:g} s; of each run the "
             "stretch in which it moves most. A line that ends early has lost the arm by more than "
             "1 rad."
         )
+        rollout = d.how_far.rollout
         if rollout is not None and rollout.fitted_on_these_data:
             text += " These runs were also used for fitting: the numbers are optimistic."
-        torque = _over_time(
+        torque = _signals(
             "torque",
-            torque_over_time(d) if d.traces else None,
+            torque_over_time(d),
             "Torque of the arm and of both models, on data that was not fitted; below, what the "
             "model lacks. Grey stretches do not count: there the joint rests or reverses, and "
             "friction can be anything.",
         )
-        against = gap.joint_pictures(d)
-        laws = [friction_picture(d), friction_table(record)]
-        where: Parts = [gap.where_picture(record)]
-        numbers: Parts = [
-            gap.joint_table(record), gap.rollout_table(record), gap.known_picture(record),
-            gap.known_table(record), gap.open_table(record),
-        ]  # fmt: skip
-        notes = [*d.record.noise_floor.notes, *gap.remarks(record)]
-        unseen: Parts = [not_testable_table(record), gap.experiment_table(record)]
-        from torchid.report.exported import simulator_block
+    motion = _signals("motion", motion_over_time(d), text)
+    title = "Motion: the arm and the simulation, before and after"
+    if torque is None:
+        return [Section(title, [motion], folded=False)]
+    worst = "Torque of the joint that errs most, over time and over what it may depend on"
+    return [Section(worst, [torque, *against], folded=False), Section(title, [motion])]
 
-        block = simulator_block(d.corrected, d.nearest_fields) if record.which else ""
+
+def _simulator_code(d: TorqueDiagnosis) -> list[Code]:
+    """The corrected joints for a simulator's file, where something was found."""
+    if not d.record.which:
+        return []
+    from torchid.report.exported import simulator_block
+
+    note = "The corrected joints, to copy into the simulator's file; torchid export writes it."
+    return [Code(simulator_block(d.corrected, d.nearest_fields), note)]
+
+
+def kinds(result: Diagnosis | DiagnosisRecord) -> Figures:
+    """What can be drawn, by kind; those of one joint take it as `joint`. Of a record those that
+    need no signals over time."""
+    record, drawn = result.record, dict[str, Callable[..., Figure | None]]()
+    if isinstance(record, GapRecord):
+        drawn["where"] = partial(gap_figures.map_figure, record)
+        if record.knowledge is not None and record.knowledge.coefficients:
+            drawn["known"] = partial(gap_figures.known_figure, record)
     else:
         assert isinstance(record, PositionRecord)
-        where = [position.where_picture(record), position.where_table(record)]
-        numbers = [
-            position.motion_table(record), position.nominal_table(record, record.nominal or ())
-        ]  # fmt: skip
-        notes, unseen = position.remarks(record), [not_testable_table(record)]
-    motion = _over_time("motion", motion_over_time(d), text)
-    # First what an engineer looks at: the joint that errs most, over time and over all else.
-    moved = Section("Motion: the arm and the simulation, before and after", [motion])
-    first = [replace(moved, folded=False)]
-    if torque is not None:
-        first = [
-            Section(
-                "Torque of the joint that errs most, over time and over what it may depend on",
-                [torque, *against[:1]],
-                folded=False,
-            ),
-            moved,
-        ]
-    code = "The corrected joints, to copy into the simulator's file; torchid export writes it."
-    named, said = count(len(d.answer.causes), "cause"), agreement(record.agreement)
-    return [
-        *first,
-        Section("Where the error lies", where),
-        Section("What the error of other joints depends on", against[1:]),
-        Section("Friction, one law a joint", laws),
-        Section(f"The causes in numbers ({named})", [cause_table(record), meaning_table(record)]),
-        Section("Whether the runs agree", [[said] if said else [], agreement_table(record)]),
-        Section("Errors in numbers", numbers),
-        Section("For your simulator", [Code(block, code)] if block else []),
-        caution_section([*record.warnings, *notes]),
-        Section("What this log could not show", unseen),
-    ]
+        drawn["where"] = partial(position.where_figure, record)
+    if isinstance(result, TorqueDiagnosis) and result.traces:
+        drawn["torque"] = torque_over_time(result).draw
+        drawn["gap"] = partial(gap_figures.joint_figure, result)
+        if result.friction:
+            drawn["friction"] = partial(friction_figure, result)
+    if isinstance(result, PositionDiagnosis) or "torque" in drawn:
+        assert isinstance(result, TorqueDiagnosis | PositionDiagnosis)
+        drawn["robot"] = partial(skeleton_of, result)
+        if (motion := motion_over_time(result)) is not None:
+            drawn["motion"] = motion.draw
+    return drawn
+
+
+def figures(result: Diagnosis | DiagnosisRecord) -> Figures:
+    """What draws the figure of each file, by their names: those of `kinds`, and the worst joints'
+    apart."""
+    record, drawn = result.record, dict(kinds(result))
+    motion, of_joint = drawn.pop("motion", None), drawn.pop("gap", None)
+    drawn.pop("robot", None)
+    if isinstance(record, GapRecord):
+        worst = gap_figures.worst_joints(record)
+        if not gap_figures.stands_out(record):
+            del drawn["where"]
+    else:
+        assert isinstance(record, PositionRecord)
+        worst, of_joint = position.worst_joints(record), motion
+    each = {f"gap_joint_{j + 1}": partial(of_joint, j) for j in worst} if of_joint else {}
+    return {**drawn, **each}

@@ -9,7 +9,7 @@ from rich.text import Text
 from torchid.doctor.examine import Examination, conclusion
 from torchid.report.colours import BLUE, ORANGE
 from torchid.report.panels import Figure, finish, joint_rows
-from torchid.report.table import Shown, Table
+from torchid.report.table import Report, Table
 from torchid.robot.model import joint_unit
 
 _STYLE = {"wrong": "bold red", "doubtful": "yellow", "cannot tell": "bright_black"}
@@ -27,13 +27,13 @@ def doctor_table(examination: Examination) -> Table:
     return Table(title, columns, rows, "llpp")
 
 
-def doctor_shown(examination: Examination) -> Shown:
+def report_of_examination(examination: Examination) -> Report:
     """All that there is to see of an examination."""
     names = [c.name for c in examination.checks if c.verdict == "fine"]
     fine = f"fine: {', '.join(names)}" if names else "nothing is fine"
     remedy = next((c.fix for c in examination.by_verdict() if c.verdict == "wrong" and c.fix), "")
     first = f" Do first: {remedy.rstrip('.')}." if remedy else ""
-    return Shown(
+    return Report(
         verdict=f"{conclusion(examination)}{first}",
         parts=[doctor_table(examination), fine, choices(examination)],
         figures={"doctor": partial(torque_figure, examination)},

@@ -7,7 +7,7 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from torchid.report.brief import Screen
-from torchid.report.table import Shown, Table
+from torchid.report.table import Report, Table
 from torchid.results.answer import Answer
 from torchid.results.files import contents, load, parsed
 from torchid.results.record import Record
@@ -37,7 +37,7 @@ class _Stored(msgspec.Struct):
     band_hz: float | None = None
 
 
-def shown(path: Path) -> tuple[dict[str, Any], Shown]:
+def report_of_file(path: Path) -> tuple[dict[str, Any], Report]:
     """The content of a result's file, and all that there is to say of it.
 
     Raises:
@@ -48,20 +48,20 @@ def shown(path: Path) -> tuple[dict[str, Any], Shown]:
     stored = parsed(content, _Stored, path, "a result")
     if stored.explanation is UNSET:  # of Python's `save`, or of an older version
         record = load(path)
-        return record.plain(), of_record(record)
+        return record.plain(), report_of_record(record)
     own, screen = stored.explanation, None
     if stored.answer is not None:
         screen = Screen(
             answer=stored.answer, band=stored.band_hz, warnings=own.warnings, model=own.last
         )  # fmt: skip
     parts = [part if isinstance(part, str) else Table.read(part) for part in own.parts]
-    said = Shown(
+    said = Report(
         screen=screen, verdict=own.verdict, parts=parts, warnings=own.warnings, last=own.last
     )
     return msgspec.json.decode(content), said
 
 
-def of_record(record: Record) -> Shown:
+def report_of_record(record: Record) -> Report:
     """The answer of a diagnosis with all that it rests on; of another result its main table.
 
     Raises:
@@ -71,7 +71,7 @@ def of_record(record: Record) -> Shown:
     from torchid.results.answer import DiagnosisRecord
 
     if isinstance(record, DiagnosisRecord):
-        return diagnosis.shown(record)
+        return diagnosis.report_of_diagnosis(record)
     rows = record.table.plain()
     columns = list(rows[0]) if rows else []
     cells = [
@@ -82,4 +82,4 @@ def of_record(record: Record) -> Shown:
     words = [name.replace("_", " ") for name in columns]
     table = Table(record.schema, words, cells, "p" * len(words), more)
     warnings = getattr(record, "warnings", ())
-    return Shown(verdict=repr(record), parts=[table], warnings=warnings)
+    return Report(verdict=repr(record), parts=[table], warnings=warnings)

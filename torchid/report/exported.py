@@ -7,6 +7,7 @@ from dataclasses import replace
 from xml.sax.saxutils import quoteattr
 
 import torch
+from msgspec import UNSET
 
 from torchid.effects.registry import KINDS
 from torchid.export.correct_positions import WINDOW_S
@@ -16,38 +17,24 @@ from torchid.export.mjcf import attributes_of
 from torchid.export.projection import Kept
 from torchid.export.randomisation import Randomisation
 from torchid.feasibility.margins import inertia_eigenvalues
-from torchid.report.table import Shown, Table, cells, joint_numbers
-from torchid.results.words import count, effect_words, joints_words, listed, number_list, percent
+from torchid.report.table import Report, Table, cells, joint_numbers, table_of
+from torchid.results.words import count, effect_words, joints_words, listed, percent
 from torchid.robot.model import JointType, Robot, joint_unit, torque_unit
 from torchid.simulation.servo import Servos
 from torchid.simulators.joint_dynamics import JointDynamics, Target, split
 from torchid.simulators.nearest_fields import NearestFields
 
 
-def export_shown(done: Export) -> Shown:
+def report_of_export(done: Export) -> Report:
     """All that there is to see of an export."""
     first, *others = map(str, done.files)
     beside = f" (and {', '.join(others)})" if others else ""
-    return Shown(
-        parts=[comparison_table(done), *effect_lines(done)],
+    title = "reloaded and compared with the result's own model"
+    return Report(
+        parts=[table_of(title, done.comparisons), *effect_lines(done)],
         warnings=done.warnings,
         last=f"written: {done.dynamics.title} of '{done.dynamics.robot.name}': {first}{beside}",
     )
-
-
-def comparison_table(done: Export) -> Table:
-    """Who reloaded the file, and by how much its torque differs from the result's."""
-    rows = []
-    for one in done.comparisons:
-        cells, said = ("", "", ""), "not compared"
-        if one.difference is not None:
-            cells = (str(one.states), f"{one.difference:.1e}", f"{one.limit:g}")
-            said = "agrees"
-        said += f": {one.note}" if one.note else ""
-        rows.append((one.reader, one.compared, *cells, said))
-    title = "reloaded and compared with the result's own model"
-    columns = ("reader", "compared", "states", "largest difference", "limit", "")
-    return Table(title, columns, rows, "pprrrp")
 
 
 def effect_lines(done: Export) -> list[str]:
@@ -65,7 +52,7 @@ def _given(nominal: Robot) -> str:
     return "robot as given" if nominal.parameters is not None else "base parameters alone"
 
 
-def correction_shown(done: Correction) -> Shown:
+def report_of_correction(done: Correction) -> Report:
     """All that there is to see of a correction."""
     judged = done.judged
     mine, full, before = (float(x.nanmean()) for x in (judged.engine, judged.full, judged.nominal))
@@ -75,7 +62,7 @@ def correction_shown(done: Correction) -> Shown:
         parts, of, given = servo_tables(done), "mrad", "the bare commands"
     less = f" ({percent(1 - mine / before)} less)" if before > 0 else ""
     warnings = [*done.warnings, *(w for export in done.exports for w in export.warnings)]
-    return Shown(
+    return Report(
         verdict=f"{done.files[0].name} errs {mine:.1f} {of} in {judged.by}, {given} {before:.1f}"
         f"{less}, on {judged.held_out}. All effects leave {full:.1f}.",
         parts=parts,
@@ -102,11 +89,11 @@ def error_table(done: Correction, title: str, given: str, beside: str) -> Table:
 def servo_tables(done: Correction) -> list[Table]:
     """Errors of servos in a simulator's file, and what it does not say of them."""
     again = f"position error, begun anew every {WINDOW_S:g} s [mrad]"
-    beside = [(name, number_list(on, "the arm")) for name, on in done.no_field.items()]
-    title = "of the servos, without a field in the file"
+    title, record = "of the servos, without a field in the file", done.record
+    assert record.servos_without is not UNSET
     return [
         error_table(done, again, "the position is the command", "set-points"),
-        Table(title, ("parameter", "joints"), beside, "pp"),
+        table_of(title, record.servos_without),
     ]
 
 
@@ -126,29 +113,28 @@ def correction_tables(done: Correction) -> list[Table]:
     ]  # fmt: skip
     projection = done.projection
     assert projection is not None
-    kept = [_kept(one, projection.to) for one in projection.kept]
+    kept = {"kept": [_kept(one, projection.to) for one in projection.kept]}
     band = f"error of the torque, while a joint moves, below {judged.band:.3g} Hz [%]"
     after = "simulated motion, given the measured torque: error after a while [deg; mm]"
-    beside = (
+    lost = (
         f"effects without a field, which stay beside the file (lost: RMS, {torque_unit(nominal)})"
     )
     return [
         error_table(done, band, _given(nominal), "effects"),
         Table(after, ("after", "model", *joint_numbers(nominal.n)), motion, "rp"),
-        Table(beside, ("effect", "joints", "kept"), kept, "prp"),
+        table_of(lost, projection.kept, beside=kept),
         _bodies(projection.robot, nominal),
     ]
 
 
-def _kept(one: Kept, to: str) -> tuple[str, str, str]:
+def _kept(one: Kept, to: str) -> str:
     words = f"{100 * one.share:.0f} % by "
     if one.joint is None or one.value is None:
         words += "the links' bodies"
     else:
         field = "friction" if to == "urdf" and one.field == "frictionloss" else one.field
         words += f"{field} {one.value:.3g} of joint {one.joint + 1}"
-    words += f"; {one.lost:.2g} of {one.made:.2g} lost"
-    return one.effect.replace("_", " "), number_list(one.joints, "the arm"), words
+    return f"{words}; {one.lost:.2g} of {one.made:.2g} lost"
 
 
 def _bodies(robot: Robot, nominal: Robot) -> Table:
@@ -171,25 +157,18 @@ def _bodies(robot: Robot, nominal: Robot) -> Table:
     return Table("bodies in the file", columns, rows, "rp")
 
 
-def randomisation_shown(done: Randomisation, files: Sequence[str]) -> Shown:
+def report_of_randomisation(done: Randomisation, files: Sequence[str]) -> Report:
     """What is shown of draws, whose ranges these files hold."""
     others = sum(one.draws for one in done.explanations[1:])
     beside = f", {others} of them of explanations that the log cannot separate" if others else ""
     servos = isinstance(done.draws, Servos)
     of, what = ("the servos of ", "numbers") if servos else ("", "fields")
-    ranges = [
-        (r.field, r.name, f"{r.low:.4g}", f"{r.high:.4g}", r.unit, r.why) for r in done.ranges
-    ]
-    residual = [
-        (done.joint_names[b.joint], f"{b.low:.3g}", f"{b.high:.3g}", b.why) for b in done.residual
-    ]
-    columns = ("joint", "low", "high", "why")
-    return Shown(
+    return Report(
         verdict=f"{len(done)} draws of {of}'{done.name}'{beside}; {len(done.ranges)} {what} "
         f"differ, and {100 * done.level:g} % of the draws lie within each range.",
         parts=[
-            Table("ranges", ("field", "of", "low", "high", "unit", "why"), ranges, "pprrpp"),
-            Table("torque that stays unexplained", columns, residual, "prrp"),
+            table_of("ranges", done.ranges, "field name low high unit why"),
+            table_of("torque that stays unexplained", done.residual),
         ],
         warnings=done.warnings,
         last=f"written: {', '.join(files)}",

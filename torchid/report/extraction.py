@@ -13,28 +13,26 @@ from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.extract import Extraction
 from torchid.extraction.found import Found, at_bounds
 from torchid.extraction.problem import FAR_TORQUE, Problem
-from torchid.extraction.record import AtlasRecord
+from torchid.extraction.record import ON_THE_BOUNDARY, AtlasRecord
 from torchid.identification.values import BaseValues
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.panels import Figure, Figures, finish, panel, rows_of
-from torchid.report.table import Cell, Shown, Table
+from torchid.report.table import Report, Table, table_of
 from torchid.results.words import count, listed
 from torchid.robot.inertia import InertialParameters
 
 _SHOWN = 12
-ON_THE_BOUNDARY = 1e-6
-"""Degree below which a feasible set is said to be on the boundary."""
 
 
-def shown(found: Found) -> Shown:
+def report_of_extraction(found: Found) -> Report:
     """All that there is to see of an extraction."""
     said, last = tables(found), headline(found)
-    return Shown(parts=said, warnings=found.warnings, last=last, figures=figures(found))
+    return Report(parts=said, warnings=found.warnings, last=last, figures=figures(found))
 
 
-def atlas_shown(atlas: Atlas, problem: Problem, notes: Sequence[str]) -> Shown:
+def report_of_atlas(atlas: Atlas, problem: Problem, notes: Sequence[str]) -> Report:
     """All that there is to see of an atlas."""
-    return Shown(
+    return Report(
         parts=[atlas_table(atlas)],
         warnings=notes,
         last=atlas_headline(atlas, problem),
@@ -113,26 +111,14 @@ def least_loss(found: Found, proof: Certificate) -> str:
 
 def tables(found: Found) -> list[Table]:
     """The best sets, and what forces the least loss."""
-    every, proof = len(found.sets), found.proof
-    which = f"the best {_SHOWN} of {every} sets" if every > _SHOWN else f"set{'s' * (every > 1)}"
-    verdict = found.verdict.feasible.tolist()
-    order = sorted(range(every), key=lambda k: (not verdict[k], float(found.phi[k])))
-    rows = []
-    for k in order[:_SHOWN]:
-        degree = float(found.verdict.degree[k])
-        near = "boundary" if abs(degree) < ON_THE_BOUNDARY else f"{degree:.2g}"
-        far, penalty = f"{100 * float(found.torque[k].max()):.2g}", f"{float(found.gamma[k]):.2g}"
-        said, why = "yes" if verdict[k] else "no", ", ".join(found.verdict.reasons(k))
-        rows.append(
-            (found.sets.ids[k], f"{float(found.phi[k]):.5g}", far, penalty, said, near, why)
-        )
+    proof = found.proof
+    sets = sorted(found.record.sets, key=lambda one: (not one.feasible, one.phi))
     least = {} if proof is None else proof.phi_min_without
     without = [(name, f"{value:.5g}") for name, value in least.items()][:_SHOWN]
     forced = "" if proof is None else f"what forces phi_min = {proof.phi_min:.5g}"
-    title = f"{which} within the bounds '{found.problem.bounds.name}' (torque: largest joint)"
-    columns = ("set", "phi", "torque [%]", "gamma", "feasible", "degree", "reasons")
+    title = f"{count(len(sets), 'set')} within the bounds '{found.problem.bounds.name}'"
     return [
-        Table(title, columns, rows, "prrrrrp"),
+        table_of(title, sets, "id phi far gamma feasible degree reasons", most=_SHOWN),
         Table(forced, ("without the condition", "phi_min would be"), without, "p"),
     ]
 
@@ -215,15 +201,13 @@ def atlas_headline(atlas: Atlas, problem: Problem) -> str:
 
 def atlas_table(atlas: Atlas) -> Table:
     """One row a parameter: range, range of the bounds, share."""
-    rows: list[tuple[Cell, ...]] = []
-    for k, name in enumerate(atlas.names):
-        share = float(atlas.narrowed[k])
+    shares = []
+    for one in atlas.record.parameters:
+        share = one.share_of_bounds
         colour = "green" if share < _KNOWN else "yellow" if share < _NARROWED else "red"
-        ends = (f"{float(end[k]):.4g}" for end in (atlas.low, atlas.high))
-        bounds = f"{float(atlas.bounds_low[k]):.3g} .. {float(atlas.bounds_high[k]):.3g}"
-        rows.append((name, *ends, atlas.units[k], bounds, Text(f"{100 * share:.2g}", colour)))
-    columns = ("parameter", "low", "high", "unit", "within the bounds alone", "share %")
-    return Table("ranges over feasible sets of equal torque", columns, rows, "lrrl")
+        shares.append(Text(f"{100 * share:.2g}", colour))
+    title = "ranges over feasible sets of equal torque"
+    return table_of(title, atlas.record.parameters, beside={"share %": shares})
 
 
 def atlas_figure(found: Atlas | AtlasRecord) -> Figure:

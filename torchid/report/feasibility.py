@@ -10,7 +10,7 @@ from torchid.extraction.convex.nearest import NearestSets
 from torchid.feasibility.margins import LINK_CONDITIONS
 from torchid.feasibility.plausibility import excess_percent
 from torchid.feasibility.record import Check
-from torchid.report.table import Cell, Shown, Table, cells, joint_numbers
+from torchid.report.table import Cell, Report, Table, cells, joint_numbers
 from torchid.results.words import listed
 from torchid.robot.model import JointType
 
@@ -26,10 +26,10 @@ DEGREE = (
 )
 
 
-def shown(check: Check, repaired: NearestSets | None, warnings: Sequence[str]) -> Shown:
+def report_of_check(check: Check, repaired: NearestSets | None, warnings: Sequence[str]) -> Report:
     """All that there is to see of a check, and of the feasible sets nearest to it, if asked for."""
     nearest = [] if repaired is None else [nearest_table(repaired)]
-    return Shown(
+    return Report(
         verdict=headline(check),
         parts=[conditions_line(check), *tables(check), *nearest, DEGREE],
         warnings=warnings,
@@ -179,19 +179,19 @@ def _coefficient_table(check: Check, k: int) -> Table:
 
 
 def _set_table(check: Check) -> Table:
-    """One row a set, for the first ones."""
+    """One row a set."""
     found, count = check.feasibility, len(check.sets)
-    shown = f", the first {MOST_ROWS} (all with --json)" if count > MOST_ROWS else ""
     feasible, degrees = found.feasible.tolist(), found.degree.tolist()
     masses = check.sets.parameters.mass.sum(-1).tolist()
     rows = []
-    for k, name in enumerate(check.sets.ids[:MOST_ROWS]):
+    for k, name in enumerate(check.sets.ids):
         said = "yes" if feasible[k] else Text("no", "red")
         degree = _coloured(f"{degrees[k]:.2g}", degrees[k], not feasible[k])
         findings, why = str(len(check.findings[k]) or "-"), ", ".join(found.reasons(k)) or "-"
         rows.append((name, said, degree, f"{masses[k]:.4g}", findings, why))
     columns = ("set", "feasible", "degree", "total mass [kg]", "findings", "violated")
-    return Table(f"{count} sets of {check.robot.name}{shown}", columns, rows, "lrrrrp")
+    title = f"{count} sets of {check.robot.name}"
+    return Table(title, columns, rows, "lrrrrp", most=MOST_ROWS)
 
 
 def findings_lines(check: Check) -> tuple[str, ...]:

@@ -1,6 +1,5 @@
 """The friction laws of a diagnosis for people: a table, and a figure of small multiples."""
 
-import math
 from functools import partial
 from typing import Any
 
@@ -12,9 +11,8 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import GapRecord
 from torchid.report.colours import AFTER, BEFORE, GREY
 from torchid.report.panels import Figure, Picture, finish, tiles
-from torchid.report.table import Table
+from torchid.report.table import Table, table_of
 from torchid.results.friction import FrictionLaw
-from torchid.results.words import measure, percent, sure, unit_behind
 
 COLUMNS, NARROW_COLUMNS = 3, 1
 """Panels in a row, for a desk and a phone."""
@@ -24,28 +22,13 @@ MOST_SAMPLES = 800
 
 def friction_table(record: GapRecord) -> Table:
     """The law of each joint: torque at three speeds, forwards and backwards."""
-    rows = []
-    for law in record.friction:
-        unit, speed_unit = unit_behind(law.unit), unit_behind(law.speed_unit)
-        torques = "\n".join(
-            f"at {x.speed:.2g} {speed_unit}: {_torque(x.forwards, x.forwards_std, unit)}; "
-            f"{_torque(x.backwards, x.backwards_std, unit)}"
-            for x in law.at
-        )
-        details = "\n".join(d.words for d in law.details)
-        share = "-" if law.how_sure is None else percent(law.share)
-        rows.append((str(law.joint + 1), sure(law.how_sure), torques, details, share))
-    columns = ("joint", "sure", "forwards; backwards (value ± std)", "details", "removes")
     note = (
         "The whole friction of a joint, of the model and found, where the motion is slow, middle "
         "and fast; details without a probability are the model's. What depends on more than the "
         "speed counts with its mean along the log."
     )
-    return Table("friction laws", columns, rows, "lrlpr", note)
-
-
-def _torque(value: float, std: float, unit: str) -> str:
-    return "not driven" if math.isnan(value) else measure(value, std, unit)
+    columns = "joint how_sure torques details share"
+    return table_of("friction laws", record.friction, columns, note)
 
 
 def friction_picture(d: TorqueDiagnosis) -> Picture | None:

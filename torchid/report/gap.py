@@ -7,22 +7,20 @@ from functools import partial
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import GapRecord, Known
 from torchid.report import gap_figures
-from torchid.report.causes import cause_table, meaning_table, not_testable_table
+from torchid.report.causes import Evidence
 from torchid.report.friction import friction_table
 from torchid.report.gap_figures import CLEAR, clear_regimes, excess_words, stands_out
 from torchid.report.panels import Picture
-from torchid.report.table import Table
+from torchid.report.table import Table, table_of
 from torchid.results.record import as_plain
 from torchid.results.words import (
     digits,
     effect_words,
     interval,
     listed,
-    measure,
     percent,
     regime_words,
     span,
-    unit_behind,
     value_words,
 )
 from torchid.robot.model import Robot, joint_unit, torque_unit
@@ -30,14 +28,18 @@ from torchid.robot.model import Robot, joint_unit, torque_unit
 _MOST_REGIMES = 3
 
 
-def tables(record: GapRecord) -> list[Table]:
-    """What stands below the answer: where, which, how far, what could not be tested, what to record
-    next."""
-    makers = (
-        joint_table, cause_table, friction_table, known_table, open_table, meaning_table,
-        rollout_table, not_testable_table, experiment_table,
+def evidence(record: GapRecord) -> Evidence:
+    """What a diagnosis of torques rests on."""
+    return Evidence(
+        where=[where_picture(record)],
+        friction=[friction_table(record)],
+        numbers=[
+            joint_table(record), rollout_table(record), known_picture(record),
+            known_table(record), open_table(record),
+        ],
+        unseen=[experiment_table(record)],
+        remarks=[*record.noise_floor.notes, *remarks(record)],
     )  # fmt: skip
-    return [make(record) for make in makers]
 
 
 def model_of(record: GapRecord) -> Robot:
@@ -75,15 +77,15 @@ def joint_table(record: GapRecord) -> Table:
 
 def _regimes(record: GapRecord, joint: int) -> str:
     """What holds more than its share of a joint's gap, and transients with their times."""
-    said = []
+    phrases = []
     for r in clear_regimes(record, joint)[:_MOST_REGIMES]:
         starts: dict[str, list[str]] = {}
         for window in r.times[:_MOST_REGIMES]:
             starts.setdefault(window.trajectory, []).append(f"{window.from_s:.1f}")
         places = "; ".join(f"{', '.join(at)} s of {name}" for name, at in starts.items())
         more = " ..." if len(r.times) > _MOST_REGIMES else ""
-        said.append(excess_words(r) + (f" at {places}{more}" if places else ""))
-    return ", ".join(said) or "-"
+        phrases.append(excess_words(r) + (f" at {places}{more}" if places else ""))
+    return ", ".join(phrases) or "-"
 
 
 def budget_words(record: GapRecord) -> str:
@@ -101,45 +103,28 @@ def budget_words(record: GapRecord) -> str:
 
 def known_table(record: GapRecord) -> Table:
     """Coefficients of the model's effects before this log and after it."""
-    known, rows = record.knowledge or Known(sources=()), []
-    for c in known.coefficients:
-        unit = unit_behind(c.unit)
-        before, after = ((c.before, c.before_std), (c.after, c.after_std))
-        name, place = c.name.rsplit(" ", 1)
-        moved = "changed" if c.changed else "suspected" if c.name in known.moved else "as known"
-        rows.append(
-            (f"{effect_words(name)} {place}", measure(*before, unit), measure(*after, unit), moved)
-        )
-    sources = ", ".join(known.sources)
-    columns = ("coefficient", "known before", "with this log", "")
-    return Table(f"known: what this log adds to {sources}", columns, rows, "l")
+    known = record.knowledge or Known(sources=())
+    moved = [
+        "changed" if c.changed else "suspected" if c.name in known.moved else "as known"
+        for c in known.coefficients
+    ]
+    title = f"known: what this log adds to {', '.join(known.sources)}"
+    return table_of(title, known.coefficients, "words before after", beside={"": moved})
 
 
 def open_table(record: GapRecord) -> Table:
     """Joints on which the model left torque open that could hide a cause."""
-    known = record.knowledge
-    rows = [
-        (str(j.joint + 1), f"{j.added_rms:.3g} {joint_unit(model_of(record), j.joint)}", j.motion)
-        for j in (() if known is None else known.joints)
-        if j.hides
-    ]
-    columns = ("joint", "open before this log, RMS", "to be sure")
+    joints = [j for j in (record.knowledge.joints if record.knowledge else ()) if j.hides]
+    sizes = [f"{digits(j.added_rms)} {joint_unit(model_of(record), j.joint)}" for j in joints]
     title = "torque that the previous model could not predict"
-    return Table(title, columns, rows, "lrp")
+    return table_of(title, joints, beside={"open before this log, RMS": sizes})
 
 
 def rollout_table(record: GapRecord) -> Table:
     """Position errors of short simulations, corrected model relative to the given one."""
-    rows, rollout = [], record.how_far.rollout
-    for row in rollout.horizons if rollout else ():
-        if row.ratio is None:
-            continue
-        within = row.ratio_ci95
-        span = f" [{within[0]:.2f}, {within[1]:.2f}]" if within else ""
-        lost = percent(row.diverged_before), percent(row.diverged_after)
-        rows.append((f"{row.horizon_s:g} s", f"{row.ratio:.2f}{span}", *lost))
-    columns = ("horizon", "ratio [95 %]", "lost before", "lost after")
-    return Table("simulated motion: position error after to before", columns, rows)
+    rollout = record.how_far.rollout
+    rows = [row for row in (rollout.horizons if rollout else ()) if row.ratio is not None]
+    return table_of("simulated motion: position error after to before", rows)
 
 
 def remarks(record: GapRecord) -> list[str]:
@@ -160,13 +145,13 @@ def remarks(record: GapRecord) -> list[str]:
 
 def experiment_table(record: GapRecord) -> Table:
     """What to record next."""
-    experiment, said = record.next_experiment, {}
+    experiment, entries = record.next_experiment, {}
     if experiment is not None:
         names = [effect_words(name) for name in experiment.separates]
-        said = {**as_plain(experiment), "separates": names}
+        entries = {**as_plain(experiment), "separates": names}
     rows = [
         (key.replace("_", " "), value_words(value, ".4g"))
-        for key, value in said.items()
+        for key, value in entries.items()
         if value is not None
     ]
     return Table("next experiment", ("", " "), rows, "lp")
@@ -176,15 +161,14 @@ def joint_pictures(d: TorqueDiagnosis) -> list[Picture]:
     """What the model lacks on the worst joints, against all that it may depend on."""
     out = []
     for k, joint in enumerate(gap_figures.worst_joints(d.record) if d.traces else ()):
-        own = d.record.how_far.per_joint[joint]
+        errors = d.record.how_far.per_joint[joint]
         unit = joint_unit(d.robot, joint)
-        change = f"RMS {digits(own.before)} {unit} before and {digits(own.after)} after"
+        change = f"RMS {digits(errors.before)} {unit} before and {digits(errors.after)} after"
         out.append(
             Picture(
                 f"joint_{joint + 1}",
                 f"What the model lacks on joint {joint + 1}: {change}.{'' if k else _AGAINST}",
-                f"Gap of joint {joint + 1} against velocity, position, acceleration, torque and "
-                f"time, and its spectrum: {change}.",
+                f"Gap of joint {joint + 1} against velocity, position and torque: {change}.",
                 partial(gap_figures.joint_figure, d, joint),
             )
         )

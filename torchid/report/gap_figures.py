@@ -1,9 +1,7 @@
 """Figures of a diagnosis: where the gap lies, how far it shrinks, and the gap of one joint against
 everything it may depend on."""
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import torch
@@ -11,18 +9,14 @@ import torch
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.record import GapRecord, Regime, RegimeGap
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
-from torchid.report.friction import friction_figure
-from torchid.report.over_time import motion_over_time, torque_over_time
 from torchid.report.panels import (
     SMALL,
     Figure,
-    Figures,
     finish,
     map_with_bars,
     panel,
     rows_of,
 )
-from torchid.report.skeleton import skeleton_of
 from torchid.results.words import interval, percent, regime_words
 from torchid.robot.model import joint_unit
 from torchid.statistics.jackknife import student_quantile
@@ -47,42 +41,13 @@ def clear_regimes(record: GapRecord, joint: int) -> list[RegimeGap]:
         return []
     # Against chance, and in other samples of the log's blocks as well.
     regimes = record.where.regimes
-    found = [r for r in regimes if r.joint == joint and r.p < CLEAR and r.ci95[0] > 0]
-    return sorted(found, key=lambda r: -r.excess)
+    clear = [r for r in regimes if r.joint == joint and r.p < CLEAR and r.ci95[0] > 0]
+    return sorted(clear, key=lambda r: -r.excess)
 
 
 def stands_out(record: GapRecord) -> bool:
     """Whether a kind of motion holds more than its share of some joint's gap."""
     return any(clear_regimes(record, gap.joint) for gap in record.where.joints)
-
-
-def figures(result: TorqueDiagnosis | GapRecord) -> Figures:
-    """What draws each figure, by the names of their files; of a record those that need no torque
-    over time."""
-    record, out = result.record, dict[str, Callable[[], Figure]]()
-    if stands_out(record):
-        out["where"] = partial(map_figure, record)
-    if isinstance(result, TorqueDiagnosis) and result.traces:
-        out |= {
-            f"gap_joint_{j + 1}": partial(joint_figure, result, j) for j in worst_joints(record)
-        }
-        out["torque"] = torque_over_time(result).draw
-        if result.friction:
-            out["friction"] = partial(friction_figure, result)
-    if record.knowledge is not None and record.knowledge.coefficients:
-        out["known"] = partial(known_figure, record)
-    return out
-
-
-def kinds(result: TorqueDiagnosis | GapRecord) -> Figures:
-    """By kind; those of one joint take it as `joint`."""
-    drawn: dict[str, Callable[..., Figure | None]] = {"where": partial(map_figure, result.record)}
-    drawn |= {k: v for k, v in figures(result).items() if not k.startswith("gap_joint")}
-    if isinstance(result, TorqueDiagnosis) and result.traces:
-        drawn |= {"gap": partial(joint_figure, result), "robot": partial(skeleton_of, result)}
-        if (motion := motion_over_time(result)) is not None:
-            drawn["motion"] = motion.draw
-    return drawn
 
 
 def worst_joints(record: GapRecord, most: int = WORST) -> list[int]:
@@ -128,9 +93,9 @@ def known_figure(record: GapRecord) -> Figure:
     after, as a share of the value before; what has changed is marked."""
     known = record.knowledge
     assert known is not None
-    shown = [c for c in known.coefficients if c.before and c.before_std is not None]
-    figure, axes = panel(9.6, 1.4 + 0.24 * max(len(shown), 4))
-    for k, c in enumerate(shown):
+    coefficients = [c for c in known.coefficients if c.before and c.before_std is not None]
+    figure, axes = panel(9.6, 1.4 + 0.24 * max(len(coefficients), 4))
+    for k, c in enumerate(coefficients):
         for value, std, colour, up in (
             (c.before, c.before_std, BEFORE, 0.14),
             (c.after, c.after_std, AFTER, -0.14),
@@ -141,7 +106,7 @@ def known_figure(record: GapRecord) -> Figure:
                 markersize=4, linewidth=1.2,
                 label="known before" if colour == BEFORE else "with this log",
             )  # fmt: skip
-    names = [c.name.replace("_", " ") + (" (changed)" if c.changed else "") for c in shown]
+    names = [c.name.replace("_", " ") + (" (changed)" if c.changed else "") for c in coefficients]
     rows_of(axes, names, SMALL)
     axes.set_xlabel("of the value before")
     low, high = axes.get_xlim()
@@ -158,17 +123,16 @@ _FEWEST = 3  # blocks in a bin that is drawn
 
 
 def joint_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure:
-    """Binned means of the gap of a joint (from 0; the worst, if None) against velocity, position,
-    acceleration, load and time, over a light scatter, and its spectrum over the noise."""
+    """Binned means of the gap of a joint (from 0; the worst, if None) against velocity, position
+    and load, over a light scatter and the noise."""
     joint = worst_joints(diagnosis.record)[0] if joint is None else joint
     unit = joint_unit(diagnosis.robot, joint)
     length = "m" if unit == "N" else "rad"
     s = samples(diagnosis.traces, joint)
-    figure, grid = panel(11, 6.4, 2, 3)
-    panels = (
+    figure, panels = panel(11, 3.6, 1, 3, sharey=True)
+    against = (
         (s["dq"], f"velocity [{length}/s]"),
         (s["q"], f"position [{length}]"),
-        (s["ddq"], f"acceleration [{length}/s²]"),
         (s["load"], f"torque of the model [{unit}]"),
     )
     models = (
@@ -178,7 +142,7 @@ def joint_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure
     both = np.abs(np.concatenate([s["before"], s["after"]]))
     limit = 1.25 * max(float(np.quantile(both, 0.99)), 1e-9) if len(both) else 1.0
     high = float(diagnosis.floor.high[joint])
-    for axes, (x, name) in zip(grid.flat[:4], panels, strict=True):
+    for axes, (x, name) in zip(panels, against, strict=True):
         axes.axhspan(-high, high, color=INK, alpha=0.10, linewidth=0, label="noise, ±1 RMS")
         axes.axhline(0, color=GREY, linewidth=0.8)
         some = slice(None, None, max(1, len(x) // _SCATTER))
@@ -187,82 +151,53 @@ def joint_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure
             axes.scatter(x[some], y[some], color=colour, **faint)
         for y, colour, whose in models:
             centre, mean, half = binned(x, y, s["block"])
-            ends = (mean - half, mean + half)
-            _banded(axes, centre, mean, ends, colour, f"{whose}: mean, 95 % interval")
+            axes.fill_between(centre, mean - half, mean + half, color=colour, alpha=0.25, lw=0)
+            axes.plot(
+                centre, mean, color=colour, linewidth=1.4, marker="o" if colour == BEFORE else "s",
+                markersize=3.4, markeredgecolor="white", markeredgewidth=0.4,
+                label=f"{whose}: mean, 95 % interval",
+            )  # fmt: skip
         axes.set(ylim=(-limit, limit), xlabel=name)
-    for axes in grid[:, 0]:
-        axes.set_ylabel(f"measured - model [{unit}]")
-    # RMS over a few seconds: a mean over time would show the motion, not the gap's size. A block
-    # that two bins share counts in both, so that no bin of a short log has too few.
-    axes = grid[1, 1]
-    axes.axhspan(0, high, color=INK, alpha=0.10, linewidth=0)
-    bins = int(np.clip(len(np.unique(s["block"])) // _FEWEST, 1, BINS))
-    for y, colour, _ in models:
-        centre, mean, half = binned(s["t"], np.square(y), s["block"], bins)
-        ends = (np.sqrt(np.maximum(mean - half, 0)), np.sqrt(mean + half))
-        _banded(axes, centre, np.sqrt(mean), ends, colour)
-    axes.set_ylim(bottom=0)
-    several = len(diagnosis.traces) > 1
-    time = "time, one trajectory after another [s]" if several else "time [s]"
-    axes.set(xlabel=time, ylabel=f"RMS [{unit}]")
-    _spectrum(grid[1, 2], diagnosis, joint, unit)
+    panels[0].set_ylabel(f"measured - model [{unit}]")
     title = f"{diagnosis.robot.name}, joint {joint + 1}: what the model lacks, on data not fitted"
-    return finish(figure, title, grid[0, 0], columns=5)
+    return finish(figure, title, panels[0], columns=5)
 
 
 def samples(traces: tuple[Trace, ...], joint: int) -> dict[str, np.ndarray]:
-    """The instants of one joint that count, all trajectories, (N,) each: `t`, `q`, `dq`, `ddq`,
-    `load`, what is `before` and `after` measured - model, and the number of the `block`."""
+    """The instants of one joint that count, all trajectories, (N,) each: `q`, `dq`, `load`, what is
+    `before` and `after` measured - model, and the number of the `block`."""
     parts: dict[str, list[np.ndarray]] = {}
-    clock, blocks = 0.0, 0
+    blocks = 0
     for trace in traces:
-        v = trace.counting[:, joint]
-        t = torch.arange(len(v), dtype=torch.float64) / trace.rate
-        block = (t / BLOCK).long() + blocks
+        counts = trace.counting[:, joint]
+        block = (torch.arange(len(counts)) / (trace.rate * BLOCK)).long() + blocks
         signals = {
-            "t": t + clock,
+            "q": trace.motion.q[:, joint],
+            "dq": trace.motion.dq[:, joint],
             "load": trace.before[:, joint],
             "before": (trace.measured - trace.before)[:, joint],
             "after": (trace.measured - trace.after)[:, joint],
             "block": block,
-            **{name: getattr(trace.motion, name)[:, joint] for name in ("q", "dq", "ddq")},
         }
         for name, x in signals.items():
-            parts.setdefault(name, []).append(x[v].cpu().numpy())
-        clock += len(v) / trace.rate
+            parts.setdefault(name, []).append(x[counts].cpu().numpy())
         blocks = int(block[-1]) + 1
     return {name: np.concatenate(x) for name, x in parts.items()}
 
 
-def _banded(
-    axes: Any,
-    x: np.ndarray,
-    y: np.ndarray,
-    ends: tuple[np.ndarray, np.ndarray],
-    colour: str,
-    text: str | None = None,
-) -> None:
-    """A line with marks over the band of its interval."""
-    axes.fill_between(x, *ends, color=colour, alpha=0.25, linewidth=0)
-    axes.plot(
-        x, y, color=colour, linewidth=1.4, marker="o" if colour == BEFORE else "s",
-        markersize=3.4, markeredgecolor="white", markeredgewidth=0.4, label=text,
-    )  # fmt: skip
-
-
 def binned(
-    x: np.ndarray, y: np.ndarray, block: np.ndarray, bins: int = BINS
+    x: np.ndarray, y: np.ndarray, block: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centres, means and half-widths of 95 % intervals of y in equal bins of x between its 0.2 %
-    and 99.8 % quantiles, those of fewer than three blocks left out. The intervals take blocks, not
-    samples, as independent: neighbouring samples are alike."""
+    """Centres, means and half-widths of 95 % intervals of y in `BINS` equal bins of x between its
+    0.2 % and 99.8 % quantiles, those of fewer than three blocks left out. The intervals take
+    blocks, not samples, as independent: neighbouring samples are alike."""
     if not len(x):
         return x, y, y
     low, high = np.quantile(x, [0.002, 0.998])
-    edges = np.linspace(low, high if high > low else low + 1.0, bins + 1)
-    where = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, bins - 1)
+    edges = np.linspace(low, high if high > low else low + 1.0, BINS + 1)
+    where = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
     centre, mean, half, spare = [], [], [], []
-    for b in range(bins):
+    for b in range(BINS):
         inside = where == b
         names, owner = np.unique(block[inside], return_inverse=True)
         if len(names) < _FEWEST:
@@ -270,64 +205,12 @@ def binned(
         count = np.bincount(owner)
         total = np.bincount(owner, weights=y[inside])
         value = total.sum() / count.sum()
-        left = total - value * count
+        rest = total - value * count
         k = len(names)
-        error = np.sqrt(k / (k - 1) * np.square(left).sum()) / count.sum()
+        error = np.sqrt(k / (k - 1) * np.square(rest).sum()) / count.sum()
         centre.append(0.5 * (edges[b] + edges[b + 1]))
         mean.append(value)
         half.append(error)
         spare.append(k - 1.0)
     wide = student_quantile(0.95, torch.tensor(spare)).numpy()
     return np.array(centre), np.array(mean), wide * np.array(half)
-
-
-def _spectrum(axes: Any, diagnosis: TorqueDiagnosis, joint: int, unit: str) -> None:
-    """Amplitude spectral density of both gaps over that of white noise of the floor's RMS."""
-    band = diagnosis.band
-    lowest = np.inf
-    for name, colour in (("before", BEFORE), ("after", AFTER)):
-        f, density = spectrum(diagnosis.traces, joint, name)
-        shown = (f > 0) & (f <= 1.2 * band)
-        if not shown.any():
-            continue
-        axes.plot(f[shown], np.sqrt(density[shown]), color=colour, linewidth=1.2)
-        inside = shown & (f <= band)
-        lowest = min(lowest, float(np.sqrt(density[inside]).min()))
-    ends = [float(x[joint]) / np.sqrt(band) for x in (diagnosis.floor.low, diagnosis.floor.high)]
-    axes.axhspan(max(ends[0], 1e-12), max(ends[1], 1e-12), color=INK, alpha=0.22, linewidth=0)
-    axes.set_yscale("log")
-    if np.isfinite(lowest):
-        axes.set_ylim(bottom=0.5 * max(min(lowest, ends[0] or lowest), 1e-9))
-    axes.set_xlim(0, 1.2 * band)
-    axes.axvline(diagnosis.cutoff, color=GREY, linewidth=1.0, linestyle=(0, (4, 2)))
-    axes.annotate(
-        " cut-off of the fit", (diagnosis.cutoff, 0.98), xycoords=("data", "axes fraction"),
-        fontsize=7, color=GREY, va="top",
-    )  # fmt: skip
-    axes.set_xlabel("frequency [Hz], all instants (grey: noise)")
-    axes.set_ylabel(f"gap, spectral density [{unit}/√Hz]")
-
-
-def spectrum(traces: tuple[Trace, ...], joint: int, model: str) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [Hz] and power spectral density [(N m)^2/Hz], by Welch's method: 4 s windows of
-    the longest valid stretch of each trajectory; trajectories of the highest rate's grid."""
-    from scipy.signal import welch
-
-    frequencies, total, weight = np.zeros(0), np.zeros(0), 0.0
-    rate = max(t.rate for t in traces)
-    for trace in traces:
-        if trace.rate != rate:
-            continue
-        # The longest run of valid instants.
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], trace.valid.cpu().numpy(), [0]])))
-        starts, ends = edges[::2], edges[1::2]
-        k = int((ends - starts).argmax()) if len(starts) else 0
-        stretch = slice(int(starts[k]), int(ends[k])) if len(starts) else slice(0, 0)
-        x = (trace.measured - getattr(trace, model))[stretch, joint].cpu().numpy()
-        size = round(4.0 * rate)
-        if len(x) < size:
-            continue
-        frequencies, density = welch(x, rate, nperseg=size)
-        total = density * len(x) + (total if len(total) else 0.0)
-        weight += len(x)
-    return frequencies, total / max(weight, 1.0)

@@ -21,7 +21,7 @@ from torchid.report.cautions import caution_section
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Figures, Picture, finish, joint_rows, note, panel, rows_of
-from torchid.report.table import Section, Shown, Table, cells, joint_numbers
+from torchid.report.table import Report, Section, Table, cells, joint_numbers
 from torchid.results.words import listed, number_list, short, unit_words
 from torchid.robot.model import joint_unit
 
@@ -29,9 +29,9 @@ _ZERO = 100.0
 """Half-width of the 95 % interval in % of the value: beyond it, zero is possible."""
 
 
-def shown(result: Identification) -> Shown:
+def report_of_identification(result: Identification) -> Report:
     """All that there is to see of an identification."""
-    return Shown(
+    return Report(
         parts=tables(result),
         warnings=result.warnings,
         verdict=verdict(result),
@@ -378,10 +378,10 @@ QUANTITIES = (
 """Names and units of what is estimated of a payload; the inertia is about its centre of mass."""
 
 
-def payload_shown(payload: Payload) -> Shown:
+def report_of_payload(payload: Payload) -> Report:
     """All that there is to see of a payload."""
     said = payload_headline(payload)
-    return Shown(verdict=said, parts=payload_tables(payload), warnings=payload.warnings)
+    return Report(verdict=said, parts=payload_tables(payload), warnings=payload.warnings)
 
 
 def payload_tables(payload: Payload) -> list[Table]:

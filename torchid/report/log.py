@@ -12,7 +12,7 @@ from torchid.log.overview import Overview
 from torchid.log.ros import Topic, topics_of
 from torchid.report.colours import BLUE, ORANGE, RED
 from torchid.report.panels import Figure, finish, joint_rows, thin
-from torchid.report.table import Cell, Shown, Table, cell
+from torchid.report.table import Cell, Report, Table, cell
 from torchid.results.words import count
 from torchid.robot.model import JointType, Robot
 
@@ -26,7 +26,7 @@ _CONSEQUENCES = {
 }
 
 
-def shown(seen: Overview, repeats: Sequence[Repeat]) -> Shown:
+def report_of_log(seen: Overview, repeats: Sequence[Repeat]) -> Report:
     """All that there is to see of a log, but why it cannot be used.
 
     Args:
@@ -34,7 +34,7 @@ def shown(seen: Overview, repeats: Sequence[Repeat]) -> Shown:
         repeats: of its motion.
     """
     unused = f"not used: {', '.join(seen.unused[:_SHOWN])}" if seen.unused else ""
-    return Shown(
+    return Report(
         verdict=headline(seen),
         parts=[
             *(

@@ -11,32 +11,32 @@ from torchid.next_motion.planned import Planned, not_checked
 from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.separation import DECISIVE, Rival, name_pairs, other_means
 from torchid.report.log import trajectory_figure
-from torchid.report.table import Shown, Table, more_rows
+from torchid.report.table import Report, Table
 from torchid.results.words import count, effect_words, listed, number_list, percent, short
 from torchid.robot.model import Robot, joint_unit
 
 
-def design_shown(planned: Planned) -> Shown:
+def report_of_design(planned: Planned) -> Report:
     """What the design of motions gained."""
     hardly = [HARDLY_BETTER] if any(design.hardly for design in planned.designs) else []
     match planned.designs:
         case [InformedDesign() as one]:
-            return Shown(
+            return Report(
                 verdict=informed_verdict(one), parts=[informed_table(one)], warnings=hardly
             )
         case [Separation() as one]:
             verdict, table = separation_verdict(one, one.kind), separation_table(one, one.kind)
-            return Shown(verdict=verdict, parts=[table], warnings=[*one.notes, *hardly])
+            return Report(verdict=verdict, parts=[table], warnings=[*one.notes, *hardly])
     said = [
         f"trajectory {k}: condition number {design.start_condition:.0f} (median random start) "
         f"-> {design.condition_after:.0f}"
         for k, design in enumerate(planned.designs, start=1)
         if isinstance(design, Excitation)
     ]
-    return Shown(parts=said, warnings=hardly)
+    return Report(parts=said, warnings=hardly)
 
 
-def shown(planned: Planned) -> Shown:
+def report_of_motion(planned: Planned) -> Report:
     """What motions ask of the drives, or that it is not known, and how near they come; and a figure
     of each."""
     robot, use, log = planned.robot, planned.use, planned.log
@@ -46,7 +46,7 @@ def shown(planned: Planned) -> Shown:
     if planned.clearance is not None and planned.nearest is not None:
         parts += [nearest_words(planned.clearance, planned.nearest), *planned.clearance.notes]
     title = f"{robot.name}: {planned.kind} trajectory"
-    return Shown(
+    return Report(
         parts=parts,
         warnings=(*drives, *planned.unknown, *log.warnings),
         figures={
@@ -118,15 +118,14 @@ def informed_table(d: InformedDesign) -> Table:
     relative = d.before / d.prior.values.abs().clamp(min=1e-300)
     order = [k for k in relative.argsort(descending=True).tolist() if bool(d.targets[k])]
     rows = []
-    for k in order[:MOST_ROWS]:
+    for k in order:
         value, now = f"{float(d.prior.values[k]):.3g}", f"{float(d.before[k]):.2g}"
         if not math.isfinite(float(d.before[k])):
             value, now = "-", "unknown"
         name = f"{short(d.prior.base.names[k], 40)} [{d.prior.base.units[k]}]"
         rows.append((name, value, now, f"{float(d.with_plain[k]):.2g}", f"{float(d.after[k]):.2g}"))
     columns = ("parameter", "value", "now", "after a plain motion", "after this motion")
-    more = more_rows(len(order), MOST_ROWS)
-    return Table("predicted standard deviations", columns, rows, "p", more)
+    return Table("predicted standard deviations", columns, rows, "p", most=MOST_ROWS)
 
 
 def separation_verdict(s: Separation, kind: str) -> str:
@@ -175,16 +174,16 @@ def separation_verdict(s: Separation, kind: str) -> str:
 def separation_table(s: Separation, kind: str) -> Table:
     """Every pair, both ways, the hardest first; * where it decides."""
     testing = kind == "not_testable"
-    found = sorted(zip(s.rivals, s.with_plain, s.after, strict=True), key=lambda r: r[2].reached)
     rows = []
-    for r, *both in found[:MOST_ROWS]:
+    pairs = zip(s.rivals, s.with_plain, s.after, strict=True)
+    for r, *both in sorted(pairs, key=lambda pair: pair[2].reached):
         second = f"{max(r.truth.values, key=abs):.3g}" if testing else r.name
         told = (f"{t.difference:.3g} {'*' if t.reached >= 1 else ' '}" for t in both)
         rows.append((_place(r), second, *told))
     headings = ("effect", "size") if testing else ("if it is", "and not")
     title = "expected difference of the squared residuals, in noise units; * decides"
-    more = more_rows(len(found), MOST_ROWS)
-    return Table(title, (*headings, "plain motion", "this motion"), rows, "pp", more)
+    columns = (*headings, "plain motion", "this motion")
+    return Table(title, columns, rows, "pp", most=MOST_ROWS)
 
 
 def _place(r: Rival) -> str:

@@ -5,11 +5,11 @@ from dataclasses import replace
 from functools import partial
 
 from torchid.pair.pair import PairDiagnosis
-from torchid.pair.record import Fault, OneSided, ServoDifference, WherePair
+from torchid.pair.record import OneSided, ServoDifference, WherePair
 from torchid.report import diagnosis
 from torchid.report.cautions import caution_section
 from torchid.report.gap_figures import CLEAR, excess_words
-from torchid.report.table import Origin, Page, Section, Shown, Table, cell
+from torchid.report.table import Origin, Page, Report, Section, Table, cell, table_of
 from torchid.results.words import (
     effect_words,
     joints_words,
@@ -47,36 +47,36 @@ _WORDS = {
 _UNCOUNTED = ("viscous friction", "dry friction", "extra friction at rest")
 
 
-def verdict(found: PairDiagnosis) -> str:
+def verdict(pair: PairDiagnosis) -> str:
     """The answer in plain words."""
-    servos = _servos(found)
-    if found.faults:
-        first, *others = found.faults
+    servos = _servos(pair)
+    if pair.faults:
+        first, *others = pair.faults
         also = [f.fault.replace("_", " ") for f in others]
         then = f" Then: {listed(also)}." if also else ""
         return " ".join(
             filter(None, (f"The set-ups differ: {first.meaning}. {first.remedy}{then}", servos))
         )
-    if found.which:
-        said = [f"{_more(one)} at {joints_words(one.joints)}" for one in found.which[:3]]
-        more = f", and {len(found.which) - 3} more" if len(found.which) > 3 else ""
-        return f"The set-ups agree; what differs: {'; '.join(said)}{more}."
+    if pair.which:
+        phrases = [f"{_more(one)} at {joints_words(one.joints)}" for one in pair.which[:3]]
+        more = f", and {len(pair.which) - 3} more" if len(pair.which) > 3 else ""
+        return f"The set-ups agree; what differs: {'; '.join(phrases)}{more}."
     if servos:
         return servos
-    if found.record.which is None:
+    if pair.record.which is None:
         return "No fault of the set-up is seen."
     return "Nothing: set-ups and effects of simulator and arm agree within what these logs show."
 
 
-def _servos(found: PairDiagnosis) -> str:
+def _servos(pair: PairDiagnosis) -> str:
     """How the real servos differ from the simulated ones, one sentence a joint."""
-    if not found.servos:
+    if not pair.servos:
         return ""
     out = []
-    for joint in dict.fromkeys(one.joint for one in found.servos):
-        own = [_difference(s) for s in found.servos if s.joint == joint and s.differs]
-        if own:
-            out.append(f"The real servo of joint {joint + 1} has {listed(own)}.")
+    for joint in dict.fromkeys(one.joint for one in pair.servos):
+        differences = [_difference(s) for s in pair.servos if s.joint == joint and s.differs]
+        if differences:
+            out.append(f"The real servo of joint {joint + 1} has {listed(differences)}.")
     if not out:
         return "The servos of simulator and arm agree within what these logs show."
     return " ".join(out)
@@ -109,34 +109,33 @@ def _more(one: OneSided) -> str:
     return f"{name} that only {who} has" if one.only else f"{name}, of which {who} has more"
 
 
-def shown(found: PairDiagnosis) -> Shown:
+def report_of_pair(pair: PairDiagnosis) -> Report:
     """All that there is to see of a pair."""
-    return Shown(
-        verdict=verdict(found),
-        parts=tables(found),
-        warnings=found.record.warnings,
-        page=partial(page, found),
+    return Report(
+        verdict=verdict(pair),
+        parts=tables(pair),
+        warnings=pair.record.warnings,
+        page=partial(page, pair),
     )
 
 
-def page(found: PairDiagnosis, origin: Origin) -> Page:
+def page(pair: PairDiagnosis, origin: Origin) -> Page:
     """The page of a pair: where both differ, and below it the diagnosis of the arm beside the
     simulator, where effects were sought."""
-    own = (
-        Section("Simulator and arm", tables(found), folded=False),
-        caution_section(found.record.warnings),
+    sections = (
+        Section("Simulator and arm", tables(pair), folded=False),
+        caution_section(pair.record.warnings),
     )
-    title, said = "Simulator beside arm", verdict(found)
-    if found.of_arm is None:
-        return Page(title, said, (), origin, sections=own)
-    whole = diagnosis.page(found.of_arm, origin)
-    return replace(whole, title=title, verdict=said, sections=(*own, *whole.sections))
+    title, answer = "Simulator beside arm", verdict(pair)
+    if pair.of_arm is None:
+        return Page(title, answer, (), origin, sections=sections)
+    whole = diagnosis.page(pair.of_arm, origin)
+    return replace(whole, title=title, verdict=answer, sections=(*sections, *whole.sections))
 
 
-def tables(found: PairDiagnosis) -> list[Table | None]:
+def tables(pair: PairDiagnosis) -> list[Table | None]:
     """Where torque and motion differ, faults, effects."""
-    record = found.record
-    faults = [(f.fault.replace("_", " "), _place(f), f.meaning, f.remedy) for f in record.faults]
+    record = pair.record
     effects = [
         (
             _more(one), joints_words(one.joints), _sizes(one.simulator, {}, one.unit),
@@ -155,22 +154,17 @@ def tables(found: PairDiagnosis) -> list[Table | None]:
         )
         for s in record.servos or ()
     ]  # fmt: skip
-    columns = ("fault", "where", "what was seen", "what to do")
     numbers = ("joint", "parameter", "simulator", "arm", "differs")
     headings = ("effect", "where", "simulator", "arm", "share", "not separable from")
     return [
         None if record.torque is None else _where(record.torque, "torque", "N m"),
         _where(record.position, "motion", "mrad"),
-        Table("set-up, in the order in which to mend it", columns, faults, "pppp"),
+        table_of(
+            "set-up, in the order in which to mend it", record.faults, "fault where meaning remedy"
+        ),
         Table("effects: simulator -> arm", headings, effects, "pppprp"),
         Table("servos, from commands and positions [95 %]", numbers, servos, "rp"),
     ]
-
-
-def _place(fault: Fault) -> str:
-    """`simulator, joint 2`."""
-    words = [fault.side or "", joints_words(fault.joints) if fault.joints else ""]
-    return ", ".join(filter(None, words))
 
 
 def _sizes(values: Mapping[str, float], std: Mapping[str, float], unit: Mapping[str, str]) -> str:
@@ -185,13 +179,13 @@ def _where(where: WherePair, what: str, unit: str) -> Table:
     scale = 1e3 if unit == "mrad" else 1.0
     rows = []
     for one in where.joints:
-        own = [r for r in where.regimes if r.joint == one.joint and r.p < CLEAR and r.excess > 0]
-        own.sort(key=lambda r: -r.excess)
+        clear = [r for r in where.regimes if r.joint == one.joint and r.p < CLEAR and r.excess > 0]
+        clear.sort(key=lambda r: -r.excess)
         noise = cell(scale * one.noise, ".2g")
         rows.append(
             (
                 str(one.joint + 1), f"{scale * one.rms:.3g}", noise, f"{one.relative_percent:.3g}",
-                ", ".join(map(excess_words, own[:_MOST_REGIMES])) or "-",
+                ", ".join(map(excess_words, clear[:_MOST_REGIMES])) or "-",
             )
         )  # fmt: skip
     regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"

@@ -11,10 +11,10 @@ from torchid.results.record import Result
 
 DRAWN = other_packages.FIGURES | {
     "Log": "torchid.report.log:signals_figure signals",
-    "TorqueDiagnosis": "torchid.report.gap_figures:kinds",
-    "GapRecord": "torchid.report.gap_figures:kinds",
-    "PositionDiagnosis": "torchid.report.position:kinds",
-    "PositionRecord": "torchid.report.position:kinds",
+    "TorqueDiagnosis": "torchid.report.diagnosis:kinds",
+    "GapRecord": "torchid.report.diagnosis:kinds",
+    "PositionDiagnosis": "torchid.report.diagnosis:kinds",
+    "PositionRecord": "torchid.report.diagnosis:kinds",
     "Replay": "torchid.report.position:replay_figure positions",
     "Identification": "torchid.report.identification:kinds",
     "IdentificationRecord": "torchid.report.identification:parameter_figure parameters",

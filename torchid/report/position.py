@@ -2,7 +2,8 @@
 record, but for figures of motions over time."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -11,23 +12,20 @@ import torch
 from msgspec import UNSET
 
 from torchid.errors import TorchidError
-from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.next_motion import NextCommands
 from torchid.position.nominal import unit_of
-from torchid.position.record import JointRecord, NominalRecord, PositionRecord
+from torchid.position.record import JointRecord, PositionRecord
 from torchid.position.replay import Replay
-from torchid.report.causes import cause_table, meaning_table, not_testable_table
+from torchid.report.causes import Evidence
 from torchid.report.colours import AFTER, GREY, INK
-from torchid.report.over_time import motion_over_time
 from torchid.report.panels import (
     Figure,
-    Figures,
     Picture,
     joint_lines,
     map_with_bars,
     thin,
 )
-from torchid.report.table import Shown, Table, cell, cells
+from torchid.report.table import Report, Table, cells, table_of
 from torchid.results.words import regime_words, unit_behind, within
 from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, TORQUES, as_share
 
@@ -101,62 +99,62 @@ def _worse(record: PositionRecord) -> list[str]:
     ]
 
 
-def tables(record: PositionRecord) -> list[Table]:
-    """What stands below the answer: where, which and how far."""
-    return [
-        where_table(record), cause_table(record), meaning_table(record),
-        change_table(record), not_testable_table(record),
-        nominal_table(record, () if record.nominal is UNSET else record.nominal),
-    ]  # fmt: skip
+def evidence(record: PositionRecord) -> Evidence:
+    """What a diagnosis of commands and positions rests on."""
+    return Evidence(
+        where=[where_picture(record), where_table(record)],
+        numbers=[motion_table(record), nominal_table(record), change_table(record)],
+        remarks=remarks(record),
+    )
 
 
 def where_table(record: PositionRecord) -> Table:
     """Joints: errors of the command alone, of the file's servo if it has one, of a plain servo and
     of the answer, and the gain."""
-    far, joints = record.how_far, []
-    for j in record.where.joints:
-        levels = (
-            j.commanded_mrad, *([] if far.file is UNSET else [j.file_mrad]), j.plain_mrad,
-            j.answered_mrad,
-            float(far.plain.windows[j.joint]),
-            float(far.answered.windows[j.joint]),
-        )  # fmt: skip
-        gain = "ratio" if j.ratio_only else f"{j.kp:.1f}"
-        numbers = [*cells(levels, ".1f"), gain]
-        numbers = ["-"] * len(numbers) if j.never_moves else numbers
-        joints.append((str(j.joint + 1), j.name, *numbers))
-    servos = ("plain servo", "corrected", "plain, 2 s", "corrected, 2 s")
-    columns = ("joint", "name", "command", *["file"] * (far.file is not UNSET), *servos, "kp")
+    far = record.how_far
+    file = "" if far.file is UNSET else "file_mrad "
     note = (
         "kp [N m/rad]; ratio: no load anchors the joint's torques, which are known as shares of kp "
         "alone"
     )
-    return Table("Position error of motions left out [mrad]", columns, joints, "rl", note)
+    table = table_of(
+        "Position error of motions left out [mrad]",
+        record.where.joints,
+        f"joint name commanded_mrad {file}plain_mrad answered_mrad gain",
+        note,
+        beside={
+            "plain, 2 s": cells(far.plain.windows, ".1f"),
+            "corrected, 2 s": cells(far.answered.windows, ".1f"),
+        },
+    )
+    return replace(table, align="rp")  # numbers beyond the name
 
 
-def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> Table:
+def nominal_table(record: PositionRecord) -> Table:
     """What servos are said to be, beside what was found of the same numbers."""
     rows = []
-    for servo in nominal:
+    for servo in () if record.nominal is UNSET else record.nominal:
         j, joint = servo.joint, record.where.joints[servo.joint]
         place = (str(j + 1), servo.servo)
-        own = [f for f in record.which if f.joints == (j,)]
-        found = {name: (f.parameters[name], f.ci95[name]) for f in own for name in f.parameters}
+        findings = [f for f in record.which if f.joints == (j,)]
+        sizes = {
+            name: (f.parameters[name], f.ci95[name]) for f in findings for name in f.parameters
+        }
         if not joint.never_moves and not joint.ratio_only:
-            found["kp"] = (joint.kp, joint.kp_ci95)
+            sizes["kp"] = (joint.kp, joint.kp_ci95)
         for name in dict.fromkeys([*servo.values, *servo.register_units]):
             stated = servo.values.get(name)
-            unasked = not {name, as_share(name)} & found.keys() and stated is None
+            unasked = not {name, as_share(name)} & sizes.keys() and stated is None
             if unasked or name == "damping_share":  # of what the clip limits, which none seeks
                 continue
             text = "never moves" if joint.never_moves else "not needed"
             if joint.ratio_only and name in TORQUES and not joint.never_moves:
                 text = "as a share of kp alone"
-                if as_share(name) in found:
+                if as_share(name) in sizes:
                     unit = unit_behind(PER_KP[PARAMETERS[INDEX[name]].unit])
-                    text = f"{as_share(name)} {_size(*found[as_share(name)], unit)}"
-            elif name in found:
-                value, ends = found[name]
+                    text = f"{as_share(name)} {_size(*sizes[as_share(name)], unit)}"
+            elif name in sizes:
+                value, ends = sizes[name]
                 text = _size(value, ends, unit_of(name))
                 if name in servo.register_units:
                     steps = value / servo.register_units[name]
@@ -176,20 +174,9 @@ def nominal_table(record: PositionRecord, nominal: Sequence[NominalRecord]) -> T
 
 def change_table(record: PositionRecord) -> Table:
     """The servos beside those of the robot's file: what is new, changed, open and as known."""
-    rows = [
-        (
-            label(record, c.joint), c.parameter, *(_known(x, c.unit) for x in (c.was, c.now)),
-            c.state,
-        )
-        for c in (() if record.changes is UNSET else record.changes)
-    ]  # fmt: skip
     note = "open: this log does not say it; /kp: as a share of the gain, where no load anchors it"
-    columns = ("joint", "value", "in the file", "found", "state")
-    return Table("Servos of the robot's file, and what was found", columns, rows, "llrrl", note)
-
-
-def _known(value: float, unit: str) -> str:
-    return "-" if math.isnan(value) else f"{value:.3g} {unit_behind(unit)}".rstrip()
+    changes = () if record.changes is UNSET else record.changes
+    return table_of("Servos of the robot's file, and what was found", changes, note=note)
 
 
 def motion_table(record: PositionRecord) -> Table:
@@ -232,24 +219,6 @@ def _size(value: float, ends: tuple[float, float], unit: str) -> str:
     return within(value, ends, unit) + (", not determined" if ends[0] <= 0 <= ends[1] else "")
 
 
-def figures(result: PositionDiagnosis | PositionRecord) -> Figures:
-    """What draws each figure, by the names of their files; of a record those that need no motion
-    over time."""
-    drawn: dict[str, Callable[[], Figure]] = {"where": partial(where_figure, result.record)}
-    motion = motion_over_time(result) if isinstance(result, PositionDiagnosis) else None
-    if motion is not None:
-        worst = worst_joints(result.record)
-        drawn |= {f"gap_joint_{j + 1}": partial(motion.draw, j) for j in worst}
-    return drawn
-
-
-def kinds(result: PositionDiagnosis | PositionRecord) -> Figures:
-    """By kind; that of one joint takes it as `joint`."""
-    drawn: Figures = {"where": partial(where_figure, result.record)}
-    motion = motion_over_time(result) if isinstance(result, PositionDiagnosis) else None
-    return drawn if motion is None else {**drawn, "joint": motion.draw}
-
-
 def worst_joints(record: PositionRecord, most: int = WORST) -> list[int]:
     """Joints on which the servo before is worst, those that never move left out."""
     moving = [j for j in record.where.joints if not j.never_moves]
@@ -259,10 +228,10 @@ def worst_joints(record: PositionRecord, most: int = WORST) -> list[int]:
 def where_figure(record: PositionRecord) -> Figure:
     """Joints x what the command does: the error of the servo before as colour, and what the answer
     leaves of it; beside it the joints' errors of the command alone."""
-    joints, found = record.where.joints, record.where.regimes
-    regimes = list(dict.fromkeys(r.regime for r in found))
+    joints, errors = record.where.joints, record.where.regimes
+    regimes = list(dict.fromkeys(r.regime for r in errors))
     first, after = (
-        np.array([[getattr(r, key) for r in found if r.regime == name] for name in regimes]).T
+        np.array([[getattr(r, key) for r in errors if r.regime == name] for name in regimes]).T
         for key in ("before_mrad", "answered_mrad")
     )
     texts: dict[Any, tuple[str, dict[str, Any]]] = {
@@ -310,25 +279,20 @@ def replay_figure(result: Replay, log: int = 0) -> Figure:
     return joint_lines(title, "position [rad or m]", t, curves, x)[0]
 
 
-def commands_shown(made: NextCommands, unknown: Sequence[str] = ()) -> Shown:
+def report_of_commands(made: NextCommands, unknown: Sequence[str] = ()) -> Report:
     """What the next commands are, and what they would show.
 
     Args:
         made: the commands.
         unknown: what could not be checked, one sentence each.
     """
-    rows = [
-        (str(o.joint + 1), o.parameter, o.why, cell(o.now, ".2g"), f"{o.then:.2g}")
-        for o in made.open
-    ]
     text = f"{len(made.motions)} motions of {made.seconds:g} s at {made.rate:g} commands a second: "
     text += "; ".join(made.motions) + "."
-    if not rows:
+    if not made.open:
         text += " The diagnosis leaves nothing open; they serve all of its parameters."
     note = (
         "half widths of 95 % intervals, predicted for servos like the answered ones; of gains, "
         "friction and inertia as shares"
     )
-    columns = ("joint", "parameter", "open because of", "now +-", "then +-")
-    table = Table("What they would show", columns, rows, "rl", note)
-    return Shown(verdict=text, parts=[table], warnings=(*made.warnings, *unknown))
+    table = table_of("What they would show", made.open, note=note)
+    return Report(verdict=text, parts=[table], warnings=(*made.warnings, *unknown))

@@ -6,7 +6,7 @@ from rich.text import Text
 
 from torchid.feasibility.units import unit_findings
 from torchid.json_data import picked, plain
-from torchid.report.table import Cell, Shown, Table
+from torchid.report.table import Cell, Report, Table
 from torchid.results.words import count
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
@@ -107,9 +107,9 @@ def robot_warnings(robot: Robot) -> tuple[str, ...]:
     return (*said, *(finding.sentence for finding in unit_findings(robot)))
 
 
-def shown(robot: Robot) -> Shown:
+def report_of_robot(robot: Robot) -> Report:
     """All that there is to see of a robot."""
-    return Shown(parts=robot_tables(robot), warnings=robot_warnings(robot))
+    return Report(parts=robot_tables(robot), warnings=robot_warnings(robot))
 
 
 def robot_tables(robot: Robot) -> list[Table]:

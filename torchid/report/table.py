@@ -4,14 +4,17 @@ and all that is shown of a result; and numbers and names as tables, pictures and
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from functools import cache
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
+from msgspec import UNSET
 from rich import box
 from rich.table import Table as RichTable
 from rich.text import Text
 
 from torchid.errors import visible
-from torchid.results.words import unit_words
+from torchid.results.record import Col, Joint, Real
+from torchid.results.words import measure, number_list, unit_behind, unit_words, within
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,6 +40,7 @@ class Table:
             numbers, as all columns are beyond the last letter.
         note: sentences below it.
         least_width: characters in the terminal.
+        most: rows that are printed; a page has all of them.
     """
 
     title: str
@@ -45,6 +49,15 @@ class Table:
     align: str = ""
     note: str = ""
     least_width: int | None = None
+    most: int | None = None
+
+    @property
+    def printed(self) -> "Table":
+        """The rows that are printed, and how many more there are."""
+        if self.most is None or len(self.rows) <= self.most:
+            return self
+        more = f"{self.note} And {len(self.rows) - self.most} more, in the JSON."
+        return replace(self, rows=self.rows[: self.most], note=more.strip(), most=None)
 
     @property
     def letters(self) -> str:
@@ -57,7 +70,10 @@ class Table:
 
     def __rich__(self) -> RichTable:
         """For the terminal."""
-        table = compact(self.title)
+        if self.printed is not self:
+            return self.printed.__rich__()
+        title = Text(visible(self.title), "table.title")
+        table = RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
         table.show_header = any(name.strip() for name in self.columns)
         table.caption = Text(visible(self.note), "table.caption") if self.note else None
         table.caption_justify = "left"
@@ -102,12 +118,14 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def plain(self) -> dict[str, object]:
-        """As JSON has it: words without colours, and the headings of the columns of words."""
+        """As JSON has it: words without colours, and the headings of the columns of words; the rows
+        that are printed."""
         kinds = list(zip(self.columns, self.letters, strict=True))
-        names, words = ([name for name, own in kinds if own == letter] for letter in "lp")
-        rows = [[str(cell) for cell in row] for row in self.rows]
-        own = {"title": self.title, "note": self.note, "columns": list(self.columns)}
-        return {**own, "names": names, "words": words, "rows": rows}
+        names, words = ([name for name, kind in kinds if kind == letter] for letter in "lp")
+        printed = self.printed
+        rows = [[str(cell) for cell in row] for row in printed.rows]
+        head = {"title": self.title, "note": printed.note, "columns": list(self.columns)}
+        return {**head, "names": names, "words": words, "rows": rows}
 
     @classmethod
     def read(cls, stored: Mapping[str, Any]) -> "Table":
@@ -249,7 +267,7 @@ class Page:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shown:
+class Report:
     """A result for people.
 
     Attributes:
@@ -279,8 +297,8 @@ class Shown:
         """Its words as JSON has them: `verdict`, `parts` (tables and sentences), `warnings`,
         `last`."""
         parts = [part.plain() if isinstance(part, Table) else part for part in self.parts]
-        own = {"verdict": self.verdict, "warnings": list(self.warnings), "last": self.last}
-        return {**own, "parts": parts}
+        words = {"verdict": self.verdict, "warnings": list(self.warnings), "last": self.last}
+        return {**words, "parts": parts}
 
 
 def pipe_table(
@@ -292,17 +310,97 @@ def pipe_table(
     return "\n".join(lines)
 
 
-def compact(title: str) -> RichTable:
-    """An empty table in the house style."""
-    shown = Text(visible(title), "table.title")
-    return RichTable(title=shown, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
-
-
 def _plain(text: str) -> str:
     """Markdown that reads as the text does."""
     for mark in ("|", "*", "<"):
         text = text.replace(mark, f"\\{mark}")
     return text
+
+
+def table_of(
+    title: str,
+    entries: Iterable[object],
+    columns: str = "",
+    note: str = "",
+    most: int | None = None,
+    beside: Mapping[str, Sequence[Cell]] | None = None,
+) -> Table:
+    """Parts of a result as a table: a row each, a column for each field or property that declares
+    one (`Col`).
+
+    Integers, words and yes or no stand as they are, joints from 1, lists with commas, a dash for
+    what is not there; a number with its digits, its unit, and its standard deviation or interval,
+    as its column says.
+
+    Args:
+        title: of the table.
+        entries: all of one class.
+        columns: names of some of them in their order, with spaces between; all if empty: fields,
+            then properties.
+        note: sentences below it.
+        most: rows that are printed.
+        beside: headings and cells of columns at the right that no single entry tells.
+    """
+    rows = list(entries)
+    kind: Any = type(rows[0]) if rows else None
+    declared = _declared(kind) if rows else {}
+    chosen = [declared[name] for name in (columns.split() if rows else ()) or declared]
+    more = {} if beside is None else beside
+    heads = [
+        (col.heading or name.replace("_", " ")) + (f" [{col.unit}]" if col.unit else "")
+        for name, col, _ in chosen
+    ]
+    lines = [
+        [*(_cell(row, name, col) for name, col, _ in chosen), *others]
+        for row, *others in zip(rows, *more.values(), strict=True)
+    ]
+    letters = ["r" if number else "p" for _, _, number in chosen] + ["p"] * len(more)
+    return Table(title, [*heads, *more], lines, "".join(letters), note, most=most)
+
+
+@cache
+def _declared(kind: type) -> dict[str, tuple[str, Col, bool]]:
+    """Columns by the name of their field or property: that name, the column, and whether it holds
+    numbers."""
+    hints = get_type_hints(kind, include_extras=True)
+    for base in reversed(kind.__mro__):
+        for name, value in vars(base).items():
+            if isinstance(value, property):
+                hints[name] = value.fget.__annotations__.get("return")
+    columns = {}
+    for name, hint in hints.items():
+        for col in getattr(hint, "__metadata__", ()):
+            if isinstance(col, Col):
+                value = get_args(hint)[0]
+                number = not {value, *get_args(value)}.isdisjoint((Joint, Real, int, float))
+                columns[name] = (name, col, number)
+    return columns
+
+
+def _cell(entry: object, name: str, col: Col) -> str:
+    """A cell, as `table_of` has it."""
+    value = getattr(entry, name)
+    if value is None or value is UNSET or value != value:
+        return "-"
+    if col.words is not None:
+        return col.words(value)
+    unit = getattr(entry, col.unit_of) if col.unit_of else ""
+    spread = getattr(entry, col.spread) if col.spread else None
+    if isinstance(spread, tuple):
+        return within(value, spread, unit)
+    if col.spread:
+        return measure(value, spread, unit_behind(unit))
+    match value:
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:{col.digits}} {unit_behind(unit)}".rstrip()
+        case (float(), float()):
+            return " .. ".join(cells(value, col.digits))
+        case tuple() | list():
+            whole = all(isinstance(x, str) for x in value)
+            return (", ".join(value) if whole else number_list(value)) or "-"
+    return number_list([value]) if isinstance(value, Joint) else str(value)
 
 
 def cells(values: "Iterable[float | None] | Tensor", digits: str = ".3g") -> list[str]:
@@ -313,11 +411,6 @@ def cells(values: "Iterable[float | None] | Tensor", digits: str = ".3g") -> lis
 def cell(value: float | None, digits: str = ".3g") -> str:
     """A number; a dash where there is none, or it is not finite."""
     return "-" if value is None or not math.isfinite(value) else f"{value:{digits}}"
-
-
-def more_rows(count: int, most: int) -> str:
-    """What is said below a table of the first rows."""
-    return f"and {count - most} more, in the JSON" if count > most else ""
 
 
 def joint_numbers(n: int) -> list[str]:

@@ -3,17 +3,17 @@
 from collections import Counter
 from collections.abc import Sequence
 
-from torchid.report.table import Shown, Table
+from torchid.report.table import Report, Table
 from torchid.statistics.criteria import SET_MASS
 from torchid.withheld.own import OwnCheck
 from torchid.withheld.planted import OUTSIDE, Calibration, Planted
 
 
-def own_shown(found: OwnCheck) -> Shown:
+def report_of_own_check(found: OwnCheck) -> Report:
     """All that there is to see of the check."""
     half = "untouched data: the second half of every trajectory (--held-out for others)"
     said: list[Table | str] = [own_table(found), *([] if found.whole else [half])]
-    return Shown(verdict=own_headline(found), parts=said)
+    return Report(verdict=own_headline(found), parts=said)
 
 
 def own_headline(found: OwnCheck) -> str:
@@ -47,9 +47,9 @@ def own_table(found: OwnCheck) -> Table:
     return Table("Accepted effects, withheld", heads, withheld, "pppppp")
 
 
-def calibration_shown(found: Calibration) -> Shown:
+def report_of_calibration(found: Calibration) -> Report:
     """What would be named on this log, were it there."""
-    return Shown(verdict=calibration_headline(found), parts=[calibration_table(found)])
+    return Report(verdict=calibration_headline(found), parts=[calibration_table(found)])
 
 
 def calibration_headline(found: Calibration) -> str:

@@ -1,12 +1,13 @@
 """The friction of one joint as one law: how sure it is, its torque over speed, and its details."""
 
 import math
+from typing import Annotated
 
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from torchid.results.record import Joint, Part, Real
-from torchid.results.words import digits, sure, unit_behind
+from torchid.results.record import Col, Joint, Part, Real
+from torchid.results.words import digits, measure, percent, sure, unit_behind
 
 LEAST = 0.05
 """Probability of a detail from which on it is said."""
@@ -31,6 +32,10 @@ class FrictionDetail(Part, frozen=True, kw_only=True):
         return self.detail if self.how_sure is None else f"{self.detail} {sure(self.how_sure)}"
 
 
+def _lines(details: tuple[FrictionDetail, ...]) -> str:
+    return "\n".join(d.words for d in details)
+
+
 class FrictionAt(Part, frozen=True):
     """Torque at one speed.
 
@@ -52,6 +57,12 @@ class FrictionAt(Part, frozen=True):
         """Mean of both directions, or the one that the log has."""
         both = [x for x in (self.forwards, -self.backwards) if not math.isnan(x)]
         return sum(both) / len(both) if both else math.nan
+
+    def words(self, unit: str, speed_unit: str) -> str:
+        """`at 0.5 rad/s: 1.0 ± 0.1 N m; not driven`: forwards, then backwards."""
+        both = ((self.forwards, self.forwards_std), (self.backwards, self.backwards_std))
+        torques = ["not driven" if math.isnan(x) else measure(x, std, unit) for x, std in both]
+        return f"at {self.speed:.2g} {speed_unit}: {'; '.join(torques)}"
 
 
 class FrictionCurve(Part, frozen=True):
@@ -91,16 +102,22 @@ class FrictionLaw(Part, frozen=True, kw_only=True):
         curve: of a diagnosis; absent in its answer.
     """
 
-    joint: Joint
-    how_sure: float | None
-    share: Real
+    joint: Annotated[Joint, Col()]
+    how_sure: Annotated[float | None, Col("sure", words=sure)]
+    share: Annotated[Real, Col("removes", words=percent)]
     unnamed: Real = 0.0
     removes: tuple[Real, ...]
     unit: str
     speed_unit: str
-    details: tuple[FrictionDetail, ...]
+    details: Annotated[tuple[FrictionDetail, ...], Col(words=_lines)]
     at: tuple[FrictionAt, ...]
     curve: FrictionCurve | UnsetType = UNSET
+
+    @property
+    def torques(self) -> Annotated[str, Col("forwards; backwards (value ± std)")]:
+        """At each speed, a line each."""
+        units = unit_behind(self.unit), unit_behind(self.speed_unit)
+        return "\n".join(x.words(*units) for x in self.at)
 
     @property
     def brief(self) -> "FrictionLaw":

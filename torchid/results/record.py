@@ -8,7 +8,7 @@ count from 0 here, count from 1.
 import math
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache, partial
 from html import escape
@@ -16,7 +16,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
-    Annotated,
     Any,
     Self,
     TypeGuard,
@@ -90,6 +89,28 @@ else:
 
 Ends = tuple[Real, Real]
 """Of an interval."""
+
+
+@dataclass(frozen=True)
+class Col:
+    """A column of the tables for people, declared on the field of a part, or on the value of its
+    property, that it shows: `Annotated[Real, Col("gain", ".1f", "N m/rad")]`.
+
+    Attributes:
+        heading: the field's name in words if empty.
+        digits: of numbers that are no integers.
+        unit: of all of its numbers, in the heading.
+        unit_of: name of the field with the unit of this number.
+        spread: name of the field with its standard deviation, or its interval.
+        words: what writes a cell, where no rule of `table_of` does.
+    """
+
+    heading: str = ""
+    digits: str = ".3g"
+    unit: str = ""
+    unit_of: str = ""
+    spread: str = ""
+    words: Callable[[Any], str] | None = None
 
 
 class Rows(tuple[_T, ...]):
@@ -286,26 +307,25 @@ class _View:
 def _plan(part: type[Part]) -> tuple[tuple[str, str, Any, bool], ...]:
     """Fields that are checked or made anew: name, key, kind (Joint, tuple for several, Rows, a type
     of tensors), and whether it must be finite."""
-    found: list[tuple[str, str, Any, bool]] = []
+    checked: list[tuple[str, str, Any, bool]] = []
     keys = dict(zip(part.__struct_fields__, part.__struct_encode_fields__, strict=True))
-    for name, given in get_type_hints(part, include_extras=True).items():
-        hint, finite = given, False
+    declared = get_type_hints(part, include_extras=True)
+    for name, given in get_type_hints(part).items():
+        whole = (declared[name], *get_args(declared[name]))
+        finite = any(FINITE in getattr(part_of, "__metadata__", ()) for part_of in whole)
         # X | None is checked as X is.
-        kinds = [k for k in get_args(hint) if k not in (type(None), UnsetType)]
-        if get_origin(hint) not in (tuple, Annotated) and len(kinds) == 1:
-            hint = kinds[0]
-        if get_origin(hint) is Annotated:
-            hint, finite = get_args(hint)[0], FINITE in get_args(hint)
+        kinds = [k for k in get_args(given) if k not in (type(None), UnsetType)]
+        hint = kinds[0] if get_origin(given) is not tuple and len(kinds) == 1 else given
         entry = get_args(hint)[0] if get_origin(hint) is tuple else None
         if hint is Joint:
-            found.append((name, keys[name], Joint, False))
+            checked.append((name, keys[name], Joint, False))
         elif entry is Joint:
-            found.append((name, keys[name], tuple, False))
+            checked.append((name, keys[name], tuple, False))
         elif isinstance(entry, type) and issubclass(entry, Part):
-            found.append((name, keys[name], Rows, False))
+            checked.append((name, keys[name], Rows, False))
         elif isinstance(hint, type) and issubclass(hint, AbstractArray):
-            found.append((name, keys[name], hint, finite))
-    return tuple(found)
+            checked.append((name, keys[name], hint, finite))
+    return tuple(checked)
 
 
 def _computed(kind: Any, value: Any) -> Any:

@@ -42,6 +42,11 @@ def number_list(joints: Iterable[int], nothing: str = "") -> str:
     return ", ".join(str(j + 1) for j in joints) or nothing
 
 
+def joints_or_arm(joints: Iterable[int]) -> str:
+    """`2, 3`, or that it is the whole arm's."""
+    return number_list(joints, "the arm")
+
+
 def measure(value: float, std: float | None, unit: str) -> str:
     """`0.61 ± 0.02 N m`: as many decimals as the standard deviation has one or two digits for."""
     if std is None or not math.isfinite(std) or std <= 0 or not math.isfinite(value):

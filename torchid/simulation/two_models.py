@@ -10,13 +10,15 @@ starts. Neighbouring rollouts share data: intervals come from whole blocks of th
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
 
 from torchid.design.segments import Segment
 from torchid.effects.registry import model_torque, nominal_effects
-from torchid.results.record import Part, Real
+from torchid.results.record import Col, Part, Real
+from torchid.results.words import percent
 from torchid.robot.model import Robot
 from torchid.simulation.open_loop import rollout
 from torchid.simulation.shooting import Starts, Windows, edge_of, starts_of, windows_of
@@ -60,16 +62,16 @@ class Horizon(Part, frozen=True, kw_only=True):
         diverged_before, diverged_after: shares of simulations that lost the arm.
     """
 
-    horizon_s: float
+    horizon_s: Annotated[float, Col("horizon", "g", "s")]
     starts: int
     rms_before: Float[Tensor, " n"] | None = None
     rms_after: Float[Tensor, " n"] | None = None
     joint_ratio: tuple[float | None, ...] | None = None
     joint_ratio_ci95: tuple[tuple[float, float] | None, ...] | None = None
-    ratio: float | None = None
+    ratio: Annotated[float | None, Col("ratio [95 %]", spread="ratio_ci95")] = None
     ratio_ci95: tuple[float, float] | None = None
-    diverged_before: Real = math.nan
-    diverged_after: Real = math.nan
+    diverged_before: Annotated[Real, Col("lost before", words=percent)] = math.nan
+    diverged_after: Annotated[Real, Col("lost after", words=percent)] = math.nan
 
 
 class Rollout(Part, frozen=True, kw_only=True):

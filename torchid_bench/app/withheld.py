@@ -107,7 +107,7 @@ def score_command(
         keys: What was planted (default: DIR.keys.json).
         partial: Leave out cases that have no answer yet.
     """
-    from torchid_bench.report.withheld import shown
+    from torchid_bench.report.withheld import report_of_summary
     from torchid_bench.withheld.case_set import keys_beside, read_answers, read_cases, read_keys
     from torchid_bench.withheld.score import require_answers, summary
 
@@ -116,4 +116,4 @@ def score_command(
     answers = read_answers(found)
     require_answers(found, answers, partial=partial)
     result = summary(found, opened, answers)
-    output.give(result, "score.json", shown)
+    output.give(result, "score.json", report_of_summary)

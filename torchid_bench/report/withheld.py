@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from torchid.report.table import Shown, Table
+from torchid.report.table import Report, Table
 
 Summary = Mapping[str, Any]
 
@@ -105,11 +105,11 @@ LINES = (
 )
 
 
-def shown(summary: Summary) -> Shown:
+def report_of_summary(summary: Summary) -> Report:
     """All that there is to see of a score."""
     sealed = f"SHA-256 of the keys: {summary['keys_sha256']}, as sealed"
     said: list[Table | str] = [score_table(summary), sealed]
-    return Shown(verdict=headline(summary), parts=said)
+    return Report(verdict=headline(summary), parts=said)
 
 
 def score_table(summary: Summary, lines: Sequence[Line] = LINES) -> Table:

@@ -87,7 +87,7 @@ def study_command(
     together = {"schema": "torchid.studies/1", "studies": records}
     output.write_json(together if name == "all" else records[0], "study.json")
     for found in studies:
-        output.tell(page.shown(found))
+        output.tell(page.report_of_study(found))
         if out is not None:
             name = found.settings.name
             output.say(f"results of {name} are in {out / name}")

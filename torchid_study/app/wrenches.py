@@ -69,7 +69,7 @@ def wrenches_command(
                 resamples=resamples, seed=seed, progress=progress,
             )  # fmt: skip
         data = {**study.plain(), "findings": equal_torque.findings(study)}
-        output.give(data, "wrenches.json", lambda _: equal_torque.shown(study))
+        output.give(data, "wrenches.json", lambda _: equal_torque.report_of_equal_torque(study))
         return
     given = read_all_sets(sets, robot)
     found = torchid.compare_wrenches(
@@ -79,4 +79,6 @@ def wrenches_command(
     told = [note for file in sets if (note := other_robot(file, robot))]
     told += given_sets.unequal_torque(found)
     data = given_record(found, tuple(map(str, sets))).plain() | {"warnings": told}
-    output.give(data, "wrenches.json", lambda _: given_sets.shown(found, told), seed=seed)
+    output.give(
+        data, "wrenches.json", lambda _: given_sets.report_of_given_sets(found, told), seed=seed
+    )

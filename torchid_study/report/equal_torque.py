@@ -9,7 +9,7 @@ import numpy as np
 
 from torchid.report.colours import BLUE, BROWN, GREEN, GREY, INK, ORANGE, PURPLE, RED
 from torchid.report.panels import Figure, Figures, finish, panel, tiles
-from torchid.report.table import Shown, Table, cells, joint_numbers
+from torchid.report.table import Report, Table, cells, joint_numbers
 from torchid_study.equal_torque.study import EqualTorqueStudy
 from torchid_study.wrenches.classes import KINDS as CLASS_NAMES
 from torchid_study.wrenches.classes import MIXED, ordered_classes
@@ -17,10 +17,10 @@ from torchid_study.wrenches.compare import ClassSummary, Comparison, EffectSize
 from torchid_study.wrenches.resampling import Estimate
 
 
-def shown(study: EqualTorqueStudy) -> Shown:
+def report_of_equal_torque(study: EqualTorqueStudy) -> Report:
     """All that there is to see of a study."""
     told = "\n".join(f"- {sentence}" for sentence in findings(study))
-    return Shown(parts=tables(study), warnings=study.warnings, last=told, figures=figures(study))
+    return Report(parts=tables(study), warnings=study.warnings, last=told, figures=figures(study))
 
 
 def tables(study: EqualTorqueStudy) -> list[Table]:

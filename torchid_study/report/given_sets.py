@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from torchid.report.panels import Figure, Figures
-from torchid.report.table import Shown, Table, cells, joint_numbers
+from torchid.report.table import Report, Table, cells, joint_numbers
 from torchid_study.equal_torque.given_sets import GivenSets
 from torchid_study.report.equal_torque import by_class, class_table, error_by_degree, interval
 from torchid_study.wrenches.classes import class_of
@@ -14,10 +14,10 @@ _MOST_NAMED = 15
 """Sets whose marks have names."""
 
 
-def shown(found: GivenSets, warnings: Sequence[str]) -> Shown:
+def report_of_given_sets(found: GivenSets, warnings: Sequence[str]) -> Report:
     """All that there is to see of given sets."""
     said, last = tables(found), headline(found)
-    return Shown(parts=said, warnings=warnings, last=last, figures=figures(found))
+    return Report(parts=said, warnings=warnings, last=last, figures=figures(found))
 
 
 def tables(found: GivenSets) -> list[Table]:

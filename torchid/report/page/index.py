@@ -10,7 +10,7 @@ import torchid
 from torchid.errors import TorchidError
 from torchid.files import write_text
 from torchid.report.page.document import environment, require_page
-from torchid.report.table import Shown, Table
+from torchid.report.table import Report, Table
 from torchid.results.answer import DiagnosisRecord
 from torchid.results.files import load
 from torchid.results.words import count
@@ -55,11 +55,11 @@ def entries(folder: Path) -> list[Entry]:
     return listed
 
 
-def index_shown(folder: Path) -> Shown:
+def report_of_folder(folder: Path) -> Report:
     """The results below a folder, on the terminal."""
     rows = [(str(e.file.relative_to(folder)), e.headline) for e in entries(folder)]
     table = Table(f"results below {folder}", ("result", "answer"), rows, "pp")
-    return Shown(verdict=f"{count(len(rows), 'result')} below {folder}.", parts=[table])
+    return Report(verdict=f"{count(len(rows), 'result')} below {folder}.", parts=[table])
 
 
 def write_index(folder: Path, page: Path) -> Path:

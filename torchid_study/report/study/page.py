@@ -18,7 +18,7 @@ from torchid.files import make_folder, write_text
 from torchid.report.cautions import caution_section
 from torchid.report.page.document import Origin, Page, origin
 from torchid.report.panels import save_small
-from torchid.report.table import Section, Shown, Table, joint_numbers
+from torchid.report.table import Report, Section, Table, joint_numbers
 from torchid.results.words import count, listed
 from torchid_study.report.equal_torque import class_table, interval
 from torchid_study.report.study import facts
@@ -27,9 +27,9 @@ from torchid_study.report.study.figures import drawings
 from torchid_study.result import Study
 
 
-def shown(study: Study) -> Shown:
+def report_of_study(study: Study) -> Report:
     """All that is printed of a study, and its page."""
-    return Shown(
+    return Report(
         parts=all_tables(study),
         warnings=study.warnings,
         last=f"{study.settings.title}. {page_verdict(study)}\n",
