@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from torchid.doctor.case import Case
 from torchid.doctor.examine import examine
 from torchid.doctor.velocity import check_channel_units, check_commands
 from torchid.log.model import Log
@@ -23,20 +24,22 @@ def late(samples: int, share: float = 1.0) -> Log:
 
 @pytest.mark.parametrize("samples", [0, 3, 10])
 def test_the_lag_of_every_joint_is_told(samples):
-    check = check_commands(late(samples))
+    (check,) = check_commands(Case(load_robot("3r"), late(samples)))
     assert check.verdict == "fine"
     assert check.estimate == pytest.approx([samples * STEP] * 3, abs=1e-9)
 
 
 def test_a_channel_in_another_unit_is_told():
-    log = late(2, share=0.4)
-    check = check_commands(log)
+    robot = load_robot("3r")
+    case = Case(robot, late(2, share=0.4))
+    (check,) = check_commands(case)
     assert check.verdict == "doubtful"
     assert "joint 2 makes 0.40" in check.evidence
-    units = check_channel_units(log)
+    (units,) = check_channel_units(case)
     assert units.joints == (1,)
     assert units.estimate == pytest.approx([2.5], rel=0.01)
-    assert check_channel_units(late(2)).verdict == "fine"
+    (fine,) = check_channel_units(Case(robot, late(2)))
+    assert fine.verdict == "fine"
 
 
 def test_the_doctor_does_not_ask_a_log_of_commands_for_torque():

@@ -10,31 +10,37 @@ from torchid.doctor.repair import (
     TORQUE,
     DropRows,
     DropSignal,
-    Reorder,
-    Scale,
     ScaleTime,
-    Shift,
+    reordered,
     repaired,
+    scaled,
+    shifted,
 )
 from torchid.log.readers import read_log, write_log
 
 DEGREE = torch.pi / 180
 NAMES = {"t", *(f"{key}{k}" for key in ("q", "dq", "tau") for k in (1, 2, 3))}
 CASES = {
-    "q=q{j} deg": [Scale(("q",), (DEGREE,) * 3)],
-    "tau=tau{j} mNm": [Scale(TORQUE, (1e-3,) * 3)],
-    "tau=tau{j} *-1": [Scale(TORQUE, (-1.0,) * 3)],
-    "tau=tau{j} *[1,-1,1]": [Scale(TORQUE, (1.0, -1.0, 1.0))],
-    "tau=[tau2,tau3,tau1]": [Reorder(TORQUE, (1, 2, 0))],
-    "tau=[tau2,tau1,tau3] *[1,-2,1]": [Scale(TORQUE, (-2.0, 1.0, 1.0)), Reorder(TORQUE, (1, 0, 2))],
-    "tau=[tau2,tau1,tau3] *[-2,1,1]": [Reorder(TORQUE, (1, 0, 2)), Scale(TORQUE, (-2.0, 1.0, 1.0))],
-    "q=[q2,q1,q3],dq=[dq2,dq1,dq3]": [Reorder(MOTION, (1, 0, 2))],
-    "tau=[tau3,tau1,tau2]": [Reorder(TORQUE, (1, 0, 2)), Reorder(TORQUE, (2, 1, 0))],
+    "q=q{j} deg": [scaled(("q",), (DEGREE,) * 3)],
+    "tau=tau{j} mNm": [scaled(TORQUE, (1e-3,) * 3)],
+    "tau=tau{j} *-1": [scaled(TORQUE, (-1.0,) * 3)],
+    "tau=tau{j} *[1,-1,1]": [scaled(TORQUE, (1.0, -1.0, 1.0))],
+    "tau=[tau2,tau3,tau1]": [reordered(TORQUE, (1, 2, 0))],
+    "tau=[tau2,tau1,tau3] *[1,-2,1]": [
+        scaled(TORQUE, (-2.0, 1.0, 1.0)),
+        reordered(TORQUE, (1, 0, 2)),
+    ],
+    "tau=[tau2,tau1,tau3] *[-2,1,1]": [
+        reordered(TORQUE, (1, 0, 2)),
+        scaled(TORQUE, (-2.0, 1.0, 1.0)),
+    ],
+    "q=[q2,q1,q3],dq=[dq2,dq1,dq3]": [reordered(MOTION, (1, 0, 2))],
+    "tau=[tau3,tau1,tau2]": [reordered(TORQUE, (1, 0, 2)), reordered(TORQUE, (2, 1, 0))],
     "dq=none,t=t ms": [DropSignal("dq"), ScaleTime(1e-3)],
-    "q=q{j} deg -90": [Scale(("q",), (DEGREE,) * 3), Shift(("q",), (-torch.pi / 2,) * 3)],
-    "q=q{j} +[0,-2,0]": [Shift(("q",), (0.0, -2.0, 0.0))],
-    "q=[q2,q1,q3] +[1,0,0]": [Shift(("q",), (0.0, 1.0, 0.0)), Reorder(("q",), (1, 0, 2))],
-    "tau=tau{j} *0.37": [Scale(TORQUE, (0.37,) * 3)],
+    "q=q{j} deg -90": [scaled(("q",), (DEGREE,) * 3), shifted(("q",), (-torch.pi / 2,) * 3)],
+    "q=q{j} +[0,-2,0]": [shifted(("q",), (0.0, -2.0, 0.0))],
+    "q=[q2,q1,q3] +[1,0,0]": [shifted(("q",), (0.0, 1.0, 0.0)), reordered(("q",), (1, 0, 2))],
+    "tau=tau{j} *0.37": [scaled(TORQUE, (0.37,) * 3)],
 }
 
 
@@ -53,7 +59,7 @@ def test_the_option_reads_what_the_repairs_make(flag, tmp_path):
 
 
 def test_what_cannot_be_said_is_left_out():
-    repairs = [DropRows((3,), "NaN"), Scale(("q", "dq"), (DEGREE,) * 3)]
+    repairs = [DropRows((3,), "NaN"), scaled(("q", "dq"), (DEGREE,) * 3)]
     assert columns_option(repairs[:1], 3, NAMES) is None
     assert columns_option(repairs, 3, {"t", "pos1", "pos2", "pos3"}) is None
     assert columns_option(repairs, 3, NAMES - {"dq2"}) == "q=q{j} deg"

@@ -6,8 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.doctor.synthetic import clean
+from torchid.doctor.case import Case
 from torchid.doctor.number_format import check_number_format
 from torchid.log.model import Log
+from torchid.robot.library import load_robot
 
 TIME = torch.arange(400, dtype=torch.float64) / 100
 
@@ -26,7 +28,7 @@ def test_complements_get_their_signs(number, amplitude):
     # Slow enough that neighbours are a unit apart somewhere.
     own = moving(min(amplitude, 400) if unit < 1.0 else amplitude)
     log = Log(TIME, q=moving(1.0), tau=unit * torch.remainder(own, 2.0**bits))
-    check = check_number_format(log)
+    check = check_number_format(Case(load_robot("3r"), log))
     assert check.verdict == "wrong"
     torch.testing.assert_close(check.repairs[0].apply(log).tau, unit * own, atol=1e-6, rtol=0)
 
@@ -36,7 +38,7 @@ def test_complements_get_their_signs(number, amplitude):
 def test_bits_get_their_signs_in_all_columns(bit, offset):
     own = torch.cat([moving(300), moving(300, offset)], 1)
     log = Log(TIME, q=torch.cat([moving(1.0)] * 2, 1), current=torch.where(own < 0, bit - own, own))
-    (repair,) = check_number_format(log).repairs
+    (repair,) = check_number_format(Case(load_robot("3r"), log)).repairs
     torch.testing.assert_close(repair.apply(log).current, own)
 
 
@@ -47,4 +49,4 @@ def test_numbers_with_signs_counters_and_loads_stay():
         arm.replace(q=(arm.q * 4096).round() + 40_000),
         arm.replace(tau=40 + 0 * arm.tau),
     ):
-        assert check_number_format(log).verdict == "fine"
+        assert check_number_format(Case(load_robot("3r"), log)).verdict == "fine"

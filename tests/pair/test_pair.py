@@ -81,6 +81,15 @@ def test_clocks_of_another_start_and_rate_are_found():
     assert float(left.abs().max()) < 1e-3
 
 
+@pytest.mark.parametrize("rate", [1.013, 0.73, 1.6, 4.0])
+@pytest.mark.parametrize("rows", [slice(None), slice(200, 1700)])
+def test_a_clock_of_any_rate_is_found(rate, rows):
+    one = log()
+    part = one.select(rows)
+    (both,) = aligned_trajectories(part.replace(t=rate * part.t), one)
+    assert both.clock.rate == pytest.approx(rate, rel=1e-4)
+
+
 @pytest.mark.slow
 def test_equal_logs_differ_by_nothing():
     found = compare_pair(log(seed=1, noise=1e-4), log(), load_robot("3r"), settings=FEW)

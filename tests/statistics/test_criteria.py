@@ -9,7 +9,8 @@ import pytest
 
 from torchid.statistics import criteria
 
-MOST = 20
+MOST = 38
+"""Twenty of causes, eighteen of the doctor."""
 SOURCE = ast.parse(Path(criteria.__file__).read_text())
 NAMES = [name for name in vars(criteria) if name.isupper()]
 

@@ -1,8 +1,8 @@
 """What torque tells with an interval: where gravity points, and how late torque is logged."""
 
 import math
-from collections.abc import Callable, Collection
-from dataclasses import replace
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -11,25 +11,31 @@ from msgspec import structs
 from torchid.doctor.check import Check, judged, said, with_choices
 from torchid.doctor.cone import OWN, fit
 from torchid.doctor.faults import choices_of, gravity_fix, improvement_text
-from torchid.doctor.hypothesis import Hypothesis, Judge, lowest, minimum, profile
+from torchid.doctor.hypothesis import Hypothesis, Judge, Profile, lowest, minimum, profile
 from torchid.doctor.repair import ShiftTorque
 from torchid.doctor.runs import PIECES, loss_of, pieces_of_runs
-from torchid.doctor.search import CLEAR, EXPLAINED, TIE, Search
+from torchid.doctor.search import Search
 from torchid.log.model import Log
 from torchid.robot.model import joint_list
+from torchid.statistics.criteria import (
+    CLEAR_GAIN,
+    EXPLAINED,
+    LATE_TORQUE_S,
+    TIED_GAIN,
+    TILT_RAD,
+)
 from torchid.statistics.jackknife import from_left_out
 
-TILT = math.radians(5.0)
-"""Tilts below this are within what a floor, a flange and a model of the friction make."""
 _LOOSE = math.radians(20.0)
 _STEP = math.radians(4.0)
-LATE_S = 0.008
-"""Lags that are shorter, or"""
 LATE_STEPS = 0.5
-"""shorter than this many sampling steps, are not worth mending."""
-LIKELY = 0.5 * CLEAR
-"""What a lag must be worth when its interval lies beyond those: heavy friction, which no lag of
-this size explains away, leaves less to gain. On healthy logs it was 0.12 at most."""
+"""Lags that are shorter than this many sampling steps are not worth mending."""
+LIKELY = 0.5
+"""Share of a clear gain that a lag must be worth when its interval lies beyond those: heavy
+friction, which no lag of this size explains away, leaves less to gain. On healthy logs it was .3 at
+most."""
+LOOSE_LAG_S = 0.05
+"""Half-width of an interval from which it says nothing of a lag [s]."""
 _LOOPS = tuple(math.log(0.03 * 2**k) for k in range(6))
 """Logarithms of the shares of half a joint's range that are tried for a loop over position."""
 _GRID = (-0.04, -0.02, 0.02, 0.04)
@@ -46,7 +52,7 @@ def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> 
     if size == 0.0 or not judge.live(end):
         return judged("gravity", "cannot tell", "no gravity in the model, or nothing moves")
     turned = [f for f in result.found if f.move.kind == "gravity"]
-    if flat and min(flat) < TIE and not turned:
+    if flat and min(flat) < TIED_GAIN and not turned:
         return judged("gravity", "cannot tell", "another direction of gravity explains it as well")
     estimate, tilt, half, gain = _estimate(judge, end)
     angle = math.acos(float(np.clip(estimate @ model / size**2, -1.0, 1.0)))
@@ -68,7 +74,7 @@ def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> 
         )
     if half > _LOOSE or not result.explained:
         return structs.replace(base, verdict="cannot tell")
-    if tilt - half > TILT and gain > CLEAR:
+    if tilt - half > TILT_RAD and gain > CLEAR_GAIN:
         return structs.replace(base, verdict="doubtful", fix=fix)
     return base
 
@@ -105,76 +111,95 @@ def _estimate(judge: Judge, end: Hypothesis) -> tuple[np.ndarray, float, float, 
     return found, tilt, half, first.gain + second.gain
 
 
-def looped(judge: Judge, result: Search) -> Judge | None:
+def lag_of(judge: Judge, result: Search) -> Profile | None:
+    """How late torque is [s] with all else mended; None where nothing moves with a torque."""
+    end, reach = result.final.hypothesis, judge.samples.reach - 1e-6
+    if not judge.live(end):
+        return None
+    grid, step = [end.late + x for x in _GRID], min(0.01, 0.1 * reach)
+    return profile(judge, lambda late: _late(judge, end, late), grid, end.late, step)
+
+
+def _late(judge: Judge, end: Hypothesis, late: float) -> Hypothesis:
+    reach = judge.samples.reach - 1e-6
+    return replace(end, late=float(np.clip(late, -reach, reach)))
+
+
+@dataclass(frozen=True)
+class _Lateness:
+    """Whether a lag is one: clearly, or at least its interval lies beyond what is worth mending."""
+
+    long: bool
+    clear: bool
+    likely: bool
+
+    @classmethod
+    def of(cls, judge: Judge, result: Search, lag: Profile) -> "_Lateness":
+        gain = lag.gain + sum(f.gain for f in result.found if f.move.kind == "lag")
+        least = max(LATE_TORQUE_S, LATE_STEPS * judge.samples.step)
+        away = max(lag.low, -lag.high, 0.0)
+        long = abs(lag.value) > least and away > 0.0
+        clear, likely = long and gain > CLEAR_GAIN, away > least and gain > LIKELY * CLEAR_GAIN
+        return cls(long, clear and result.explained, likely and result.explained)
+
+
+def looped(judge: Judge, result: Search, lag: Profile | None) -> Judge | None:
     """A judge with a loop over position in the place of dry friction that steps, where a log's
     torque looks late and this explains it better: a lag is one time at all speeds and amplitudes,
     a loop is one distance. None where the torque is late, or nothing is."""
-    lag, end = check_lag(judge, result, by_run=False), result.final.hypothesis
-    if lag.verdict not in ("wrong", "doubtful") or not isinstance(lag.estimate, float):
+    if lag is None or not ((is_late := _Lateness.of(judge, result, lag)).clear or is_late.likely):
         return None
-    late = judge.score(replace(end, late=lag.estimate)).loss
+    end = result.final.hypothesis
     starts = {Hypothesis.literal(judge.robot), replace(end, late=0.0)}
-    found: list[tuple[float, float]] = []
+    tried: list[tuple[float, float]] = []
     for sign in (1.0, -1.0):
 
         def loss(share: float, sign: float = sign) -> float:
             loop = Judge(judge.robot, judge.samples.looped(sign * math.exp(share)))
-            found.append((min(loop.score(start).loss for start in starts), loop.samples.loop))
-            return found[-1][0]
+            tried.append((min(loop.score(start).loss for start in starts), loop.samples.loop))
+            return tried[-1][0]
 
         minimum(loss, _LOOPS, 0.2)
-    least, share = min(found)
-    return Judge(judge.robot, judge.samples.looped(share)) if least < late else None
+    least, share = min(tried)
+    if least >= judge.score(replace(end, late=lag.value)).loss:
+        return None
+    return Judge(judge.robot, judge.samples.looped(share))
 
 
-def check_lag(judge: Judge, result: Search, *, by_run: bool = True) -> Check:
+def check_lag(judge: Judge, result: Search, lag: Profile | None) -> Check:
     """Lag of torque behind position [s], with an interval; it is none where runs differ in theirs.
 
     Args:
         judge: of the log.
         result: of the search for faults.
-        by_run: whether each run's own is looked at.
+        lag: as of `lag_of`.
     """
-    end = result.final.hypothesis
-    reach = judge.samples.reach - 1e-6
-    if not judge.live(end):
+    if lag is None:
         return judged("lag", "cannot tell", "nothing moves with a torque")
-
-    def at(late: float) -> Hypothesis:
-        return replace(end, late=float(np.clip(late, -reach, reach)))
-
-    step = min(0.01, 0.1 * reach)
-    found = profile(judge, at, [end.late + x for x in _GRID], end.late, step)
+    end = result.final.hypothesis
     searched = [f for f in result.found if f.move.kind == "lag"]
-    gain = found.gain + sum(f.gain for f in searched)
     text = (
-        f"torque is {1e3 * found.value:.1f} ms late ({1e3 * found.low:.1f} to "
-        f"{1e3 * found.high:.1f} ms)"
+        f"torque is {1e3 * lag.value:.1f} ms late ({1e3 * lag.low:.1f} to {1e3 * lag.high:.1f} ms)"
         + ("; a loop over position explains more than a lag" if judge.samples.loop else "")
     )
-    least = max(LATE_S, LATE_STEPS * judge.samples.step)
-    away = max(found.low, -found.high, 0.0)
-    long = abs(found.value) > least and away > 0.0
-    half = 0.5 * (found.high - found.low)
-    interval = found.low, found.high
-    check = said("lag", "fine", estimate=found.value, interval=interval, text=text)
-    clear = long and gain > CLEAR
-    likely = away > least and gain > LIKELY
-    if (clear or likely) and result.explained:
-        if by_run and (apart := _lags_apart(judge, at, found.value)):
+    check = said("lag", "fine", estimate=lag.value, interval=(lag.low, lag.high), text=text)
+    is_late = _Lateness.of(judge, result, lag)
+    if is_late.clear or is_late.likely:
+        if apart := _lags_apart(judge, end, lag.value):
             evidence = f"{text}; {apart}: a lag would be one time in all of them"
             return structs.replace(check, verdict="cannot tell", evidence=evidence)
-        repair = ShiftTorque(float(f"{found.value:.4g}"))
+        repair = ShiftTorque(float(f"{lag.value:.4g}"))
         # A delay, gears or friction of the arm's own look the same where bodies explain the torque.
         live = judge.live(end)
-        sure = clear and any(f.before[live].max() > EXPLAINED for f in searched)
+        sure = is_late.clear and any(f.before[live].max() > EXPLAINED for f in searched)
         return structs.replace(check, verdict="wrong" if sure else "doubtful").mended_by(repair)
-    if half > 0.05 or searched or long or not result.explained:
+    loose = 0.5 * (lag.high - lag.low) > LOOSE_LAG_S
+    if loose or searched or is_late.long or not result.explained:
         return structs.replace(check, verdict="cannot tell")
     return check
 
 
-def _lags_apart(judge: Judge, at: Callable[[float], Hypothesis], late: float) -> str:
+def _lags_apart(judge: Judge, end: Hypothesis, late: float) -> str:
     """The runs whose own lags are farthest apart, in words; empty where they may be the lag of all
     [s], or differ by less than half of it. Bodies are those of all runs at each lag."""
     runs, pieces = pieces_of_runs(judge)
@@ -186,7 +211,7 @@ def _lags_apart(judge: Judge, at: Callable[[float], Hypothesis], late: float) ->
     some = [[own, *(np.delete(own, k) for k in range(PIECES))] for own in parts]
     losses = []
     for lag in lags:
-        normal = judge.normal(at(lag), pieces)
+        normal = judge.normal(_late(judge, end, lag), pieces)
         x = fit(normal, judge.cone).x
         losses.append([[loss_of(normal, left, x) for left in own] for own in some])
     own = []
@@ -203,7 +228,7 @@ def _lags_apart(judge: Judge, at: Callable[[float], Hypothesis], late: float) ->
 
 CONDITION = 300.0
 """Of a joint's own columns, each scaled to one, from which they cannot be told apart."""
-SMALL = 0.1
+SMALL_RANGE = 0.1
 """Range of a position that excites too little [rad or m]."""
 
 
@@ -212,7 +237,7 @@ def check_excitation(judge: Judge, hypothesis: Hypothesis, log: Log) -> Check:
     live = judge.live(hypothesis)
     extent = (log.q.amax(0) - log.q.amin(0)).tolist()
     conditions = {k: _condition(judge, hypothesis, k) for k in live}
-    weak = [k for k in range(judge.robot.n) if k not in live or extent[k] < SMALL]
+    weak = [k for k in range(judge.robot.n) if k not in live or extent[k] < SMALL_RANGE]
     alike = [k for k, c in conditions.items() if c > CONDITION and k not in weak]
     worst = max(conditions.values(), default=np.inf)
     if not weak and not alike:

@@ -1,24 +1,25 @@
-"""The whole examination: every check in turn, each on the log as the ones before have mended it."""
+"""The whole examination: the table of faults, one after the other, each on the log as the ones
+before have mended it; then what torque tells of it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property, partial
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from msgspec.structs import replace
 
 from torchid.doctor import clock, motion, torque, velocity
+from torchid.doctor.case import Case
 from torchid.doctor.check import Check, judged
-from torchid.doctor.estimates import check_excitation, check_gravity, check_lag, looped
+from torchid.doctor.estimates import check_excitation, check_gravity, check_lag, lag_of, looped
 from torchid.doctor.faults import fault_checks, unseen_faults
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
 from torchid.doctor.number_format import check_number_format
 from torchid.doctor.record import CheckRecord, DoctorRecord, Examined
-from torchid.doctor.repair import Repair, Scale, repaired
+from torchid.doctor.repair import Repair, repaired
 from torchid.doctor.runs import check_runs
 from torchid.doctor.samples import samples
-from torchid.doctor.search import CLEAR, Search, rms, search
+from torchid.doctor.search import Search, rms, search
 from torchid.doctor.size import check_nominal, check_size
 from torchid.errors import LogError
 from torchid.feasibility.units import unit_findings
@@ -28,17 +29,46 @@ from torchid.log.checks import check_joints
 from torchid.log.model import Log
 from torchid.results.record import Result
 from torchid.robot.model import Robot, joint_list
+from torchid.statistics.criteria import CLEAR_GAIN
 
 LEAST_SAMPLES = 10
 """Of the longest trajectory: fewer have no usual step, nor a usual change."""
+FILE = "masses of the file"
+"""Check of the robot's nominal parameters alone."""
+COUNTS = "positions are in counts or another unit that is not known"
+_MINOR = "unseen joint sign"
+"""No fault is hidden where it cannot be told: a mirrored arm has the same torques."""
+
+
+SIGNALS: tuple[Callable[[Case], Check | Sequence[Check]], ...] = (
+    clock.check_values,
+    check_number_format,
+    clock.check_clock,
+    clock.check_held,
+    clock.check_time_unit,
+    motion.check_jumps,
+    clock.check_stamps,
+    clock.check_dropouts,
+    motion.check_position_unit,
+    motion.check_zeros,
+    # Before the velocities, which would be taken for what is wrong.
+    velocity.check_channel_units,
+    velocity.check_velocity,
+    motion.check_standstill,
+    torque.check_torque,
+    velocity.check_commands,
+    torque.check_saturation,
+    torque.check_resolution,
+    torque.check_content,
+)
+"""The table of faults that need no dynamics to be seen, each with its test and repair, and with its
+words in checks.yaml. Each is looked for in the log as those before mend it; a test that does not
+apply says nothing. The faults that torque tells are `torchid.doctor.moves.FAULTS`."""
 MODEL_CHECKS = (
     "torque explained", "joint order", "torque sign", "position sign", "gain of a joint", "gravity",
     "lag", "torque unit", "excitation",
 )  # fmt: skip
-FILE = "masses of the file"
-"""Check of the robot's nominal parameters alone."""
-_MINOR = "unseen joint sign"
-"""No fault is hidden where it cannot be told: a mirrored arm has the same torques."""
+"""What cannot be told without a model's fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,18 +158,18 @@ def examine(
         )
     if log.tau is None and log.current is not None and robot.drive_gain is not None:
         log = log.with_torque(robot.drive_gain)
-    checks, now = signal_checks(robot, log, fixes)
-    settled = by_torque(robot, log, checks)
+    case = _walked(Case(robot, log, fixes))
+    settled = by_torque(robot, log, case.checks)
     if settled is not None:
-        checks, now = signal_checks(robot, log, (*fixes, settled))
+        case = _walked(Case(robot, log, (*fixes, settled)))
     # What a fit has made of the links is no mistake of a file.
     if robot.knowledge is None and (odd := unit_findings(robot)):
         text = "; ".join(finding.sentence for finding in odd)
-        checks.append(judged(FILE, "doubtful", text, fix="correct the robot's file"))
-    if any(c.name == "clock" and c.verdict == "wrong" and not c.repairs for c in checks):
-        result = Examination(robot, log, tuple(checks))
+        case = case.after(judged(FILE, "doubtful", text, fix="correct the robot's file"))
+    if case.stopped:
+        result = Examination(robot, log, case.checks)
     else:
-        result = _with_model(robot, log, now, checks, fixes, first)
+        result = _with_model(replace(case, fixes=fixes), log, first)
     offered = [choice.name for c in result.checks for choice in c.choices]
     unknown = [name for name in fixes if name not in offered]
     if unknown:
@@ -166,109 +196,68 @@ def by_torque(robot: Robot, log: Log, checks: Sequence[Check]) -> str | None:
         errors = rms(Judge(robot, rows).held_out(Hypothesis.literal(robot)))
         losses[choice.name] = float(np.log(errors).sum())
     best, second, *_ = sorted(losses, key=lambda name: losses[name])
-    return best if losses[second] - losses[best] > CLEAR else None
+    return best if losses[second] - losses[best] > CLEAR_GAIN else None
 
 
 def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[list[Check], Log]:
     """The checks that need no dynamics, and the log as they mend it."""
-    checks: list[Check] = []
-    now = log
-
-    def add(*made: Callable[[Log], Check]) -> None:
-        nonlocal now
-        for check in made:
-            checks.append(check(now))
-            now = repaired(now, checks[-1].repairs)
-
-    add(clock.check_values, check_number_format, clock.check_clock)
-    if not checks[-1].repairs and checks[-1].verdict == "wrong":
-        return checks, now
-    add(clock.check_held, clock.check_time_unit, partial(motion.check_jumps, robot))
-    add(clock.check_stamps, clock.check_dropouts)
-    add(partial(motion.check_position_unit, robot, fixes=fixes))
-    counts = _counts(checks)
-    if not counts:
-        add(partial(motion.check_zeros, robot, fixes=fixes))
-    if log.u is not None:
-        # Before the velocities, which would be taken for what is wrong.
-        add(velocity.check_channel_units)
-    add(partial(velocity.check_velocity, fixes=fixes, counts=counts))
-    add(motion.check_standstill, torque.check_torque)
-    if log.u is not None:
-        add(velocity.check_commands)
-    if torque.torque_or_current(log) is not None:
-        add(torque.check_saturation, torque.check_resolution, torque.check_content)
-    return checks, now
+    case = _walked(Case(robot, log, fixes))
+    return list(case.checks), case.log
 
 
-def _counts(checks: Sequence[Check]) -> bool:
-    """Whether positions are counts of an unknown part of a turn, or in another unknown unit."""
-    units = [c for c in checks if c.name == "position unit" and c.verdict == "wrong"]
-    return any("COUNTS" in (c.fix or "") and not (c.choices and c.repairs) for c in units)
+def _walked(case: Case) -> Case:
+    """The case with all checks of the table."""
+    for check in SIGNALS:
+        if not case.stopped:
+            case = case.after(check(case))
+    return case
 
 
-def _with_model(
-    robot: Robot, log: Log, now: Log, checks: list[Check], fixes: Sequence[str], first: bool
-) -> Examination:
-    rows = samples(now)
-    if _counts(checks):
-        rows = "positions are in counts or another unit that is not known"
+def _with_model(case: Case, given: Log, first: bool) -> Examination:
+    """All that is said of the log that was given: what the signals say, and what torque does."""
+    robot, fixes, start = case.robot, case.fixes, Hypothesis.literal(case.robot)
+    rows = COUNTS if case.counts else samples(case.log)
     if isinstance(rows, str):
-        none = tuple(judged(name, "cannot tell", rows) for name in MODEL_CHECKS)
-        return Examination(robot, log, (*checks, *none))
+        none = [judged(name, "cannot tell", rows) for name in MODEL_CHECKS]
+        return Examination(robot, given, (*case.checks, *none))
     judge = Judge(robot, rows)
-    found = search(judge, Hypothesis.literal(robot), fixes)
-    if (loop := looped(judge, found)) is not None:
-        judge, found = loop, search(loop, Hypothesis.literal(robot), fixes)
+    found = search(judge, start, fixes)
+    lag = lag_of(judge, found)
+    if (loop := looped(judge, found, lag)) is not None:
+        judge, found = loop, search(loop, start, fixes)
+        lag = lag_of(judge, found)
     # What currents without gains hold is asked when there are gains.
-    kind = None if now.tau is None else check_kind(judge, found.final.hypothesis)
+    kind = None if case.log.tau is None else check_kind(judge, found.final.hypothesis)
     if kind is not None and not holds_no_gravity(kind):
         # Nothing else can be said of what is left once the model has been taken out.
-        none = tuple(judged(n, "cannot tell", "the torque is external") for n in MODEL_CHECKS)
-        return Examination(robot, log, (*checks, kind, *none), found, judge)
+        none = [judged(name, "cannot tell", "the torque is external") for name in MODEL_CHECKS]
+        return Examination(robot, given, (*case.checks, kind, *none), found, judge)
     if kind is not None:
-        found = search(judge, weightless(Hypothesis.literal(robot)), fixes)
-    end = found.final.hypothesis
+        found = search(judge, weightless(start), fixes)
+        lag = lag_of(judge, found)
+    end, checks = found.final.hypothesis, list(case.checks)
     if found.explained:
-        now = repaired(now, [r for f in found.found for r in f.move.repairs])
+        case = replace(
+            case, log=repaired(case.log, [r for f in found.found for r in f.move.repairs])
+        )
         # Positions beyond the limits may be another joint's, or of another sign.
-        checks = [
-            motion.check_zeros(robot, now) if c.name == "zero of positions" and not c.repairs else c
-            for c in checks
-        ]
+        for k, check in enumerate(checks):
+            if check.name == "zero of positions" and not check.repairs:
+                checks[k : k + 1] = motion.check_zeros(case)
     turned = any(f.move.kind == "gravity" for f in found.found)
-    more = [
-        # First: if it leaves a choice, the others wait.
-        *([kind] if kind else [check_gravity(judge, found, fixes)] if turned or not first else []),
-        *(_of_raw_positions(c, checks) for c in fault_checks(judge, found, fixes)),
-        check_lag(judge, found),
-        check_size(judge, now, end, fixes),
-        *(check_runs(judge, end) if found.explained else ()),
-    ]
+    # First: if it leaves a choice, the others wait.
+    if kind is not None:
+        checks.append(kind)
+    elif turned or not first:
+        checks.append(check_gravity(judge, found, fixes))
+    checks += fault_checks(judge, found, fixes, case.checks)
+    checks += [check_lag(judge, found, lag), check_size(judge, case.log, end, fixes)]
+    checks += check_runs(judge, end) if found.explained else ()
     if not first:
-        more += [
-            *check_nominal(judge, now, end),
-            check_excitation(judge, end, now),
-            *unseen_faults(judge, found),
-        ]
-    return Examination(robot, log, (*checks, *more), found, judge)
-
-
-def _of_raw_positions(check: Check, before: Sequence[Check]) -> Check:
-    """A scale of the positions that torque tells, of those in the log, where their unit was taken
-    for another one before."""
-    scales = [
-        r.factors[check.joints[0]]
-        for c in before
-        if c.name == "position unit" and check.name == "position unit, by torque"
-        for r in c.repairs
-        if isinstance(r, Scale) and "q" in r.signals
-    ]
-    if not scales or not isinstance(check.estimate, float):
-        return check
-    raw = check.estimate / scales[0]
-    text = f"the log's are {raw:.4g} times the joints' angles: motors before their gears?"
-    return replace(check, evidence=f"{check.evidence}; {text}", estimate=raw)
+        checks += check_nominal(judge, case.log, end)
+        checks.append(check_excitation(judge, end, case.log))
+        checks += unseen_faults(judge, found)
+    return Examination(robot, given, tuple(checks), found, judge)
 
 
 def record(examination: Examination, columns: str | None = None) -> DoctorRecord:

@@ -2,45 +2,36 @@
 
 import math
 from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from torchid.doctor.check import TEXTS, Check, Choice, judged, said, with_choices
-from torchid.doctor.hypothesis import Hypothesis, Judge, profile
-from torchid.doctor.moves import LEAST_GAIN, Move, invisible_groups, least_groups
-from torchid.doctor.repair import TORQUE, Scale, of_signals
-from torchid.doctor.search import CLEAR, Found, Search
+from torchid.doctor.check import Check, Choice, judged, said, with_choices
+from torchid.doctor.hypothesis import Judge, factors_of, profile
+from torchid.doctor.moves import FAULTS, Move, invisible_groups, least_groups
+from torchid.doctor.record import Verdict
+from torchid.doctor.repair import Columns
+from torchid.doctor.search import Found, Search
 from torchid.doctor.size import nominal_loss
 from torchid.robot.model import joint_list
+from torchid.statistics.criteria import CLEAR_GAIN, LEAST_GAIN, TOLD
 
-CHECK_OF = {
-    "torque sign": "torque sign",
-    "position sign": "position sign",
-    "joint sign": "position sign",
-    "torque order": "joint order",
-    "position order": "joint order",
-    "joint order": "joint order",
-    "gain": "gain of a joint",
-    "position unit": "position unit, by torque",
-    "zero": "zero of positions",
-}
 _ALWAYS = ("joint order", "torque sign", "position sign", "gain of a joint")
 """Checks that are there without a fault, too."""
-_UNSEEN = (
-    "torque sign", "position sign", "joint sign", "joint order", "torque order", "position order",
-)  # fmt: skip
-_TOLD = 4
-MOST_LEFT = 0.45
-"""Share of the spread of a joint's torque that is left at most where a fault of it is told."""
-_MODELLED = ("joint order", "torque sign", "position sign")
-"""Checks that nominal parameters bear out, or not."""
+_MOST_NAMED = 4
+"""Groups of joints that are named."""
 
 
-def fault_checks(judge: Judge, result: Search, fixes: Collection[str] = ()) -> list[Check]:
-    """One check a fault, and one line for each kind that has none."""
+def fault_checks(
+    judge: Judge, result: Search, fixes: Collection[str] = (), before: Sequence[Check] = ()
+) -> list[Check]:
+    """One check a fault, and one line for each kind that has none; `before`: those of the signals,
+    which may have scaled the positions."""
+    unit = _taken_unit(before)
     live = judge.live(result.final.hypothesis)
-    found = [f for f in result.found if f.move.kind in CHECK_OF]
-    checks = [_explained(result, live), *(_check(judge, result, f, fixes) for f in found)]
+    found = [f for f in result.found if FAULTS[f.move.kind].check]
+    checks = [_explained(result, live), *(_check(judge, result, f, fixes, unit) for f in found)]
     names = {c.name for c in checks}
     for name in _ALWAYS:
         if name in names:
@@ -57,8 +48,8 @@ def fault_checks(judge: Judge, result: Search, fixes: Collection[str] = ()) -> l
 def unseen_faults(judge: Judge, result: Search) -> list[Check]:
     """Faults that would not show in this log: having them costs too little."""
     out = []
-    for kind in _UNSEEN:
-        groups = [m.joints for cost, m in result.costs if m.kind == kind and cost < CLEAR]
+    for kind in (kind for kind, fault in FAULTS.items() if fault.hides):
+        groups = [m.joints for cost, m in result.costs if m.kind == kind and cost < CLEAR_GAIN]
         if kind == "joint sign":
             # Of groups, those that the robot's geometry allows; what they make up is not said.
             mirrored = invisible_groups(judge.robot, result.final.hypothesis.gravity)
@@ -67,8 +58,8 @@ def unseen_faults(judge: Judge, result: Search) -> list[Check]:
         told = list(dict.fromkeys(joint_list(g) for g in sorted(groups, key=len)))
         if not told:
             continue
-        if len(told) > _TOLD:
-            told[_TOLD:] = [f"{len(told) - _TOLD} more"]
+        if len(told) > _MOST_NAMED:
+            told[_MOST_NAMED:] = [f"{len(told) - _MOST_NAMED} more"]
         joints = sorted({k for g in groups for k in g})
         out.append(said(f"unseen {kind}", "cannot tell", " or of ".join(told), joints=joints))
     return out
@@ -87,66 +78,72 @@ def _explained(result: Search, live: Sequence[int]) -> Check:
     return said("torque explained", verdict, joints=live, estimate=tuple(left.tolist()), text=text)
 
 
-def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -> Check:
-    move = found.move
-    first, *others = choices_of(found)
-    estimate: float | tuple[float, ...] | None = None
-    interval: tuple[float, float] | None = None
-    text = improvement_text(found)
+def _taken_unit(before: Sequence[Check]) -> dict[int, float]:
+    """What positions were multiplied by for their unit, by joint; empty where they were not."""
+    maps = [
+        r.map.factors
+        for c in before
+        if c.name == "position unit"
+        for r in c.repairs
+        if isinstance(r, Columns) and "q" in r.signals
+    ]
+    return dict(enumerate(maps[0])) if maps else {}
+
+
+def _check(
+    judge: Judge, result: Search, found: Found, fixes: Collection[str], unit: dict[int, float]
+) -> Check:
+    move, end, fault = found.move, result.final.hypothesis, FAULTS[found.move.kind]
+    assert fault.check is not None
+    choices, own = choices_of(found), dict[str, Any](joints=move.joints)
+    first, last = "", ""
+    # Of a torque that nothing explains (a limit, a controller's) another sign explains no more.
+    concerned = list(move.joints or judge.live(end))
+    unsure = not result.explained or float(np.median(result.left[concerned])) > TOLD
     if move.kind == "gain":
         # The joint's torque over what it should be, refined with everything else mended.
-        one = move.joints[0]
-        end = result.final.hypothesis
+        (one,) = move.joints
         fine = profile(
             judge, lambda x: end.scaled((one,), tau=math.exp(x)), (-0.3, 0.3), start=0.0, step=0.1
         )
-        share = next(r for r in move.repairs if isinstance(r, Scale)).factors[one]
-        values = [1.0 / (share * math.exp(x)) for x in (fine.value, fine.high, fine.low)]
-        factor, interval = values[0], (min(values[1:]), max(values[1:]))
-        factors = tuple(1.0 / factor if k == one else 1.0 for k in range(judge.robot.n))
-        scale = of_signals(Scale(TORQUE, factors), judge.samples.signals)
-        first = Choice.by(first.name, scale)
-        estimate = factor
-        text = (
-            f"torque is {factor:.3g} ({interval[0]:.3g} to {interval[1]:.3g}) times what the other "
-            f"joints' torques predict; {text}"
+        share = move.columns[0].map.factors[one]
+        factor, *ends = (1 / (share * math.exp(x)) for x in (fine.value, fine.high, fine.low))
+        low, high = min(ends), max(ends)
+        scale = factors_of((one,), judge.robot.n, 1.0 / factor)
+        choices[0] = Choice.by(choices[0].name, replace(move.columns[0], map=scale))
+        first = (
+            f"torque is {factor:.3g} ({low:.3g} to {high:.3g}) times what the other joints' "
+            "torques predict; "
         )
-    if move.kind == "position unit":
-        whole = next(r for r in move.repairs if isinstance(r, Scale))
-        estimate = 1.0 / whole.factors[move.joints[0]]
-        text = f"{estimate:.4g} times the angles that explain the torque; {text}"
-    # Of a torque that nothing explains (a limit, a controller's) another sign explains no more.
-    concerned = list(move.joints or judge.live(result.final.hypothesis))
-    unsure = not result.explained or float(np.median(result.left[concerned])) > MOST_LEFT
-    if interval is not None:
+        own |= {"estimate": factor, "interval": (low, high), "unit": "ratio"}
         # A gain that may as well be right.
-        unsure |= interval[0] < LEAST_GAIN and interval[1] > 1.0 / LEAST_GAIN
-    if found.rivals:
-        text += "; as good: " + ", ".join(_name(r) for r in found.rivals)
-    doubtful = CHECK_OF[move.kind] in _MODELLED and _nominal_objects(judge, result, found)
+        unsure |= low < LEAST_GAIN and high > 1.0 / LEAST_GAIN
+    if move.kind == "position unit":
+        factor = 1.0 / move.columns[0].map.factors[move.joints[0]]
+        first = f"{factor:.4g} times the angles that explain the torque; "
+        if unit:
+            factor /= unit[move.joints[0]]
+            last = (
+                f"; the log's are {factor:.4g} times the joints' angles: motors before their gears?"
+            )
+        own |= {"estimate": factor}
+    rivals = ", ".join(_name(r) for r in found.rivals)
+    text = first + improvement_text(found) + (f"; as good: {rivals}" if rivals else "")
+    doubtful = fault.modelled and _nominal_objects(judge, found)
     if doubtful:
         text += "; the robot's own parameters do not confirm it"
-    check = judged(
-        CHECK_OF[move.kind],
-        "cannot tell" if unsure else "doubtful" if doubtful else "wrong",
-        f"{_name(move)}: {text}",
-        joints=move.joints,
-        estimate=estimate,
-        interval=interval,
-        unit="ratio" if move.kind == "gain" else "",
-    )
-    return check if unsure else with_choices(check, [first, *others], fixes)
+    verdict: Verdict = "cannot tell" if unsure else "doubtful" if doubtful else "wrong"
+    check = judged(fault.check, verdict, f"{_name(move)}: {text}{last}", **own)
+    return check if unsure else with_choices(check, choices, fixes)
 
 
-def _nominal_objects(judge: Judge, result: Search, found: Found) -> bool:
+def _nominal_objects(judge: Judge, found: Found) -> bool:
     """Whether the robot has parameters that explain the torque no better with a fault mended: two
     witnesses, for free bodies find more than one way to explain a slow or narrow motion."""
     if judge.robot.parameters is None or not judge.robot.parameters.pi.any():
         return False
-    place = result.found.index(found)
-    before = result.found[place - 1].move.after if place else Hypothesis.literal(judge.robot)
-    gain = nominal_loss(judge, before) - nominal_loss(judge, found.move.after)
-    return gain < CLEAR
+    gain = nominal_loss(judge, found.move.before) - nominal_loss(judge, found.move.after)
+    return gain < CLEAR_GAIN
 
 
 def choices_of(found: Found) -> list[Choice]:
@@ -180,5 +177,5 @@ def improvement_text(found: Found) -> str:
 
 
 def _name(move: Move) -> str:
-    words = TEXTS["moves"][move.kind]
+    words = FAULTS[move.kind].words
     return f"{words} {joint_list(move.joints)}" if move.joints else words

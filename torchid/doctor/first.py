@@ -5,21 +5,17 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from torchid.doctor.check import Check
+from torchid.doctor.check import TEXTS, Check
 from torchid.doctor.examine import FILE, LEAST_SAMPLES, Examination, examine
-from torchid.doctor.faults import CHECK_OF
 from torchid.doctor.kind import holds_no_gravity
-from torchid.doctor.search import EXPLAINED
+from torchid.doctor.moves import FAULTS
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.results.words import short
 from torchid.robot.model import Robot, joint_list
+from torchid.statistics.criteria import EXPLAINED
 
-DECISIVE = (
-    "time unit", "dropouts", "zero of positions", "position unit", "position unit, by torque",
-    "velocity", "joint order", "torque sign", "position sign", "lag",
-    "torque unit", "torque kind", "gravity", "runs",
-)  # fmt: skip
+DECISIVE = tuple(name for name, texts in TEXTS.items() if texts.get("decisive"))
 """Checks of faults for which no effect stands."""
 _EXPLAINABLE = ("velocity", "gravity")
 LONGEST = 70
@@ -109,10 +105,11 @@ def _stops(check: Check, found: Examination) -> bool:
         return False
     if check.name == "torque unit":  # a model is wrong by any factor, a unit by its own
         return bool(check.repairs)
-    if check.name not in CHECK_OF.values() or found.search is None:
+    by_search = {fault.check for fault in FAULTS.values()}
+    if check.name not in by_search or found.search is None:
         return True
     return any(
-        CHECK_OF.get(f.move.kind) == check.name
+        FAULTS[f.move.kind].check == check.name
         and f.move.joints == check.joints
         and f.before.max() > EXPLAINED
         for f in found.search.found

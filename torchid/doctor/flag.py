@@ -4,14 +4,12 @@ import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime, Shift
+from torchid.doctor.repair import PLACES, Columns, DropSignal, Map, Repair, ScaleTime
 from torchid.log.columns import PREFIXES
 from torchid.log.readers import open_log
 from torchid.log.table import Request
 from torchid.log.units import UNITS
 
-SAYABLE = (Scale, Shift, Reorder, ScaleTime, DropSignal)
-"""Repairs that the option can say; the others change rows."""
 _EXACT = 1e-12
 
 
@@ -35,7 +33,7 @@ def columns_option(repairs: Sequence[Repair], n: int, columns: Collection[str]) 
             nothing is said.
     """
     entries = [
-        _entry(key, [r for r in repairs if isinstance(r, SAYABLE)], signal, n)
+        _entry(key, repairs, signal, n)
         for signal, key in PREFIXES.items()
         if all(f"{key}{k + 1}" in columns for k in range(n))
     ]
@@ -46,27 +44,19 @@ def columns_option(repairs: Sequence[Repair], n: int, columns: Collection[str]) 
 
 
 def _entry(key: str, repairs: Sequence[Repair], signal: str, n: int) -> str:
-    # Joint k is factor (column + offset).
-    order, factors, offsets = list(range(n)), [1.0] * n, [0.0] * n
+    """Of one signal: joint k is factor (column + offset)."""
+    if any(isinstance(r, DropSignal) and r.signal == signal for r in repairs):
+        return f"{key}=none"
+    made = Map.of(n)
     for repair in repairs:
-        if isinstance(repair, DropSignal) and repair.signal == signal:
-            return f"{key}=none"
-        if isinstance(repair, Scale) and signal in repair.signals:
-            factors = [a * b for a, b in zip(factors, repair.factors, strict=True)]
-        if isinstance(repair, Shift) and signal in repair.signals:
-            moves = zip(repair.offsets, factors, strict=True)
-            offsets = [a + x / f for a, (x, f) in zip(offsets, moves, strict=True)]
-        if isinstance(repair, Reorder) and signal in repair.signals:
-            order = [order[j] for j in repair.order]
-            factors = [factors[j] for j in repair.order]
-            offsets = [offsets[j] for j in repair.order]
-    if order == list(range(n)):
-        source = f"{key}{{j}}"
-        if all(f == 1.0 for f in factors) and not any(offsets):
-            return ""
-    else:
-        source = "[" + ",".join(f"{key}{j + 1}" for j in order) + "]"
-    return f"{key}={source}{_factor(key, factors)}{_offset(offsets)}"
+        if isinstance(repair, Columns) and signal in repair.signals:
+            made = made.then(repair.map)
+    offsets = [x / f for x, f in zip(made.offsets, made.factors, strict=True)]
+    ordered = made.order == tuple(range(n))
+    listed = "[" + ",".join(f"{key}{j + 1}" for j in made.order) + "]"
+    source, change = f"{key}{{j}}" if ordered else listed, _factor(key, made.factors)
+    changed = change + (_offset(offsets) if signal in PLACES else "")
+    return f"{key}={source}{changed}" if changed or not ordered else ""
 
 
 def _offset(offsets: Sequence[float]) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from torchid.doctor.cone import OWN, Fit, Normal, Unknowns, Weights, cone, fit, shares
+from torchid.doctor.repair import Map
 from torchid.doctor.samples import BLOCKS, Samples
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import regressor
@@ -26,75 +27,42 @@ Rows = np.ndarray | slice
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Joint k of the robot is column `q_order[k]` of the log times `q_factor[k]`, likewise torque.
+    """What the joints of the robot are of a log.
 
     Attributes:
-        q_order, tau_order: (n,) columns of the log, from 0.
-        q_factor, tau_factor: (n,) what they are multiplied by.
+        q, tau: of the log's columns of motion and of torque.
         gravity: (3,) in the base frame [m/s^2].
         late: by how much the torque is late [s].
-        zero: (n,) what is added to the scaled positions of the robot's joints [rad or m]; empty
-            for nothing.
     """
 
-    q_order: tuple[int, ...]
-    tau_order: tuple[int, ...]
-    q_factor: tuple[float, ...]
-    tau_factor: tuple[float, ...]
+    q: Map
+    tau: Map
     gravity: tuple[float, ...]
     late: float = 0.0
-    zero: tuple[float, ...] = ()
 
     @property
-    def moved(self) -> tuple:
+    def moved(self) -> tuple[Map, tuple[float, ...]]:
         """What the rigid body's columns depend on."""
-        return self.q_order, self.q_factor, self.gravity, self.zero
+        return self.q, self.gravity
 
     @classmethod
     def literal(cls, robot: Robot) -> "Hypothesis":
         """The log and the robot's gravity at their word."""
-        order, ones = tuple(range(robot.n)), (1.0,) * robot.n
-        return cls(order, order, ones, ones, tuple(robot.gravity.tolist()))
+        return cls(Map.of(robot.n), Map.of(robot.n), tuple(robot.gravity.tolist()))
 
-    def scaled(
-        self, joints: Sequence[int], *, q: float | None = None, tau: float | None = None
-    ) -> "Hypothesis":
+    def scaled(self, joints: Sequence[int], *, q: float = 1.0, tau: float = 1.0) -> "Hypothesis":
         """With the factors of some joints multiplied."""
-
-        def times(values: tuple[float, ...], factor: float | None) -> tuple[float, ...]:
-            if factor is None or not values:
-                return values
-            return tuple(v * factor if k in joints else v for k, v in enumerate(values))
-
+        n = len(self.q.order)
         return replace(
             self,
-            q_factor=times(self.q_factor, q),
-            tau_factor=times(self.tau_factor, tau),
-            zero=times(self.zero, q),
+            q=self.q.then(factors_of(joints, n, q)),
+            tau=self.tau.then(factors_of(joints, n, tau)),
         )
 
-    def shifted(self, joint: int, angle: float) -> "Hypothesis":
-        """With another zero of a joint's positions."""
-        zero = self.zero or (0.0,) * len(self.q_order)
-        return replace(self, zero=tuple(z + angle * (k == joint) for k, z in enumerate(zero)))
 
-    def reordered(
-        self, order: Sequence[int], *, q: bool = False, tau: bool = False
-    ) -> "Hypothesis":
-        """With joint k taken to be what was joint order[k]; factors go with their columns."""
-
-        def moved(values: tuple) -> tuple:
-            return tuple(values[j] for j in order)
-
-        out = self
-        if q:
-            zero = moved(self.zero) if self.zero else ()
-            out = replace(
-                out, q_order=moved(self.q_order), q_factor=moved(self.q_factor), zero=zero
-            )
-        if tau:
-            out = replace(out, tau_order=moved(self.tau_order), tau_factor=moved(self.tau_factor))
-        return out
+def factors_of(joints: Sequence[int], n: int, factor: float) -> Map:
+    """Some of n joints times a factor."""
+    return Map.of(n, factors=[factor if k in joints else 1.0 for k in range(n)])
 
 
 @dataclass(frozen=True)
@@ -179,8 +147,8 @@ class Judge:
         late = hypothesis.late
         if late not in self._torques:
             self._torques[late] = self.samples.torque(late).numpy()
-        columns = self._torques[late][:, list(hypothesis.tau_order)]
-        return columns * np.array(hypothesis.tau_factor)
+        columns = self._torques[late][:, list(hypothesis.tau.order)]
+        return columns * np.array(hypothesis.tau.factors)
 
     def live(self, hypothesis: Hypothesis) -> list[int]:
         """Joints, from 0, that move enough to be judged and have a torque that varies."""
@@ -188,7 +156,7 @@ class Judge:
 
     def moving(self, hypothesis: Hypothesis) -> np.ndarray:
         """(T, n) whether each joint of the robot moves."""
-        return self.samples.moving[:, list(hypothesis.q_order)].numpy()
+        return self.samples.moving[:, list(hypothesis.q.order)].numpy()
 
     def columns(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
         """(n, T, P) regressor with each joint's own columns, and its (B, n, P, P) products."""
@@ -238,11 +206,10 @@ class Judge:
 
     def motion(self, hypothesis: Hypothesis) -> torch.Tensor:
         """(T, n, 4) q, dq, ddq and direction of the robot's joints."""
-        factor = torch.tensor(hypothesis.q_factor, dtype=torch.float64)
+        factor = torch.tensor(hypothesis.q.factors, dtype=torch.float64)
         factors = torch.stack([factor, factor, factor, factor.sign()], -1)
-        motion = self.samples.motion[:, list(hypothesis.q_order)] * factors
-        if hypothesis.zero:
-            motion[..., 0] += torch.tensor(hypothesis.zero, dtype=torch.float64)
+        motion = self.samples.motion[:, list(hypothesis.q.order)] * factors
+        motion[..., 0] += torch.tensor(hypothesis.q.offsets, dtype=torch.float64)
         return motion
 
 

@@ -10,15 +10,11 @@ from torchid.doctor.check import Check, said
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.robot.model import joint_list
+from torchid.statistics.criteria import HOLDS, HOLDS_NONE
 from torchid.statistics.jackknife import fit_statistics
 
-SMALL = 0.3
-"""Share of a nominal part below which a torque holds none of it; masses of CAD models err by 40 %.
-A spring that carries an arm takes more than this of one joint's gravity, but not of every one's."""
 MASSES = 0.3
 """Errors of nominal masses, as a share of the torque that they make."""
-PRESENT = 0.4
-"""Share from which on a torque holds a part."""
 _WORTH = 0.2
 """Spread of a joint's nominal part, over that of its nominal torque, from which on it counts."""
 _SCALED = 0.5
@@ -49,14 +45,14 @@ class Shares:
     @property
     def weightless(self) -> bool:
         """Whether no direction of gravity shows, each clearly."""
-        return bool((np.abs(self.gravity) + self.gravity_half < SMALL).all())
+        return bool((np.abs(self.gravity) + self.gravity_half < HOLDS_NONE).all())
 
     @property
     def inert(self) -> bool | None:
         """Whether it holds no inertial torque; None where that is not clear."""
-        if abs(self.inertial) + self.inertial_half < SMALL:
+        if abs(self.inertial) + self.inertial_half < HOLDS_NONE:
             return True
-        return False if self.inertial - self.inertial_half > PRESENT else None
+        return False if self.inertial - self.inertial_half > HOLDS else None
 
 
 def shares_of(judge: Judge, hypothesis: Hypothesis) -> Shares | None:
@@ -135,8 +131,8 @@ def check_kind(judge: Judge, end: Hypothesis) -> Check | None:
         end: what the search ended with; sizes of single joints, with which it makes up for what is
             not there, are left aside.
     """
-    signs = tuple(float(np.sign(f)) for f in end.tau_factor)
-    shares = shares_of(judge, replace(end, tau_factor=signs))
+    signs = tuple(float(np.sign(f)) for f in end.tau.factors)
+    shares = shares_of(judge, replace(end, tau=replace(end.tau, factors=signs)))
     if shares is None or not shares.weightless:
         return None
     if shares.inert and shares.explained > _SCALED:

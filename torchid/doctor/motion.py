@@ -1,51 +1,51 @@
 """Positions: units, whole turns, standstill."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 
+from torchid.doctor.case import Case
 from torchid.doctor.check import Check, Choice, judged, said, with_choices
-from torchid.doctor.repair import PLACES, Repair, Scale, Shift, Unwrap
+from torchid.doctor.repair import PLACES, Columns, Map, Repair, Unwrap, scaled, shifted
 from torchid.log.checks import (
     DEGREES,
-    FOLLOWS,
     MILLIMETRES,
     STILL,
     largest_angle,
     largest_slide,
     near,
     position_jumps,
-    velocity_agreement,
 )
-from torchid.log.model import Log
-from torchid.robot.model import JointType, Robot, joint_list
+from torchid.robot.model import JointType, joint_list
+from torchid.statistics.criteria import BEYOND_LIMIT_RAD
 from torchid.statistics.robust import column_quantile
-from torchid.typing import Tensor
+from torchid.typing import Float, Tensor
 
 COUNTS = 100.0
 """Positions beyond this [rad] that are whole numbers are encoder counts."""
 IDLE = 0.5
 """Share of the log in which nothing may move."""
 _TURN = 2.0 * math.pi
-_RPM = 2.0 * math.pi / 60.0
+_RPM = _TURN / 60.0
 _REGISTERS = (
     (4096.0, 0.229 * _RPM, "0.229 rpm (Dynamixel X, P)"),
     (4096.0, 0.114 * _RPM, "0.114 rpm (Dynamixel MX)"),
     (1228.8, 0.111 * _RPM, "0.111 rpm (Dynamixel AX, RX: 1024 counts are 300 degrees)"),
     (4096.0, 0.732 * _RPM, "0.732 rpm (Feetech HLS)"),
-    (4096.0, 2.0 * math.pi / 4096.0, "counts a second (Feetech STS)"),
+    (4096.0, _TURN / 4096.0, "counts a second (Feetech STS)"),
     (36000.0, math.pi / 180.0, "degrees a second (RMD: a count is 0.01 degrees)"),
 )
 """Counts a turn, rad/s a count of velocity, and whose registers they are (makers' manuals)."""
-_COUNTS = (3600.0, 36000.0, 360000.0)
-"""Counts a turn besides powers of two: parts of degrees."""
-_ALIKE = 0.03
+_PARTS_OF_DEGREES = (3600.0, 36000.0, 360000.0)
+"""Counts a turn besides powers of two."""
+_SAME_REGISTER = 0.03
 """Deviation of a measured ratio of velocity and position from what registers make."""
-_BEYOND = 0.2
-"""Angle beyond a limit from which on a position is not the joint's [rad]."""
-_MIDDLES = {math.pi: "zero at half a turn", math.radians(150.0): "zero at 150 degrees"}
+_SLOWEST = 0.05
+"""Ratio of velocity and position from which on counts have velocities in a unit of their own."""
+_MIDDLES = {"zero at half a turn": math.pi, "zero at 150 degrees": math.radians(150.0)}
 """Middles of the range that a counter has, a turn or 300 degrees."""
 _OWN_UNIT = (
     "say what they are: q=q{j} *[1/GEAR,..] +[ZERO,..] of motors before their gears (tau times "
@@ -55,63 +55,8 @@ _FULL = 100.5
 """Positions in percent of a range are below."""
 
 
-def check_position_unit(robot: Robot, log: Log, fixes: Collection[str] = ()) -> Check:
-    """Degrees or encoder counts in place of radians, and velocities in units of their servos."""
-    ratio = {a.joint: a.ratio for a in velocity_agreement(log) if a.correlation > FOLLOWS}
-    servo = _servo(log, ratio)
-    units = [_unit_of(robot, log, k, ratio.get(k), servo) for k in range(robot.n)]
-    factors, rates = [u.factor or 1.0 for u in units], [u.rate for u in units]
-    unknown = [k for k, u in enumerate(units) if u.factor is None]
-    evidence = [u.evidence for u in units if u.evidence]
-    # Where most joints are in one unit, the others are too: they only stayed near zero, or still.
-    rotary = [k for k, kind in enumerate(robot.joint_types) if kind is not JointType.PRISMATIC]
-    clear = [a.joint for a in velocity_agreement(log) if near(a.ratio, 1.0)]
-    for unit, rate in {(factors[k], rates[k]) for k in rotary} - {(1.0, 1.0)}:
-        alike = sum((factors[k], rates[k]) == (unit, rate) for k in rotary)
-        if len(rotary) <= 2 * alike < 2 * len(rotary):
-            for k in rotary:
-                if (factors[k], rates[k]) == (1.0, 1.0) and k not in clear:
-                    factors[k], rates[k] = unit, rate
-    if not evidence:
-        size = float(log.q.abs().max())
-        return judged("position unit", "fine", f"rad (or m): |q| up to {size:.3g}", estimate=1.0)
-    joints = tuple(k for k, f in enumerate(factors) if f != 1.0 or k in unknown)
-    # A dq in the unit of q has the same fault; one in rad/s has not.
-    also = tuple(near(ratio.get(k, 0.0), 1.0) for k in range(log.n))
-    repairs: list[Repair] = []
-    if any(f != 1.0 for f in factors):
-        repairs.append(Scale(tuple(s for s in PLACES if s in log.signals), tuple(factors)))
-        moved = tuple(
-            r if r != 1.0 else f if both else 1.0
-            for f, r, both in zip(factors, rates, also, strict=True)
-        )
-        if log.dq is not None and any(f != 1.0 for f in moved):
-            repairs.append(Scale(("dq",), moved))
-    if (percent := _percent(robot, log, factors, ratio)) is not None:
-        text = "positions leave the limits in degrees, and are all within 100: percent of a range"
-        check = judged("position unit", "wrong", text, joints)
-        choices = [percent, Choice.by("degrees", *repairs)]
-        return with_choices(check, choices, fixes)
-    odd = _no_degrees(robot, log, factors, ratio)
-    if odd is not None:
-        text, possible = odd
-        check = judged("position unit", "wrong", text, joints)
-        own = Choice("unit of its own", _OWN_UNIT)
-        choices = [Choice.by("degrees", *repairs), own] if possible else [own]
-        return with_choices(check, choices, fixes)
-    ask = f"say how many counts make a turn in {joint_list(unknown)}: q=q{{j}} rev/COUNTS -ZERO"
-    return judged(
-        "position unit",
-        "wrong",
-        "; ".join(evidence[:3]) + (f"; and {len(evidence) - 3} more" if len(evidence) > 3 else ""),
-        joints=joints,
-        estimate=tuple(1.0 / factors[k] for k in joints),
-        unit="per rad" if all(k in rotary for k in joints) else "per rad, per m",
-        fix=ask if unknown else None,
-    ).mended_by(*repairs)
-
-
-class _Unit(NamedTuple):
+@dataclass(frozen=True)
+class _Unit:
     """Of one joint: radians (metres) in a unit of q, None where counts are of an unknown part of a
     turn; rad/s in a unit of dq that has one of its own; and why."""
 
@@ -120,97 +65,184 @@ class _Unit(NamedTuple):
     evidence: str = ""
 
 
-def _unit_of(
-    robot: Robot, log: Log, k: int, ratio: float | None, servo: tuple[float, float, str] | None
-) -> _Unit:
-    """The unit of a joint's positions.
+@dataclass(frozen=True)
+class _Units:
+    """What the units of all joints are taken for.
+
+    Attributes:
+        case: of the log.
+        factors, rates: (n,) as of `_Unit`.
+    """
+
+    case: Case
+    factors: tuple[float, ...]
+    rates: tuple[float, ...]
+
+    @cached_property
+    def repairs(self) -> tuple[Repair, ...]:
+        """Of positions, and of velocities: a dq in the unit of q has the same fault; one in rad/s
+        has not."""
+        signals, ratio = self.case.log.signals, _ratios(self.case)
+        if set(self.factors) == {1.0}:
+            return ()
+        rates = tuple(
+            f if rate == 1.0 and near(ratio.get(k, 0.0), 1.0) else rate
+            for k, (f, rate) in enumerate(zip(self.factors, self.rates, strict=True))
+        )
+        moved = [scaled(("dq",), rates)] if "dq" in signals and set(rates) != {1.0} else []
+        return scaled(tuple(s for s in PLACES if s in signals), self.factors), *moved
+
+    def beyond(self) -> Iterator[tuple[int, float, float]]:
+        """Joints that leave their limits in degrees where no velocity says that they are, and from
+        where to where they go [rad]."""
+        limits, ratio = self.case.robot.limits.position, _ratios(self.case)
+        for k, factor in enumerate(self.factors):
+            if limits is None or factor != 1.0 / DEGREES or near(ratio.get(k, 0.0), factor):
+                continue
+            low, high = (factor * float(x) for x in self.case.log.q[:, k].aminmax())
+            if _turned_back(limits[k], low, high)[1] > BEYOND_LIMIT_RAD:
+                yield k, low, high
+
+
+def _ratios(case: Case) -> dict[int, float]:
+    """dq over the derivative of q, by joint."""
+    return {a.joint: a.ratio for a in case.followers}
+
+
+def check_position_unit(case: Case) -> Check:
+    """Degrees or encoder counts in place of radians, and velocities in units of their servos."""
+    servo = _servo(case)
+    told = [_unit_of(case, k, servo) for k in range(case.robot.n)]
+    evidence = [unit.evidence for unit in told if unit.evidence]
+    if not evidence:
+        size = float(case.log.q.abs().max())
+        return judged("position unit", "fine", f"rad (or m): |q| up to {size:.3g}", estimate=1.0)
+    units = _most_alike(case, told)
+    unknown = [k for k, unit in enumerate(told) if unit.factor is None]
+    joints = tuple(k for k, f in enumerate(units.factors) if f != 1.0 or k in unknown)
+    beyond = list(units.beyond())
+    if choices := _no_degrees(units, beyond):
+        text = "positions leave the limits in degrees, and are all within 100: percent of a range"
+        if choices[0].name != "percent of range":
+            limits = case.robot.limits.position
+            assert limits is not None
+            each = "; ".join(
+                f"q{k + 1} {low:.3g} to {high:.3g} rad, limits {_span(limits[k])}"
+                for k, low, high in beyond[:3]
+            )
+            text = (
+                "positions are beyond what is taken for radians, and as degrees leave the limits: "
+                f"{each}: another unit, or the motors' side of gears?"
+            )
+        check = judged("position unit", "wrong", text, joints)
+        return with_choices(check, choices, case.fixes)
+    more = f"; and {len(evidence) - 3} more" if len(evidence) > 3 else ""
+    slides = any(case.robot.joint_types[k] is JointType.PRISMATIC for k in joints)
+    ask = f"say how many counts make a turn in {joint_list(unknown)}: q=q{{j}} rev/COUNTS -ZERO"
+    return judged(
+        "position unit",
+        "wrong",
+        "; ".join(evidence[:3]) + more,
+        joints=joints,
+        estimate=tuple(1.0 / units.factors[k] for k in joints),
+        unit="per rad, per m" if slides else "per rad",
+        fix=ask if unknown else None,
+    ).mended_by(*units.repairs)
+
+
+def _most_alike(case: Case, told: Sequence[_Unit]) -> _Units:
+    """The units of all joints. Where most are in one unit, the others are too, unless velocities
+    say otherwise: they only stayed near zero, or still."""
+    pairs = [(unit.factor or 1.0, unit.rate) for unit in told]
+    rotary = [k for k, x in enumerate(case.robot.joint_types) if x is not JointType.PRISMATIC]
+    clear = {a.joint for a in case.agreement if near(a.ratio, 1.0)}
+    for most in {pairs[k] for k in rotary} - {(1.0, 1.0)}:
+        if 2 * sum(pairs[k] == most for k in rotary) >= len(rotary):
+            pairs = [
+                most if k in rotary and k not in clear and pair == (1.0, 1.0) else pair
+                for k, pair in enumerate(pairs)
+            ]
+    factors, rates = zip(*pairs, strict=True)
+    return _Units(case, factors, rates)
+
+
+def _unit_of(case: Case, k: int, servo: _Unit | None) -> _Unit:
+    """The unit of joint k's positions (from 0).
 
     Args:
-        robot, log, k: joint k (from 0) of the two.
-        ratio: of dq to the derivative of q; None where it is not measured.
+        case: of the log.
+        k: which joint.
         servo: whose registers all velocities fit; None for none's.
     """
-    q, limits = log.q[:, k], robot.limits.position
-    low, high = float(q.min()), float(q.max())
-    reached, own = max(-low, high), None if limits is None else limits[k]
-    name, span = f"q{k + 1}", f"{low:.4g} to {high:.4g}"
-    if robot.joint_types[k] is JointType.PRISMATIC:
-        if not (reached > largest_slide(own) or (ratio and near(ratio, 1.0 / MILLIMETRES))):
-            return _Unit()
-        return _Unit(1.0 / MILLIMETRES, evidence=f"{name} {span}: millimetres")
+    q, ratio, limits = case.log.q[:, k], _ratios(case).get(k), case.robot.limits.position
+    own = None if limits is None else limits[k]
+    low, high = (float(x) for x in q.aminmax())
+    reached, name = max(-low, high), f"q{k + 1}"
+    if case.robot.joint_types[k] is JointType.PRISMATIC:
+        if reached > largest_slide(own) or (ratio and near(ratio, 1.0 / MILLIMETRES)):
+            return _Unit(1.0 / MILLIMETRES, 1.0, f"{name} {low:.4g} to {high:.4g}: millimetres")
+        return _Unit()
     degrees = ratio is not None and near(ratio, 1.0 / DEGREES)
     whole = bool((q == q.round()).all()) and reached > COUNTS
     # A turn or two off the limits they are radians all the same; without limits they turn on.
     far = whole
     if own is not None and bool(torch.isfinite(own).all()):
-        far = reached > largest_angle(own) and _turned_back(own, low, high)[1] > _BEYOND
+        turned = _turned_back(own, low, high)[1]
+        far = reached > largest_angle(own) and turned > BEYOND_LIMIT_RAD
     if not (far or degrees):
         return _Unit()
     if not whole:
         why = f", d{name} is 1/{1 / ratio:.1f} of its derivative" if ratio and degrees else ""
-        return _Unit(1.0 / DEGREES, evidence=f"{name} {span}: degrees{why}")
+        return _Unit(1.0 / DEGREES, 1.0, f"{name} {low:.4g} to {high:.4g}: degrees{why}")
     counts = f"{name} {low:g} to {high:g}, whole numbers: encoder counts"
     if servo is not None:
-        return _Unit(*servo[:2], f"{counts}, and dq in units of {servo[2]}")
-    if ratio is None or ratio > 0.05:
-        return _Unit(None, evidence=counts)
+        return _Unit(servo.factor, servo.rate, f"{counts}, and dq in units of {servo.evidence}")
+    if ratio is None or ratio > _SLOWEST:
+        return _Unit(None, 1.0, counts)
     # Radians per count from dq in rad/s; a power of two per turn where that is near.
-    turn = 2.0 * math.pi / ratio
-    usual = (2.0 ** round(math.log2(turn)), *_COUNTS)
-    per_turn = next((x for x in usual if near(turn, x)), round(turn))
-    return _Unit(2.0 * math.pi / per_turn, evidence=counts)
+    turn = _TURN / ratio
+    usual = (2.0 ** round(math.log2(turn)), *_PARTS_OF_DEGREES)
+    return _Unit(_TURN / next((x for x in usual if near(turn, x)), round(turn)), 1.0, counts)
 
 
-def _percent(
-    robot: Robot, log: Log, factors: Sequence[float], ratio: Mapping[int, float]
-) -> Choice | None:
-    """Positions as percent of each joint's range, from -100 to 100, where degrees leave the limits
-    and measured velocities do not contradict; None where they are not such."""
-    limits, degree = robot.limits.position, math.radians(1.0)
-    if (
-        limits is None
-        or not bool(torch.isfinite(limits).all())
-        or set(factors) != {1.0 / DEGREES}
-        or float(log.q.abs().max()) > _FULL
-        or any(not near(r, 1.0) for r in ratio.values())
-    ):
+def _servo(case: Case) -> _Unit | None:
+    """The unit of servos in whose registers every velocity is the one multiple of its position's
+    derivative that it is."""
+    dq, ratios = case.log.dq, _ratios(case).values()
+    if not ratios or dq is None or not bool((dq == dq.round()).all()):
         return None
-    low, high = (log.q.amin(0) * degree).tolist(), (log.q.amax(0) * degree).tolist()
-    if all(
-        _turned_back(own, a, b)[1] < _BEYOND for own, a, b in zip(limits, low, high, strict=True)
-    ):
-        return None
-    half, middle = (limits[:, 1] - limits[:, 0]) / 200.0, limits.mean(1)
-    signals = tuple(s for s in (*PLACES, "dq") if s in log.signals)
-    places = tuple(s for s in signals if s != "dq")
-    return Choice.by(
-        "percent of range",
-        Scale(signals, tuple(half.tolist())),
-        Shift(places, tuple(middle.tolist())),
+    for counts, speed, name in _REGISTERS:
+        expected = _TURN / counts / speed
+        if all(abs(r / expected - 1.0) < _SAME_REGISTER for r in ratios):
+            return _Unit(_TURN / counts, speed, name)
+    return None
+
+
+def _no_degrees(units: _Units, beyond: Sequence[tuple[int, float, float]]) -> list[Choice]:
+    """What positions may be besides degrees in which they leave their limits: percent of a range,
+    or another unit, of which degrees with another zero are one where they would fit; empty where
+    nothing speaks against degrees."""
+    case, limits = units.case, units.case.robot.limits.position
+    if limits is None or not beyond:
+        return []
+    degrees = Choice.by("degrees", *units.repairs)
+    bounded = bool(torch.isfinite(limits).all()) and set(units.factors) == {1.0 / DEGREES}
+    within = float(case.log.q.abs().max()) <= _FULL
+    if bounded and within and all(near(r, 1.0) for r in _ratios(case).values()):
+        # From -100 to 100 of each joint's range.
+        half, middle = ((limits[:, 1] - limits[:, 0]) / 200.0).tolist(), limits.mean(1).tolist()
+        signals = tuple(s for s in (*PLACES, "dq") if s in case.log.signals)
+        percent = Columns(signals, Map.of(case.log.n, factors=half, offsets=middle))
+        return [Choice.by("percent of range", percent), degrees]
+    wide = (
+        high - low < float(limits[k, 1] - limits[k, 0]) + 2 * BEYOND_LIMIT_RAD
+        for k, low, high in beyond
     )
+    return [*([degrees] if all(wide) else []), Choice("unit of its own", _OWN_UNIT)]
 
 
-def _no_degrees(
-    robot: Robot, log: Log, factors: Sequence[float], ratio: Mapping[int, float]
-) -> tuple[str, bool] | None:
-    """What speaks against degrees, and whether another zero would still make them such: positions
-    that leave their limits as degrees, where no velocity says that they are; None for nothing."""
-    limits = robot.limits.position
-    found, possible = [], True
-    for k, factor in enumerate(factors):
-        if limits is None or factor != 1.0 / DEGREES or near(ratio.get(k, 0.0), factor):
-            continue
-        low, high = float(log.q[:, k].min()) * factor, float(log.q[:, k].max()) * factor
-        if _turned_back(limits[k], low, high)[1] > _BEYOND:
-            found.append(
-                f"q{k + 1} {low:.3g} to {high:.3g} rad, limits {float(limits[k, 0]):.3g} to "
-                f"{float(limits[k, 1]):.3g}"
-            )
-            possible &= high - low < float(limits[k, 1] - limits[k, 0]) + 2 * _BEYOND
-    if not found:
-        return None
-    text = "positions are beyond what is taken for radians, and as degrees leave the limits: "
-    return f"{text}{'; '.join(found[:3])}: another unit, or the motors' side of gears?", possible
+def _span(limits: Tensor) -> str:
+    return f"{float(limits[0]):.3g} to {float(limits[1]):.3g}"
 
 
 def _beyond(limits: Tensor, low: float, high: float) -> float:
@@ -226,107 +258,95 @@ def _turned_back(limits: Tensor, low: float, high: float) -> tuple[float, float]
     return best, _beyond(limits, low + best, high + best)
 
 
-def _servo(log: Log, ratio: Mapping[int, float]) -> tuple[float, float, str] | None:
-    """Radians a count of q and rad/s a count of dq, and the servo's name, where every velocity is
-    the one multiple of its position's derivative that a servo's registers make."""
-    if not ratio or log.dq is None or not bool((log.dq == log.dq.round()).all()):
-        return None
-    for counts, speed, name in _REGISTERS:
-        expected = 2.0 * math.pi / counts / speed
-        if all(abs(r / expected - 1.0) < _ALIKE for r in ratio.values()):
-            return 2.0 * math.pi / counts, speed, name
-    return None
-
-
-def check_zeros(robot: Robot, log: Log, fixes: Collection[str] = ()) -> Check:
+def check_zeros(case: Case) -> Sequence[Check]:
     """Positions beyond the limits that whole turns bring back, or half a turn (or 150 degrees) in
     all joints: the zero of counters that begin at the middle of their range."""
-    limits = robot.limits.position
-    turning = [k for k, kind in enumerate(robot.joint_types) if kind is JointType.REVOLUTE]
+    if case.counts:
+        return ()
+    limits = case.robot.limits.position
     ranges = {
-        k: limits[k] for k in turning if limits is not None and torch.isfinite(limits[k]).all()
-        and float(limits[k, 1] - limits[k, 0]) < 2.0 * _TURN
-    }  # fmt: skip
-    low, high = log.q.amin(0).tolist(), log.q.amax(0).tolist()
-    out = [k for k, own in ranges.items() if _beyond(own, low[k], high[k]) > _BEYOND]
+        k: limits[k]
+        for k in case.turning
+        if limits is not None and float(limits[k, 1] - limits[k, 0]) < 2.0 * _TURN
+    }
+    low, high = case.log.q.amin(0).tolist(), case.log.q.amax(0).tolist()
+    out = [k for k, own in ranges.items() if _beyond(own, low[k], high[k]) > BEYOND_LIMIT_RAD]
     if not out:
-        return said("zero of positions", "fine")
-
-    def moved_by(common: float) -> tuple[float, ...] | None:
-        """An offset of all joints, and whole turns; None where it leaves one beyond its limits."""
-        offsets = [0.0] * log.n
-        for k in turning:
-            offsets[k] = common
-            if k in ranges:
-                turns, beyond = _turned_back(ranges[k], low[k] + common, high[k] + common)
-                if common and beyond > _BEYOND:
-                    # A counter may run the other way: its sign is another question.
-                    turns, beyond = _turned_back(ranges[k], -high[k] - common, -low[k] - common)
-                    turns = -turns
-                if beyond > _BEYOND:
-                    return None
-                # Without an offset, what is within its limits stays.
-                offsets[k] += turns if common or k in out else 0.0
-        return tuple(offsets)
-
-    options = {"whole turns": moved_by(0.0)}
-    if options["whole turns"] is None:
-        for middle, name in _MIDDLES.items():
-            options[name] = moved_by(-middle)
-    places = tuple(s for s in PLACES if s in log.signals)
-    choices = [Choice.by(n, Shift(places, x)) for n, x in options.items() if x is not None]
+        return [said("zero of positions", "fine")]
+    # Whole turns of the joints that are out; where these do not do, one zero of all.
+    options = {"whole turns": {k: _back(ranges[k], low[k], high[k]) for k in out}}
+    if None in options["whole turns"].values():
+        for name, middle in _MIDDLES.items():
+            options[name] = {
+                k: _off_middle(ranges.get(k), low[k], high[k], middle) for k in case.turning
+            }
+    places = tuple(s for s in PLACES if s in case.log.signals)
+    choices: list[Choice] = []
+    joints = tuple(out)
+    for name, moved in options.items():
+        offsets = [moved.get(k, 0.0) for k in range(case.log.n)]
+        if None not in offsets:
+            joints = joints if choices else tuple(k for k, x in enumerate(offsets) if x)
+            choices.append(Choice.by(name, shifted(places, [x or 0.0 for x in offsets])))
     evidence = "; ".join(
-        f"q{k + 1} {low[k]:.3g} to {high[k]:.3g}"
-        f", limits {float(ranges[k][0]):.3g} to {float(ranges[k][1]):.3g}"
-        for k in out[:3]
+        f"q{k + 1} {low[k]:.3g} to {high[k]:.3g}, limits {_span(ranges[k])}" for k in out[:3]
     )
     if choices:
-        joints = tuple(k for k, x in enumerate(options[choices[0].name] or ()) if x)
         check = said("zero of positions", "wrong", joints=joints, evidence=evidence)
-        return with_choices(check, choices, fixes)
-    mirrored = all(_beyond(ranges[k], -high[k], -low[k]) < _BEYOND for k in out)
+        return [with_choices(check, choices, case.fixes)]
+    mirrored = all(_beyond(ranges[k], -high[k], -low[k]) < BEYOND_LIMIT_RAD for k in out)
     verdict = "doubtful mirrored" if mirrored else "doubtful"
-    return said("zero of positions", verdict, joints=out, evidence=evidence)
+    return [said("zero of positions", verdict, joints=out, evidence=evidence)]
 
 
-def check_jumps(robot: Robot, log: Log) -> Check:
+def _back(limits: Tensor, low: float, high: float) -> float | None:
+    """Whole turns that bring positions within their limits; None where none do."""
+    turns, beyond = _turned_back(limits, low, high)
+    return turns if beyond <= BEYOND_LIMIT_RAD else None
+
+
+def _off_middle(limits: Tensor | None, low: float, high: float, middle: float) -> float | None:
+    """The offset of a counter whose zero is at its middle, with whole turns where it has limits. It
+    may run the other way: its sign is another question."""
+    if limits is None:
+        return -middle
+    turns = _back(limits, low - middle, high - middle)
+    if turns is None and (turns := _back(limits, middle - high, middle - low)) is not None:
+        turns = -turns
+    return None if turns is None else turns - middle
+
+
+def check_jumps(case: Case) -> Check:
     """Angles wrapped at a whole turn, or other steps that no motion makes."""
+    log = case.log
     # Angles within one turn that step by a whole one, however often.
     step = torch.cat([part.q.diff(dim=0).abs() for part in log.trajectories()])
-    extent = log.q.amax(0) - log.q.amin(0)
-    largest = step.amax(0)
-    turn = _turn(extent, largest)
-    found = [
-        *[
-            f"q{k + 1} steps by a whole turn {int((step[:, k] > 0.9 * turn).sum())} times"
-            for k, kind in enumerate(robot.joint_types)
-            if kind is JointType.REVOLUTE
-            and float(extent[k]) < 1.01 * turn
-            and float(largest[k]) > 0.9 * turn
-        ],
+    turn = _turn(case.extent, step.amax(0))
+    whole = (step > 0.9 * turn).sum(0)
+    jumps = [
+        *(
+            f"q{k + 1} steps by a whole turn {int(whole[k])} times"
+            for k in case.turning
+            if float(case.extent[k]) < 1.01 * turn and bool(whole[k])
+        ),
         *position_jumps(log),
     ]
-    if not found:
+    if not jumps:
         return said("position jumps", "fine")
-    joints = []
-    for k in range(log.n):
-        mended = Unwrap((k,), turn).apply(log)
-        if not torch.equal(mended.q, log.q) and robot.joint_types[k] is JointType.REVOLUTE:
-            joints.append(k)
-    repairs = (Unwrap(tuple(joints), turn),) if joints else ()
-    mended = repairs[0].apply(log) if repairs else log
+    mended = Unwrap(tuple(case.turning), turn).apply(log)
+    joints = tuple((mended.q != log.q).any(0).nonzero().flatten().tolist())
     return judged(
         "position jumps",
-        "wrong" if repairs else "doubtful",
-        "; ".join(found[:3]),
-        joints=tuple(joints),
+        "wrong" if joints else "doubtful",
+        "; ".join(jumps[:3]),
+        joints=joints,
         fix="number the runs in a column traj" if position_jumps(mended) else None,
-    ).mended_by(*repairs)
+    ).mended_by(*([Unwrap(joints, turn)] if joints else []))
 
 
-def _turn(extent: Tensor, step: Tensor) -> float:
+def _turn(extent: Float[Tensor, " n"], step: Float[Tensor, " n"]) -> float:
     """What a whole turn is in the unit of the positions: nearly the largest extent of a joint, and
-    nearly its largest step (n,), where angles are wrapped."""
+    nearly its largest step, where angles are wrapped."""
     wrapped = (step > 0.9 * extent) & (extent > 0)
     for turn in (_TURN, 360.0, 3600.0, 36000.0, *(2.0**k for k in range(9, 25))):
         if bool((wrapped & (extent <= 1.01 * turn) & (step > 0.9 * turn)).any()):
@@ -334,16 +354,15 @@ def _turn(extent: Tensor, step: Tensor) -> float:
     return _TURN
 
 
-def check_standstill(log: Log) -> Check:
+def check_standstill(case: Case) -> Check:
     """Joints that never move, and time in which nothing does."""
-    extent = log.q.amax(0) - log.q.amin(0)
-    still = tuple(int(k) for k in (extent < STILL).nonzero().flatten())
-    speed = torch.cat([p.q.diff(dim=0) / p.t.diff()[:, None] for p in log.trajectories()]).abs()
+    still = (case.extent < STILL).nonzero().flatten().tolist()
+    if still:
+        extents, s = tuple(case.extent[still].tolist()), "s" * (len(still) == 1)
+        return said("standstill", "doubtful", joints=still, estimate=extents, s=s, still=STILL)
+    parts = case.log.trajectories()
+    speed = torch.cat([p.q.diff(dim=0) / p.t.diff()[:, None] for p in parts]).abs()
     fast = column_quantile(speed[:: max(1, len(speed) // 100_000)], 0.95)
     idle = float((speed < 0.02 * fast.clamp(min=1e-9)).all(1).double().mean())
-    if still:
-        extents = tuple(float(extent[k]) for k in still)
-        words = {"s": "s" * (len(still) == 1), "still": STILL}
-        return said("standstill", "doubtful", joints=still, estimate=extents, **words)
     verdict = "doubtful idle" if idle > IDLE else "fine"
     return said("standstill", verdict, estimate=idle, percent=100 * idle)

@@ -1,190 +1,177 @@
-"""Single faults a log may have, as moves from one hypothesis to the next."""
+"""Faults that torque tells: what each is called, and the moves from one hypothesis to the next that
+would mend it."""
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 
-from torchid.doctor.hypothesis import Hypothesis, Judge, minimum
-from torchid.doctor.repair import (
-    MOTION,
-    PLACES,
-    TORQUE,
-    Reorder,
-    Repair,
-    Scale,
-    Shift,
-    ShiftTorque,
-    of_signals,
-)
+from torchid.doctor.hypothesis import Hypothesis, Judge, factors_of, minimum
+from torchid.doctor.repair import MOTION, PLACES, TORQUE, Columns, Map, Repair, ShiftTorque
 from torchid.dynamics.regressor import regressor
 from torchid.robot.model import JointType, Robot
+from torchid.statistics.criteria import EXPLAINED, LEAST_GAIN
 
 LAGS = (-0.2, -0.1, -0.05, -0.025, 0.025, 0.05, 0.1, 0.2)
 """How late torque may be [s]; what lies between is found afterwards."""
 GAINS = tuple(math.log(10.0) * x for x in (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0))
 """Logarithms of the factors tried first."""
 DEGREE = math.pi / 180.0
-BADLY = 0.2
-"""Share of a torque's spread that bodies leave, from which on the positions themselves are doubted:
-their scale in all joints, and the zero of each."""
 ZEROS = (math.pi / 2, -math.pi / 2, math.pi)
 """Zeros that conventions differ by [rad]."""
 SCALES = tuple(0.25 * k for k in range(-14, 15))
 """Logarithms of the factors tried first for the positions of all joints."""
 _TURNS = (2.0 * math.pi, DEGREE, 1.0 / DEGREE)
 _NEAR_UNIT = 0.05
-LEAST_GAIN = 1.5
-"""A joint's torque that is off by less is within what a gear or a drive gain may be."""
 
 
 @dataclass(frozen=True)
 class Move:
-    """A fault and the hypothesis that has it mended.
+    """A fault as the change of a hypothesis that mends it.
 
     Attributes:
-        kind: torque sign, position sign, joint sign, torque order, position order, joint order,
-            gravity, position unit, zero, gain, lag.
+        kind: of `FAULTS`.
         joints: from 0, those whose columns change.
-        after: the hypothesis.
-        repairs: the same as changes of the log; none for gravity, which is the robot's.
+        before: the hypothesis without it.
+        q, tau, gravity, late: what changes.
+        signals: that the log has.
     """
 
     kind: str
     joints: tuple[int, ...]
-    after: Hypothesis
-    repairs: tuple[Repair, ...] = ()
+    before: Hypothesis
+    q: Map | None = None
+    tau: Map | None = None
+    gravity: tuple[float, ...] | None = None
+    late: float = 0.0
+    signals: tuple[str, ...] = ()
+
+    @cached_property
+    def after(self) -> Hypothesis:
+        """The hypothesis with it mended."""
+        before = self.before
+        return Hypothesis(
+            before.q.then(self.q) if self.q else before.q,
+            before.tau.then(self.tau) if self.tau else before.tau,
+            self.gravity or before.gravity,
+            before.late + self.late,
+        )
+
+    @cached_property
+    def columns(self) -> tuple[Columns, ...]:
+        """Columns of the log that change."""
+        moved = PLACES if self.q and self.q.shifts_only else MOTION
+        every = (moved, self.q), (TORQUE, self.tau)
+        return tuple(
+            Columns(tuple(s for s in names if s in self.signals), change)
+            for names, change in every
+            if change
+        )
+
+    @property
+    def repairs(self) -> tuple[Repair, ...]:
+        """The same as changes of the log; none for gravity, which is the robot's."""
+        return (*self.columns, *([ShiftTorque(self.late)] if self.late else []))
 
     @property
     def name(self) -> str:
         """By which it can be chosen: `torque sign 2`, `joint order 2,1,3`, `gravity +z`."""
-        if self.kind == "gravity":
-            axis = int(np.argmax(np.abs(self.after.gravity)))
-            return f"gravity {'-' if self.after.gravity[axis] < 0 else '+'}{'xyz'[axis]}"
+        if self.gravity:
+            axis = int(np.argmax(np.abs(self.gravity)))
+            return f"gravity {'-' if self.gravity[axis] < 0 else '+'}{'xyz'[axis]}"
         if self.kind == "zero":
-            angle = next(x for r in self.repairs if isinstance(r, Shift) for x in r.offsets if x)
+            angle = sum(c.map.offsets[self.joints[0]] for c in self.columns)
             return f"zero {self.joints[0] + 1} {math.degrees(angle):+.0f} deg"
-        order = next((r.order for r in self.repairs if isinstance(r, Reorder)), self.joints)
+        order = self.columns[0].map.order if "order" in self.kind else self.joints
         return " ".join(filter(None, (self.kind, ",".join(str(k + 1) for k in order))))
 
     @property
-    def signals(self) -> int:
+    def changes(self) -> int:
         """How many of the log's signals change sign, scale or order."""
-        return sum(len(r.signals) for r in self.repairs if isinstance(r, Scale | Shift | Reorder))
+        return sum(len(c.signals) for c in self.columns)
+
+
+@dataclass(frozen=True)
+class TorqueFault:
+    """A kind of fault that torque tells.
+
+    Attributes:
+        check: that says it; None where an estimate with an interval does.
+        words: what it is called, before the joints that have it.
+        moves: what would mend it, from a hypothesis.
+        modelled: whether nominal parameters bear it out, or not.
+        hides: whether a log is asked if it would show.
+    """
+
+    check: str | None
+    words: str
+    moves: Callable[[Judge, Hypothesis], Iterable[Move]]
+    modelled: bool = False
+    hides: bool = False
 
 
 def all_moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
-    """All moves from a hypothesis, with repairs of the signals that the log has."""
-    for move in _moves(judge, now):
-        yield _of_its_signals(judge, move)
+    """All moves from a hypothesis, with the signals that the log has."""
+    for fault in FAULTS.values():
+        for move in fault.moves(judge, now):
+            yield replace(move, signals=judge.samples.signals)
 
 
 def joint_sign(judge: Judge, now: Hypothesis, joints: Sequence[int]) -> Move:
     """The axes of some joints turned around: positions and torques negated."""
-    return _of_its_signals(judge, _scaled("joint sign", joints, now, q=-1.0, tau=-1.0))
-
-
-def _of_its_signals(judge: Judge, move: Move) -> Move:
-    repairs = (of_signals(r, judge.samples.signals) for r in move.repairs)
-    return replace(move, repairs=tuple(repairs))
-
-
-def _moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
-    live = judge.live(now)
-    everyone = tuple(range(len(now.q_order)))
-    for joints in [(k,) for k in live] + [everyone] * (len(live) > 1):
-        yield _scaled("torque sign", joints, now, tau=-1.0)
-        yield _scaled("position sign", joints, now, q=-1.0)
-        yield _scaled("joint sign", joints, now, q=-1.0, tau=-1.0)
-    yield from _orders(now, live)
-    if len(live) == judge.robot.n:
-        yield from _assigned(judge, now)
-    yield from _gravities(now)
-    yield from _gains(judge, now, live)
-    for late in LAGS if now.late == 0.0 else ():
-        if abs(late) < judge.samples.reach:
-            yield Move("lag", (), replace(now, late=late), (ShiftTorque(late),))
-    turning = [k for k, kind in enumerate(judge.robot.joint_types) if kind is JointType.REVOLUTE]
-    if turning:
-        yield _scaled("position unit", turning, now, q=DEGREE)
-    base = judge.score(now)
-    if base.errors[live].max(initial=0.0) > BADLY:
-        yield from _units(judge, now, turning, base.fit.weights)
-        for k, angle in itertools.product(sorted({*live} & {*turning}), ZEROS):
-            offsets = tuple(angle * (j == k) for j in range(judge.robot.n))
-            yield Move("zero", (k,), now.shifted(k, angle), (Shift(PLACES, offsets),))
-
-
-def _units(
-    judge: Judge, now: Hypothesis, turning: Sequence[int], weights: np.ndarray
-) -> Iterator[Move]:
-    """Positions of all joints at the scale at which the torque is explained best: turns, or those
-    of motors before their gears."""
-    if not turning:
-        return
-
-    def loss(log_factor: float) -> float:
-        return judge.score(now.scaled(turning, q=math.exp(log_factor)), weights).loss
-
-    judge.expect(now.scaled(turning, q=math.exp(x)) for x in SCALES)
-    best = minimum(loss, SCALES, step=0.05)
-    if abs(best) > math.log(LEAST_GAIN):
-        named = (x for x in _TURNS if abs(math.log(x) - best) < _NEAR_UNIT)
-        yield _scaled("position unit", turning, now, q=next(named, math.exp(best)))
+    move = _scaled("joint sign", now, joints, q=-1.0, tau=-1.0)
+    return replace(move, signals=judge.samples.signals)
 
 
 def _scaled(
     kind: str,
-    joints: Sequence[int],
     now: Hypothesis,
+    joints: Sequence[int],
     *,
     q: float | None = None,
     tau: float | None = None,
 ) -> Move:
-    repairs = [
-        Scale(signals, tuple(f if k in joints else 1.0 for k in range(len(now.q_order))))
-        for signals, f in ((MOTION, q), (TORQUE, tau))
-        if f is not None
-    ]
-    return Move(kind, tuple(joints), now.scaled(joints, q=q, tau=tau), tuple(repairs))
+    own, n = tuple(joints), len(now.q.order)
+    first, second = (None if x is None else factors_of(own, n, x) for x in (q, tau))
+    return Move(kind, own, now, first, second)
 
 
-def _orders(now: Hypothesis, live: Sequence[int]) -> Iterator[Move]:
-    n = len(now.q_order)
-    orders: list[tuple[int, ...]] = []
+def _signs(
+    judge: Judge, now: Hypothesis, kind: str, q: float | None, tau: float | None
+) -> Iterator[Move]:
+    """Of each joint, and of all of them."""
+    live = judge.live(now)
+    for joints in [[k] for k in live] + [list(range(judge.robot.n))] * (len(live) > 1):
+        yield _scaled(kind, now, joints, q=q, tau=tau)
+
+
+def _orders(judge: Judge, now: Hypothesis, kind: str, q: bool, tau: bool) -> Iterator[Move]:
+    """Two joints exchanged, all of them reversed or one on; of torque also as it fits best."""
+    n, live = judge.robot.n, judge.live(now)
+    orders = []
     for i, j in itertools.combinations(live, 2):
         exchanged = {i: j, j: i}
         orders.append(tuple(exchanged.get(k, k) for k in range(n)))
-    if n > 3 and len(live) == n:
-        orders.append(tuple(reversed(range(n))))
-    if n > 2 and len(live) == n:
+    if len(live) == n > 2:
+        orders += [tuple(reversed(range(n)))] * (n > 3)
         orders += [tuple(np.roll(range(n), shift).tolist()) for shift in (1, -1)]
+        orders += [] if q else [_assigned(judge, now)]
     for order in orders:
-        yield _order(now, order, q=False, tau=True)
-        yield _order(now, order, q=True, tau=False)
-        yield _order(now, order, q=True, tau=True)
+        change = Map.of(n, order=order)
+        joints = tuple(k for k, j in enumerate(order) if k != j)
+        if joints:
+            yield Move(kind, joints, now, change if q else None, change if tau else None)
 
 
-def _order(now: Hypothesis, order: tuple[int, ...], *, q: bool, tau: bool) -> Move:
-    kind = "joint order" if q and tau else ("position order" if q else "torque order")
-    joints = tuple(k for k, j in enumerate(order) if k != j)
-    repairs = [Reorder(s, order) for s, moved in ((MOTION, q), (TORQUE, tau)) if moved]
-    return Move(kind, joints, now.reordered(order, q=q, tau=tau), tuple(repairs))
-
-
-def _assigned(judge: Judge, now: Hypothesis) -> Iterator[Move]:
+def _assigned(judge: Judge, now: Hypothesis) -> tuple[int, ...]:
     """The order of the torque columns that single joints' rows, each by itself, explain best."""
     a, _ = judge.columns(now)
-    tau = judge.torque(now)
-    moving = judge.moving(now)
-    n = judge.robot.n
-    if n < 3:
-        return
+    tau, moving, n = judge.torque(now), judge.moving(now), judge.robot.n
     scale = np.where(tau.std(0) > 0, tau.std(0), 1.0)
     errors = np.ones((n, n))
     for i in range(n):
@@ -195,27 +182,22 @@ def _assigned(judge: Judge, now: Hypothesis) -> Iterator[Move]:
         basis = u[:, s > 1e-8 * max(s[0], 1e-300)]
         left = tau[rows] - basis @ (basis.T @ tau[rows])
         errors[i] = left.std(0) / scale
-    _, order = linear_sum_assignment(np.log(np.maximum(errors, 1e-3)))
-    found = tuple(int(j) for j in order)
-    if found != tuple(range(n)):
-        yield _order(now, found, q=False, tau=True)
+    return tuple(linear_sum_assignment(np.log(np.maximum(errors, 1e-3)))[1].tolist())
 
 
-def _gravities(now: Hypothesis) -> Iterator[Move]:
+def _gravities(judge: Judge, now: Hypothesis) -> Iterator[Move]:
+    """Along each axis of the base."""
     size = float(np.linalg.norm(now.gravity))
-    if size == 0.0:
-        return
-    down = np.array(now.gravity) / size
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            other = np.zeros(3)
-            other[axis] = sign
-            if down @ other < 0.99:
-                yield Move("gravity", (), replace(now, gravity=tuple((size * other).tolist())))
+    for axis, sign in itertools.product(range(3), (1.0, -1.0)):
+        other = np.zeros(3)
+        other[axis] = sign * size
+        if size and np.array(now.gravity) @ other < 0.99 * size**2:
+            yield Move("gravity", (), now, gravity=tuple(other.tolist()))
 
 
-def _gains(judge: Judge, now: Hypothesis, live: Sequence[int]) -> Iterator[Move]:
+def _gains(judge: Judge, now: Hypothesis) -> Iterator[Move]:
     """Each joint's torque at the size at which the joints' torques fit together best."""
+    live = judge.live(now)
     if len(live) < 2:
         return
     weights = judge.score(now).fit.weights
@@ -228,7 +210,81 @@ def _gains(judge: Judge, now: Hypothesis, live: Sequence[int]) -> Iterator[Move]
             continue
         best = minimum(loss, GAINS, step=0.3)
         if abs(best) > math.log(LEAST_GAIN):
-            yield _scaled("gain", (k,), now, tau=math.exp(best))
+            yield _scaled("gain", now, (k,), tau=math.exp(best))
+
+
+def _lags(judge: Judge, now: Hypothesis) -> Iterator[Move]:
+    for late in LAGS if now.late == 0.0 else ():
+        if abs(late) < judge.samples.reach:
+            yield Move("lag", (), now, late=late)
+
+
+def _turning(judge: Judge) -> list[int]:
+    return [k for k, kind in enumerate(judge.robot.joint_types) if kind is JointType.REVOLUTE]
+
+
+def _badly(judge: Judge, now: Hypothesis) -> bool:
+    """Whether bodies explain the torque so badly that the positions themselves are doubted: their
+    scale in all joints, and the zero of each."""
+    return judge.score(now).errors[judge.live(now)].max(initial=0.0) > EXPLAINED
+
+
+def _units(judge: Judge, now: Hypothesis) -> Iterator[Move]:
+    """Positions of all joints in degrees, or at the scale at which the torque is explained best:
+    turns, or those of motors before their gears."""
+    turning = _turning(judge)
+    if not turning:
+        return
+    yield _scaled("position unit", now, turning, q=DEGREE)
+    if not _badly(judge, now):
+        return
+    weights = judge.score(now).fit.weights
+
+    def loss(log_factor: float) -> float:
+        return judge.score(now.scaled(turning, q=math.exp(log_factor)), weights).loss
+
+    judge.expect(now.scaled(turning, q=math.exp(x)) for x in SCALES)
+    best = minimum(loss, SCALES, step=0.05)
+    if abs(best) > math.log(LEAST_GAIN):
+        named = (x for x in _TURNS if abs(math.log(x) - best) < _NEAR_UNIT)
+        yield _scaled("position unit", now, turning, q=next(named, math.exp(best)))
+
+
+def _zeros(judge: Judge, now: Hypothesis) -> Iterator[Move]:
+    joints = sorted({*judge.live(now)} & {*_turning(judge)}) if _badly(judge, now) else []
+    for k, angle in itertools.product(joints, ZEROS):
+        offsets = [angle * (j == k) for j in range(judge.robot.n)]
+        yield Move("zero", (k,), now, Map.of(judge.robot.n, offsets=offsets))
+
+
+def _sign(kind: str, check: str, words: str, q: float | None, tau: float | None) -> TorqueFault:
+    moves = partial(_signs, kind=kind, q=q, tau=tau)
+    return TorqueFault(check, f"{words} the wrong sign in", moves, modelled=True, hides=True)
+
+
+def _order(kind: str, words: str, *, q: bool, tau: bool) -> TorqueFault:
+    moves = partial(_orders, kind=kind, q=q, tau=tau)
+    return TorqueFault("joint order", words, moves, modelled=True, hides=True)
+
+
+FAULTS = {
+    "torque sign": _sign("torque sign", "torque sign", "torque has", None, -1.0),
+    "position sign": _sign("position sign", "position sign", "position has", -1.0, None),
+    "joint sign": _sign("joint sign", "position sign", "position and torque have", -1.0, -1.0),
+    "joint order": _order("joint order", "joints numbered otherwise:", q=True, tau=True),
+    "torque order": _order("torque order", "torque columns exchanged among", q=False, tau=True),
+    "position order": _order(
+        "position order", "position columns exchanged among", q=True, tau=False
+    ),
+    "gravity": TorqueFault(None, "another direction of gravity", _gravities),
+    "gain": TorqueFault("gain of a joint", "torque of another size in", _gains),
+    "lag": TorqueFault(None, "torque late or early", _lags),
+    "position unit": TorqueFault(
+        "position unit, by torque", "positions in another unit, or on the motors' side, in", _units
+    ),
+    "zero": TorqueFault("zero of positions", "another zero in", _zeros),
+}
+"""By what their moves call themselves."""
 
 
 Group = frozenset[int]

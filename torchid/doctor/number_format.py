@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from torchid.doctor.case import Case
 from torchid.doctor.check import Check, judged
 from torchid.doctor.repair import PLACES, Signed
 from torchid.log.columns import PREFIXES
-from torchid.log.model import Log
 from torchid.robot.model import joint_list
 
 _SIGNS = {False: (2.0**7, 2.0**15, 2.0**31), True: (2.0**10, 2.0**15)}
@@ -17,9 +17,9 @@ _SMOOTHER = 0.5
 """Share of a column's largest step that is left once its numbers have their signs."""
 
 
-def check_number_format(log: Log) -> Check:
+def check_number_format(case: Case) -> Check:
     """Negative whole numbers that were read without their sign."""
-    repairs = []
+    log, repairs = case.log, []
     for name, signal in log.signals.items():
         columns = [signal[:, k].numpy() for k in range(log.n)]
         read = next((r for x in columns if (r := _read_unsigned(x, name in PLACES))), None)

@@ -1,8 +1,8 @@
 """Repairs: what turns a log with a fault into one without, as data. A log is never altered."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import torch
 
 from torchid.log.columns import PREFIXES
 from torchid.log.model import Log
-from torchid.typing import Float, Tensor
+from torchid.typing import Tensor
 
 MOTION = ("q", "dq", "ddq", "ql", "u")
 PLACES = ("q", "ql", "u")
@@ -33,13 +33,6 @@ def repaired(log: Log, repairs: Iterable[Repair]) -> Log:
     for repair in repairs:
         log = repair.apply(log)
     return log
-
-
-def of_signals(repair: Repair, signals: Collection[str]) -> Repair:
-    """The repair of those signals only that a log has."""
-    if not isinstance(repair, Scale | Shift | Reorder):
-        return repair
-    return replace(repair, signals=tuple(s for s in repair.signals if s in signals))
 
 
 @dataclass(frozen=True)
@@ -100,83 +93,111 @@ class Bridge(Repair):
 
 
 @dataclass(frozen=True)
-class Scale(Repair):
-    """Joint columns multiplied by factors, one a joint.
+class Map:
+    """What joint columns become: column k is `factors[k]` times column `order[k]`, plus
+    `offsets[k]` [rad or m]; joints from 0."""
 
-    Attributes:
-        signals: among those of a Log; absent ones are passed over.
-        factors: (n,), 1 where nothing changes.
-    """
-
-    signals: tuple[str, ...]
+    order: tuple[int, ...]
     factors: tuple[float, ...]
-
-    def apply(self, log: Log) -> Log:
-        """With the columns multiplied."""
-        factors = torch.tensor(self.factors, dtype=torch.float64)
-        return _changed(log, self.signals, lambda x: x * factors)
-
-    def __str__(self) -> str:
-        changed = [(k + 1, f) for k, f in enumerate(self.factors) if f != 1.0]
-        same = len({f for _, f in changed}) == 1 and len(changed) == len(self.factors) > 1
-        names = [PREFIXES[s] for s in self.signals]
-        if same:
-            factor = _factor(changed[0][1])
-            return ", ".join(f"{x} = {factor}{x} in all joints" for x in names)
-        return ", ".join(f"{x}{k} = {_factor(f)}{x}{k}" for x in names for k, f in changed)
-
-
-@dataclass(frozen=True)
-class Shift(Repair):
-    """Offsets added to joint columns, one a joint.
-
-    Attributes:
-        signals: among those of a Log; absent ones are passed over.
-        offsets: (n,) in the unit that the columns have then [rad or m], 0 where nothing changes.
-    """
-
-    signals: tuple[str, ...]
     offsets: tuple[float, ...]
 
-    def apply(self, log: Log) -> Log:
-        """With the columns moved."""
-        offsets = torch.tensor(self.offsets, dtype=torch.float64)
-        return _changed(log, self.signals, lambda x: x + offsets)
+    @classmethod
+    def of(
+        cls,
+        n: int,
+        *,
+        order: Iterable[int] | None = None,
+        factors: Iterable[float] | None = None,
+        offsets: Iterable[float] | None = None,
+    ) -> "Map":
+        """Of n columns; what is not given changes nothing."""
+        return cls(
+            tuple(range(n) if order is None else order),
+            (1.0,) * n if factors is None else tuple(factors),
+            (0.0,) * n if offsets is None else tuple(offsets),
+        )
 
-    def __str__(self) -> str:
-        names = [PREFIXES[s] for s in self.signals]
-        if len(set(self.offsets)) == 1 < len(self.offsets):
-            return ", ".join(f"{x} = {x} {self.offsets[0]:+.6g} in all joints" for x in names)
-        changed = [(k + 1, o) for k, o in enumerate(self.offsets) if o]
-        return ", ".join(f"{x}{k} = {x}{k} {o:+.6g}" for x in names for k, o in changed)
+    def then(self, after: "Map") -> "Map":
+        """This one, and another one of what it makes."""
+        steps = list(zip(after.order, after.factors, after.offsets, strict=True))
+        return Map(
+            tuple(self.order[j] for j, _, _ in steps),
+            tuple(f * self.factors[j] for j, f, _ in steps),
+            tuple(f * self.offsets[j] + x for j, f, x in steps),
+        )
+
+    @property
+    def shifts_only(self) -> bool:
+        """Whether order and factors stay as they are."""
+        return self.order == tuple(range(len(self.order))) and set(self.factors) == {1.0}
 
 
 @dataclass(frozen=True)
-class Reorder(Repair):
-    """Joint columns in another order.
+class Columns(Repair):
+    """Joint columns of some signals mapped; offsets are those of positions alone.
 
     Attributes:
         signals: among those of a Log; absent ones are passed over.
-        order: (n,) column k of the repaired log is column order[k] of this one, from 0.
+        map: what their columns become.
     """
 
     signals: tuple[str, ...]
-    order: tuple[int, ...]
+    map: Map
+
+    def mapped(self, signals: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Signals (T, n) with their columns mapped."""
+        order = list(self.map.order)
+        factors, offsets = (
+            torch.tensor(x, dtype=torch.float64) for x in (self.map.factors, self.map.offsets)
+        )
+        made = dict(signals)
+        for name in set(self.signals) & set(signals):
+            made[name] = signals[name][:, order] * factors
+            if name in PLACES:
+                made[name] += offsets
+        return made
 
     def apply(self, log: Log) -> Log:
-        """With the columns moved."""
-        order = list(self.order)
-        return _changed(log, self.signals, lambda x: x[:, order])
+        """With the columns mapped."""
+        return log.replace(**self.mapped(log.signals))
 
     def __str__(self) -> str:
-        return "; ".join(
-            ", ".join(
-                f"{PREFIXES[s]}{k + 1} = {PREFIXES[s]}{j + 1}"
-                for k, j in enumerate(self.order)
-                if k != j
-            )
-            for s in self.signals
-        )
+        names = [PREFIXES[s] for s in self.signals]
+        places = [PREFIXES[s] for s in self.signals if s in PLACES]
+        moved = [(k + 1, j + 1) for k, j in enumerate(self.map.order) if k != j]
+        texts = [", ".join(f"{x}{k} = {x}{j}" for k, j in moved) for x in names] if moved else []
+        texts.append(_changes(names, self.map.factors, 1.0, _factor))
+        texts.append(_changes(places, self.map.offsets, 0.0, lambda x, o: f"{x} {o:+.6g}"))
+        return "; ".join(filter(None, texts))
+
+
+def _changes(
+    names: Sequence[str], values: Sequence[float], none: float, made: Callable[[str, float], str]
+) -> str:
+    """What every column of some signals becomes by its value, in few words."""
+    changed, end = [(str(k + 1), v) for k, v in enumerate(values) if v != none], ""
+    if len(changed) == len(values) > 1 == len(set(values)):
+        changed, end = [("", values[0])], " in all joints"
+    return ", ".join(f"{x}{k} = {made(x + k, v)}{end}" for x in names for k, v in changed)
+
+
+def _factor(name: str, value: float) -> str:
+    return f"-{name}" if value == -1.0 else f"{value:.6g} {name}"
+
+
+def scaled(signals: tuple[str, ...], factors: Sequence[float]) -> Columns:
+    """Joint columns multiplied by factors, one a joint."""
+    return Columns(signals, Map.of(len(factors), factors=factors))
+
+
+def shifted(signals: tuple[str, ...], offsets: Sequence[float]) -> Columns:
+    """Offsets [rad or m] added to columns of positions, one a joint."""
+    return Columns(signals, Map.of(len(offsets), offsets=offsets))
+
+
+def reordered(signals: tuple[str, ...], order: Sequence[int]) -> Columns:
+    """Column k is what was column order[k], from 0."""
+    return Columns(signals, Map.of(len(order), order=order))
 
 
 @dataclass(frozen=True)
@@ -191,19 +212,18 @@ class ShiftTorque(Repair):
 
     def apply(self, log: Log) -> Log:
         """With torque and position of the same instants."""
-        parts = [self._one(part) for part in log.trajectories()]
+        parts = []
+        for part in log.trajectories():
+            t = part.t.numpy()
+            wanted = t + self.seconds
+            moved: dict[str, Any] = {
+                name: np.stack([np.interp(wanted, t, column) for column in x.T.numpy()], 1)
+                for name, x in part.signals.items()
+                if name in TORQUE
+            }
+            inside = torch.from_numpy((wanted >= t[0]) & (wanted <= t[-1]))
+            parts.append(part.replace(**moved).select(inside))
         return Log.concatenate(parts).replace(source=log.source, warnings=log.warnings)
-
-    def _one(self, log: Log) -> Log:
-        t = log.t.numpy()
-        wanted = t + self.seconds
-        inside = torch.from_numpy((wanted >= t[0]) & (wanted <= t[-1]))
-
-        def moved(x: Tensor) -> Tensor:
-            columns = [np.interp(wanted, t, column) for column in x.T.numpy()]
-            return torch.from_numpy(np.stack(columns, 1))
-
-        return _changed(log, TORQUE, moved).select(inside)
 
     def __str__(self) -> str:
         return f"tau(t) = tau(t {'+' if self.seconds > 0 else '-'} {abs(self.seconds):.4g} s)"
@@ -387,12 +407,3 @@ class EvenTime(Repair):
 
     def __str__(self) -> str:
         return "t: even steps between the first and the last stamp of each trajectory"
-
-
-def _changed(log: Log, signals: Sequence[str], change: Callable[[Tensor], Tensor]) -> Log:
-    there: dict[str, Float[Tensor, "T n"]] = log.signals
-    return log.replace(**{s: change(there[s]) for s in signals if s in there})
-
-
-def _factor(value: float) -> str:
-    return "-" if value == -1.0 else f"{value:.6g} "

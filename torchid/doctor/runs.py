@@ -12,7 +12,7 @@ import numpy as np
 from torchid.doctor.check import Check, said
 from torchid.doctor.cone import Normal, fit, shares
 from torchid.doctor.hypothesis import FEWEST, Hypothesis, Judge
-from torchid.doctor.search import CLEAR
+from torchid.statistics.criteria import CLEAR_GAIN
 
 PIECES = 4
 """Parts of a run that are left out in turn,"""
@@ -57,7 +57,7 @@ def check_runs(judge: Judge, hypothesis: Hypothesis) -> list[Check]:
             wide, cone = _with_own(normal, judge.cone, mine, load)
             x = fit(wide, cone, plain.weights, plain.used).x
             gain = loss_of(normal, mine, plain.x) - loss_of(wide, mine, x)
-            looked += [(gain, names[run], mine, load)] if gain > CLEAR else []
+            looked += [(gain, names[run], mine, load)] if gain > CLEAR_GAIN else []
     for _, name, mine, load in sorted(looked, key=lambda x: -x[0])[:MOST_LOOKED]:
         if (found := _contradicts(judge, normal, name, mine, load)) is not None:
             return [found]
@@ -88,10 +88,10 @@ def _contradicts(
     loaded, values = _left_out(normal, judge.cone, mine, load)
     mass = np.abs(values[:, 0])
     gain = without - loaded
-    if mass.max() > STEADY * mass.min() or gain.min() <= 0 or gain.mean() < CLEAR:
+    if mass.max() > STEADY * mass.min() or gain.min() <= 0 or gain.mean() < CLEAR_GAIN:
         return None
     gain = _left_out(normal, judge.cone, mine, _Own(rubbing, both))[0] - loaded
-    if gain.min() <= 0 or gain.mean() < CLEAR:
+    if gain.min() <= 0 or gain.mean() < CLEAR_GAIN:
         return None
     left = 100 * np.exp((loaded - without).mean() / max(1, int((normal.spread > 0).sum())))
     words = {"word": "more" if values[0, 0] > 0 else "less", "mass": mass.mean(), "left": left}

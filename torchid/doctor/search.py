@@ -7,22 +7,11 @@ import numpy as np
 
 from torchid.doctor.hypothesis import Hypothesis, Judge, Score
 from torchid.doctor.moves import Group, Move, all_moves, alternatives, invisible_groups, joint_sign
+from torchid.statistics.criteria import AGREEING_BLOCKS, CLEAR_GAIN, TIED_GAIN, UNEXPLAINED
 
-CLEAR = 0.4
-"""A fault is found when mending it lowers the sum of the joints' log errors by this, held out: as
-if one joint's error fell by a third. On healthy logs, real ones and made ones with the friction of
-gears, no move was worth more than 0.15; those that mend a planted fault mostly 1 to 15,"""
-AGREE = 0.85
-"""... and in this share of the blocks of time."""
-TIE = 0.1
-"""Moves whose held-out losses differ by less cannot be told apart."""
-_LOOK = CLEAR + 0.1
+_LOOK = CLEAR_GAIN + 0.1
+"""Moves that are not worse by more with another fit's weights are fitted properly."""
 FINALISTS = 5
-EXPLAINED = 0.2
-"""Share of a torque's spread that bodies leave in no joint of a log, from which on it is worth an
-answer as it stands: a fault that is found there is a doubt."""
-UNEXPLAINED = 0.6
-"""Share of the torque's spread (median of the joints) that nothing about this robot explains."""
 MOST_FAULTS = 6
 
 
@@ -89,7 +78,7 @@ def search(judge: Judge, start: Hypothesis, fixes: Collection[str] = ()) -> Sear
     result = _greedy(judge, start, fixes)
     if any(f.move.kind == "zero" for f in result.found):
         plain = _greedy(judge, start, fixes, zeros=False)
-        if _loss(plain.held_out) < _loss(result.held_out) + CLEAR:
+        if _loss(plain.held_out) < _loss(result.held_out) + CLEAR_GAIN:
             return plain
     return result
 
@@ -138,33 +127,17 @@ def _turned_together(
     gain, last = sum(f.gain for f in turned), turned[-1]
     out = [Found(chosen, turned[0].before, last.after, gain, last.blocks, rivals)]
     # The others follow from there.
-    before = start
     for f in found:
         if f not in turned:
-            out.append(replace(f, move=_made_from(out[-1].move.after, before, f.move)))
-        before = f.move.after
+            out.append(replace(f, move=replace(f.move, before=out[-1].move.after)))
     return out
-
-
-def _made_from(base: Hypothesis, before: Hypothesis, move: Move) -> Move:
-    """A move that changes factors, gravity or lag, from another hypothesis than it was made."""
-
-    def changed(own: Sequence[float], was: Sequence[float], now: Sequence[float]) -> tuple:
-        return tuple(x * b / a for x, a, b in zip(own, was, now, strict=True))
-
-    after = replace(
-        move.after,
-        q_factor=changed(base.q_factor, before.q_factor, move.after.q_factor),
-        tau_factor=changed(base.tau_factor, before.tau_factor, move.after.tau_factor),
-    )
-    return replace(move, after=after)
 
 
 def _best(
     judge: Judge, held: np.ndarray, costs: Sequence[tuple[float, Move]], fixes: Collection[str]
 ) -> tuple[Found, np.ndarray] | None:
     # In sample too: held out alone, a short log punishes the freer of two hypotheses.
-    clear = [m for cost, m in costs if cost < -CLEAR]
+    clear = [m for cost, m in costs if cost < -CLEAR_GAIN]
     tried = []
     for m in clear[:FINALISTS]:
         errors = judge.held_out(m.after)
@@ -176,12 +149,12 @@ def _best(
     # Of those as good, the chosen one, or one that concerns fewest joints, and of these fewest
     # signals: a mirrored arm on the ceiling moves as one on the floor does, and nobody negates
     # every joint; one that is its own mirror image moves alike with q or with tau negated.
-    tied = [x for x in tried if x[0] < tried[0][0] + TIE]
-    tied.sort(key=lambda x: (x[1].name not in fixes, len(x[1].joints), x[1].signals))
+    tied = [x for x in tried if x[0] < tried[0][0] + TIED_GAIN]
+    tied.sort(key=lambda x: (x[1].name not in fixes, len(x[1].joints), x[1].changes))
     loss, move, errors, gains = tied[0]
     gain = _loss(held) - loss
     agreeing, judged = int((gains > 0).sum()), int(np.isfinite(held).any(1).sum())
-    if gain < CLEAR or agreeing < AGREE * judged:
+    if gain < CLEAR_GAIN or agreeing < AGREEING_BLOCKS * judged:
         return None
     rivals = tuple({m.name: m for _, m, _, _ in tied if m.name != move.name}.values())
     before, after = rms(held), rms(errors)

@@ -12,16 +12,14 @@ from scipy.optimize import nnls
 from torchid.doctor.check import Check, Choice, Verdict, judged, said, with_choices
 from torchid.doctor.cone import reach_of, shares
 from torchid.doctor.hypothesis import Hypothesis, Judge
-from torchid.doctor.repair import Scale
-from torchid.doctor.search import CLEAR
+from torchid.doctor.repair import scaled
 from torchid.log.model import Log
 from torchid.robot.model import JointType
+from torchid.statistics.criteria import CAD_SIZE, CLEAR_GAIN, ODD_SIZE, OTHER_UNIT
 from torchid.statistics.jackknife import fit_statistics
 
-WRONG, ODD = 5.0, 2.2
-"""Factors beyond which a torque is in another unit, or odd; CAD models err by up to"""
-CAD = 1.7
-BEYOND_LIMIT, BELOW_LIMIT = 5.0, 5e-3
+BELOW_LIMIT = 5e-3
+"""Share of its limit that an arm's largest torque is at least."""
 DENSITY = (0.03, 250.0)
 """Mass that the largest torque holds at arm's length, over the cube of the reach [kg/m^3]: 1 to 60
 on arms from a desk to a foundry, a thousand times that in N mm."""
@@ -148,25 +146,25 @@ def _against_nominal(judge: Judge, hypothesis: Hypothesis) -> Check | None:
         interval=interval, text=text,
     )  # fmt: skip
     off = abs(math.log(overall))
-    if off < math.log(ODD):
+    if off < math.log(ODD_SIZE):
         return base
     # Friction, a spring or a payload that the model lacks makes a median of any size, and no unit.
-    if nominal_loss(judge, hypothesis, overall) > nominal_loss(judge, hypothesis, 1.0) - CLEAR:
+    if nominal_loss(judge, hypothesis, overall) > nominal_loss(judge, hypothesis, 1.0) - CLEAR_GAIN:
         text += ", and the nominal torque of that size explains no more than the nominal one"
         return replace(base, verdict="cannot tell", evidence=text)
-    verdict: Verdict = "wrong" if off > math.log(WRONG) else "doubtful"
+    verdict: Verdict = "wrong" if off > math.log(OTHER_UNIT) else "doubtful"
     for factor, name in _UNITS:
-        if abs(math.log(overall / factor)) < math.log(CAD):
-            repair = Scale(("tau",), (1.0 / factor,) * judge.robot.n)
+        if abs(math.log(overall / factor)) < math.log(CAD_SIZE):
+            repair = scaled(("tau",), (1.0 / factor,) * judge.robot.n)
             named = replace(base, verdict=verdict, evidence=f"{text}: {name}")
             return named.mended_by(repair)
-    single = len(set(hypothesis.tau_factor)) > 2
+    single = len(set(hypothesis.tau.factors)) > 2
     text += (
         ": of each joint another size: motors' torque before their gears, or currents"
         if single
         else ": a gain, a gear ratio, or another robot's parameters"
     )
-    own = ",".join(f"{f / overall:.4g}" for f in hypothesis.tau_factor)
+    own = ",".join(f"{f / overall:.4g}" for f in hypothesis.tau.factors)
     fix = f'{_CHECK_GAINS}; together they are about `columns="tau=tau{{j}} *[{own}]"`'
     return replace(base, verdict=verdict, evidence=text, fix=fix)
 
@@ -179,7 +177,7 @@ def _against_limits(judge: Judge, log: Log, fixes: Collection[str]) -> Check | N
     share = float((log.tau.abs().amax(0) / limits.abs().amax(-1).clamp(min=1e-9)).max())
     text = f"the largest torque is {share:.3g} times its limit"
     plausible = (BELOW_LIMIT, MOST_OF_LIMIT)
-    return _by_size(judge, text, share, plausible, fixes, largest=BEYOND_LIMIT)
+    return _by_size(judge, text, share, plausible, fixes, largest=OTHER_UNIT)
 
 
 def _plain_sense(judge: Judge, log: Log, hypothesis: Hypothesis, fixes: Collection[str]) -> Check:
@@ -216,7 +214,7 @@ def _by_size(
     if size > largest:
         check = judged("torque unit", "wrong", f"{text}: N mm, N cm or mA?", estimate=size)
         choices = [
-            Choice.by(name, Scale(("tau",), (1.0 / factor,) * judge.robot.n))
+            Choice.by(name, scaled(("tau",), (1.0 / factor,) * judge.robot.n))
             for name, factor in _SMALL_UNITS.items()
             if plausible[0] < size / factor < plausible[1]
         ]
@@ -242,10 +240,10 @@ def check_nominal(judge: Judge, log: Log, hypothesis: Hypothesis) -> list[Check]
     odd = [
         k
         for k, joint in enumerate(slopes.joints)
-        if (low[k] > WRONG or 0 < high[k] < 1.0 / WRONG)
+        if (low[k] > OTHER_UNIT or 0 < high[k] < 1.0 / OTHER_UNIT)
         # The other joints' torques would fit this one's at another size as well.
         and judge.score(hypothesis.scaled((joint,), tau=1.0 / slopes.value[k])).loss
-        < judge.score(hypothesis).loss + CLEAR
+        < judge.score(hypothesis).loss + CLEAR_GAIN
     ]
     if not odd:
         return []

@@ -1,11 +1,12 @@
 """Torque columns by themselves: are they there, clipped, or coarse?"""
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from torchid.doctor.case import Case
 from torchid.doctor.check import Check, said
 from torchid.log.checks import NO_TORQUE
-from torchid.log.model import Log
-from torchid.typing import Float, Tensor
 
 PILE = 0.004
 """Share of the samples that may lie exactly at the largest torque."""
@@ -27,36 +28,28 @@ STRAIGHT = 0.4
 twice as many were made of a log."""
 
 
-def torque_or_current(log: Log) -> Float[Tensor, "T n"] | None:
-    """What a log has of the torque: itself, else the currents."""
-    return log.tau if log.tau is not None else log.current
-
-
-def check_torque(log: Log) -> Check:
+def check_torque(case: Case) -> Check:
     """Columns of torque that are missing, zero or constant."""
-    signal = torque_or_current(log)
-    if signal is None and log.u is not None:
-        return said("torque columns", "cannot tell")
+    signal, n = case.torque, case.log.n
     if signal is None:
-        return said("torque columns", "wrong")
-    dead = tuple(k for k in range(log.n) if float(np.ptp(signal[:, k].numpy())) < NO_TORQUE)
+        return said("torque columns", "wrong" if case.log.u is None else "cannot tell")
+    dead = (signal.amax(0) - signal.amin(0) < NO_TORQUE).nonzero().flatten().tolist()
     if dead:
-        verdict = "wrong dead" if len(dead) == log.n else "doubtful dead"
-        values = ", ".join(f"{float(signal[0, k]):.4g}" for k in dead)
+        verdict = "wrong dead" if len(dead) == n else "doubtful dead"
+        values = ", ".join(f"{x:.4g}" for x in signal[0, dead].tolist())
         return said("torque columns", verdict, joints=dead, values=values)
-    kind = "torque" if log.tau is not None else "current"
-    return said("torque columns", "fine", kind=kind, n=log.n)
+    kind = "torque" if case.log.tau is not None else "current"
+    return said("torque columns", "fine", kind=kind, n=n)
 
 
-def check_saturation(log: Log) -> Check:
+def check_saturation(case: Case) -> Sequence[Check]:
     """Torque clipped at a level: many samples, in runs, exactly at the largest value."""
-    signal = torque_or_current(log)
-    assert signal is not None
+    if case.torque is None:
+        return ()
     joints, levels, evidence = [], [], []
-    for k in range(log.n):
+    for k, x in enumerate(case.torque.T.numpy()):
         for sign, word in ((1.0, "largest"), (-1.0, "smallest")):
-            x = sign * signal[:, k].numpy()
-            share, level = _pile(x)
+            share, level = _pile(sign * x)
             if share > PILE:
                 joints.append(k)
                 levels.append(float(sign * level))
@@ -65,9 +58,9 @@ def check_saturation(log: Log) -> Check:
                     f"{sign * level:.4g}"
                 )
     if not joints:
-        return said("saturation", "fine")
+        return [said("saturation", "fine")]
     text = "; ".join(evidence[:4])
-    return said("saturation", "wrong", joints=joints, estimate=tuple(levels), text=text)
+    return [said("saturation", "wrong", joints=joints, estimate=tuple(levels), text=text)]
 
 
 def _pile(x: np.ndarray) -> tuple[float, float]:
@@ -114,42 +107,36 @@ def _resolution(x: np.ndarray) -> float:
     return float(np.median(np.diff(values))) if len(values) > 1 else 0.0
 
 
-def check_resolution(log: Log) -> Check:
+def check_resolution(case: Case) -> Sequence[Check]:
     """Torque in steps that are coarse against its variation."""
-    signal = torque_or_current(log)
-    assert signal is not None
-    shares = []
-    for k in range(log.n):
-        x = signal[:, k].numpy()
-        spread = float(x.std())
-        # A third of the samples has that many values, if all have.
-        few = all(len(np.unique(part)) < 0.2 * len(x) for part in (x[: len(x) // 3], x))
-        shares.append(_resolution(x) / spread if spread > 0 and few else 0.0)
+    if case.torque is None:
+        return ()
+    shares = [_coarseness(x) for x in case.torque.T.numpy()]
     coarse = tuple(k for k, share in enumerate(shares) if share > COARSE)
     if not coarse:
-        return said("resolution", "fine", most=100 * max(shares))
+        return [said("resolution", "fine", most=100 * max(shares))]
     steps = ", ".join(f"{100 * shares[k]:.0f} % of its spread (joint {k + 1})" for k in coarse)
     own = tuple(shares[k] for k in coarse)
-    return said("resolution", "doubtful", joints=coarse, estimate=own, steps=steps)
+    return [said("resolution", "doubtful", joints=coarse, estimate=own, steps=steps)]
 
 
-def check_content(log: Log) -> Check:
+def _coarseness(x: np.ndarray) -> float:
+    """Steps over the spread of a column that has few values: a third of its samples has as many,
+    if all have."""
+    few = all(len(np.unique(part)) < 0.2 * len(x) for part in (x[: len(x) // 3], x))
+    return _resolution(x) / float(x.std()) if few and x.std() > 0 else 0.0
+
+
+def check_content(case: Case) -> Sequence[Check]:
     """Torque that was filtered or resampled: without noise at high frequency, or on straight lines
     between every few samples."""
-    signal = torque_or_current(log)
-    assert signal is not None
-    rows = max(log.slices(), key=lambda r: r.stop - r.start)
-    rate, x = 1 / float(log.t[rows].diff().median()), signal[rows].numpy()
+    if case.torque is None:
+        return ()
+    rows = max(case.log.slices(), key=lambda r: r.stop - r.start)
+    rate, x = 1 / float(case.log.t[rows].diff().median()), case.torque[rows].numpy()
     x = x[:, np.ptp(x, 0) > 0]
     if len(x) < FEWEST or not x.shape[1]:
-        return said("content", "cannot tell", fewest=FEWEST)
-    # Density of the steps, whose own gain is taken out: where it is that of the sensor's noise.
-    frequency, power = _density(np.diff(x, axis=0), rate)
-    power = power / (2 * np.sin(np.pi * frequency / rate).clip(1e-6))[:, None] ** 2
-    top = np.median(power[frequency > 0.8 * frequency[-1]], 0)
-    noise = np.sqrt(top * rate / 2) / x.std(0).clip(1e-300)
-    held = (power.cumsum(0) / power.sum(0).clip(1e-300)).min(1)
-    ends = float(frequency[:-1][held[:-1] < 1 - SENSED**2].max(initial=0.0))
+        return [said("content", "cannot tell", fewest=FEWEST)]
     bends, steps = np.abs(np.diff(x, 2, axis=0)), np.abs(np.diff(x, axis=0))[1:]
     straight, share = bends < 1e-6 * steps, 0.0
     if straight.any():
@@ -158,10 +145,17 @@ def check_content(log: Log) -> Check:
         straight = straight[steps > 20 * coarse]
         share = float(straight.mean()) if len(straight) else 0.0
     if share >= STRAIGHT:
-        return said("content", "doubtful straight", estimate=share, percent=100 * share)
+        return [said("content", "doubtful straight", estimate=share, percent=100 * share)]
+    # Density of the steps, whose own gain is taken out: where it is that of the sensor's noise.
+    frequency, power = _density(np.diff(x, axis=0), rate)
+    power = power / (2 * np.sin(np.pi * frequency / rate).clip(1e-6))[:, None] ** 2
+    top = np.median(power[frequency > 0.8 * frequency[-1]], 0)
+    noise = np.sqrt(top * rate / 2) / x.std(0).clip(1e-300)
     if float(noise.max()) > SENSED:
-        return said("content", "fine", least=100 * float(noise.min()))
-    return said("content", "doubtful", estimate=ends, ends=ends, nyquist=rate / 2)
+        return [said("content", "fine", least=100 * float(noise.min()))]
+    held = (power.cumsum(0) / power.sum(0).clip(1e-300)).min(1)
+    ends = float(frequency[:-1][held[:-1] < 1 - SENSED**2].max(initial=0.0))
+    return [said("content", "doubtful", estimate=ends, ends=ends, nyquist=rate / 2)]
 
 
 def _density(x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:

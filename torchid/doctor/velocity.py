@@ -1,14 +1,22 @@
 """Is dq the derivative of q: of this joint, with this sign, size and timing?"""
 
 import math
-from collections.abc import Collection
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 
+from torchid.doctor.case import Case
 from torchid.doctor.check import Check, Choice, judged, said, with_choices
-from torchid.doctor.repair import Differentiate, DropSignal, Reorder, Repair, Scale, ScaleTime
+from torchid.doctor.repair import (
+    Differentiate,
+    DropSignal,
+    Repair,
+    ScaleTime,
+    reordered,
+    scaled,
+)
 from torchid.log.checks import (
     FOLLOWS,
     MOVING,
@@ -21,142 +29,131 @@ from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import resample
 from torchid.robot.model import joint_list
+from torchid.statistics.criteria import LATE_VELOCITY_S
 
-LATE_S = 0.015
-"""Lag of dq behind the derivative of q that is worth mending [s], and"""
 LATE_SHARE = 0.05
-"""... the share of dq that it, or anything else, makes wrong."""
+"""Share of dq that a lag makes wrong from which on it is worth mending, and"""
+OTHER_SHARE = 0.3
+"""... that anything else does."""
 _CLOSE = 0.9
 """Correlation of q with the integral of another joint's dq from which the two are taken for one."""
 _BAND_HZ = 10.0
 
 
-def check_velocity(log: Log, fixes: Collection[str] = (), *, counts: bool = False) -> Check:
-    """Is dq the derivative of q: of this joint, with this sign, size and timing?
-
-    Args:
-        log: with positions in rad or m, or in unknown counts.
-        fixes: names of the choices to take.
-        counts: whether they are counts: then no ratio says anything of the clock, nor of dq.
-    """
+def check_velocity(case: Case) -> Check:
+    """Is dq the derivative of q: of this joint, with this sign, size and timing?"""
+    log = case.log
     if log.dq is None:
         return judged("velocity", "fine", "no dq in the log: the derivative of q is used")
-    repairs: list[Repair] = []
-    said: list[str] = []
-    joints: list[int] = dead_velocities(log)
-    if joints:
-        said += [f"dq{k + 1} is {float(log.dq[0, k]):.3g} in every row: dead" for k in joints]
-        repairs.append(Differentiate(tuple(joints)))
-        log = repairs[-1].apply(log)
-    log = _reorder(log, repairs, said, joints)
-    factors = _velocity_factors(log, said, joints)
-    if counts:
+    if case.counts:
         text = "positions are in counts or another unit that is not known"
         return judged("velocity", "cannot tell", text)
+    # What is wrong, in which joints, and what mends it; each of the log as mended before.
+    words: list[str] = []
+    repairs: list[Repair] = []
+    joints: list[int] = dead_velocities(log)
+    if joints:
+        words += [f"dq{k + 1} is {float(log.dq[0, k]):.3g} in every row: dead" for k in joints]
+        repairs.append(Differentiate(tuple(joints)))
+        log = repairs[-1].apply(log)
+    order, exchanged = _exchanged(log)
+    if exchanged:
+        words += exchanged.values()
+        joints += exchanged
+        repairs.append(reordered(("dq",), order))
+        log = repairs[-1].apply(log)
+    factors, scales = _velocity_factors(log)
     if isinstance(factors, float):
-        return with_choices(*_wrong_rate(factors, log.n), fixes)
-    if any(f != 1.0 for f in factors):
-        repairs.append(Scale(("dq",), tuple(factors)))
+        return with_choices(*_wrong_rate(factors, log.n), case.fixes)
+    words += scales.values()
+    joints += scales
+    if set(factors) != {1.0}:
+        repairs.append(scaled(("dq",), factors))
         log = repairs[-1].apply(log)
     lag, share, worst = velocity_lag(log)
-    text = f"dq follows the derivative of q within {100 * share:.2g} %, lag {1e3 * lag:.2g} ms"
-    unusable = share > LATE_SHARE and abs(lag) > LATE_S
-    if unusable:
-        word = "lags behind" if lag > 0 else "leads"
-        said.append(
-            f"dq {word} the derivative of q by {1e3 * abs(lag):.3g} ms, which makes it wrong by "
-            f"{100 * share:.2g} % (filtered, or from another clock)"
+    late = share > LATE_SHARE and abs(lag) > LATE_VELOCITY_S
+    if late:
+        words.append(
+            f"dq {'lags behind' if lag > 0 else 'leads'} the derivative of q by "
+            f"{1e3 * abs(lag):.3g} ms, which makes it wrong by {100 * share:.2g} % (filtered, or "
+            "from another clock)"
         )
-        repairs.append(DropSignal("dq"))
         joints = joints or list(worst)
-    elif share > 0.3:
-        said.append(
+    elif share > OTHER_SHARE:
+        words.append(
             f"dq differs from the derivative of q by {100 * share:.3g} % in {joint_list(worst)}"
         )
-        repairs.append(DropSignal("dq"))
         joints = sorted({*joints, *worst})
-    if not said:
+    if not words:
+        text = f"dq follows the derivative of q within {100 * share:.2g} %, lag {1e3 * lag:.2g} ms"
         return judged("velocity", "fine", text, estimate=lag, unit="s")
+    if late or share > OTHER_SHARE:
+        repairs.append(DropSignal("dq"))
     # dq over the derivative of q in these joints, if that is what is wrong.
-    scaled = any(factors[k] != 1.0 for k in joints)
-    ratios = tuple(1.0 / factors[k] for k in joints) if scaled else None
+    odd = any(factors[k] != 1.0 for k in joints)
+    ratios = tuple(1.0 / factors[k] for k in joints) if odd else None
+    sure = joints and not (len(words) == 1 and share > LATE_SHARE)
     return judged(
         "velocity",
-        "wrong" if joints and not (len(said) == 1 and share > LATE_SHARE) else "doubtful",
-        "; ".join(said),
+        "wrong" if sure else "doubtful",
+        "; ".join(words),
         joints=tuple(joints),
-        estimate=lag if unusable else ratios,
-        unit="s" if unusable else "ratio",
+        estimate=lag if late else ratios,
+        unit="s" if late else "ratio",
     ).mended_by(*repairs)
 
 
-def _reorder(log: Log, repairs: list[Repair], said: list[str], joints: list[int]) -> Log:
-    """Velocity columns back to the positions whose derivative they are."""
-    # Correlation of each position with the integral of each velocity (n, n).
+def _exchanged(log: Log) -> tuple[tuple[int, ...], dict[int, str]]:
+    """The order in which velocity columns are those of the positions, and in words of which joints
+    they are exchanged."""
     assert log.dq is not None
     moved, positions = [], []
-    for part in log.trajectories():
-        assert part.dq is not None
-        area = torch.zeros_like(part.q)
-        area[1:] = torch.cumulative_trapezoid(part.dq, part.t[:, None], dim=0)
+    for rows in log.slices():
+        q, area = log.q[rows], torch.zeros_like(log.q[rows])
+        area[1:] = torch.cumulative_trapezoid(log.dq[rows], log.t[rows, None], dim=0)
         moved.append(area - area.mean(0))
-        positions.append(part.q - part.q.mean(0))
-    a, q = torch.cat(moved), torch.cat(positions)
-    extent = log.q.amax(0) - log.q.amin(0)
-    a, q = a / a.norm(dim=0).clamp(min=1e-300), q / q.norm(dim=0).clamp(min=1e-300)
+        positions.append(q - q.mean(0))
+    # Correlation of each position with the integral of each velocity (n, n).
+    a, q = (x / x.norm(dim=0).clamp(min=1e-300) for x in map(torch.cat, (moved, positions)))
     matrix = q.T @ a
-    usable = torch.where(extent[:, None] < MOVING, 0.0, matrix.abs())
-    order = linear_sum_assignment(-usable.numpy())[1].tolist()
-    wrong = [
-        k
-        for k, j in enumerate(order)
-        if j != k and float(usable[k, j]) > max(_CLOSE, float(usable[k, k]) + 0.1)
-    ]
+    extent = log.q.amax(0) - log.q.amin(0)
+    alike = torch.where(extent[:, None] < MOVING, 0.0, matrix.abs())
+    best = linear_sum_assignment(-alike.numpy())[1].tolist()
+    wrong = {
+        k: f"dq{j + 1} is the derivative of q{k + 1} (correlation {alike[k, j]:.3f}; of dq{k + 1}: "
+        f"{float(matrix[k, k]):.2f})"
+        for k, j in enumerate(best)
+        if j != k and float(alike[k, j]) > max(_CLOSE, float(alike[k, k]) + 0.1)
+    }
     # Only a permutation of the joints that are clearly exchanged among themselves.
-    if not wrong or sorted(wrong) != sorted(order[k] for k in wrong):
-        return log
-    full = tuple(order[k] if k in wrong else k for k in range(log.n))
-    said += [
-        f"dq{order[k] + 1} is the derivative of q{k + 1} (correlation {usable[k, order[k]]:.3f}; "
-        f"of dq{k + 1}: {float(matrix[k, k]):.2f})"
-        for k in wrong
+    if sorted(wrong) != sorted(best[k] for k in wrong):
+        return tuple(range(log.n)), {}
+    return tuple(best[k] if k in wrong else k for k in range(log.n)), wrong
+
+
+def _velocity_factors(log: Log) -> tuple[list[float] | float, dict[int, str]]:
+    """What dq must be multiplied by, a joint, and in words of which joints; one number where the
+    clock may be wrong instead."""
+    records, factors = velocity_agreement(log), [1.0] * log.n
+    odd = [
+        a
+        for a in records
+        if abs(a.correlation) >= FOLLOWS and (a.correlation < 0 or not 0.8 < a.ratio < 1.25)
     ]
-    joints += wrong
-    repairs.append(Reorder(("dq",), full))
-    return repairs[-1].apply(log)
-
-
-def _velocity_factors(log: Log, said: list[str], joints: list[int]) -> list[float] | float:
-    """What dq must be multiplied by, a joint; one number where the clock is wrong instead."""
-    records = velocity_agreement(log)
-    factors = [1.0] * log.n
-    odd = []
-    for a in records:
-        if abs(a.correlation) < FOLLOWS:
-            continue
-        sign = -1.0 if a.correlation < 0 else 1.0
-        scaled = not 0.8 < a.ratio < 1.25
-        if sign < 0 or scaled:
-            odd.append(a)
-            factors[a.joint] = sign / named_ratio(a.ratio)[0] if scaled else sign
-    if not odd:
-        return factors
-    ratios = [a.ratio for a in odd]
-    alike = len(odd) == len(records) and max(ratios) < 1.05 * min(ratios)
-    if alike and named_ratio(ratios[0])[1] is None and all(a.correlation > 0 for a in odd):
-        return float(np.median(ratios))
+    words = {}
     for a in odd:
-        _ratio, name = named_ratio(a.ratio)
-        minus = "-" if a.correlation < 0 else ""
-        unit = f", {name}" if name else ""
-        said.append(f"dq{a.joint + 1} is {minus}{a.ratio:.4g} times the derivative{unit}")
-        joints.append(a.joint)
-    # Joints that stand still share the unit of all the others.
-    if alike:
-        rest = set(range(log.n)) - {a.joint for a in odd}
-        for k in rest:
+        (ratio, name), sign = named_ratio(a.ratio), math.copysign(1.0, a.correlation)
+        factors[a.joint] = sign if 0.8 < a.ratio < 1.25 else sign / ratio
+        unit, minus = f", {name}" if name else "", "-" if sign < 0 else ""
+        words[a.joint] = f"dq{a.joint + 1} is {minus}{a.ratio:.4g} times the derivative{unit}"
+    ratios = [a.ratio for a in odd]
+    if odd and len(odd) == len(records) and max(ratios) < 1.05 * min(ratios):
+        if named_ratio(ratios[0])[1] is None and all(a.correlation > 0 for a in odd):
+            return float(np.median(ratios)), {}
+        # Joints that stand still share the unit of all the others.
+        for k in set(range(log.n)) - set(words):
             factors[k] = abs(factors[odd[0].joint])
-    return factors
+    return factors, words
 
 
 def _wrong_rate(ratio: float, n: int) -> tuple[Check, list[Choice]]:
@@ -165,7 +162,7 @@ def _wrong_rate(ratio: float, n: int) -> tuple[Check, list[Choice]]:
     ratio = plain if abs(ratio / plain - 1.0) < 5e-3 else ratio
     choices = [
         Choice.by("time scale", ScaleTime(1.0 / ratio)),
-        Choice.by("velocity scale", Scale(("dq",), (1.0 / ratio,) * n)),
+        Choice.by("velocity scale", scaled(("dq",), (1.0 / ratio,) * n)),
     ]
     return said("velocity", "wrong rate", estimate=ratio, ratio=ratio), choices
 
@@ -174,7 +171,6 @@ def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
     """Lag [s] of dq behind the derivative of q (the median over joints), the largest share of a
     moving joint's dq that is wrong, and the joints in which it is at least half as large."""
     even = resample(log)
-    assert even.dq is not None
     sums = []
     for part, rate in zip(even.trajectories(), even.rates, strict=True):
         assert part.dq is not None
@@ -206,56 +202,58 @@ MOVES = 0.02
 """A command that varies by less moves nothing [rad or m]."""
 
 
-def check_commands(log: Log) -> Check:
+def check_commands(case: Case) -> Sequence[Check]:
     """Lag of every joint behind its command, and how much of the command it makes."""
-    assert log.u is not None
+    log = case.log
+    if log.u is None:
+        return ()
     step = float(torch.cat([log.t[rows].diff() for rows in log.slices()]).median())
-    joints = [k for k in range(log.n) if float(log.u[:, k].max() - log.u[:, k].min()) > MOVES]
+    joints = (log.u.amax(0) - log.u.amin(0) > MOVES).nonzero().flatten().tolist()
     if not joints or not step > 0:
-        return judged("commands", "cannot tell", "no command moves a joint")
-    lags, gains = zip(*(_follow(log, k, step) for k in joints), strict=True)
-    late = ", ".join(
-        f"joint {k + 1} {1e3 * lag:.0f} ms" for k, lag in zip(joints, lags, strict=True)
-    )
-    odd = [k for k, g in zip(joints, gains, strict=True) if abs(g - 1) > EVEN]
+        return [judged("commands", "cannot tell", "no command moves a joint")]
+    follow = {k: _follow(log, log.u[:, k].numpy(), k, step) for k in joints}
+    late = ", ".join(f"joint {k + 1} {1e3 * lag:.0f} ms" for k, (lag, _) in follow.items())
+    odd = {k: gain for k, (_, gain) in follow.items() if abs(gain - 1) > EVEN}
     evidence = f"positions follow the commands late by {late}"
     if odd:
-        shares = ", ".join(f"{g:.2f}" for k, g in zip(joints, gains, strict=True) if k in odd)
+        shares = ", ".join(f"{gain:.2f}" for gain in odd.values())
         make = f"makes {shares} of its" if len(odd) == 1 else f"make {shares} of their"
-        evidence += f"; {joint_list(odd)} {make} command"
+        evidence += f"; {joint_list(list(odd))} {make} command"
+    lags = tuple(lag for lag, _ in follow.values())
     verdict = "doubtful" if odd else "fine"
-    return said("commands", verdict, joints=joints, estimate=lags, text=evidence)
+    return [said("commands", verdict, joints=joints, estimate=lags, text=evidence)]
 
 
-def _follow(log: Log, k: int, step: float) -> tuple[float, float]:
-    """The delay at which the command fits a joint best, and the slope there, within motions."""
+def _follow(log: Log, u: np.ndarray, k: int, step: float) -> tuple[float, float]:
+    """The delay at which the command (T,) fits joint k best, and the slope there, in motions."""
     best = math.inf, 0.0, 0.0
+    parts = [(u[rows], log.q[rows, k].numpy()) for rows in log.slices()]
     for shift in range(round(LATEST_S / step) + 1):
-        us, qs = [], []
-        for rows in log.slices():
-            u, q = log.u[rows, k].numpy(), log.q[rows, k].numpy()  # type: ignore[index]
-            if len(u) > shift + 1:
-                us.append(u[: len(u) - shift] - u.mean())
-                qs.append(q[shift:] - q.mean())
-        u, q = np.concatenate(us), np.concatenate(qs)
-        slope = float(u @ q) / max(float(u @ u), 1e-300)
-        left = float(np.square(q - slope * u).mean())
+        long = [(x - x.mean(), q - q.mean()) for x, q in parts if len(x) > shift + 1]
+        us = np.concatenate([x[: len(x) - shift] for x, _ in long])
+        qs = np.concatenate([q[shift:] for _, q in long])
+        slope = float(us @ qs) / max(float(us @ us), 1e-300)
+        left = float(np.square(qs - slope * us).mean())
         if left < best[0]:
             best = left, shift * step, slope
     return best[1], best[2]
 
 
-def check_channel_units(log: Log) -> Check:
+def check_channel_units(case: Case) -> Sequence[Check]:
     """Positions whose measured velocities are in another unit: a fraction of a range."""
+    log = case.log
+    if log.u is None:
+        return ()
     if log.dq is None:
-        return judged("channel units", "cannot tell", "no velocity is measured to compare with")
+        return [judged("channel units", "cannot tell", "no velocity is measured to compare with")]
     odd = own_units(log)
     if not odd:
-        return judged("channel units", "fine", "no q and u are in a unit of their own")
+        return [judged("channel units", "fine", "no q and u are in a unit of their own")]
     text = ", ".join(
         f"dq{k + 1} is {factor:.3g} times the rate of q{k + 1}" for k, factor in odd.items()
     )
+    factors = [odd.get(k, 1.0) for k in range(log.n)]
     check = said(
         "channel units", "doubtful", joints=tuple(odd), estimate=tuple(odd.values()), text=text
     )
-    return check.mended_by(Scale(("q", "u"), tuple(odd.get(k, 1.0) for k in range(log.n))))
+    return [check.mended_by(scaled(("q", "u"), factors))]

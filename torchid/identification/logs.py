@@ -8,9 +8,7 @@ from torchid.log.checks import check_log
 from torchid.log.model import Log
 from torchid.log.sampling import resample
 from torchid.robot.model import JointType, Robot
-
-BEYOND_LIMIT = 5.0
-"""Times the torque limit from which a torque is taken for one in another unit."""
+from torchid.statistics.criteria import OTHER_UNIT
 
 
 def prepared(
@@ -50,7 +48,7 @@ def prepared(
             f"{even.source}: torque of joint {j} reaches {reached:.3g}, {reached / limit:.0f} "
             "times its limit: is it in another unit?"
             for j, (reached, limit) in enumerate(zip(largest.tolist(), limits, strict=True), 1)
-            if reached > BEYOND_LIMIT * limit
+            if reached > OTHER_UNIT * limit
         ]
     return even, (*noticed, *beyond, *even.warnings)
 

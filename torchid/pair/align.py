@@ -11,7 +11,7 @@ throughout a trajectory is a step at its first sample, so there the first sample
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -22,12 +22,22 @@ from torchid.log.model import Log
 from torchid.pair.record import ClockRecord
 from torchid.typing import Float, Tensor
 
-COARSE = 4000
-"""Instants of the grid on which clocks are sought."""
+FINE, ROUGH = 4000, 500
+"""Instants of the grids on which clocks are told, and on which their rates are sought first."""
 
-_STEPS = (1, 2, 3, 4, 5, 8, 10, 16, 20)
-RATIOS = tuple(sorted({a / b for a in _STEPS for b in _STEPS}))
-"""Rates of one clock over the other that are tried: of time steps that people confuse."""
+WIDEST = 10.0
+"""Largest rate of one clock over the other, and its inverse the smallest [1]."""
+
+EXACT_RATES = (1.0, 2.0, 0.5, 4.0, 0.25, 5.0, 0.2, 10.0, 0.1)
+"""Rates that people confuse, which are tried as they are."""
+
+MOST_CYCLES = 60.0
+"""Of a motion whose rate is sought: of a longer one fewer are looked at."""
+
+CANDIDATES = 3
+"""Rates that are polished, the likeliest ones,"""
+WORSE = 0.05
+"""... as far as their likeness is not worse by more [1]."""
 
 OVERLAP = 0.4
 """Share of the shorter log that must lie in both."""
@@ -47,9 +57,12 @@ STANDS = 1e-6
 EXACT = 1e-9
 """Of a correlation from 1, below which nothing is left to be sought."""
 
+Clock = tuple[float, float, float]
+"""Likeness, rate, and start [s]."""
+
 
 @dataclass(frozen=True, eq=False)
-class Both:
+class AlignedTrajectory:
     """One trajectory of both on the grid of the slower log.
 
     Attributes:
@@ -68,18 +81,15 @@ class Both:
     clock: ClockRecord
 
 
-def aligned_trajectories(simulated: Log, real: Log) -> list[Both]:
+def aligned_trajectories(simulated: Log, real: Log) -> list[AlignedTrajectory]:
     """The trajectories of two logs, the k-th of one with the k-th of the other.
 
     Raises:
         LogError: other numbers of joints or trajectories, or other commands.
     """
     if simulated.n != real.n:
-        raise LogError(
-            "the simulator's log has another number of joints than the arm's.",
-            got=simulated.n,
-            expected=real.n,
-        )
+        problem = "the simulator's log has another number of joints than the arm's."
+        raise LogError(problem, got=simulated.n, expected=real.n)
     if simulated.trajectory_count != real.trajectory_count:
         raise LogError(
             "the k-th trajectory of the simulator belongs to the k-th of the arm.",
@@ -89,34 +99,29 @@ def aligned_trajectories(simulated: Log, real: Log) -> list[Both]:
     pairs = list(zip(simulated.trajectories(), real.trajectories(), strict=True))
     shortest = min(x.samples for pair in pairs for x in pair)
     if shortest < SHORTEST:
-        raise LogError(
-            "a trajectory is too short to be aligned.",
-            got=f"{shortest} samples",
-            expected=f"{SHORTEST} at least",
-        )
+        got, expected = f"{shortest} samples", f"{SHORTEST} at least"
+        raise LogError("a trajectory is too short to be aligned.", got=got, expected=expected)
     return [_on_grid(*pair, clock) for pair, clock in zip(pairs, _clocks(pairs), strict=True)]
 
 
-def _on_grid(simulated: Log, real: Log, clock: ClockRecord) -> Both:
+def _on_grid(simulated: Log, real: Log, clock: ClockRecord) -> AlignedTrajectory:
     """Both where they overlap, on the grid of the slower log."""
     ts, tr = (x.t.numpy() - float(x.t[0]) for x in (simulated, real))
     dt = max(_step(ts) / clock.rate, _step(tr))
     first = max(0.0, -clock.start_s / clock.rate)
     last = min(tr[-1], (ts[-1] - clock.start_s) / clock.rate)
     grid = np.arange(first, last + 1e-9, dt)
-    common = [k for k in ("q", "u", "tau", "dq") if k in simulated.signals and k in real.signals]
-    return Both(
-        real.names[0],
-        dt,
-        torch.from_numpy(grid + float(real.t[0])),
-        {k: _at(grid * clock.rate + clock.start_s, ts, simulated.signals[k]) for k in common},
-        {k: _at(grid, tr, real.signals[k]) for k in common},
-        clock,
+    common: list[str] = [k for k in ("q", "u", "tau", "dq") if k in simulated.signals and k in real.signals]
+    of_simulated, of_real = (
+        {k: torch.from_numpy(_interpolated(at, t, log.signals[k].numpy())) for k in common}
+        for log, t, at in ((simulated, ts, grid * clock.rate + clock.start_s), (real, tr, grid))
     )
+    instants = torch.from_numpy(grid + float(real.t[0]))
+    return AlignedTrajectory(real.names[0], dt, instants, of_simulated, of_real, clock)
 
 
 @dataclass(frozen=True)
-class _Two:
+class _SignalPair:
     """One trajectory's signals (T, n) on either side, with times from their first samples [s]."""
 
     ts: np.ndarray
@@ -125,7 +130,7 @@ class _Two:
     xr: np.ndarray
 
     @classmethod
-    def of(cls, simulated: Log, real: Log, by: str) -> "_Two":
+    def of(cls, simulated: Log, real: Log, by: str) -> "_SignalPair":
         ts, tr = (x.t.numpy() - float(x.t[0]) for x in (simulated, real))
         return cls(ts, simulated.signals[by].numpy(), tr, real.signals[by].numpy())
 
@@ -138,23 +143,29 @@ class _Two:
         """Of the simulator's over the arm's."""
         return float(self.ts[-1] / self.tr[-1]) or 1.0
 
+    @property
+    def cycles(self) -> np.ndarray:
+        """(n,) duration times the RMS frequency of the arm's signals."""
+        speed = np.gradient(self.xr, self.tr, axis=0)
+        return speed.std(0) / np.maximum(self.xr.std(0), STANDS) * self.tr[-1] / (2 * math.pi)
+
 
 def _clocks(pairs: Sequence[tuple[Log, Log]]) -> list[ClockRecord]:
     """The clock of each trajectory."""
     names = [real.names[0] for _, real in pairs]
     by = "u" if all(x.u is not None for pair in pairs for x in pair) else "q"
-    twos = [_Two.of(*pair, by) for pair in pairs]
-    moving = [two for two in twos if two.moves]
+    signals = [_SignalPair.of(*pair, by) for pair in pairs]
+    moving = [pair for pair in signals if pair.moves]
     if not moving:
-        if not any(_Two.of(*pair, "q").moves for pair in pairs):
+        if not any(_SignalPair.of(*pair, "q").moves for pair in pairs):
             raise LogError("the arm's log holds no motion to align by.")
         # Every command is a step at its trajectory's first sample.
         return [ClockRecord(name, 1.0, 0.0, 1.0, by) for name in names]
-    ends = _alike(moving)
-    shared, of_moving = float(np.median([rate for _, rate, _ in ends])), iter(ends)
+    clocks = _alike(moving)
+    shared, of_moving = float(np.median([rate for _, rate, _ in clocks])), iter(clocks)
     out = []
-    for name, two in zip(names, twos, strict=True):
-        likeness, rate, start = next(of_moving) if two.moves else (1.0, shared, 0.0)
+    for name, pair in zip(names, signals, strict=True):
+        likeness, rate, start = next(of_moving) if pair.moves else (1.0, shared, 0.0)
         if likeness < ALIKE[by]:
             raise LogError(
                 f"the logs are of different {'commands' if by == 'u' else 'motions'}: at no shift "
@@ -167,49 +178,67 @@ def _clocks(pairs: Sequence[tuple[Log, Log]]) -> list[ClockRecord]:
     return out
 
 
-def _alike(twos: Sequence[_Two]) -> list[tuple[float, float, float]]:
-    """Likeness, rate and start of each, at the ratio at which all together are most alike."""
-    found = []
-    for ratio in (*RATIOS, None):  # None: both take the whole trajectory
-        coarse = [_coarse(two, ratio or two.duration) for two in twos]
-        score = float(np.mean([c[0] for c in coarse]))
-        # Of ratios that do as well, the one that changes least comes first.
-        away = abs(math.log(ratio or float(np.median([two.duration for two in twos]))))
-        found.append((-round(score, 3), away, score, [c[1:] for c in coarse]))
-    found.sort(key=lambda x: x[:2])
-    # Between the ratios and the samples: the least squares of what is left, from the best few.
-    best, most = None, -math.inf
-    for _, _, score, starts in found[:3]:
-        if score < found[0][2] - 0.05:
+def _alike(pairs: Sequence[_SignalPair]) -> list[Clock]:
+    """The clock of each, at the rate at which all together are most alike."""
+    # None: both take the whole trajectory.
+    rates: list[float | None] = [*_likely_rates(pairs), None]
+    usual, likely = float(np.median([pair.duration for pair in pairs])), []
+    for rate in rates:
+        coarse = [_coarse(pair, rate or pair.duration) for pair in pairs]
+        score = float(np.mean([likeness for likeness, _, _ in coarse]))
+        likely.append((score, abs(math.log((rate or usual) / usual)), coarse))
+    # Of rates that do as well, the one that changes least comes first.
+    likely.sort(key=lambda x: (-round(x[0], 3), x[1]))
+    # Between the rates and the samples: the least squares of what is left, from the best few.
+    best, most = likely[0][2], -math.inf
+    for score, _, coarse in likely[:CANDIDATES]:
+        if score < likely[0][0] - WORSE or most > 1 - EXACT:
             break
-        ends = [_polished(two, *at) for two, at in zip(twos, starts, strict=True)]
-        total = sum(x[0] for x in ends) / len(ends)
-        if best is None or total > most + EXACT:
-            best, most = ends, total
-        if most > 1 - EXACT:
-            break
-    assert best is not None
+        clocks = [_polished(pair, clock) for pair, clock in zip(pairs, coarse, strict=True)]
+        total = sum(likeness for likeness, _, _ in clocks) / len(clocks)
+        if total > most + EXACT:
+            best, most = clocks, total
     if len(best) == 1:
         return best
     # What is as alike at the rate of all has that rate.
-    rate = float(np.median([x[1] for x in best]))
+    rate = float(np.median([rate for _, rate, _ in best]))
     out = []
-    for two, own in zip(twos, best, strict=True):
-        same = _polished(two, *_coarse(two, rate)[1:], free=False)
+    for pair, own in zip(pairs, best, strict=True):
+        same = _polished(pair, _coarse(pair, rate), free=False)
         out.append(same if 1 - same[0] <= 2 * (1 - own[0]) + 1e-6 else own)
     return out
 
 
-def _coarse(two: _Two, ratio: float) -> tuple[float, float, float]:
-    """Likeness, the ratio, and the start at which the signals are most alike, of whole samples."""
-    length = two.ts[-1] / ratio
-    if not 0.1 < length / two.tr[-1] < 10:
-        return 0.0, ratio, 0.0
-    dt = max(two.tr[-1] / COARSE, _step(two.tr))
-    right = _on(np.arange(0.0, two.tr[-1], dt), two.tr, two.xr)
-    left = _on(np.arange(0.0, length, dt) * ratio, two.ts, two.xs)
-    score, lag = _best_lag(left, right)
-    return score, ratio, -lag * dt * ratio
+def _likely_rates(pairs: Sequence[_SignalPair]) -> list[float]:
+    """The likeliest rates of all, by the joint that has most cycles: half the distance from one to
+    the next makes its signals drift apart by a quarter of a radian at their ends."""
+    pair = max(pairs, key=lambda pair: pair.cycles.max())
+    joint = int(pair.cycles.argmax())
+    one = replace(pair, xr=pair.xr[:, [joint]])
+    step = 0.5 / (math.pi * min(max(float(pair.cycles[joint]), 1.0), MOST_CYCLES))
+    count = int(math.log(WIDEST) / step)
+    rates = sorted({*EXACT_RATES, *(math.exp(step * k) for k in range(-count, count + 1))})
+    likeness = [0.0, *(_coarse(one, rate, ROUGH)[0] for rate in rates), 0.0]
+    peaks = [
+        (-likeness[k], rate)
+        for k, rate in enumerate(rates, 1)
+        if likeness[k] >= max(likeness[k - 1], likeness[k + 1])
+    ]
+    # Of those that do as well, as all do of a ramp, the ones that change least.
+    peaks.sort(key=lambda x: (round(x[0], 2), abs(math.log(x[1]))))
+    return [rate for _, rate in peaks[: 2 * CANDIDATES]]
+
+
+def _coarse(pair: _SignalPair, rate: float, instants: int = FINE) -> Clock:
+    """The start at which the signals are most alike, of whole samples."""
+    length = pair.ts[-1] / rate
+    if not 1 / WIDEST < length / pair.tr[-1] < WIDEST:
+        return 0.0, rate, 0.0
+    dt = max(pair.tr[-1] / instants, _step(pair.tr))
+    right = _interpolated(np.arange(0.0, pair.tr[-1], dt), pair.tr, pair.xr)
+    left = _interpolated(np.arange(0.0, length, dt) * rate, pair.ts, pair.xs)
+    likeness, lag = _best_lag(left, right)
+    return likeness, rate, -lag * dt * rate
 
 
 def _best_lag(left: np.ndarray, right: np.ndarray) -> tuple[float, int]:
@@ -218,56 +247,47 @@ def _best_lag(left: np.ndarray, right: np.ndarray) -> tuple[float, int]:
     a, b = len(left), len(right)
     size, lags = 1 << (a + b - 1).bit_length(), np.arange(-(a - 1), b)
 
-    def spectrum(x: np.ndarray) -> np.ndarray:
-        return np.fft.rfft(x, size, axis=0)
-
     def crossed(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """sum_k x[k - lag] y[k] for all lags, of columns by their spectra."""
-        return np.fft.irfft(np.conj(x) * y, size, axis=0)[lags % size]
+        """(L, n, m) sum_k x[k - lag] y[k] for all lags, of every column with every column."""
+        x, y = np.fft.rfft(x, size, axis=0), np.fft.rfft(y, size, axis=0)
+        return np.fft.irfft(np.conj(x)[:, :, None] * y[:, None], size, axis=0)[lags % size]
 
-    left, right = left - left.mean(0), right - right.mean(0)
-    fl, fr, all_left, all_right = map(spectrum, (left, right, np.ones((a, 1)), np.ones((b, 1))))
+    left, right = left - left.mean(0), (right - right.mean(0))[:, right.std(0) > STANDS]
+    all_left, all_right = np.ones((a, 1)), np.ones((b, 1))
     # Means and variances of what overlaps.
     count = crossed(all_left, all_right).round().clip(1)
-    sl, sr = crossed(fl, all_right), crossed(all_left, fr)
-    vl = (crossed(spectrum(left**2), all_right) - sl**2 / count).clip(0)
-    vr = (crossed(all_left, spectrum(right**2)) - sr**2 / count).clip(0)
-    moving = [[j] for j in np.flatnonzero(right.std(0) > STANDS)]
-    total = np.zeros(len(lags))
-    for j in moving:
-        cross = np.abs(crossed(fl, fr[:, j]) - sl * sr[:, j] / count)
-        squares = vl * vr[:, j]
-        there = squares > 1e-6 * left.var(0) * right[:, j].var() * count**2
-        total += np.where(there, cross / np.sqrt(squares.clip(1e-300)), 0).max(1) / len(moving)
-    total[count[:, 0] < OVERLAP * min(a, b)] = -1
+    sl, sr = crossed(left, all_right), crossed(all_left, right)
+    vl = (crossed(left**2, all_right) - sl**2 / count).clip(0)
+    vr = (crossed(all_left, right**2) - sr**2 / count).clip(0)
+    there = vl * vr > 1e-6 * count**2 * left.var(0)[:, None] * right.var(0)
+    cross = np.abs(crossed(left, right) - sl * sr / count)
+    total = np.where(there, cross / np.sqrt((vl * vr).clip(1e-300)), 0).max(1).mean(1)
+    total[count[:, 0, 0] < OVERLAP * min(a, b)] = -1
     # Of shifts that do as well, as all of a ramp do, the shortest.
     alike = np.flatnonzero(total >= total.max() - 1e-6)
     best = alike[np.abs(lags[alike]).argmin()]
     return float(total[best]), int(lags[best])
 
 
-def _polished(
-    two: _Two, rate: float, start: float, *, free: bool = True
-) -> tuple[float, float, float]:
-    """Likeness, rate and start near a first guess; the rate as it is where it is not free."""
-    ts, xs, tr, xr = two.ts, two.xs, two.tr, two.xr
-    grid = np.arange(0.0, tr[-1], max(tr[-1] / COARSE, _step(tr)))
-    right = _on(grid, tr, xr)
-    moved = np.flatnonzero(xr.std(0) > STANDS)
+def _polished(pair: _SignalPair, guess: Clock, *, free: bool = True) -> Clock:
+    """The clock near a first guess; the rate as it is where it is not free."""
+    (_, rate, start), (ts, xs, tr, xr) = guess, (pair.ts, pair.xs, pair.tr, pair.xr)
+    step = _step(tr)
+    grid = np.arange(0.0, tr[-1], max(tr[-1] / FINE, step))
+    right = _interpolated(grid, tr, xr)[:, xr.std(0) > STANDS]
 
     def likeness(rate: float, start: float) -> float:
         at = grid * rate + start
         both = (at >= 0) & (at <= ts[-1])
         if both.sum() < OVERLAP * min(len(grid), ts[-1] / rate / (grid[1] - grid[0])):
             return 0.0
-        left = _on(at[both], ts, xs)
-        return min(1.0, float(np.abs(correlations(left, right[both]))[:, moved].max(0).mean()))
+        left = _interpolated(at[both], ts, xs)
+        return min(1.0, float(np.abs(correlations(left, right[both])).max(0).mean()))
 
     begun = likeness(rate, start)
     if 1 - begun < EXACT:
         return begun, rate, start
     # In units in which both matter alike: the whole log, and its duration.
-    step = _step(tr)
     scale = np.array([2 * step / max(tr[-1], step), 2 * step])
 
     def at(x: np.ndarray) -> tuple[float, float]:
@@ -294,9 +314,5 @@ def _step(t: np.ndarray) -> float:
     return float(np.median(np.diff(t)))
 
 
-def _on(grid: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
+def _interpolated(grid: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(grid, t, column) for column in x.T], 1)
-
-
-def _at(grid: np.ndarray, t: np.ndarray, x: Tensor) -> Tensor:
-    return torch.from_numpy(_on(grid, t, x.numpy()))

@@ -1,4 +1,5 @@
-"""Faults of a simulator's set-up, each by the signature that it leaves in the pair of logs.
+"""The doctor on two logs: faults of a simulator's set-up, each by the signature that it leaves in
+the pair of logs.
 
 Every test holds the simulator's log against the arm's: what both have is no fault. Those of the
 servo's law and of gravity, friction and rotors are regressions on each side's own motion, so they
@@ -6,7 +7,7 @@ do not ask that both moved alike.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,13 @@ from scipy.optimize import linear_sum_assignment
 
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity
+from torchid.doctor.repair import Columns, reordered, repaired, scaled
 from torchid.doctor.samples import samples
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.log.filtering import central_difference, low_passed
 from torchid.log.model import Log
 from torchid.log.sampling import resample
-from torchid.pair.align import SAME_CLOCK, Both, correlations
+from torchid.pair.align import SAME_CLOCK, AlignedTrajectory, correlations
 from torchid.pair.record import Fault, FaultName, Side
 from torchid.robot.model import Robot, joint_list
 from torchid.typing import Tensor
@@ -89,115 +91,144 @@ def fault_of(
         by: which of several ways to see it.
         words: of the texts, by name.
     """
-    own = _TEXTS[f"{name}, {by}" if by else name]
+    texts = _TEXTS[f"{name}, {by}" if by else name]
     known = {"joints": joint_list(joints), "side": side, "value": value, **words}
-    meaning, remedy = (own[text].format(**known) for text in ("meaning", "remedy"))
-    unit = words.get("unit") or own["unit"]
+    meaning, remedy = (texts[key].format(**known) for key in ("meaning", "remedy"))
+    unit = words.get("unit") or texts["unit"]
     return Fault(name, tuple(joints), side, value, unit, meaning, remedy)
 
 
-@dataclass(frozen=True)
-class Mended:
-    """The simulator's log with its joints in the arm's order and sense, and what was wrong."""
+@dataclass(frozen=True, eq=False)
+class PairCase:
+    """Two logs, the simulator's as the tests before have mended it.
 
-    log: Log
-    both: list[Both]
-    faults: list[Fault]
+    Attributes:
+        robot: the model, or None.
+        simulated, real: the logs.
+        both: their trajectories on one clock.
+        faults: those before.
+    """
 
+    robot: Robot | None
+    simulated: Log
+    real: Log
+    both: Sequence[AlignedTrajectory]
+    faults: tuple[Fault, ...] = ()
 
-def joint_faults(simulated: Log, both: list[Both]) -> Mended:
-    """Joints in another order, and signals turned round."""
-    qs, qr = (torch.cat([getattr(b, s)["q"] for b in both]).numpy() for s in ("simulated", "real"))
-    found: list[Fault] = []
-    n = qs.shape[1]
-    alike = correlations(qs, qr)
-    _, theirs = linear_sum_assignment(-np.abs(alike).T)
-    moved = [
-        j
-        for j in range(n)
-        if theirs[j] != j and abs(alike[theirs[j], j]) > ALIKE and abs(alike[j, j]) < ALIKE
-    ]
-    order = list(range(n))
-    if len(moved) > 1 and sorted(theirs[j] for j in moved) == moved:
-        for j in moved:
-            order[j] = int(theirs[j])
-        says = ", ".join(f"{j + 1} moves as {order[j] + 1} of the simulator" for j in moved)
-        found.append(fault_of("joint_order", moved, "simulator", float(len(moved)), says=says))
-    # Signs, in the arm's order.
-    turned = torch.ones(n, dtype=torch.float64)
-    for j in range(n):
-        if alike[order[j], j] < -ALIKE:
-            turned[j] = -1
-    opposite = torch.ones(n, dtype=torch.float64)
-    if all("tau" in b.simulated for b in both):
-        ts, tr = (torch.cat([_slow(b, s) for b in both]) for s in ("simulated", "real"))
-        left = (tr + ts[:, order]).square().mean(0).sqrt() / tr.square().mean(0).sqrt().clamp(
-            min=1e-12
+    def whole(self, name: str) -> tuple[Tensor, Tensor] | None:
+        """A signal (T, n) of all trajectories on either side; None where one does not have it."""
+        if any(name not in b.simulated for b in self.both):
+            return None
+        return (
+            torch.cat([b.simulated[name] for b in self.both]),
+            torch.cat([b.real[name] for b in self.both]),
         )
-        opposite = torch.where(left < TURNED, -1.0, 1.0).double()
-    wrong = [j for j in range(n) if turned[j] < 0 or opposite[j] < 0]
-    if wrong:
-        kinds = {
-            ("position" if turned[j] < 0 else "", "torque" if opposite[j] < 0 else "")
-            for j in wrong
-        }
-        what = " and ".join(dict.fromkeys(w for pair in kinds for w in pair if w))
-        found.append(fault_of("sign", wrong, "simulator", -1.0, what=what))
-    if not found:
-        return Mended(simulated, both, [])
-    signs = {"q": turned, "dq": turned, "tau": opposite}
 
-    def mended(name: str, x: Tensor) -> Tensor:
-        return x[:, order] * signs[name] if name in signs else x
+    def has(self, name: FaultName) -> bool:
+        """Whether a fault is there."""
+        return any(f.fault == name for f in self.faults)
 
-    changed = {k: mended(k, x) for k, x in simulated.signals.items() if k in signs}
-    both = [replace(b, simulated={k: mended(k, x) for k, x in b.simulated.items()}) for b in both]
-    return Mended(simulated.replace(**changed), both, found)
+    def after(self, *faults: Fault, repairs: Sequence[Columns] = ()) -> "PairCase":
+        """With faults once more, one name once, and the simulator's log as they are mended."""
+        known = {f.fault: f for f in reversed((*self.faults, *faults))}
+        both = self.both
+        for repair in repairs:
+            both = [replace(b, simulated=repair.mapped(b.simulated)) for b in both]
+        return replace(
+            self, simulated=repaired(self.simulated, repairs), both=both,
+            faults=tuple(known.values())[::-1],
+        )  # fmt: skip
 
 
-def _slow(both: Both, side: str) -> Tensor:
+def joint_order(case: PairCase) -> PairCase:
+    """Joints that move as other ones of the simulator."""
+    both = case.whole("q")
+    assert both is not None
+    alike = np.abs(correlations(*(x.numpy() for x in both)))
+    theirs = linear_sum_assignment(-alike.T)[1].tolist()
+    moved = [
+        j for j, k in enumerate(theirs) if k != j and alike[k, j] > ALIKE and alike[j, j] < ALIKE
+    ]
+    if len(moved) < 2 or sorted(theirs[j] for j in moved) != moved:
+        return case
+    order = [k if j in moved else j for j, k in enumerate(theirs)]
+    says = ", ".join(f"{j + 1} moves as {order[j] + 1} of the simulator" for j in moved)
+    fault = fault_of("joint_order", moved, "simulator", float(len(moved)), says=says)
+    return case.after(fault, repairs=[reordered(_MEASURED, order)])
+
+
+_MEASURED = ("q", "dq", "tau")
+
+
+def joint_signs(case: PairCase) -> PairCase:
+    """Motions that mirror each other, and torques that cancel."""
+    both, torques = case.whole("q"), case.whole("tau")
+    assert both is not None
+    mirrored = correlations(*(x.numpy() for x in both)).diagonal() < -ALIKE
+    negated = np.zeros_like(mirrored)
+    if torques is not None:
+        slow = [torch.cat([_slow(b, side) for b in case.both]) for side in ("simulated", "real")]
+        left, size = ((x).square().mean(0).sqrt() for x in (slow[0] + slow[1], slow[1]))
+        negated = (left / size.clamp(min=1e-12) < TURNED).numpy()
+    wrong = np.flatnonzero(mirrored | negated).tolist()
+    if not wrong:
+        return case
+    kinds = ("position", mirrored), ("torque", negated)
+    what = " and ".join(word for word, which in kinds if which.any())
+    repairs = [
+        scaled(signals, np.where(which, -1.0, 1.0).tolist())
+        for signals, which in ((("q", "dq"), mirrored), (("tau",), negated))
+    ]
+    return case.after(fault_of("sign", wrong, "simulator", -1.0, what=what), repairs=repairs)
+
+
+def _slow(both: AlignedTrajectory, side: str) -> Tensor:
     """Torque (T, n) below the servo's band."""
-    x = getattr(both, side)["tau"]
-    rate = 1 / both.dt
+    x, rate = getattr(both, side)["tau"], 1 / both.dt
     return low_passed(x.T, rate, min(SERVO_BAND, 0.2 * rate)).T
 
 
-def clock_faults(both: Sequence[Both]) -> list[Fault]:
+def clock_rate(case: PairCase) -> PairCase:
     """A clock that runs at another rate."""
-    rate = float(np.median([b.clock.rate for b in both]))
+    rate = float(np.median([b.clock.rate for b in case.both]))
     if abs(rate - 1) < SAME_CLOCK:
-        return []
-    return [fault_of("time_step", (), "simulator", rate)]
+        return case
+    return case.after(fault_of("time_step", (), "simulator", rate))
 
 
-def clipping_faults(both: Sequence[Both]) -> list[Fault]:
+_LIMITED = (
+    ("u", "command", "rad", 1e-6),
+    ("q", "position", "rad", STOPS),
+    ("tau", "torque", "N m", 1e-4),
+)
+"""Signals that may stop at a limit, what they are called, their units, and how exactly they do."""
+
+
+def clipping(case: PairCase) -> PairCase:
     """Signals that stop at a limit which the other side goes beyond."""
-    found: list[tuple[Side, int, float, str, str]] = []
-    for name, what, unit, exact in (
-        ("u", "command", "rad", 1e-6),
-        ("q", "position", "rad", STOPS),
-        ("tau", "torque", "N m", 1e-4),
-    ):
-        if any(name not in b.simulated for b in both):
-            continue
-        s, r = (torch.cat([getattr(b, k)[name] for b in both]) for k in ("simulated", "real"))
-        sides: tuple[tuple[Side, Tensor, Tensor], ...] = (("simulator", s, r), ("arm", r, s))
-        for side, own, other in sides:
-            for j in range(own.shape[1]):
-                limit = _limit(own[:, j], other[:, j], exact, name == "q")
-                if limit is not None and name == "q" and not _pushed(both, side, j, limit):
-                    continue
-                if limit is not None:
-                    found.append((side, j, limit, what, unit))
-    out = []
-    for side, what, unit in dict.fromkeys((f[0], f[3], f[4]) for f in found):
-        these = [f for f in found if (f[0], f[3]) == (side, what)]
-        words = {"what": what, "unit": unit, "levels": ", ".join(f"{f[2]:.4g}" for f in these)}
-        out.append(fault_of("clipped", [f[1] for f in these], side, these[0][2], **words))
-    return out
+    found = []
+    for name, what, unit, exact in _LIMITED:
+        both = case.whole(name)
+        for side, turn in _SIDES if both else ():
+            assert both is not None
+            mine, other = both[::turn]
+            limits = {
+                j: limit
+                for j, (x, y) in enumerate(zip(mine.T, other.T, strict=True))
+                if (limit := _limit(x, y, exact, name == "q")) is not None
+                and (name != "q" or _pushed(case.both, side, j, limit))
+            }
+            if limits:
+                levels = ", ".join(f"{x:.4g}" for x in limits.values())
+                first, words = next(iter(limits.values())), {"what": what, "unit": unit}
+                found.append(fault_of("clipped", [*limits], side, first, levels=levels, **words))
+    return case.after(*found)
 
 
-def _pushed(both: Sequence[Both], side: str, j: int, limit: float) -> bool:
+_SIDES: tuple[tuple[Side, int], ...] = (("simulator", 1), ("arm", -1))
+
+
+def _pushed(both: Sequence[AlignedTrajectory], side: str, j: int, limit: float) -> bool:
     """Whether a joint is commanded far beyond a position that it stops at: a joint that friction
     holds where it turns stops there, too."""
     signals = [b.simulated if side == "simulator" else b.real for b in both]
@@ -236,25 +267,23 @@ def _limit(own: Tensor, other: Tensor, exact: float, absolute: bool) -> float | 
     return None
 
 
-def held_control(simulated: Log, real: Log, rate: float) -> list[Fault]:
+def held_control(case: PairCase) -> PairCase:
     """Commands or torques that change more seldom on one side."""
-    steps = [1 / float(np.median(log.rates)) for log in (simulated, real)]
-    steps[0] /= rate
+    logs, rates = (case.simulated, case.real), (case.both[0].clock.rate, 1.0)
+    steps = [1 / float(np.median(x.rates)) / rate for x, rate in zip(logs, rates, strict=True)]
     for name, what in (("u", "commands"), ("tau", "torques")):
-        if name not in simulated.signals or name not in real.signals:
+        if any(name not in log.signals for log in logs):
             continue
-        periods = [_period(simulated, name), _period(real, name)]
-        periods[0] /= rate
-        longest = max(*steps, min(periods))
+        periods = [_period(log, name) / rate for log, rate in zip(logs, rates, strict=True)]
         k = int(np.argmax(periods))
-        if periods[k] < HELD * longest:
+        if periods[k] < HELD * max(*steps, min(periods)):
             continue
-        if name == "tau" and _peaked((real, simulated)[k], name, periods[k]):
+        if name == "tau" and _peaked(logs[1 - k], name, periods[k]):
             continue
-        side: Side = "simulator" if k == 0 else "arm"
         other = 1e3 * max(periods[1 - k], steps[1 - k])
-        return [fault_of("held_control", (), side, 1e3 * periods[k], what=what, other=other)]
-    return []
+        words = {"what": what, "other": other}
+        return case.after(fault_of("held_control", (), _SIDES[k][0], 1e3 * periods[k], **words))
+    return case
 
 
 def _period(log: Log, name: str) -> float:
@@ -312,101 +341,108 @@ def servo_laws(log: Log, robot: Robot | None) -> list[Law] | None:
     """The law of every joint's servo, by least squares; None without commands or torques."""
     if log.u is None or log.tau is None:
         return None
-    rows: list[list[Tensor]] = []
+    rows = []
     for one in resample(log).trajectories():
         assert one.u is not None
         assert one.tau is not None
         rate = one.rates[0]
         band = min(SERVO_BAND, 0.2 * rate)
-        gravity = torch.zeros_like(one.q)
+        gravity = zero = torch.zeros_like(one.q)
         if robot is not None and robot.parameters is not None:
-            zero = torch.zeros_like(one.q)
             gravity = inverse_dynamics(replace(robot, effects=()), one.q, zero, zero)
-        signals = (one.tau, one.u - one.q, central_difference(one.q.T, rate).T, gravity)
+        signals = (one.tau, one.u - one.q, -central_difference(one.q.T, rate).T, gravity)
         edge = int(3 * rate / band)
         rows.append([low_passed(x.T, rate, band).T[edge:-edge] for x in signals])
-    tau, error, dq, gravity = (torch.cat(list(x)) for x in zip(*rows, strict=True))
-    out = []
-    for j in range(log.n):
-        y = tau[:, j]
-        with_gravity = float(gravity[:, j].std()) > 1e-3 * float(y.std())
-        columns = [error[:, j], -dq[:, j], torch.ones_like(y)]
-        columns += [gravity[:, j]] if with_gravity else []
-        a = torch.stack(columns, 1)
-        scale = a.norm(dim=0).clamp(min=1e-300)
-        x = torch.linalg.lstsq(a / scale, y.unsqueeze(1), driver="gelsd").solution[:, 0] / scale
-        whole = float((y - y.mean()).square().sum())
-        left = float((y - a @ x).square().sum())
-        size = max(float(y.std()), 1e-300)
-        out.append(
-            Law(
-                float(x[0]),
-                float(x[1]),
-                float(x[3]) if with_gravity else math.nan,
-                1 - left / max(whole, 1e-300),
-                abs(float(x[1])) * float(dq[:, j].std()) / size,
-                float(gravity[:, j].std()) / size,
-            )
-        )
-    return out
+    whole = (torch.cat(list(x)).T for x in zip(*rows, strict=True))
+    return [_law(*columns) for columns in zip(*whole, strict=True)]
 
 
-def servo_faults(simulated: Sequence[Law], real: Sequence[Law]) -> list[Fault]:
+def _law(tau: Tensor, error: Tensor, slowing: Tensor, gravity: Tensor) -> Law:
+    """Of one joint's samples (T,): torque, command less position, minus velocity, and the model's
+    gravity torque."""
+    size = max(float(tau.std()), 1e-300)
+    shares = float(slowing.std()) / size, float(gravity.std()) / size
+    weighed = shares[1] > 1e-3
+    a = torch.stack([error, slowing, torch.ones_like(tau), *([gravity] if weighed else [])], 1)
+    scale = a.norm(dim=0).clamp(min=1e-300)
+    x = torch.linalg.lstsq(a / scale, tau.unsqueeze(1), driver="gelsd").solution[:, 0] / scale
+    whole, left = (float(y.square().sum()) for y in (tau - tau.mean(), tau - a @ x))
+    kp, kd, _, *feed = x.tolist()
+    r2 = 1 - left / max(whole, 1e-300)
+    return Law(kp, kd, feed[0] if feed else math.nan, r2, abs(kd) * shares[0], shares[1])
+
+
+def servos(case: PairCase) -> PairCase:
     """Gains in other units, gains that differ, and gravity that one servo adds."""
-    found: list[Fault] = []
-    both = [
-        j
-        for j, (s, r) in enumerate(zip(simulated, real, strict=True))
+    laws = [servo_laws(log, case.robot) for log in (case.simulated, case.real)]
+    # With another clock nothing that has a derivative can be judged.
+    if laws[0] is None or laws[1] is None or case.has("time_step"):
+        return case
+    both = {
+        j: (s, r)
+        for j, (s, r) in enumerate(zip(*laws, strict=True))
         if min(s.r2, r.r2) > LAW and min(s.kp, r.kp) > 0
-    ]
-    ratios = {j: simulated[j].kp / real[j].kp for j in both}
-    # Damping of joints on which it is a part of the torque on the arm.
-    damped = {
-        j: simulated[j].kd / real[j].kd
-        for j in both
-        if min(real[j].kd, simulated[j].kd) > 0 and max(real[j].damping, simulated[j].damping) > 0.1
     }
-    for name, values in (("stiffness", ratios), ("damping", damped)):
-        for wrong, words in (
-            (DEGREES, "N m/rad as N m/degree"),
-            (1 / DEGREES, "N m/degree as N m/rad"),
-        ):
-            off = [j for j, x in values.items() if abs(math.log(x / wrong)) < math.log(UNITS)]
-            if off and len(off) > 0.5 * len(values):
-                middle = float(np.median([values[j] for j in off]))
-                known: dict[str, Any] = {"name": name, "degrees": DEGREES, "words": words}
-                found.append(fault_of("gain_units", off, "simulator", middle, **known))
-    if not found:
-        off = [j for j, x in ratios.items() if abs(math.log(x)) > math.log(GAINS)]
-        if off:
-            said = ", ".join(f"{ratios[j]:.3g}" for j in off)
-            found.append(fault_of("servo_gain", off, "simulator", ratios[off[0]], said=said))
-    seen = [
-        j
-        for j in both
-        if min(simulated[j].gravity, real[j].gravity) > 0.3
-        and math.isfinite(simulated[j].feed + real[j].feed)
+    stiffness = {j: s.kp / r.kp for j, (s, r) in both.items()}
+    # Of joints on which damping is a part of the torque.
+    damping = {
+        j: s.kd / r.kd
+        for j, (s, r) in both.items()
+        if min(r.kd, s.kd) > 0 and max(r.damping, s.damping) > 0.1
+    }
+    found = [
+        *_gain_units("stiffness", stiffness),
+        *_gain_units("damping", damping),
+        *_added_gravity(both),
     ]
-    pairs: tuple[tuple[Side, Sequence[Law], Sequence[Law]], ...]
-    pairs = (("simulator", simulated, real), ("arm", real, simulated))
-    for side, own, other in pairs:
-        adds = [j for j in seen if own[j].feed > SOME and other[j].feed < NONE]
-        if adds and len(adds) > 0.5 * len(seen):
-            value = float(np.median([own[j].feed for j in adds]))
-            found.append(fault_of("gravity_compensation", adds, side, value))
-    return found
+    off = [j for j, x in stiffness.items() if abs(math.log(x)) > math.log(GAINS)]
+    if off and not any(f.fault == "gain_units" for f in found):
+        said = ", ".join(f"{stiffness[j]:.3g}" for j in off)
+        found.insert(0, fault_of("servo_gain", off, "simulator", stiffness[off[0]], said=said))
+    return case.after(*found)
 
 
-def gravity_faults(robot: Robot, simulated: Log, real: Log) -> list[Fault]:
+def _gain_units(name: str, ratios: Mapping[int, float]) -> Iterator[Fault]:
+    """Gains of most joints that are degrees off."""
+    for wrong, words in (
+        (DEGREES, "N m/rad as N m/degree"),
+        (1 / DEGREES, "N m/degree as N m/rad"),
+    ):
+        off = [j for j, x in ratios.items() if abs(math.log(x / wrong)) < math.log(UNITS)]
+        if len(off) > 0.5 * len(ratios):
+            middle = float(np.median([ratios[j] for j in off]))
+            known = {"name": name, "words": words}
+            yield fault_of("gain_units", off, "simulator", middle, degrees=DEGREES, **known)
+
+
+def _added_gravity(both: Mapping[int, tuple[Law, Law]]) -> Iterator[Fault]:
+    """Gravity that one side's servo adds on most joints that carry some."""
+    seen = {
+        j: laws
+        for j, laws in both.items()
+        if min(law.gravity for law in laws) > 0.3 and math.isfinite(sum(law.feed for law in laws))
+    }
+    for side, turn in _SIDES:
+        feeds = {j: tuple(law.feed for law in laws[::turn]) for j, laws in seen.items()}
+        adds = [j for j, (own, other) in feeds.items() if own > SOME and other < NONE]
+        if len(adds) > 0.5 * len(seen):
+            value = float(np.median([feeds[j][0] for j in adds]))
+            yield fault_of("gravity_compensation", adds, side, value)
+
+
+def gravity(case: PairCase) -> PairCase:
     """Gravity that one side's torque holds and the other's does not, by the doctor's judgement of
     each log alone."""
-    light: dict[Side, tuple[int, ...]]
-    light = {"simulator": _weightless(robot, simulated), "arm": _weightless(robot, real)}
-    return [
-        fault_of("gravity_compensation", joints, side, 0.0, "by torque")
-        for side, joints in light.items()
-        if joints and not all(light.values())
+    robot, torques = case.robot, case.whole("tau")
+    if robot is None or robot.parameters is None or torques is None or case.has("time_step"):
+        return case
+    light = {"simulator": _weightless(robot, case.simulated), "arm": _weightless(robot, case.real)}
+    found = [
+        fault_of("gravity_compensation", light[side], side, 0.0, "by torque")
+        for side, _ in _SIDES
+        if light[side] and not all(light.values())
     ]
+    return case.after(*found)
 
 
 def _weightless(robot: Robot, log: Log) -> tuple[int, ...]:
@@ -416,3 +452,18 @@ def _weightless(robot: Robot, log: Log) -> tuple[int, ...]:
         return ()
     found = check_kind(Judge(robot, rows), Hypothesis.literal(robot))
     return found.joints if found is not None and holds_no_gravity(found) else ()
+
+
+SET_UP = (joint_order, joint_signs, clock_rate, clipping, held_control, servos, gravity)
+"""The table of faults, in the order in which they are mended; each is looked for with those before
+mended, but for a clock."""
+
+
+def set_up_faults(
+    robot: Robot | None, simulated: Log, real: Log, both: Sequence[AlignedTrajectory]
+) -> tuple[Fault, ...]:
+    """Faults of the set-up, in the order in which they are mended."""
+    case = PairCase(robot, simulated, real, both)
+    for look in SET_UP:
+        case = look(case)
+    return case.faults

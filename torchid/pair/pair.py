@@ -31,17 +31,9 @@ from torchid.gap.settings import GapSettings
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.filtering import central_difference, low_passed
 from torchid.log.model import Log
-from torchid.pair.align import Both, aligned_trajectories
+from torchid.pair.align import AlignedTrajectory, aligned_trajectories
 from torchid.pair.effects import Progress, effects_of
-from torchid.pair.faults import (
-    clipping_faults,
-    clock_faults,
-    gravity_faults,
-    held_control,
-    joint_faults,
-    servo_faults,
-    servo_laws,
-)
+from torchid.pair.faults import set_up_faults
 from torchid.pair.record import Difference, Fault, OneSided, PairRecord, ServoDifference, WherePair
 from torchid.pair.servos import servos_of
 from torchid.results.record import Result
@@ -141,56 +133,33 @@ def compare_pair(
     [('sign', (1,))]
     """
     robot = None if robot is None else as_robot(robot)
-    simulated = as_log(simulated, robot)
-    real = as_log(real, robot)
+    simulated, real = as_log(simulated, robot), as_log(real, robot)
     settings = replace(settings or GapSettings(), rollout=False)
     say = progress or (lambda stage, done, total: None)
     if robot is not None:
-        robot.require_fixed_base("a comparison of two logs")
-    for log, whose in ((simulated, "simulator's"), (real, "arm's")):
-        if robot is not None and log.n != robot.n:
-            raise TorchidError(
-                f"the {whose} log is of another arm than the model.",
-                got=f"{log.n} joints",
-                expected=f"{robot.n} as '{robot.name}'",
-            )
+        _check_model(robot, simulated, real)
     say("aligning", 0, 1)
     both = aligned_trajectories(simulated, real)
-    warnings: list[str] = []
-    if both[0].clock.by == "q":
-        warnings.append(
-            "not both logs hold commands u1.., so they are aligned by their motion: a servo that "
-            "follows badly looks like another command"
-        )
     say("locating", 0, 1)
-    torque, floor = None, None
-    if all("tau" in b.simulated for b in both):
-        torque, floor = _where(both, "tau", settings.seed)
-    else:
-        own = robot is not None and all("u" in b.simulated for b in both)
-        warnings.append(
-            "not both logs hold torques, so only motion is compared"
-            + (", and the servos that commands and positions show" if own else "")
-        )
+    torques, commands = (all(name in b.simulated for b in both) for name in ("tau", "u"))
+    torque, floor = _where(both, "tau", settings.seed) if torques else (None, None)
     position, _ = _where(both, "q", settings.seed)
     say("looking at the set-up", 0, 1)
-    faults = _set_up(simulated, real, both, robot)
-    which: tuple[OneSided, ...] | None = None
-    diagnoses: tuple[TorqueDiagnosis | None, TorqueDiagnosis | None] = (None, None)
+    faults = set_up_faults(robot, simulated, real, both)
+    warnings: list[str] = [_BY_MOTION] if both[0].clock.by == "q" else []
     servos: tuple[ServoDifference, ...] | None = None
-    commanded = torque is None and all("u" in b.simulated for b in both)
-    if robot is not None and commanded and not NUMBERED & {f.fault for f in faults}:
+    if not torques:
+        own = robot is not None and commands
+        warnings.append(_NO_TORQUES + (_OF_SERVOS if own else ""))
+    if not torques and commands and robot and not NUMBERED & {f.fault for f in faults}:
         say("servos", 0, 1)
         servos, more = servos_of(robot, simulated, real)
         warnings += more
-    if faults:
-        warnings.append(
-            "effects were not sought: mend the set-up first, whose traces look like effects"
-        )
-    elif robot is None or torque is None:
-        if robot is None:
-            warnings.append("without a ROBOT no effect can be named")
-    else:
+    which: tuple[OneSided, ...] | None = None
+    diagnoses: tuple[TorqueDiagnosis | None, TorqueDiagnosis | None] = (None, None)
+    if faults or robot is None:
+        warnings.append(_MEND_FIRST if faults else "without a ROBOT no effect can be named")
+    elif torques:
         say("checking the log", 0, 1)
         warnings += ask_first(robot, real, force=force).said
         which, diagnoses = effects_of(robot, simulated, real, settings, say)
@@ -203,7 +172,7 @@ def compare_pair(
         torque=torque,
         position=position,
         torque_noise=floor,
-        faults=tuple(faults),
+        faults=faults,
         which=which,
         servos=servos,
         warnings=tuple(dict.fromkeys([*simulated.warnings, *real.warnings, *warnings])),
@@ -211,24 +180,27 @@ def compare_pair(
     return PairDiagnosis(record, robot, *diagnoses)
 
 
-def _set_up(simulated: Log, real: Log, both: list[Both], robot: Robot | None) -> list[Fault]:
-    """Faults in the order in which they are mended: each is judged with those before mended, but
-    for a clock, with which nothing that has a derivative can be judged."""
-    mended, clock = joint_faults(simulated, both), clock_faults(both)
-    faults = [*mended.faults, *clock, *clipping_faults(mended.both)]
-    faults += held_control(simulated, real, both[0].clock.rate)
-    if not clock:
-        found = servo_laws(mended.log, robot), servo_laws(real, robot)
-        if found[0] is not None and found[1] is not None:
-            faults += servo_faults(found[0], found[1])
-        with_torque = all("tau" in b.simulated for b in both)
-        if robot is not None and robot.parameters is not None and with_torque:
-            faults += gravity_faults(robot, mended.log, real)
-    # One name once: the servo's law and the torque may both tell of gravity.
-    return list({f.fault: f for f in reversed(faults)}.values())[::-1]
+_BY_MOTION = (
+    "not both logs hold commands u1.., so they are aligned by their motion: a servo that follows "
+    "badly looks like another command"
+)
+_NO_TORQUES = "not both logs hold torques, so only motion is compared"
+_OF_SERVOS = ", and the servos that commands and positions show"
+_MEND_FIRST = "effects were not sought: mend the set-up first, whose traces look like effects"
 
 
-def _where(both: Sequence[Both], name: str, seed: int) -> tuple[WherePair, NoiseFloor]:
+def _check_model(robot: Robot, simulated: Log, real: Log) -> None:
+    robot.require_fixed_base("a comparison of two logs")
+    for log, whose in ((simulated, "simulator's"), (real, "arm's")):
+        if log.n != robot.n:
+            raise TorchidError(
+                f"the {whose} log is of another arm than the model.",
+                got=f"{log.n} joints",
+                expected=f"{robot.n} as '{robot.name}'",
+            )
+
+
+def _where(both: Sequence[AlignedTrajectory], name: str, seed: int) -> tuple[WherePair, NoiseFloor]:
     """Where a signal differs, on the common clock, below a band that the slower log holds."""
     band = min(BAND, *(0.2 / b.dt for b in both))
     traces, segments, left = [], [], []

@@ -71,3 +71,43 @@ SHORTEST_LOG = 8.0
 
 BEYOND_ROBOT = 5.0
 """Times an arm's own moving mass, torque or reach, beyond which a size is none of its [1]."""
+
+# What the doctor of logs decides by.
+
+CLEAR_GAIN, TIED_GAIN = 0.4, 0.1
+"""Falls of the sum of the joints' log errors, held out, from which a fault is found, and below
+which two of them cannot be told apart [1]: .4 is as if one joint's error fell by a third. On
+healthy logs, real ones and made ones with the friction of gears, no change was worth more than .15;
+those that mend a planted fault mostly 1 to 15."""
+
+AGREEING_BLOCKS = 0.85
+"""Share of the blocks of time in which the error must fall, too [1]: seven of eight."""
+
+EXPLAINED, TOLD, UNEXPLAINED = 0.2, 0.45, 0.6
+"""Shares of a torque's spread that bodies leave [1]: up to the first in all joints, a fault that is
+found is a doubt, and no positions are; up to the second, faults of that joint are told (what a
+limit or a controller makes has no sign); from the third on (median of the joints) nothing about
+this robot explains the torque."""
+
+LEAST_GAIN = 1.5
+"""Factor by which a joint's torque is off from which on it is a fault [1]: gears and drive gains
+are off by less."""
+
+OTHER_UNIT, ODD_SIZE, CAD_SIZE = 5.0, 2.2, 1.7
+"""Factors between torque and nominal torque from which it is in another unit, odd, and within which
+a unit's own factor is met [1]: CAD models err by up to the last."""
+
+HOLDS_NONE, HOLDS = 0.3, 0.4
+"""Shares of the nominal torque's parts (gravity, inertia) below which a torque holds none of one,
+and from which it does [1]: masses of CAD models err by 40 %. A spring that carries an arm takes
+more than the first of one joint's gravity, but not of every one's."""
+
+LATE_TORQUE_S, LATE_VELOCITY_S = 0.008, 0.015
+"""Lags behind the positions that are worth mending [s]: friction makes up for shorter ones."""
+
+TILT_RAD = 0.0873
+"""Tilt of gravity from which it is doubted [rad]: 5 degrees, what a floor, a flange and a model of
+the friction make."""
+
+BEYOND_LIMIT_RAD = 0.2
+"""Angle beyond a limit from which a position is not the joint's [rad]: zeros are off by less."""
