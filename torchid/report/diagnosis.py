@@ -23,8 +23,8 @@ from torchid.report.skeleton import PHONE, skeleton_of
 from torchid.report.table import Code, Origin, Page, Section, Shown, Table
 from torchid.results.agreement import agreement, disagreement
 from torchid.results.answer import MOST_SIZES, Answer, Diagnosis, DiagnosisRecord, named_size
-from torchid.results.words import count, percent, span, sure
-from torchid.simulation.two_models import RESTART_S, Horizon
+from torchid.results.words import percent, span, sure
+from torchid.simulation.two_models import CONTROLLER, Horizon
 
 STATUS = {
     "no_gap": "no gap",
@@ -91,12 +91,12 @@ def shown(result: Diagnosis | DiagnosisRecord, model: str = "") -> Shown:
         warnings=warnings,
         last=model,
         figures=figures,
-        page=partial(page, result) if isinstance(result, Diagnosis) else None,
+        page=partial(page, result, model=model) if isinstance(result, Diagnosis) else None,
     )
 
 
-def page(result: Diagnosis, origin: Origin) -> Page:
-    """The page of a diagnosis."""
+def page(result: Diagnosis, origin: Origin, model: str = "") -> Page:
+    """The page of a diagnosis; `model` says which model to use next."""
     answer, band = result.answer, None
     if isinstance(result, TorqueDiagnosis):
         title, band = f"Sim-to-real gap of {result.robot.name}", result.band
@@ -113,11 +113,11 @@ def page(result: Diagnosis, origin: Origin) -> Page:
         picture=_arm_picture(result),
         advice=(
             ("What to do first", [step[:1].upper() + step[1:] for step in first_steps(answer)]),
-            ("Which model to use", [which_model(result)]),
+            ("Which model to use", [which_model(result, model)]),
             # Without causes, what would settle the suspects is what to do first.
             (
                 "Suspects, not sure enough",
-                [f"{line}." for line in answer.suspect_lines if answer.causes],
+                [f"{line.rstrip('.')}." for line in answer.suspect_lines if answer.causes],
             ),
         ),
         sections=_sections(result),
@@ -150,10 +150,11 @@ def _usual_horizon(d: TorqueDiagnosis) -> Horizon | None:
     return min(known, key=lambda row: abs(row.horizon_s - USUAL_S), default=None)
 
 
-def which_model(result: TorqueDiagnosis | PositionDiagnosis) -> str:
-    """The model as given, or the corrected one, and whether its simulated motion is better."""
+def which_model(result: TorqueDiagnosis | PositionDiagnosis, model: str = "") -> str:
+    """The model as given, or the corrected one, as `model` says it where it does, and whether its
+    simulated motion is better."""
     answer = result.answer
-    said = model_words(answer, None, "the model as given", ())
+    said = model or model_words(answer, None, "the model as given", ())
     row = _usual_horizon(result) if isinstance(result, TorqueDiagnosis) else None
     if not answer.causes or row is None or row.ratio is None:
         return said
@@ -212,10 +213,10 @@ def _sections(d: TorqueDiagnosis | PositionDiagnosis) -> list[Section]:
         assert isinstance(record, GapRecord)
         rollout = d.how_far.rollout
         text = (
-            "Joint positions: the arm, and both models simulated with the measured torque, without "
-            f"a controller, anew from the measured state every {RESTART_S:g} s; of each run the "
-            "stretch in which it moves most. A line that ends early has lost the arm by more than "
-            "1 rad."
+            "Joint positions: the arm, and both models with the measured torque under one "
+            f"controller ({CONTROLLER.natural_frequency:g} Hz), which holds them to the arm; of "
+            "each run the stretch in which it moves most. What parts a model from the arm is what "
+            "the controller has to make up for."
         )
         if rollout is not None and rollout.fitted_on_these_data:
             text += " These runs were also used for fitting: the numbers are optimistic."
@@ -259,13 +260,13 @@ def _sections(d: TorqueDiagnosis | PositionDiagnosis) -> list[Section]:
             moved,
         ]
     code = "The corrected joints, to copy into the simulator's file; torchid export writes it."
-    named, said = count(len(d.answer.causes), "cause"), agreement(record.agreement)
+    said = agreement(record.agreement)
     return [
         *first,
         Section("Where the error lies", where),
         Section("What the error of other joints depends on", against[1:]),
         Section("Friction, one law a joint", laws),
-        Section(f"The causes in numbers ({named})", [cause_table(record), meaning_table(record)]),
+        Section("The causes in numbers", [cause_table(record), meaning_table(record)]),
         Section("Whether the runs agree", [[said] if said else [], agreement_table(record)]),
         Section("Errors in numbers", numbers),
         Section("For your simulator", [Code(block, code)] if block else []),
