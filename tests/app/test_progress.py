@@ -9,13 +9,17 @@ import pytest
 
 from tests.terminal import on_a_terminal
 from torchid.app.output import Output
-from torchid.parallel.workers import stage
+from torchid.app.progress import ProgressLines, TimeLeft
+from torchid.parallel.workers import in_shares, stage
 
 PROGRAM = """
 import sys, time
 from torchid.app.output import Output
 with Output(quiet="-q" in sys.argv) as output, output.progress("reading") as report:
     assert (report is None) == ("-q" in sys.argv)
+    if report:
+        passed = iter(10.0 * k for k in range(1000))
+        report.left._clock = lambda: next(passed)
     for k in range(4 if report else 0):
         report("searching [a]", k, 4)
         time.sleep(0.15)
@@ -41,7 +45,7 @@ def test_a_terminal_is_told_what_runs_and_how_much_is_left() -> None:
     assert out == "the answer\n"
     assert "searching [a]" in shown  # brackets are no markup
     assert "3/4" in shown
-    assert "left:" in shown
+    assert re.search(r"about \d+ s left", shown)
 
 
 @pytest.mark.slow
@@ -67,7 +71,7 @@ def test_a_line_a_stage_without_a_terminal(
     done = command(name, robot, folder / log, *options)
     assert done.code == 0
     shown = (line for line in done.err.splitlines() if not line.startswith("So far: "))
-    lines = [re.fullmatch(r"(.+): \d+\.\d s", line) for line in shown]
+    lines = [re.fullmatch(r"(.+): \d+\.\d s(, about \d+ \w+ left)?", line) for line in shown]
     assert all(lines), done.err
     told = [line[1] for line in lines]
     assert stages <= set(told)
@@ -99,3 +103,93 @@ def test_of_what_fails_the_error_alone_is_said(capsys) -> None:
     with pytest.raises(ValueError), Output() as output, output.progress("reading"):  # noqa: PT011
         raise ValueError
     assert capsys.readouterr() == ("", "")
+
+
+class Clock:
+    """That is set by hand."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_the_rest_takes_as_long_as_what_is_done_and_nothing_is_said_before() -> None:
+    clock = Clock()
+    left = TimeLeft(clock)
+    assert left.seconds is None
+    left.hear(0, 10)
+    clock.now += 50.0
+    assert (left.seconds, str(left)) == (None, "")  # nothing is done yet
+    left.hear(2, 10)
+    assert left.seconds == pytest.approx(200.0)
+    assert str(left) == "about 3 min left"
+    clock.now += 150.0  # it goes down while nothing is heard
+    assert left.seconds == pytest.approx(50.0)
+    assert str(left) == "about 50 s left"
+    clock.now += 60.0  # it has run out: nobody knows
+    assert (left.seconds, str(left)) == (None, "")
+    left.hear(5, 10)
+    assert left.seconds == pytest.approx(260.0)
+    left.hear(10, 10)
+    assert left.seconds is None
+
+
+def test_what_was_done_before_tells_no_speed() -> None:
+    clock = Clock()
+    left = TimeLeft(clock)
+    left.hear(90, 100)
+    assert left.seconds is None
+    clock.now += 30.0
+    left.hear(93, 100)
+    assert left.seconds == pytest.approx(70.0)
+
+
+@pytest.mark.parametrize(("done", "total"), [(0, 1), (1, 1), (3, 0), (1, 50), (1, 21)])
+def test_no_estimate_of_one_step_of_an_unknown_number_or_of_a_small_share(done, total) -> None:
+    clock = Clock()
+    left = TimeLeft(clock)
+    left.hear(0, total)
+    clock.now += 30.0
+    left.hear(done, total)
+    assert left.seconds is None
+
+
+def test_a_count_goes_on_through_stages_and_another_one_begins_anew() -> None:
+    clock = Clock()
+    left = TimeLeft(clock)
+    lines = ProgressLines("reading")
+    lines.left = left
+    lines("searching", 0, 100)
+    clock.now += 30.0
+    lines("judging", 60, 100)
+    assert left.seconds == pytest.approx(20.0)
+    lines("other searching", 0, 100)
+    assert left.seconds is None
+    clock.now += 30.0
+    lines("other searching", 3, 8)
+    assert left.seconds is None
+
+
+def test_parts_that_are_counted_together() -> None:
+    heard = []
+    told = stage(lambda *all_of_it: heard.append(all_of_it), "second of three", 1, 3)
+    assert told is not None
+    told(0, 40)
+    told(40, 40)
+    assert heard == [("second of three", 40, 120), ("second of three", 80, 120)]
+
+
+def test_stages_by_their_shares_of_the_time() -> None:
+    heard = []
+    say = in_shares(lambda *all_of_it: heard.append(all_of_it), {"a": 20, "b": 60, "c": 20, "d": 0})
+    for name in ("a", "b", "c", "d"):
+        say(name)
+    assert heard == [("a", 0, 100), ("b", 20, 100), ("c", 80, 100), ("d", 100, 100)]
+    heard.clear()
+    say = in_shares(lambda *all_of_it: heard.append(all_of_it), {"a": 20, "b": 60, "c": 20})
+    say("a")
+    say("c")  # without b half is done
+    assert heard == [("a", 0, 100), ("c", 50, 100)]
+    in_shares(None, {"a": 1})("a")

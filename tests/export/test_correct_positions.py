@@ -328,3 +328,4 @@ def test_a_ratio_that_was_refitted_is_called_one(tmp_path):
     log = planted(arm.servos, motions=2, seconds=6.0, seed=2)
     text = correct(robot(), arm, log, "mjcf", tmp_path).files[0].read_text()
     assert "joint_2: kp: a ratio. Nothing anchors" in text
+    assert "holds a load against gravity" in text

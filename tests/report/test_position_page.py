@@ -11,7 +11,7 @@ from tests.report.page.reading import parsed, rows_of, text_of
 from torchid.position.record import Accuracy
 from torchid.report.causes import cause_table
 from torchid.report.diagnosis import figures, page, report_of_diagnosis
-from torchid.report.over_time import motion_over_time
+from torchid.report.over_time import Run, motion_over_time
 from torchid.report.page.document import origin, render
 from torchid.report.position import nominal_table, remarks, where_table, worst_joints
 from torchid.results.replication import MotionScale, replication_of
@@ -141,3 +141,16 @@ def test_what_each_motion_wants_of_a_servo():
     # A factor on commands is 1 without the effect.
     scale = structs.replace(finding("command_gain", 1, 9.0, 4.0, scale=1.2), replication=again)
     assert [r.value for r in diagnosis(scale).agreement] == pytest.approx([1.18, 1.18, 1.32])
+
+
+def test_what_is_shown_first_is_where_a_model_errs_most_while_the_joint_moves() -> None:
+    """Not the rest in which a larger error stands still."""
+    t = torch.arange(6000, dtype=torch.float64) / 50
+    q = torch.where(t < 60, 0.3 * torch.sin(t), 0.3 * torch.sin(torch.tensor(60.0)))[:, None]
+    error = torch.where(t < 60, 0.01 + 0.01 * (t > 40), 0.05)[:, None]
+    run = Run("run", t, q, q + error, q, moving=torch.gradient(q, dim=0)[0].abs() > 1e-4)
+    rows, _ = run.window(0)
+    assert float(t[rows.start]) >= 40
+    assert float(t[rows.stop - 1]) <= 62
+    rests, _ = replace(run, moving=None).window(0)
+    assert float(t[rests.start]) >= 58

@@ -1,7 +1,6 @@
 """Where a command's results go: JSON, a folder, a page, and then the terminal."""
 
 import logging
-import math
 import re
 import sys
 import time
@@ -14,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.text import Text
 
 from torchid.app import allow_interrupts
 from torchid.app.inputs import PLACE, WRITTEN, Suffix
+from torchid.app.progress import ProgressBars, ProgressLines
 from torchid.app.project import OPTIONS
 from torchid.app.signature import Fields, Switch
 from torchid.errors import TorchidError, visible
@@ -26,8 +25,6 @@ from torchid.files import make_folder, remove_empty, require_folder
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from torchid.report.page.document import InputFile, Origin, Page
     from torchid.report.table import Report
     from torchid.results.answer import Answer
@@ -135,7 +132,7 @@ class Output:
 
     @contextmanager
     def kept_so_far(
-        self, watcher: "_Lines | _Bars | None"
+        self, watcher: "ProgressLines | ProgressBars | None"
     ) -> "Iterator[Callable[[Answer], None] | None]":
         """What takes answers so far, and shows them; where Ctrl-C stops the work, the last one is
         written to --json and to DIR/so_far.json, and printed."""
@@ -293,10 +290,11 @@ class Output:
             self.say(as_text("! ", "yellow") + as_text(warning))
 
     @contextmanager
-    def progress(self, first: str = "") -> "Iterator[_Lines | _Bars | None]":
+    def progress(self, first: str = "") -> "Iterator[ProgressLines | ProgressBars | None]":
         """What takes (stage, done, total) and an answer so far, and shows both on standard error:
         one bar, and two lines above it; where that is no terminal, one line a stage, when it is
-        over, with the seconds that it took. None, and nothing is said, with --quiet.
+        over, with the seconds that it took. Both say for how much longer, where that can be told.
+        None, and nothing is said, with --quiet.
 
         Args:
             first: what is running until it is called.
@@ -306,84 +304,13 @@ class Output:
         if self.silent:
             yield None
             return
-        with _Bars(first, console) if console.is_terminal else _Lines(first) as watcher:
+        watcher = ProgressBars(first, console) if console.is_terminal else ProgressLines(first)
+        with watcher:
             yield watcher
 
 
 SO_FAR = "torchid.so_far/1"
 """Schema of an answer that stood when a command was stopped; no other command reads it."""
-SAID_EVERY_S = 10.0
-"""Least time between two lines of what is known so far [s]."""
-
-
-class _Lines:
-    """One line a stage, for files and other programs."""
-
-    def __init__(self, first: str) -> None:
-        self.running, self.began, self.written = first, time.monotonic(), {""}
-        self.said, self.at = "", -math.inf
-
-    def __enter__(self) -> "_Lines":
-        return self
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        """How far a stage is; a total of 0 where it is not known."""
-        following = "" if done == total > 0 else stage
-        if following == self.running:
-            return
-        if self.running not in self.written:  # what runs in turns has one line
-            seconds = time.monotonic() - self.began
-            typer.echo(f"{visible(self.running)}: {seconds:.1f} s", err=True)
-            self.written.add(self.running)
-        self.running, self.began = following, time.monotonic()
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if error is None:
-            self("", 0, 0)
-
-    def so_far(self, answer: "Answer") -> None:
-        """What is known before the end."""
-        if answer.headline != self.said and time.monotonic() > self.at + SAID_EVERY_S:
-            self.said, self.at = answer.headline, time.monotonic()
-            typer.echo(visible(self.said), err=True)
-
-
-class _Bars:
-    """A bar for what is running, below what is known so far; both go at the end."""
-
-    def __init__(self, first: str, console: Console) -> None:
-        from rich import progress as bar
-        from rich.live import Live
-
-        words = bar.TextColumn("{task.description}"), bar.BarColumn(), bar.MofNCompleteColumn()
-        times = bar.TimeElapsedColumn(), bar.TextColumn("left:"), bar.TimeRemainingColumn()
-        self.bars, self.known = bar.Progress(*words, *times, console=console), Text()
-        self.task, self.running = self.bars.add_task(escape(visible(first)), total=None), first
-        self.live = Live(console=console, transient=True, get_renderable=self._shown)
-
-    def _shown(self) -> "RenderableType":
-        from rich.console import Group
-
-        return Group(self.known, self.bars) if self.known else self.bars
-
-    def __enter__(self) -> "_Bars":
-        self.live.start(refresh=True)
-        return self
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        self.live.stop()
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        """How far a stage is; a total of 0 where it is not known."""
-        if stage != self.running:  # a new bar: how long the last stage took predicts nothing
-            self.bars.remove_task(self.task)
-            self.task = self.bars.add_task(escape(visible(stage)), total=None)
-            self.running = stage
-        self.bars.update(self.task, completed=done, total=total or None)
-
-    def so_far(self, answer: "Answer") -> None:
-        """What is known before the end."""
-        self.known = Text(visible(answer.headline))
 
 
 def _few(names: Sequence[str]) -> str:

@@ -305,7 +305,7 @@ class InMujoco(LoadedInMujoco):
         for b in range(len(out)):
             mujoco.mj_resetData(model, data)
             q, tau = windows.q[b].numpy(), windows.tau[b].numpy()
-            data.qpos[self.places], data.qvel[self.rows] = q[0], windows.dq0[b].numpy()
+            data.qpos[self.places], data.qvel[self.rows] = q[0], windows.dq[b, 0].numpy()
             out[b, 0] = q[0]
             for k in range(int(windows.steps[b].clamp(max=len(q) - 1))):
                 with without_warnings(mujoco):

@@ -13,7 +13,7 @@ from torchid.export.dynamics import Dynamics, effect_text, nearest_representativ
 from torchid.export.nearest import nearest_bodies
 from torchid.export.record import ExportRecord, Places
 from torchid.export.results import Exportable, dynamics_of
-from torchid.export.servo_mjcf import JOINTS, SAID, unsaid_parameters
+from torchid.export.servo_mjcf import ANCHOR, JOINTS, SAID, unsaid_parameters
 from torchid.export.write_actuator import Package, write_actuator
 from torchid.export.write_plain import write_c, write_yaml
 from torchid.export.write_usd import SAID as IN_LAYER
@@ -272,8 +272,7 @@ def ratios_to_file(
             got="no load and no known gain anchors the torques of the servo, friction and armature",
             expected="an MJCF (`robot=...`) with position actuators, to whose gain it is a ratio; "
             'or a diagnosis with `servo="kp=12"`, or the type of servos, of which one tells others',
-            hint="record the joint while it holds a load against gravity, or with a known mass in "
-            "the hand",
+            hint=ANCHOR,
         )
     kp = arm.servos.of("kp").tolist()
     return {j: math.nan if j in lost else kp[j] / own[j]["kp"] for j in arm.unanchored}

@@ -52,6 +52,8 @@ RATIOS_ALONE = (
     "Nothing anchors this joint's torques: kp, damping, friction and armature are right in their "
     "ratios to each other alone."
 )
+ANCHOR = "record the joint while it holds a load against gravity, or with a known mass in the hand"
+"""What makes a number of a ratio."""
 _HELD = 1e9
 """Armature of joints that the robot does not have [kg m^2; kg]: gravity does not move them."""
 STEP = 0.002
@@ -118,8 +120,9 @@ def write_servos(
         node = _actuator(root, name)
         node.attrib.update(_general(values, step))
         if ratios and j in ratios:
-            beside = "a ratio" if math.isnan(ratios[j]) else f"{ratios[j]:.3g} x the file's"
-            words = f"kp: {beside}. {RATIOS_ALONE}"
+            words = f"kp: {ratios[j]:.3g} x the file's. {RATIOS_ALONE}"
+            if math.isnan(ratios[j]):
+                words = f"kp: a ratio. {RATIOS_ALONE} To anchor them {ANCHOR}."
             node.addprevious(said := comment(f"{name}: {words}"))
             said.tail = node.getparent().text
         # What the servo can is fitted; a limit of the nominal robot would come before it.

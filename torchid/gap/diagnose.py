@@ -1,7 +1,6 @@
 """From a simulator and any log of the real arm to a diagnosis: what the log measured decides which
 error is explained (see `torchid.design.sensor`)."""
 
-from collections.abc import Callable
 from dataclasses import fields, replace
 
 from threadpoolctl import threadpool_limits
@@ -15,13 +14,13 @@ from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
+from torchid.parallel.workers import Progress
 from torchid.position.diagnose import diagnose_positions
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.nominal import nominal_servos, servos_as_given, sheets_of, types_of
 from torchid.results.answer import Diagnosis
 from torchid.robot.model import Robot
 
-Progress = Callable[[str, int, int], None]
 SETTLED = 0.9
 """Share of the error that a diagnosis takes away where it has answered what was doubted."""
 OF_POSITIONS = ("parameters", "worthwhile", "seed")

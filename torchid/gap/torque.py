@@ -8,7 +8,6 @@ and how far it closes the gap is judged by its terms fitted without each fold, o
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -41,12 +40,17 @@ from torchid.gap.validate.judge import status_of, warnings_of
 from torchid.gap.validate.pose import pose
 from torchid.identification.knowledge import known_names
 from torchid.log.model import Log
+from torchid.parallel.workers import Progress, in_shares
 from torchid.results.answer import NotTestable, ordered
 from torchid.robot.model import Robot
 from torchid.simulation.two_models import rollouts
 from torchid.statistics.criteria import LIKELY, SHORTEST_LOG
 
-Progress = Callable[[str, int, int], None]
+STAGES = {
+    "preparing": 10, "searching for effects": 40, "judging": 35, "locating": 5,
+    "simulating forwards": 10, "done": 0,
+}  # fmt: skip
+"""That are told as progress, with about the share of the time that each takes [%]."""
 
 
 def diagnose_torque(
@@ -71,22 +75,22 @@ def diagnose_torque(
         raise LogError(
             "both a held-out log and a held-out fraction are given.", expected="one of them"
         )
-    say = progress or (lambda stage, done, total: None)
-    say("preparing", 0, 1)
+    say = in_shares(progress, STAGES)
+    say("preparing")
     problem = pose(robot, log, held_out, settings, force)
     del log, held_out  # a long one is searched in part, and may now be let go
-    say("searching for effects", 0, 1)
+    say("searching for effects")
     if watch is not None and not problem.data.stands:
         watch(first_answer(problem))
     found = explain_gap(problem, watch and (lambda q, fit: watch(so_far(q, fit, problem.robot))))
     if not found.terms:
         problem.data.require_motion()
-    say("judging", 0, 1)
+    say("judging")
     decision = decide(found, problem)
-    say("locating", 0, 1)
+    say("locating")
     result = describe_diagnosis(decision, problem)
     if settings.rollout and not robot.floating:
-        say("simulating forwards", 0, 1)
+        say("simulating forwards")
         here = problem.judged is None
         on = problem.judged or problem.data
         replayed, motions = rollouts(
@@ -94,7 +98,7 @@ def diagnose_torque(
         )
         far = replace(result.how_far, rollout=replayed, motions=motions)
         result = replace(result, how_far=far)
-    say("done", 1, 1)
+    say("done")
     return result
 
 

@@ -276,7 +276,7 @@ def _designs(
     }
     out = []
     for k in range(asked.count if asked.kind == "optimised" else 0):
-        told = stage(progress, f"trajectory {k + 1} of {asked.count}")
+        told = stage(progress, f"trajectory {k + 1} of {asked.count}", k, asked.count)
         out.append(excite(robot, seed=asked.seed + k, progress=told, **shared))
     return out
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from torchid.effects.servo import ServoEffect
 from torchid.log.checks import STILL
 from torchid.log.model import Log
+from torchid.parallel.workers import Progress, in_shares
 from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare
 from torchid.position.diagnosis import Number, PositionDiagnosis, finding_of
 from torchid.position.early import EarlyAnswer
@@ -69,8 +70,13 @@ from torchid.statistics.criteria import LIKELY, WORTHWHILE
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Float
 
-STAGES = 16
-"""That are told as progress."""
+STAGES = {
+    "a plain servo": 5, "one effect at a time": 41, "a load": 2, "gains, friction and delay": 2,
+    "profile": 6, "stops": 1, "plane": 1, "clip": 1, "speed": 1, "filter": 6, "integral action": 1,
+    "dead zone": 1, "scale of commands": 2, "all together": 4, "what each effect is worth": 8,
+    "how far it goes": 18,
+}  # fmt: skip
+"""That are told as progress, with about the share of the time that each takes [%]."""
 MOST = 250
 """Windows that a search looks at [1]: more do not change what it finds, only how long it takes."""
 WORSE = 0.1
@@ -90,7 +96,7 @@ def diagnose_positions(
     sheets: Sequence[Mapping[str, float]] = (),
     start: ServoArm | None = None,
     worthwhile: float = WORTHWHILE,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
     watch: Callable[[Answer], None] | None = None,
 ) -> PositionDiagnosis:
     """Which causes part an arm's positions from its commands, and how far that goes.
@@ -107,7 +113,7 @@ def diagnose_positions(
         types: of the joints' servos: those of one name are units of one type.
         sheets: what their makers say of them, values by parameter.
         worthwhile: least share of a joint's error by which a cause must lower it to be named.
-        progress: called with the stage, steps done and steps in all.
+        progress: called with (stage, done, total).
         watch: called with an `Answer` of status `searching` whenever more is known.
 
     Returns:
@@ -117,12 +123,7 @@ def diagnose_positions(
         LogError: no commands, other joints than the robot's, uneven sampling, or too short a log.
     """
     robot.require_fixed_base("a diagnosis of positions")
-    begun, stages = time.perf_counter(), itertools.count()
-
-    def say(stage: str) -> None:
-        if progress is not None:
-            progress(stage, next(stages), STAGES)
-
+    begun, say = time.perf_counter(), in_shares(progress, STAGES)
     log, warnings = _parted(log)
     scaled = start is not None and bool((start.scale != 1).any())
     data = prepare(robot, log, start.scale if start is not None and scaled else None)

@@ -20,7 +20,7 @@ from torchid.errors import RobotError, TorchidError
 from torchid.excitation.clearance import Clearance
 from torchid.excitation.limits import position_limits
 from torchid.log.model import Log
-from torchid.parallel.workers import Progress
+from torchid.parallel.workers import Progress, in_shares
 from torchid.position.data import WINDOW_S, prepare
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.effects import BY_NAME, CORE
@@ -159,8 +159,8 @@ def next_commands(
     arm = ServoArm(heavy, servos, torch.ones(n, dtype=torch.float64))
     still = torch.tensor([joint.never_moves for joint in found.where.joints])
     wanted = _candidates(robot, still, seconds, rate, usage)
-    if progress is not None:
-        progress("motions within the limits", 0, 1)
+    say = in_shares(progress, {"motions within the limits": 50, "what they would tell": 50})
+    say("motions within the limits")
     logs = _kept(arm, wanted, rate, usage, clearance)
     names, kept = list(logs), list(logs.values())
     if not kept:
@@ -168,8 +168,7 @@ def next_commands(
             f"robot '{robot.name}': no motion about the middle of its range keeps the limits.",
             hint="`usage=...`, or limits of position about a posture with more room",
         )
-    if progress is not None:
-        progress("what they would tell", 0, 1)
+    say("what they would tell")
     # What each motion would tell, where the answered servos are the truth.
     data = prepare(heavy, Log.concatenate(kept))
     asked = _asked(found, servos, still)

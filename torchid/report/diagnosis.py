@@ -29,7 +29,7 @@ from torchid.report.table import Code, Origin, Page, Report, Section, Table
 from torchid.results.agreement import agreement, disagreement
 from torchid.results.answer import MOST_SIZES, Answer, Diagnosis, DiagnosisRecord, named_size
 from torchid.results.words import count, digits, percent, span, sure
-from torchid.simulation.two_models import RESTART_S, Horizon
+from torchid.simulation.two_models import CONTROLLER, Horizon
 
 STATUS = {
     "no_gap": "no gap",
@@ -92,7 +92,7 @@ def report_of_diagnosis(result: Diagnosis | DiagnosisRecord, model: str = "") ->
         warnings=warnings,
         last=model,
         figures=figures(result),
-        page=partial(page, result) if isinstance(result, Diagnosis) else None,
+        page=partial(page, result, model=model) if isinstance(result, Diagnosis) else None,
     )  # fmt: skip
 
 
@@ -101,8 +101,8 @@ def evidence(record: GapRecord | PositionRecord) -> Evidence:
     return gap.evidence(record) if isinstance(record, GapRecord) else position.evidence(record)
 
 
-def page(result: Diagnosis, origin: Origin) -> Page:
-    """The page of a diagnosis."""
+def page(result: Diagnosis, origin: Origin, model: str = "") -> Page:
+    """The page of a diagnosis; `model` says which model to use next."""
     answer, band = result.answer, None
     if isinstance(result, TorqueDiagnosis):
         title, band = f"Sim-to-real gap of {result.robot.name}", result.band
@@ -119,11 +119,11 @@ def page(result: Diagnosis, origin: Origin) -> Page:
         picture=_arm_picture(result),
         advice=(
             ("What to do first", [step[:1].upper() + step[1:] for step in first_steps(answer)]),
-            ("Which model to use", [which_model(result)]),
+            ("Which model to use", [which_model(result, model)]),
             # Without causes, what would settle the suspects is what to do first.
             (
                 "Suspects, not sure enough",
-                [f"{line}." for line in answer.suspect_lines if answer.causes],
+                [f"{line.rstrip('.')}." for line in answer.suspect_lines if answer.causes],
             ),
         ),
         sections=_sections(result.record, result),
@@ -156,10 +156,11 @@ def _usual_horizon(d: TorqueDiagnosis) -> Horizon | None:
     return min(known, key=lambda row: abs(row.horizon_s - USUAL_S), default=None)
 
 
-def which_model(result: TorqueDiagnosis | PositionDiagnosis) -> str:
-    """The model as given, or the corrected one, and whether its simulated motion is better."""
+def which_model(result: TorqueDiagnosis | PositionDiagnosis, model: str = "") -> str:
+    """The model as given, or the corrected one, as `model` says it where it does, and whether its
+    simulated motion is better."""
     answer = result.answer
-    text = model_words(answer, None, "the model as given", ())
+    text = model or model_words(answer, None, "the model as given", ())
     row = _usual_horizon(result) if isinstance(result, TorqueDiagnosis) else None
     if not answer.causes or row is None or row.ratio is None:
         return text
@@ -241,10 +242,10 @@ def _over_time(d: TorqueDiagnosis | PositionDiagnosis, against: Sequence[Picture
     torque = None
     if isinstance(d, TorqueDiagnosis):
         text = (
-            "Joint positions: the arm, and both models simulated with the measured torque, without "
-            f"a controller, anew from the measured state every {RESTART_S:g} s; of each run the "
-            "stretch in which it moves most. A line that ends early has lost the arm by more than "
-            "1 rad."
+            "Joint positions: the arm, and both models with the measured torque under one "
+            f"controller ({CONTROLLER.natural_frequency:g} Hz), which holds them to the arm; of "
+            "each run the stretch in which it moves most. What parts a model from the arm is what "
+            "the controller has to make up for."
         )
         rollout = d.how_far.rollout
         if rollout is not None and rollout.fitted_on_these_data:

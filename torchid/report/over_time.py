@@ -24,6 +24,8 @@ MOST_INSTANTS = 6000
 """Of a run."""
 WINDOW_S = 12.0
 """Of a run that is shown first, where a model errs most [s]."""
+SLOW = 0.1
+"""Share of a joint's RMS speed below which it rests."""
 _DRAWN = 4000
 _LEVELS = 32767  # of a number on a page, from 0 to its curve's largest
 
@@ -38,6 +40,7 @@ class Run:
         measured, before, after: (T, n) of the arm and of both models; NaN where there is nothing.
         command: (T, n) what the arm was asked for.
         aside: (T, n) instants that do not count.
+        moving: (T, n) instants of motion, of which as many as may be are shown first.
     """
 
     name: str
@@ -47,12 +50,15 @@ class Run:
     after: Float[Tensor, "T n"]
     command: Float[Tensor, "T n"] | None = None
     aside: Bool[Tensor, "T n"] | None = None
+    moving: Bool[Tensor, "T n"] | None = None
 
     def window(self, joint: int) -> tuple[slice, float]:
         """Rows of `WINDOW_S` where the model before errs most on a joint, and its mean square."""
         squares = (self.measured - self.before)[:, joint].square().nan_to_num()
         if self.aside is not None:
             squares = squares * ~self.aside[:, joint]
+        if self.moving is not None:
+            squares = squares * self.moving[:, joint]
         step = float(self.t.diff().median()) if len(self.t) > 1 else 1.0
         return worst_stretch(squares, max(2, round(WINDOW_S / step)))
 
@@ -211,8 +217,8 @@ def torque_over_time(d: TorqueDiagnosis) -> OverTime:
 
 
 def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime | None:
-    """Positions of the arm and of both models: of torques simulated from a measured state with the
-    measured torque; of commands, whole motions left out. None where nothing was simulated."""
+    """Positions of the arm and of both models: of torques with the measured torque under a
+    controller; of commands, whole motions left out. None where nothing was simulated."""
     if isinstance(d, TorqueDiagnosis):
         units = ["m" if joint_unit(d.robot, j) == "N" else "rad" for j in range(d.robot.n)]
         runs = [
@@ -227,7 +233,7 @@ def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime | None:
         return OverTime(
             "position", runs, joint_labels(d.robot.joint_names), units,
             far.argsort(descending=True).tolist(), ("model as given", "corrected model"),
-            same, where=", simulated with the measured torque",
+            same, where=", with the measured torque under a controller",
         )  # fmt: skip
     data, (before, answered), runs = d.data, d.errors, []
     log = data.log
@@ -237,9 +243,11 @@ def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime | None:
         rows = slice(a, b + 1)
         q = log.q[rows]
         command = None if log.u is None else log.u[rows]
+        speed = torch.gradient(q, dim=0)[0].abs()
         runs.append(
             Run(log.names[int(log.trajectory[a])] if len(log.names) else f"motion {k + 1}",
-                log.t[rows] - log.t[a], q, q + before[rows], q + answered[rows], command)
+                log.t[rows] - log.t[a], q, q + before[rows], q + answered[rows], command,
+                moving=speed > SLOW * speed.square().mean(0).sqrt())
         )  # fmt: skip
     moving = [j for j in range(data.robot.n) if not bool(d.still[j])]
     order = sorted(moving, key=lambda j: -float(d.before.whole[j])) or [0]

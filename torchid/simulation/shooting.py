@@ -35,8 +35,7 @@ class Windows:
 
     Attributes:
         dt: between samples [s].
-        q, tau: (B, T, n) measured positions and torques, the first at the start.
-        dq0: (B, n) at the start.
+        q, dq, tau: (B, T, n) measured positions, velocities and torques, the first at the start.
         t0: (B,) [s].
         steps: (B,) number of the last sample that the passage has.
         place: (B,) of the start in the log [s], passages without the time between them.
@@ -45,8 +44,8 @@ class Windows:
 
     dt: float
     q: Float[Tensor, "B T n"]
+    dq: Float[Tensor, "B T n"]
     tau: Float[Tensor, "B T n"]
-    dq0: Float[Tensor, "B n"]
     t0: Float[Tensor, " B"]
     steps: Int[Tensor, " B"]
     place: Float[Tensor, " B"]
@@ -101,8 +100,8 @@ def windows_of(passages: Sequence[Segment], starts: Starts, longest: float) -> W
     return Windows(
         dt=step / rate,
         q=torch.cat([p.motion.q for p in passages])[index],
+        dq=torch.cat([p.motion.dq for p in passages])[index],
         tau=torch.cat([p.tau for p in passages])[index],
-        dq0=torch.cat([p.motion.dq for p in passages])[begin],
         t0=torch.cat(times)[begin],
         steps=steps,
         place=begin / rate,

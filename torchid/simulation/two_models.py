@@ -20,15 +20,19 @@ from torchid.effects.registry import model_torque, nominal_effects
 from torchid.results.record import Col, Part, Real
 from torchid.results.words import percent
 from torchid.robot.model import Robot
-from torchid.simulation.open_loop import rollout
+from torchid.simulation.controller import Controller
+from torchid.simulation.open_loop import Held, rollout
 from torchid.simulation.shooting import Starts, Windows, edge_of, starts_of, windows_of
 from torchid.statistics.resampling import DRAWS, bootstrap_weights, tails
 from torchid.typing import Float, Int, Tensor
 
 HORIZONS = (0.1, 0.5, 2.0)
 
-RESTART_S, SHOWN_S = 0.25, 6.0
-"""Of the motion that is shown: after which time a simulation begins anew, and its length [s]."""
+SHOWN_S = 6.0
+"""Length of the motion that is shown [s]."""
+
+CONTROLLER = Controller()
+"""That holds both models to the arm in the motion that is shown."""
 
 DIVERGED = 1.0
 """Position error of a joint at which a rollout has lost the arm [rad or m]. Larger ones count as
@@ -99,13 +103,13 @@ class Rollout(Part, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, eq=False)
 class SimulatedMotion:
-    """Joint positions of the arm and of both models, which begin anew every `RESTART_S`.
+    """Joint positions of the arm and of both models, which have the measured torque under a
+    controller that holds them to the arm.
 
     Attributes:
         name: of the trajectory.
         t: (T,) from the trajectory's first sample on [s].
-        measured, before, after: (T, n) positions [rad; m]; NaN where a model has lost the arm, and
-            between one simulation and the next.
+        measured, before, after: (T, n) positions [rad; m]; NaN where a model has lost the arm.
     """
 
     name: str
@@ -135,8 +139,7 @@ def rollouts(
         fitted_here: whether the model after was fitted on these passages.
 
     Returns:
-        The errors, and of each passage the stretch in which the arm moves most, simulated anew
-        every `RESTART_S`.
+        The errors, and of each passage the stretch in which the arm moves most, under a controller.
 
     Raises:
         RobotError: a model has no parameters, or an effect that does not exist.
@@ -171,45 +174,45 @@ def rollouts(
 def _motions(
     before: Robot, after: Robot, passages: Sequence[Segment]
 ) -> tuple[SimulatedMotion, ...]:
-    """Of each passage the stretch in which the arm moves most, simulated anew from the measured
-    state every `RESTART_S`: an error has no time to grow until nothing is seen but that it grew."""
-    first, passage = [], []
+    """Of each passage the stretch in which the arm moves most, with one controller for both models:
+    what is wrong stands out where it is, and is not lost in what it led to."""
+    first, length, passage = [], [], []
     for k, p in enumerate(passages):
-        every, edge = round(RESTART_S * p.rate), edge_of(p)
-        count = min(round(SHOWN_S / RESTART_S), (p.length - 2 * edge - 1) // max(1, every))
-        if count < 1:
+        edge = edge_of(p)
+        count = min(round(SHOWN_S * p.rate), p.length - 2 * edge - 1)
+        if count < p.rate / 4:
             continue
         far = p.motion.dq.square().sum(1).cumsum(0)
-        room = torch.arange(edge, p.length - edge - count * every)
-        begin = int(room[(far[room + count * every] - far[room]).argmax()])
-        first += [begin + every * w for w in range(count)]
-        passage += [k] * count
+        room = torch.arange(edge, p.length - edge - count)
+        first.append(int(room[(far[room + count] - far[room]).argmax()]))
+        length.append(count)
+        passage.append(k)
     if not first:
         return ()
-    at, of = torch.tensor(first), torch.tensor(passage)
-    length = torch.tensor([round(RESTART_S * passages[k].rate) for k in passage])
-    windows = windows_of(passages, Starts(of, at, length), RESTART_S)
-    runs = [_simulated(robot, windows)[0] for robot in (before, after)]
+    starts = Starts(*map(torch.tensor, (passage, first, length)))
+    windows = windows_of(passages, starts, SHOWN_S)
+    gains = CONTROLLER.gains(before, windows.q)
+    held = Held(gains, windows.q, windows.dq)
+    runs = [_simulated(robot, windows, held)[0] for robot in (before, after)]
     lost = [~((q - windows.q).abs() < DIVERGED) for q in runs]
     shown = [q.masked_fill(gone, math.nan) for q, gone in zip(runs, lost, strict=True)]
     out = []
-    for k in of.unique().tolist():
-        own = of == k
-        begun = windows.t0[own] - float(passages[k].motion.require("t", "a rollout")[0])
-        t = begun[:, None] + windows.dt * torch.arange(windows.q.shape[1], dtype=begun.dtype)
-        # A gap between windows, so that no line joins the end of one to the next one's start.
-        rows = [torch.cat([x, x[:, -1:] * math.nan], 1)[own].flatten(0, 1) for x in shown]
-        measured = torch.cat([windows.q, windows.q[:, -1:]], 1)[own].flatten(0, 1)
-        t = torch.cat([t, t[:, -1:]], 1).flatten()
-        out.append(SimulatedMotion(passages[k].name, t, measured, *rows))
+    for w, k in enumerate(passage):
+        rows = slice(0, int(windows.steps[w]) + 1)
+        begun = windows.t0[w] - float(passages[k].motion.require("t", "a rollout")[0])
+        t = begun + windows.dt * torch.arange(windows.q.shape[1], dtype=begun.dtype)
+        signals = (x[w, rows] for x in (windows.q, *shown))
+        out.append(SimulatedMotion(passages[k].name, t[rows], *signals))
     return tuple(out)
 
 
-def _simulated(robot: Robot, windows: Windows) -> tuple[Float[Tensor, "B T n"], Sequence[str]]:
+def _simulated(
+    robot: Robot, windows: Windows, held: Held | None = None
+) -> tuple[Float[Tensor, "B T n"], Sequence[str]]:
     """Positions at the samples, and names of effects left out."""
-    q0, dt = windows.q[:, 0], windows.dt
+    q0, dq0, dt = windows.q[:, 0], windows.dq[:, 0], windows.dt
     run = rollout(
-        robot, (), q0, windows.dq0, windows.tau, dt, windows.t0, longest_step=_LONGEST_STEP
+        robot, (), q0, dq0, windows.tau, dt, windows.t0, held=held, longest_step=_LONGEST_STEP
     )
     return run.q, run.ignored
 

@@ -1,10 +1,12 @@
 """mujoco.sysid itself, on the folds of `position_folds.py` and by its measures.
 
     python -m torchid_bench.benchmarks.peers_positions ROBOT LOG... [--folds 5] [--windows 60]
+    python -m torchid_bench.benchmarks.peers_positions ROBOT LOG... --held-out OTHER...
 
-MuJoCo's own toolbox (`pip install "mujoco[sysid]"`) fits what every servo of torchid's has: kp,
-damping, armature, dry friction, an offset of the command and a delay of each joint (36 of six
-joints), to windows of 2 s from their measured start. `default` has MuJoCo's dry friction, which
+MuJoCo's own toolbox (`pip install "mujoco[sysid]"`) fits what a servo of torchid's has and an MJCF
+can say: kp, kv within a largest torque, damping, armature, dry friction, and of the command an
+offset, a scale, a delay and a filter of first order, of each joint (60 of six joints), to windows
+of 2 s from their measured start. Windows of 10 s are those of `torchid correct`. `default` has MuJoCo's dry friction, which
 creeps; `firm` has solimpfriction .9999, with which a joint that is stuck stays there. Masses are
 the file's, and the simulator, its derivatives and its optimiser MuJoCo's own. Each residual is the
 difference of positions in radians: its own default divides by each window's size.
@@ -25,21 +27,33 @@ import mujoco
 import numpy as np
 import torch
 from mujoco import sysid
+from scipy.signal import lfilter
 
+from torchid.export.correct_positions import WINDOW_S as PROMISED_S
 from torchid.export.export import export_dynamics
 from torchid.log.model import Log
+from torchid.log.readers import read_log
 from torchid.position.data import WINDOW_S, PositionData, prepare
 from torchid.position.diagnose import some_of
 from torchid.simulation.servo_loop import windows_of
 from torchid_bench.benchmarks.position_errors import fold_parser, print_errors, read_folds
 
-START = {"kp": 17.8, "damping": 0.6, "armature": 0.028, "frictionloss": 0.052}
-"""Of the SO-101's STS3215 in TheRobotStudio's `joints_properties.xml`."""
-RANGE = {"kp": 30.0, "damping": 30.0, "armature": 30.0, "frictionloss": 100.0}
+START = {
+    "kp": 17.8, "damping": 0.6, "armature": 0.028, "frictionloss": 0.052, "kv": 0.06, "clip": 5.0,
+}  # fmt: skip
+"""Of the SO-101's STS3215 in TheRobotStudio's `joints_properties.xml`; kv and the largest torque so
+that they do little."""
+RANGE = {"kp": 30.0, "damping": 30.0, "armature": 30.0, "frictionloss": 100.0} | dict.fromkeys(
+    ("kv", "clip"), 100.0
+)
 """Factors by which a fit may leave these."""
 STEPS = 4
 """Of the simulator, from one row of a log to the next."""
 DELAY_S, LATEST_S = 0.04, 0.15
+LONGEST_LAG_S = 0.2
+SCALES = (0.8, 1.2)
+PAST_S = 2.0
+"""Of commands before a window, which a delay and a filter know [s]."""
 FARTHEST = 0.3
 """Offset of a command that a fit may have [rad]."""
 FIRM = [0.9999, 0.9999, 0.001, 0.5, 2]
@@ -69,8 +83,8 @@ def spec_of(robot: Any, folder: Path, step: float, *, firm: bool) -> mujoco.MjSp
 
 
 def parameters(names: Sequence[str]) -> Any:
-    """Logarithms of each joint's four, its offset in radians, and its delay in tenths of a
-    second."""
+    """Logarithms of each joint's `START`, its offset in radians, its delay and lag in tenths of a
+    second, and the scale of its commands."""
     out = sysid.ParameterDict()
     for joint in names:
         for what, start in START.items():
@@ -79,6 +93,11 @@ def parameters(names: Sequence[str]) -> Any:
                 value = float(np.exp(p.value[0]))
                 if what == "kp":
                     s.actuator(joint).set_to_position(kp=value)
+                elif what == "kv":
+                    s.actuator(joint).biasprm[2] = -value
+                elif what == "clip":
+                    s.actuator(joint).forcerange = np.array([-value, value])
+                    s.actuator(joint).forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
                 elif what == "damping":
                     s.joint(joint).damping = np.array([value, 0.0, 0.0])
                 else:
@@ -95,6 +114,8 @@ def parameters(names: Sequence[str]) -> Any:
 
         out.add(sysid.Parameter(f"{joint} offset", 0.0, -FARTHEST, FARTHEST, modifier=shift))
         out.add(sysid.Parameter(f"{joint} delay", 10 * DELAY_S, 0.0, 10 * LATEST_S))
+        out.add(sysid.Parameter(f"{joint} lag", 0.1, 0.0, 10 * LONGEST_LAG_S))
+        out.add(sysid.Parameter(f"{joint} scale", 1.0, *SCALES))
     return out
 
 
@@ -108,12 +129,21 @@ def residual(spec: mujoco.MjSpec, data: PositionData, chunks: Iterable[tuple[int
         times = control_signal[0].times
         row = round(times[0] / dt)
         first = firsts[np.searchsorted(firsts, row, side="right") - 1]
+        first = max(first, row - round(PAST_S / dt))
         known = np.arange(first, row + len(times) // STEPS + 1)
+        before = times[0] - dt / STEPS * np.arange(STEPS * (row - first), 0, -1)
+        fine = np.concatenate([before, times])
         moved = []
         for p in param_dicts:
-            delays = [p[f"{joint} delay"].value[0] / 10 for joint in data.robot.joint_names]
-            both = zip(delays, u[known].T, strict=True)
-            late = np.stack([np.interp(times - delay, dt * known, x) for delay, x in both], 1)
+            late = np.empty((len(fine), n))
+            for j, joint in enumerate(data.robot.joint_names):
+                delay, lag, scale = (
+                    p[f"{joint} {what}"].value[0] for what in ("delay", "lag", "scale")
+                )
+                x = scale * np.interp(fine - delay / 10, dt * known, u[known, j])
+                share = 1 - np.exp(-dt / STEPS / max(lag / 10, 1e-9))
+                late[:, j], _ = lfilter([share], [1, share - 1], x, zi=[(1 - share) * x[0]])
+            late = late[len(before) :]
             moved.append(sysid.TimeSeries(times, late, control_signal[0].signal_mapping))
         return sysid.sysid_rollout(control_signal=moved, **rest)
 
@@ -153,12 +183,16 @@ def chunks_of(data: PositionData, seconds: float | None, most: int | None = None
 def main() -> None:
     parser = fold_parser(__doc__)
     parser.add_argument("--only", type=int, nargs="*", help="these folds alone")
+    parser.add_argument("--held-out", type=Path, nargs="*", help="judge by these, fit to all LOG")
     parser.add_argument("--windows", type=int, default=60, help="that a fit looks at")
     parser.add_argument("--friction", default="default,firm")
     given = parser.parse_args()
     robot, parts, folds = read_folds(given)
+    if given.held_out:
+        others = list(read_log(given.held_out).trajectories())
+        folds, parts, given.only = [1] * len(parts) + [0] * len(others), parts + others, [0]
     for friction in given.friction.split(","):
-        squares: dict[float | None, list[torch.Tensor]] = {None: [], WINDOW_S: []}
+        squares: dict[float | None, list[torch.Tensor]] = {None: [], WINDOW_S: [], PROMISED_S: []}
         busy, taken = 0.0, given.only or range(given.folds)
         for fold in taken:
             begun = time.process_time()

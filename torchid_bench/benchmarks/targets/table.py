@@ -65,7 +65,7 @@ def by_torque(path: Path, log: Log) -> tuple[Dynamics, Played, np.ndarray]:
     # The end of the last torque is the beginning of one more.
     torque = torque.flatten(1, 2)
     torque = torch.cat([torque, torque[:, -1:]], 1).numpy()
-    q, dq = windows.q[:, 0].numpy(), windows.dq0.numpy()
+    q, dq = windows.q[:, 0].numpy(), windows.dq[:, 0].numpy()
     motion = Played("torque", torque, q, dq, windows.dt / steps, 1, robot.joint_names)
     return robot_dynamics(robot), motion, windows.q[:, -1:].numpy()
 

@@ -1,0 +1,155 @@
+"""What runs, how far it is, and for how much longer: on a terminal a bar, elsewhere lines."""
+
+import math
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.text import Text
+
+from torchid.errors import visible
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.progress import Task
+
+    from torchid.results.answer import Answer
+
+SAID_EVERY_S = 10.0
+"""Least time between two lines of what is known so far [s]."""
+LINE_EVERY_S = 60.0
+"""Time after which a stage that is not over has another line [s]."""
+LEAST_SHARE = 0.05
+"""Of what is counted, after which the rest is taken to be as fast."""
+SOON_S = 2.0
+"""Time within which no estimate is made, and none is worth one [s]."""
+
+
+class TimeLeft:
+    """How long what is counted still takes, if the rest is as fast as what is done.
+
+    What was done before the first call, as logs that a store has, tells no speed. There is no
+    estimate before a twentieth is done, of a single step, and where it has run out.
+
+    Args:
+        clock: seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._total, self._first, self._last = 0, (0, clock()), (0, clock())
+
+    def hear(self, done: int, total: int) -> None:
+        """So much is done; another total, or less than before, begins another count."""
+        now = done, self._clock()
+        if total != self._total or done < self._last[0]:
+            self._total, self._first, self._last = total, now, now
+        elif done > self._last[0]:
+            self._last = now
+
+    @property
+    def seconds(self) -> float | None:
+        """Until the end [s]; None where nothing tells it."""
+        (first, began), (done, then) = self._first, self._last
+        if done <= first or done < first + LEAST_SHARE * (self._total - first):
+            return None
+        end = then + (then - began) / (done - first) * (self._total - done)
+        left = end - self._clock()
+        return left if then - began > SOON_S and left > SOON_S else None
+
+    def __str__(self) -> str:
+        """In words, as roughly as it is known; nothing where it is not."""
+        seconds = self.seconds
+        if seconds is None:
+            return ""
+        if seconds < 90:
+            return f"about {5 * math.ceil(seconds / 5)} s left"
+        hours = seconds / 3600
+        return f"about {60 * hours:.0f} min left" if hours < 1.5 else f"about {hours:.1f} h left"
+
+
+class ProgressLines:
+    """One line a stage, for files and other programs."""
+
+    def __init__(self, first: str) -> None:
+        self.running, self.began, self.written = first, time.monotonic(), {""}
+        self.said, self.at, self.left = "", -math.inf, TimeLeft()
+        self.line = self.began
+
+    def __enter__(self) -> "ProgressLines":
+        return self
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """How far a stage is; a total of 0 where it is not known."""
+        self.left.hear(done, total)
+        following, now = "" if done == total > 0 else stage, time.monotonic()
+        if following == self.running:
+            if now > self.line + LINE_EVERY_S and str(self.left):
+                self.line = now
+                typer.echo(f"{visible(stage)}: {done} of {total}, {self.left}", err=True)
+            return
+        if self.running not in self.written:  # what runs in turns has one line
+            left = f", {self.left}" if str(self.left) else ""
+            typer.echo(f"{visible(self.running)}: {now - self.began:.1f} s{left}", err=True)
+            self.written.add(self.running)
+        self.running, self.began, self.line = following, now, now
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is None:
+            self("", 0, 0)
+
+    def so_far(self, answer: "Answer") -> None:
+        """What is known before the end."""
+        if answer.headline != self.said and time.monotonic() > self.at + SAID_EVERY_S:
+            self.said, self.at = answer.headline, time.monotonic()
+            typer.echo(visible(self.said), err=True)
+
+
+class ProgressBars:
+    """A bar for what is running, below what is known so far; both go at the end."""
+
+    def __init__(self, first: str, console: Console) -> None:
+        from rich import progress as bar
+        from rich.live import Live
+
+        self.left = left = TimeLeft()
+
+        class Left(bar.ProgressColumn):
+            max_refresh = 0.5
+
+            def render(self, task: "Task") -> Text:
+                return Text(str(left))
+
+        words = bar.TextColumn("{task.description}"), bar.BarColumn(), bar.MofNCompleteColumn()
+        self.bars = bar.Progress(*words, bar.TimeElapsedColumn(), Left(), console=console)
+        self.known = Text()
+        self.task, self.running = self.bars.add_task(escape(visible(first)), total=None), first
+        self.live = Live(console=console, transient=True, get_renderable=self._shown)
+
+    def _shown(self) -> "RenderableType":
+        from rich.console import Group
+
+        return Group(self.known, self.bars) if self.known else self.bars
+
+    def __enter__(self) -> "ProgressBars":
+        self.live.start(refresh=True)
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        self.live.stop()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """How far a stage is; a total of 0 where it is not known."""
+        self.left.hear(done, total)
+        if stage != self.running:  # a new bar, which begins at no time
+            self.bars.remove_task(self.task)
+            self.task = self.bars.add_task(escape(visible(stage)), total=None)
+            self.running = stage
+        self.bars.update(self.task, completed=done, total=total or None)
+
+    def so_far(self, answer: "Answer") -> None:
+        """What is known before the end."""
+        self.known = Text(visible(answer.headline))
