@@ -462,10 +462,11 @@ def run_row(row: Row, data: Path, work: Path, limit: float) -> tuple[Step, ...]:
     folder = work / row.name
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    for other in (p for p in data.iterdir() if p.is_dir()):
-        (folder / other.name).symlink_to(other.resolve())
-    for file in (data / row.folder).iterdir():
-        (folder / file.name).symlink_to(file.resolve())
+    # What is in a row's own folder counts more than a folder of that name beside it.
+    others = (p for p in data.iterdir() if p.is_dir())
+    linked = {p.name: p for p in (*others, *(data / row.folder).iterdir())}
+    for name, file in linked.items():
+        (folder / name).symlink_to(file.resolve())
     for name, text in row.files:
         (folder / name).write_text(text)
     steps: list[Step] = []
