@@ -46,7 +46,7 @@ def with_effects(name: str) -> Robot:
 
 def with_servos(name: str, **more: float) -> ServoArm:
     """An arm with servos."""
-    return ServoArm.of(arm(name), **SERVOS, **JOINTS, **more)
+    return ServoArm.of(arm(name), **{**SERVOS, **JOINTS, **more})
 
 
 def prepared(what: Dynamics, folder: Path, *to: str) -> Played:
@@ -88,6 +88,17 @@ def test_newton_moves_as_mujoco_does(tmp_path: Path) -> None:
     motion = prepared(robot_dynamics(with_effects("ur10e")), tmp_path, "mjcf")
     expected, found = play("mujoco", tmp_path), play("newton", tmp_path)
     np.testing.assert_allclose(found, expected, atol=1e-3)  # float32
+    assert np.abs(expected - motion.q[:, None]).max() > 0.05
+
+
+def test_newton_follows_commands_as_mujoco_does(tmp_path: Path) -> None:
+    """By the file's actuators, with Newton's own integrator; its reader passes over `delay`."""
+    python_of("newton")
+    motion = prepared(servo_dynamics(with_servos("3r", delay=0.0)), tmp_path, "mjcf")
+    file = tmp_path / "arm.xml"
+    file.write_text(file.read_text().replace("<option ", '<option integrator="implicitfast" ', 1))
+    expected, found = play("mujoco", tmp_path), play("newton", tmp_path)
+    np.testing.assert_allclose(found, expected, atol=1e-5)  # float32
     assert np.abs(expected - motion.q[:, None]).max() > 0.05
 
 

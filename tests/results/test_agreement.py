@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from torchid.results.agreement import agreement, by_cause, disagreement
 from torchid.results.answer import Cause, Size
-from torchid.results.replication import MotionScale, agreement_of, replication_of
+from torchid.results.replication import MotionScale, agreement_of, of_few_runs, replication_of
 
 FRICTION = Cause(
     effect="coulomb_friction",
@@ -69,6 +69,14 @@ def test_what_the_model_knew_is_part_of_the_value():
     rows = agreement_of([runs_of(1.0, 0.0, cause=cause)])
     assert [r.value for r in rows] == pytest.approx([0.5, 0.3])
     assert [r.wanted for r in rows] == [True, False]
+
+
+def test_a_cause_is_of_few_runs_where_most_want_none_of_it():
+    here = {("coulomb_friction", (1,))}
+    assert of_few_runs([runs_of(0.0, 0.01, 3.0)]) == here
+    assert of_few_runs([runs_of(0.0, 0.0, 0.01, 0.0, 2.5)]) == here
+    for factors in ((1.0, 1.0, 1.0), (1.0, 1.0, 3.0), (1.0, 1.0, 0.0), (0.0, 2.0), (0.0, 1.0, 2.0)):
+        assert not of_few_runs([runs_of(*factors)])
 
 
 def test_where_no_most_of_the_runs_agree_all_differ():

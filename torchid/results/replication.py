@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 import torch
 from scipy.special import chdtrc
 
-from torchid.results.agreement import RunValue, Verdict
+from torchid.results.agreement import RunValue, Verdict, by_cause
 from torchid.results.answer import Cause
 from torchid.results.record import Part, Real, Rows
 from torchid.robot.knowledge import BETWEEN
@@ -133,6 +133,19 @@ def agreement_of(causes: Iterable[tuple[Cause, Replication | None]]) -> Rows[Run
                 )
             )  # fmt: skip
     return Rows(rows)
+
+
+def of_few_runs(
+    causes: Iterable[tuple[Cause, Replication | None]],
+) -> set[tuple[str, tuple[int, ...]]]:
+    """Effects and joints of causes that some runs want while most want none of them."""
+    out = set()
+    for runs in by_cause(agreement_of(causes)):
+        odd = [r.wanted for r in runs if r.verdict == "differs"]
+        rest = [r.wanted for r in runs if r.verdict == "agrees"]
+        if odd and rest and all(odd) and not any(rest):
+            out.add((runs[0].effect, runs[0].joints))
+    return out
 
 
 def _apart(x: Tensor, v: Tensor, level: float) -> Bool[Tensor, " R"]:

@@ -1,9 +1,10 @@
 """The zoo: logs of real arms, the commands that their owners would type, and whether the answer is right.
 
-    python -m torchid_bench.benchmarks.zoo [--data DATA] [--rows emps,kuka] [--jobs 2] [--page docs/zoo.md]
+    python -m torchid_bench.benchmarks.zoo [--public] [--data DATA] [--rows emps,kuka] [--jobs 2] [--page docs/zoo.md]
 
 DATA holds folders of public logs, which are not part of this project: most of their licences do not
-allow it. What is known of them is in gap_truths.yaml, written from their sources before any run. Each
+allow it. What is known of them is in gap_truths.yaml, written from their sources before any run;
+--public takes public_truths.yaml, whose labels are other people's, in the place of it. Each
 command runs as a process of its own in a folder of links to the logs. Results are kept a row at a time
 below --work, so that an interrupted zoo goes on while torchid's code is the same. The exit code is 1 where a command crashed, a good log
 was refused, or an answer is surely wrong.
@@ -31,8 +32,9 @@ from typing import Any
 from torchid.yaml_data import parsed_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
-TRUTHS = Path(__file__).with_name("gap_truths.yaml")
+TRUTHS, PUBLIC = (Path(__file__).with_name(f"{name}_truths.yaml") for name in ("gap", "public"))
 DATA = Path(os.environ.get("TORCHID_REAL_DATA") or ROOT.parent / "shared" / "data")
+PUBLIC_DATA = Path(os.environ.get("TORCHID_PUBLIC_DATA") or ROOT / "build" / "public")
 SURE = 0.9
 """Probability above which an answer claims a cause."""
 UNKNOWN = ("detected_unexplained", "not_testable")
@@ -93,6 +95,7 @@ class Row:
 
     Attributes:
         log: words for what is wrong with it; none of a good one.
+        source, published: where its folder is from, and the best figure of others for its question.
     """
 
     name: str
@@ -103,6 +106,8 @@ class Row:
     truths: tuple[Truth, ...] = ()
     absent: tuple[Absent, ...] = ()
     files: tuple[tuple[str, str], ...] = ()
+    source: str = ""
+    published: str = ""
 
 
 @dataclass(frozen=True)
@@ -179,6 +184,8 @@ def row_of(name: str, entry: dict[str, Any]) -> Row:
         "truths",
         "absent",
         "silent",
+        "source",
+        "published",
     }
     if unknown:
         raise ValueError(f"{name}: unknown keys {', '.join(sorted(unknown))}")
@@ -197,12 +204,14 @@ def row_of(name: str, entry: dict[str, Any]) -> Row:
         truths=tuple(t for own in entry.get("truths", ()) for t in _truths(own)),
         absent=tuple(absent),
         files=tuple(entry.get("files", {}).items()),
+        source=entry.get("source", "").strip(),
+        published=entry.get("published", ""),
     )
 
 
-def rows() -> dict[str, Row]:
-    """All rows by name."""
-    return {name: row_of(name, own) for name, own in parsed_yaml(TRUTHS.read_text()).items()}
+def rows(truths: Path = TRUTHS) -> dict[str, Row]:
+    """All rows of a file by name."""
+    return {name: row_of(name, own) for name, own in parsed_yaml(truths.read_text()).items()}
 
 
 # What an answer says
@@ -453,10 +462,11 @@ def run_row(row: Row, data: Path, work: Path, limit: float) -> tuple[Step, ...]:
     folder = work / row.name
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    for other in (p for p in data.iterdir() if p.is_dir()):
-        (folder / other.name).symlink_to(other.resolve())
-    for file in (data / row.folder).iterdir():
-        (folder / file.name).symlink_to(file.resolve())
+    # What is in a row's own folder counts more than a folder of that name beside it.
+    others = (p for p in data.iterdir() if p.is_dir())
+    linked = {p.name: p for p in (*others, *(data / row.folder).iterdir())}
+    for name, file in linked.items():
+        (folder / name).symlink_to(file.resolve())
     for name, text in row.files:
         (folder / name).write_text(text)
     steps: list[Step] = []
@@ -560,10 +570,10 @@ def kept_steps(row: Row, work: Path) -> tuple[Step, ...]:
 
 # The page
 
-HEAD = """# The zoo
+HEAD = """# {title}
 
 Logs of real arms that nobody here made, the commands that their owners would type, and what is known of them from their
-sources, written down before any run (`torchid_bench/benchmarks/gap_truths.yaml`). Made by
+sources, written down before any run (`torchid_bench/benchmarks/{truths}`). Made by
 
 ```
 {command}
@@ -583,18 +593,27 @@ parts names of a set.
 """
 
 
-def page(measured_rows: dict[str, tuple[Row, tuple[Step, ...]]], every: Sequence[str]) -> str:
-    """The page in Markdown."""
+def page(
+    measured_rows: dict[str, tuple[Row, tuple[Step, ...]]],
+    every: Sequence[str],
+    public: bool = False,
+) -> str:
+    """The page in Markdown; of public truths with what others publish, and their sources."""
     import torchid
 
     counts = dict.fromkeys(VERDICTS, 0)
     head = HEAD.format(
-        command="python -m torchid_bench.benchmarks.zoo --page docs/zoo.md",
+        title="Public truths" if public else "The zoo",
+        truths=(PUBLIC if public else TRUTHS).name,
+        command="python -m torchid_bench.benchmarks.zoo "
+        + ("--public --page docs/public-truths.md" if public else "--page docs/zoo.md"),
         version=torchid.__version__,
         sure=SURE,
     )
-    lines = ["| row | log | known | CPU s | exit | headline | names above 0.9 | truths | verdict |"]
-    lines.append("|---|---|---|--:|---|---|---|---|---|")
+    titles = ["row", "log", "known", "CPU s", "exit", "headline", "names above 0.9", "truths"]
+    titles += ["published by others"] if public else []
+    lines = [f"| {' | '.join(titles)} | verdict |"]
+    lines.append("|---|---|---|--:|" + "---|" * (len(titles) - 3))
     total = 0.0
     for name, (row, steps) in measured_rows.items():
         verdict, why = judged(row, steps)
@@ -609,12 +628,18 @@ def page(measured_rows: dict[str, tuple[Row, tuple[Step, ...]]], every: Sequence
             why = ""
         codes = " ".join("-" if s.exit is None else str(s.exit) for s in steps)
         cells = (name, row.folder, row.known, f"{seconds:.0f}", codes, _text(last.headline))
-        lines.append("| " + " | ".join((*cells, names(sure), _text(why), f"**{verdict}**")) + " |")
+        others = (_text(row.published),) if public else ()
+        told = (*cells, names(sure), _text(why), *others, f"**{verdict}**")
+        lines.append(f"| {' | '.join(told)} |")
     listed = ", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n)
     lines += ["", f"**{len(measured_rows)} rows: {listed}; {total:.0f} CPU s.**"]
     left = [name for name in every if name not in measured_rows]
     if left:
         lines += ["", f"Not measured yet: {', '.join(left)}."]
+    if public:
+        sources = dict.fromkeys(row.source for row, _ in measured_rows.values())
+        lines += ["", "## Sources", "", "Folders of the one that `TORCHID_PUBLIC_DATA` names:", ""]
+        lines += [f"- {source}" for source in sources]
     lines += ["", "## Commands"]
     for name, (row, _) in measured_rows.items():
         lines += ["", f"{name}:", "", "```", *row.commands, "```"]
@@ -629,7 +654,8 @@ def _text(text: str, longest: int = 400) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=DATA)
+    parser.add_argument("--public", action="store_true", help="labels that others gave")
+    parser.add_argument("--data", type=Path)
     parser.add_argument("--rows", help="names, comma-separated; all if absent")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--limit", type=float, default=3600.0, help="seconds of a command")
@@ -637,12 +663,12 @@ def main() -> int:
     parser.add_argument("--again", action="store_true", help="measure what is kept, too")
     parser.add_argument("--page", type=Path, help="write the page of all kept rows")
     given = parser.parse_args()
+    given.data = given.data or (PUBLIC_DATA if given.public else DATA)
     if not given.data.is_dir():
-        print(
-            f"The zoo is skipped: no folder of real logs at {given.data} (TORCHID_REAL_DATA names one)."
-        )
+        named = "TORCHID_PUBLIC_DATA" if given.public else "TORCHID_REAL_DATA"
+        print(f"The zoo is skipped: no folder of real logs at {given.data} ({named} names one).")
         return 0
-    every = rows()
+    every = rows(PUBLIC if given.public else TRUTHS)
     asked = given.rows.split(",") if given.rows else list(every)
     if unknown := [name for name in asked if name not in every]:
         parser.error(f"no row {', '.join(unknown)}; there are {', '.join(every)}")
@@ -664,7 +690,7 @@ def main() -> int:
             print(f"{time.monotonic() - started:6.0f} s  {name}: {verdict}; {why}", flush=True)
     kept = {n: (row, steps) for n, row in every.items() if (steps := kept_steps(row, given.work))}
     if given.page:
-        given.page.write_text(page(kept, list(every)))
+        given.page.write_text(page(kept, list(every), given.public))
     return int(any(judged(*kept[name])[0] in FAILS for name in asked))
 
 

@@ -1,6 +1,7 @@
 """What the zoo calls right, honest, missed, wrong, refused and a crash; its truths; its runner."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from torchid_bench.benchmarks import zoo
 DOCTOR = Path(zoo.ROOT, "torchid", "doctor")
 QUANTITIES = {"kp", "base_parameter", "relative_error", "relative_error_moving"}
 ROWS = zoo.rows()
+PUBLIC = zoo.rows(zoo.PUBLIC)
 
 
 def entry(**more: Any) -> dict[str, Any]:
@@ -179,13 +181,13 @@ def test_the_doctor_claims_what_is_wrong_alone() -> None:
 
 def test_every_folder_has_a_row_with_a_truth() -> None:
     told = {row.folder for row in ROWS.values() if row.truths or row.absent}
-    assert len(told) == 15
+    assert len(told) == 14
     if not FOLDER.is_dir():
         pytest.skip(NO_LOGS)
     assert told >= {p.parent.name for p in FOLDER.glob("*/SOURCE.md")}
 
 
-@pytest.mark.parametrize("row", ROWS.values(), ids=list(ROWS))
+@pytest.mark.parametrize("row", [*ROWS.values(), *PUBLIC.values()], ids=[*ROWS, *PUBLIC])
 def test_truths_are_of_names_that_exist(row: Any) -> None:
     checks = {*parsed_yaml((DOCTOR / "checks.yaml").read_text())}
     for module in DOCTOR.glob("*.py"):
@@ -196,6 +198,11 @@ def test_truths_are_of_names_that_exist(row: Any) -> None:
     assert row.truths or row.absent or row.log
     assert all(t.value or t.kind in ("named", "equal") for t in row.truths)
     assert all(command.startswith("torchid ") for command in row.commands)
+
+
+def test_public_truths_have_a_source_with_its_licence() -> None:
+    assert all(re.search(r"^https://\S+.*(licence|MIT|Apache)", r.source) for r in PUBLIC.values())
+    assert not any(row.source for row in ROWS.values())
 
 
 @pytest.mark.parametrize(
@@ -231,6 +238,10 @@ def test_a_row_runs_and_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     )
     assert "1 rows: 1 right" in text
     assert "Not measured yet: later." in text
+    row = replace(row, source="https://arm at 1; MIT", published="7 %")
+    text = zoo.page({"row": (row, steps)}, ["row"], public=True)
+    assert "right: coulomb_friction 1 | 7 % | **right** |" in text
+    assert "- https://arm at 1; MIT\n" in text
     assert (
         zoo.kept_steps(zoo.row_of("row", entry(commands=["torchid gap a.urdf c.csv"])), work) == ()
     )

@@ -9,6 +9,7 @@ import torch
 from msgspec import structs
 
 from torchid.design.columns import Place
+from torchid.design.segments import Samples
 from torchid.gap.diagnosis import INERTIA_REMEDY, unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import UnnamedEffect
@@ -26,9 +27,11 @@ from torchid.gap.search.explain import Explanation, solve
 from torchid.gap.search.findings import Judged, at_an_end
 from torchid.gap.search.odds import Misfit, Rival, place_of
 from torchid.gap.search.replication import own_torque, replication
+from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import LINK, Term, excluding
 from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
+from torchid.results.replication import Replication, of_few_runs
 from torchid.robot.model import Robot
 from torchid.statistics.criteria import LIKELY, UNLIKELY
 from torchid.typing import Tensor
@@ -149,7 +152,10 @@ def suspects(
     solution = solve(problem, replace(fit, terms=every, x=start))
     # What was seen to be left unexplained before may hide a name, and no suspect.
     least = replace(question, left=None).least(question.mean(fit.losses))
-    out: list[tuple[bool, UnnamedEffect]] = []
+    samples = question.candidates.columns.samples
+    # Of two runs that contradict each other none is the odd one.
+    several = len({s.name for s in samples.segments}) > 2
+    out: list[tuple[bool, UnnamedEffect, Replication | None]] = []
     for k, ((first, term), *others) in enumerate(best, len(fit.terms)):
         rivals = [Rival((t,), f) for f, t in others]
         left = misfit.less(question.fall(first, fit))
@@ -164,11 +170,28 @@ def suspects(
             closes = question.fall(f, fit).sqrt()
             large = bool((closes / active_share(question, [one]) ** 0.5 >= least).any())
             if large or is_moved(one):
-                out.append((is_moved(one), _entry(one, values, std, closes, sure, problem.robot)))
+                entry = _entry(one, values, std, closes, sure, problem.robot)
+                again = None
+                if several:
+                    own = solution if one is term else solve(problem, f)
+                    again = _run_by_run(own, one, samples)
+                out.append((is_moved(one), entry, again))
+    # What a few runs have is unlikely as a law of all of them, and of its place the largest listed.
+    few = of_few_runs((e.cause, again) for _, e, again in out)
+    of_few = [(e, again) for _, e, again in out if (e.effect, e.joints) in few]
+    ones = {e.joints: (e, again) for e, again in sorted(of_few, key=lambda p: p[0].closes_rms)}
     # What has moved is listed, however unlikely.
-    kept = [pair for pair in out if pair[0] or pair[1].how_sure >= UNLIKELY]
+    kept = [(m, e) for m, e, _ in out if m or e.how_sure >= UNLIKELY]
     kept = sorted(kept, key=lambda pair: (not pair[0], -pair[1].how_sure))[:MOST_SUSPECTS]
-    return tuple(sorted((e for _, e in kept), key=lambda e: -e.how_sure))
+    entries = [e for _, e in kept if e not in [one for one, _ in ones.values()]]
+    entries += [structs.replace(e, replication=again) for e, again in ones.values()]
+    return tuple(sorted(entries, key=lambda e: -e.how_sure))
+
+
+def _run_by_run(solution: Solution, term: Term, samples: Samples) -> Replication | None:
+    """Whether runs want a term of a solution."""
+    k = next(i for i, t in enumerate(solution.terms) if t.key == term.key)
+    return replication(own_torque(solution, k), solution, k, samples)
 
 
 def _likely_places(

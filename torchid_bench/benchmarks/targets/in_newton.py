@@ -31,6 +31,11 @@ def play(folder: Path) -> np.ndarray:
         at = np.argsort(np.argsort(places)) if motion.kind == "position" else rows
         _put(now.joint_q, places, motion.q[w])
         _put(now.joint_qd, rows, motion.dq[w])
+        # As if the first command had stood for long: a filter begins where it was, or at zero.
+        _put(given, at, motion.control[w, 0])
+        if motion.kind == "position":
+            filtered = solver.mj_model.actuator_actadr >= 0
+            solver.mj_data.act[:] = given.numpy()[filtered]
         for k, values in enumerate(motion.control[w]):
             out[w, k] = now.joint_q.numpy()[places]
             _put(given, at, values)
