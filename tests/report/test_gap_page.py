@@ -67,7 +67,7 @@ def test_one_screen_then_sections_that_fold(undrawn):
         "Torque of the joint that errs most, over time and over what it may depend on",
         "Motion: the arm and the simulation, before and after",
         "Where the error lies",
-        "The causes in numbers",
+        "The causes in numbers (1 cause)",
         "Errors in numbers",
         "For your simulator",
         "Cautions (3)",
