@@ -107,7 +107,7 @@ def test_very_many_sets_are_cut_off_and_all_in_the_record(tmp_path):
     file = sets_file(tmp_path / "s.json", count=60)
     got = call(file, "--robot", "3r", "--json", tmp_path / "f.json")
     assert "1 of 60 sets are feasible" in said(got)
-    assert "the first 50" in said(got)
+    assert "And 10 more, in the JSON." in said(got)
     assert "s49" in said(got)
     assert "s50" not in said(got)
     assert len(json.loads((tmp_path / "f.json").read_text())["sets"]) == 60

@@ -110,7 +110,7 @@ def test_all_studies_have_pages_of_their_own(command, tmp_path, monkeypatch):
     monkeypatch.setattr("torchid_study.study.run_study", run)
     monkeypatch.setattr(study_report, "study_page", lambda found, _: found.settings.name)
     monkeypatch.setattr(study_report, "seeds_and_settings", lambda _: {})
-    monkeypatch.setattr(study_report, "shown", lambda _: Report(parts=[]))
+    monkeypatch.setattr(study_report, "report_of_study", lambda _: Report(parts=[]))
     monkeypatch.setattr(Output, "write_page", write)
     done = command("study", "all", "--report", tmp_path / "page.html")
     assert done.code == 0, done.err
