@@ -49,6 +49,8 @@ SIGNALS: tuple[Callable[[Case], Check | Sequence[Check]], ...] = (
     motion.check_jumps,
     clock.check_stamps,
     clock.check_dropouts,
+    # Before the positions alone, which would take their commands with them.
+    velocity.check_command_unit,
     motion.check_position_unit,
     motion.check_zeros,
     # Before the velocities, which would be taken for what is wrong.

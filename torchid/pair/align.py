@@ -111,7 +111,9 @@ def _on_grid(simulated: Log, real: Log, clock: ClockRecord) -> AlignedTrajectory
     first = max(0.0, -clock.start_s / clock.rate)
     last = min(tr[-1], (ts[-1] - clock.start_s) / clock.rate)
     grid = np.arange(first, last + 1e-9, dt)
-    common: list[str] = [k for k in ("q", "u", "tau", "dq") if k in simulated.signals and k in real.signals]
+    common: list[str] = [
+        k for k in ("q", "u", "tau", "dq") if k in simulated.signals and k in real.signals
+    ]
     of_simulated, of_real = (
         {k: torch.from_numpy(_interpolated(at, t, log.signals[k].numpy())) for k in common}
         for log, t, at in ((simulated, ts, grid * clock.rate + clock.start_s), (real, tr, grid))
