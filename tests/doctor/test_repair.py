@@ -2,9 +2,14 @@
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
-from torchid.doctor.repair import RejoinTime
+from torchid.doctor.repair import Columns, Map, RejoinTime, repaired
 from torchid.log.model import Log
+
+NUMBERS = st.lists(st.floats(-9.0, 9.0), min_size=3, max_size=3)
+MAPS = st.builds(Map, st.permutations([0, 1, 2]).map(tuple), NUMBERS.map(tuple), NUMBERS.map(tuple))
 
 
 @pytest.mark.parametrize(
@@ -20,3 +25,16 @@ def test_a_clock_that_stood_still(t, steps, mended):
     log = Log(1e-3 * torch.tensor(t).double(), q=torch.zeros(7, 1).double())
     found = RejoinTime(steps).apply(log).t
     torch.testing.assert_close(found, 1e-3 * torch.tensor(mended).double())
+
+
+@given(first=MAPS, second=MAPS)
+def test_one_map_after_the_other_is_a_map(first, second):
+    rows = torch.arange(12, dtype=torch.float64).reshape(4, 3).sin()
+    log = Log(torch.arange(4).double(), q=rows, dq=rows + 1, tau=rows - 1)
+    signals = ("q", "dq", "tau")
+    steps = repaired(log, [Columns(signals, first), Columns(signals, second)])
+    whole = Columns(signals, first.then(second)).apply(log)
+    # Offsets are those of positions.
+    for name in signals:
+        torch.testing.assert_close(steps.signals[name], whole.signals[name])
+    assert torch.equal(Columns(signals, Map.of(3)).apply(log).tau, log.tau)

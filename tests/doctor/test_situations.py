@@ -93,7 +93,7 @@ SITUATIONS = {
         {"torque sign"}, False),
     "RTDE: every stamp twice": ("panda", lambda r, x: every_stamp_twice(x), {"clock"}, True),
     "ROS 2: effort never written": ("panda", lambda r, x: changed(x, tau=0 * x.tau),
-        {"torque columns", "excitation"}, True),
+        {"torque columns"}, True),
 }  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torchid
-from tests.position.planted import COUNT, planted, robot, true_servos
+from tests.position.planted import planted, robot, true_servos
 from torchid.errors import LogError, TorchidError
 from torchid.export.correct import correct
 from torchid.log.model import Log
@@ -23,31 +23,6 @@ ONE = torch.ones(3, dtype=torch.float64)
 @pytest.fixture(scope="module")
 def log() -> Log:
     return planted(true_servos(3), motions=2, seconds=8.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("u", "q", "problem", "hint"),
-    [
-        (DEGREES, 1, "commands look like degrees, q1.. like radians", "u=u{j} deg"),
-        (1, DEGREES, "positions look like degrees, u1.. like radians", "q=q{j} deg"),
-        (1e3, 1, "commands look like milliradians", "u=u{j} mrad"),
-        (1 / COUNT, 1, "commands look like counts of an encoder, 4096 a turn", "rev /4096"),
-    ],
-)
-def test_other_units(log: Log, u: float, q: float, problem: str, hint: str) -> None:
-    assert log.u is not None
-    with pytest.raises(LogError) as info:
-        prepare(robot(), log.replace(u=u * log.u, q=q * log.q))
-    assert problem in info.value.problem
-    assert hint in (info.value.hint or "")
-
-
-@pytest.mark.parametrize("factor", [0.5, 2.3])
-def test_a_gain_is_no_unit(log: Log, factor: float) -> None:
-    """A servo that makes half of its command is a finding, not a fault of the log."""
-    assert log.u is not None
-    prepare(robot(), log.replace(u=factor * log.u))
 
 
 @pytest.mark.parametrize("gain", [1 / 3, 0.5, 2.5, -1.0])

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 from torchid.doctor.check import Check
 from torchid.doctor.repair import repaired
@@ -14,7 +13,7 @@ from torchid.typing import Float, Tensor
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A log as the checks before have mended it. What several checks ask of it is computed once.
+    """A log as the checks before have mended it.
 
     Attributes:
         robot, log: whose, and which.
@@ -51,29 +50,18 @@ class Case:
         kinds = self.robot.joint_types
         return [k for k, kind in enumerate(kinds) if kind is JointType.REVOLUTE]
 
-    @cached_property
+    @property
     def extent(self) -> Float[Tensor, " n"]:
         """How far each joint goes, in the unit of the positions."""
         return self.log.q.amax(0) - self.log.q.amin(0)
 
-    @cached_property
-    def agreement(self) -> list[Agreement]:
-        """How measured velocities relate to the change of positions."""
-        return velocity_agreement(self.log)
-
     @property
     def followers(self) -> list[Agreement]:
         """Of joints whose velocities follow their positions, up to a unit."""
-        return [a for a in self.agreement if a.correlation > FOLLOWS]
+        return [a for a in velocity_agreement(self.log) if a.correlation > FOLLOWS]
 
     def after(self, made: Check | Sequence[Check]) -> "Case":
         """With checks once more, and the log as they mend it."""
         every = (made,) if isinstance(made, Check) else tuple(made)
-        repairs = [r for c in every for r in c.repairs]
-        known = replace(self, log=repaired(self.log, repairs), checks=(*self.checks, *every))
-        if not repairs:
-            known.__dict__.update({k: v for k, v in self.__dict__.items() if k in _KNOWN})
-        return known
-
-
-_KNOWN = ("extent", "agreement")
+        log = repaired(self.log, [r for c in every for r in c.repairs])
+        return replace(self, log=log, checks=(*self.checks, *every))

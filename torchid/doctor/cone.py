@@ -9,9 +9,10 @@ is what makes signs and the direction of gravity decidable from a log alone.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
 from torchid.robot.model import Robot
@@ -26,7 +27,8 @@ _ROUNDS = 3
 _MODEL = 0.02
 """Error of the model itself, as a share of a torque's spread: friction is not quite Coulomb's, nor
 a link a few points, and what is gained below this says nothing."""
-_RANK = 1e-9
+_RIDGE = 1e-10
+"""Beside columns of length one."""
 _UNSEEN = 1e-6
 _MORE = 20
 """Unknowns that are taken up at a time."""
@@ -50,6 +52,7 @@ class Normal:
         square: (B, n) of the torque.
         count: (B, n) rows.
         spread: (n,) variance of the torque about its mean, 0 where it never changes.
+        whole: (n, P, P) sum of gram, where it is known.
     """
 
     gram: np.ndarray
@@ -57,6 +60,7 @@ class Normal:
     square: np.ndarray
     count: np.ndarray
     spread: np.ndarray
+    whole: np.ndarray | None = None
 
     def part(self, blocks: np.ndarray) -> "Normal":
         """Of some blocks."""
@@ -66,7 +70,9 @@ class Normal:
 
     def without(self, block: int) -> "Normal":
         """The other blocks."""
-        return self.part(np.arange(len(self.count)) != block)
+        others = self.part(np.arange(len(self.count)) != block)
+        whole = None if self.whole is None else self.whole - self.gram[block]
+        return replace(others, whole=whole)
 
     def mean_square(self, x: np.ndarray) -> np.ndarray:
         """(B, n) mean squared error of parameters x (P,)."""
@@ -135,7 +141,8 @@ def fit(normal: Normal, bodies: np.ndarray, given: Weights = None, used: Unknown
         given: (n,) weights of another fit, kept; None to find them.
         used: unknowns of another fit, from which the search for these begins.
     """
-    gram, cross = normal.gram.sum(0), normal.cross.sum(0)
+    gram = normal.gram.sum(0) if normal.whole is None else normal.whole
+    cross = normal.cross.sum(0)
     total = np.maximum(normal.count.sum(0), 1)
     live = normal.spread > 0
     spread = np.where(live, normal.spread, 1.0)
@@ -160,11 +167,10 @@ def _solve(
         return np.zeros(len(gram)), used
     size = np.sqrt(np.diagonal(gram))
     size = np.where(size > 0, size, 1.0)
-    value, vector = np.linalg.eigh(gram / np.outer(size, size))
-    keep = value > _RANK * value[-1]
-    root = np.sqrt(value[keep])
-    rows = (vector[:, keep] * root).T * size @ matrix
-    target = vector[:, keep].T @ (cross / size) / root
+    # What the rows do not show has no unique answer: the least one.
+    root = np.linalg.cholesky(gram / np.outer(size, size) + _RIDGE * np.eye(len(gram)))
+    rows = root.T * size @ matrix
+    target = solve_triangular(root, cross / size, lower=True)
     norm = np.linalg.norm(rows, axis=0)
     # What hardly shows in these rows is rounding, and would be fitted with masses of any size.
     norm[norm < _UNSEEN * norm.max(initial=0.0)] = np.inf

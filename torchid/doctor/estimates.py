@@ -8,15 +8,13 @@ import numpy as np
 import torch
 from msgspec import structs
 
-from torchid.doctor.check import Check, judged, said, with_choices
-from torchid.doctor.cone import OWN, fit
+from torchid.doctor.check import Check, Choice, judged, said, with_choices
+from torchid.doctor.cone import fit
 from torchid.doctor.faults import choices_of, gravity_fix, improvement_text
 from torchid.doctor.hypothesis import Hypothesis, Judge, Profile, lowest, minimum, profile
 from torchid.doctor.repair import ShiftTorque
 from torchid.doctor.runs import PIECES, loss_of, pieces_of_runs
 from torchid.doctor.search import Search
-from torchid.log.model import Log
-from torchid.robot.model import joint_list
 from torchid.statistics.criteria import (
     CLEAR_GAIN,
     EXPLAINED,
@@ -48,11 +46,11 @@ def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> 
     end = result.final.hypothesis
     model = np.array(judge.robot.gravity.tolist())
     size = float(np.linalg.norm(model))
-    flat = [cost for cost, m in result.costs if m.kind == "gravity"]
     if size == 0.0 or not judge.live(end):
         return judged("gravity", "cannot tell", "no gravity in the model, or nothing moves")
     turned = [f for f in result.found if f.move.kind == "gravity"]
-    if flat and min(flat) < TIED_GAIN and not turned:
+    least = min((cost for cost, m in result.costs if m.kind == "gravity"), default=math.inf)
+    if least < TIED_GAIN and not turned:
         return judged("gravity", "cannot tell", "another direction of gravity explains it as well")
     estimate, tilt, half, gain = _estimate(judge, end)
     angle = math.acos(float(np.clip(estimate @ model / size**2, -1.0, 1.0)))
@@ -61,22 +59,21 @@ def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> 
         f"torque says {where} m/s^2, {math.degrees(angle):.1f} deg from the model's "
         f"(± {math.degrees(half):.1f} deg)"
     )
-    interval = math.degrees(max(0.0, angle - half)), math.degrees(angle + half)
-    known = {"estimate": tuple(estimate.tolist()), "interval": interval}
-    base = said("gravity", "fine", text=text, **known)
-    fix = gravity_fix(estimate)
+    verdict, fix, choices = "fine", gravity_fix(estimate), list[Choice]()
     if turned and result.explained:
+        verdict = "wrong"
         text = f"mounted {mounting_text(estimate)}: {text}; {improvement_text(turned[0])}"
-        first, *others = choices_of(turned[0])
-        own = structs.replace(first, fix=fix)
-        return with_choices(
-            structs.replace(base, verdict="wrong", evidence=text), [own, *others], fixes
-        )
-    if half > _LOOSE or not result.explained:
-        return structs.replace(base, verdict="cannot tell")
-    if tilt - half > TILT_RAD and gain > CLEAR_GAIN:
-        return structs.replace(base, verdict="doubtful", fix=fix)
-    return base
+        choices = choices_of(turned[0])
+        choices[0] = structs.replace(choices[0], fix=fix)
+    elif half > _LOOSE or not result.explained:
+        verdict = "cannot tell"
+    elif tilt - half > TILT_RAD and gain > CLEAR_GAIN:
+        verdict, choices = "doubtful", [Choice("gravity", fix)]
+    interval = math.degrees(max(0.0, angle - half)), math.degrees(angle + half)
+    check = said(
+        "gravity", verdict, estimate=tuple(estimate.tolist()), interval=interval, text=text
+    )
+    return with_choices(check, choices, fixes) if choices else check
 
 
 def mounting_text(gravity: np.ndarray) -> str:
@@ -224,51 +221,3 @@ def _lags_apart(judge: Judge, end: Hypothesis, late: float) -> str:
     if below >= above or most - least < 0.5 * abs(late):
         return ""
     return f"{1e3 * least:.1f} ms in {first} and {1e3 * most:.1f} ms in {last}"
-
-
-CONDITION = 300.0
-"""Of a joint's own columns, each scaled to one, from which they cannot be told apart."""
-SMALL_RANGE = 0.1
-"""Range of a position that excites too little [rad or m]."""
-
-
-def check_excitation(judge: Judge, hypothesis: Hypothesis, log: Log) -> Check:
-    """Condition of each joint's own columns: speed, direction, acceleration, offset, gravity."""
-    live = judge.live(hypothesis)
-    extent = (log.q.amax(0) - log.q.amin(0)).tolist()
-    conditions = {k: _condition(judge, hypothesis, k) for k in live}
-    weak = [k for k in range(judge.robot.n) if k not in live or extent[k] < SMALL_RANGE]
-    alike = [k for k, c in conditions.items() if c > CONDITION and k not in weak]
-    worst = max(conditions.values(), default=np.inf)
-    if not weak and not alike:
-        return said("excitation", "fine", estimate=worst, worst=worst, least=min(extent))
-    words = []
-    if weak:
-        words.append(
-            f"{joint_list(weak)} hardly move"
-            + ("s" if len(weak) == 1 else "")
-            + " ("
-            + ", ".join(f"{extent[k]:.2g}" for k in weak)
-            + " rad or m, or never with a varying torque)"
-        )
-    if alike:
-        words.append(
-            f"speed, direction, acceleration and gravity of {joint_list(alike)} vary together "
-            "(condition " + ", ".join(f"{conditions[k]:.0f}" for k in alike) + ")"
-        )
-    joints = tuple(sorted({*weak, *alike}))
-    estimate = tuple(conditions.get(k, float("inf")) for k in joints)
-    text = "; ".join(words)
-    return said("excitation", "doubtful", joints=joints, estimate=estimate, text=text)
-
-
-def _condition(judge: Judge, hypothesis: Hypothesis, joint: int) -> float:
-    """Of dq, direction, ddq and one in the joint's own torque."""
-    n = judge.robot.n
-    own = np.arange(OWN) + 10 * n + OWN * joint
-    gram = judge.normal(hypothesis).gram.sum(0)[joint][np.ix_(own, own)]
-    size = np.sqrt(np.diagonal(gram))
-    if (size == 0).any():
-        return float("inf")
-    values = np.linalg.eigvalsh(gram / np.outer(size, size))
-    return float(np.sqrt(values[-1] / max(values[0], 1e-300)))

@@ -10,7 +10,7 @@ import numpy as np
 from torchid.doctor import clock, motion, torque, velocity
 from torchid.doctor.case import Case
 from torchid.doctor.check import Check, judged
-from torchid.doctor.estimates import check_excitation, check_gravity, check_lag, lag_of, looped
+from torchid.doctor.estimates import check_gravity, check_lag, lag_of, looped
 from torchid.doctor.faults import fault_checks, unseen_faults
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
@@ -49,6 +49,8 @@ SIGNALS: tuple[Callable[[Case], Check | Sequence[Check]], ...] = (
     motion.check_jumps,
     clock.check_stamps,
     clock.check_dropouts,
+    # Before the positions alone, which would take their commands with them.
+    velocity.check_command_unit,
     motion.check_position_unit,
     motion.check_zeros,
     # Before the velocities, which would be taken for what is wrong.
@@ -66,7 +68,7 @@ words in checks.yaml. Each is looked for in the log as those before mend it; a t
 apply says nothing. The faults that torque tells are `torchid.doctor.moves.FAULTS`."""
 MODEL_CHECKS = (
     "torque explained", "joint order", "torque sign", "position sign", "gain of a joint", "gravity",
-    "lag", "torque unit", "excitation",
+    "lag", "torque unit",
 )  # fmt: skip
 """What cannot be told without a model's fit."""
 
@@ -255,7 +257,6 @@ def _with_model(case: Case, given: Log, first: bool) -> Examination:
     checks += check_runs(judge, end) if found.explained else ()
     if not first:
         checks += check_nominal(judge, case.log, end)
-        checks.append(check_excitation(judge, end, case.log))
         checks += unseen_faults(judge, found)
     return Examination(robot, given, tuple(checks), found, judge)
 

@@ -94,7 +94,7 @@ class Judge:
         self.cone = cone(robot)
         self._used: Unknowns = ()
         self._scores: dict[tuple, Score] = {}
-        self._columns: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}
+        self._columns: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._expected: dict[tuple, Hypothesis] = {}
         self._rigid: dict[tuple, torch.Tensor] = {}
         self._torques: dict[float, np.ndarray] = {}
@@ -128,7 +128,8 @@ class Judge:
 
     def normal(self, hypothesis: Hypothesis, members: Sequence[Rows] = ()) -> Normal:
         """Normal equations of the rows under a hypothesis, in blocks of time or the given ones."""
-        a, gram = self.columns(hypothesis)
+        a, gram, total = self.columns(hypothesis)
+        whole = None if members else total
         gram = _products(a, members) if members else gram
         members = members or self.members
         moving = self.moving(hypothesis)
@@ -136,11 +137,11 @@ class Judge:
         cross = [(tau[m].T[:, None] @ a[:, m])[:, 0] for m in members]
         square = [(tau[m] ** 2).sum(0) for m in members]
         counts = np.stack([moving[m].sum(0) for m in members])
-        total = np.maximum(counts.sum(0), 1)
-        spread = (tau**2).sum(0) / total - (tau.sum(0) / total) ** 2
-        dead = (spread < 1e-12 * max(1e-300, spread.max())) | (total < FEWEST * BLOCKS)
+        rows = np.maximum(counts.sum(0), 1)
+        spread = (tau**2).sum(0) / rows - (tau.sum(0) / rows) ** 2
+        dead = (spread < 1e-12 * max(1e-300, spread.max())) | (rows < FEWEST * BLOCKS)
         spread[dead] = 0.0
-        return Normal(gram, np.stack(cross), np.stack(square), counts, spread)
+        return Normal(gram, np.stack(cross), np.stack(square), counts, spread, whole)
 
     def torque(self, hypothesis: Hypothesis) -> np.ndarray:
         """(T, n) torque of the robot's joints."""
@@ -158,8 +159,9 @@ class Judge:
         """(T, n) whether each joint of the robot moves."""
         return self.samples.moving[:, list(hypothesis.q.order)].numpy()
 
-    def columns(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
-        """(n, T, P) regressor with each joint's own columns, and its (B, n, P, P) products."""
+    def columns(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(n, T, P) regressor with each joint's own columns, its (B, n, P, P) products, and their
+        sum over blocks."""
         key = hypothesis.moved
         if key not in self._columns:
             if len(self._columns) > 6:
@@ -171,7 +173,8 @@ class Judge:
                 a[i, :, :links] = rigid[:, i]
                 a[i, :, links + OWN * i : links + OWN * (i + 1)] = own[:, i]
             a *= self.moving(hypothesis).T[..., None]
-            self._columns[key] = (a, _products(a, self.members))
+            gram = _products(a, self.members)
+            self._columns[key] = (a, gram, gram.sum(0))
         return self._columns[key]
 
     def expect(self, hypotheses: Iterable[Hypothesis]) -> None:

@@ -18,6 +18,7 @@ from torchid.log.checks import (
     largest_slide,
     near,
     position_jumps,
+    velocity_agreement,
 )
 from torchid.robot.model import JointType, joint_list
 from torchid.statistics.criteria import BEYOND_LIMIT_RAD
@@ -155,7 +156,7 @@ def _most_alike(case: Case, told: Sequence[_Unit]) -> _Units:
     say otherwise: they only stayed near zero, or still."""
     pairs = [(unit.factor or 1.0, unit.rate) for unit in told]
     rotary = [k for k, x in enumerate(case.robot.joint_types) if x is not JointType.PRISMATIC]
-    clear = {a.joint for a in case.agreement if near(a.ratio, 1.0)}
+    clear = {a.joint for a in velocity_agreement(case.log) if near(a.ratio, 1.0)}
     for most in {pairs[k] for k in rotary} - {(1.0, 1.0)}:
         if 2 * sum(pairs[k] == most for k in rotary) >= len(rotary):
             pairs = [

@@ -170,7 +170,7 @@ def _orders(judge: Judge, now: Hypothesis, kind: str, q: bool, tau: bool) -> Ite
 
 def _assigned(judge: Judge, now: Hypothesis) -> tuple[int, ...]:
     """The order of the torque columns that single joints' rows, each by itself, explain best."""
-    a, _ = judge.columns(now)
+    a, *_ = judge.columns(now)
     tau, moving, n = judge.torque(now), judge.moving(now), judge.robot.n
     scale = np.where(tau.std(0) > 0, tau.std(0), 1.0)
     errors = np.ones((n, n))

@@ -1,6 +1,6 @@
 """A log as the doctor's model checks take it: smooth, on a coarse grid, in blocks of time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -66,7 +66,7 @@ class Samples:
         reach: how far torque may be shifted [s].
         step: of the log [s].
         signals: that the log has.
-        log: that they are of.
+        even: the log that they are of, on a uniform grid, with torque.
         loop: share of half a joint's range over which dry friction builds up; 0: at once; negative:
             as bristles bend (Dahl), and not along a straight line.
     """
@@ -80,36 +80,42 @@ class Samples:
     reach: float
     step: float
     signals: tuple[str, ...]
-    log: Log
+    even: Log
     loop: float = 0.0
 
     def looped(self, share: float) -> "Samples":
         """The same, with a loop over position in the place of the direction of motion: dry friction
         that builds up after each reversal (presliding, play, a brake's band)."""
-        found = samples(self.log, share)
-        assert isinstance(found, Samples)
-        return found
+        made = _samples(self.even, share)
+        assert isinstance(made, Samples)
+        return replace(made, signals=self.signals, names=self.names)
 
     def torque(self, late: float = 0.0) -> Float[Tensor, "T n"]:
         """Torque of the rows, read `late` seconds later than their motion."""
         return torch.cat([s.torque(late) for s in self.stretches])
 
 
-def samples(log: Log, loop: float = 0.0) -> Samples | str:
+def samples(log: Log) -> Samples | str:
     """Rows for the model checks, or in words why there are none: no torque, or too short a log.
 
     Args:
         log: with torques or currents.
-        loop: as `Samples.looped` has it; 0 for the direction of motion.
 
     The cut-off is four times the frequency below which 98 % of the motion's velocity lies.
     """
-    signals, given = tuple(log.signals), log
-    log = log if log.tau is not None else log.replace(tau=log.current)
-    if log.tau is None or float(log.tau.abs().max()) < NO_TORQUE:
+    torque = log.tau if log.tau is not None else log.current
+    if torque is None or float(torque.abs().max()) < NO_TORQUE:
         return "there is no torque"
     # Numbers in place of names, which need not differ: a run may be split at long gaps.
-    even = resample(log.replace(names=tuple(map(str, range(log.trajectory_count)))))
+    even = resample(log.replace(tau=torque, names=tuple(map(str, range(log.trajectory_count)))))
+    made = _samples(even)
+    if isinstance(made, str):
+        return made
+    return replace(made, signals=tuple(log.signals), names=log.names)
+
+
+def _samples(even: Log, loop: float = 0.0) -> Samples | str:
+    """Rows of a log on a uniform grid; `loop` as of `Samples`."""
     parts = list(zip(even.trajectories(), even.rates, strict=True))
     usable = [(p, r) for p, r in parts if p.samples > _FEWEST]
     if not usable:
@@ -134,11 +140,11 @@ def samples(log: Log, loop: float = 0.0) -> Samples | str:
         torch.cat([s.moving[s.inside] for s in kept]),
         block=torch.arange(count) * BLOCKS // count,
         run=torch.cat(runs).long() if runs else torch.zeros(0).long(),
-        names=log.names,
+        names=even.names,
         reach=min(float(s.t[s.inside.start] - s.t[0]) for s in kept),
         step=1.0 / max(r for _, r in usable),
-        signals=signals,
-        log=given,
+        signals=tuple(even.signals),
+        even=even,
         loop=loop,
     )
 

@@ -90,15 +90,20 @@ def _greedy(
     held = judge.held_out(now)
     found: list[Found] = []
     while True:
-        # Every move with the weights of the present fit, then those near or below it properly.
         base = judge.score(now)
-        tried = [m for m in all_moves(judge, now) if zeros or m.kind != "zero"]
+        # Moves of one motion after another, whose regressors are the same.
+        motions: dict[tuple, list[Move]] = {}
+        for move in all_moves(judge, now):
+            if zeros or move.kind != "zero":
+                motions.setdefault(move.after.moved, []).append(move)
+        tried = [move for moves in motions.values() for move in moves]
         judge.expect(m.after for m in tried)
-        quick = [(judge.score(m.after, base.fit.weights).loss, m) for m in tried]
-        looked = [
-            ((judge.score(m.after).loss if loss < base.loss + _LOOK else loss) - base.loss, m)
-            for loss, m in quick
-        ]
+        looked = []
+        for m in tried:
+            # With the weights of the present fit, then properly where it is near that or below.
+            loss = judge.score(m.after, base.fit.weights).loss
+            loss = judge.score(m.after).loss if loss < base.loss + _LOOK else loss
+            looked.append((loss - base.loss, m))
         costs = tuple(sorted(looked, key=lambda x: x[0]))
         best = _best(judge, held, costs, fixes)
         if best is None or len(found) == MOST_FAULTS:

@@ -18,6 +18,7 @@ from torchid.doctor.repair import (
     scaled,
 )
 from torchid.log.checks import (
+    DEGREES,
     FOLLOWS,
     MOVING,
     dead_velocities,
@@ -200,6 +201,42 @@ EVEN = 0.1
 """A joint whose motion per command differs from 1 by more is in another unit, or held back [1]."""
 MOVES = 0.02
 """A command that varies by less moves nothing [rad or m]."""
+
+
+STIRS = 0.01
+"""What varies by less, as a standard deviation within motions, does not move [rad]."""
+_COMMAND_UNITS = {
+    "degrees": DEGREES,
+    "milliradians": 1e3,
+    "counts of an encoder, 4096 a turn": 4096 / (2 * math.pi),
+}
+"""What one radian is in units that commands are sent in."""
+_NEAR_UNIT = 1.5
+"""Factor within which a ratio is that of two units; none of them are nearer to each other."""
+
+
+def check_command_unit(case: Case) -> Sequence[Check]:
+    """Commands in another unit than the positions, on most joints that move; of logs with torque
+    nobody reads them."""
+    log = case.log
+    if log.u is None or (case.torque is not None and bool(case.torque.any())):
+        return ()
+    spread = [
+        torch.cat([x[rows] - x[rows].mean(0) for rows in log.slices()]).square().mean(0).sqrt()
+        for x in (log.u, log.q)
+    ]
+    moves = (spread[0] > STIRS) & (spread[1] > STIRS)
+    ratio = float((spread[0] / spread[1])[moves].median()) if bool(moves.any()) else 1.0
+    for unit, factor in _COMMAND_UNITS.items():
+        for what, key, other, value in (
+            ("commands", "u", "q", ratio),
+            ("positions", "q", "u", 1 / ratio),
+        ):
+            if factor / _NEAR_UNIT < value < factor * _NEAR_UNIT:
+                words = what, other, value
+                check = said("command unit", "wrong", *words, estimate=value, key=key, in_unit=unit)
+                return [check.mended_by(scaled((key,), (1 / factor,) * log.n))]
+    return [said("command unit", "fine")]
 
 
 def check_commands(case: Case) -> Sequence[Check]:

@@ -4,8 +4,9 @@ What cannot be used raises LogError; what is merely odd comes back as warnings.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -72,10 +73,9 @@ def check_log(
     _check_finite(log)
     check_increasing(log)
     first = COORDINATES if moving_base else 0
-    agreement = velocity_agreement(log)
     forced = []
     try:
-        _check_units(log, agreement, position_limits, slides, first)
+        _check_units(log, position_limits, slides, first)
     except LogError as error:
         if not force:
             raise
@@ -99,22 +99,16 @@ def check_log(
         ],
         *_copied(log),
         *_no_torque(log, first),
-        *([] if forced else _velocity_warnings(log, agreement)),
+        *([] if forced else _velocity_warnings(log)),
     )
 
 
-def _check_units(
-    log: Log,
-    agreement: "Sequence[Agreement]",
-    limits: Tensor | None,
-    slides: Sequence[bool],
-    first: int,
-) -> None:
+def _check_units(log: Log, limits: Tensor | None, slides: Sequence[bool], first: int) -> None:
     """Refuse positions, time and velocities in other units."""
     _check_position_units(log, limits, slides, first)
     # Refuse time in milli-, micro- or nanoseconds, or counted in samples.
     step = max(float(log.t[rows].diff().median()) for rows in log.slices())
-    clear = [a for a in agreement if a.correlation > FOLLOWS]
+    clear = [a for a in velocity_agreement(log) if a.correlation > FOLLOWS]
     for factor, unit in TIME_UNITS.items():
         if clear and all(near(a.ratio, factor) for a in clear):
             k, ratio = clear[0].joint + 1, clear[0].ratio
@@ -123,7 +117,7 @@ def _check_units(
     if step > SLOW_STEP_S and not any(0.5 < a.ratio < 2.0 for a in clear):
         why = "and dq disagrees" if clear else "too long for a robot"
         _refuse_time(log, f"does not look like seconds: its median step is {step:g}, {why}", step)
-    _check_velocity_unit(log, agreement, slides)
+    _check_velocity_unit(log, slides)
 
 
 def _check_finite(log: Log) -> None:
@@ -257,29 +251,37 @@ class Agreement:
     correlation: float
 
 
-def velocity_agreement(log: Log) -> list[Agreement]:
-    """One record a joint that moves; empty without dq.
+_AGREEMENTS: WeakKeyDictionary[Log, tuple[Agreement, ...]] = WeakKeyDictionary()
+"""Of logs that were asked, as long as there are such."""
+
+
+def velocity_agreement(log: Log) -> tuple[Agreement, ...]:
+    """One record a joint that moves; empty without dq. The doctor, every fit and the positions ask:
+    of each log it is computed once."""
+    if log not in _AGREEMENTS:
+        _AGREEMENTS[log] = () if log.dq is None else tuple(_agreement(log, log.dq))
+    return _AGREEMENTS[log]
+
+
+def _agreement(log: Log, dq: Float[Tensor, "T n"]) -> Iterator[Agreement]:
+    """One record a joint that moves.
 
     The integral of dq is compared with q, not dq with a derivative: encoder noise, quantisation
     and dropped packets matter little there.
     """
-    if log.dq is None:
-        return []
-    records = []
     # Joint by joint: of a long log nothing is copied whole.
     for k in range(log.n):
         integrals, positions = [], []
         for rows in log.slices():
-            t, q, dq = log.t[rows], log.q[rows, k], log.dq[rows, k]
+            t, q = log.t[rows], log.q[rows, k]
             integral = torch.zeros_like(q)
-            integral[1:] = torch.cumulative_trapezoid(dq, t)
+            integral[1:] = torch.cumulative_trapezoid(dq[rows, k], t)
             integrals.append(integral - integral.mean())
             positions.append(q - q.mean())
         moved, q = torch.cat(integrals), torch.cat(positions)
         a, b = float(moved.norm()), float(q.norm())
         if float(q.max() - q.min()) > MOVING and a > 0.0:
-            records.append(Agreement(k, a / b, float(moved @ q) / (a * b)))
-    return records
+            yield Agreement(k, a / b, float(moved @ q) / (a * b))
 
 
 def dead_velocities(log: Log) -> list[int]:
@@ -301,8 +303,8 @@ def _refuse_time(log: Log, why: str, step: float) -> None:
     )
 
 
-def _check_velocity_unit(log: Log, agreement: Sequence[Agreement], slides: Sequence[bool]) -> None:
-    for a in agreement:
+def _check_velocity_unit(log: Log, slides: Sequence[bool]) -> None:
+    for a in velocity_agreement(log):
         column = f"dq{a.joint + 1}"
         if a.correlation < -FOLLOWS:
             raise LogError(
@@ -425,8 +427,9 @@ def _no_torque(log: Log, first: int) -> list[str]:
     ]
 
 
-def _velocity_warnings(log: Log, agreement: Sequence[Agreement]) -> list[str]:
+def _velocity_warnings(log: Log) -> list[str]:
     """What is odd about dq, the joints for which it is odd in the same way in one sentence."""
+    agreement = velocity_agreement(log)
     warnings = [f"dq{k + 1} never changes, while q{k + 1} does." for k in dead_velocities(log)]
     scaled = [a for a in agreement if a.correlation >= FOLLOWS and not 0.5 < a.ratio < 2.0]
     if scaled:

@@ -120,7 +120,7 @@ def compare_pair(
 
     Raises:
         WrongLogError: both logs agree, and a decisive check of `torchid.doctor.first` says that the
-            arm's is wrong.
+            arm's is wrong; or either is, of which servos are compared.
         LogError: logs of other arms or commands, or that cannot be used.
 
     >>> import torch, torchid
@@ -153,6 +153,8 @@ def compare_pair(
         warnings.append(_NO_TORQUES + (_OF_SERVOS if own else ""))
     if not torques and commands and robot and not NUMBERED & {f.fault for f in faults}:
         say("servos", 0, 1)
+        for log in (simulated, real):
+            warnings += ask_first(robot, log, force=force).said
         servos, more = servos_of(robot, simulated, real)
         warnings += more
     which: tuple[OneSided, ...] | None = None

@@ -9,7 +9,6 @@ import torch
 from torchid.dynamics.forward import gravity_torque
 from torchid.errors import LogError
 from torchid.log.checks import (
-    DEGREES,
     SLOW_STEP_S,
     check_joints,
     own_units,
@@ -51,12 +50,6 @@ GRAVITY_ROWS = 200
 """That tell which links a joint carries [1]."""
 MOVES = 0.01
 """What varies by less, as a standard deviation within motions, does not move [rad]."""
-UNITS = {
-    "degrees": DEGREES,
-    "milliradians": 1e3,
-    "counts of an encoder, 4096 a turn": 4096 / (2 * math.pi),
-}
-"""What one radian is in units that commands are sent in."""
 SLIGHT = 0.01
 """Share of the distance between command and position below which nothing is looked for [1]."""
 GAP = 2.0
@@ -65,8 +58,6 @@ GEARED = 1.7
 """Factor between commands and positions from which a search begins with it [1]."""
 PROPORTIONAL = 0.95
 """Share of the commands' variance that a servo without limits explains, where it is one [1]."""
-NEAR = 1.5
-"""Factor within which a ratio is that of two units; none of them are nearer to each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,8 +175,8 @@ def tracks_of(log: Log, scale: Float[Tensor, " n"]) -> Tracks:
     A command that is not there (NaN) was not sent: the one before holds.
 
     Raises:
-        LogError: it has none, none where a motion begins, or in another unit than the positions';
-            or it is not evenly sampled in seconds.
+        LogError: it has none, or none where a motion begins; or it is not evenly sampled in
+            seconds.
     """
     if log.u is None:
         raise LogError(
@@ -195,7 +186,6 @@ def tracks_of(log: Log, scale: Float[Tensor, " n"]) -> Tracks:
         )
     check_increasing(log)
     u = _held(log)
-    _check_same_unit(log, u)
     steps = torch.cat([log.t[rows].diff() for rows in log.slices()])
     dt = float(steps.median())
     if dt > SLOW_STEP_S:
@@ -258,29 +248,6 @@ def missing_commands(log: Log) -> tuple[str, ...]:
             f"{float(runs.max()) * step:.3g} s of them in a row: the one before is held."
         )
     return tuple(out)
-
-
-def _check_same_unit(log: Log, u: Float[Tensor, "T n"]) -> None:
-    """Refuse commands that are another unit than the positions on most joints that move."""
-    spread = []
-    for x in (u, log.q):
-        apart = torch.cat([x[rows] - x[rows].mean(0) for rows in log.slices()])
-        spread.append(apart.square().mean(0).sqrt())
-    moves = (spread[0] > MOVES) & (spread[1] > MOVES)
-    if not bool(moves.any()):
-        return
-    ratio = float((spread[0] / spread[1])[moves].median())
-    for unit, factor in UNITS.items():
-        for name, other, value in (("commands", "q", ratio), ("positions", "u", 1 / ratio)):
-            if factor / NEAR < value < factor * NEAR:
-                key = "u" if name == "commands" else "q"
-                short = {"degrees": "deg", "milliradians": "mrad"}.get(unit, "rev /4096")
-                raise LogError(
-                    f"{log.label}: {name} look like {unit}, {other}1.. like radians.",
-                    got=f"{key} varies {value:.3g} times as much as {other}",
-                    expected="radians",
-                    hint=f'`columns="{key}={key}{{j}} {short}"`',
-                )
 
 
 def scale_of(log: Log) -> Float[Tensor, " n"]:

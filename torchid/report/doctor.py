@@ -57,7 +57,7 @@ def torque_figure(examination: Examination) -> Figure | None:
     if judge is None or search is None:
         return None
     end = search.final.hypothesis
-    columns, _ = judge.columns(end)
+    columns, *_ = judge.columns(end)
     measured, moving = judge.torque(end), judge.moving(end)
     explained = np.where(moving, (columns @ search.final.fit.x).T, np.nan)
     n, x = examination.robot.n, "low-passed samples, all trajectories"
