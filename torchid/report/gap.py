@@ -183,6 +183,7 @@ def joint_pictures(d: TorqueDiagnosis) -> list[Picture]:
                 f"Gap of joint {joint + 1} against velocity, position, acceleration, torque and "
                 f"time, and its spectrum: {change}.",
                 partial(gap_figures.joint_figure, d, joint),
+                narrow=partial(gap_figures.joint_figure, d, joint, narrow=True),
             )
         )
     return out

@@ -12,7 +12,7 @@ from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.record import GapRecord, Regime, RegimeGap
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
 from torchid.report.friction import friction_figure
-from torchid.report.over_time import motion_over_time, torque_over_time
+from torchid.report.over_time import NARROW, motion_over_time, torque_over_time
 from torchid.report.panels import (
     SMALL,
     Figure,
@@ -157,14 +157,18 @@ _SCATTER = 1500
 _FEWEST = 3  # blocks in a bin that is drawn
 
 
-def joint_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure:
+def joint_figure(
+    diagnosis: TorqueDiagnosis, joint: int | None = None, narrow: bool = False
+) -> Figure:
     """Binned means of the gap of a joint (from 0; the worst, if None) against velocity, position,
-    acceleration, load and time, over a light scatter, and its spectrum over the noise."""
+    acceleration, load and time, over a light scatter, and its spectrum over the noise; `narrow` is
+    for a phone."""
     joint = worst_joints(diagnosis.record)[0] if joint is None else joint
     unit = joint_unit(diagnosis.robot, joint)
     length = "m" if unit == "N" else "rad"
     s = samples(diagnosis.traces, joint)
-    figure, grid = panel(11, 6.4, 2, 3)
+    figure, grid = panel(NARROW, 15, 6, 1) if narrow else panel(11, 6.4, 2, 3)
+    grid = grid.ravel()
     panels = (
         (s["dq"], f"velocity [{length}/s]"),
         (s["q"], f"position [{length}]"),
@@ -178,7 +182,7 @@ def joint_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure
     both = np.abs(np.concatenate([s["before"], s["after"]]))
     limit = 1.25 * max(float(np.quantile(both, 0.99)), 1e-9) if len(both) else 1.0
     high = float(diagnosis.floor.high[joint])
-    for axes, (x, name) in zip(grid.flat[:4], panels, strict=True):
+    for axes, (x, name) in zip(grid[:4], panels, strict=True):
         axes.axhspan(-high, high, color=INK, alpha=0.10, linewidth=0, label="noise, ±1 RMS")
         axes.axhline(0, color=GREY, linewidth=0.8)
         some = slice(None, None, max(1, len(x) // _SCATTER))
@@ -190,11 +194,11 @@ def joint_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure
             ends = (mean - half, mean + half)
             _banded(axes, centre, mean, ends, colour, f"{whose}: mean, 95 % interval")
         axes.set(ylim=(-limit, limit), xlabel=name)
-    for axes in grid[:, 0]:
+    for axes in grid[: 4 : 1 if narrow else 3]:
         axes.set_ylabel(f"measured - model [{unit}]")
     # RMS over a few seconds: a mean over time would show the motion, not the gap's size. A block
     # that two bins share counts in both, so that no bin of a short log has too few.
-    axes = grid[1, 1]
+    axes = grid[4]
     axes.axhspan(0, high, color=INK, alpha=0.10, linewidth=0)
     bins = int(np.clip(len(np.unique(s["block"])) // _FEWEST, 1, BINS))
     for y, colour, _ in models:
@@ -205,9 +209,10 @@ def joint_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure
     several = len(diagnosis.traces) > 1
     time = "time, one trajectory after another [s]" if several else "time [s]"
     axes.set(xlabel=time, ylabel=f"RMS [{unit}]")
-    _spectrum(grid[1, 2], diagnosis, joint, unit)
-    title = f"{diagnosis.robot.name}, joint {joint + 1}: what the model lacks, on data not fitted"
-    return finish(figure, title, grid[0, 0], columns=5)
+    _spectrum(grid[5], diagnosis, joint, unit)
+    where = "" if narrow else ", on data not fitted"
+    title = f"{diagnosis.robot.name}, joint {joint + 1}: what the model lacks{where}"
+    return finish(figure, title, grid[0], columns=1 if narrow else 5)
 
 
 def samples(traces: tuple[Trace, ...], joint: int) -> dict[str, np.ndarray]:
