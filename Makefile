@@ -20,7 +20,7 @@ PACKAGES := torchid torchid_study torchid_bench
 SHELL := bash
 .SHELLFLAGS := -o pipefail -c
 
-.PHONY: demo test test-one test-two test-slow nightly zoo criteria golden durations coverage lint format docs docs-site fuzz test-lowest test-newest bench clean
+.PHONY: demo test test-one test-two test-slow nightly zoo criteria golden durations coverage lint format docs notebooks docs-site fuzz test-lowest test-newest bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
@@ -104,6 +104,10 @@ docs: $(VENV)/.dev
 	$(BIN)/torchid effects --out docs
 	$(BIN)/python docs/draw_concepts.py
 	PYTHONPATH=. $(BIN)/python docs/draw_house.py
+
+# Runs the notebooks and stores what they print and draw: minutes. NAMES="03 05" are some.
+notebooks: $(VENV)/.dev
+	$(BIN)/python -m tests.notebooks $(NAMES)
 
 docs-site: $(VENV)/.dev
 	$(BIN)/python -m sphinx -b html -E -W --keep-going -q -c docs . build/site

@@ -131,7 +131,8 @@ def test_the_rest_takes_as_long_as_what_is_done_and_nothing_is_said_before() -> 
     clock.now += 60.0  # it has run out: nobody knows
     assert (left.seconds, str(left)) == (None, "")
     left.hear(5, 10)
-    assert left.seconds == pytest.approx(260.0)
+    # In the second half of 260 s, of three steps that took 210 s.
+    assert left.seconds == pytest.approx(5 * 130 / (130 / 70))
     left.hear(10, 10)
     assert left.seconds is None
 
@@ -144,6 +145,12 @@ def test_what_was_done_before_tells_no_speed() -> None:
     clock.now += 30.0
     left.hear(93, 100)
     assert left.seconds == pytest.approx(70.0)
+    left.hear(0, 100)
+    clock.now += 0.1
+    left.hear(50, 100)  # a store had these
+    clock.now += 10.0
+    left.hear(51, 100)
+    assert left.seconds == pytest.approx(49 * 10, rel=0.02)
 
 
 @pytest.mark.parametrize(("done", "total"), [(0, 1), (1, 1), (3, 0), (1, 50), (1, 21)])

@@ -2,6 +2,7 @@
 
 import math
 import time
+from bisect import bisect_right
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -29,36 +30,40 @@ SOON_S = 2.0
 
 
 class TimeLeft:
-    """How long what is counted still takes, if the rest is as fast as what is done.
+    """How long what is counted still takes, if the rest is as fast as what was done in the second
+    half of the time until now: what a store had at once tells no speed.
 
-    What was done before the first call, as logs that a store has, tells no speed. There is no
-    estimate before a twentieth is done, of a single step, and where it has run out.
+    There is no estimate before a twentieth is done, of a single step, and where it has run out.
 
     Args:
         clock: seconds.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
-        self._total, self._first, self._last = 0, (0, clock()), (0, clock())
+        self._clock, self._total = clock, 0
+        self._times, self._done = [clock()], [0]
 
     def hear(self, done: int, total: int) -> None:
         """So much is done; another total, or less than before, begins another count."""
-        now = done, self._clock()
-        if total != self._total or done < self._last[0]:
-            self._total, self._first, self._last = total, now, now
-        elif done > self._last[0]:
-            self._last = now
+        if total != self._total or done < self._done[-1]:
+            self._total, self._times, self._done = total, [self._clock()], [done]
+        elif done > self._done[-1]:
+            self._times.append(self._clock())
+            self._done.append(done)
 
     @property
     def seconds(self) -> float | None:
         """Until the end [s]; None where nothing tells it."""
-        (first, began), (done, then) = self._first, self._last
-        if done <= first or done < first + LEAST_SHARE * (self._total - first):
+        times, done = self._times, self._done
+        made, half = done[-1] - done[0], (times[0] + times[-1]) / 2
+        if made < max(1, LEAST_SHARE * (self._total - done[0])) or times[-1] - times[0] < SOON_S:
             return None
-        end = then + (then - began) / (done - first) * (self._total - done)
+        k = bisect_right(times, half)
+        share = (half - times[k - 1]) / (times[k] - times[k - 1])
+        since = done[-1] - (1 - share) * done[k - 1] - share * done[k]
+        end = times[-1] + (times[-1] - half) / since * (self._total - done[-1])
         left = end - self._clock()
-        return left if then - began > SOON_S and left > SOON_S else None
+        return left if left > SOON_S else None
 
     def __str__(self) -> str:
         """In words, as roughly as it is known; nothing where it is not."""

@@ -105,9 +105,8 @@ def randomise(
     else:
         source = of_diagnosis(found, robot, level)
     centre, every, more = _drawn(source, draws, seed)
-    warnings = [*source.warnings, *more]
     fields, beside = drawn_values(every, centre)
-    used = [int((every.which == k).sum()) for k in range(len(source.fits))]
+    used = every.which.bincount(minlength=len(source.fits)).tolist()
     explanations = tuple(
         Share(words=f.words or source.words, weight=f.weight, draws=n)
         for f, n in zip(source.fits, used, strict=True)
@@ -115,62 +114,52 @@ def randomise(
     ranges = _ranges(fields, beside, every, centre, level)
     return Randomisation(
         centre.name, level, every, ranges, centre, centre.joint_names, source.bands, explanations,
-        tuple(warnings),
+        (*source.warnings, *more),
     )  # fmt: skip
 
 
 def _drawn(source: DrawnFrom, draws: int, seed: int) -> tuple[Robot, Draws, list[str]]:
     """The centre, draws, and what is to be said of them."""
-    fits, given, n = source.fits, source.given, source.given.n
-    models = [f.corrected or source.corrected for f in fits]
-    weights = torch.tensor([f.weight for f in fits], dtype=torch.float64)
-    parts = [_Explained.of(m, f) for m, f in zip(models, fits, strict=True)]
-    bodies = _Bodies.of(source, [p.pi for p in parts])
+    given, near = source.given, _Near(source.given, source.left)
+    parts = [_Explained.of(fit.corrected or source.corrected, fit) for fit in source.fits]
+    centres = [near.centre(part.pi) for part in parts]
+    said = near.words(centres[0], parts[0].pi)
+    weights = torch.tensor([fit.weight for fit in source.fits], dtype=torch.float64)
     # Points of a low-discrepancy sequence: one number says which explanation, the others how far.
-    wide = max(p.root.shape[1] for p in parts)
-    moving = any(bool(p.body.any()) for p in parts)
-    count = draws * (CANDIDATES if moving else 1)
-    points = sobol_points(count, 1 + wide, seed)
-    z = normal_points(points[:, 1:])
-    chosen = torch.searchsorted(
-        weights.cumsum(0) / weights.sum(), torch.from_numpy(points[:, 0].copy())
-    )
-    chosen = chosen.clamp(max=len(parts) - 1)
-    steps = [z[chosen == k, : p.root.shape[1]] @ p.root.T for k, p in enumerate(parts)]
-    pi = torch.empty(count, n, PARAMETERS_PER_LINK, dtype=torch.float64)
+    count = draws * (CANDIDATES if any(bool(part.body.any()) for part in parts) else 1)
+    points = sobol_points(count, 1 + max(part.root.shape[1] for part in parts), seed)
+    z, first = normal_points(points[:, 1:]), torch.from_numpy(points[:, 0].copy())
+    which = torch.searchsorted(weights.cumsum(0) / weights.sum(), first).clamp(max=len(parts) - 1)
+    steps: dict[int, Tensor] = {}
+    pi = torch.empty(count, given.n, PARAMETERS_PER_LINK, dtype=torch.float64)
     for k, part in enumerate(parts):
-        change = torch.zeros(len(steps[k]), n * PARAMETERS_PER_LINK, dtype=torch.float64)
-        change.index_add_(1, part.at_body, steps[k][:, part.body])
-        pi[chosen == k] = bodies.moved(k, change)
+        mine = which == k
+        moved = z[mine, : part.root.shape[1]] @ part.root.T
+        change = torch.zeros(len(moved), pi[0].numel(), dtype=torch.float64)
+        change.index_add_(1, part.at_body, moved[:, part.body])
+        pi[mine] = near.moved(centres[k], change)
+        steps |= dict(zip(mine.nonzero().flatten().tolist(), moved, strict=True))
     # The first that are bodies; where too few are, of all draws the nearest bodies.
-    are = bodies.are(pi)
-    kept, nearest = are.nonzero().flatten()[:draws], 0
+    are = _are_bodies(pi, INSIDE * usual_bodies(centres[0]))
+    kept, none = are.nonzero().flatten()[:draws], list[int]()
     if len(kept) < draws:
         kept = torch.arange(draws)
-        for d in (~are[:draws]).nonzero().flatten().tolist():
-            pi[d] = bodies.near.to(pi[d])
-            nearest += 1
-    within = [(chosen == k).cumsum(0) - 1 for k in range(len(parts))]
-    effects = tuple(
-        parts[k].effects(steps[k][int(within[k][d])])
-        for d, k in zip(kept.tolist(), chosen[kept].tolist(), strict=True)
-    )
-    used = int(kept.max()) + 1
-    anew = 0.0 if nearest else 1 - float(are[:used].double().mean())
-    every = Draws(chosen[kept], pi[kept], effects, nearest, anew)
-    said = list(bodies.warnings)
-    if every.anew > 0.05:
+        none = (~are[:draws]).nonzero().flatten().tolist()
+        for d in none:
+            pi[d] = near.to(pi[d])
+    anew = 0.0 if none else 1 - float(are[: int(kept.max()) + 1].double().mean())
+    effects = tuple(parts[int(which[d])].effects(steps[d]) for d in kept.tolist())
+    if none or anew > 0.05:
         said.append(
-            f"{100 * every.anew:.0f} % of the points that the log allows are no bodies and were "
-            "drawn anew: ranges of single fields hold mostly impossible robots, the draws do not"
+            f"{len(none)} of {draws} draws of base parameters belong to no body, and have the "
+            "bodies nearest in torque and to the robot as given"
+            if none
+            else f"{100 * anew:.0f} % of the points that the log allows are no bodies and were "
+            "drawn anew"
         )
-    if nearest:
-        said.append(
-            f"{nearest} of {draws} draws of base parameters belong to no body, and have the bodies "
-            "nearest in torque and to the robot as given: ranges of single fields hold mostly "
-            "impossible robots, the draws do not"
-        )
-    robot = given.with_parameters(InertialParameters(bodies.centres[0]))
+        said[-1] += ": ranges of single fields hold mostly impossible robots, the draws do not"
+    robot = given.with_parameters(InertialParameters(centres[0]))
+    every = Draws(which[kept], pi[kept], effects, len(none), anew)
     return replace(robot, effects=records(parts[0].effects(None))), every, said
 
 
@@ -239,80 +228,15 @@ class _Explained:
         return tuple((e, v) for (e, _), v in zip(self.pairs, values, strict=True))
 
 
-@dataclass(frozen=True, eq=False)
-class _Bodies:
-    """What bodies draws have.
-
-    Attributes:
-        centres: (E, n, 10) of each explanation.
-        spread: (E, 10 n, 10 n) takes a change of parameters to the smallest relative change of
-            bodies with the same torque.
-        least: (n, 10) that each body holds at least.
-        near: finds the bodies nearest to parameters that belong to none.
-        warnings: sentences for the user.
-    """
-
-    centres: Float[Tensor, "E n 10"]
-    spread: Float[Tensor, "E P P"]
-    least: Float[Tensor, "n 10"]
-    near: "_Near"
-    warnings: tuple[str, ...]
-
-    @staticmethod
-    def of(source: DrawnFrom, asked: Sequence[Float[Tensor, " P"]]) -> "_Bodies":
-        """About bodies with the torque that each explanation asks for."""
-        given, n, order = source.given, source.given.n, paper_order(source.given.n_links)
-        base = base_parameters(given)
-        grouping = torch.zeros(len(base), PARAMETERS_PER_LINK * n, dtype=torch.float64)
-        grouping[:, order] = base.grouping
-        near = _Near(given, source.left)
-        centres, spreads, said = list[Tensor](), list[Tensor](), list[str]()
-        for pi in asked:
-            centre = pi.view(n, PARAMETERS_PER_LINK)
-            if not bool(_are_bodies(centre, INSIDE * usual_bodies(centre))):
-                centre = near.to(centre)
-                matrix = _carried(centre, grouping)
-                exact = centre + (matrix @ (pi - centre.flatten())).view_as(centre)
-                # Where the nearest bodies can have just this torque, they do.
-                if bool(_are_bodies(exact, INSIDE * usual_bodies(exact))):
-                    centre = exact
-                elif not centres:
-                    said += near.words(centre, pi.view_as(centre))
-            centres.append(centre)
-            spreads.append(_carried(centre, grouping))
-        least = INSIDE * usual_bodies(centres[0])
-        return _Bodies(torch.stack(centres), torch.stack(spreads), least, near, tuple(said))
-
-    def moved(self, k: int, change: Float[Tensor, "D P"]) -> Float[Tensor, "D n 10"]:
-        """Explanation k's bodies with the base parameters of these changes."""
-        step = (change @ self.spread[k].T).view(len(change), *self.centres[k].shape)
-        return self.centres[k] + step
-
-    def are(self, pi: Float[Tensor, "D n 10"]) -> Bool[Tensor, " D"]:
-        """Which draws are bodies."""
-        return _are_bodies(pi, self.least)
-
-
 def _are_bodies(pi: Float[Tensor, "*D n 10"], least: Float[Tensor, "n 10"]) -> Bool[Tensor, "*D"]:
     """Whether all links are bodies that hold at least these."""
     rest = InertialParameters(pi - least).pseudo_inertia
     return (torch.linalg.cholesky_ex(rest)[1] == 0).all(-1)
 
 
-def _carried(centre: Float[Tensor, "n 10"], grouping: Float[Tensor, "B P"]) -> Float[Tensor, "P P"]:
-    """M^-1 G' (G M^-1 G')^-1 G: of all changes with the same base parameters the one of smallest
-    relative size, with M the second derivative of the entropic metric at the centre."""
-    near = InertialParameters(centre + usual_bodies(centre)).pseudo_inertia
-    inner = torch.linalg.inv(torch.linalg.cholesky(near)).unsqueeze(1)
-    units = inner @ pseudo_inertia_basis() @ inner.mT
-    metric = torch.block_diag(*torch.einsum("naij,nbij->nab", units, units))
-    back = torch.linalg.solve(metric, grouping.T)
-    return back @ torch.linalg.pinv(grouping @ back, hermitian=True, rtol=1e-13) @ grouping
-
-
 class _Near:
-    """Bodies near the robot as given with nearly the torque of parameters that belong to none,
-    joint by joint in units of what is left of the log's torque, at random states.
+    """Bodies near the robot as given with nearly the torque of parameters, joint by joint in units
+    of what is left of the log's torque, at random states.
 
     Args:
         given: the robot.
@@ -320,14 +244,16 @@ class _Near:
     """
 
     def __init__(self, given: Robot, left: Float[Tensor, " n"]):
-        motion, n = random_states(given, 0), given.n
-        self.left = left
+        motion, n, order = random_states(given, 0), given.n, paper_order(given.n_links)
+        self.left, self.room = left, room_of(given)
         rows = torch.empty(len(motion.q), n, PARAMETERS_PER_LINK * n, dtype=torch.float64)
-        rows[..., paper_order(n)] = regressor(given, motion.q, motion.dq, motion.ddq)
-        self.rows = rows / self.left.unsqueeze(-1)
+        rows[..., order] = regressor(given, motion.q, motion.dq, motion.ddq)
+        self.rows = rows / left.unsqueeze(-1)
         self.matrix = self.rows.flatten(0, 1)
         self.square = self.matrix.T @ self.matrix
-        self.room = room_of(given)
+        base = base_parameters(given)
+        self.grouping = torch.zeros(len(base), PARAMETERS_PER_LINK * n, dtype=torch.float64)
+        self.grouping[:, order] = base.grouping
         self.last: NearBodies | None = None
 
     def to(self, pi: Float[Tensor, "n 10"]) -> Float[Tensor, "n 10"]:
@@ -341,12 +267,33 @@ class _Near:
             if self.last.error > (1 + PRICE) * len(y) ** 0.5:
                 self.room = self.room.bodies_alone
                 self.last = nearest_bodies(asked, self.room, spent=NEARLY)
-            return self.last.pi
         return nearest_bodies(asked, self.room, near=self.last).pi
 
-    def words(self, bodies: Float[Tensor, "n 10"], pi: Float[Tensor, "n 10"]) -> list[str]:
-        """A sentence on how far the bodies' torque is from the parameters', if it is far."""
-        off = (self.rows @ (bodies - pi).flatten()).square().mean(0).sqrt()
+    def centre(self, pi: Float[Tensor, " P"]) -> Float[Tensor, "n 10"]:
+        """Bodies with just the torque of parameters, or those nearest to it."""
+        whole = pi.view(-1, PARAMETERS_PER_LINK)
+        if bool(_are_bodies(whole, INSIDE * usual_bodies(whole))):
+            return whole
+        near = self.to(whole)
+        exact = self.moved(near, (pi - near.flatten()).unsqueeze(0))[0]
+        return exact if bool(_are_bodies(exact, INSIDE * usual_bodies(exact))) else near
+
+    def moved(
+        self, centre: Float[Tensor, "n 10"], change: Float[Tensor, "D P"]
+    ) -> Float[Tensor, "D n 10"]:
+        """A centre with the base parameters of changes, by the smallest relative change of bodies:
+        M^-1 G' (G M^-1 G')^-1 G, M the second derivative of the entropic metric there."""
+        near = InertialParameters(centre + usual_bodies(centre)).pseudo_inertia
+        inner = torch.linalg.inv(torch.linalg.cholesky(near)).unsqueeze(1)
+        units = inner @ pseudo_inertia_basis() @ inner.mT
+        metric = torch.block_diag(*torch.einsum("naij,nbij->nab", units, units))
+        back = torch.linalg.solve(metric, self.grouping.T)
+        spread = back @ torch.linalg.pinv(self.grouping @ back, hermitian=True, rtol=1e-13)
+        return centre + (change @ (spread @ self.grouping).T).view(-1, *centre.shape)
+
+    def words(self, centre: Float[Tensor, "n 10"], pi: Float[Tensor, " P"]) -> list[str]:
+        """A sentence on how far a centre's torque is from the parameters', if it is far."""
+        off = (self.rows @ (centre.flatten() - pi)).square().mean(0).sqrt()
         worst = int(off.argmax())
         size, share = float(off[worst] * self.left[worst]), 100 * float(off[worst])
         return [

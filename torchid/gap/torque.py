@@ -47,8 +47,8 @@ from torchid.simulation.two_models import rollouts
 from torchid.statistics.criteria import LIKELY, SHORTEST_LOG
 
 STAGES = {
-    "preparing": 10, "searching for effects": 40, "judging": 35, "locating": 5,
-    "simulating forwards": 10, "done": 0,
+    "preparing": 10, "searching for effects": 55, "judging": 18, "locating": 9,
+    "simulating forwards": 8, "done": 0,
 }  # fmt: skip
 """That are told as progress, with about the share of the time that each takes [%]."""
 

@@ -164,6 +164,7 @@ def which_model(result: TorqueDiagnosis | PositionDiagnosis, model: str = "") ->
     row = _usual_horizon(result) if isinstance(result, TorqueDiagnosis) else None
     if not answer.causes or row is None or row.ratio is None:
         return text
+    text = f"{text.rstrip('.')}."
     if row.ratio >= 1 or (row.ratio_ci95 is not None and row.ratio_ci95[1] >= 1):
         return (
             f"{text} Its simulated motion is no better ({row.ratio:.2g} of the error after "

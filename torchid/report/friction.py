@@ -73,6 +73,7 @@ def friction_figure(d: TorqueDiagnosis, joint: int | None = None, narrow: bool =
     )  # fmt: skip
     for axes, law in zip(panels, laws, strict=True):
         _draw(axes, d, law)
+        axes.locator_params(axis="x", nbins=5)
     title = "Friction over speed" if narrow else f"{d.robot.name}: friction over speed, by joint"
     return finish(figure, title, *panels, columns=1 if narrow else 3)
 

@@ -170,6 +170,7 @@ def joint_pictures(d: TorqueDiagnosis) -> list[Picture]:
                 f"What the model lacks on joint {joint + 1}: {change}.{'' if k else _AGAINST}",
                 f"Gap of joint {joint + 1} against velocity, position and torque: {change}.",
                 partial(gap_figures.joint_figure, d, joint),
+                narrow=partial(gap_figures.joint_figure, d, joint, narrow=True),
             )
         )
     return out

@@ -9,6 +9,7 @@ import torch
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.record import GapRecord, Regime, RegimeGap
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
+from torchid.report.over_time import NARROW
 from torchid.report.panels import (
     SMALL,
     Figure,
@@ -122,14 +123,18 @@ _SCATTER = 1500
 _FEWEST = 3  # blocks in a bin that is drawn
 
 
-def joint_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure:
+def joint_figure(
+    diagnosis: TorqueDiagnosis, joint: int | None = None, narrow: bool = False
+) -> Figure:
     """Binned means of the gap of a joint (from 0; the worst, if None) against velocity, position
-    and load, over a light scatter and the noise."""
+    and load, over a light scatter and the noise; `narrow` is for a phone."""
     joint = worst_joints(diagnosis.record)[0] if joint is None else joint
     unit = joint_unit(diagnosis.robot, joint)
     length = "m" if unit == "N" else "rad"
     s = samples(diagnosis.traces, joint)
-    figure, panels = panel(11, 3.6, 1, 3, sharey=True)
+    figure, panels = (
+        panel(NARROW, 7.8, 3, 1, sharey=True) if narrow else panel(11, 3.6, 1, 3, sharey=True)
+    )
     against = (
         (s["dq"], f"velocity [{length}/s]"),
         (s["q"], f"position [{length}]"),
@@ -158,9 +163,11 @@ def joint_figure(diagnosis: TorqueDiagnosis, joint: int | None = None) -> Figure
                 label=f"{whose}: mean, 95 % interval",
             )  # fmt: skip
         axes.set(ylim=(-limit, limit), xlabel=name)
-    panels[0].set_ylabel(f"measured - model [{unit}]")
-    title = f"{diagnosis.robot.name}, joint {joint + 1}: what the model lacks, on data not fitted"
-    return finish(figure, title, panels[0], columns=5)
+    for axes in panels if narrow else panels[:1]:
+        axes.set_ylabel(f"measured - model [{unit}]")
+    where = "" if narrow else ", on data not fitted"
+    title = f"{diagnosis.robot.name}, joint {joint + 1}: what the model lacks{where}"
+    return finish(figure, title, panels[0], columns=1 if narrow else 5)
 
 
 def samples(traces: tuple[Trace, ...], joint: int) -> dict[str, np.ndarray]:

@@ -14,6 +14,7 @@ from torchid.report.colours import AFTER, BEFORE, GREY, INK
 from torchid.report.panels import Figure, finish, panel, worst_stretch
 from torchid.results.words import joint_labels
 from torchid.robot.model import joint_unit
+from torchid.simulation.two_models import DIVERGED
 from torchid.typing import Bool, Float, Tensor
 
 NARROW = 4.2
@@ -228,8 +229,9 @@ def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime | None:
         if not runs:
             return None
         same = None if len(set(units)) > 1 else ("mm" if units[0] == "m" else "mrad", 1e3)
-        # The joint that moves most first.
-        far = torch.stack([run.measured.std(0) for run in runs]).amax(0)
+        # The joint that errs most first.
+        off = [(run.measured - run.before).nan_to_num(DIVERGED) for run in runs]
+        far = torch.stack([x.square().mean(0) for x in off]).amax(0)
         return OverTime(
             "position", runs, joint_labels(d.robot.joint_names), units,
             far.argsort(descending=True).tolist(), ("model as given", "corrected model"),
