@@ -61,7 +61,7 @@ def by_torque(path: Path, log: Log) -> tuple[Dynamics, Played, np.ndarray]:
     starts = starts_of(segments, HORIZON_S, STARTS, 0)
     windows = torque_windows(segments, starts, HORIZON_S)
     steps = math.ceil(windows.dt / STEP_S - 1e-9)
-    share = (torch.arange(steps) + 0.5) / steps
+    share = (torch.arange(steps, dtype=windows.tau.dtype) + 0.5) / steps
     torque = torch.lerp(windows.tau[:, :-1, None], windows.tau[:, 1:, None], share[:, None])
     # The end of the last torque is the beginning of one more.
     torque = torque.flatten(1, 2)
