@@ -23,6 +23,7 @@ from torchid.export.engines import InMujoco, InPinocchio
 from torchid.export.export import export_dynamics
 from torchid.export.projection import Projector
 from torchid.export.write_xml import xml_of
+from torchid.extraction.entropic import Room
 from torchid.gap.data import prepare
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
@@ -355,6 +356,16 @@ def test_mujoco_moves_as_torchid_does(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_bodies_at_the_end_of_what_is_believable_are_said(full, logs, tmp_path, monkeypatch):
+    """In what is printed, and in the file's comment."""
+    monkeypatch.setattr(Room, "touched", lambda *_: ("mass of link 2 (upper)",))
+    found = correct(arm("3r"), full, logs[0], "mjcf", tmp_path, held_out=logs[1])
+    said = "at a bound of what is believable: mass of link 2 (upper); the torque asks for more"
+    assert said in found.warnings
+    assert "(at a bound: mass of link 2 (upper))" in found.files[0].read_text()
+
+
 def test_a_joint_whose_torque_says_nothing_keeps_what_it_has(full, logs, tmp_path):
     """The sensor of joint 3 writes noise: no file can be fitted to it, or judged by it."""
     given = {"effect": "viscous_friction", "joint": 3, "Fv": 0.7}

@@ -141,6 +141,10 @@ def test_bodies_stay_bodies_and_believable_whatever_the_torque_asks(name, factor
     ratio = parameters.mass / torch.maximum(nominal.mass, InertialParameters(room.small).mass)
     assert bool((ratio < 2.0).all())
     assert bool((parameters.mass > 0.49 * nominal.mass).all())
+    # Who is asked for ten times the mass says where it stops.
+    walls = {10.0: "mass of link 2 (upper)", 0.1: "mass of link 2 (lower)"}
+    assert factor not in walls or walls[factor] in room.touched(found.pi)
+    assert room.touched(room.nominal) == room.bodies_alone.touched(found.pi) == ()
     # Bodies alone come nearer to what is asked.
     assert alone.least < found.least
 

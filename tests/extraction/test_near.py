@@ -9,6 +9,7 @@ import torch
 from tests.arms import arm, states
 from tests.oracles import MujocoOracle, PinocchioOracle
 from torchid.errors import TorchidError
+from torchid.extraction.found import at_bounds
 from torchid.extraction.from_identification import problem_of
 from torchid.extraction.methods import near_set
 from torchid.feasibility.plausibility import DENSITIES, bodies
@@ -85,6 +86,17 @@ def test_of_a_noisy_log_no_link_is_denser_than_lead():
     # Without the residual, the same loss asks for noise, and some body for no size.
     blind = replace(problem, target=replace(problem.target, left=0.0))
     assert float(bodies(near_set(blind).sets.parameters).density.max()) > DENSITIES[1]
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1.0, []), (10.0, ["m3 (upper)"])])
+def test_bounds_that_the_torque_asks_to_leave_are_said(factor, said):
+    robot = arm("3r")
+    pi = robot.require_parameters("a test").pi.clone()
+    pi[2] *= factor
+    heavy = robot.with_parameters(InertialParameters(pi))
+    problem, _ = problem_of(robot, nominal_base(heavy), bounds="from-robot")
+    masses = [name for name in at_bounds(near_set(problem)) if name.startswith("m3 (")]
+    assert masses == said
 
 
 def test_conditions_that_it_does_not_keep_are_refused():

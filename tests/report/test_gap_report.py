@@ -228,6 +228,12 @@ def test_remarks_say_where_the_noise_is_from():
     assert "The noise is estimated from the residual" in said[0]
 
 
+def test_remarks_say_what_stands_at_the_end_of_its_range():
+    note = "a is at the end of its range: what lies beyond was not looked at"
+    d = diagnosis(findings=(replace(FRICTION, notes=(note,)),))
+    assert f"Coulomb friction on joint 2: {note}." in gap.remarks(d.record)
+
+
 @pytest.mark.parametrize(
     ("value", "std", "expected"),
     [

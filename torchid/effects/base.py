@@ -316,15 +316,16 @@ class JointEffect(Effect):
         axes = [s.around(v, level, s.size(motions, self.joint)) for s, v in values]
         return torch.cartesian_prod(*axes).reshape(-1, len(axes))
 
-    def at_an_end(self, motions: Sequence[Motion]) -> bool:
-        """Whether a shape is at an end of its range on this joint's motions: there the effect has
+    def at_an_end(self, motions: Sequence[Motion]) -> tuple[str, ...]:
+        """Shapes that are at an end of their range on this joint's motions: there the effect has
         become another, simpler one."""
+        out = []
         for shape, value in zip(self.shapes, self.shape_values, strict=True):
             size = shape.size(motions, self.joint)
             near = 1e-3 * (shape.high - shape.low) * size
             if not shape.low * size + near < value < shape.high * size - near:
-                return True
-        return False
+                out.append(shape.name)
+        return tuple(out)
 
     @classmethod
     def initial(cls, motion: Motion, *shapes: Tensor) -> Tensor | None:

@@ -204,10 +204,11 @@ class EndStop(JointEffect):
         limits = self.limit + step * torch.linspace(-1, 1, 7, dtype=torch.float64)
         return torch.stack((limits, torch.full_like(limits, self.towards)), -1)
 
-    def at_an_end(self, motions: Sequence[Motion]) -> bool:
-        """Whether it would act on most of the travel: then it is a spring."""
+    def at_an_end(self, motions: Sequence[Motion]) -> tuple[str, ...]:
+        """Its limit, where it would act on most of the travel: then it is a spring."""
         q = torch.cat([m.q[:, self.joint] for m in motions])
-        return float((self.towards * (q - self.limit) > 0).double().mean()) > 0.5
+        most = float((self.towards * (q - self.limit) > 0).double().mean()) > 0.5
+        return ("limit",) if most else ()
 
     def c_code(self, values: Sequence[float]) -> list[str]:
         """The equation as C."""

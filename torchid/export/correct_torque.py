@@ -37,6 +37,7 @@ from torchid.gap.data import Data, read
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.folds import Folds, make_folds
 from torchid.gap.validate.traces import traces
+from torchid.results.words import listed
 from torchid.robot.model import Robot, joint_list
 from torchid.simulation.shooting import starts_of, windows_of
 from torchid.simulation.two_models import DIVERGED, HORIZONS, rollouts
@@ -71,6 +72,8 @@ def correct_torque(asked: CorrectionRequest, full: Robot | TorqueDiagnosis) -> C
         for one in projection.kept
     ]
     words = f"'{robot.name}', corrected and refitted to {asked.to}"
+    if projection.at_bounds:
+        words += f" (at a bound: {listed(projection.at_bounds, most=4)})"
     title = words + without_field(beside)
     files = [asked.write(Dynamics(projection.robot, "robot", title), title)]
     if asked.with_effects:
@@ -241,6 +244,11 @@ def _warnings(
         said.append(
             f"the bodies cost {100 * projection.price:.0f} % more torque error than any parameters "
             "leave, and no others would cost much less"
+        )
+    if projection.at_bounds:
+        said.append(
+            f"at a bound of what is believable: {listed(projection.at_bounds, most=4)}; the torque "
+            "asks for more"
         )
     if any(one.starts and one.engine is None for one in judged.forward):
         said.append("MuJoCo refuses the file: it was not simulated forwards")

@@ -83,6 +83,7 @@ class Projection:
         believable: whether masses and centres are near the nominal ones (`room_of`).
         price: error of the fit relative to that of any parameters whatever, minus 1.
         believable_price: the same of the fit whose bodies are believable.
+        at_bounds: masses and centres that stand at the ends of what is believable.
     """
 
     robot: Robot
@@ -91,6 +92,7 @@ class Projection:
     believable: bool
     price: float
     believable_price: float
+    at_bounds: tuple[str, ...] = ()
 
     def odd_links(self, nominal: InertialParameters) -> list[int]:
         """Links with a principal inertia more than `SPREAD` times as large, or as small, as the
@@ -215,6 +217,7 @@ class Projector:
             self.believable,
             self.price,
             self.believable_price,
+            self.room.touched(self.found.pi),
         )
 
     def without(self, fitted: Bool[Tensor, " N"]) -> Robot:

@@ -62,6 +62,13 @@ _FURTHER = (1e4, 1e3, 1e2, 10.0, 1.0)
 """How many times as strong the walls are, one after the other, where Newton steps are stuck at
 one."""
 _SETTLED = 1e-9
+AT_A_WALL = 0.01
+"""Share of the nominal mass, or of the width of the centre's box, from a wall at which a body is
+said to stand at it: the search stays inside."""
+_CENTRE = [f"centre of mass {axis}" for axis in "xyz"]
+_WALLS = [("mass", "lower"), ("mass", "upper"), *((c, "lower") for c in _CENTRE)]
+_WALLS += [(c, "upper") for c in _CENTRE]
+"""What the rows of `Room` are of, in their order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +111,15 @@ class Room:
     least: Float[Tensor, "n 10"]
     rows: Float[Tensor, "n C 10"]
     offset: Float[Tensor, "n C"]
+
+    def touched(self, pi: Float[Tensor, "n 10"]) -> tuple[str, ...]:
+        """Walls that bodies stand at, e.g. `mass of link 2 (upper)`; a mass of 0 is no wall."""
+        left = (self.rows @ pi.unsqueeze(-1)).squeeze(-1) + self.offset
+        near = left < AT_A_WALL
+        near[:, :1] &= self.offset[:, :1] < 0
+        return tuple(
+            f"{_WALLS[c][0]} of link {i + 1} ({_WALLS[c][1]})" for i, c in near.nonzero().tolist()
+        )
 
     @property
     def bodies_alone(self) -> "Room":

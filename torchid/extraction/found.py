@@ -8,6 +8,7 @@ from msgspec import UNSET
 
 from torchid.errors import TorchidError
 from torchid.extraction.convex.certificate import Certificate, certificate
+from torchid.extraction.entropic import AT_A_WALL
 from torchid.extraction.penalty import gamma
 from torchid.extraction.problem import Problem, torque_error
 from torchid.extraction.record import (
@@ -26,7 +27,8 @@ from torchid.robot.knowledge import to_mapping
 from torchid.typing import Float, Tensor
 
 _ON_A_BOUND = 1e-4
-"""Share of a bound's span within which a parameter counts as lying on it."""
+"""Share of a bound's span within which a parameter counts as lying on it, of searches that reach
+it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +217,7 @@ def at_bounds(found: Found) -> list[str]:
     n = problem.n
     own = found.sets.search_vector[found.best]
     low, high = problem.box.unbind(-1)
-    near = _ON_A_BOUND * (high - low)
+    near = (AT_A_WALL if found.method == "near" else _ON_A_BOUND) * (high - low)
     physics = torch.zeros_like(low, dtype=torch.bool)
     physics[:n] = True
     physics[4 * n : 10 * n].view(n, 6)[:, [0, 3, 5]] = True

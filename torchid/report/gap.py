@@ -17,6 +17,7 @@ from torchid.results.words import (
     digits,
     effect_words,
     interval,
+    joints_words,
     listed,
     percent,
     regime_words,
@@ -139,6 +140,10 @@ def remarks(record: GapRecord) -> list[str]:
         out.append("The error is spread evenly over all kinds of motion.")
     if record.knowledge is not None:
         out += [f"{note[0].upper()}{note[1:]}." for note in record.knowledge.notes]
+    for one in record.which:
+        place = f" on {joints_words(one.located)}" if one.located else ""
+        name = effect_words(one.effect)
+        out += [f"{name[0].upper()}{name[1:]}{place}: {note}." for note in one.notes]
     rollout = record.how_far.rollout
     return out if rollout is None else [*out, *rollout.sentences]
 

@@ -77,14 +77,14 @@ def test_a_shape_at_the_end_of_its_range_is_never_told_alone(a: float, others: s
     fit, without = (fit_terms(question, terms, rows) for terms in ([own], []))
     found = alternatives(question, fit, without, own, likely_terms(question, fit, without, own))
     ended = at_an_end(question, own)
-    assert ended == bool(others)
+    assert ended == (("a",) if others else ())
     # However sure, the other one is in its set.
     sure = Odds(1.0, 0.0, 0.0, (0.0,) * len(found))
     pairs = tuple((rise, (other,)) for rise, other, _ in found)
     place = place_of(
         question, (fit, without), own, None, Draws.of(torch.zeros(len(data.samples)).long())
     )  # type: ignore[arg-type]
-    judged = Judged(place, pairs, sure, ended)
+    judged = Judged(place, pairs, sure, bool(ended))
     assert set(judged.ambiguous_with) == others
     now, then = comparable(question, fit, without)
     rises = [then.evidence - now.evidence, *(rise for rise, *_ in found)]

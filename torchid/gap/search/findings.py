@@ -182,7 +182,7 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
         own = own_torque(found.solution, fixed + k)
         place = place_of(question, (fit, without), term, own, draws, rivals)
         pairs = tuple((rise, terms) for rise, terms, _ in others)
-        law, ended = laws.get(k), at_an_end(question, term)
+        law, ended = laws.get(k), bool(at_an_end(question, term))
         odds, law_sure = place.odds(misfit), _sure_of(law, misfit)
         out.append(Judged(place, pairs, odds, ended, law, law_sure))
     return out
@@ -207,10 +207,11 @@ def friction_of(found: Explanation, draws: Draws) -> dict[int, Place]:
     return out
 
 
-def at_an_end(question: Question, term: Term) -> bool:
-    """Whether a shape is at the end of its range: it has become another effect there."""
+def at_an_end(question: Question, term: Term) -> tuple[str, ...]:
+    """Shapes at the end of their range: a term with one has become another effect there."""
     shaped = (e for e in term.effects if term.shapes and isinstance(e, JointEffect))
-    return any(e.at_an_end(question.candidates.columns.motions) for e in shaped)
+    motions = question.candidates.columns.motions
+    return tuple(dict.fromkeys(name for e in shaped for name in e.at_an_end(motions)))
 
 
 def unsure_terms(judged: Sequence[Judged]) -> list[Term]:
@@ -484,6 +485,10 @@ def _notes(
             out.append(f"{c.name} is not determined: {v:.3g} ± {s:.2g}")
         if own:
             out.append(f"{c.name} is a correction: the model has {own:.4g}, the arm {own + v:.4g}")
+    out += [
+        f"{name} is at the end of its range: what lies beyond was not looked at"
+        for name in at_an_end(found.question, term)
+    ]
     if term.seen is not None:
         out.append(term.seen.said)
     if term.instead:

@@ -1,6 +1,7 @@
 """The table of docs/export.md: what each target does with the exports of two arms on their logs.
 
     python -m torchid_bench.benchmarks.targets.table --servos so101.yaml LOG [--torque ur10e.yaml LOG [--gain K1,K2,..]]
+        [--page docs/export.md]
 
 The yaml files are of `torchid gap --save-model`, the logs took no part in them. TORCHID_TARGET_MJLAB
 and so on name the interpreters of the targets' environments; targets without one are left out.
@@ -60,7 +61,7 @@ def by_torque(path: Path, log: Log) -> tuple[Dynamics, Played, np.ndarray]:
     starts = starts_of(segments, HORIZON_S, STARTS, 0)
     windows = torque_windows(segments, starts, HORIZON_S)
     steps = math.ceil(windows.dt / STEP_S - 1e-9)
-    share = (torch.arange(steps) + 0.5) / steps
+    share = (torch.arange(steps, dtype=windows.tau.dtype) + 0.5) / steps
     torque = torch.lerp(windows.tau[:, :-1, None], windows.tau[:, 1:, None], share[:, None])
     # The end of the last torque is the beginning of one more.
     torque = torque.flatten(1, 2)
@@ -95,15 +96,23 @@ def rows(what: Dynamics, motion: Played, measured: np.ndarray) -> Iterator[str]:
             yield f"| {what.robot.name} | {target} | {run} | {promised} | {found} | {apart:.2g} {unit} |"
 
 
+def write(page: Path, table: list[str]) -> None:
+    """Put the table in the place of the page's own, which begins with the same titles."""
+    before, _, after = page.read_text().partition(table[0])
+    rest = after.partition("\n\n")[2]
+    page.write_text(before + "\n".join(table) + "\n\n" + rest)
+
+
 def main() -> None:
-    """Print the table."""
+    """Print the table, and write it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--servos", nargs=2, type=Path, metavar=("YAML", "LOG"))
     parser.add_argument("--torque", nargs=2, type=Path, metavar=("YAML", "LOG"))
     parser.add_argument("--gain", help="drive gains K1,K2,.. of a log of currents")
+    parser.add_argument("--page", type=Path, help="whose table is replaced")
     given = parser.parse_args()
-    print("| arm | target | what runs | promised | measured | largest difference |")
-    print("|---|---|---|---|---|---|")
+    table = ["| arm | target | what runs | promised | measured | largest difference |"]
+    table.append("|---|---|---|---|---|---|")
     cases = []
     if given.servos:
         cases.append(by_position(given.servos[0], read_log([given.servos[1]])))
@@ -115,6 +124,9 @@ def main() -> None:
     for case in cases:
         for line in rows(*case):
             print(line, flush=True)
+            table.append(line)
+    if given.page:
+        write(given.page, table)
 
 
 if __name__ == "__main__":
