@@ -212,7 +212,9 @@ def check_excitation(judge: Judge, hypothesis: Hypothesis, log: Log) -> Check:
     live = judge.live(hypothesis)
     extent = (log.q.amax(0) - log.q.amin(0)).tolist()
     conditions = {k: _condition(judge, hypothesis, k) for k in live}
-    weak = [k for k in range(judge.robot.n) if k not in live or extent[k] < SMALL]
+    # In a log of small motions by the farthest joint: how it moves is asked of the condition.
+    small = SMALL * min(1.0, max(extent))
+    weak = [k for k in range(judge.robot.n) if k not in live or extent[k] < small]
     alike = [k for k, c in conditions.items() if c > CONDITION and k not in weak]
     worst = max(conditions.values(), default=np.inf)
     if not weak and not alike:
@@ -229,7 +231,7 @@ def check_excitation(judge: Judge, hypothesis: Hypothesis, log: Log) -> Check:
     if alike:
         words.append(
             f"speed, direction, acceleration and gravity of {joint_list(alike)} vary together "
-            "(condition " + ", ".join(f"{conditions[k]:.0f}" for k in alike) + ")"
+            "(condition " + ", ".join(f"{conditions[k]:.3g}" for k in alike) + ")"
         )
     joints = tuple(sorted({*weak, *alike}))
     estimate = tuple(conditions.get(k, float("inf")) for k in joints)

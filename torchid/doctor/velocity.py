@@ -11,8 +11,8 @@ from torchid.doctor.check import Check, Choice, judged, said, with_choices
 from torchid.doctor.repair import Differentiate, DropSignal, Reorder, Repair, Scale, ScaleTime
 from torchid.log.checks import (
     FOLLOWS,
-    MOVING,
     dead_velocities,
+    least_way,
     named_ratio,
     own_units,
     velocity_agreement,
@@ -105,7 +105,7 @@ def _reorder(log: Log, repairs: list[Repair], said: list[str], joints: list[int]
     extent = log.q.amax(0) - log.q.amin(0)
     a, q = a / a.norm(dim=0).clamp(min=1e-300), q / q.norm(dim=0).clamp(min=1e-300)
     matrix = q.T @ a
-    usable = torch.where(extent[:, None] < MOVING, 0.0, matrix.abs())
+    usable = torch.where(extent[:, None] < least_way(log)[:, None], 0.0, matrix.abs())
     order = linear_sum_assignment(-usable.numpy())[1].tolist()
     wrong = [
         k
@@ -189,7 +189,7 @@ def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
         sums.append(torch.stack([x.sum(-1) for x in products]))
     numerator, denominator, size, gap = torch.stack(sums).sum(0)
     extent = even.q.amax(0) - even.q.amin(0)
-    active = (size > 1e-3 * size.max()) & (extent > MOVING)
+    active = (size > 1e-3 * size.max()) & (extent > least_way(even))
     if not bool(active.any()) or float(size.max()) == 0.0:
         return 0.0, 0.0, ()
     lag = float((numerator / denominator)[active].median())
