@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.gap.motions import RATE, motion_at, noise, segment_of, times
-from torchid.design.motion import measurements
+from torchid.design.motion import measurements, moves
 from torchid.design.segments import (
     REACH,
     Samples,
@@ -163,6 +163,40 @@ def test_a_slow_joint_rests_by_its_own_speeds_and_a_held_one_by_absolute_ones():
     counts = moving_instants(segment_of(motion))
     assert torch.equal(counts[:, 0], ~pause)
     assert bool(counts[:, 1].all()), "it hardly moves: all of its samples tell what holds it"
+
+
+def stretched(times: float, size: float = 1.0, noise: float = 0.0) -> Log:
+    """A log of 20 s, driven so many times as slowly and as far: joint 1 goes to and fro, joint 2
+    half as far with dwells, joint 3 is held, and all positions have noise."""
+    g = torch.Generator().manual_seed(0)
+    t = torch.arange(0, 20.0 * times, times / RATE, dtype=torch.float64)
+    s = t / times
+    dwelling = 0.25 * (1 - (math.pi * (s % 4).clamp(max=2.0)).cos())
+    q = size * torch.stack([0.5 * (1.3 * s).sin(), dwelling, torch.zeros_like(s)], -1)
+    q = q + noise * torch.randn(q.shape, generator=g, dtype=torch.float64)
+    return Log(t, q, tau=torch.zeros_like(q))
+
+
+@pytest.mark.parametrize("size", [1.0, 0.02])
+@pytest.mark.parametrize("times", [1.0, 5.0, 20.0])
+def test_what_moves_is_told_by_the_speeds_of_the_log(times: float, size: float):
+    """Twenty times as slow, and fifty times as far: the same instants move."""
+    before, log = stretched(1.0), stretched(times, size, 1e-6 * size / times)
+    seen = []
+    for one in (before, log):
+        made = segments_of(measurements(one, 0.1 * one.rates[0]), 0.1 * one.rates[0])
+        assert still_joints(made) == (2,)
+        inner = slice(made[0].length // 20, -made[0].length // 20)
+        seen.append(moves(made[0].motion, made[0].moving)[inner, :2].double())
+    assert torch.allclose(*(x.mean(0) for x in seen), atol=0.07)
+    assert 0.4 < float(seen[1][:, 1].mean()) < 0.6
+
+
+def test_noise_of_a_standing_arm_is_no_slow_motion():
+    log = stretched(1.0, size=0.0, noise=1e-5)
+    assert still_joints(segments_of(measurements(log, 40.0), 40.0)) == (0, 1, 2)
+    rough = stretched(1.0, size=0.0, noise=1e-4)
+    assert still_joints(segments_of(measurements(rough, 40.0), 40.0)) == (0, 1, 2)
 
 
 def test_joints_that_never_move():

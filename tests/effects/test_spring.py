@@ -34,6 +34,19 @@ def test_a_straight_spring_pulls_to_its_rest_position() -> None:
     torch.testing.assert_close(torque, 10.0 * (q - 0.5), rtol=1e-14, atol=1e-14)
 
 
+@pytest.mark.parametrize("turns", [0.5, 3.0, 55.0, 1e4])
+def test_springs_that_are_sought_have_torques_that_numbers_hold(turns: float) -> None:
+    """On an axis that turns on none hardens: e to the number of radians, squared, is no number."""
+    motion = along(2 * math.pi * turns * torch.linspace(-1, 1, 50, dtype=torch.float64))
+    rows = JointSpring.grid([motion], 0, 8.0)
+    assert 0.0 in rows
+    assert 1.0 in rows
+    assert bool((rows < 0).any()) == (turns < 4)
+    for (curvature,) in rows.tolist():
+        a = JointSpring(0, curvature=curvature).columns(motion)
+        assert bool((a.mT @ a).isfinite().all())
+
+
 def test_a_counterbalance_is_a_wave_of_one_period_a_turn() -> None:
     q = torch.linspace(-7, 7, 50, dtype=torch.float64)
     lever = 3.0 * torch.sin(q - 0.4)

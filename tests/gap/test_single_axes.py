@@ -8,7 +8,7 @@ import torch
 
 import torchid
 from tests.arms import single_axis
-from tests.marks import some
+from tests.marks import quick_first, some
 from torchid.report.causes import cause_table
 
 
@@ -118,6 +118,43 @@ def test_a_loop_over_position_is_presliding_hysteresis():
     found = torchid.diagnose(single_axis("P", mass=5.0), looping(), settings=settings)
     assert [c.effect for c in found.answer.causes] == ["presliding_hysteresis"]
     assert not found.doubt
+
+
+def rubbing(times: float = 1.0, size: float = 1.0) -> torchid.Log:
+    """An axis that rubs with .8 N m and, at its own fast speed, as much again: so many times as
+    slow and as far, in as many samples."""
+    logs, random = [], np.random.default_rng(0)
+    for w in (1.0, 1.6):
+        s = np.arange(0.0, 20.0, 1 / 100)
+        q = 0.6 * np.sin(w * s) + 0.3 * np.sin(2.3 * w * s + 0.4)
+        speed = 0.6 * w * np.cos(w * s) + 0.69 * w * np.cos(2.3 * w * s + 0.4)
+        tau = 0.8 * np.tanh(speed / 0.005) + 1.2 * speed + 0.01 * random.standard_normal(len(s))
+        logs.append(torchid.Log(times * s, size * q[:, None], tau=tau[:, None]))
+    return torchid.Log.concatenate(logs)
+
+
+SLOW_OR_SMALL = [("R", 20.0, 1.0), ("R", 1.0, 0.01), ("P", 1.0, 0.004), ("P", 5.0, 0.002)]
+"""Down to .06 rad/s, 9 mrad either way, 4 mm at a few mm/s, and 2 mm in minutes."""
+
+
+@pytest.mark.parametrize(("kind", "times", "size"), quick_first(SLOW_OR_SMALL, 2, several=True))
+def test_a_slow_or_a_small_motion_is_examined_as_any(kind, times, size):
+    robot = single_axis(kind, known=False)
+    usual, own = (torchid.examine(robot, log) for log in (rubbing(), rubbing(times, size)))
+    verdicts = [{c.name: c.verdict for c in x.checks} for x in (usual, own)]
+    assert verdicts[0] == verdicts[1]
+
+
+@pytest.mark.parametrize(("kind", "times", "size"), some(SLOW_OR_SMALL, 2, several=True))
+def test_friction_of_a_slow_or_a_small_motion(kind, times, size):
+    settings = torchid.GapSettings(rollout=False)
+    found = torchid.diagnose(single_axis(kind), rubbing(times, size), settings=settings, force=True)
+    sizes = {c.effect: c.sizes[0].value for c in found.answer.causes}
+    assert sizes == {
+        "viscous_friction": pytest.approx(1.2 * times / size, rel=0.02),
+        "coulomb_friction": pytest.approx(0.8, rel=0.02),
+    }
+    assert not any("explains nothing" in w for w in found.warnings)
 
 
 def spinning(inertia: float = 1.2e-3) -> torchid.Log:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from torchid.errors import LogError
 from torchid.log.assemble import unused_columns
+from torchid.log.checks import check_log
 from torchid.log.columns import columns_of
 from torchid.log.csv_file import csv_table
 from torchid.log.mapping import KEYS, read_mapping
@@ -335,6 +336,26 @@ def test_joints_without_a_torque_sensor(tmp_path: Path, columns: str, torque: li
     assert read_log(path, columns=columns).tau[0].tolist() == torque
     with pytest.raises(LogError, match="only that there is none"):
         read_log(path, columns="tau1=e1")
+
+
+@pytest.mark.parametrize(("there", "absent"), [((2, 3), (1,)), ((1, 3), (2,)), ((1, 2), (3,))])
+def test_a_missing_torque_is_told_with_what_reads_the_log(
+    tmp_path: Path, there: tuple[int, ...], absent: tuple[int, ...]
+) -> None:
+    """A gripper's finger, whose torque nobody measures, has no column, or one without a number."""
+    own = {"t": T, "q1": T, "q2": T, "q3": T, **{f"tau{k}": k + T for k in there}}
+    path = save(tmp_path / "a.csv", own)
+    with pytest.raises(LogError) as info:
+        read_log(path)
+    columns = str(info.value.hint).split('"')[1]
+    assert columns == ",".join(f"tau{k}=none" for k in absent)
+    read = read_log(path, columns=columns)
+    assert read.tau is not None
+    assert [float(read.tau[0, k - 1]) for k in (*there, *absent)] == [*there, 0.0]
+    empty = save(tmp_path / "b.csv", own | {f"tau{k}": np.nan * T for k in absent})
+    with pytest.raises(LogError) as info:
+        check_log(read_log(empty), n=3, robot_name="arm")
+    assert f'columns="{columns}"' in str(info.value.hint)
 
 
 def test_a_known_external_torque_is_subtracted_and_this_is_said(tmp_path: Path) -> None:

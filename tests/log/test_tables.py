@@ -216,6 +216,17 @@ def test_text_without_header(tmp_path: Path) -> None:
             ["time", "S_pos_deg", "L_pos_deg", "S_torque_nm", "L_torque_nm"],
             "t=time,q=[S_pos_deg, L_pos_deg] deg,tau=[S_torque_nm, L_torque_nm]",
         ),
+        (
+            ["Zeit [ms]", "Istwinkel A1 [Grad]", "Istwinkel A2 [Grad]", "Sollwinkel A1 [Grad]",
+             "Sollwinkel A2 [Grad]", "Drehzahl A1 [1/min]", "Drehzahl A2 [1/min]",
+             "Drehmoment A1 [Nm]", "Drehmoment A2 [Nm]"],
+            "t='Zeit [ms]' ms,q='Istwinkel A{j} [Grad]' Grad,dq='Drehzahl A{j} [1/min]' 1/min,"
+            "tau='Drehmoment A{j} [Nm]',u='Sollwinkel A{j} [Grad]' Grad",
+        ),
+        (
+            ["tiempo", "posicion_1", "posicion_2", "velocidad_1", "velocidad_2"],
+            "t=tiempo,q=posicion_{j},dq=velocidad_{j}",
+        ),
         (["time", "pos_1", "pos_2", "goal_1", "goal_2"], "t=time,q=pos_{j},u=goal_{j}"),
         (["time", "q_1", "q_2", "q_cmd_1", "q_cmd_2"], "t=time,q=q_{j},u=q_cmd_{j}"),
         (["t", "q1", "q2", "effort_1", "effort_2", "x"], None),
@@ -396,6 +407,8 @@ def test_of_a_table_without_time_the_rate_is_asked_for(tmp_path: Path) -> None:
     assert "the first 3 of 4 columns" in said
     columns = said.split('"')[1].replace("HZ", "100")
     assert read_log(path, columns=columns).n == 3
+    ours = save(tmp_path / "b.csv", {"q1": T, "q2": T})
+    assert proposed(ours) == 'perhaps `columns="t=HZ Hz"` (HZ: samples a second)'
 
 
 def test_of_columns_that_look_alike_none_is_taken(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import torch
 
-from torchid.design.motion import HARDLY, MOVING, Measurement, direction, fast_speed
+from torchid.design.motion import HARDLY, Measurement, direction, fast_speed, moving_speed
 from torchid.design.segments import Samples, Segment, widened
 from torchid.dynamics.forward import mass_matrix
 from torchid.errors import LogError
@@ -100,10 +100,10 @@ def resolved(log: Log, noise: Float[Tensor, " n"], free: Sequence[int] = ()) -> 
         free: coordinates (from 0) that no motor drives: there is no torque to be resolved.
     """
     # How much of the time each joint moves, over steps that its noise does not reach.
-    moving = torch.zeros_like(noise)
+    moving, least = torch.zeros_like(noise), moving_speed(log)
     for rows, rate in zip(log.slices(), log.rates, strict=True):
         q, step = log.q[rows], max(1, round(DWELL * rate))
-        moving += ((q[step:] - q[:-step]).abs() > MOVING * step / rate).sum(0) / log.samples
+        moving += ((q[step:] - q[:-step]).abs() > least * step / rate).sum(0) / log.samples
     slides = (moving >= HARDLY) & (noise > 0)
     slides[list(free)] = False
     if log.tau is None or not bool((slides := slides & log.tau.any(0)).any()):

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import torch
 
-from torchid.design.motion import MOVING
+from torchid.design.motion import moving_speed
 from torchid.design.segments import Segment
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
@@ -43,11 +43,11 @@ def held_ages(log: Log) -> Float[Tensor, "T n"]:
             step), because torque is interpolated linearly: between equal values it is exact.
     """
     assert log.tau is not None
-    ages = torch.zeros_like(log.tau)
+    ages, moving = torch.zeros_like(log.tau), float(moving_speed(log).min())
     for rows, rate in zip(log.slices(), log.rates, strict=True):
         speed = central_difference(log.q[rows].T, rate).abs().amax(0)
         for j in range(log.n):
-            ages[rows, j] = _ages(log.tau[rows, j], speed) / rate
+            ages[rows, j] = _ages(log.tau[rows, j], speed > moving) / rate
     return ages
 
 
@@ -82,10 +82,10 @@ def held_ages_of(log: Log, segments: Sequence[Segment]) -> list[Float[Tensor, "_
     return out
 
 
-def _ages(tau: Float[Tensor, " T"], speed: Float[Tensor, " T"]) -> Float[Tensor, " T"]:
-    """Age of each sample of one joint [steps]."""
+def _ages(tau: Float[Tensor, " T"], moves: Bool[Tensor, " T"]) -> Float[Tensor, " T"]:
+    """Age of each sample of one joint [steps], while the arm moves."""
     starts, lengths = _runs(tau)
-    held = _held(tau, speed, starts, lengths)
+    held = _held(tau, moves, starts, lengths)
     run = torch.repeat_interleave(torch.arange(len(starts), device=tau.device), lengths)
     since = torch.arange(len(tau), device=tau.device) - starts[run]
     return torch.where(held[run], since, 0).to(tau)
@@ -101,7 +101,7 @@ def _runs(x: Float[Tensor, " T"]) -> tuple[Int[Tensor, " R"], Int[Tensor, " R"]]
 
 def _held(
     tau: Float[Tensor, " T"],
-    speed: Float[Tensor, " T"],
+    moves: Bool[Tensor, " T"],
     starts: Int[Tensor, " R"],
     lengths: Int[Tensor, " R"],
 ) -> Bool[Tensor, " R"]:
@@ -114,7 +114,7 @@ def _held(
     # The last run has no end.
     jumps = torch.nn.functional.pad(steps > JUMP * quantum, (0, 1), value=False)
     extreme = (values == tau.max()) | (values == tau.min())
-    total = torch.nn.functional.pad((speed > MOVING).cumsum(0), (1, 0))
+    total = torch.nn.functional.pad(moves.cumsum(0), (1, 0))
     moving = 2 * (total[starts + lengths] - total[starts]) > lengths
     candidate = (lengths >= FEWEST) & jumps & ~extreme & moving
     probability = _equal_by_chance(tau, starts, lengths, candidate)

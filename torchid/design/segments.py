@@ -56,6 +56,7 @@ class Segment:
         tau: (T, n) measured torque [N m; N].
         own_velocity: whether dq was measured on its own, so that it can lag behind q.
         stamp: of the first sample in the log itself [s].
+        moving: (n,) speed above which joints of its log move (`moving_speed`).
     """
 
     name: str
@@ -65,6 +66,7 @@ class Segment:
     tau: Float[Tensor, "T n"]
     own_velocity: bool
     stamp: float = 0.0
+    moving: Float[Tensor, " n"] | float = MOVING
 
     @property
     def length(self) -> int:
@@ -100,7 +102,8 @@ def segments_of(measured: Sequence[Measurement], band: float, clock: float = 0.0
             tau = ZeroPhaseFilter(m.rate, min(1.5 * band, 0.4 * m.rate / step)).apply(tau.T).T
         motion, tau = m.motion.every(step), tau[::step].contiguous()
         stamp = float(m.t[0])
-        out.append(Segment(m.name, m.rate / step, band, motion, tau, m.own_velocity, stamp))
+        rate, own = m.rate / step, m.own_velocity
+        out.append(Segment(m.name, rate, band, motion, tau, own, stamp, m.moving))
     return out
 
 
@@ -186,7 +189,7 @@ def still_joints(segments: Sequence[Segment]) -> tuple[int, ...]:
     joint that is held."""
     q, dq = (torch.cat(x) for x in zip(*((s.motion.q, s.motion.dq) for s in segments), strict=True))
     travel = q.amax(0) - q.amin(0)
-    hardly = (dq.abs() > MOVING).double().mean(0) < HARDLY
+    hardly = (dq.abs() > segments[0].moving).double().mean(0) < HARDLY
     return tuple(((travel < NEVER) | (hardly & (travel < YIELDS))).nonzero().flatten().tolist())
 
 
@@ -215,7 +218,7 @@ def moving_instants(
     so near to a reversal are left out, and those twice as near to a dwell: there the joint may
     stick, and no law of sliding says with which torque."""
     dq = segment.motion.dq
-    resting = resting_speed(segment.motion)
+    resting = resting_speed(segment.motion, segment.moving)
     moving = dq.abs() > resting
     if reach is None:
         return moving | (moving.double().mean(0) < HARDLY)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchid.log.checks import MOVING, NO_TORQUE
+from torchid.log.checks import NO_TORQUE, least_way
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import resample
@@ -122,8 +122,8 @@ def _samples(even: Log, loop: float = 0.0) -> Samples | str:
         return f"no trajectory has more than {_FEWEST} samples"
     cutoff = max(_cutoff(p, r) for p, r in usable)
     total = sum(p.samples / r for p, r in usable)
-    lengths = 0.5 * loop * (even.q.amax(0) - even.q.amin(0))
-    made = [(_stretch(p, r, cutoff, MOST / total, lengths), p.names[0]) for p, r in usable]
+    lengths, ways = 0.5 * loop * (even.q.amax(0) - even.q.amin(0)), least_way(even)
+    made = [(_stretch(p, r, cutoff, MOST / total, lengths, ways), p.names[0]) for p, r in usable]
     kept = [s for s, _ in made if s is not None]
     runs = [torch.full_like(s.t[s.inside], int(name.partition("[")[0])) for s, name in made if s]
     count = sum(len(s.t[s.inside]) for s in kept)
@@ -161,7 +161,7 @@ def _cutoff(log: Log, rate: float) -> float:
 
 
 def _stretch(
-    log: Log, rate: float, cutoff: float, most_per_second: float, lengths: Tensor
+    log: Log, rate: float, cutoff: float, most_per_second: float, lengths: Tensor, least: Tensor
 ) -> Stretch | None:
     low = ZeroPhaseFilter(rate, cutoff)
     assert log.tau is not None
@@ -173,7 +173,7 @@ def _stretch(
     fast = torch.quantile(sharp.abs(), 0.95, dim=-1, keepdim=True)
     sign = low.apply(torch.tanh(sharp / (0.02 * fast).clamp(min=SLOW)))
     extent = q.amax(-1, keepdim=True) - q.amin(-1, keepdim=True)
-    moving = (sign.abs() > 0.5) & (extent > MOVING)
+    moving = (sign.abs() > 0.5) & (extent > least[:, None])
     every = max(1, int(rate / max(_PER_PERIOD * cutoff, 0.0)), int(rate / most_per_second))
     if bool(lengths.any()):
         sign = low.apply(_loop(smooth, lengths))

@@ -153,12 +153,18 @@ def _against_nominal(judge: Judge, hypothesis: Hypothesis) -> Check | None:
         text += ", and the nominal torque of that size explains no more than the nominal one"
         return replace(base, verdict="cannot tell", evidence=text)
     verdict: Verdict = "wrong" if off > math.log(OTHER_UNIT) else "doubtful"
+    low, high, apart = slopes.low[slopes.clear], slopes.high[slopes.clear], False
     for factor, name in _UNITS:
         if abs(math.log(overall / factor)) < math.log(CAD_SIZE):
+            # A hundred is a size of gains and gears, too, which differ from joint to joint.
+            beyond = low.max() > CAD_SIZE * factor or high.min() < factor / CAD_SIZE
+            apart = factor == 100.0 and bool(beyond)
+            if apart:
+                continue
             repair = scaled(("tau",), (1.0 / factor,) * judge.robot.n)
             named = replace(base, verdict=verdict, evidence=f"{text}: {name}")
             return named.mended_by(repair)
-    single = len(set(hypothesis.tau.factors)) > 2
+    single = apart or len(set(hypothesis.tau.factors)) > 2
     text += (
         ": of each joint another size: motors' torque before their gears, or currents"
         if single

@@ -20,8 +20,8 @@ from torchid.doctor.repair import (
 from torchid.log.checks import (
     DEGREES,
     FOLLOWS,
-    MOVING,
     dead_velocities,
+    least_way,
     named_ratio,
     own_units,
     velocity_agreement,
@@ -118,7 +118,7 @@ def _exchanged(log: Log) -> tuple[tuple[int, ...], dict[int, str]]:
     a, q = (x / x.norm(dim=0).clamp(min=1e-300) for x in map(torch.cat, (moved, positions)))
     matrix = q.T @ a
     extent = log.q.amax(0) - log.q.amin(0)
-    alike = torch.where(extent[:, None] < MOVING, 0.0, matrix.abs())
+    alike = torch.where(extent[:, None] < least_way(log)[:, None], 0.0, matrix.abs())
     best = linear_sum_assignment(-alike.numpy())[1].tolist()
     wrong = {
         k: f"dq{j + 1} is the derivative of q{k + 1} (correlation {alike[k, j]:.3f}; of dq{k + 1}: "
@@ -186,7 +186,7 @@ def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
         sums.append(torch.stack([x.sum(-1) for x in products]))
     numerator, denominator, size, gap = torch.stack(sums).sum(0)
     extent = even.q.amax(0) - even.q.amin(0)
-    active = (size > 1e-3 * size.max()) & (extent > MOVING)
+    active = (size > 1e-3 * size.max()) & (extent > least_way(even))
     if not bool(active.any()) or float(size.max()) == 0.0:
         return 0.0, 0.0, ()
     lag = float((numerator / denominator)[active].median())

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchid.digits import number
 from torchid.effects.base import Coefficient, Columns, Example, JointEffect, Motion, Shape
 from torchid.effects.c_text import add
+from torchid.typing import Float
 
 _LEVER = 0.5
 """Curvature from which on a spring is a counterbalance [1/rad^2]: 1 where its lever turns with the
@@ -17,6 +18,9 @@ joint."""
 
 _SERIES = 1e-3
 """|curvature q^2| below which the series of C and S is exact to rounding."""
+
+_HARDEST = 30.0
+"""Exponent w q at the end of the way from which on no spring that hardens is sought [1]."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,14 @@ class JointSpring(JointEffect):
     def ranges(self) -> tuple[tuple[float, float], ...]:
         """No spring pushes away from its rest position, but a counterbalance."""
         return ((0.0 if self.curvature < _LEVER else -math.inf, math.inf), super().ranges[1])
+
+    @classmethod
+    def grid(cls, motions: Sequence[Motion], joint: int, cutoff: float) -> Float[Tensor, "S P"]:
+        """As of any effect, but for springs that harden on an axis that turns on: no number holds
+        their torque there."""
+        rows = super().grid(motions, joint, cutoff)
+        far = max(float(m.q[:, joint].abs().max()) for m in motions)
+        return rows[(-rows[:, 0]).clamp(min=0.0).sqrt() * far < _HARDEST]
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:

@@ -258,7 +258,7 @@ def prepare(
         )
     samples = Samples(long, narrow)
     # What the log cannot show: joints that hardly slide, velocities and ages it does not hold.
-    sliding = torch.cat([moves(s.motion) for s in long]).double().mean(0)
+    sliding = torch.cat([moves(s.motion, s.moving) for s in long]).double().mean(0)
     there = {"velocity": all(s.own_velocity for s in long)}
     there["age"] = all(s.motion.age is not None for s in long)
     missing = frozenset(name for name, holds in there.items() if not holds)

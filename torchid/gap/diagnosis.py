@@ -171,11 +171,12 @@ class TorqueOverTime:
             rows.writerows(zip(*(x.tolist() for x in self.columns().values()), strict=True))
 
 
-def unfollowed(traces: Sequence[Trace]) -> Float[Tensor, " n"]:
-    """Share (n,) of the variance of each joint's torque that the model as given does not follow;
-    more than 1 where it explains nothing."""
+def unfollowed(traces: Sequence[Trace], *, corrected: bool = False) -> Float[Tensor, " n"]:
+    """Share (n,) of the variance of each joint's torque that the model as given, or the corrected
+    one, does not follow; more than 1 where it explains nothing."""
     torque = torch.cat([t.measured[t.valid] for t in traces])
-    gap = torch.cat([(t.measured - t.before)[t.valid] for t in traces])
+    models = [t.after if corrected else t.before for t in traces]
+    gap = torch.cat([(t.measured - m)[t.valid] for t, m in zip(traces, models, strict=True)])
     return gap.square().mean(0) / (torque - torque.mean(0)).square().mean(0)
 
 

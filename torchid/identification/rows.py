@@ -300,7 +300,7 @@ def _blocks(
             for smooth in _smooth_columns(thin, layout)
         ]
         for (a, b, _), own, motion, *augmented in zip(group, reach, motions, *rows, strict=True):
-            keep = moves(motion.part(slice(a - own.start, b - own.start, step))).cpu()
+            keep = moves(motion.part(slice(a - own.start, b - own.start, step)), m.moving).cpu()
             # Nothing rubs on a base that nothing holds: its rows count at rest, too.
             keep[:, list(layout.robot.free)] = True
             keep = keep if moving_only else torch.ones_like(keep)

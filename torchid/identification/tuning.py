@@ -222,7 +222,7 @@ def _left_out(
     start, stop = m.edge + inside * k // FOLDS, m.edge + inside * (k + 1) // FOLDS
     part = slice(start - tail, stop + tail)
     predicted = model_torque(layout.robot, layout.base, layout.effects, values, m.motion.part(part))
-    measured, moving = m.tau[part], moves(m.motion.part(slice(start, stop)))
+    measured, moving = m.tau[part], moves(m.motion.part(slice(start, stop)), m.moving)
     if filtered and m.cutoff is not None:
         low_pass = ZeroPhaseFilter(m.rate, m.cutoff)
         predicted, measured = (low_pass.apply(y.T).T for y in (predicted, measured))

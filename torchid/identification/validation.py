@@ -121,7 +121,7 @@ def predict(
                 )
                 for signal in (tau, raw)
             )
-        moving = moves(motion.part(inside))
+        moving = moves(motion.part(inside), m.moving)
         measured, predicted, moving = (x.cpu() for x in (measured, predicted, moving))
         raw_error = (tau - raw)[inside].cpu()
         error = measured - predicted

@@ -77,6 +77,8 @@ def log_from_table(
         except LogError:
             raise _with_help(error, table, joints) from None
         notes = (*notes, f"'{table.path}' is read by the names of its columns: {guessed[0]}")
+    if free and log.tau is None and log.current is None and (own := _torque(table)):
+        notes = (*notes, f"'{table.path}' has no torque by our names: perhaps `columns=\"{own}\"`")
     warnings = tuple(dict.fromkeys((*log.warnings, *notes)))
     return log.replace(source=str(table.path), warnings=warnings, servos=table.servos)
 
@@ -90,7 +92,7 @@ def require_columns(table: Table, mapping: ColumnMapping | None = None) -> None:
     mapping = mapping or ColumnMapping({})
     try:
         sources, _, own = _plan(table, _first_of(table, mapping))
-        if not sources and not table.arrays:
+        if not (sources or table.arrays or _sensorless(mapping)):
             joint_columns(own, table.path)
     except LogError as error:
         if proposed_mapping(table) is None:
@@ -104,6 +106,15 @@ def _commands(table: Table, mapping: ColumnMapping) -> str | None:
     if "q" not in own or own & {"u", "tau"} or mapping.sources.keys() & {"q", "u", "tau"}:
         return None
     return commanded_columns(table)
+
+
+def _torque(table: Table) -> str | None:
+    """A text for --columns that names torque, or current, which has another name than ours beside
+    our own q; None where there is none."""
+    guessed = proposed_mapping(table) if {"t", "q1"} <= table.columns.keys() else None
+    if guessed is None or not read_mapping(guessed[0]).sources.keys() & {"tau", "i"}:
+        return None
+    return guessed[0]
 
 
 def fitting_request(table: Table, request: Request) -> Request:
@@ -127,7 +138,7 @@ def _read(table: Table, mapping: ColumnMapping) -> "torchid.Log":
     twice = [name for name in needed if name in table.repeated]
     if twice:
         raise LogError(f"'{table.path}' has two columns {twice[0]}.", got=", ".join(twice))
-    if table.one_by_one and not sources:
+    if table.one_by_one and not (sources or _sensorless(mapping)):
         return log_from_columns(_Columns(table, own), table.path)
     arrays = table.read(needed)
     columns: dict[str, np.ndarray] = {}
@@ -157,7 +168,7 @@ def _with_sensorless(
 ) -> dict[str, np.ndarray]:
     """Columns with zeros for the torque of joints that have no sensor; where a mapping lists the
     others alone, they are in their order."""
-    none = [key for key in mapping.sources if SENSORLESS.fullmatch(key)]
+    none = _sensorless(mapping)
     for prefix in dict.fromkeys(key.rstrip("0123456789") for key in none):
         joints = sum(re.fullmatch(r"q\d+", name) is not None for name in columns)
         names = [f"{prefix}{k + 1}" for k in range(joints)]
@@ -169,6 +180,11 @@ def _with_sensorless(
         if measured and all(name in columns for name in measured):
             columns |= {name: np.zeros(len(columns["q1"])) for name in names if name in none}
     return columns
+
+
+def _sensorless(mapping: ColumnMapping) -> list[str]:
+    """Torques and currents of single joints that a mapping says have no sensor."""
+    return [key for key in mapping.sources if SENSORLESS.fullmatch(key)]
 
 
 class _Columns(Mapping[str, np.ndarray]):

@@ -4,6 +4,7 @@ What cannot be used raises LogError; what is merely odd comes back as warnings.
 """
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
@@ -13,7 +14,7 @@ import torch
 
 from torchid.errors import LogError
 from torchid.log.base_motion import COORDINATES, POSITION, QUATERNION
-from torchid.log.columns import PREFIXES, columns_of
+from torchid.log.columns import PREFIXES, columns_of, sensorless
 from torchid.log.model import Log
 from torchid.log.stamps import check_increasing, place_of
 from torchid.log.units import STEPS
@@ -22,7 +23,9 @@ from torchid.typing import Float, Tensor
 
 NO_TORQUE = 1e-9  # what is below is no torque: zero, or what a driver leaves there [N m, N or A]
 STILL = 1e-4  # a joint whose position varies less does not move [rad or m]
-MOVING = 1e-2  # a joint must vary this much to compare its dq with the change of q [rad or m]
+MOVING = 1e-2  # a joint that varies more moves, in every log [rad or m]
+SHARE = 0.1  # in one whose motions are smaller, a share of the farthest joint's way
+RESOLVED = 20.0  # and many times what its positions resolve [1]
 SLOW_STEP_S = 0.5  # no arm's dynamics are logged with longer steps
 JUMP = 0.05  # a step of a position below this is never called a jump [rad or m]
 FOLLOWS = 0.95  # correlation above which dq is the velocity, up to its unit
@@ -128,12 +131,21 @@ def _check_finite(log: Log) -> None:
     name, mask = next(iter(wrong.items()))
     first = int(mask.argmax())
     more = f", and {len(wrong) - 1} more columns have some" if len(wrong) > 1 else ""
+    way_out = "cut out those rows; resampling bridges the gap or splits the trajectory there"
+    # What never has a number was not recorded.
+    empty = [key for key, mask in wrong.items() if mask.all()]
+    for prefix in dict.fromkeys(re.sub(r"\d+$", "", key) for key in empty):
+        own = [key for key in empty if re.fullmatch(rf"{prefix}\d*", key)]
+        if len(own) < log.n and (said := sensorless(own)):
+            way_out = said
+        elif prefix in ("dq", "ddq", "tau", "i"):
+            way_out = f'leave them out: `columns="{prefix}=none"`'
     raise LogError(
         f"{log.label}: column {name} has {int(mask.sum())} values that are empty, NaN or "
         f"infinite, the first in {place_of(log, first)}{more}.",
         got=", ".join(f"{key}: {int(m.sum())}" for key, m in list(wrong.items())[:10]),
         expected="a number in every row",
-        hint="cut out those rows; resampling bridges the gap or splits the trajectory there",
+        hint=way_out,
     )
 
 
@@ -269,6 +281,7 @@ def _agreement(log: Log, dq: Float[Tensor, "T n"]) -> Iterator[Agreement]:
     The integral of dq is compared with q, not dq with a derivative: encoder noise, quantisation
     and dropped packets matter little there.
     """
+    least = least_way(log).tolist()
     # Joint by joint: of a long log nothing is copied whole.
     for k in range(log.n):
         integrals, positions = [], []
@@ -280,15 +293,30 @@ def _agreement(log: Log, dq: Float[Tensor, "T n"]) -> Iterator[Agreement]:
             positions.append(q - q.mean())
         moved, q = torch.cat(integrals), torch.cat(positions)
         a, b = float(moved.norm()), float(q.norm())
-        if float(q.max() - q.min()) > MOVING and a > 0.0:
+        if float(q.max() - q.min()) > least[k] and a > 0.0:
             yield Agreement(k, a / b, float(moved @ q) / (a * b))
+
+
+def least_way(log: Log) -> Float[Tensor, " n"]:
+    """How much each joint (n,) varies at least where it moves, as far as this log tells [rad or m]:
+    its own motions and its resolution say so, in a log of small motions."""
+    farthest = SHARE * float((log.q.amax(0) - log.q.amin(0)).max())
+    least = torch.full((log.n,), min(MOVING, farthest), dtype=torch.float64)
+    for k in range(log.n if farthest < MOVING else 0):
+        steps = [log.q[rows, k].double().diff() for rows in log.slices()]
+        # White noise is 20 times itself in third differences; a count is the smallest step.
+        noise = torch.cat([s.diff(n=2) for s in steps]).square().mean().div(20).sqrt()
+        jumps = torch.cat(steps).abs()
+        count = jumps[jumps > 0].amin() if bool((jumps > 0).any()) else noise
+        least[k] = max(float(least[k]), min(MOVING, RESOLVED * float(max(noise, count))))
+    return least
 
 
 def dead_velocities(log: Log) -> list[int]:
     """Joints (from 0) that move while their dq never changes."""
     if log.dq is None:
         return []
-    moves = log.q.amax(0) - log.q.amin(0) > MOVING
+    moves = log.q.amax(0) - log.q.amin(0) > least_way(log)
     return (moves & (log.dq.amax(0) == log.dq.amin(0))).nonzero().flatten().tolist()
 
 

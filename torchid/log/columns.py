@@ -158,12 +158,21 @@ def joint_columns(names: Iterable[str], path: Path) -> dict[str, list[str]]:
         )
     for signal, group in groups.items():
         if group and len(group) != count:
+            prefix = PREFIXES[signal]
             raise LogError(
-                f"'{path}' has {count} q columns and {len(group)} {PREFIXES[signal]} columns.",
+                f"'{path}' has {count} q columns and {len(group)} {prefix} columns.",
                 got=_range(group),
-                expected=_range([f"{PREFIXES[signal]}{i + 1}" for i in range(count)]),
+                expected=_range([f"{prefix}{i + 1}" for i in range(count)]),
+                hint=sensorless(f"{prefix}{i + 1}" for i in range(len(group), count)),
             )
     return {signal: group for signal, group in groups.items() if group}
+
+
+def sensorless(names: Iterable[str]) -> str | None:
+    """How a mapping says that these joints have no sensor of torque or current; None where that
+    cannot be said."""
+    entries = [f"{name}=none" for name in names if re.fullmatch(r"(tau|i)\d+", name)]
+    return f'joints without a sensor: `columns="{",".join(entries)}"`' if entries else None
 
 
 def _numbered(names: Sequence[str], prefix: str, path: Path) -> list[str]:
@@ -178,6 +187,7 @@ def _numbered(names: Sequence[str], prefix: str, path: Path) -> list[str]:
             f"'{path}' has no column {', '.join(first_names(missing, 5))}.",
             got=", ".join(first_names(got)),
             expected=f"{prefix}1..{got[-1]} without a gap",
+            hint=sensorless(missing),
         )
     if got != expected:
         raise LogError(

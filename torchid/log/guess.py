@@ -93,7 +93,8 @@ def proposed_mapping(table: Table, joints: Sequence[str] = ()) -> tuple[str, str
     # Quotes, and what a shell takes for its own, cannot be written between quotes.
     names = [n for n in table.columns if not is_wanted(n) and not re.search(r"[\"'`$\\!]", n)]
     chosen, clear = _chosen(table, names, joints)
-    if not chosen or ("q" not in chosen and not _own(table, "q")):
+    timeless = "t" not in chosen and not _own(table, "t")
+    if not (chosen or timeless) or ("q" not in chosen and not _own(table, "q")):
         return None
     silent = {key for key, group in chosen.items() if group.unit is None}
     units: dict[str, str] = {}
@@ -109,8 +110,8 @@ def proposed_mapping(table: Table, joints: Sequence[str] = ()) -> tuple[str, str
     if "t" in chosen:
         text = _every_group(text, chosen["t"].names[0], names)
         clear |= "*" in text
-    elif not _own(table, "t"):
-        text = f"t=HZ Hz,{text}"
+    elif timeless:
+        text = ",".join(["t=HZ Hz", text] if text else ["t=HZ Hz"])
         remarks.append("HZ: samples a second")
     return text, "; ".join(remarks if remarks or clear else ["several columns may be meant"])
 

@@ -32,6 +32,7 @@ _ALIASES = {
     "°": "deg",
     "turn": "rev",
     "degrees": "deg",
+    "Grad": "deg",  # German; nobody logs the 400 gradians of a turn
     "radians": "rad",
 }
 
@@ -47,4 +48,5 @@ def unit_factor(kind: str, unit: str) -> float | None:
     for alias, name in _ALIASES.items():
         plain = re.sub(rf"^{alias}(?=$|/)", name, plain)
     plain = re.sub(r"/s(ec)?2$", "/s^2", re.sub(r"/sec$", "/s", plain))
+    plain = re.sub(r"^(1|U|tr|rev|r)/min$", "rpm", plain)
     return UNITS[kind.rstrip("0123456789")].get(plain)

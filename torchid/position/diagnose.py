@@ -281,14 +281,18 @@ def _held_to(
     after: Accuracy,
     of_file: bool,
 ) -> tuple[PositionFinding, ...]:
-    """Findings of which none is sure that does no good on motions that were left out: neither
-    beside what there was before, nor beside plain servos."""
+    """Findings of which none is sure that does no good on motions that were left out, neither
+    beside what there was before, nor beside plain servos; and no change is whose interval holds
+    what the robot's file says."""
     out = []
     for f in findings:
         at = list(f.joints) or slice(None)
         was = before if of_file and (f.was or f.effect == GRAVITY.name) else simple
         ends = [float(way.whole[at].nanmean()) for way in (was, after)]
-        most = 1.0 if ends[1] < UNCHANGED * ends[0] else LIKELY - 0.01
+        same = bool(f.was) and all(
+            low <= f.was[name] <= high for name, (low, high) in f.ci95.items() if name in f.was
+        )
+        most = 1.0 if ends[1] < UNCHANGED * ends[0] and not same else LIKELY - 0.01
         most = most if f.how_sure is None else min(f.how_sure, most)
         out.append(f if most == f.how_sure else msgspec.structs.replace(f, how_sure=most))
     return tuple(out)

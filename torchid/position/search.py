@@ -343,9 +343,12 @@ _SIZES: dict[str, Callable[[PositionData, Servos], Tensor]] = {
     "stop_high": lambda data, servos: torch.cat(
         [data.q.amax(0) - _shares(*_STOP_INSIDE), _held(data.q, data.tracks.u)]
     ),
-    # Of the torque that the largest position errors would make.
+    # Of the torque that the largest position errors would make, which of stiff servos is many times
+    # their limit.
     "clip": lambda data, servos: (
-        _shares(0.4, 0.6, 0.8) * (data.tracks.u - data.q).abs().quantile(0.999, 0) * servos.of("kp")
+        _shares(0.04, 0.1, 0.2, 0.4, 0.6, 0.8)
+        * (data.tracks.u - data.q).abs().quantile(0.999, 0)
+        * servos.of("kp")
     ),
     "speed": lambda data, servos: (
         _shares(0.4, 0.55, 0.7, 0.85, 1.0) * data.dq.abs().quantile(0.9999, 0).clamp(min=0.1)

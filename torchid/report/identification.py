@@ -129,7 +129,7 @@ def error_table(result: Identification) -> Table:
         rows += [[f"{data}, RMSE [{unit}]", *cells(errors.rmse), ""], []]
     band = result.settings.error_cutoff or result.cutoff
     note = "unfiltered" if band is None else f"filtered at {band:g} Hz"
-    how = f"{note}; moving: |dq| > {MOVING:g}"
+    how = f"{note}; moving: |dq| > {MOVING:g}, less in slow logs"
     title = f"torque error, 100 ||tau - model|| / ||tau||, per joint ({how})"
     return Table(title, ("data, rows", *joint_numbers(result.robot.n), "mean"), rows, "p")
 

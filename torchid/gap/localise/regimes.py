@@ -34,8 +34,9 @@ MOST_BLOCKS = 80
 SAMPLES = 3.0
 """Instants kept a period of the band's edge."""
 
-STILL = 0.02
-"""99 % speed below which a joint did not move [rad/s or m/s]."""
+STILL, SLOWER = 0.02, 0.1
+"""99 % speed below which a joint did not move [rad/s or m/s], or the share [1] of the fastest
+joint's if that is less."""
 
 BRIEF = 0.25
 """Seconds after a reversal that count as one, at most; of each straight line of a jump; and of a
@@ -221,16 +222,17 @@ def reversal_look(pool: Pool, draws: Draws) -> Look:
 def masks(pool: Pool) -> dict[str, Tensor]:
     """Parts of the time (K, L, n), by regime."""
     speed, acceleration, load = pool.dq.abs(), pool.ddq.abs(), pool.load.abs()
-    moved = pool.high("dq") > STILL
+    fast = pool.high("dq")
+    moved = fast > min(STILL, SLOWER * float(fast.max()))
     # Just after a reversal: a quarter of the time at most.
     recent = pool.flat("since").quantile(0.25, 0, interpolation="lower").clamp(max=BRIEF)
     return {
         "velocity_reversal": (pool.since <= recent) & moved,
-        "low_speed": (speed < SLOW * pool.high("dq")) & moved,
-        "high_speed": (speed > FAST * pool.high("dq")) & moved,
+        "low_speed": (speed < SLOW * fast) & moved,
+        "high_speed": (speed > FAST * fast) & moved,
         "high_acceleration": (acceleration > FAST * pool.high("ddq")) & moved,
         "gravity_load": (load > FAST * pool.high("load"))
-        & (acceleration < 0.5 * pool.high("ddq").clamp(min=STILL)),
+        & ((acceleration < 0.5 * pool.high("ddq")) | ~moved),
     }
 
 

@@ -230,17 +230,16 @@ def warnings_of(
     solution, settings, judged = found.solution, problem.settings, problem.judged
     out = [*problem.data.warnings, *checked.noise.floor.notes]
     out += [] if judged is None else judged.warnings
-    # A gap larger than the torque's own variation: the log may be of another robot, unless the
-    # answer says what it is.
-    far = checked.far
-    open_still = far.rms_after.square() > UNLIKE * far.rms_before.square()
-    useless = (unfollowed(checked.shown) > 1) & open_still
+    # A gap larger than the torque's own variation, which the answer does not settle: the log may be
+    # of another robot.
+    useless = unfollowed(checked.shown) > 1
+    useless &= unfollowed(checked.shown, corrected=True) > UNLIKE
     if 2 * int(useless.sum()) > len(useless):
-        joints = ", ".join(str(j + 1) for j in useless.nonzero().flatten().tolist())
+        joints = joint_list(useless.nonzero().flatten().tolist())
         out.append(
-            f"Caution: the model explains nothing of the torque of joints {joints}. Is the "
-            "log of this robot, its joints in this order, in these units? `torchid log doctor "
-            "ROBOT LOG` checks it."
+            f"Caution: the model explains nothing of the torque of {joints}. Is the log of this "
+            "robot, its joints in this order, in these units? `torchid log doctor ROBOT LOG` "
+            "checks it."
         )
     if checked.noise.floor.source != "repeats":
         out.append(f"Next time: {_what_bounds_noise(problem)}")
