@@ -20,7 +20,7 @@ from torchid.gap.early import Watch, first_answer, so_far
 from torchid.gap.friction import friction_laws
 from torchid.gap.localise.where import where
 from torchid.gap.problem import Problem
-from torchid.gap.record import Budget, Known, Parametric, UnnamedEffect
+from torchid.gap.record import Budget, Known, Parametric
 from torchid.gap.search.explain import explain_gap
 from torchid.gap.search.findings import (
     Findings,
@@ -31,7 +31,7 @@ from torchid.gap.search.findings import (
 from torchid.gap.search.joint_fits import joint_fits
 from torchid.gap.search.known import after_log, known_of
 from torchid.gap.search.shares import shares_of
-from torchid.gap.search.unnamed import small_effects, suspects, terms_without_name
+from torchid.gap.search.unnamed import small_effects, terms_without_name
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.bodies import with_bodies_nearest
 from torchid.gap.validate.closing import budget, residuals
@@ -44,7 +44,7 @@ from torchid.parallel.workers import Progress, in_shares
 from torchid.results.answer import NotTestable, ordered
 from torchid.robot.model import Robot
 from torchid.simulation.two_models import rollouts
-from torchid.statistics.criteria import LIKELY, SHORTEST_LOG
+from torchid.statistics.criteria import SHORTEST_LOG
 
 STAGES = {
     "preparing": 10, "searching for effects": 55, "judging": 18, "locating": 9,
@@ -128,15 +128,7 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
     if decision.dropped is not None:
         lost, judged = decision.dropped
         unnamed = terms_without_name(lost, judged, [math.nan] * len(judged))
-    likely: tuple[UnnamedEffect, ...] = ()
-    # Data that do not confirm a cause do not confirm its rivals either.
-    if not (data.stands or (decision.taken_back and decision.dropped is not None)):
-        listed = [
-            *(t.key for t in found.terms),
-            *((e.effect, e.joints) for e in (*small, *unnamed)),
-        ]
-        moved = () if known is None else known.moved
-        likely = suspects(found, problem, decision.misfit, listed, moved)
+    hides = known is not None and any(j.hides for j in known.joints)
     far, shares = checked.far, Budget(0.0, 0.0, 0.0)
     if not (said.effects or said.parametric):
         far = replace(far, closed=None, closed_ci95=None)  # nothing is there that could close it
@@ -150,12 +142,10 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
             replace(checked, far=far),
             found.question.least(far.rms_before.square()),
             decision.unnamed_squares(taken),
-            is_poor(decision, problem, unseen),
+            hides or is_poor(decision, problem, unseen),
             shown=all(map(found.question.shows, found.terms)),
             taken=decision.taken_back,
             small=bool(small),
-            suspected=any(e.how_sure >= LIKELY for e in likely),
-            hidden=known is not None and any(j.hides for j in known.joints),
         ),
         joints=joints,
         regimes=regimes,
@@ -176,7 +166,7 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
         joint_fits=joint_fits(found, said, problem),
         residual=residuals(checked.shown),
         small=small,
-        suspects=(*unnamed, *likely),
+        suspects=unnamed,
         knowledge=known,
     )
 

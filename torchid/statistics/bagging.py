@@ -45,8 +45,7 @@ class Draws:
         """Of a log whose samples are in these blocks (N,)."""
         count = int(block.max()) + 1
         g = torch.Generator().manual_seed(seed)
-        drawn = max(1, round(DRAWN_SHARE * count))
-        numbers = torch.randint(count, (DRAWS, drawn), generator=g)
+        numbers = torch.randint(count, (DRAWS, max(1, round(DRAWN_SHARE * count))), generator=g)
         times = torch.zeros(DRAWS, count, dtype=torch.float64)
         return cls(block, times.scatter_add_(1, numbers, torch.ones_like(numbers).double()))
 
@@ -65,20 +64,30 @@ Alternative = tuple[Float[Tensor, " M"] | None, float]
 draw, None where nothing is asked of the data; and twice the logarithm of its odds beforehand."""
 
 
-def bagged(alternatives: Sequence[Alternative], draws: Draws) -> list[float]:
+def bagged(
+    every: Sequence[Alternative], draws: Draws, beside: Sequence[Sequence[Alternative]] = ()
+) -> list[float]:
     """Probabilities of an explanation and of what may be there in its place; they add up to one.
 
     What is likelier on a draw stays so at every power, which evidence has whole: likelihood and
     what explanations cost.
 
     Args:
-        alternatives: one or more.
+        every: one or more alternatives.
         draws: with the powers.
+        beside: of the first alternatives what the explanation is with the same changes elsewhere:
+            an alternative is as likely as it is against all of these together.
 
     Returns:
         the explanation's, and that of each alternative.
     """
     powers = torch.tensor(draws.powers, dtype=torch.float64).unsqueeze(1)
     none = torch.zeros(len(draws.powers), len(draws.times), dtype=torch.float64)
-    rises = [none + odds if gain is None else powers * (gain + odds) for gain, odds in alternatives]
-    return (0.5 * torch.stack([none, *rises])).softmax(0).mean((1, 2)).tolist()
+
+    def together(*some: Alternative) -> Float[Tensor, "P M"]:
+        parts = [0.5 * (none + b if a is None else powers * (a + b)) for a, b in some]
+        return torch.stack(parts).logsumexp(0)
+
+    pairs = zip(every, [*beside, *[()] * (len(every) - len(beside))], strict=True)
+    rises = [together(one) - together((None, 0.0), *others) for one, others in pairs]
+    return torch.stack([none, *rises]).softmax(0).mean((1, 2)).tolist()

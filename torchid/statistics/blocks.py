@@ -53,8 +53,7 @@ def block_numbers(bounds: Sequence[slice], length: int) -> Int[Tensor, " N"]:
 
 def block_sums(x: Float[Tensor, "*batch N"], block: Int[Tensor, " N"]) -> Float[Tensor, "*batch K"]:
     """Sums (..., K) over the rows of each block."""
-    out = x.new_zeros(*x.shape[:-1], int(block.max()) + 1)
-    return out.index_add_(-1, block, x)
+    return x.new_zeros(*x.shape[:-1], int(block.max()) + 1).index_add_(-1, block, x)
 
 
 def block_products(

@@ -8,8 +8,10 @@ import torch
 
 from tests.gap.problems import data_of, measured, question_of
 from torchid.effects.backlash import IMPACTS, WIDTHS, Backlash
-from torchid.effects.friction import CoulombFriction
+from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.gravity import TorqueCrosstalk
+from torchid.gap.search.climb import fit_anew
+from torchid.gap.search.terms import term_columns
 
 
 @pytest.mark.parametrize("joint", [0, 1])
@@ -43,3 +45,28 @@ def test_crosstalk_is_of_a_torque_that_is_logged(logged: float) -> None:
     sources = {t.effects[0].source_joint for t in terms if t.effects}
     assert (1 in sources) == (logged > 0)
     assert {0, 2} <= sources
+
+
+def test_crosstalk_has_its_size_although_the_model_lacks_the_friction_of_its_source() -> None:
+    """The sensor reads the torque that is there. By the model's the size is 40 % off; noise of the
+    source's sensor lowers it as much as the noise's share of the torque that no law spans."""
+    size, laws = 0.05, [(CoulombFriction(1), [3.0]), (ViscousFriction(1), [1.5])]
+    true, noisy = (measured(laws, noise=noise) for noise in (0.0, 0.05))
+    pairs = zip(noisy.segments, true.segments, strict=True)
+    read = torch.tensor([size, 0.0, 0.0]).double()
+    data = data_of([replace(a, tau=a.tau + b.tau[:, 1:2] * read) for a, b in pairs])
+    question = question_of(data, ("torque_crosstalk",))
+    (own,) = (t for t in question.candidates.terms if t.effects == (TorqueCrosstalk(0, 1),))
+    assert own.place == 0
+    fit = fit_anew(question, [own])
+    assert float(fit.x[0]) == pytest.approx(size, rel=0.02)
+    # The same column, put together again.
+    columns = question.candidates.columns
+    torque = term_columns(columns, own)
+    assert not torque[:, 1:].any()
+    left = columns.gap[0] - fit.x[0] * torque[0, 0]
+    keep = question.candidates.keep[0]
+    assert float(left[keep].square().sum()) == pytest.approx(float(fit.losses[0]), rel=1e-6)
+    model = data.samples.of([m.torque.T for m in columns.motions])[1]
+    by_model = float(columns.gap[0] @ model / model.square().sum())
+    assert by_model > 1.3 * size

@@ -343,7 +343,7 @@ def drop_worthless(
         # least in its turn.
         weak = [g for g in asked if worths[id(g)] < 1]
         if weak and not closes:
-            closes = dict(zip(map(id, own), greedy_shares(question, fit, own)[0], strict=True))
+            closes = dict(zip(map(id, own), greedy_shares(question, fit, own), strict=True))
         gone = min(weak, key=lambda g: sum(closes[id(t)] for t in g), default=[])
         if not gone:
             # A joint whose error does not fall has no part in what most joints have.

@@ -567,12 +567,9 @@ def common_names(terms: Iterable[Term], n: int) -> set[str]:
     return {name for name, k in count.items() if KINDS[name].on_all and 2 * k > n}
 
 
-def greedy_shares(
-    question: Question, fit: Fitted, terms: Sequence[Term]
-) -> tuple[list[float], list[float]]:
+def greedy_shares(question: Question, fit: Fitted, terms: Sequence[Term]) -> list[float]:
     """What each term closes of what all close, when at every turn the one joins that closes most:
-    shares that add up to one, the curve of the answer. And the share that each term closes
-    alone."""
+    shares that add up to one."""
     weight = question.normal.rows / fit.losses.clamp(min=1e-300)
     # What is known beforehand counts as so many samples that are not independent.
     dependent = float(question.normal.rows.sum() / fit.effective.sum())
@@ -581,21 +578,17 @@ def greedy_shares(
         return float((weight * one.losses).sum()) + dependent * one.known
 
     left = [loss(refit(question, fit, ()))]
-    each = refit_each(question, fit, [(t,) for t in terms])
-    alone = [loss(f) for f in each]
     order: list[int] = []
     while len(order) < len(terms):
-        joined = [terms[k] for k in order]
         rest = [k for k in range(len(terms)) if k not in order]
-        tried = [(*joined, terms[k]) for k in rest]
+        tried = [[terms[j] for j in (*order, k)] for k in rest]
         ((k, best),) = best_fits(question, fit, tried, worth=lambda one: -loss(one))
         order.append(rest[k])
         left.append(loss(best))
     if left[-1] >= left[0]:  # what another sensor alone shows closes nothing
-        return [0.0] * len(terms), [0.0] * len(terms)
+        return [0.0] * len(terms)
     drops = [(a - b) / (left[0] - left[-1]) for a, b in itertools.pairwise(left)]
-    alone = [max(0.0, left[0] - one) / (left[0] - left[-1]) for one in alone]
-    return [drops[order.index(k)] for k in range(len(terms))], alone
+    return [drops[order.index(k)] for k in range(len(terms))]
 
 
 def cause_groups(terms: Sequence[Term], n: int) -> list[list[Term]]:

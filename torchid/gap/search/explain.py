@@ -55,6 +55,9 @@ diagnoses take a second pass, at double load-dependent friction is 1 % off."""
 LONGEST = 120.0
 """Length of a log beyond which one trajectory shows how impacts are [s]."""
 
+CLIMBS = 4
+"""Climbs on drawn folds."""
+
 FINEST = 5
 """Times a shape is searched around the best one, each time three times more closely."""
 
@@ -73,6 +76,7 @@ class Explanation:
         fit: what is told; its terms beside the fixed ones.
         unworthy: terms that the evidence has, which are not worth a name.
         solution: the corrected model.
+        ends: terms of other explanations, at which climbs on drawn logs have ended.
     """
 
     question: Question
@@ -80,6 +84,7 @@ class Explanation:
     fit: Fitted
     unworthy: tuple[Term, ...]
     solution: Solution
+    ends: tuple[tuple[Term, ...], ...] = ()
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -154,14 +159,15 @@ def explain_gap(problem: Problem, watch: Watch | None = None) -> Explanation:
         moved = [at_estimate(t, v) for t, v in pairs]
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
         extra += [t.alone for t in start if t.alone and hasattr(t.alone, "at")]
-    # The search ends without what vanishes at the model found.
     folds = question.candidates.gram.folds()
+    fit, left, ends = search_on_drawn(question, folds, fit, left, problem.settings.seed)
+    # The search ends without what vanishes at the model found.
     while True:
         fit = fit_to_convergence(question, fit.terms, fit)
         solution = solve(problem, fit)
         gone = terms_without_torque(question, solution)
         if not gone:
-            return Explanation(question, fit_anew(question), fit, tuple(left), solution)
+            return Explanation(question, fit_anew(question), fit, tuple(left), solution, ends)
         question = replace(question, barred=question.barred | {t.key for t in gone})
         rest = [t for t in question.own(fit) if t.key not in question.barred]
         fit = drop_unphysical(question, refit(question, fit, rest))
@@ -176,8 +182,7 @@ def worth_naming(
     folds = question.candidates.gram.folds()
     fit, left = drop_worthless(question, folds, fit)
     # Where a cause has left or bodies have joined, another one may say the rest better.
-    fit, left = improve_by_swaps(question, folds, fit, left)
-    fit, left = search_without_small(question, folds, fit, left)
+    fit, left = settle(question, folds, fit, left)
     if watch is not None:
         watch(question, fit)
     # Without the events that do not stand out any more, the search goes on from the laws.
@@ -190,6 +195,32 @@ def worth_naming(
     if whole is not fit:
         fit, left = improve_by_swaps(question, folds, whole, left)
     return question, fit, left
+
+
+def search_on_drawn(
+    question: Question, folds: Folds, fit: Fitted, left: Sequence[Term], seed: int
+) -> tuple[Fitted, list[Term], tuple[tuple[Term, ...], ...]]:
+    """Search on from the best explanation so far on folds that are drawn again: a climb that ends
+    where no step helps may go on where other data say so.
+
+    Args:
+        question, folds, fit: as for `drop_worthless`.
+        left: terms that are not worth a name.
+        seed: of the draws.
+
+    Returns:
+        the best on all data, the terms that are not worth a name, and the terms of the others.
+    """
+    gram, ends = question.candidates.gram, []
+    parts = gram.parts - 1
+    for some in np.random.default_rng(seed).integers(1, parts + 1, (CLIMBS, parts)).tolist():
+        drawn = replace(question, normal=gram.over(some))
+        own = question.own(climb_from(drawn, question.own(fit)))
+        end, small = drop_worthless(question, folds, refit(question, fit, own))
+        if most_evident(question, [fit, end]) is end:
+            fit, end, left = end, fit, [*left, *small]
+        ends.append(question.own(end))
+    return fit, list(left), tuple(ends)
 
 
 def terms_without_torque(question: Question, solution: Solution) -> list[Term]:
@@ -282,6 +313,17 @@ def search_without_small(
     return fit, out
 
 
+def settle(
+    question: Question, folds: Folds, fit: Fitted, left: Sequence[Term]
+) -> tuple[Fitted, list[Term]]:
+    """Swap causes, and search on without the small ones, until neither raises the evidence."""
+    while True:
+        swapped, left = improve_by_swaps(question, folds, fit, left)
+        fit, left = search_without_small(question, folds, swapped, left)
+        if fit is swapped:
+            return fit, left
+
+
 def events_not_standing_out(
     question: Question, fit: Fitted, left: Sequence[Term], repeated: Counterparts
 ) -> list[Term]:
@@ -348,8 +390,8 @@ def _with_fit(
     problem: Problem,
 ) -> Explanation:
     """An explanation with another fit, and with some more terms that are not worth a name."""
-    unworthy = (*found.unworthy, *unworthy)
-    return Explanation(question, found.empty, fit, unworthy, solve(problem, fit))
+    unworthy, solution = (*found.unworthy, *unworthy), solve(problem, fit)
+    return replace(found, question=question, fit=fit, unworthy=unworthy, solution=solution)
 
 
 def search_again_without(

@@ -35,10 +35,11 @@ from torchid.gap.search.evidence import (
     residual,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.odds import Misfit, Odds, Place, Rival, law_of, place_of
+from torchid.gap.search.odds import Misfit, Odds, Place, Rival, law_of, place_of, weighed
+from torchid.gap.search.pool import pool_of
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.shares import Shares
-from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excluding
+from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excluding, same_columns
 from torchid.results.answer import NotTestable
 from torchid.results.words import count
 from torchid.robot.inertia import InertialParameters
@@ -131,19 +132,23 @@ class Judged:
         numbers = self.odds.in_set
         if self.at_an_end and self.others and not numbers:
             numbers = [max(range(len(self.others)), key=lambda k: self.others[k][0])]
-        every = (t.name for k in numbers for t in self.others[k][1])
+        every = (t.name for k in numbers for t in self._there(k))
         return tuple(dict.fromkeys(LINK if name == BASE else name for name in every))
+
+    def _there(self, k: int) -> Sequence[Term]:
+        """Of what stands in its place what is at its place, or else all."""
+        terms = self.others[k][1]
+        return [t for t in terms if _near(t, self.term)] or terms
 
     @property
     def branch_sure(self) -> float:
         """Probability that the cause is of this branch at this place, whichever it is."""
         mine = _branch(self.term)
-        alike = (
-            all(_branch(t) == mine and _near(t, self.term) for t in terms)
-            for _, terms in self.others
+        return self.odds.sure + sum(
+            mass
+            for k, mass in enumerate(self.odds.others)
+            if all(_branch(t) == mine and _near(t, self.term) for t in self._there(k))
         )
-        pairs = zip(self.odds.others, alike, strict=True)
-        return self.odds.sure + sum(mass for mass, same in pairs if same)
 
 
 def _sure_of(law: Place | None, misfit: Misfit) -> float:
@@ -169,7 +174,7 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
         draws: logs that might have been.
     """
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
-    laws = friction_of(found, draws)
+    laws, pool = friction_of(found, draws), pool_of(found, draws)
     out = []
     for k, term in enumerate(found.terms):
         # What the others leave, refitted.
@@ -178,14 +183,46 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
         tried = likely_terms(question, fit, without, term)
         one = [(r, (t,), f) for r, t, f in alternatives(question, fit, without, term, tried)]
         others = [*one, *pairs_instead(question, fit, without, term, tried)]
-        rivals = [Rival(terms, again) for _, terms, again in others]
         own = own_torque(found.solution, fixed + k)
-        place = place_of(question, (fit, without), term, own, draws, rivals)
-        pairs = tuple((rise, terms) for rise, terms, _ in others)
+        # What happened once lies in one block, and what acts beyond a limit in few: no others can
+        # speak for it.
+        rare = any(e.event or e.at_ends for e in term.effects)
+        logs = draws.as_it_is if rare else draws
+        rivals = rivals_of(question, fit, term, [(terms, f) for _, terms, f in others], logs)
+        rivals += [] if rare else pool.without(term)
+        place = place_of(question, (fit, without), term, own, logs, rivals)
+        # Causes that the pool alone has were not asked for their evidence in this place.
+        rises = {terms: rise for rise, terms, _ in others}
+        pairs = tuple((rises.get(terms, -math.inf), terms) for terms in place.others)
         law, ended = laws.get(k), bool(at_an_end(question, term))
         odds, law_sure = place.odds(misfit), _sure_of(law, misfit)
         out.append(Judged(place, pairs, odds, ended, law, law_sure))
     return out
+
+
+def rivals_of(
+    question: Question,
+    fit: Fitted,
+    term: Term,
+    others: Sequence[tuple[tuple[Term, ...], Fitted]],
+    draws: Draws,
+) -> list[Rival]:
+    """Other explanations without a term, each with those that have it and one or all of the terms
+    in its place; without what has the term's own columns, of which one is there and not both."""
+    apart = []
+    for terms, _ in others:
+        some = [s for s in terms if s.name != BASE and not same_columns(s, term)]
+        apart.append(dict.fromkeys([*((s,) for s in some), tuple(some)] if some else []))
+    every = [(*question.own(fit), *s) for some in apart for s in some]
+    fits = iter(refit_each(question, fit, every))
+    return [
+        Rival(
+            terms,
+            weighed(question, fit, again, draws, terms),
+            tuple(weighed(question, fit, next(fits), draws, s) for s in some),
+        )
+        for (terms, again), some in zip(others, apart, strict=True)
+    ]
 
 
 def friction_of(found: Explanation, draws: Draws) -> dict[int, Place]:
@@ -418,12 +455,11 @@ def pairs_instead(
     question: Question, fit: Fitted, without: Fitted, term: Term, tried: Sequence[Tried]
 ) -> list[tuple[float, tuple[Term, ...], Fitted]]:
     """Pairs of a joint's effects in the place of one of them, the best of each two names: what
-    spans the same torque in this log is a rival in any number of terms. A pair that says more than
-    the cause, beside it, is none."""
+    spans the same torque in this log is a rival in any number of terms."""
     if term.place is None:
         return []
-    own = [(t, f) for _, t, f in tried if t.place == term.place and t.name != term.name]
-    likely = own[:LIKELIEST]
+    here = [(t, f) for _, t, f in tried if t.place == term.place and t.name != term.name]
+    likely = here[:LIKELIEST]
     found = moves_beside_each(question, [f for _, f in likely], [term] * len(likely))
     pairs = [
         (first, second)
@@ -434,13 +470,10 @@ def pairs_instead(
     rest = question.own(without)
     best: dict[frozenset[str], tuple[float, tuple[Term, ...], Fitted]] = {}
     together = refit_each(question, fit, [(*rest, *pair) for pair in pairs])
-    beside = refit_each(question, fit, [(*question.own(fit), *pair) for pair in pairs])
-    for pair, again, more in zip(pairs, together, beside, strict=True):
+    for pair, again in zip(pairs, together, strict=True):
         now, then = comparable(question, fit, again)
-        whole, alone = comparable(question, more, fit)
         rise, names = then.evidence - now.evidence, frozenset(t.name for t in pair)
-        needless = whole.evidence <= alone.evidence
-        if rise > -math.inf and needless and (names not in best or rise > best[names][0]):
+        if rise > -math.inf and (names not in best or rise > best[names][0]):
             best[names] = rise, pair, again
     return list(best.values())
 

@@ -55,15 +55,18 @@ class Misfit:
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """Another explanation without a cause.
+    """Other explanations without a cause, beside the answered one.
 
     Attributes:
         terms: that stand in its place; none where nothing does.
-        fit: of the explanation.
+        weight: of the explanation, on logs that might have been.
+        beside: of those that have the cause and the same elsewhere: what an explanation has
+            elsewhere speaks neither for nor against the cause.
     """
 
     terms: tuple[Term, ...]
-    fit: Fitted
+    weight: Alternative
+    beside: tuple[Alternative, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -117,16 +120,21 @@ class Place:
         fits: with the term, and of the others without it.
         term: which.
         own: torque of it that no other term makes.
-        instead: nothing, and each rival, on logs that might have been.
-        draws: these logs.
+        instead: nothing, and rivals.
+        draws: logs that might have been.
     """
 
     question: Question
     fits: tuple[Fitted, Fitted]
     term: Term
     own: OwnTorque
-    instead: tuple[Alternative, ...]
+    instead: tuple[Rival, ...]
     draws: Draws
+
+    @property
+    def others(self) -> tuple[tuple[Term, ...], ...]:
+        """Different causes that may be in its place."""
+        return tuple(dict.fromkeys(r.terms for r in self.instead if r.terms))
 
     def odds(self, misfit: Misfit) -> Odds:
         """Of all, and of something unknown, beside a misfit that the model leaves."""
@@ -134,8 +142,12 @@ class Place:
         beyond = -math.inf
         if not question.shows(term):
             beyond = unknown(question, self.fits, self.own, term, misfit)
-        sure, nothing, *others = bagged([*self.instead, (None, beyond)], self.draws)
-        return Odds(sure, nothing, others.pop(), tuple(others))
+        weights = [*(r.weight for r in self.instead), (None, beyond)]
+        sure, *each, strange = bagged(weights, self.draws, [r.beside for r in self.instead])
+        masses = dict.fromkeys(((), *self.others), 0.0)
+        for rival, mass in zip(self.instead, each, strict=True):
+            masses[rival.terms] += mass
+        return Odds(sure, masses.pop(()), strange, tuple(masses.values()))
 
 
 def law_of(
@@ -148,9 +160,9 @@ def law_of(
     """The place of the friction of a joint, in several terms: one law, which is there or not."""
     place = place_of(question, fits, terms[0], own, draws)
     # However many terms it has, it is one cause.
-    ((gain, paid),) = place.instead
-    paid -= (len(terms) - 1) * question.price(EXPECTED)
-    return replace(place, instead=((gain, paid),))
+    gain, paid = place.instead[0].weight
+    fewer = (len(terms) - 1) * question.price(EXPECTED)
+    return replace(place, instead=(Rival((), (gain, paid - fewer)),))
 
 
 def place_of(
@@ -161,29 +173,37 @@ def place_of(
     draws: Draws,
     rivals: Sequence[Rival] = (),
 ) -> Place:
-    """The place of a term; arguments as for `Place`, with explanations that have others in it."""
-    fit, without = fits
-    # What happened once lies in one block, and what acts beyond a limit in few: no others can speak
-    # for it.
-    if any(e.event or e.at_ends for e in term.effects):
-        draws = draws.as_it_is
+    """The place of a term; arguments as for `Place`, with what may be in it beside nothing."""
+    nothing = Rival((), weighed(question, *fits, draws))
+    return Place(question, fits, term, own, (nothing, *rivals), draws)
+
+
+def weighed(
+    question: Question, fit: Fitted, other: Fitted, draws: Draws, terms: Sequence[Term] = ()
+) -> Alternative:
+    """Another explanation beside one, on logs that might have been.
+
+    Args:
+        question: of both.
+        fit: of the one.
+        other: of the other.
+        draws: the logs.
+        terms: that stand in the place of one of the one's.
+    """
+    if not question.known and any(t.name == BASE for t in terms):
+        # A file that is wrong throughout has odds of its own, whatever its numbers cost.
+        return None, 2 * math.log(WRONG_FILE)
+    now, then = comparable(question, fit, other)
+    if then.evidence == -math.inf:
+        return None, -math.inf
     share = draws.sums(question.candidates.keep.double()) / question.normal.rows.clamp(min=1.0)
-    before = draws.sums(left_by(question, fit)[0].square())
-    every: list[Alternative] = []
-    for rival in (Rival((), without), *rivals):
-        if not question.known and any(t.name == BASE for t in rival.terms):
-            # A file that is wrong throughout has odds of its own, whatever its numbers cost.
-            every.append((None, 2 * math.log(WRONG_FILE)))
-            continue
-        now, then = comparable(question, fit, rival.fit)
-        after = draws.sums(left_by(question, rival.fit)[0].square())
-        ratio = log_likelihood_ratio(now.effective * share, before, after)
-        mine, its = (cost(question, question.own(f), now.effective, EXPECTED) for f in (now, then))
-        # The friction of a joint is one law, in how many terms ever; all else is several causes.
-        one_law = all(e.branch == "friction" for t in rival.terms for e in t.effects)
-        more = max(len(rival.terms) - 1, 0) * question.price(EXPECTED) if one_law else 0.0
-        every.append((ratio.sum(1) - (then.known - now.known), mine - its + more))
-    return Place(question, fits, term, own, tuple(every), draws)
+    before, after = (draws.sums(left_by(question, f)[0].square()) for f in (fit, other))
+    ratio = log_likelihood_ratio(now.effective * share, before, after)
+    mine, its = (cost(question, question.own(f), now.effective, EXPECTED) for f in (now, then))
+    # The friction of a joint is one law, in how many terms ever; all else is several causes.
+    one_law = all(e.branch == "friction" for t in terms for e in t.effects)
+    more = max(len(terms) - 1, 0) * question.price(EXPECTED) if one_law else 0.0
+    return ratio.sum(1) - (then.known - now.known), mine - its + more
 
 
 def unknown(

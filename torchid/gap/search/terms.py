@@ -15,7 +15,7 @@ from torchid.design.bodies import (
     together,
     usual_bodies,
 )
-from torchid.design.columns import Columns, Model, Place
+from torchid.design.columns import Columns, Model, Place, on_joint
 from torchid.design.deflection import Compliance, compliance
 from torchid.design.gram import Gram, inverse_root
 from torchid.design.resonance import Swing
@@ -173,6 +173,11 @@ class Term:
         return len(self.effects[0].shapes) if self.effects and not own else int(self.wrong)
 
 
+def same_columns(one: Term, other: Term) -> bool:
+    """Whether two terms have the same columns, as a load and an error of its link."""
+    return one.place == other.place and torch.equal(one.at, other.at)
+
+
 def excluding(terms: Sequence[Term], gone: Sequence[Term]) -> list[Term]:
     """Terms but for some of them."""
     return [t for t in terms if all(t is not g for g in gone)]
@@ -239,7 +244,26 @@ def term_columns(columns: Columns, term: Term) -> Float[Tensor, "C n N"]:
         robot = columns.model.robot
         last = term.name == PAYLOAD
         return columns.regressor[-1 if last else robot.own_links[term.effects[0].joints[0]]]
-    return torch.stack([columns.on_all_joints(e) for e in term.effects]).sum(0)
+    every = [columns_of(columns, [e])[0] for e in term.effects]
+    return sum(x if place is None else on_joint(x, place, columns.n) for place, x in every)  # type: ignore[return-value]
+
+
+def columns_of(
+    columns: Columns, effects: Sequence[Effect]
+) -> list[tuple[Place, Float[Tensor, "..."]]]:
+    """Columns of effects of one kind, as `Columns.of` has them. What a sensor reads of another
+    joint's torque is the torque that the log has: the model's lacks what no cause explains yet."""
+    if effects and isinstance(effects[0], TorqueCrosstalk):
+        torque = logged(columns)
+        return [(e.joint, torque[[e.read]]) for e in effects if isinstance(e, TorqueCrosstalk)]
+    if len(effects) > 1:
+        return list(columns.of_several(effects))  # type: ignore[arg-type]
+    return [columns.of(e) for e in effects]
+
+
+def logged(columns: Columns) -> Float[Tensor, "n N"]:
+    """Samples of the measured torque [N m; N]."""
+    return columns.samples.of([s.tau.T for s in columns.samples.segments])
 
 
 def candidates_of(
@@ -268,7 +292,7 @@ def candidates_of(
     own = [e for e, _ in given.effects if wanted.knowledge is not None and not e.event]
     there = {e for t in terms for e in t.effects}
     beside = [
-        rows.put((e,), *columns.of(e))
+        rows.put((e,), *columns_of(columns, [e])[0])
         for e in own
         if isinstance(e, ModelEffect) and not e.inertial and e not in there
     ]
@@ -345,7 +369,7 @@ def _of_the_arm(rows: _Rows, gap: Float[Tensor, "n N"], extra: Sequence[Effect])
     columns, terms, there = rows.columns, list[Term](), set[Effect]()
     for every in _model_effects(rows.wanted, rows.data, columns, extra):
         some = [e for e in every if e not in there]
-        starts = list(zip(some, columns.of_several(some), strict=True))
+        starts = list(zip(some, columns_of(columns, some), strict=True))
         finer = [e for e in _between(columns, gap, rows.data.keep, starts) if e not in there]
         for effect, (place, x) in (*starts, *zip(finer, columns.of_several(finer), strict=True)):
             terms.append(rows.put((effect,), place, x))
@@ -450,7 +474,7 @@ def _model_effects(
     kind, then those that were refined or found in a window. Nothing is told of joints whose torque
     holds no signal, for nothing there could speak against it."""
     silent = frozenset(data.silent)
-    bodies, logged = are_bodies(columns.model.robot), as_logged(columns)
+    bodies, there = are_bodies(columns.model.robot), as_logged(columns)
     for name in wanted.names:
         kind = KINDS[name]
         # Columns of bodies are none where only their base parameters are known.
@@ -458,7 +482,7 @@ def _model_effects(
         if issubclass(kind, ModelEffect) and not (unknown or kind.inertial or kind.windowed):
             found = [_swinging(e, data) for e in kind.starts(columns.model.robot)]
             # What another sensor reads is a torque that is there, as the log has it.
-            read = [e for e in found if not isinstance(e, TorqueCrosstalk) or logged[e.read]]
+            read = [e for e in found if not isinstance(e, TorqueCrosstalk) or there[e.read]]
             yield [e for e in read if not e.joints or not silent.issuperset(e.joints)]
     yield from ([e] for e in extra if isinstance(e, ModelEffect))
 
@@ -467,9 +491,9 @@ def as_logged(columns: Columns) -> list[bool]:
     """Of each joint, whether the log has the model's torque: not where it is passive, or has no
     sensor."""
     model = columns.samples.of([m.require("torque", "a log").T for m in columns.motions])
-    logged = columns.samples.of([s.tau.T for s in columns.samples.segments])
-    both = (model * logged).sum(1)
-    return (both > AS_LOGGED * model.norm(dim=1) * logged.norm(dim=1)).tolist()
+    measured = logged(columns)
+    both = (model * measured).sum(1)
+    return (both > AS_LOGGED * model.norm(dim=1) * measured.norm(dim=1)).tolist()
 
 
 def _between(

@@ -1,46 +1,25 @@
 """What the evidence has and gets no name: causes that are too small, and those that are not sure
 enough, the suspects."""
 
-import math
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
-import torch
 from msgspec import structs
 
-from torchid.design.columns import Place
-from torchid.design.segments import Samples
+from torchid.effects.base import Effect
+from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import INERTIA_REMEDY, unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import UnnamedEffect
-from torchid.gap.search.climb import candidate_moves, drop_unphysical
-from torchid.gap.search.evidence import (
-    Fitted,
-    Question,
-    active_share,
-    comparable,
-    fit_terms,
-    refit,
-    refit_each,
-)
+from torchid.gap.search.climb import drop_unphysical
+from torchid.gap.search.evidence import Fitted, Question, comparable, fit_terms, refit
 from torchid.gap.search.explain import Explanation, solve
-from torchid.gap.search.findings import Judged, at_an_end
-from torchid.gap.search.odds import Misfit, Rival, place_of
+from torchid.gap.search.findings import Judged
+from torchid.gap.search.odds import Misfit, Place, place_of
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import LINK, Term, excluding
-from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
-from torchid.results.replication import Replication, of_few_runs
-from torchid.robot.model import Robot
-from torchid.statistics.criteria import LIKELY, UNLIKELY
-from torchid.typing import Tensor
-
-PLACES_LOOKED_AT, CANDIDATES_EACH = 8, 4
-"""Places that are looked at for suspects beside what is named, and candidates of each."""
-
-MOST_SUSPECTS = 5
-"""Suspects that are listed at most."""
+from torchid.statistics.criteria import LIKELY
 
 
 def small_effects(
@@ -61,7 +40,7 @@ def small_effects(
         question, fit_terms(question, [*found.terms, *last.values()], fit.effective)
     )
     # Causes that stand for each other: the least needed leaves first.
-    without: dict[int, tuple[float, Tensor, Fitted]] = {}
+    without: dict[int, tuple[float, Fitted]] = {}
     while own := [t for t in question.own(whole) if t.key in last]:
         without = {id(t): _without(question, whole, t) for t in own}
         gone = max(own, key=lambda t: without[id(t)][0])
@@ -77,15 +56,11 @@ def small_effects(
     for k, term in enumerate(whole.terms):
         if id(term) not in without:
             continue
-        _, closes, other = without[id(term)]
-        own_part = own_torque(solution, k)
-        place = place_of(question, (whole, other), term, own_part, problem.draws)
+        fits = whole, without[id(term)][1]
+        place = place_of(question, fits, term, own_torque(solution, k), problem.draws)
         sure = place.odds(misfit).sure
         if sure >= LIKELY:
-            own_values, std = solution.values[k], solution.std[k]
-            again = replication(own_part, solution, k, question.candidates.columns.samples)
-            one = _entry(solution.terms[k], own_values, std, closes, sure, problem.robot)
-            out.append(structs.replace(one, replication=again))
+            out.append(_entry(solution, k, place, sure))
     return tuple(sorted(out, key=lambda e: -e.closes_rms))
 
 
@@ -104,156 +79,42 @@ def terms_without_name(
     for k, one in enumerate(judged):
         if not one.unnamed:
             continue
-        at = len(question.fixed) + k
-        closes = question.fall(found.fit, one.without).sqrt()
-        numbers = solution.values[at], solution.std[at], closes, one.odds.sure
-        entry = _entry(solution.terms[at], *numbers, solution.model.robot)
-        again = replication(one.place.own, solution, at, question.candidates.columns.samples)
-        out.append(structs.replace(entry, share=shares[k], replication=again))
+        entry = _entry(solution, len(question.fixed) + k, one.place, one.odds.sure)
+        out.append(structs.replace(entry, share=shares[k]))
     return tuple(sorted(out, key=lambda e: -e.how_sure))
 
 
-def _without(question: Question, whole: Fitted, term: Term) -> tuple[float, Tensor, Fitted]:
-    """Rise of the evidence without a term, the error (n,) that it takes away [N m; N], and the fit
-    without it."""
+def _without(question: Question, whole: Fitted, term: Term) -> tuple[float, Fitted]:
+    """Rise of the evidence without a term, and the fit without it."""
     rest = excluding(question.own(whole), [term])
     without = refit(question, whole, rest)
-    return _rise(question, without, whole), question.fall(whole, without).sqrt(), without
+    one, two = comparable(question, without, whole)
+    return one.evidence - two.evidence, without
 
 
-def suspects(
-    found: Explanation,
-    problem: Problem,
-    misfit: Misfit,
-    listed: Collection[object],
-    moved: Collection[str] = (),
-) -> tuple[UnnamedEffect, ...]:
-    """The likeliest causes as large as is worth a name that have none, the most probable first: of
-    every place the best, and what may be there instead. Those of one place, nothing and something
-    else sum up to one.
-
-    Args:
-        found, problem, misfit: as for `small_effects`.
-        listed: keys of effects that are listed elsewhere.
-        moved: known coefficients that are others than they were, which are suspects at least.
-    """
-    question, fit = found.question, found.fit
-
-    def is_moved(term: Term) -> bool:
-        return any(name in moved for e in term.effects for name in known_names(e))
-
-    best = [_fitted_beside(found, own) for own in _likely_places(found, listed, is_moved)]
-    best = [pairs for pairs in best if pairs]
-    if not best:
-        return ()
-    # The best of each place is asked how sure it is, all beside each other.
-    every = (*fit.terms, *(pairs[0][1] for pairs in best))
-    start = torch.cat([fit.x, *(pairs[0][0].values()[-1] for pairs in best)])
-    solution = solve(problem, replace(fit, terms=every, x=start))
-    # What was seen to be left unexplained before may hide a name, and no suspect.
-    least = replace(question, left=None).least(question.mean(fit.losses))
-    samples = question.candidates.columns.samples
-    # Of two runs that contradict each other none is the odd one.
-    several = len({s.name for s in samples.segments}) > 2
-    out: list[tuple[bool, UnnamedEffect, Replication | None]] = []
-    for k, ((first, term), *others) in enumerate(best, len(fit.terms)):
-        rivals = [Rival((t,), f) for f, t in others]
-        left = misfit.less(question.fall(first, fit))
-        own_part = own_torque(solution, k)
-        place = place_of(question, (first, fit), term, own_part, problem.draws, rivals)
-        here = place.odds(left)
-        numbers = [(term, solution.values[k], solution.std[k], first, here.sure)]
-        for (f, other), sure in zip(others, here.others, strict=True):
-            values, std = f.values()[-1], f.root.norm(dim=1)[-len(other.at) :]
-            numbers.append((other, values, std, f, sure))
-        for one, values, std, f, sure in numbers:
-            closes = question.fall(f, fit).sqrt()
-            large = bool((closes / active_share(question, [one]) ** 0.5 >= least).any())
-            if large or is_moved(one):
-                entry = _entry(one, values, std, closes, sure, problem.robot)
-                again = None
-                if several:
-                    own = solution if one is term else solve(problem, f)
-                    again = _run_by_run(own, one, samples)
-                out.append((is_moved(one), entry, again))
-    # What a few runs have is unlikely as a law of all of them, and of its place the largest listed.
-    few = of_few_runs((e.cause, again) for _, e, again in out)
-    of_few = [(e, again) for _, e, again in out if (e.effect, e.joints) in few]
-    ones = {e.joints: (e, again) for e, again in sorted(of_few, key=lambda p: p[0].closes_rms)}
-    # What has moved is listed, however unlikely.
-    kept = [(m, e) for m, e, _ in out if m or e.how_sure >= UNLIKELY]
-    kept = sorted(kept, key=lambda pair: (not pair[0], -pair[1].how_sure))[:MOST_SUSPECTS]
-    entries = [e for _, e in kept if e not in [one for one, _ in ones.values()]]
-    entries += [structs.replace(e, replication=again) for e, again in ones.values()]
-    return tuple(sorted(entries, key=lambda e: -e.how_sure))
-
-
-def _run_by_run(solution: Solution, term: Term, samples: Samples) -> Replication | None:
-    """Whether runs want a term of a solution."""
-    k = next(i for i, t in enumerate(solution.terms) if t.key == term.key)
-    return replication(own_torque(solution, k), solution, k, samples)
-
-
-def _likely_places(
-    found: Explanation, listed: Collection[object], is_moved: Callable[[Term], bool]
-) -> list[list[Term]]:
-    """The likeliest candidates of every place, to first order, and all of what has moved; none
-    whose shape is at the end of its range, where it has become another effect."""
-    question = found.question
-
-    places: dict[Place, dict[object, Term]] = {}
-    for _, (term, *more) in candidate_moves(question, found.fit):
-        if more or term.key in listed or at_an_end(question, term):
-            continue
-        own = places.setdefault(term.place, {})
-        if is_moved(term) or (len(places) <= PLACES_LOOKED_AT and len(own) < CANDIDATES_EACH):
-            own.setdefault(term.key, term)
-    return [list(own.values()) for own in places.values()]
-
-
-def _fitted_beside(found: Explanation, terms: list[Term]) -> list[tuple[Fitted, Term]]:
-    """Each term by itself beside what is named, the best first; without those that physics
-    refuses."""
-    question, fit = found.question, found.fit
-    each = [[*found.terms, t] for t in terms]
-    fits = refit_each(question, fit, each) if each else []
-    there = [pair for pair in zip(fits, terms, strict=True) if pair[0].evidence > -math.inf]
-    return sorted(there, key=lambda pair: -_rise(question, pair[0], fit))
-
-
-def _rise(question: Question, fit: Fitted, other: Fitted) -> float:
-    """Of the evidence of a fit over another one."""
-    one, two = comparable(question, fit, other)
-    return one.evidence - two.evidence
-
-
-def _entry(
-    term: Term, values: Tensor, std: Tensor, closes: Tensor, sure: float, robot: Robot
-) -> UnnamedEffect:
-    felt = term.joints or (int(closes.argmax()),)
-    if term.inertial:
-        return UnnamedEffect(
-            effect=LINK,
-            family="inertia",
-            joints=term.joints if term.name == LINK else (),
-            parameters={},
-            std={},
-            unit={},
-            closes_rms=float(closes.max()),
-            how_sure=sure,
-            settles=INERTIA_REMEDY,
-        )
-    effect = term.effects[0]
-    names = [c.name for c in effect.coefficients]
+def _entry(solution: Solution, k: int, place: Place, sure: float) -> UnnamedEffect:
+    """The k-th term of a solution, in its place."""
+    closes = place.question.fall(*place.fits).sqrt()
+    term, robot = solution.terms[k], solution.model.robot
+    values, std = solution.values[k].tolist(), solution.std[k].tolist()
+    felt, samples = (
+        term.joints or (int(closes.argmax()),),
+        place.question.candidates.columns.samples,
+    )
+    # Of bodies only how sure is said; their numbers are the corrected model's.
+    effect: Effect = KINDS[LINK](0) if term.inertial else term.effects[0]  # type: ignore[call-arg]
+    coefficients = () if term.inertial else effect.coefficients
+    names = [c.name for c in coefficients]
     shapes = dict(zip((s.name for s in effect.shapes), effect.shape_values, strict=True))
     return UnnamedEffect(
         effect=effect.name,
         family=effect.family,
         joints=term.joints,
-        parameters=plain(dict(zip(names, values.tolist(), strict=True)) | shapes),
-        std=plain(dict(zip(names, std.tolist(), strict=True))),
-        unit={c.name: unit_of(c.unit, felt, robot) for c in effect.coefficients},
+        parameters=plain(dict(zip(names, values, strict=False)) | shapes),
+        std=plain(dict(zip(names, std, strict=False))),
+        unit={c.name: unit_of(c.unit, felt, robot) for c in coefficients},
         closes_rms=float(closes.max()),
         how_sure=sure,
-        settles=effect.experiment,
+        settles=INERTIA_REMEDY if term.inertial else effect.experiment,
+        replication=replication(place.own, solution, k, samples),
     )

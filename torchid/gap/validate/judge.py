@@ -13,12 +13,11 @@ from torchid.gap.folds import FEW
 from torchid.gap.noise.floor import Noise, noise_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import Status
-from torchid.gap.search.evidence import refit
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.findings import Findings
 from torchid.gap.search.odds import Misfit
 from torchid.gap.search.solve import Solution, solve_terms
-from torchid.gap.search.terms import BASE, Term, Wanted, excluding, fixed_terms
+from torchid.gap.search.terms import Term, Wanted, fixed_terms
 from torchid.gap.validate.closing import Closing, closing, known_noise, levels
 from torchid.gap.validate.traces import traces
 from torchid.results.words import listed
@@ -171,8 +170,6 @@ def status_of(
     shown: bool,
     taken: bool = False,
     small: bool = False,
-    suspected: bool = False,
-    hidden: bool = False,
 ) -> Status:
     """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that
     has an interval; what is left is unexplained where it exceeds the noise there and a flexible
@@ -184,13 +181,11 @@ def status_of(
         checked: on data that was not fitted.
         least: (n,) torque that is worth a name [N m; N].
         unnamed: (n,) mean squares that terms without a name take.
-        poor: whether the log could not show most effects.
+        poor: whether the log could not show most effects, or the model was too unsure of itself.
         shown: whether another sensor than that of torque shows all that is told.
         taken: whether something that the evidence had was taken back for the harm that it did: it
             was no explanation, but the gap is there.
         small: whether there are causes of a size below what was asked for.
-        suspected: whether something without a name is likely there.
-        hidden: whether what the model left open of itself could hide a cause.
     """
     far, noise = checked.far, checked.noise
     excess = (far.rms_after / noise.floor.high.clamp(min=1e-12)).square()
@@ -208,8 +203,8 @@ def status_of(
     if not (said.effects or said.parametric):
         if unexplained or taken:
             return "detected_unexplained"
-        if poor or hidden:
-            return "detected_unexplained" if suspected else "not_testable"
+        if poor:
+            return "not_testable"
         if is_foreign(checked.shown):
             return "detected_unexplained"
         return "negligible" if small else "no_gap"
@@ -276,7 +271,7 @@ def warnings_of(
         out.append(
             f"Caution: on data that was not fitted, the corrected model is worse on {joints}."
         )
-    return out + needs_trust(found)
+    return out
 
 
 def _what_bounds_noise(problem: Problem) -> str:
@@ -297,26 +292,3 @@ def _what_bounds_noise(problem: Problem) -> str:
             f"at {1 / path.speed:.2g} times the speed: that tells friction by speed alone."
         )
     return "record one motion twice. None is repeated here, so the noise has no upper bound."
-
-
-def needs_trust(found: Explanation) -> list[str]:
-    """Effects that are not needed once base parameters are refitted."""
-    question, fit = found.question, found.fit
-    base = [t for t in question.candidates.terms if t.name == BASE]
-    if not base or any(t.of_links for t in found.terms):
-        return []
-    # A term is needed if the evidence, base parameters refitted, falls without it.
-    every = refit(question, fit, [*found.terms, *base])
-    lost = []
-    for term in found.terms:
-        rest = excluding(found.terms, [term])
-        without = refit(question, fit, [*rest, *base])
-        if without.evidence >= every.evidence:
-            at = f" of joint {term.joints[0] + 1}" if term.joints else ""
-            lost.append(f"{term.name}{at}")
-    if not lost:
-        return []
-    return [
-        "Caution: if the robot's inertial parameters are wrong, they explain these "
-        f"effects as well: {', '.join(lost)}."
-    ]
