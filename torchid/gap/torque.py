@@ -31,7 +31,7 @@ from torchid.gap.search.findings import (
 from torchid.gap.search.joint_fits import joint_fits
 from torchid.gap.search.known import after_log, known_of
 from torchid.gap.search.shares import shares_of
-from torchid.gap.search.unnamed import small_effects, terms_without_name
+from torchid.gap.search.unnamed import causes_of_few_runs, small_effects, terms_without_name
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.bodies import with_bodies_nearest
 from torchid.gap.validate.closing import budget, residuals
@@ -124,6 +124,7 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
     known = known_of(found, problem, after, decision.least)
     said = with_changes(said, known)
     small = small_effects(found, problem, decision.misfit)
+    of_few = causes_of_few_runs(found, problem, decision.misfit)
     unnamed = terms_without_name(found, decision.judged, taken.of_all(checked.far.less)[0])
     if decision.dropped is not None:
         lost, judged = decision.dropped
@@ -166,7 +167,7 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
         joint_fits=joint_fits(found, said, problem),
         residual=residuals(checked.shown),
         small=small,
-        suspects=unnamed,
+        suspects=(*unnamed, *of_few),
         knowledge=known,
     )
 

@@ -1,6 +1,7 @@
 """What the evidence has and gets no name: causes that are too small, and those that are not sure
 enough, the suspects."""
 
+import math
 from collections.abc import Sequence
 
 from msgspec import structs
@@ -10,16 +11,29 @@ from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import INERTIA_REMEDY, unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import UnnamedEffect
-from torchid.gap.search.climb import drop_unphysical
-from torchid.gap.search.evidence import Fitted, Question, comparable, fit_terms, refit
+from torchid.gap.search.climb import candidate_moves, drop_unphysical
+from torchid.gap.search.evidence import (
+    Fitted,
+    Question,
+    comparable,
+    fit_terms,
+    refit,
+    refit_each,
+)
 from torchid.gap.search.explain import Explanation, solve
-from torchid.gap.search.findings import Judged
+from torchid.gap.search.findings import Judged, at_an_end
 from torchid.gap.search.odds import Misfit, Place, place_of
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import LINK, Term, excluding
 from torchid.json_data import plain
+from torchid.results.replication import of_few_runs
 from torchid.statistics.criteria import LIKELY
+
+FEWEST_RUNS = 3
+"""Of which one can be the odd one."""
+PLACES_ASKED, OF_A_PLACE = 6, 2
+"""Places, and the likeliest candidates of each, that are asked run by run."""
 
 
 def small_effects(
@@ -62,6 +76,40 @@ def small_effects(
         if sure >= LIKELY:
             out.append(_entry(solution, k, place, sure))
     return tuple(sorted(out, key=lambda e: -e.closes_rms))
+
+
+def causes_of_few_runs(
+    found: Explanation, problem: Problem, misfit: Misfit
+) -> tuple[UnnamedEffect, ...]:
+    """The likeliest causes beside an explanation that a few runs have and most have none of: as a
+    law of all they are unlikely. Of each place the one that removes most.
+
+    Args:
+        found, problem, misfit: as for `small_effects`.
+    """
+    question, fit = found.question, found.fit
+    if len({s.name for s in question.candidates.columns.samples.segments}) < FEWEST_RUNS:
+        return ()
+    places: dict[object, list[Term]] = {}
+    for _, (term, *more) in candidate_moves(question, fit):
+        near = places.setdefault(term.place, [])
+        if not (more or term.inertial or at_an_end(question, term)) and len(near) < OF_A_PLACE:
+            near.append(term)
+    asked = [term for near in list(places.values())[:PLACES_ASKED] for term in near]
+    entries: list[UnnamedEffect] = []
+    fits = refit_each(question, fit, [[*found.terms, t] for t in asked]) if asked else []
+    for term, with_it in zip(asked, fits, strict=True):
+        if with_it.evidence == -math.inf:  # physics refuses it
+            continue
+        solution = solve(problem, with_it)
+        k = next(k for k, t in enumerate(solution.terms) if t.key == term.key)
+        own = own_torque(solution, k)
+        place = place_of(question, (with_it, fit), term, own, problem.draws)
+        entries.append(_entry(solution, k, place, place.odds(misfit).sure))
+    few = of_few_runs((e.cause, e.replication) for e in entries)
+    of_few = [e for e in entries if (e.effect, e.joints) in few]
+    best = {e.joints: e for e in sorted(of_few, key=lambda e: e.closes_rms)}
+    return tuple(sorted(best.values(), key=lambda e: -e.how_sure))
 
 
 def terms_without_name(

@@ -192,14 +192,17 @@ def status_of(
     # What is left must be worth as much as a cause must be.
     beyond = (far.rms_after.square() - noise.floor.high.square()).clamp(min=0).sqrt()
     excess = torch.where(beyond > least, excess, torch.zeros_like(excess))
+    measured = noise.floor.source == "repeats"
     # Left over: well above the noise; above it, and predictable; or predictable alone.
     odd = (excess > EXCESS) & (noise.structure > 0)
     clear = (excess > CLEAR_EXCESS) & ~noise.uneven
-    if noise.floor.source != "repeats":
+    if not measured:
         odd = clear = torch.zeros_like(odd)  # nothing but repeats bounds the noise above
     structured = (noise.structure > STRUCTURE) & (beyond > least)
+    # Without a bound of the noise, what leaves most of the gap is no explanation of it.
+    little = not measured and far.closed is not None and far.closed < 1 - UNLIKE
     # What has no name explains nothing.
-    unexplained = bool((odd | clear | structured | (unnamed > least.square())).any())
+    unexplained = little or bool((odd | clear | structured | (unnamed > least.square())).any())
     if not (said.effects or said.parametric):
         if unexplained or taken:
             return "detected_unexplained"
