@@ -274,10 +274,12 @@ class PositionDiagnosis(Diagnosis):
             )
             for name, (before, after) in self.regimes.items()
         )
-        return PositionRecord.of(
-            self,
+        return PositionRecord(
             robot=data.robot.name,
+            answer=self.answer,
+            agreement=self.agreement,
             motions=len(names),
+            status=self.status,
             where=WhereRecord(joints=joints, regimes=tuple(chain.from_iterable(regimes))),
             which=self.findings,
             how_far=HowFarRecord(
@@ -293,6 +295,9 @@ class PositionDiagnosis(Diagnosis):
             ),
             servos=msgspec.convert(self.servos.record(), ServosRecord),
             log_scale=data.scale,
+            warnings=self.warnings,
+            seconds=self.seconds,
+            not_testable=self.not_testable,
             known=tuple(one for one in self.known if one.names) or UNSET,
             changes=self.changes or UNSET,
             held_out=UNSET if self.held_out is None else HeldOutRecord(*self.held_out),
