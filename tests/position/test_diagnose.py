@@ -9,11 +9,12 @@ from tests.marks import some
 from tests.position.diagnosed import diagnosis, finding
 from tests.position.planted import COUNT, planted, robot, true_servos
 from torchid.position.data import prepare
-from torchid.position.diagnose import _parted, _still, _without, diagnose_positions, some_of
+from torchid.position.diagnose import diagnose_positions
 from torchid.position.effects import BY_NAME
+from torchid.position.problem import some_of, with_motions
 from torchid.position.record import Accuracy
 from torchid.position.replay import replay
-from torchid.position.search import Found
+from torchid.position.servo_model import ServoModel
 from torchid.report.position import remarks, where_table
 from torchid.results.files import load
 from torchid.simulation.servo_loop import Windows
@@ -91,17 +92,17 @@ def test_a_joint_that_flickers_never_moves():
     q = log.q.clone()
     q[:, 1] = 0.3 + COUNT * (torch.arange(len(q)) % 7 == 0)
     q[:, 2] = 0.1
-    assert _still(prepare(robot(), log.replace(q=q))).tolist() == [False, True, True]
+    assert prepare(robot(), log.replace(q=q)).still.tolist() == [False, True, True]
 
 
 @pytest.mark.slow
 def test_one_motion_is_taken_in_parts():
     log = planted(true_servos(3), motions=1, seconds=12.0)
-    parts, warnings = _parted(log)
+    parts, warnings = with_motions(log)
     assert parts.trajectory_count == 4
     assert len(warnings) == 1
     assert torch.equal(parts.q, log.q)
-    again, none = _parted(parts)
+    again, none = with_motions(parts)
     assert again is parts
     assert none == ()
 
@@ -142,10 +143,9 @@ def test_an_answer_says_whether_what_it_names_is_all():
 
 
 def test_a_delay_of_less_than_a_sample_is_no_cause():
-    found = Found(
-        true_servos(3, delay=(2, 0.05)), {"delay": torch.ones(3, dtype=torch.bool)}, False
-    )
-    less = _without(found, BY_NAME["command_delay"], torch.tensor([True] * 3), 0.03)
+    every = torch.ones(3, dtype=torch.bool)
+    model = ServoModel(true_servos(3, delay=(2, 0.05)), {"delay": every})
+    less = model.without(BY_NAME["command_delay"], every, 0.03)
     assert less.servos.of("delay").tolist() == pytest.approx([0.02, 0.03, 0.02])
 
 

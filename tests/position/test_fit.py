@@ -14,9 +14,10 @@ from torchid.position.data import prepare
 from torchid.position.equal import pooled
 from torchid.position.file_servos import changes_of
 from torchid.position.fit import _step, errors, fit, loss, moved, searched, sensitivities
-from torchid.position.judge import equations, of_motions, value_interval, window_losses
+from torchid.position.judge import equations, value_interval
 from torchid.position.model import ServoArm
 from torchid.position.search import plain
+from torchid.position.servo_model import Motions
 from torchid.simulation.servo import INDEX, Servos
 from torchid.simulation.servo_loop import windows_of
 
@@ -26,7 +27,7 @@ def found():
     servos = true_servos(3)
     data = prepare(robot(), planted(servos))
     windows = windows_of(data.tracks, 2.0)
-    return servos, data, windows, plain(data, windows)
+    return servos, data, windows, plain(Motions(data, windows))
 
 
 def test_a_plain_servo_is_found_again(found):
@@ -174,7 +175,8 @@ def test_losses_of_motions_add_up(found):
     _, data, windows, model = found
     one = Servos(model.servos.joint[None], model.servos.plane[None])
     error = errors(data, one, windows)[..., 0]
-    parts = of_motions(window_losses(error, windows), windows)
+    motions = Motions(data, windows)
+    parts = motions.each(motions.losses(model.servos))
     assert parts.shape == (6, 3)
     assert torch.allclose(parts.sum(0), error.square().sum((0, 1)), rtol=1e-9)
 
@@ -260,7 +262,7 @@ def test_every_motion_wants_what_moved_it():
     log = Log.concatenate([list(both[k % 2].trajectories())[k] for k in range(6)])
     data = prepare(robot(), log)
     windows = windows_of(data.tracks, 2.0)
-    model = plain(data, windows)
+    model = plain(Motions(data, windows))
     known = equations(data, model.servos, model.free, windows)
     again = known.replication("offset", 1, MOTIONS)
     wanted = float(model.servos.of("offset")[1]) * torch.tensor([m.scale for m in again.motions])
@@ -279,7 +281,7 @@ def test_a_derivative_gain_is_found_beside_a_delay(delay, kd):
     servos.joint[1, INDEX["delay"]] = delay
     data = prepare(robot(), planted(servos, motions=3, seconds=10.0))
     windows = windows_of(data.tracks, 2.0)
-    begun = plain(data, windows)
+    begun = plain(Motions(data, windows))
     on = torch.tensor([False, True, False])
     joint = begun.servos.joint.clone()
     joint[1, INDEX["kd"]] = 0.05 * joint[1, INDEX["kp"]]

@@ -8,11 +8,13 @@ import torch
 from tests.position.planted import COUNT, commands, robot, true_servos
 from torchid.log.model import Log
 from torchid.position.data import RATE, WINDOW_S, prepare
-from torchid.position.diagnose import RATIO, diagnose_positions
+from torchid.position.diagnose import diagnose_positions
 from torchid.position.judge import alike_rows, equations
 from torchid.position.search import plain
+from torchid.position.servo_model import Motions
 from torchid.simulation.replay import replayed
 from torchid.simulation.servo_loop import Tracks, windows_of
+from torchid.statistics.criteria import UNSURE_SCALE
 
 FINE, KNOTS = 1000, 25
 """Rates of the simulation, and of the knots that commands go straight between [Hz]."""
@@ -58,10 +60,10 @@ def test_what_is_known_is_known_at_every_rate():
     for rate in (25, 50, 200, 500):
         data = prepare(robot(), log(rate))
         windows = windows_of(data.tracks, WINDOW_S)
-        found = plain(data, windows)
+        found = plain(Motions(data, windows))
         known = equations(data, found.servos, found.free, windows)
         std[rate], alike[rate] = known.deviations(), known.alike * data.tracks.dt
-    anchored = std[50][:, list(found.free).index("kp")] < RATIO
+    anchored = std[50][:, list(found.free).index("kp")] < UNSURE_SCALE
     assert anchored.tolist() == [False, True, True]
     for rate in (200, 500):
         assert torch.allclose(std[rate][anchored], std[50][anchored], rtol=0.15)

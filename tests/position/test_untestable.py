@@ -4,11 +4,13 @@ import pytest
 import torch
 
 from tests.position.planted import COUNT, planted, robot, true_servos
+from torchid.position.checked import closed_interval
 from torchid.position.data import PositionData, prepare
 from torchid.position.effects import CORE
 from torchid.position.fit import errors_of_one
-from torchid.position.judge import closed_interval, equations
+from torchid.position.judge import equations
 from torchid.position.search import _held
+from torchid.position.servo_model import Motions
 from torchid.position.untestable import USUAL, not_testable
 from torchid.simulation.servo import INDEX, Servos
 from torchid.simulation.servo_loop import windows_of
@@ -21,7 +23,7 @@ def unseen(servos: Servos, data: PositionData) -> dict[tuple[str, int], float | 
     free = dict.fromkeys(CORE, MOVES)
     windows = windows_of(data.tracks, 2.0)
     known = equations(data, servos, free, windows)
-    found = not_testable(data, known, windows, MOVES)
+    found = not_testable(Motions(data, windows), known, MOVES)
     return {(x.effect, x.joints[0]): x.smallest_detectable for x in found}
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from torchid.statistics import criteria
 
-MOST = 38
-"""Twenty of causes, eighteen of the doctor."""
+MOST = 48
+"""Twenty of causes, eighteen of the doctor, ten of servos."""
 SOURCE = ast.parse(Path(criteria.__file__).read_text())
 NAMES = [name for name in vars(criteria) if name.isupper()]
 

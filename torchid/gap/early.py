@@ -3,7 +3,6 @@
 Its errors are those of the fit, on the data that were fitted, below the fit's cut-off.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,7 +11,7 @@ from torchid.gap.search.climb import fit_anew
 from torchid.gap.search.evidence import Fitted, Question
 from torchid.gap.search.explain import best_explanation
 from torchid.gap.search.terms import Term, candidates_of
-from torchid.results.answer import Answer, Cause, JointError, Size
+from torchid.results.answer import Answer, Cause, Size
 from torchid.robot.model import Robot, torque_unit
 
 Watch = Callable[[Answer], None]
@@ -41,20 +40,9 @@ def so_far(question: Question, fit: Fitted, robot: Robot) -> Answer:
     levels = zip(robot.joint_names, before.tolist(), after.tolist(), strict=True)
     first = len(question.fixed)
     causes = zip(fit.terms[first:], fit.values()[first:], strict=True)
-    return Answer(
-        status="searching",
-        error="the gap",
-        unit=torque_unit(robot),
-        before=float(before.norm()),
-        after=float(after.norm()),
-        noise=(math.nan, math.nan),
-        closed=None,
-        joints=tuple(
-            JointError(joint=j, name=name, before=b, after=a, noise=(math.nan, math.nan))
-            for j, (name, b, a) in enumerate(levels)
-        ),
-        causes=tuple(_cause(term, values.tolist()) for term, values in causes),
-    )
+    whole = float(before.norm()), float(after.norm())
+    every = (_cause(term, values.tolist()) for term, values in causes)
+    return Answer.so_far("the gap", torque_unit(robot), whole, levels, every)
 
 
 def _cause(term: Term, values: list[float]) -> Cause:

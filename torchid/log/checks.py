@@ -116,10 +116,10 @@ def _check_units(log: Log, limits: Tensor | None, slides: Sequence[bool], first:
         if clear and all(near(a.ratio, factor) for a in clear):
             k, ratio = clear[0].joint + 1, clear[0].ratio
             why = f"looks like {unit}: dq{k} is {ratio:.4g} times the derivative of q{k}"
-            _refuse_time(log, why, step)
+            refuse_time(log, why, step)
     if step > SLOW_STEP_S and not any(0.5 < a.ratio < 2.0 for a in clear):
         why = "and dq disagrees" if clear else "too long for a robot"
-        _refuse_time(log, f"does not look like seconds: its median step is {step:g}, {why}", step)
+        refuse_time(log, f"does not look like seconds: its median step is {step:g}, {why}", step)
     _check_velocity_unit(log, slides)
 
 
@@ -320,7 +320,8 @@ def dead_velocities(log: Log) -> list[int]:
     return (moves & (log.dq.amax(0) == log.dq.amin(0))).nonzero().flatten().tolist()
 
 
-def _refuse_time(log: Log, why: str, step: float) -> None:
+def refuse_time(log: Log, why: str, step: float) -> None:
+    """Refuse time that is in another unit than seconds."""
     raise LogError(
         f"{log.label}: t {why}.",
         got=f"a median step of {step:g}, t from {float(log.t[0]):g} to {float(log.t[-1]):g}",

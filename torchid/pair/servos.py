@@ -15,10 +15,11 @@ import torch
 from torchid.log.model import Log
 from torchid.pair.record import ServoDifference
 from torchid.position.data import WINDOW_S
-from torchid.position.diagnose import MOST, WORTHWHILE, diagnose_positions, some_of
+from torchid.position.diagnose import WORTHWHILE, diagnose_positions
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.fit import errors
 from torchid.position.judge import value_interval
+from torchid.position.problem import MOST_WINDOWS, some_of
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, TORQUES, ServoParameter
 from torchid.simulation.servo_loop import windows_of
@@ -65,7 +66,7 @@ def _needed(simulated: PositionDiagnosis, real: PositionDiagnosis) -> Bool[Tenso
     """
     data, other = real.data, simulated.servos.joint
     now, k, n = real.servos.joint.clone(), len(PARAMETERS), real.servos.n
-    windows = some_of(windows_of(data.tracks, WINDOW_S), MOST)
+    windows = some_of(windows_of(data.tracks, WINDOW_S), MOST_WINDOWS)
     taken = torch.zeros(n, k, dtype=torch.bool)
     for _ in range(k):
         # The simulated servo, the real one, and the real one with each parameter of the other.
@@ -125,7 +126,7 @@ class _Side:
 
     def __init__(self, found: PositionDiagnosis, j: int) -> None:
         self.values = found.servos.joint[j]
-        self.names, self.covariance = found.known[j]
+        self.names, self.covariance = found.known[j].names, found.known[j].covariance
         self.gain = float(found.servos.of("kp")[j])
         self.named = {s.name for f in found.findings if f.joint == j + 1 for s in f.sizes}
 

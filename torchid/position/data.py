@@ -12,6 +12,7 @@ from torchid.log.checks import (
     SLOW_STEP_S,
     check_joints,
     own_units,
+    refuse_time,
 )
 from torchid.log.model import Log
 from torchid.log.stamps import check_increasing
@@ -20,7 +21,7 @@ from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS
 from torchid.simulation.servo_loop import Body, Tracks, Windows, body_near, compensation
-from torchid.statistics.criteria import BODY_STD
+from torchid.statistics.criteria import BODY_STD, SLIGHT_ERROR
 from torchid.typing import Bool, Float, Tensor
 
 UNEVEN_RATE = 0.02
@@ -50,10 +51,6 @@ GRAVITY_ROWS = 200
 """That tell which links a joint carries [1]."""
 MOVES = 0.01
 """What varies by less, as a standard deviation within motions, does not move [rad]."""
-SLIGHT = 0.01
-"""Share of the distance between command and position below which nothing is looked for [1]."""
-GAP = 2.0
-"""Squared error over what calls for no cause, from which on there is a gap [1]."""
 GEARED = 1.7
 """Factor between commands and positions from which a search begins with it [1]."""
 PROPORTIONAL = 0.95
@@ -95,7 +92,13 @@ class PositionData:
     damping_share: Float[Tensor, " n"]
     set_points: dict[bool, tuple[Tensor, Tensor, Tensor]] = field(default_factory=dict, repr=False)
 
-    @property
+    @cached_property
+    def still(self) -> Bool[Tensor, " n"]:
+        """(n,) joints that never move: at rest an encoder may flicker between two counts."""
+        count = self.resolution * 12**0.5
+        return self.q.amax(0) - self.q.amin(0) < (2.5 * count).clamp(min=STILL)
+
+    @cached_property
     def resolution(self) -> Float[Tensor, " n"]:
         """(n,) what rounding to an encoder's count leaves [rad]."""
         out = []
@@ -105,12 +108,12 @@ class PositionData:
             out.append(steps.quantile(0.05) / 12**0.5 if len(steps) else q.new_tensor(0.0))
         return torch.stack(out)
 
-    @property
+    @cached_property
     def slight(self) -> Float[Tensor, " n"]:
         """(n,) RMS errors that call for no cause [rad]: what rounding leaves, and so small a share
         of what parts positions from commands as a servo's own cycle and a bus's make."""
         apart = (self.tracks.u - self.q).square().mean(0)
-        return (self.resolution**2 + SLIGHT**2 * apart).sqrt()
+        return (self.resolution**2 + SLIGHT_ERROR**2 * apart).sqrt()
 
     @cached_property
     def command_gain(self) -> Float[Tensor, " n"]:
@@ -189,12 +192,7 @@ def tracks_of(log: Log, scale: Float[Tensor, " n"]) -> Tracks:
     steps = torch.cat([log.t[rows].diff() for rows in log.slices()])
     dt = float(steps.median())
     if dt > SLOW_STEP_S:
-        raise LogError(
-            f"{log.label}: t does not look like seconds.",
-            got=f"a median step of {dt:g}",
-            expected=f"less than {SLOW_STEP_S:g} s",
-            hint='`columns="t=t ms"`, or us, ns',
-        )
+        refuse_time(log, "does not look like seconds", dt)
     if not dt > 0 or bool(((steps - dt).abs() > UNEVEN * dt).any()):
         raise LogError(
             f"{log.label} is not evenly sampled.",
@@ -300,7 +298,8 @@ def prepare(
     Args:
         robot: links without inertial parameters are taken for rods (`with_rods`).
         log: t, q and u.
-        scale: (n,) radians per unit of the log, where servos know them; as `scale_of` if None.
+        scale: (n,) radians per unit of the log, where servos know them; as the log's own velocities
+            say it if None.
         all_rows: whether a fast log is taken as it is, and not at `RATE`.
 
     Raises:
@@ -316,7 +315,9 @@ def prepare(
             expected="a number in every row",
             hint="cut out those rows, and number the parts in a column traj",
         )
-    scale = scale_of(log) if scale is None else scale
+    if scale is None:
+        units = own_units(log)
+        scale = torch.tensor([units.get(j, 1.0) for j in range(log.n)], dtype=torch.float64)
     tracks = tracks_of(log, scale)
     if sum(log.duration) < SHORTEST_S:
         raise LogError(

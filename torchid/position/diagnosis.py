@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import torch
 from msgspec import UNSET
 
 from torchid.effects.servo import ServoEffect
-from torchid.position.data import GAP, PositionData
+from torchid.position.data import PositionData
 from torchid.position.judge import closed_share
 from torchid.position.model import ServoArm
 from torchid.position.nominal import NominalServo
@@ -25,7 +25,6 @@ from torchid.position.record import (
     JointRecord,
     KnownRecord,
     MotionRecord,
-    NominalRecord,
     PositionFinding,
     PositionRecord,
     RegimeRecord,
@@ -36,14 +35,11 @@ from torchid.position.record import (
 from torchid.position.repeats import PositionNoise
 from torchid.results.agreement import RunValue
 from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
-from torchid.results.record import Rows, by_joint
-from torchid.results.replication import Replication, agreement_of
+from torchid.results.record import Ends, Rows, by_joint
+from torchid.results.replication import agreement_of
 from torchid.simulation.servo import INDEX, PARAMETERS, Servos
-from torchid.statistics.criteria import LIKELY, UNLIKELY
+from torchid.statistics.criteria import CLEAR_EXCESS, EXPLAINED, LIKELY, UNLIKELY
 from torchid.typing import Bool, Float, Tensor
-
-MOST = 0.9
-"""Share of a gap that its causes close [1]."""
 
 
 class Number(NamedTuple):
@@ -57,23 +53,17 @@ class Number(NamedTuple):
 
 
 def finding_of(
-    effect: ServoEffect,
-    joint: int | None,
-    numbers: Sequence[Number],
-    errors: tuple[float, float],
-    ambiguous_with: tuple[str, ...] = (),
-    replication: Replication | None = None,
-    how_sure: float | None = None,
+    effect: ServoEffect, joint: int | None, numbers: Sequence[Number], errors: Ends, **more: Any
 ) -> PositionFinding:
-    """Of an effect on a joint (from 0), or on all, whose errors [mrad] are without it and with
-    it."""
+    """Of an effect on a joint (from 0), or on all, whose errors [mrad] are without it and with it;
+    with more of a finding's fields."""
     return PositionFinding(
         effect=effect.name, family=effect.family, joints=() if joint is None else (joint,),
-        ambiguous_with=ambiguous_with, parameters={x.name: x.value for x in numbers},
-        unit={x.name: x.unit for x in numbers}, ci95={x.name: x.interval for x in numbers},
+        parameters={x.name: x.value for x in numbers}, unit={x.name: x.unit for x in numbers},
+        ci95={x.name: x.interval for x in numbers},
         was={x.name: x.was for x in numbers if not math.isnan(x.was)},
-        error_without=errors[0], error_with=errors[1], replication=replication, how_sure=how_sure,
-        meaning=effect.meaning, remedy=effect.remedy,
+        error_without=errors[0], error_with=errors[1], meaning=effect.meaning,
+        remedy=effect.remedy, **{"ambiguous_with": (), **more},
     )  # fmt: skip
 
 
@@ -103,8 +93,8 @@ class PositionDiagnosis(Diagnosis):
         still: joints that never move.
         warnings: one sentence each.
         seconds: that it took.
-        known: by joint, which parameters were fitted, and the covariance that motions and what was
-            expected before them leave, of logarithms where they are positive
+        known: joint by joint which parameters were fitted, and the covariance that motions and
+            what was expected before them leave, of logarithms where they are positive
             (`position.fit.absolute`).
         held_out: errors of a log that took part in nothing, mean of the joints that move: whole
             motions and windows of 2 s [mrad]; None without one.
@@ -131,11 +121,11 @@ class PositionDiagnosis(Diagnosis):
     errors: tuple[Float[Tensor, "T n"], Float[Tensor, "T n"]]
     still: Bool[Tensor, " n"]
     warnings: tuple[str, ...]
-    seconds: float
     noise: PositionNoise
+    seconds: float = 0.0
     unanchored: Bool[Tensor, " n"] | None = None
     file: Accuracy | None = None
-    known: tuple[tuple[tuple[str, ...], Float[Tensor, "_ _"]], ...] = ()
+    known: tuple[KnownRecord, ...] = ()
     held_out: tuple[float, float] | None = None
     nominal: tuple[NominalServo, ...] = ()
     as_given: Bool[Tensor, " n"] | None = None
@@ -173,7 +163,7 @@ class PositionDiagnosis(Diagnosis):
         before, answered = (way.windows.square() for way in (self.before, self.answered))
         # What windows leave alone is their starts', whose velocities are those of a few samples.
         both = torch.minimum(before, self.before.whole.square())
-        gap = (both > GAP * floor) & ~self.still
+        gap = (both > CLEAR_EXCESS * floor) & ~self.still
         if self._right_as_given or not bool(gap.any()):
             return math.nan
         left = (answered - floor)[gap].clamp(min=0).sum() / (before - floor)[gap].sum()
@@ -202,7 +192,7 @@ class PositionDiagnosis(Diagnosis):
         `partly_explained`, where something else is there too; `detected_unexplained`."""
         if not any(f.how_sure is None or f.how_sure >= LIKELY for f in self.findings):
             return "no_gap" if math.isnan(self.closed) else "detected_unexplained"
-        return "partly_explained" if self._closed_in_windows < MOST else "explained"
+        return "partly_explained" if self._closed_in_windows < EXPLAINED else "explained"
 
     @cached_property
     def answer(self) -> Answer:
@@ -307,34 +297,19 @@ class PositionDiagnosis(Diagnosis):
             log_scale=data.scale,
             warnings=self.warnings,
             seconds=self.seconds,
-            known=tuple(
-                KnownRecord(joint=j, names=told, covariance=covariance)
-                for j, (told, covariance) in enumerate(self.known)
-                if told
-            )
-            or UNSET,
-            changes=self.changes or UNSET,
             not_testable=self.not_testable,
+            known=tuple(one for one in self.known if one.names) or UNSET,
+            changes=self.changes or UNSET,
             held_out=UNSET if self.held_out is None else HeldOutRecord(*self.held_out),
-            nominal=tuple(
-                NominalRecord(
-                    joint=j,
-                    servo=servo.name,
-                    values=dict(servo.values),
-                    counts=math.nan if servo.counts is None else servo.counts,
-                    register_units=dict(servo.units),
-                )
-                for j, servo in enumerate(self.nominal)
-            )
-            or UNSET,
+            nominal=tuple(s.record(j) for j, s in enumerate(self.nominal)) or UNSET,
         )
 
     @property
     def corrected(self) -> ServoArm:
         """The answered model: what `replay` moves, and `write` keeps."""
         std = torch.full_like(self.servos.joint, torch.nan)
-        for j, (names, covariance) in enumerate(self.known):
-            std[j, [INDEX[name] for name in names]] = covariance.diagonal().sqrt()
+        for one in self.known:
+            std[one.joint, [INDEX[name] for name in one.names]] = one.covariance.diagonal().sqrt()
         free = torch.zeros_like(self.still) if self.unanchored is None else self.unanchored
         joints = tuple((free & ~self.still).nonzero().flatten().tolist())
         return ServoArm(self.data.robot, self.servos, self.data.scale, std, joints)

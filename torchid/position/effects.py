@@ -2,7 +2,6 @@
 
 from torchid.effects.registry import KINDS
 from torchid.effects.servo import SERVO_KINDS, ServoEffect
-from torchid.simulation.servo import INDEX, PARAMETERS
 
 CORE = ("kp", "damping", "armature", "delay", "offset", "coulomb")
 """What every fit has: a gain, viscous and dry friction, an inertia, a delay and an offset."""
@@ -43,11 +42,6 @@ def _effect(name: str) -> ServoEffect:
     return ServoEffect(
         name, _FAMILIES[name], kind.servo, meaning, remedy, kind.equation, kind.experiment
     )
-
-
-def neutral(effect: ServoEffect) -> dict[str, float]:
-    """Values of an effect's parameters without effect."""
-    return {name: PARAMETERS[INDEX[name]].neutral for name in effect.parameters}
 
 
 EFFECTS = tuple(map(_effect, _ORDER))

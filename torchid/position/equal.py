@@ -15,6 +15,7 @@ import torch
 from torchid.position.fit import absolute, from_absolute
 from torchid.position.judge import Equations
 from torchid.simulation.servo import INDEX, PARAMETERS
+from torchid.statistics.criteria import SHEET_STD, UNIT_STD
 from torchid.statistics.random_effects import Sessions, means, spreads
 from torchid.typing import Bool, Tensor
 
@@ -23,11 +24,6 @@ OF_TYPE = (
     "motor_share", "acceleration", "speed", "lag", "clip", "dead_zone",
 )  # fmt: skip
 """Parameters that a type of servo has; the others are the arm's, or a joint's calibration."""
-SHEET_STD = 0.2
-"""Standard deviation of a maker's value, as a share of it [1]: supplies, wear, temperature."""
-UNIT_STD = 0.05
-"""Least standard deviation between units of one type, of a logarithm [1]: tolerances of gears,
-magnets and supplies."""
 
 
 def with_data_sheets(
@@ -42,11 +38,11 @@ def with_data_sheets(
         moves: joints that do.
     """
     at = [INDEX[name] for name in known.names]
-    said = torch.full_like(known.servos.joint, torch.nan)
+    of_makers = torch.full_like(known.servos.joint, torch.nan)
     for j, sheet in enumerate(sheets):
         for name, value in sheet.items():
-            said[j, INDEX[name]] = value
-    values = absolute(replace(known.servos, joint=said))[:, at]
+            of_makers[j, INDEX[name]] = value
+    values = absolute(replace(known.servos, joint=of_makers))[:, at]
     x, covariance = absolute(known.servos)[:, at], known.covariances()
     free = known.mask & values.isfinite() & moves[:, None]
     logs = torch.tensor([PARAMETERS[k].kind == "log" for k in at])
@@ -73,7 +69,7 @@ def _with_values(known: Equations, x: Tensor, covariance: Tensor) -> Equations:
     values = absolute(known.servos)
     values[:, at] = torch.where(known.mask, x, values[:, at])
     return replace(
-        known, servos=replace(known.servos, joint=from_absolute(values)), given=covariance
+        known, servos=replace(known.servos, joint=from_absolute(values)), told=covariance
     )
 
 
@@ -88,21 +84,21 @@ def pooled(known: Equations, types: Sequence[str], moves: Bool[Tensor, " n"]) ->
     at = [INDEX[name] for name in known.names]
     x, covariance = absolute(known.servos)[:, at], known.covariances()
     for kind in set(types) - {""}:
-        own = torch.tensor([t == kind for t in types]) & moves
-        free = known.mask & own[:, None] & torch.tensor([n in OF_TYPE for n in known.names])
+        of_kind = torch.tensor([t == kind for t in types]) & moves
+        free = known.mask & of_kind[:, None] & torch.tensor([n in OF_TYPE for n in known.names])
         free &= free.sum(0) > 1
         columns = free.any(0).nonzero().flatten()
         if not len(columns):
             continue
         values = torch.where(free, x, torch.nan)[:, columns].T
         variances = covariance.diagonal(dim1=1, dim2=2)[:, columns].T
-        sessions = Sessions(values, variances, torch.arange(len(own)))
+        sessions = Sessions(values, variances, torch.arange(len(of_kind)))
         between = spreads(sessions)[0]
         centre = means(sessions, between, torch.zeros_like(between))
         least = torch.full_like(between, UNIT_STD)
         least[[k for k, c in enumerate(columns.tolist()) if known.names[c] == "delay"]] = 1e-3
         prior = torch.maximum(between, least).square() + centre.centre_variance
-        for j in own.nonzero().flatten().tolist():
+        for j in of_kind.nonzero().flatten().tolist():
             on, here = free[j], free[j, columns]
             x[j], covariance[j] = _beside(x[j], covariance[j], on, centre.centre[here], prior[here])
     return _with_values(known, x, covariance)

@@ -8,65 +8,80 @@ well with it.
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from torchid.position.data import GAP, PositionData
+from torchid.effects.servo import ServoEffect
+from torchid.position.data import PositionData
 from torchid.position.effects import EFFECTS, GAINS
-from torchid.position.fit import fit
-from torchid.position.judge import Equations, losses_of, mostly_better, of_motions
+from torchid.position.judge import Equations
 from torchid.position.model import ServoArm
 from torchid.position.record import ChangeRecord
 from torchid.position.repeats import PositionNoise
-from torchid.position.search import Found, slight
-from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, TORQUES, Servos, as_share
-from torchid.simulation.servo_loop import Windows, body_near, windows_of
-from torchid.statistics.criteria import MOVED_STD
+from torchid.position.servo_model import Motions, ServoModel, mostly_better
+from torchid.simulation.servo import (
+    INDEX,
+    PARAMETERS,
+    PER_KP,
+    TORQUES,
+    ServoParameter,
+    Servos,
+    as_share,
+)
+from torchid.simulation.servo_loop import body_near, windows_of
+from torchid.statistics.criteria import CLEAR_EXCESS, MOVED_STD, TELLING_STD
 from torchid.typing import Bool
 
-OPEN = 0.5
-"""Standard deviation of a value, as a share of it, from which the log does not say it [1]."""
 _TORQUES = [INDEX[name] for name in TORQUES]
 
 Worth = dict[str, tuple[Tensor, Tensor]]
 """By effect: losses of windows (W, n) without it, NaN where it has no name, and with it [rad^2]."""
 
 
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """Servos of a robot's file beside motions.
+
+    Attributes:
+        motions: that they are beside.
+        model: the servos as they are nearest.
+        near: (n,) joints that follow them.
+    """
+
+    motions: Motions
+    model: ServoModel
+    near: Bool[Tensor, " n"]
+
+
 def follows(
-    data: PositionData,
-    servos: Servos,
-    core: Mapping[str, Tensor],
-    noise: PositionNoise,
-    windows: Windows,
-) -> tuple[Bool[Tensor, " n"], Found]:
-    """Joints that servos of a robot's file follow, and those servos as they are nearest."""
-    own = _as_file(data, servos, core, windows)
+    motions: Motions, servos: Servos, core: Mapping[str, Tensor], noise: PositionNoise
+) -> Followed:
+    """Which joints servos of a robot's file follow."""
+    data, model = motions.data, _as_file(motions, servos, core)
     # What windows leave alone is their starts'.
-    least = GAP * noise.at_least(data.slight).square()
+    least = CLEAR_EXCESS * noise.at_least(data.slight).square()
     near = [
-        losses_of(data, own.servos, w).sum(0) <= w.rows * least
-        for w in (windows, windows_of(data.tracks, None))
+        model.losses(Motions(data, windows)) <= windows.rows * least
+        for windows in (motions.windows, windows_of(data.tracks, None))
     ]
-    return torch.stack(near).any(0), own
+    return Followed(motions, model, torch.stack(near).any(0))
 
 
-def _as_file(
-    data: PositionData, servos: Servos, core: Mapping[str, Tensor], windows: Windows
-) -> Found:
+def _as_file(motions: Motions, servos: Servos, core: Mapping[str, Tensor]) -> ServoModel:
     """Servos of a robot's file, each as it is nearest to the log: as said, later by what commands
     are held by, or without a limit of torque, which files have behind the damping and servos
     before it."""
     ways = servos.joint.repeat(4, 1, 1)
-    ways[1::2, :, INDEX["delay"]] += 0.5 * data.held
+    ways[1::2, :, INDEX["delay"]] += 0.5 * motions.data.held
     ways[2:, :, INDEX["clip"]] = math.inf
-    cost = [losses_of(data, replace(servos, joint=way), windows).sum(0) for way in ways]
+    cost = [motions.losses(replace(servos, joint=way)).sum(0) for way in ways]
     joint = ways[torch.stack(cost).argmin(0), torch.arange(servos.n)]
     fixed = {*core, "damping_share"}
     used = {p.name: servos.of(p.name) != p.neutral for p in PARAMETERS if p.name not in fixed}
     free = {**core, **{name: on for name, on in used.items() if bool(on.any())}}
-    return Found(replace(servos, joint=joint), free, bool(servos.plane[4] > 0))
+    return ServoModel(replace(servos, joint=joint), free, bool(servos.plane[4] > 0))
 
 
 def weighing_otherwise(data: PositionData) -> PositionData:
@@ -79,31 +94,25 @@ def weighing_otherwise(data: PositionData) -> PositionData:
 
 
 def beside_file(
-    data: PositionData,
-    found: Found,
-    file: Servos,
-    windows: Windows,
-    squares: float,
-    worth: Worth,
-) -> tuple[Found, Bool[Tensor, " n"], Worth]:
-    """What of a found model parts it from a file's servos.
+    motions: Motions, model: ServoModel, file: Servos, squares: float, worth: Worth
+) -> tuple[ServoModel, Bool[Tensor, " n"], Worth]:
+    """What of an answered model parts it from a file's servos.
 
     Each of the file's numbers takes its place again, all others refitted. The gain stays the
     file's, and torques in its scale, where motions are followed as well; the others are no causes
     then.
 
     Args:
-        data: motions.
-        found: the model.
+        motions: to fit to.
+        model: the answered one.
         file: its servos.
-        windows: to fit to.
         squares: share of the squared error by which a number must lower it to be named.
         worth: of effects beside plain servos.
 
     Returns:
         The model, joints whose gain is the file's, and what is worth a name beside the file.
     """
-    least, every = slight(data, windows), torch.ones(found.servos.n, dtype=torch.bool)
+    least, every = motions.slight, motions.every
     by_file, worth = ~every, dict(worth)
     for effect in (*GAINS, *(e for e in EFFECTS if e.parameters)):
         names = [p for p in PARAMETERS if p.name in effect.parameters]
@@ -111,87 +120,101 @@ def beside_file(
         asked = every if effect in GAINS else has
         if not bool(asked.any()):
             continue
-        joint, free = found.servos.joint.clone(), dict(found.free)
-        if effect.parameters == ("kp",):
-            joint[:, _TORQUES] *= (file.of("kp") / found.servos.of("kp"))[:, None]
-        for name in effect.parameters:
-            k = INDEX[name]
-            joint[:, k] = torch.where(asked, file.joint[:, k], joint[:, k])
-            free[name] = free.get(name, ~every) & ~asked
-        begun = replace(found.servos, joint=joint)
-        servos = fit(data, begun, free, windows, plane=found.plane, iterations=3)
-        first = effect.parameters[0]
-        factor = file.of(first) / found.servos.of(first)
-        if first in TORQUES and first != "kp" and bool((factor.isfinite() & (factor > 0)).all()):
-            # What is not free keeps its share of the gain; or, where that is not the file's, all
-            # torques are others by one factor.
-            scaled = found.servos.joint.clone()
-            scaled[:, _TORQUES] *= torch.where(asked, factor, 1.0)[:, None]
-            rest = {**free, "kp": free["kp"] & ~asked}
-            begun = replace(found.servos, joint=scaled)
-            other = fit(data, begun, rest, windows, plane=found.plane, iterations=3)
-            one, two = (losses_of(data, s, windows).sum(0) for s in (servos, other))
-            joint = torch.where(((one <= two) | by_file)[:, None], servos.joint, other.joint)
-            servos = replace(servos, joint=joint)
-        whole, without = (losses_of(data, s, windows) for s in (found.servos, servos))
-        gain = of_motions(without - whole, windows)
+        with_files = _with_files_number(motions, model, file, effect, asked, by_file)
+        whole, without = (motions.losses(m.servos) for m in (model, with_files))
+        gain = motions.each(without - whole)
         needed = (gain.sum(0) > squares * without.sum(0)) & (gain.sum(0) > least)
         needed &= asked & mostly_better(gain)
         if effect.parameters == ("kp",):
             by_file = ~needed
-            joint = torch.where(by_file[:, None], servos.joint, found.servos.joint)
-            free = {**found.free, "kp": found.free["kp"] & needed}
-            found = Found(replace(found.servos, joint=joint), free, found.plane)
+            model = model.joined(with_files, by_file)
         before, with_it = worth.get(effect.name, (torch.full_like(whole, torch.nan), whole))
-        shown = torch.where(asked, torch.where(needed, without, torch.nan), before)
-        worth[effect.name] = shown, with_it
-    return found, by_file, {k: v for k, v in worth.items() if bool(v[0].isfinite().any())}
+        named = torch.where(asked, torch.where(needed, without, torch.nan), before)
+        worth[effect.name] = named, with_it
+    return model, by_file, {k: v for k, v in worth.items() if bool(v[0].isfinite().any())}
+
+
+def _with_files_number(
+    motions: Motions,
+    model: ServoModel,
+    file: Servos,
+    effect: ServoEffect,
+    joints: Bool[Tensor, " n"],
+    by_file: Bool[Tensor, " n"],
+) -> ServoModel:
+    """A model with the file's numbers of an effect on some joints, all others refitted; of what has
+    a share of the gain the better of two: what is not free keeps its share, or, where the gain is
+    not the file's, all torques are others by one factor."""
+    values, first = model.servos.joint.clone(), effect.parameters[0]
+    factor = file.of(first) / model.servos.of(first)
+    if first == "kp":
+        values[:, _TORQUES] *= factor[:, None]
+    begun = model.at(values).joined(ServoModel(file, {}), joints, effect.parameters)
+    held = begun.fitted(motions, 3, plane=True)
+    if first == "kp" or first not in TORQUES or not bool((factor.isfinite() & (factor > 0)).all()):
+        return held
+    values = model.servos.joint.clone()
+    values[:, _TORQUES] *= torch.where(joints, factor, 1.0)[:, None]
+    free = {**held.free, "kp": held.free["kp"] & ~joints}
+    scaled = replace(model.at(values), free=free).fitted(motions, 3, plane=True)
+    one, two = (m.losses(motions) for m in (held, scaled))
+    return scaled.joined(held, (one <= two) | by_file)
 
 
 def changes_of(
-    start: ServoArm, known: Equations, shares: Tensor, still: Tensor
+    start: ServoArm, known: Equations, shares: Bool[Tensor, " n"], still: Bool[Tensor, " n"]
 ) -> tuple[ChangeRecord, ...]:
-    """What was found of each number beside what the robot's file says of it, and of its masses."""
+    """What was found of each number beside what the robot's file says of it, and of its masses.
+
+    Args:
+        start: the file's arm.
+        known: the answer.
+        shares: joints of which torques are told as shares of kp.
+        still: joints that never move, of which nothing is said.
+    """
     known = replace(known, torque_std=torch.zeros_like(known.torque_std))
-    every = (~still).nonzero().flatten().tolist()
-    deviation = torch.full_like(known.servos.joint, torch.nan)
-    deviation[:, [INDEX[name] for name in known.names]] = known.deviations(shares)
-    free = torch.zeros_like(deviation, dtype=torch.bool)
-    free[:, [INDEX[name] for name in known.names]] = known.mask
+    at = [INDEX[name] for name in known.names]
+    std = torch.full_like(known.servos.joint, torch.nan)
+    std[:, at] = torch.where(known.mask, known.deviations(shares), torch.nan)
+    before = torch.zeros_like(std) if start.std is None else start.std.nan_to_num(0.0)
     out = []
-    for j, (k, p) in itertools.product(every, enumerate(PARAMETERS)):
-        share = bool(shares[j]) and p.name in TORQUES and p.name != "kp"
-        on = bool(free[j, k])
+    for j, (k, p) in itertools.product(
+        (~still).nonzero().flatten().tolist(), enumerate(PARAMETERS)
+    ):
         was, now = (float(servos.joint[j, k]) for servos in (start.servos, known.servos))
-        if (was == p.neutral and not on) or p.name == "damping_share":
+        if (was == p.neutral and bool(std[j, k].isnan())) or p.name == "damping_share":
             continue
-        new, std = was == p.neutral, float(deviation[j, k]) if on else math.nan
-        before = 0.0 if start.std is None or share else float(start.std[j, k].nan_to_num(0.0))
+        share = bool(shares[j]) and p.name in TORQUES and p.name != "kp"
         if share:
-            was, now = (
-                x / float(one.of("kp")[j]) for x, one in ((was, start.servos), (now, known.servos))
+            was, now = was / float(start.servos.of("kp")[j]), now / float(known.servos.of("kp")[j])
+        stds = float(std[j, k]), 0.0 if share else float(before[j, k])
+        state = _state(p, was, now, stds)
+        if state:
+            out.append(
+                ChangeRecord(
+                    joint=j,
+                    parameter=as_share(p.name) if share else p.name,
+                    unit=PER_KP[p.unit] if share else p.unit,
+                    was=math.nan if state == "new" else was,
+                    now=math.nan if now == p.neutral else now,
+                    std=stds[0],
+                    state=state,
+                )
             )
-        log = p.kind == "log" and 0 < min(now, was) <= max(now, was) < math.inf
-        apart = abs(math.log(now / was)) if log else abs(now - was)
-        if new and not (std < OPEN if p.kind == "log" else abs(now - was) > MOVED_STD * std):
-            continue  # nothing, as far as the log says
-        if new:
-            state = "new"
-        elif now == p.neutral:  # a limit may not have been reached
-            state = "open" if math.isinf(now) else "gone"
-        elif apart > MOVED_STD * math.hypot(std, before):
-            state = "changed"
-        else:
-            state = "open" if std > OPEN * (1.0 if log else max(abs(now), abs(was))) else "as known"
-        out.append(
-            ChangeRecord(
-                joint=j,
-                parameter=as_share(p.name) if share else p.name,
-                unit=PER_KP[p.unit] if share else p.unit,
-                was=math.nan if new else was,
-                now=math.nan if now == p.neutral else now,
-                std=std,
-                state=state,
-            )
-        )
     return tuple(out)
+
+
+def _state(p: ServoParameter, was: float, now: float, std: tuple[float, float]) -> str:
+    """What became of a number of a file, whose standard deviations now and before are given; empty
+    of one that is not there as far as the log says."""
+    log = p.kind == "log" and 0 < min(now, was) <= max(now, was) < math.inf
+    apart = abs(math.log(now / was)) if log else abs(now - was)
+    if was == p.neutral:
+        told = std[0] < TELLING_STD if p.kind == "log" else apart > MOVED_STD * std[0]
+        return "new" if told else ""
+    if now == p.neutral:  # a limit may not have been reached
+        return "open" if math.isinf(now) else "gone"
+    if apart > MOVED_STD * math.hypot(*std):
+        return "changed"
+    size = 1.0 if log else max(abs(now), abs(was))
+    return "open" if std[0] > TELLING_STD * size else "as known"

@@ -58,14 +58,12 @@ class Sensitivities:
 
     Attributes:
         residual: (L, W, n) simulated minus measured [rad]; 0 after a window's end.
-        slope: (L, W, n, K) by the searched coordinate of each free parameter.
-        names: K of them.
+        slope: (L, W, n, K) by the searched coordinate of each of K parameters.
         plane: (L, W, n, 5) by the plane's numbers, or None.
     """
 
     residual: Tensor
     slope: Tensor
-    names: tuple[str, ...]
     plane: Tensor | None
 
 
@@ -204,7 +202,7 @@ def sensitivities(
     change = error[..., 1:] - error[..., :1]
     slope = change[..., : len(names)] / torch.tensor(steps, dtype=torch.float64)
     return Sensitivities(
-        error[..., 0], slope, names, change[..., len(names) :] / _PLANE_STEP if plane else None
+        error[..., 0], slope, change[..., len(names) :] / _PLANE_STEP if plane else None
     )
 
 

@@ -8,17 +8,14 @@ correlation says, times what is usual on the arm's other numbers (Smyth 2004).
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from torchid.position.data import SMALL, WINDOW_S, PositionData
+from torchid.position.data import SMALL, PositionData
 from torchid.position.fit import (
-    errors_of_one,
-    huber,
     mean_square,
     prior_deviations,
     prior_precision,
@@ -30,14 +27,11 @@ from torchid.results.replication import MotionScale, Replication, replication_of
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import Windows
 from torchid.statistics.autocorrelation import integrated_time
+from torchid.statistics.criteria import TORQUE_MISFIT
 from torchid.statistics.jackknife import jackknife, student_quantile
 from torchid.statistics.proportion import HALF_95
-from torchid.statistics.resampling import DRAWS, nested_weights, percentile_interval
-from torchid.typing import Bool, Float, Int
+from torchid.typing import Bool, Float
 
-FOLDS = 5
-ALONG = 1 / 3
-"""Share of what is left of a joint's error that may be as a change of its torques is [1]."""
 USUAL = 2.0
 """Motions that what is usual on an arm counts as, beside a number's own [1]."""
 
@@ -55,7 +49,7 @@ class Equations:
         rows: of the motions [1].
         alike: (n,) rows, one after the other, whose errors are as good as one [1].
         torque_std: (n,) of the scale of all torques of a joint, which the robot's masses have [1].
-        given: (n, K, K) covariances that are known already; None: as the equations tell.
+        told: (n, K, K) covariances that are known already; None: as the equations tell.
     """
 
     servos: Servos
@@ -67,7 +61,7 @@ class Equations:
     rows: float
     alike: Tensor
     torque_std: Tensor
-    given: Tensor | None = None
+    told: Tensor | None = None
 
     @property
     def noise(self) -> Float[Tensor, " n"]:
@@ -99,8 +93,8 @@ class Equations:
         along = torch.linalg.solve(grams.sum(0) + prior.diag(), unit)
         # A step of a logarithm is a factor already; of all else it is a share of what was found.
         p = PARAMETERS[INDEX[name]]
-        found = float(searched(self.servos)[joint, INDEX[name]]) - p.neutral
-        size = 1.0 if p.kind == "log" else found
+        fitted = float(searched(self.servos)[joint, INDEX[name]]) - p.neutral
+        size = 1.0 if p.kind == "log" else fitted
         # Motions disagree by what is usual on the arm before they disagree on a parameter.
         noise = float(self.noise[joint]) * self.beyond_noise
         scales = []
@@ -124,31 +118,27 @@ class Equations:
 
     def covariances(self, shares: Bool[Tensor, " n"] | None = None) -> Float[Tensor, "n K K"]:
         """Of what `deviations` tells, joint by joint; zeros of what is not free."""
-        if self.given is not None:
+        if self.told is not None:
             way = self.to_values(shares) @ torch.linalg.inv(self.to_values())
-            return way @ self.given @ way.mT
+            return way @ self.told @ way.mT
         to = self.to_values(shares)
-        out, (white, spread, freedom) = torch.zeros_like(to), self._by_noise_and_motions(to)
-        by_noise, by_motions = (x.diagonal(dim1=1, dim2=2) for x in (white, spread))
-        std = deviations_of(by_noise, by_motions, freedom, self.beyond_noise) * self.mask
-        for j in self.mask.any(1).nonzero().flatten().tolist():
-            # How numbers vary together, as motions and noise say it, at those sizes.
-            together = white[j] + spread[j]
-            unit = std[j] / together.diagonal().clamp(min=1e-300).sqrt()
-            out[j] = together * unit * unit[:, None]
+        spread = self._spread(to)
+        # How numbers vary together, as motions and noise say it, at those sizes.
+        together = spread.by_noise + spread.by_motions
+        unit = spread.deviations(self.beyond_noise) * self.mask
+        unit = unit / together.diagonal(dim1=1, dim2=2).clamp(min=1e-300).sqrt()
         # With other masses all torques would be others, and what is left may be so in part.
         unsure = self.torque_std.hypot(self._misfit_of_torques())
         k = self.names.index("kp")  # where it is not free, the scale of torques is known
         scale = to[:, :, k] * (unsure * self.mask[:, k])[:, None] * self.mask
+        out = together * unit[:, None] * unit[:, :, None]
         return out + scale[:, :, None] * scale[:, None]
 
     @cached_property
     def beyond_noise(self) -> float:
         """Times by which the arm's motions disagree on its numbers more than noise makes them, in
         squares; no less than 1. Few motions tell little of one number alone."""
-        white, spread, freedom = self._by_noise_and_motions(self.to_values())
-        by_noise, by_motions = (x.diagonal(dim1=1, dim2=2) for x in (white, spread))
-        return usual_excess(by_noise, by_motions, freedom)
+        return self._spread(self.to_values()).excess
 
     def _misfit_of_torques(self) -> Float[Tensor, " n"]:
         """Change of the scale of all torques that a third of what is left would make, were it no
@@ -157,30 +147,28 @@ class Equations:
         gram = self.gram.sum(0) + torch.diag_embed(self.prior)
         free = self.mask[:, :, None] & self.mask[:, None, :]
         gram = torch.where(free, gram, torch.eye(len(self.names), dtype=gram.dtype))
-        return ALONG * (self.square * self.rows * torch.linalg.inv(gram)[:, k, k]).sqrt()
+        return TORQUE_MISFIT * (self.square * self.rows * torch.linalg.inv(gram)[:, k, k]).sqrt()
 
-    def _by_noise_and_motions(self, to: Float[Tensor, "n K K"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Covariances (n, K, K) of combinations of the searched coordinates, by noise alone and by
-        how motions disagree, and the latter's degrees of freedom (n, K)."""
+    def _spread(self, to: Float[Tensor, "n K K"]) -> "Spread":
+        """Of combinations of searched coordinates, joint by joint; zeros of what is not free."""
         white, spread = torch.zeros_like(to), torch.zeros_like(to)
         freedom = self.noise.new_zeros(self.mask.shape)
         for j in self.mask.any(1).nonzero().flatten().tolist():
             on, noise = self.mask[j], self.noise[j].clamp(min=1e-300)
-            white[j], spread[j], told = by_noise_and_motions(
-                self.gram[:, j][:, on][:, :, on], self.pull[:, j, on], self.prior[j, on].diag(),
-                noise, to[j][:, on],
-            )  # fmt: skip
-            freedom[j, on] = told[on]
-        return white, spread, freedom
+            gram, pull = self.gram[:, j][:, on][:, :, on], self.pull[:, j, on]
+            of_joint = Spread.of(gram, pull, self.prior[j, on].diag(), noise, to[j][:, on])
+            white[j], spread[j] = of_joint.by_noise, of_joint.by_motions
+            freedom[j, on] = of_joint.freedom[on]
+        return Spread(white, spread, freedom)
 
     def expected(self) -> Float[Tensor, "n K K"]:
         """The same of what is left open where values were expected near to these before any motion
         was seen: V - V (V + P)^-1 V, which is no wider than either."""
         to, before = self.to_values(), prior_deviations(self.names).diag().square()
         out = torch.zeros_like(to)
-        for j, (on, found) in enumerate(zip(self.mask, self.covariances(), strict=True)):
-            own, prior = found[on][:, on], (to[j] @ before @ to[j].T)[on][:, on]
-            rest = own - own @ torch.linalg.solve(own + prior, own)
+        for j, (on, covariance) in enumerate(zip(self.mask, self.covariances(), strict=True)):
+            by_log, prior = covariance[on][:, on], (to[j] @ before @ to[j].T)[on][:, on]
+            rest = by_log - by_log @ torch.linalg.solve(by_log + prior, by_log)
             out[j][on[:, None] & on] = ((rest + rest.T) / 2).flatten()
         return out
 
@@ -202,54 +190,64 @@ class Equations:
         return out
 
 
-def by_noise_and_motions(
-    grams: Float[Tensor, "m P P"],
-    pulls: Float[Tensor, "m P"],
-    prior: Float[Tensor, "P P"],
-    noise: float | Tensor,
-    to: Float[Tensor, "Q P"] | None = None,
-) -> tuple[Float[Tensor, "Q Q"], Float[Tensor, "Q Q"], Float[Tensor, " Q"]]:
-    """Covariances of combinations of P numbers by noise alone and by how m motions disagree, and
-    the latter's degrees of freedom, none where one motion alone tells.
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """How numbers vary.
 
-    Args:
-        grams, pulls: of the motions' normal equations.
-        prior: precision of what was expected, in the same units.
-        noise: mean square error of an independent row.
-        to: the combinations; the numbers themselves if None.
+    Attributes:
+        by_noise, by_motions: (*D, Q, Q) covariances by noise alone, and by how motions disagree.
+        freedom: (*D, Q) degrees of the latter, none where one motion alone tells.
     """
-    # In units of the noise, where what was expected is given.
-    grams, pulls, prior = grams / noise, (pulls - pulls.mean(0)) / noise, prior / noise
-    found = jackknife(grams, pulls, variance=1.0, combinations=to, known=prior)
-    white = torch.linalg.inv(grams.sum(0) + prior)
-    white = white if to is None else to @ white @ to.T
-    return white, found.covariance, torch.where(found.by_one_block, 0.0, found.freedom)
 
+    by_noise: Float[Tensor, "*D Q Q"]
+    by_motions: Float[Tensor, "*D Q Q"]
+    freedom: Float[Tensor, "*D Q"]
 
-def usual_excess(by_noise: Tensor, by_motions: Tensor, freedom: Tensor) -> float:
-    """Times by which motions disagree more than noise makes them, in squares; no less than 1."""
-    ratio = (freedom * by_motions / by_noise.clamp(min=1e-300)).sum() / freedom.sum()
-    return float(ratio.nan_to_num(1.0).clamp(min=1.0))
+    @classmethod
+    def of(
+        cls,
+        grams: Float[Tensor, "m P P"],
+        pulls: Float[Tensor, "m P"],
+        prior: Float[Tensor, "P P"],
+        noise: float | Tensor,
+        to: Float[Tensor, "Q P"],
+    ) -> "Spread":
+        """Of combinations of P numbers.
 
+        Args:
+            grams, pulls: of the motions' normal equations.
+            prior: precision of what was expected, in the same units.
+            noise: mean square error of an independent row.
+            to: the combinations.
+        """
+        # In units of the noise, where what was expected is told.
+        grams, pulls, prior = grams / noise, (pulls - pulls.mean(0)) / noise, prior / noise
+        by_blocks = jackknife(grams, pulls, variance=1.0, combinations=to, known=prior)
+        white = to @ torch.linalg.inv(grams.sum(0) + prior) @ to.T
+        freedom = torch.where(by_blocks.by_one_block, 0.0, by_blocks.freedom)
+        return cls(white, by_blocks.covariance, freedom)
 
-def deviations_of(
-    by_noise: Float[Tensor, "*D"],
-    by_motions: Float[Tensor, "*D"],
-    freedom: Float[Tensor, "*D"],
-    excess: float,
-) -> Float[Tensor, "*D"]:
-    """Half of the 95 % intervals over that of a normal variable: what motions say, drawn towards
-    what is usual where they are few, and no less than noise makes it.
+    @property
+    def _variances(self) -> tuple[Float[Tensor, "*D Q"], Float[Tensor, "*D Q"]]:
+        noise, motions = self.by_noise, self.by_motions
+        return noise.diagonal(dim1=-2, dim2=-1), motions.diagonal(dim1=-2, dim2=-1)
 
-    Args:
-        by_noise, by_motions: variances.
-        freedom: degrees of the latter.
-        excess: what is usual over noise, in squares.
-    """
-    sure = USUAL + freedom
-    variance = (USUAL * by_noise * excess + freedom * by_motions) / sure
-    wide = student_quantile(0.95, sure.flatten()).view_as(sure) / HALF_95
-    return torch.maximum(variance.sqrt() * wide, by_noise.clamp(min=0).sqrt())
+    @property
+    def excess(self) -> float:
+        """Times by which motions disagree more than noise makes them, in squares; no less than
+        1."""
+        noise, motions = self._variances
+        ratio = (self.freedom * motions / noise.clamp(min=1e-300)).sum() / self.freedom.sum()
+        return float(ratio.nan_to_num(1.0).clamp(min=1.0))
+
+    def deviations(self, excess: float) -> Float[Tensor, "*D Q"]:
+        """Half of the 95 % intervals over that of a normal variable: what motions say, drawn
+        towards what is usual over noise, in squares, where they are few, and no less than noise
+        makes it."""
+        (noise, motions), sure = self._variances, USUAL + self.freedom
+        variance = (USUAL * noise * excess + self.freedom * motions) / sure
+        wide = student_quantile(0.95, sure.flatten()).view_as(sure) / HALF_95
+        return torch.maximum(variance.sqrt() * wide, noise.clamp(min=0).sqrt())
 
 
 def equations(
@@ -293,81 +291,13 @@ def alike_rows(residual: Float[Tensor, "L W n"], windows: Windows) -> Float[Tens
     return integrated_time(residual.transpose(0, 1)[inside.T].T, bounds, centred=False)
 
 
-def folds_of(motions: int, count: int = FOLDS) -> Int[Tensor, " m"]:
-    """Which fold each motion is in: every fifth, so that like ones that were driven one after the
-    other are apart."""
-    return torch.arange(motions) % min(count, motions)
-
-
-def window_losses(error: Float[Tensor, "L W n"], windows: Windows) -> Float[Tensor, "W n"]:
-    """Huber's loss of every window and joint [rad^2], as many times as the window stands for."""
-    return huber(error) * windows.weight[:, None]
-
-
-def of_motions(losses: Float[Tensor, "W n"], windows: Windows) -> Float[Tensor, "m n"]:
-    """Sums over the windows of every motion."""
-    out = torch.zeros(int(windows.motion.max()) + 1, losses.shape[1], dtype=losses.dtype)
-    return out.index_add_(0, windows.motion, losses)
-
-
-def losses_of(data: PositionData, servos: Servos, windows: Windows) -> Float[Tensor, "W n"]:
-    """Losses of windows [rad^2]."""
-    return window_losses(errors_of_one(data, servos, windows), windows)
-
-
-def mostly_better(gain: Float[Tensor, "m n"]) -> Bool[Tensor, " n"]:
-    """(n,) whether most motions (m, n) gain of those that it matters to."""
-    matters = gain.abs() > 0.02 * gain.abs().amax(0)
-    better = ((gain > 0) & matters).sum(0)
-    return (better > 0.7 * matters.sum(0)) & (gain.sum(0) > 0)
-
-
-def closed_interval(
-    data: PositionData,
-    before: Float[Tensor, "T n"],
-    after: Float[Tensor, "T n"],
-    moves: Bool[Tensor, " n"],
-    noise: Float[Tensor, " n"],
-) -> tuple[float, float]:
-    """95 % interval of the share of whole motions' errors that is closed, on other motions: motions
-    are drawn again, and blocks of each; nan where too little is defined.
-
-    Args:
-        data: motions.
-        before, after: errors of their rows.
-        moves: (n,) joints that count.
-        noise: (n,) their mean squares that no model closes.
-    """
-    blocks, owner = list[Tensor](), list[int]()
-    size = max(1, round(WINDOW_S / data.tracks.dt))
-    ends = zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True)
-    for motion, (a, b) in enumerate(ends):
-        squares = torch.stack([before, after])[:, a : b + 1, moves].square()
-        # Of every block the sums of squares, and how many they are.
-        for x in squares.split(size, 1):
-            blocks.append(torch.stack([x.sum(1), torch.full_like(x[:, 0], x.shape[1])]))
-            owner.append(motion)
-    weights = torch.from_numpy(nested_weights(np.array(owner), DRAWS, np.random.default_rng(0)))
-    total, count = torch.einsum("db,bkwj->kwdj", weights, torch.stack(blocks))
-    before, after = total / count.clamp(min=1)
-    return percentile_interval(closed_share(before, after, noise[moves]).numpy())
-
-
 def closed_share(
     before: Float[Tensor, "*D n"], after: Float[Tensor, "*D n"], noise: Float[Tensor, " n"]
 ) -> Float[Tensor, "*D"]:
     """Share (*D,) of the errors beyond noise that is closed, of mean squares; errors are means of
     the joints' RMS."""
-    left, gap = ((x - noise).clamp(min=0).sqrt().mean(-1) for x in (after, before))
-    return 1 - left / gap
-
-
-def each_window(servos: Mapping[int, Servos], owner: Tensor) -> Servos:
-    """Servos of every window (W, 1, n, K), from those of the fold that it is in."""
-    first = next(iter(servos.values()))
-    joint = torch.stack([servos[k].joint for k in owner.tolist()])[:, None]
-    plane = torch.stack([servos[k].plane for k in owner.tolist()])[:, None]
-    return replace(first, joint=joint, plane=plane)
+    rest, gap = ((x - noise).clamp(min=0).sqrt().mean(-1) for x in (after, before))
+    return 1 - rest / gap
 
 
 def value_interval(name: str, value: float, deviation: float) -> tuple[float, float]:

@@ -14,6 +14,7 @@ import torch
 
 from torchid.errors import TorchidError
 from torchid.position.model import ServoArm
+from torchid.position.record import NominalRecord
 from torchid.results.words import unit_behind
 from torchid.robot.model import Robot
 from torchid.robot.yaml_values import parsed_yaml
@@ -51,6 +52,13 @@ class NominalServo:
     counts: float | None = None
     units: "Mapping[str, float]" = field(default_factory=dict)
     gain_unit: float | None = None
+
+    def record(self, joint: int) -> NominalRecord:
+        """Of a joint, as the JSON has it."""
+        return NominalRecord(
+            joint=joint, servo=self.name, values=dict(self.values), register_units=dict(self.units),
+            counts=math.nan if self.counts is None else self.counts,
+        )  # fmt: skip
 
 
 def _dynamixel(name: str, stall: float) -> NominalServo:

@@ -8,15 +8,12 @@ import torch
 from torchid.results.replication import Replication
 from torchid.simulation.servo_loop import Windows
 from torchid.statistics.bagging import Draws, bagged
-from torchid.statistics.criteria import EXPECTED, TELLING_STD
+from torchid.statistics.criteria import EXPECTED, ONE_TYPE, TELLING_STD
 from torchid.statistics.odds import stands_in, unknown_rise
 from torchid.typing import Float, Tensor
 
 FEW = 3
 """Motions below which windows are drawn in their place."""
-
-ONE_TYPE = 0.5
-"""Probability that the servos of an arm are of one type, where nobody says so [1]."""
 
 
 def drawn_windows(windows: Windows) -> Draws:

@@ -6,7 +6,7 @@ taken about a point in front of the link, and fitted together with all servos: w
 do in its place is projected out joint by joint (the Schur complement of their normal equations).
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -18,8 +18,6 @@ from torchid.position.fit import (
     NOISE,
     TOGETHER_S,
     errors_of_one,
-    fit,
-    loss,
     mean_square,
     moved,
     prior_precision,
@@ -27,8 +25,8 @@ from torchid.position.fit import (
     sensitivities,
     weights,
 )
-from torchid.position.judge import alike_rows, by_noise_and_motions, deviations_of, usual_excess
-from torchid.position.search import Found
+from torchid.position.judge import Spread, alike_rows
+from torchid.position.servo_model import Motions, ServoModel
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
@@ -53,15 +51,15 @@ class Loaded:
     """Motions of an arm with a load, and servos fitted to them.
 
     Attributes:
-        data: the motions, of the robot with the load.
+        motions: of the robot with the load.
         found: the servos.
         mass: of the load [kg].
         com: (3,) its centre of mass in the link's frame [m].
         std: (4,) half of the 95 % intervals of both, over that of a normal variable.
     """
 
-    data: PositionData
-    found: Found
+    motions: Motions
+    model: ServoModel
     mass: float
     com: Float[Tensor, "3"]
     std: Float[Tensor, "4"]
@@ -93,19 +91,14 @@ class _Load:
 
     def carrying(self, x: Float[Tensor, "4"]) -> PositionData:
         """The motions with a load of mass and first moments x about the point, in those rows."""
-        out = {}
-        for field in fields(Body):
-            now, plain = getattr(self.data.body, field.name), getattr(self.plain, field.name)
-            if plain is None or field.name in ("q", "height", "slope"):
-                out[field.name] = now
-                continue
-            change = sum(
-                size * (getattr(body, field.name) - plain)
-                for size, body in zip(x.tolist(), self.per, strict=True)
-            )
-            out[field.name] = now.clone()
-            out[field.name][self.rows] = plain + change
-        return replace(self.data, body=Body(**out))
+        changed = {}
+        for name in ("bias", "stiffness", "inertia", "coupling", "dominance"):
+            now, plain = (getattr(body, name) for body in (self.data.body, self.plain))
+            pairs = zip(x.tolist(), self.per, strict=True)
+            change = sum(size * (getattr(body, name) - plain) for size, body in pairs)
+            changed[name] = now.clone()
+            changed[name][self.rows] = plain + change
+        return replace(self.data, body=replace(self.data.body, **changed))
 
     def stronger(self, servos: Servos, x: Tensor, there: Tensor) -> Servos:
         """Servos for another load: their torques change as gravity's do, since it is mostly these
@@ -117,18 +110,18 @@ class _Load:
         return replace(servos, joint=joint)
 
 
-def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | None:
+def with_load(motions: Motions, model: ServoModel) -> Loaded | None:
     """The arm with a load that takes error away beside all servos; None where none does, or where
     its mass is not told from none.
 
     Args:
-        data: motions.
-        found: servos, fitted without a load.
-        windows: to fit to.
+        motions: to fit to.
+        model: servos, fitted without a load.
     """
+    data, windows = motions.data, motions.windows
     load, x = _Load(data, windows), torch.zeros(4, dtype=torch.float64)
-    names = tuple(name for name in found.free if name not in PROFILE)
-    mask = torch.stack([found.free[name] for name in names], 1)
+    names = tuple(name for name in model.free if name not in PROFILE)
+    mask = torch.stack([model.free[name] for name in names], 1)
     at = torch.tensor([INDEX[name] for name in names])
     logs = torch.tensor([PARAMETERS[k].kind == "log" for k in at.tolist()])
     # What the link weighs, or a twentieth of the arm: steps and priors are shares of that.
@@ -136,7 +129,7 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
     mass = max(float(masses[data.link]), 0.05 * float(masses.sum()))
     size = mass * torch.cat([x.new_ones(1), load.point.norm().clamp(min=1e-3).expand(3)])
     spread = size * torch.tensor([3.0, 0.5, 0.5, 0.5])
-    servos = found.servos
+    servos = model.servos
     for iteration in range(ITERATIONS):
         carried = load.carrying(x)
         s = sensitivities(carried, servos, names, windows)
@@ -168,7 +161,7 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
         if iteration == 0:
             if not -float(towards @ step) > WORTH * before:
                 return None
-            x, servos = _begun(load, found, windows, size[0] * x.new_tensor(MASSES))
+            x, servos = _begun(load, model, windows, size[0] * x.new_tensor(MASSES))
             if not bool(x.any()):
                 return None  # servos do as well without any mass in front of the link
             continue
@@ -202,22 +195,23 @@ def with_load(data: PositionData, found: Found, windows: Windows) -> Loaded | No
     com = load.point + x[1:] / x[0]
     robot = _carrying(data, float(x[0]), com)
     body = body_near(robot, data.q, data.dq, data.link).midway(data.tracks.last)
-    heavy = replace(data, robot=robot, body=body)
-    servos = fit(heavy, servos, found.free, windows, plane=found.plane, iterations=2)
-    return Loaded(heavy, replace(found, servos=servos), float(x[0]), com, std)
+    heavy = Motions(replace(data, robot=robot, body=body), windows)
+    carrying = replace(model, servos=servos).fitted(heavy, 2, plane=True)
+    return Loaded(heavy, carrying, float(x[0]), com, std)
 
 
 def _begun(
-    load: _Load, found: Found, windows: Windows, masses: Float[Tensor, " m"]
+    load: _Load, model: ServoModel, windows: Windows, masses: Float[Tensor, " m"]
 ) -> tuple[Float[Tensor, "4"], Servos]:
     """The best of some loads at the point, with servos fitted beside it."""
     none = torch.zeros(4, dtype=torch.float64)
-    best = _total(load.data, found.servos, windows), none, found.servos
+    best = _total(load.data, model.servos, windows), none, model.servos
     for mass in masses:
         x = none.clone()
         x[0] = mass
-        carried, servos = load.carrying(x), load.stronger(found.servos, none, x)
-        servos = fit(carried, servos, found.free, windows, plane=found.plane, iterations=4)
+        carried, servos = load.carrying(x), load.stronger(model.servos, none, x)
+        begun = replace(model, servos=servos)
+        servos = begun.fitted(Motions(carried, windows), 4, plane=True).servos
         total = _total(carried, servos, windows)
         if total < best[0]:
             best = total, x, servos
@@ -243,10 +237,8 @@ def _deviations(
     grams.index_add_(0, of, torch.einsum("jri,jrk->rik", columns, columns))
     pulls.index_add_(0, of, torch.einsum("jri,jr->ri", columns, residual[..., 0]))
     noise = alike * float(residual.square().sum()) / windows.rows / len(columns)
-    white, spread, freedom = by_noise_and_motions(grams, pulls, prior, noise)
-    by_noise, by_motions = white.diagonal(), spread.diagonal()
-    excess = usual_excess(by_noise, by_motions, freedom)
-    return deviations_of(by_noise, by_motions, freedom, excess)
+    spread = Spread.of(grams, pulls, prior, noise, torch.eye(4, dtype=columns.dtype))
+    return spread.deviations(spread.excess)
 
 
 def _carrying(data: PositionData, mass: float, com: Tensor) -> Robot:
@@ -263,4 +255,4 @@ def _ball(mass: float, com: Float[Tensor, "3"]) -> Float[Tensor, "10"]:
 
 
 def _total(data: PositionData, servos: Servos, windows: Windows) -> float:
-    return float(loss(errors_of_one(data, servos, windows)[..., None], windows).sum())
+    return float(Motions(data, windows).losses(servos).sum())

@@ -7,9 +7,8 @@ of it are simulated on all joints at once, and a joint takes the best of them if
 """
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import torch
 from torch import Tensor
@@ -17,22 +16,30 @@ from torch import Tensor
 from torchid.effects.servo import ServoEffect
 from torchid.position.data import PositionData
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT
-from torchid.position.fit import VALLEYS, errors, fit, huber, loss
+from torchid.position.fit import VALLEYS
+from torchid.position.servo_model import Motions, ServoModel
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
-from torchid.simulation.servo_loop import PROFILE, Windows
+from torchid.simulation.servo_loop import PROFILE
+from torchid.statistics.criteria import ALIKE_LOSS
 from torchid.typing import Bool, Float
 
 SMOOTH = ("kd", "stiction", "stribeck_speed", "motor_share", "load_share")
 """What has a slope everywhere, beside the core."""
-NEAR = 10.0
-"""Times the loss that calls for no cause within which a plain servo is fitted to the end [1]."""
+SET_POINTS = ("set_point_profile", "set_point_speed", "command_filter")
+"""Effects that make set-points."""
+NEARLY_EXPLAINED = 10.0
+"""Times the loss that calls for no cause within which a model is fitted to the end [1]."""
 TAKEN = 0.03
 """Share of a joint's loss that a size of an effect without slope must take away to be tried [1]."""
+PROMISING = 0.7
+"""Share of the loss that an effect of set-points leaves at most, before it is brought to where it
+is best [1]."""
+WORST = 0.3
+"""Share of the worst joint's loss, over what calls for no cause, from which joints get their effect
+first [1]."""
 ROUNDS, SETTLED = 8, 0.03
 """Of a fit that is brought to its end, at most; and the share of a joint's loss that a round must
 take away [1]."""
-ALIKE = 1.5
-"""Losses of two effects of which the larger is less than this times the other tell neither [1]."""
 TOUCHED = 0.02
 """Share of all joints' loss that a plane must take away to be tried [1]."""
 _ACCELERATIONS = (0.12, 0.25, 0.35, 0.5, 0.7, 1.0)
@@ -49,69 +56,52 @@ _QUANTILES = (5e-4, 5e-3, 2e-2)
 _STOP_INSIDE = (0.0, 0.004, 0.01)
 _FAR, _AT_STOP = 0.9, (0.1, 0.5)
 
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Servos, and which of their parameters were searched on which joints.
-
-    Attributes:
-        servos: one set.
-        free: parameters with the joints (n,) on which they are free.
-        plane: whether there is a plane.
-    """
-
-    servos: Servos
-    free: Mapping[str, Bool[Tensor, " n"]]
-    plane: bool
+BESIDE_PLAIN = tuple(effect for effect in EFFECTS if effect.name not in KEPT)
+"""What plain servos do not have."""
+Rivals = dict[tuple[str, int | None], tuple[str, ...]]
+"""By effect and joint, None of what all joints feel: what does as well in its place."""
 
 
-def plain(data: PositionData, windows: Windows) -> Found:
+def plain(motions: Motions) -> ServoModel:
     """The core alone: a servo as simulators have it, fitted to the motions."""
-    n = data.robot.n
-    free = {name: torch.ones(n, dtype=torch.bool) for name in CORE}
-    servos = fit(data, _start(data, CORE), free, windows, iterations=8)
+    free = dict.fromkeys(CORE, motions.every)
+    begun = ServoModel(_start(motions.data, CORE), free).fitted(motions, 8)
     # Joints that feel each other settle slowly. Where much is left it is no plain servo, whose
     # numbers would only be driven away from where another model may begin.
-    near = _one(data, Found(servos, free, False), windows) < NEAR * slight(data, windows)
-    rest = {name: on & near for name, on in free.items()}
-    servos = fit(data, servos, rest, windows, iterations=25)
-    return Found(servos, free, False)
+    near = begun.losses(motions) < NEARLY_EXPLAINED * motions.slight
+    return begun.fitted(motions, 25, joints=near)
 
 
-def full(data: PositionData, windows: Windows, say: Callable[[str], None] | None = None) -> Found:
+def full(motions: Motions, say: Callable[[str], None] = lambda _: None) -> ServoModel:
     """Every effect that takes error away somewhere, fitted together.
 
     Args:
-        data: motions, with the heights of the link that may touch a plane.
-        windows: to fit to.
+        motions: with the heights of the link that may touch a plane.
         say: hears what is being tried.
     """
-    say = say or (lambda _: None)
-    n = data.robot.n
-    every = torch.ones(n, dtype=torch.bool)
-    free = dict.fromkeys((*CORE, *SMOOTH), every)
     say("gains, friction and delay")
-    begun = _geared(data, Found(_start(data, (*CORE, *SMOOTH)), free, False))
-    now = replace(begun, servos=fit(data, begun.servos, begun.free, windows, iterations=5))
+    names = (*CORE, *SMOOTH)
+    begun = ServoModel(_start(motions.data, names), dict.fromkeys(names, motions.every))
+    model = _geared(motions.data, begun).fitted(motions, 5)
     say("profile")
-    now = _scanned(data, _with_profile(data, now, windows), windows)
-    for what, names in (
-        ("stops", ("stop_low", "stop_high")), ("plane", ()), ("clip", ("clip",)),
+    model = _scanned(motions, _with_profile(motions, model))
+    for stage, more in (
+        ("stops", ("stop_low", "stop_high")), ("plane", ("plane",)), ("clip", ("clip",)),
         ("speed", ("speed",)), ("filter", ("lag",)), ("integral action", ("integral",)),
         ("dead zone", ("dead_zone",)), ("scale of commands", ("scale",)),
     ):  # fmt: skip
-        say(what)
-        if not names:
-            now = _with_plane(data, now, windows)
-        for name in names:
-            grown = _with_filter if name == "lag" else partial(_grown, name=name)
-            now = grown(data, now, windows)
-    now = _scanned(data, now, windows)
+        say(stage)
+        for name in more:
+            if name in _SIZES:
+                model = _with_size(motions, model, name)
+            else:
+                model = {"lag": _with_filter, "plane": _with_plane}[name](motions, model)
+    model = _scanned(motions, model)
     say("all together")
-    return refit(data, now, windows, iterations=4)
+    return model.fitted(motions, 4, plane=True, profiles=True)
 
 
-def _start(data: PositionData, names: tuple[str, ...]) -> Servos:
+def _start(data: PositionData, names: Sequence[str]) -> Servos:
     """Servos of a small arm, their torques times the joints' strengths."""
     starts = {p.name: p.start for p in PARAMETERS if p.name in names}
     servos = replace(Servos.neutral(data.robot.n, **starts), link=data.link)
@@ -122,204 +112,161 @@ def _start(data: PositionData, names: tuple[str, ...]) -> Servos:
     return servos
 
 
-def _geared(data: PositionData, now: Found) -> Found:
+def _geared(data: PositionData, model: ServoModel) -> ServoModel:
     """With the command gains that commands and positions show at once, and no other number of these
     joints: the others would make up for it."""
     gain = data.command_gain
     far = gain != 1
     if not bool(far.any()):
-        return now
-    joint = now.servos.joint.clone()
-    joint[:, INDEX["scale"]] = torch.where(far, gain, joint[:, INDEX["scale"]])
-    return replace(now, servos=replace(now.servos, joint=joint), free={**now.free, "scale": far})
+        return model
+    values, k = model.servos.joint.clone(), INDEX["scale"]
+    values[:, k] = torch.where(far, gain, values[:, k])
+    return replace(model.at(values), free={**model.free, "scale": far})
 
 
-def refit(data: PositionData, found: Found, windows: Windows, *, iterations: int) -> Found:
-    """A model with all that it searches fitted anew, set-points' numbers and the plane's too."""
-    servos = fit(
-        data,
-        found.servos,
-        found.free,
-        windows,
-        plane=found.plane,
-        profiles=True,
-        iterations=iterations,
-    )
-    return replace(found, servos=servos)
-
-
-def settled(data: PositionData, found: Found, windows: Windows) -> Found:
+def settled(motions: Motions, model: ServoModel) -> ServoModel:
     """A model fitted until no joint gains: the numbers of set-points move once a round, for every
     step of theirs simulates the commands' way anew, and are looked for beyond their valleys."""
-    before = _one(data, found, windows)
+    before = model.losses(motions)
     for _ in range(ROUNDS):
-        near = _scanned(data, found, windows, _SCANS[1:])
-        found = refit(data, near, windows, iterations=3)
-        after = _one(data, found, windows)
+        near = _scanned(motions, model, _SCANS[1:])
+        model = near.fitted(motions, 3, plane=True, profiles=True)
+        after = model.losses(motions)
         if bool((after > (1 - SETTLED) * before).all()):
             break
         before = after
-    return found
+    return model
 
 
-def least_loss(data: PositionData, windows: Windows) -> Tensor:
-    """(n,) losses that are no more than what rounding to an encoder's count leaves [rad^2]."""
-    return data.resolution**2 * windows.rows
+def _falls(
+    motions: Motions, before: Float[Tensor, " n"], after: Float[Tensor, " n"]
+) -> Bool[Tensor, " n"]:
+    """(n,) joints whose loss falls by enough for an effect to be tried there, and by more than what
+    rounding to an encoder's count leaves."""
+    gain = before - after
+    return (gain > TAKEN * before) & (gain > motions.data.resolution**2 * motions.windows.rows)
 
 
-def _tried(data: PositionData, sets: Servos, windows: Windows) -> Tensor:
-    """(n, P) losses of sets of servos."""
-    return loss(errors(data, sets, windows), windows)
-
-
-def _batch(servos: Servos, count: int) -> Servos:
+def _sets(servos: Servos, count: int) -> Servos:
+    """So many sets of the same servos."""
     joint = servos.joint.repeat(count, 1, 1)
     return replace(servos, joint=joint, plane=servos.plane.repeat(count, 1))
 
 
-def _grown(
-    data: PositionData,
-    now: Found,
-    windows: Windows,
-    name: str,
-    *,
-    sure: bool = True,
-    iterations: int = 2,
-) -> Found:
+def _of_sets(model: ServoModel, sets: Servos, which: Tensor, joints: Tensor) -> ServoModel:
+    """A model with the values of one of several sets (n,) on some joints."""
+    values = sets.joint[which, torch.arange(sets.n)]
+    return model.at(torch.where(joints[:, None], values, model.servos.joint))
+
+
+def _with_size(
+    motions: Motions, model: ServoModel, name: str, *, sure: bool = True, iterations: int = 2
+) -> ServoModel:
     """With a parameter on the joints whose loss falls with one of some values, refitted around
     them; or, if not `sure`, on all of them, for the others may have to give way first."""
-    values = _SIZES[name](data, now.servos)
-    sets = _batch(now.servos, 1 + len(values))
+    values = _SIZES[name](motions.data, model.servos)
+    sets = _sets(model.servos, 1 + len(values))
     sets.joint[1:, :, INDEX[name]] = values
-    if (
-        name == "scale" and "offset" in now.free
-    ):  # whose share of the mean command is in the zero of servos without it
-        mean = data.tracks.u.mean(0)
-        column = sets.joint[1:, :, INDEX["offset"]]
-        column -= sets.joint[1:, :, INDEX["kp"]] * (values - 1) * mean
-    cost = _tried(data, sets, windows)
-    best = cost[:, 1:].argmin(1)
-    gain = cost[:, 0] - cost[:, 1:].amin(1)
-    joints = (gain > TAKEN * cost[:, 0]) & (gain > least_loss(data, windows))
-    if not sure:
-        joints = torch.ones_like(joints)
+    if name == "scale" and "offset" in model.free:
+        # Its share of the mean command is in the zero of servos without it.
+        zero = sets.joint[1:, :, INDEX["offset"]]
+        zero -= sets.joint[1:, :, INDEX["kp"]] * (values - 1) * motions.data.tracks.u.mean(0)
+    losses = motions.losses_of_sets(sets)
+    least, best = losses[:, 1:].min(1)
+    joints = _falls(motions, losses[:, 0], least) | (not sure)
     if not bool(joints.any()):
-        return now
-    own = sets.joint[1 + best, torch.arange(len(joints))]
-    chosen = torch.where(joints[:, None], own, now.servos.joint)
-    free = {**now.free, name: now.free.get(name, torch.zeros_like(joints)) | joints}
-    servos = fit(
-        data,
-        replace(now.servos, joint=chosen),
-        free,
-        windows,
-        plane=now.plane,
-        profiles=name in PROFILE,
-        iterations=iterations,
-    )
-    return replace(now, servos=servos, free=free)
+        return model
+    grown = _of_sets(model, sets, 1 + best, joints).freed([name], joints)
+    return grown.fitted(motions, iterations, plane=True, profiles=name in PROFILE)
 
 
-def _with_profile(data: PositionData, now: Found, windows: Windows) -> Found:
+def _with_profile(motions: Motions, model: ServoModel) -> ServoModel:
     """A set-point of limited acceleration, which a repeated command may end.
 
     A servo without profile has taken the profile's lag for delay: sizes are tried with less of it.
     """
-    dq = data.dq
-    shown = ((dq[2:] - dq[:-2]) / (2 * data.tracks.dt)).abs().quantile(0.999, 0).clamp(min=0.1)
-    sizes = [(share * shown, less) for share in _ACCELERATIONS for less in _EARLIER]
-    before = _tried(data, _batch(now.servos, 1), windows)[:, 0]
-    n, best = data.robot.n, (float(before.sum()), now)
+    dq = motions.data.dq
+    ddq = (dq[2:] - dq[:-2]) / (2 * motions.data.tracks.dt)
+    fastest = ddq.abs().quantile(0.999, 0).clamp(min=0.1)
+    sizes = [(share * fastest, less) for share in _ACCELERATIONS for less in _EARLIER]
+    before, every = model.losses(motions), motions.every
+    best = float(before.sum()), model
     for repeated in (False, True):
-        sets = _batch(replace(now.servos, repeated=repeated), len(sizes))
+        begun = replace(model, servos=replace(model.servos, repeated=repeated))
+        sets = _sets(begun.servos, len(sizes))
         for row, (a, less) in zip(sets.joint, sizes, strict=True):
             row[:, INDEX["acceleration"]] = a
             row[:, INDEX["delay"]] = (row[:, INDEX["delay"]] - less).clamp(min=0)
-        first = _tried(data, sets, windows).argmin(1)
-        begun = replace(now.servos, joint=sets.joint[first, torch.arange(n)], repeated=repeated)
+        first = motions.losses_of_sets(sets).argmin(1)
         # The other parameters give way first, which costs no new set-points.
-        servos = fit(data, begun, now.free, windows, iterations=2)
-        free = {**now.free, "acceleration": torch.ones(n, dtype=torch.bool)}
-        servos = fit(data, servos, free, windows, profiles=True, iterations=1)
-        after = _tried(data, _batch(servos, 1), windows)[:, 0]
+        others = _of_sets(begun, sets, first, every).fitted(motions, 2)
+        limited = others.freed(["acceleration"], every).fitted(motions, 1, profiles=True)
+        after = limited.losses(motions)
         # Joints that are not better with it stay as they were.
-        gain = before - after
-        joints = (gain > TAKEN * before) & (gain > least_loss(data, windows))
-        joint = torch.where(joints[:, None], servos.joint, now.servos.joint)
+        joints = _falls(motions, before, after)
         total = float(torch.where(joints, after, before).sum())
         if bool(joints.any()) and total < best[0]:
-            kept = Found(replace(servos, joint=joint), {**free, "acceleration": joints}, now.plane)
-            best = total, kept
+            best = total, limited.joined(model, ~joints)
     return best[1]
 
 
-def _with_filter(data: PositionData, now: Found, windows: Windows) -> Found:
+def _with_filter(motions: Motions, model: ServoModel) -> ServoModel:
     """A filter of the set-point.
 
     A servo without it has made up for it with delay, damping and inertia: at each size these give
     way first, which costs no new set-points, and then the size itself moves.
     """
-    before = _tried(data, _batch(now.servos, 1), windows)[:, 0]
     lag, delay, begun = INDEX["lag"], INDEX["delay"], []
     for size in _LAGS:
-        joint = now.servos.joint.clone()
-        joint[:, lag], joint[:, delay] = size, (joint[:, delay] - size).clamp(min=0)
-        filtered = replace(now.servos, joint=joint)
-        begun.append(fit(data, filtered, now.free, windows, iterations=4).joint)
-    sets = replace(_batch(now.servos, len(begun)), joint=torch.stack(begun))
-    cost, best = _tried(data, sets, windows).min(1)
-    gain = before - cost
-    joints = (gain > TAKEN * before) & (gain > least_loss(data, windows))
+        values = model.servos.joint.clone()
+        values[:, lag], values[:, delay] = size, (values[:, delay] - size).clamp(min=0)
+        begun.append(model.at(values).fitted(motions, 4).servos.joint)
+    sets = replace(_sets(model.servos, len(begun)), joint=torch.stack(begun))
+    least, best = motions.losses_of_sets(sets).min(1)
+    joints = _falls(motions, model.losses(motions), least)
     if not bool(joints.any()):
-        return now
-    own = sets.joint[best, torch.arange(len(joints))]
-    servos = replace(now.servos, joint=torch.where(joints[:, None], own, now.servos.joint))
-    free = {**now.free, "lag": now.free.get("lag", torch.zeros_like(joints)) | joints}
-    return refit(data, replace(now, servos=servos, free=free), windows, iterations=3)
+        return model
+    filtered = _of_sets(model, sets, best, joints).freed(["lag"], joints)
+    return filtered.fitted(motions, 3, plane=True, profiles=True)
 
 
 def _scanned(
-    data: PositionData, now: Found, windows: Windows, scans: Sequence[Sequence[float]] = _SCANS
-) -> Found:
+    motions: Motions, model: ServoModel, scans: Sequence[Sequence[float]] = _SCANS
+) -> ServoModel:
     """With profiles and filters where simulations are best, farther and nearer about where they
     are: their losses have valleys."""
     for name, factors in itertools.product(VALLEYS, scans):
-        if name not in now.free:
+        if name not in model.free:
             continue
-        joints = now.free[name]
-        sets = _batch(now.servos, len(factors))
+        sets = _sets(model.servos, len(factors))
         column = sets.joint[:, :, INDEX[name]]
         column *= torch.tensor(factors, dtype=torch.float64)[:, None]
-        best = _tried(data, sets, windows).argmin(1)
-        rows = torch.where(joints, best, torch.full_like(best, factors.index(1.0)))
-        if bool((rows == factors.index(1.0)).all()):
-            continue
-        joint = sets.joint[rows, torch.arange(data.robot.n)]
-        servos = fit(data, replace(now.servos, joint=joint), now.free, windows, iterations=2)
-        now = replace(now, servos=servos)
-    return now
+        best = motions.losses_of_sets(sets).argmin(1)
+        elsewhere = model.where_free(name) & (best != factors.index(1.0))
+        if bool(elsewhere.any()):
+            model = _of_sets(model, sets, best, elsewhere).fitted(motions, 2)
+    return model
 
 
-def _with_plane(data: PositionData, now: Found, windows: Windows) -> Found:
+def _with_plane(motions: Motions, model: ServoModel) -> ServoModel:
     """A plane that a point in front of the link touches."""
-    if data.body.height is None or data.robot.parameters is None:
-        return now
-    point = data.outwards
-    height = data.body.height @ torch.cat([point, point.new_ones(1)])
-    levels = height.quantile(torch.tensor(_QUANTILES, dtype=torch.float64))
+    if motions.data.body.height is None or motions.data.robot.parameters is None:
+        return model
+    point = motions.data.outwards
+    height = motions.data.body.height @ torch.cat([point, point.new_ones(1)])
+    levels = height.quantile(torch.tensor(_QUANTILES, dtype=torch.float64)).tolist()
     # A floor is harder than servos are.
-    sets, strong = _batch(now.servos, 1 + 2 * len(levels)), max(1.0, float(data.strength.median()))
-    for k, level in enumerate(levels.tolist()):
-        for i, stiffness in enumerate((300.0 * strong, 1000.0 * strong)):
-            row = sets.plane[1 + 2 * k + i]
-            row[:3], row[3], row[4] = point, level, stiffness
-    total = _tried(data, sets, windows).sum(0)
+    strong = max(1.0, float(motions.data.strength.median()))
+    planes = list(itertools.product(levels, (300.0 * strong, 1000.0 * strong)))
+    sets = _sets(model.servos, 1 + len(planes))
+    for row, (level, stiffness) in zip(sets.plane[1:], planes, strict=True):
+        row[:3], row[3], row[4] = point, level, stiffness
+    total = motions.losses_of_sets(sets).sum(0)
     best = int(total.argmin())
     if not float(total[best]) < (1 - TOUCHED) * float(total[0]):
-        return now
-    touching = replace(now.servos, plane=sets.plane[best].clone())
-    servos = fit(data, touching, now.free, windows, plane=True, iterations=6)
-    return Found(servos, now.free, True)
+        return model
+    touching = replace(model.servos, plane=sets.plane[best].clone())
+    return ServoModel(touching, model.free, True).fitted(motions, 6, plane=True)
 
 
 def _held(q: Float[Tensor, "T n"], u: Float[Tensor, "T n"]) -> Float[Tensor, "V n"]:
@@ -361,191 +308,196 @@ _SIZES: dict[str, Callable[[PositionData, Servos], Tensor]] = {
 """(V, n) values to try of what has no slope where it does not act."""
 
 
-def slight(data: PositionData, windows: Windows) -> Tensor:
-    """(n,) losses that call for no cause [rad^2]."""
-    return data.slight**2 * windows.rows
+@dataclass(frozen=True, eq=False)
+class SingleEffects:
+    """One effect a joint.
+
+    Attributes:
+        model: on every joint that has a gap the effect that closes most of it.
+        explained: (n,) joints on which no gap is left.
+        rivals: what does as well in an effect's place.
+    """
+
+    model: ServoModel
+    explained: Bool[Tensor, " n"]
+    rivals: Rivals
 
 
-BESIDE_PLAIN = tuple(effect for effect in EFFECTS if effect.name not in KEPT)
-"""What plain servos do not have."""
-Rivals = dict[tuple[str, int], tuple[str, ...]]
-"""By effect and joint: what does as well in its place."""
+Tried = dict[str, tuple[ServoModel, Float[Tensor, " n"]]]
+"""By effect: a model with it beside plain servos, and the losses that are left."""
 
 
-def alone(
-    data: PositionData,
-    simple: Found,
-    windows: Windows,
+def best_single_effect_per_joint(
+    motions: Motions,
+    simple: ServoModel,
     watch: Callable[[str, Tensor], None] | None = None,
     effects: Sequence[ServoEffect] = BESIDE_PLAIN,
-) -> tuple[Found, Tensor, Rivals]:
+) -> SingleEffects:
     """Each effect by itself beside plain servos, or a file's, whose gains are not free: a joint
     that one of them explains needs no other.
 
     Args:
-        data: motions.
+        motions: to fit to.
         simple: the servos.
-        windows: to fit to.
         watch: called with each effect and the losses (n,) that are left with it.
         effects: to try.
-
-    Returns:
-        The servos, and on every joint that has a gap the effect that closes most of it; the
-        joints (n,) on which no gap is left; what does as well in an effect's place.
     """
-    least, before = slight(data, windows), _one(data, simple, windows)
+    least, before = motions.slight, simple.losses(motions)
     if bool((before <= least).all()):
-        return simple, before <= least, {}
-    tried: dict[str, Found] = {}
-    cost: dict[str, Tensor] = {}
-    calm = _calm(data, simple, windows, before > NEAR * least)
+        return SingleEffects(simple, before <= least, {})
+    tried = _each_beside_plain(motions, simple, watch, effects)
+    model, losses = _plane_alone(tried, simple, before)
+    single, rivals = _with_best_effects(motions, model, losses, tried)
+    has_one = ~motions.every
+    for _, joint in rivals:
+        has_one[joint] = True
+    # Joints feel each other's set-points: all of them are best before one is judged.
+    if any(name in single.free for name in VALLEYS):
+        single = settled(motions, single)
+    losses = single.losses(motions)
+    # Where one effect is nearly enough, the fit is brought to its end before that is judged.
+    near = has_one & (losses > least) & (losses < NEARLY_EXPLAINED * least)
+    if bool(near.any()):
+        single = single.fitted(motions, 15, joints=near, plane=True)
+        losses = single.losses(motions)
+    return SingleEffects(single, losses <= least, rivals)
+
+
+def _each_beside_plain(
+    motions: Motions,
+    simple: ServoModel,
+    watch: Callable[[str, Tensor], None] | None,
+    effects: Sequence[ServoEffect],
+) -> Tried:
+    """Every effect by itself, on all joints."""
+    least, before = motions.slight, simple.losses(motions)
+    calm = _calm(motions, simple, before > NEARLY_EXPLAINED * least)
+    tried: Tried = {}
     for effect in effects:
         limit = bool(effect.parameters) and effect.parameters[0] in _SIZES
-        model = _beside(data, calm if limit else simple, windows, effect)
-        tried[effect.name], cost[effect.name] = model, _one(data, model, windows)
+        model = _beside_plain(motions, calm if limit else simple, effect)
+        tried[effect.name] = model, model.losses(motions)
         if watch is not None:
-            watch(effect.name, cost[effect.name])
+            watch(effect.name, tried[effect.name][1])
     # What makes set-points is brought to where they are best, where that can matter.
-    for name in ("set_point_profile", "set_point_speed", "command_filter"):
-        best = torch.stack(list(cost.values())).amin(0)
-        open_ = (best > least) | (cost[name] < ALIKE * best)
-        if bool((open_ & (before > least) & (cost[name] < 0.7 * before)).any()):
-            tried[name] = _scanned(data, tried[name], windows)
-            cost[name] = _one(data, tried[name], windows)
-    now, cost_now = simple, before
-    own = torch.stack([cost[name] for name in tried if BY_NAME[name].parameters])
+    for name in SET_POINTS:
+        model, losses = tried[name]
+        best = torch.stack([left for _, left in tried.values()]).amin(0)
+        in_question = (best > least) | (losses < ALIKE_LOSS * best)
+        if bool((in_question & (before > least) & (losses < PROMISING * before)).any()):
+            model = _scanned(motions, model)
+            tried[name] = model, model.losses(motions)
+    return tried
+
+
+def _plane_alone(tried: Tried, simple: ServoModel, before: Tensor) -> tuple[ServoModel, Tensor]:
+    """With a plane that leaves no more on all joints than an effect of its own on each, and what is
+    left; else plain servos."""
+    of_joints = [left for name, (_, left) in tried.items() if BY_NAME[name].parameters]
+    each = torch.stack([before, *of_joints]).amin(0)
+    for name, (model, losses) in tried.items():
+        alike = float(losses.sum()) < ALIKE_LOSS * float(each.sum())
+        if not BY_NAME[name].parameters and alike:
+            return model, losses
+    return simple, before
+
+
+def _with_best_effects(
+    motions: Motions, model: ServoModel, losses: Tensor, tried: Tried
+) -> tuple[ServoModel, Rivals]:
+    """With the best effect on every joint that has a gap; and on those what does as well."""
     names = [name for name in tried if BY_NAME[name].parameters]
-    # A plane that leaves no more on all joints than an effect of its own on each.
-    plane = next((name for name in tried if not BY_NAME[name].parameters), None)
-    if plane and float(cost[plane].sum()) < ALIKE * float(torch.minimum(own.amin(0), before).sum()):
-        now, cost_now = tried[plane], cost[plane]
-    given, rivals = torch.zeros(data.robot.n, dtype=torch.bool), {}
+    left = torch.stack([tried[name][1] for name in names])
+    least, (best, which) = motions.slight, left.min(0)
+    rivals: Rivals = {}
+    waiting = motions.every
     # The joints that are worst first: what is left on others may be these joints' doing.
-    for share in (0.3, 0.0):
-        excess = cost_now / least
-        worst = ~given & (excess > 1) & (excess >= share * excess.amax())
-        best, which = own.min(0)
-        worst &= best < (1 - TAKEN) * cost_now
+    for share in (WORST, 0.0):
+        excess = losses / least
+        worst = waiting & (excess > 1) & (excess >= share * excess.amax())
+        worst &= best < (1 - TAKEN) * losses
         if not bool(worst.any()):
             continue
-        joint, free, repeated = now.servos.joint.clone(), dict(now.free), now.servos.repeated
         for j in torch.nonzero(worst).flatten().tolist():
             name = names[int(which[j])]
-            model = tried[name]
-            joint[j] = model.servos.joint[j]
-            repeated |= model.servos.repeated
-            for key in BY_NAME[name].parameters:
-                on = free.get(key, torch.zeros_like(given)).clone()
-                on[j] = bool(model.free.get(key, on)[j])
-                free[key] = on
+            with_it, here = tried[name][0], torch.arange(motions.data.robot.n) == j
+            repeated = model.servos.repeated | with_it.servos.repeated
+            model = model.joined(with_it, here)
+            model = replace(model, servos=replace(model.servos, repeated=repeated))
+            as_good = left[:, j] < ALIKE_LOSS * best[j]
             rivals[name, j] = tuple(
                 other
-                for other, loss_of in zip(names, own[:, j].tolist(), strict=True)
-                if other != name and loss_of < ALIKE * float(best[j])
+                for other, alike in zip(names, as_good.tolist(), strict=True)
+                if alike and other != name
             )
-        given |= worst
-        servos = replace(now.servos, joint=joint, repeated=repeated)
-        servos = fit(data, servos, free, windows, plane=now.plane, iterations=3)
-        now = Found(servos, free, now.plane)
-        cost_now = _one(data, now, windows)
-    # Joints feel each other's set-points: all of them are best before one is judged.
-    if any(name in now.free for name in VALLEYS):
-        now = settled(data, now, windows)
-        cost_now = _one(data, now, windows)
-    # Where one effect is nearly enough, the fit is brought to its end before that is judged.
-    near = given & (cost_now > least) & (cost_now < NEAR * least)
-    if bool(near.any()):
-        rest = {name: on & near for name, on in now.free.items()}
-        servos = fit(data, now.servos, rest, windows, plane=now.plane, iterations=15)
-        now = replace(now, servos=servos)
-        cost_now = _one(data, now, windows)
-    return now, cost_now <= least, rivals
+        waiting &= ~worst
+        model = model.fitted(motions, 3, plane=True)
+        losses = model.losses(motions)
+    return model, rivals
 
 
-def _calm(data: PositionData, simple: Found, windows: Windows, far: Bool[Tensor, " n"]) -> Found:
+def _calm(motions: Motions, simple: ServoModel, far: Bool[Tensor, " n"]) -> ServoModel:
     """Plain servos as the calmer half of the windows tells them, on the joints where much is left.
 
     What acts beyond a limit does nothing there; beside numbers that have made up for it, it would
     not be found.
     """
-    servos, begun = simple.servos, _start(data, CORE)
-    free = {name: on & far for name, on in simple.free.items()}
-    for _ in range(2 if "kp" in free and bool(far.any()) else 0):
-        error = errors(data, _batch(servos, 1), windows)[..., 0]
-        own = huber(error)[:, far] / windows.length[:, None]
-        calm = (own / own.mean(0)).sum(1).argsort()[: max(1, len(own) // 2)]
-        joint = torch.where(far[:, None], begun.joint, servos.joint)
-        servos = fit(data, replace(servos, joint=joint), free, windows.some(calm), iterations=8)
-    return replace(simple, servos=servos)
+    begun = simple.joined(ServoModel(_start(motions.data, CORE), simple.free), far)
+    calm, weight = simple, motions.windows.weight * motions.windows.length
+    for _ in range(2 if "kp" in simple.free and bool(far.any()) else 0):
+        each = motions.losses(calm.servos)[:, far] / weight[:, None]
+        calmer = (each / each.mean(0)).sum(1).argsort()[: max(1, len(each) // 2)]
+        calm = begun.fitted(Motions(motions.data, motions.windows.some(calmer)), 8, joints=far)
+    return calm
 
 
-def shared(data: PositionData, now: Found, windows: Windows) -> Found:
+def with_usual_effects(motions: Motions, model: ServoModel) -> ServoModel:
     """What more than half of the joints have, tried on the others at the size that is usual there:
     the servos of an arm are mostly of one make."""
     for effect in EFFECTS:
-        on = torch.zeros(data.robot.n, dtype=torch.bool)
-        for name in effect.parameters:
-            on |= now.free.get(name, on)
-        if effect.name in KEPT or 2 * int(on.sum()) <= len(on) or bool(on.all()):
+        has = model.where(effect)
+        few = 2 * int(has.sum()) <= len(has)
+        if effect.name in KEPT or not effect.parameters or few or bool(has.all()):
             continue
-        before, begun = _one(data, now, windows), _start(data, CORE)
         # The others begin where a search does: their numbers have made up for what they lack.
-        joint = torch.where(on[:, None], now.servos.joint, begun.joint)
+        values = torch.where(has[:, None], model.servos.joint, _start(motions.data, CORE).joint)
         for name in effect.parameters:
-            k, unit = INDEX[name], torch.ones_like(joint)
+            k, unit = INDEX[name], torch.ones_like(values)
             if name in TORQUES:  # beside kp
-                unit = joint[:, INDEX["kp"], None]
-            joint[~on, k] = (joint[on, k] / unit[on, 0]).median() * unit[~on, 0]
-        free = {name: there & ~on for name, there in now.free.items()}
-        free |= dict.fromkeys((*CORE, *effect.parameters), ~on)
+                unit = values[:, INDEX["kp"], None]
+            values[~has, k] = (values[has, k] / unit[has, 0]).median() * unit[~has, 0]
+        free = {name: there & ~has for name, there in model.free.items()}
+        free |= dict.fromkeys((*CORE, *effect.parameters), ~has)
         profiles = any(name in PROFILE for name in effect.parameters)
-        servos = replace(now.servos, joint=joint)
-        servos = fit(data, servos, free, windows, iterations=6)
-        servos = fit(data, servos, free, windows, profiles=profiles, iterations=1)
-        after = _one(data, replace(now, servos=servos), windows)
-        gain = before - after
-        better = ~on & (gain > TAKEN * before) & (gain > least_loss(data, windows))
-        if not bool(better.any()):
-            continue
-        joint = torch.where(better[:, None], servos.joint, now.servos.joint)
-        free = dict(now.free)
-        for name in (*CORE, *effect.parameters):
-            free[name] = free.get(name, torch.zeros_like(on)) | better
-        now = replace(now, servos=replace(now.servos, joint=joint), free=free)
-    return now
+        begun = replace(model.at(values), free=free).fitted(motions, 6)
+        tried = begun.fitted(motions, 1, profiles=profiles)
+        before, after = (m.losses(motions) for m in (model, tried))
+        model = model.joined(tried, ~has & _falls(motions, before, after))
+    return model
 
 
-def _one(data: PositionData, model: Found, windows: Windows) -> Tensor:
-    """(n,) losses of a model."""
-    return _tried(data, _batch(model.servos, 1), windows)[:, 0]
-
-
-def _beside(data: PositionData, simple: Found, windows: Windows, effect: ServoEffect) -> Found:
+def _beside_plain(motions: Motions, simple: ServoModel, effect: ServoEffect) -> ServoModel:
     """Plain servos with one more effect, on every joint that is better with it."""
     if not effect.parameters:
-        return _with_plane(data, simple, windows)
+        return _with_plane(motions, simple)
     if effect.name == "set_point_profile":
-        return _with_profile(data, simple, windows)
+        return _with_profile(motions, simple)
     if effect.name == "command_filter":
-        return _with_filter(data, simple, windows)
-    now = simple
-    geared = effect.name == "command_gain" and "kp" in simple.free
-    if geared and bool((far := data.command_gain != 1).any()):
-        joint = torch.where(far[:, None], _start(data, CORE).joint, now.servos.joint)
-        now = _geared(data, replace(now, servos=replace(now.servos, joint=joint)))
-        servos = fit(data, now.servos, now.free, windows, profiles=True, iterations=12)
-        now = replace(now, servos=servos)
+        return _with_filter(motions, simple)
+    model, every = simple, motions.every
+    far = motions.data.command_gain != 1
+    if effect.name == "command_gain" and "kp" in simple.free and bool(far.any()):
+        begun = simple.at(
+            torch.where(far[:, None], _start(motions.data, CORE).joint, simple.servos.joint)
+        )
+        model = _geared(motions.data, begun).fitted(motions, 12, profiles=True)
     if effect.parameters[0] in _SIZES:
         for name in effect.parameters:
             # Of two stops each where it helps: both at once would hold the joint.
             only = len(effect.parameters) == 1
-            now = _grown(data, now, windows, name, sure=not only, iterations=3)
-        return now
-    begun = _start(data, effect.parameters)
-    joint = simple.servos.joint.clone()
-    for name in effect.parameters:
-        joint[:, INDEX[name]] = begun.joint[:, INDEX[name]]
-    every = torch.ones(data.robot.n, dtype=torch.bool)
-    free = {**simple.free, **dict.fromkeys(effect.parameters, every)}
-    servos = fit(data, replace(simple.servos, joint=joint), free, windows, iterations=4)
-    return Found(servos, free, False)
+            model = _with_size(motions, model, name, sure=not only, iterations=3)
+        return model
+    begun = ServoModel(
+        _start(motions.data, effect.parameters), dict.fromkeys(effect.parameters, every)
+    )
+    return simple.joined(begun, every, effect.parameters).fitted(motions, 4)

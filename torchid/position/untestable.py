@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import torch
 
-from torchid.position.data import PositionData
 from torchid.position.effects import EFFECTS
 from torchid.position.fit import errors, sensitivities, weights
 from torchid.position.judge import Equations
-from torchid.position.search import slight
+from torchid.position.servo_model import Motions
 from torchid.results.answer import NotTestable
 from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, TORQUES, as_share
-from torchid.simulation.servo_loop import Windows
 from torchid.typing import Bool, Tensor
 
 USUAL = {
@@ -23,17 +21,17 @@ log that does not come there says nothing of it."""
 
 
 def not_testable(
-    data: PositionData, known: Equations, windows: Windows, moves: Bool[Tensor, " n"]
+    motions: Motions, known: Equations, moves: Bool[Tensor, " n"]
 ) -> tuple[NotTestable, ...]:
     """Effects that no joint's answer has and that, at a usual size, would move it by less than what
     calls for a cause, beside what all that is fitted could make up for.
 
     Args:
-        data: motions.
+        motions: as the search looks at them.
         known: the answer.
-        windows: of the motions.
         moves: joints that do.
     """
+    data, windows = motions.data, motions.windows
     servos, names = known.servos, known.names
     asked = [e for e in EFFECTS if e.parameters and e.parameters[0] in USUAL]
     joint = servos.joint.repeat(len(asked), 1, 1)
@@ -50,7 +48,7 @@ def not_testable(
     s = sensitivities(data, servos, names, windows)
     change = errors(data, sets, windows) - s.residual[..., None]
     root = weights(s.residual, windows).sqrt()[..., None]
-    least = slight(data, windows).sqrt()
+    least = motions.slight.sqrt()
     out = []
     for j in moves.nonzero().flatten().tolist():
         on = known.mask[j]

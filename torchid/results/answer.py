@@ -290,6 +290,27 @@ class Answer(Part, frozen=True, kw_only=True):
     reason: str = ""
     doubt: str | UnsetType = UNSET
 
+    @classmethod
+    def so_far(
+        cls,
+        error: str,
+        unit: str,
+        whole: tuple[float, float],
+        joints: Iterable[tuple[str, float, float]],
+        causes: Iterable[Cause],
+    ) -> "Answer":
+        """What is known while a search goes on: the error before and with the causes, of the whole
+        arm and of each joint with its name."""
+        nothing = (math.nan, math.nan)
+        return cls(
+            status="searching", error=error, unit=unit, before=whole[0], after=whole[1],
+            noise=nothing, closed=None, causes=tuple(causes),
+            joints=tuple(
+                JointError(joint=j, name=name, before=before, after=after, noise=nothing)
+                for j, (name, before, after) in enumerate(joints)
+            ),
+        )  # fmt: skip
+
     @property
     def less(self) -> float:
         """Share of the error that the causes take away, 1 - after / before; NaN of no error."""

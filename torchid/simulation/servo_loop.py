@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -212,6 +212,9 @@ Values = TypeVar("Values", np.ndarray, Tensor)
 Shares = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 """Of a step: how far the set-point is from the first knot to the next and from there to the last;
 torque per first difference of knots by its rate alone; by all, and the same of the last."""
+
+Way = tuple[Tensor, Tensor, Tensor]
+"""Of set-points: a knot, and the differences to the two after it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -519,6 +522,25 @@ class _State:
         return _State(*(x[..., :live].contiguous() for x in (self.q, self.v, self.a, self.i)))
 
 
+class _NearBody(NamedTuple):
+    """The body through a part of a sample, (n, P, W) or columns of matrices (n, 1, W).
+
+    Attributes:
+        load: torque at rest [N m].
+        coupling: columns of the mass matrix but its diagonal.
+        lacking: what a joint's inertia lacks of its coupling; None where none lacks any.
+        lean, soft, stiff: factors of the velocity at a step's beginning, and of its mean without
+            the servo and with it.
+    """
+
+    load: Tensor
+    coupling: Sequence[Tensor]
+    lacking: Tensor | None
+    lean: Tensor
+    soft: Tensor
+    stiff: Tensor
+
+
 class _Run:
     """What does not change along a rollout: parameters, set-points, the parts of a sample."""
 
@@ -694,87 +716,117 @@ class _Run:
         body's."""
         p, h, active = self.p, self.h, self.active
         x0, x1, x2 = knots
-        d0, d1 = x1 - x0, x2 - x1
-        # Columns of matrices (n, 1, W), and the same of vectors.
-        n = len(state.q)
-        parts = body.packed.index_select(0, rows).T.contiguous()[:, None].split(n)
-        off, stiffness = parts[:n], parts[n : 2 * n]
-        near_q, bias, own, dominance = parts[2 * n :]
-        # Where coupling outweighs a joint's own inertia, as much is added on both sides of the
-        # equation, here with this step's acceleration, there with the last one's.
-        inertia = own + p["armature"]
-        lacking = dominance - inertia
-        heavy = float(lacking.max()) > 0
-        if heavy:
-            lacking = lacking.clamp_(min=0)
-            inertia = inertia + lacking
-        # Gravity in the middle of the part.
-        ahead = torch.add(state.q, state.v, alpha=wait).sub_(near_q)
-        load = _plus_product(bias, stiffness, ahead)
+        way = x0, x1 - x0, x2 - x1
+        near = self._near_body(state, body, rows, wait)
         arm = self._reach(body, rows) if self.touches else None
-        lean = inertia / (THETA * h)
-        soft = lean + self.outside
-        stiff = soft + self.gain
-        resting = p["offset"] - load
         # The same in all steps, unless speed, the servo's torque or a plane make it another.
-        outer, dry, moves = load, None, torch.empty_like(state.q)
         same = arm is None and not active["stiction"] and not active["motor_share"]
-        for share, far, rate, first, last in shares:
-            if active["dead_zone"]:
-                x = torch.addcmul(torch.addcmul(x0, d0, share), d1, far).sub_(state.q)
-                x = x - x.clamp(-p["dead_zone"], p["dead_zone"])
-                drive = torch.addcmul(x.mul_(p["kp"]), rate, d0).addcmul_(self.rate - rate, d1)
-            else:
-                drive = (x0 - state.q).mul_(p["kp"]).addcmul_(first, d0).addcmul_(last, d1)
-            if active["integral"]:
-                drive += state.i
-            rest, more = resting, None
-            if arm is not None:
-                touch = self._contact(state, arm)
-                outer = load
-                if touch is not None:
-                    push, more = touch
-                    rest = rest + push
-                    outer = load - push
+        resting, dry = p["offset"] - near.load, None
+        for share in shares:
+            drive, rest, outer, more = self._drive(state, way, share), resting, near.load, None
+            touch = None if arm is None else self._contact(state, arm)
+            if touch is not None:
+                push, more = touch
+                rest, outer = rest + push, outer - push
             if self.stops:
                 stop, hard = self._stop(state)
                 rest, more = rest + stop, hard if more is None else more + hard
-            rest = torch.addcmul(rest, lean, state.v)
+            rest = torch.addcmul(rest, near.lean, state.v)
             if dry is None or not same:
-                dry = self._dry(state, drive, outer)
-                least = -dry
-            d = stiff if more is None else stiff + more
-            if self.clips:
-                slack = soft if more is None else soft + more
-            a = state.a
-            for _ in range(self.sweeps if heavy else self.least):
-                free = _plus_product(rest, off, a, sign=-1)
-                if heavy:
-                    free.addcmul_(lacking, a)
-                total = free + drive
-                w = (total - total.clamp(least, dry)).div_(d)
-                if self.clips:
-                    torque = torch.addcmul(drive, self.gain, w, value=-1)
-                    held = torque.clamp(-p["clip"], p["clip"])
-                    total = free.add_(held)
-                    slipping = (total - total.clamp(least, dry)).div_(slack)
-                    w = torch.where(torque == held, w, slipping)
-                v = torch.sub(w, state.v, alpha=1 - THETA).div_(THETA)
-                # What is held is at rest; numbers, as the product with truth values is slow.
-                v.mul_(torch.ne(w, 0, out=moves))
-                before, a = a, (v - state.v).div_(h)
-                # Until the accelerations are those of this step.
-                if self.least > 1 and float((a - before).abs().max()) * h * h < _SETTLED:
-                    break
+                most = self._dry(state, drive, outer)
+                dry = -most, most
+            w, v, a = self._solved(state, near, rest, drive, dry, more)
             if active["integral"]:
-                error = torch.addcmul(torch.addcmul(x0, d0, share), d1, far).sub_(state.q)
-                if active["dead_zone"]:
-                    error = error - error.clamp(-p["dead_zone"], p["dead_zone"])
-                error.sub_(w, alpha=THETA * h)
+                error = self._error(state, way, share).sub_(w, alpha=THETA * h)
                 state.i = torch.addcmul(state.i, p["integral"] * h, error)
                 if self.clips:  # what the servo cannot give is not summed
                     state.i = state.i.clamp(-p["clip"], p["clip"])
             state.q, state.v, state.a = torch.add(state.q, w, alpha=h), v, a
+
+    def _near_body(self, state: _State, body: Body, rows: Tensor, wait: float) -> _NearBody:
+        """What the body is in the middle of a part of a sample, near rows of its own."""
+        # Columns of matrices (n, 1, W), and the same of vectors.
+        n = len(state.q)
+        parts = body.packed.index_select(0, rows).T.contiguous()[:, None].split(n)
+        coupling, stiffness = parts[:n], parts[n : 2 * n]
+        near_q, bias, own, dominance = parts[2 * n :]
+        # Where coupling outweighs a joint's own inertia, as much is added on both sides of the
+        # equation, here with this step's acceleration, there with the last one's.
+        inertia = own + self.p["armature"]
+        lacking = None
+        if float((more := dominance - inertia).max()) > 0:
+            lacking = more.clamp_(min=0)
+            inertia = inertia + lacking
+        # Gravity in the middle of the part.
+        ahead = torch.add(state.q, state.v, alpha=wait).sub_(near_q)
+        load = _plus_product(bias, stiffness, ahead)
+        lean = inertia / (THETA * self.h)
+        soft = lean + self.outside
+        return _NearBody(load, coupling, lacking, lean, soft, soft + self.gain)
+
+    def _error(self, state: _State, way: Way, share: Shares) -> Tensor:
+        """Set-point less position at the instant of a step, but for the dead zone [rad]."""
+        (x0, d0, d1), (near, far, *_) = way, share
+        error = torch.addcmul(torch.addcmul(x0, d0, near), d1, far).sub_(state.q)
+        if self.active["dead_zone"]:
+            error = error - error.clamp(-self.p["dead_zone"], self.p["dead_zone"])
+        return error
+
+    def _drive(self, state: _State, way: Way, share: Shares) -> Tensor:
+        """The servo's torque of a joint at rest [N m]."""
+        (x0, d0, d1), (_, _, rate, first, last) = way, share
+        if self.active["dead_zone"]:
+            drive = self._error(state, way, share).mul_(self.p["kp"])
+            drive = torch.addcmul(drive, rate, d0).addcmul_(self.rate - rate, d1)
+        else:
+            drive = (x0 - state.q).mul_(self.p["kp"]).addcmul_(first, d0).addcmul_(last, d1)
+        return drive.add_(state.i) if self.active["integral"] else drive
+
+    def _solved(
+        self,
+        state: _State,
+        near: _NearBody,
+        rest: Tensor,
+        drive: Tensor,
+        dry: tuple[Tensor, Tensor],
+        more: Tensor | None,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Mean velocity of a step, and velocity and acceleration at its end: friction holds a joint
+        if it can, the servo gives no more than it can, and coupling has the accelerations of the
+        solution before.
+
+        Args:
+            state: where the step begins.
+            near: the body there.
+            rest: torque of all else than servo, dry friction and coupling.
+            drive: the servo's torque of a joint at rest.
+            dry: least and most torque of dry friction.
+            more: what contact and stops add to the factor of the velocity.
+        """
+        soft, stiff = near.soft, near.stiff
+        if more is not None:
+            soft, stiff = soft + more, stiff + more
+        moves, a = torch.empty_like(state.q), state.a
+        for _ in range(self.least if near.lacking is None else self.sweeps):
+            free = _plus_product(rest, near.coupling, a, sign=-1)
+            if near.lacking is not None:
+                free.addcmul_(near.lacking, a)
+            total = free + drive
+            w = (total - total.clamp(*dry)).div_(stiff)
+            if self.clips:
+                torque = torch.addcmul(drive, self.gain, w, value=-1)
+                held = torque.clamp(-self.p["clip"], self.p["clip"])
+                total = free.add_(held)
+                slipping = (total - total.clamp(*dry)).div_(soft)
+                w = torch.where(torque == held, w, slipping)
+            v = torch.sub(w, state.v, alpha=1 - THETA).div_(THETA)
+            # What is held is at rest; numbers, as the product with truth values is slow.
+            v.mul_(torch.ne(w, 0, out=moves))
+            before, a = a, (v - state.v).div_(self.h)
+            # Until the accelerations are those of this step.
+            if self.least > 1 and float((a - before).abs().max()) * self.h * self.h < _SETTLED:
+                break
+        return w, v, a
 
     def _dry(self, state: _State, drive: Tensor, outer: Tensor) -> Tensor:
         """The most that friction can hold now [N m]."""

@@ -59,6 +59,38 @@ TELLING_STD = 0.5
 """Standard deviation of a factor up to which a part can tell whether the effect is there [1]: two
 of them from 0 to 1."""
 
+ALIKE_LOSS = 1.5
+"""Ratio of what two effects of a servo leave, in squares, below which neither is told from the
+other [1]: no search over simulations ends nearer to its optimum on every start."""
+
+MOST_MOTIONS = 0.7
+"""Share of the motions that an effect of a servo matters to, from which it is no chance that they
+are better with it [1]: of five motions four."""
+
+SLIGHT_ERROR = 0.01
+"""Share of the distance between command and position that calls for no cause [1]: a servo's own
+cycle and its bus make as much."""
+
+EXPLAINED = 0.9
+"""Share of a position gap, in squares, from which what is named is all of it [1]: a third of the
+RMS is left then, which one more effect would be worth looking for."""
+
+TORQUE_MISFIT = 1 / 3
+"""Share of what servos leave of a joint's error that may be as a change of all its torques is
+[1]: most of what is left is of other kinds, but nobody knows of which."""
+
+UNSURE_SCALE = 0.2
+"""Standard deviation of the scale of a joint's torques from which ratios alone are told [1]: a gain
+to within half of it to either side is none to simulate with."""
+
+ONE_TYPE = 0.5
+"""Probability that the servos of an arm are of one type, where nobody says so [1]."""
+
+SHEET_STD, UNIT_STD = 0.2, 0.05
+"""Standard deviation of a maker's value, as a share of it, and the least between units of one type
+[1]: the former holds supplies, wear and temperature; the latter tolerances of gears, magnets and
+supplies."""
+
 EXCESS = 1.35
 """Held-out variance of a joint, relative to its noise, from which something is unexplained where a
 flexible predictor agrees [1]: noise is known to a few ten per cent."""

@@ -34,7 +34,7 @@ from torchid.export.export import export_dynamics
 from torchid.log.model import Log
 from torchid.log.readers import read_log
 from torchid.position.data import WINDOW_S, PositionData, prepare
-from torchid.position.diagnose import some_of
+from torchid.position.problem import some_of
 from torchid.simulation.servo_loop import windows_of
 from torchid_bench.benchmarks.position_errors import fold_parser, print_errors, read_folds
 

@@ -17,10 +17,10 @@ import torch
 
 from torchid.log.model import Log
 from torchid.position.data import WINDOW_S, prepare
-from torchid.position.diagnose import MOST, some_of
 from torchid.position.effects import CORE
 from torchid.position.fit import fit
 from torchid.position.model import ServoArm
+from torchid.position.problem import MOST_WINDOWS, some_of
 from torchid.position.replay import replay
 from torchid.position.search import _start
 from torchid.simulation.servo import INDEX
@@ -47,7 +47,7 @@ def servo(robot, training: Log, names: tuple[str, ...], gains: list[float]):
     """An arm whose servos have these parameters alone, as (log, seconds) -> positions (T, n); the
     gains [N m/rad] are the maker's where kp is none of them."""
     data = prepare(robot, training)
-    windows = some_of(windows_of(data.tracks, WINDOW_S), 3 * MOST)
+    windows = some_of(windows_of(data.tracks, WINDOW_S), 3 * MOST_WINDOWS)
     start = _start(data, CORE)
     if "kp" not in names:
         start.joint[:, INDEX["kp"]] = torch.as_tensor(gains, dtype=start.joint.dtype)

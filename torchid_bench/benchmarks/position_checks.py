@@ -18,11 +18,12 @@ import torch
 
 from torchid.log.model import Log
 from torchid.log.readers import read_log
+from torchid.position.answered import best_answer
 from torchid.position.data import WINDOW_S, PositionData
-from torchid.position.diagnose import MOST, answer, losses_of, some_of
 from torchid.position.fit import searched
 from torchid.position.judge import Equations, equations, value_interval
-from torchid.position.search import Found
+from torchid.position.problem import MOST_WINDOWS, pose, some_of
+from torchid.position.servo_model import Motions, ServoModel
 from torchid.robot.library import load_robot
 from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of
@@ -31,9 +32,10 @@ PLANTED = {1: ("delay", 0.04), 3: ("scale", 1.08), 4: ("offset", 0.05)}
 """By joint, from 1: two samples late [s], a factor on the command [1], and a zero [rad]."""
 
 
-def answered(robot, parts: Sequence[Log]) -> tuple[PositionData, Found, Equations]:
-    data, found = answer(robot, Log.concatenate(list(parts)))
-    windows = some_of(windows_of(data.tracks, WINDOW_S), 3 * MOST)
+def answered(robot, parts: Sequence[Log]) -> tuple[PositionData, ServoModel, Equations]:
+    answered = best_answer(pose(robot, Log.concatenate(list(parts))))
+    data, found = answered.motions.data, answered.model
+    windows = some_of(windows_of(data.tracks, WINDOW_S), 3 * MOST_WINDOWS)
     return data, found, equations(data, found.servos, found.free, windows)
 
 
@@ -62,7 +64,7 @@ def halves(robot, parts: Sequence[Log]) -> None:
     print(f"{inside} of {pairs} agree within 95 % ({inside / max(1, pairs):.2f})")
     for who, (data, found, _), (_, other, _) in (("first", one, two), ("second", two, one)):
         windows = windows_of(data.tracks, WINDOW_S)
-        own, far = (losses_of(data, f.servos, windows).sum(0) for f in (found, other))
+        own, far = (f.losses(Motions(data, windows)) for f in (found, other))
         share = " ".join(f"{x:.2f}" for x in (far / own).tolist())
         print(f"loss of the {who} half by the other's servos, over that by its own: {share}")
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchid.log.model import Log
 from torchid.log.readers import read_log
-from torchid.position.judge import folds_of
+from torchid.position.checked import folds_of
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 

@@ -12,8 +12,9 @@ import time
 import torch
 
 from torchid.log.model import Log
-from torchid.position.diagnose import answer
+from torchid.position.answered import best_answer
 from torchid.position.model import ServoArm
+from torchid.position.problem import pose
 from torchid.position.replay import replay
 from torchid_bench.benchmarks.position_errors import fold_parser, read_folds
 
@@ -27,7 +28,8 @@ def main() -> None:
     for fold in given.only or range(given.folds):
         begun, busy = time.perf_counter(), time.process_time()
         training = Log.concatenate([p for p, f in zip(parts, folds, strict=True) if f != fold])
-        data, found = answer(robot, training)
+        answered = best_answer(pose(robot, training))
+        data, found = answered.motions.data, answered.model
         took = time.perf_counter() - begun, time.process_time() - busy
         kept = [p for p, f in zip(parts, folds, strict=True) if f == fold]
         print(f"fold {fold}: fitted in {took[0]:.0f} s ({took[1]:.0f} s of one core)", flush=True)

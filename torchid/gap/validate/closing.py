@@ -24,6 +24,7 @@ from torchid.statistics.resampling import (
     DRAWS,
     LEVEL,
     bootstrap_weights,
+    falling_share,
     nested_weights,
     percentile_interval,
 )
@@ -116,7 +117,7 @@ def closing(
     weights = torch.from_numpy(bootstrap_weights(len(counts), DRAWS, rng))
     first, last = (weights @ (x / unit).sum(1) for x in (before, after))
     improves = bool((first - last).quantile(1 - LEVEL) > 0)
-    shrinks = (weights @ (before - after) > 0).double().mean(0)
+    shrinks = torch.from_numpy(falling_share((before - after).numpy(), weights.numpy()))
     low, high = (x.clamp(min=1e-12).log() for x in (floor.low, floor.high))
     z = torch.from_numpy(rng.standard_normal((DRAWS, len(unit))))
     drawn = torch.exp((high - low) / HALF_90 * z) if floor.source == "repeats" else 1.0

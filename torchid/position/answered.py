@@ -1,0 +1,261 @@
+"""The answered model of an arm's servos: what the search finds, and what each effect is worth
+there."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchid.position.effects import BY_NAME, EFFECTS, GAINS, GRAVITY, KEPT, PAYLOAD
+from torchid.position.file_servos import Worth, beside_file, weighing_otherwise
+from torchid.position.payload import Loaded, with_load
+from torchid.position.problem import Problem
+from torchid.position.record import error_words
+from torchid.position.search import (
+    Rivals,
+    SingleEffects,
+    best_single_effect_per_joint,
+    full,
+    settled,
+    with_usual_effects,
+)
+from torchid.position.servo_model import Motions, ServoModel, better_in_sum, mostly_better
+from torchid.results.answer import Answer, Cause
+from torchid.statistics.criteria import ALIKE_LOSS, WORTHWHILE
+from torchid.typing import Bool, Float
+
+Say = Callable[[str], None]
+"""Hears which stage begins."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answered:
+    """What the search found.
+
+    Attributes:
+        motions: as a search looks at them, of the robot with the load if it carries one.
+        model: the servos.
+        worth, rivals: of effects; one of all joints has all its losses with one of them.
+        load: that was found.
+        by_file: (n,) joints whose gain is that of the robot's file; None where nothing was sought
+            beside its servos.
+    """
+
+    motions: Motions
+    model: ServoModel
+    worth: Worth
+    rivals: Rivals
+    load: Loaded | None = None
+    by_file: Bool[Tensor, " n"] | None = None
+
+
+class EarlyAnswer:
+    """What is known while the search goes on: the errors of the file's servos, or of plain ones, in
+    some windows, and of the effects that were tried the one that removes most of each joint's."""
+
+    def __init__(
+        self, watch: Callable[[Answer], None], motions: Motions, first: ServoModel, of_file: bool
+    ) -> None:
+        self.watch, self.motions, self.words = watch, motions, error_words(of_file)
+        self.names = motions.data.robot.joint_names
+        self.before = self.after = self._errors(first.losses(motions))
+        self.best = [""] * len(self.names)
+        self._show()
+
+    def _errors(self, losses: Tensor) -> Tensor:
+        return 1e3 * (losses / self.motions.windows.rows).sqrt() / self.motions.data.scale
+
+    def __call__(self, effect: str, losses: Tensor) -> None:
+        """An effect beside the plain servos, and the losses that it leaves."""
+        errors = self._errors(losses)
+        for j in torch.nonzero(errors < (1 - WORTHWHILE) * self.after).flatten().tolist():
+            self.best[j] = effect
+        self.after = torch.minimum(self.after, errors)
+        self._show()
+
+    def _show(self) -> None:
+        whole = float(self.before.mean()), float(self.after.mean())
+        joints = zip(self.names, self.before.tolist(), self.after.tolist(), strict=True)
+        causes = (Cause(effect=name, joints=(j,)) for j, name in enumerate(self.best) if name)
+        self.watch(Answer.so_far(self.words, "mrad", whole, joints, causes))
+
+
+def as_the_file(problem: Problem) -> Answered | None:
+    """The servos of the robot's file where all joints follow them, as it is or but for gravity that
+    they feel there, or do not feel; None where they do not."""
+    file = problem.file
+    if file is None:
+        return None
+    if bool((file.near | problem.data.still).all()):
+        return Answered(file.motions, file.model, {}, {})
+    if not problem.data.weighed or not bool(problem.data.robot.gravity.any()):
+        return None
+    other = problem.followed(replace(problem.few, data=weighing_otherwise(problem.data)))
+    if not bool((other.near | problem.data.still).all()):
+        return None
+    without, with_it = (x.motions.losses(x.model.servos) for x in (file, other))
+    return Answered(other.motions, other.model, {GRAVITY.name: (without, with_it)}, {})
+
+
+def best_answer(
+    problem: Problem, say: Say = lambda _: None, watch: Callable[[Answer], None] | None = None
+) -> Answered:
+    """What the search finds in few windows and each effect is worth there, fitted to more.
+
+    Where one number a joint explains what a file's servos lack, nothing else is looked for; else
+    these are begun with where they are nearer than plain ones.
+    """
+    say("one effect at a time")
+    few, squares = problem.few, problem.squares
+    begun, single, file = problem.simple, None, problem.file
+    first = begun if file is None else file.model
+    early = None if watch is None else EarlyAnswer(watch, few, first, file is not None)
+    if file is not None:
+        single = _beside_file_servos(problem, file.model, early)
+        before, after = (m.losses(few) for m in (begun, single.model))
+        begun = single.model.joined(begun, before <= after)
+    loaded, others = None, tuple[str, ...]()
+    if single is None or not bool((single.explained | problem.data.still).all()):
+        single = best_single_effect_per_joint(few, begun, early)
+        say("a load")
+        loaded, single, others = _or_a_load(few, begun, single)
+        if not bool(single.explained.all()):
+            several = full(few, say)
+            several = _no_worse(few, begun, several)
+            several = _no_worse(few, single.model, several)
+            single = replace(single, model=with_usual_effects(few, several))
+            loaded = with_load(few, single.model) if few.data.weighed else None
+    say("what each effect is worth")
+    motions, model = few, settled(few, single.model)
+    worth, rivals = Worth(), Rivals()
+    if loaded is not None:
+        losses = (few.losses(model.servos), loaded.motions.losses(loaded.model.servos))
+        gain = few.each((losses[0] - losses[1]).sum(1, keepdim=True))
+        if float(gain.sum()) > squares * float(losses[0].sum()) and bool(mostly_better(gain)):
+            worth[PAYLOAD.name], rivals[PAYLOAD.name, None] = losses, others
+            motions, model = loaded.motions, settled(loaded.motions, loaded.model)
+    needed, worth_of_needed, rivals_of_needed = _needed(motions, model, squares)
+    rivals |= {at: names for at, names in single.rivals.items() if bool(single.explained[at[1]])}
+    # More windows move what has settled in few by little: one round, over three times as many.
+    model = needed.fitted(replace(problem.more, data=motions.data), 2, plane=True, profiles=True)
+    answered = Answered(
+        motions, model, worth | worth_of_needed, rivals | rivals_of_needed,
+        loaded if PAYLOAD.name in worth else None,
+    )  # fmt: skip
+    if file is None:
+        return answered
+    model, by_file, worth = beside_file(motions, model, file.model.servos, squares, answered.worth)
+    return replace(answered, model=model, worth=worth, by_file=by_file)
+
+
+def _beside_file_servos(
+    problem: Problem, file: ServoModel, early: EarlyAnswer | None
+) -> SingleEffects:
+    """One number a joint beside what a file's servos have, and gains refitted."""
+    few = problem.few
+    # How late commands come within a sample is no cause.
+    fixed = replace(file, free={"delay": few.every})
+    effects = (*GAINS, *(effect for effect in EFFECTS if effect.parameters))
+    single = best_single_effect_per_joint(few, fixed, early, effects).model
+    freed = replace(single, free={**problem.simple.free, **single.free})
+    model = freed.fitted(few, 8, plane=True, profiles=True)
+    # What came as near before the gains were refitted is no rival yet.
+    return SingleEffects(model, model.losses(few) <= few.slight, {})
+
+
+def _or_a_load(
+    few: Motions, simple: ServoModel, single: SingleEffects
+) -> tuple[Loaded | None, SingleEffects, tuple[str, ...]]:
+    """A load with single effects beside it, where that explains the motions better than single
+    effects alone; and names of what explains them as well."""
+    enough = bool((simple.losses(few) <= few.slight).all())
+    load = None if enough or not few.data.weighed else with_load(few, simple)
+    if load is None:
+        return None, single, ()
+    # One cause of what all joints show, where no more is needed, comes before several.
+    heavy = best_single_effect_per_joint(load.motions, load.model)
+    with_it = float(heavy.model.losses(load.motions).sum())
+    without = float(single.model.losses(few).sum())
+    # Of two complete explanations the one of fewer causes counts, then the nearer one.
+    causes, complete = 1 + heavy.model.causes, bool(single.explained.all())
+    fewer = causes < single.model.causes
+    as_few = causes == single.model.causes and with_it < without
+    if not bool(heavy.explained.all()) or not (fewer or as_few or not complete):
+        return None, single, ()
+    others = tuple[str, ...]()
+    if complete and without < ALIKE_LOSS * with_it:
+        present = (e for e in EFFECTS if bool(single.model.where(e).any()))
+        others = tuple(e.name for e in present if e.name not in KEPT)
+    # The servos without the load stay those that it is held against.
+    explained = replace(heavy, model=single.model)
+    return replace(load, model=heavy.model), explained, others
+
+
+def _no_worse(motions: Motions, simple: ServoModel, model: ServoModel) -> ServoModel:
+    """The model with simple servos on the joints that these follow as well: a search may end where
+    more parameters do no better."""
+    before, after = (m.losses(motions) for m in (simple, model))
+    return model.joined(simple, before - after < motions.slight)
+
+
+def _needed(
+    motions: Motions, model: ServoModel, squares: float
+) -> tuple[ServoModel, Worth, Rivals]:
+    """A model of the effects without which motion after motion is followed worse, all others
+    refitted; losses without each and with it; and what stands for it as well."""
+    whole, n = motions.losses(model.servos), model.servos.n
+    least, sample = motions.slight, motions.data.tracks.dt
+    without: dict[str, Float[Tensor, "W n"]] = {}
+    needed: dict[str, Bool[Tensor, " n"]] = {}
+    for effect in EFFECTS:
+        has = model.where(effect)
+        if not bool(has.any()):
+            continue
+        less = model.without(effect, has, sample).fitted(motions, 2)
+        losses = motions.losses(less.servos)
+        gain, total, call = motions.each(losses - whole), losses.sum(0), least
+        if not effect.parameters:  # a plane is there for all joints or for none
+            gain, total = gain.sum(1, keepdim=True).expand(-1, n), total.sum().expand(n)
+            call = least.sum().expand(n)
+        often = better_in_sum(gain) if effect.family == "world" else mostly_better(gain)
+        keep = has & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
+        if effect.name == "command_delay":
+            keep &= model.servos.of("delay") > sample
+        without[effect.name], needed[effect.name] = losses, keep
+    lean = model
+    for name, keep in needed.items():
+        needless = model.where(BY_NAME[name]) & ~keep
+        # Delay and offset are numbers of any servo: they stay, unnamed.
+        if name not in KEPT and bool(needless.any()):
+            lean = lean.without(BY_NAME[name], needless, sample)
+    lean, rivals = lean.fitted(motions, 2), Rivals()
+    left = motions.losses(lean.servos)
+    fall = (left - whole).sum(0)
+    lost = (fall > squares * left.sum(0)) & (fall > least)
+    # Effects that stood for each other: one of them returns, with the others' names.
+    for j in torch.nonzero(lost).flatten().tolist():
+        alike = [
+            name
+            for name, keep in needed.items()
+            if name not in KEPT and bool(model.where(BY_NAME[name])[j] & ~keep[j])
+        ]
+        if not alike:
+            continue
+        first = max(alike, key=lambda name: float(without[name][:, j].sum()))
+        rivals[first, j] = tuple(name for name in alike if name != first)
+        here = torch.arange(n) == j
+        if not BY_NAME[first].parameters:
+            lean = replace(lean, servos=replace(lean.servos, plane=model.servos.plane.clone()))
+            lean, here = replace(lean, plane=model.plane), torch.ones_like(here)
+        lean = lean.joined(model, here & (torch.arange(n) == j), BY_NAME[first].parameters)
+        needed[first] = needed[first] | here
+        without[first] = torch.where(here, left, without[first])
+    if rivals or bool(lost.any()):
+        lean = lean.fitted(motions, 2)
+    worth = {
+        name: (torch.where(needed[name], losses, torch.nan), whole)
+        for name, losses in without.items()
+        if bool(needed[name].any())
+    }
+    return lean, worth, rivals

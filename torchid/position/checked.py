@@ -1,0 +1,204 @@
+"""How far: what servos do on motions that they were not fitted on, whole motions from their
+measured start and windows of 2 s."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchid.effects.servo import ServoEffect
+from torchid.position.answered import Answered
+from torchid.position.data import WINDOW_S, PositionData
+from torchid.position.effects import CORE, GRAVITY
+from torchid.position.fit import errors
+from torchid.position.judge import closed_share
+from torchid.position.problem import Problem
+from torchid.position.record import Accuracy
+from torchid.position.servo_model import Motions, ServoModel
+from torchid.simulation.servo_loop import windows_of
+from torchid.statistics.resampling import (
+    DRAWS,
+    bootstrap_weights,
+    falling_share,
+    nested_weights,
+    percentile_interval,
+)
+from torchid.typing import Bool, Float, Int
+
+FOLDS = 5
+Regimes = dict[str, tuple[Float[Tensor, " n"], Float[Tensor, " n"]]]
+"""By regime: RMS errors before and after [mrad of the log's unit]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """Errors of motions that were left out.
+
+    Attributes:
+        commanded, simple, answered, file: how near the command itself, plain servos, the answered
+            model and the servos of the robot's file come; the last None where it has none.
+        errors: (T, n) whole motions' of the file's servos, or plain ones, and of the answered
+            model, row by row [log's unit].
+        falls: (2, B, n) by which squared errors fall in blocks of 2 s, beside plain servos and
+            beside those of the file [log's unit].
+        closed_ci95: of the share of the errors that is closed; nan where too little is defined.
+    """
+
+    commanded: Accuracy
+    simple: Accuracy
+    answered: Accuracy
+    file: Accuracy | None
+    errors: tuple[Float[Tensor, "T n"], Float[Tensor, "T n"]]
+    falls: Float[Tensor, "2 B n"]
+    closed_ci95: tuple[float, float]
+
+    def confirmed(self, effect: ServoEffect, joint: int, changed: bool) -> float:
+        """Probability that the error of a joint is less with the answered model, on logs that might
+        have been, than of servos that lack an effect: those of the file, where it has the effect
+        with another number or plain servos have it, too; else plain ones, who are not asked of what
+        they have. What acts in few blocks is asked of the log as it is: no others can speak for
+        it."""
+        of_all = bool(effect.parameters) and set(effect.parameters) <= set(CORE)
+        beside_file = changed or effect.name == GRAVITY.name or (of_all and self.file is not None)
+        if of_all and not beside_file:
+            return 1.0
+        falls = self.falls[int(beside_file), :, joint].numpy()
+        weights = bootstrap_weights(len(falls), DRAWS, np.random.default_rng(0))
+        rare = effect.family == "world"
+        return float(falling_share(falls, np.ones((1, len(falls))) if rare else weights))
+
+
+def check(answered: Answered, problem: Problem) -> Checked:
+    """What is free of plain servos and of the answered model is fitted without the fold of motions
+    that it is judged on; servos of a file are as they are."""
+    data, model = problem.data, answered.model
+    if problem.file is not None and answered.by_file is None:
+        model = replace(model, free={}, plane=False)
+    models = [(data, problem.simple), (answered.motions.data, model)]
+    if problem.file is not None:
+        models.append((data, replace(problem.file.model, free={}, plane=False)))
+    held_out = [_held_out(*each, problem) for each in models]
+    commanded = (data.tracks.u - data.q) / data.scale
+    ways = [
+        Accuracy.of_joints(*(_rms(x).masked_fill(data.still, torch.nan) for x in pair))
+        for pair in ((commanded, commanded), *held_out)
+    ]
+    before, after = held_out[-1 if len(held_out) > 2 else 0][0], held_out[1][0]
+    sums = _block_sums(data, held_out[0][0], before, after)[0]
+    noise = problem.noise.square / data.scale.square()
+    return Checked(
+        commanded=ways[0],
+        simple=ways[1],
+        answered=ways[2],
+        file=ways[3] if problem.file is not None else None,
+        errors=(before, after),
+        falls=sums[:2] - sums[2],
+        closed_ci95=closed_interval(data, before, after, ~data.still, noise),
+    )
+
+
+def _held_out(
+    data: PositionData, model: ServoModel, problem: Problem
+) -> tuple[Float[Tensor, "T n"], Float[Tensor, "T n"]]:
+    """Errors of rows in whole motions and in windows [log's unit], each motion by servos that were
+    fitted without its fold."""
+    few, folds = problem.few.windows, folds_of(len(data.tracks.first))
+    servos = []
+    for fold in folds.unique().tolist():
+        others = few.some(torch.nonzero(folds[few.motion] != fold).flatten())
+        servos.append(model.fitted(Motions(data, others), 2, plane=True).servos)
+    joint, plane = (torch.stack([getattr(s, x) for s in servos]) for x in ("joint", "plane"))
+    out = []
+    for some in (windows_of(data.tracks, None), windows_of(data.tracks, WINDOW_S)):
+        of_window = folds[some.motion]
+        apart = replace(servos[0], joint=joint[of_window][:, None], plane=plane[of_window][:, None])
+        error = errors(data, apart, some)[..., 0]
+        out.append(some.on_rows(error, torch.zeros_like(data.q)) / data.scale)
+    return out[0], out[1]
+
+
+def folds_of(motions: int, count: int = FOLDS) -> Int[Tensor, " m"]:
+    """Which fold each motion is in: every fifth, so that like ones that were driven one after the
+    other are apart."""
+    return torch.arange(motions) % min(count, motions)
+
+
+def _block_sums(
+    data: PositionData, *errors_of: Float[Tensor, "T n"]
+) -> tuple[Float[Tensor, "k B n"], np.ndarray]:
+    """Mean squares of errors over blocks of 2 s, times their rows; and which motion each block is
+    of. The last one is of the rows [1]."""
+    size = max(1, round(WINDOW_S / data.tracks.dt))
+    squares = torch.stack([*(x.square() for x in errors_of), torch.ones_like(data.q)])
+    blocks, owner = list[Tensor](), list[int]()
+    ends = zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True)
+    for motion, (a, b) in enumerate(ends):
+        parts = squares[:, a : b + 1].split(size, 1)
+        blocks += [part.sum(1) for part in parts]
+        owner += [motion] * len(parts)
+    return torch.stack(blocks, 1), np.array(owner)
+
+
+def closed_interval(
+    data: PositionData,
+    before: Float[Tensor, "T n"],
+    after: Float[Tensor, "T n"],
+    moves: Bool[Tensor, " n"],
+    noise: Float[Tensor, " n"],
+) -> tuple[float, float]:
+    """95 % interval of the share of whole motions' errors that is closed, on other motions: motions
+    are drawn again, and blocks of each.
+
+    Args:
+        data: motions.
+        before, after: errors of their rows.
+        moves: joints that count.
+        noise: mean squares that no model closes.
+    """
+    sums, owner = _block_sums(data, before, after)
+    weights = torch.from_numpy(nested_weights(owner, DRAWS, np.random.default_rng(0)))
+    *squares, rows = (weights @ x for x in sums[..., moves])
+    first, last = (x / rows.clamp(min=1) for x in squares)
+    return percentile_interval(closed_share(first, last, noise[moves]).numpy())
+
+
+def _rms(error: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:
+    return 1e3 * error.square().mean(0).sqrt()
+
+
+def errors_of_motions(data: PositionData, error: Float[Tensor, "T n"]) -> Float[Tensor, "m n"]:
+    """RMS errors of motions [mrad]."""
+    ends = zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True)
+    return torch.stack([_rms(error[a : b + 1]) for a, b in ends])
+
+
+def errors_of_regimes(
+    data: PositionData, before: Float[Tensor, "T n"], after: Float[Tensor, "T n"]
+) -> Regimes:
+    """RMS errors by what the command does: stands, creeps, turns, moves, jumps; NaN where it never
+    does."""
+    rate = torch.zeros_like(data.q)
+    rate[1:] = data.tracks.u.diff(dim=0) / data.tracks.dt
+    rate[data.tracks.first] = 0.0
+    top = rate.abs().quantile(0.99, 0).clamp(min=1e-9)
+    stands = rate.abs() < 1e-9
+    # The command turns within a quarter of a second.
+    reach = max(1, round(0.25 / data.tracks.dt))
+    highest, lowest = (
+        sign * torch.nn.functional.max_pool1d(sign * rate.T, 2 * reach + 1, 1, reach).T
+        for sign in (1, -1)
+    )
+    turns = (highest > 0.02 * top) & (lowest < -0.02 * top) & ~stands
+    fast = (rate.abs() > 0.5 * top) & ~turns
+    masks = {
+        "holding": stands,
+        "reversal": turns,
+        "high_speed": fast,
+        "low_speed": ~stands & ~turns & ~fast,
+    }
+    out: Regimes = {}
+    for name, mask in masks.items():
+        rms = (1e3 * ((e * mask).square().sum(0) / mask.sum(0)).sqrt() for e in (before, after))
+        out[name] = next(rms), next(rms)  # 0 of 0 is NaN
+    return out

@@ -1,0 +1,216 @@
+"""What is named: effects by what they were worth in windows, how sure they are, and their sizes."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchid.effects.servo import ServoEffect
+from torchid.position.answered import Answered
+from torchid.position.checked import Checked
+from torchid.position.diagnosis import Number, finding_of
+from torchid.position.effects import BY_NAME, EFFECTS, GRAVITY, PAYLOAD
+from torchid.position.equal import OF_TYPE
+from torchid.position.fit import VALLEYS
+from torchid.position.judge import Equations, value_interval
+from torchid.position.odds import alike_rises, drawn_windows, effect_sure
+from torchid.position.payload import Loaded
+from torchid.position.problem import Problem
+from torchid.position.record import PositionFinding
+from torchid.results.replication import Replication
+from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, PLANE, TORQUES, as_share
+from torchid.statistics.criteria import LIKELY
+from torchid.statistics.proportion import HALF_95
+from torchid.typing import Bool, Float
+
+_OF_ROBOT = {effect.name: effect for effect in (PAYLOAD, GRAVITY)}
+
+
+@dataclass(frozen=True, eq=False)
+class _Naming:
+    """What names need.
+
+    Attributes:
+        answered, known, problem, checked: as of `describe_findings`.
+        shares: joints of which torques are told as shares of kp.
+    """
+
+    answered: Answered
+    known: Equations
+    problem: Problem
+    checked: Checked
+    shares: Bool[Tensor, " n"]
+
+    def errors(self, effect: str) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
+        """RMS errors (n,) in windows without an effect and with it [mrad of the log's unit]."""
+        rows = float(len(self.answered.motions.data.tracks.u))
+        without, with_it = (
+            1e3 * (x.sum(0) / rows).sqrt() / self.answered.motions.data.scale
+            for x in self.answered.worth[effect]
+        )
+        return without, with_it
+
+    def of_all(self, effect: ServoEffect) -> PositionFinding:
+        """An effect that all joints feel."""
+        numbers: Sequence[Number] = ()
+        if effect is PAYLOAD and self.answered.load is not None:
+            numbers = _load_sizes(self.answered.load)
+        elif effect is not GRAVITY:
+            values = zip(PLANE, self.answered.model.servos.plane.tolist(), strict=True)
+            units, ends = {"stiffness": "N/m"}, (math.nan, math.nan)
+            numbers = [Number(key, units.get(key, "m"), value, ends) for key, value in values]
+        without, with_it = (float(x.square().mean().sqrt()) for x in self.errors(effect.name))
+        others = self.answered.rivals.get((effect.name, None), ())
+        more = {"ambiguous_with": others, "how_sure": self.how_sure(effect, None, len(numbers))}
+        return finding_of(effect, None, numbers, (without, with_it), **more)
+
+    def of_joints(self, effect: ServoEffect) -> list[PositionFinding]:
+        """An effect on all joints that have it."""
+        data, known, free = self.answered.motions.data, self.known, self.answered.model.free
+        without, with_it = self.errors(effect.name)
+        joints = torch.nonzero(without.isfinite() & ~data.still).flatten().tolist()
+        first = effect.parameters[0]
+        motions = list(zip(data.log.names, data.log.duration, strict=True))
+        out = []
+        for j, alike in zip(joints, _alike(known, first, joints), strict=True):
+            sizes = [
+                self.size(name, j)
+                for name in effect.parameters
+                if (name in free and bool(free[name][j])) or self.in_file(name, j)
+            ]
+            fitted = first in free and bool(free[first][j])
+            again = None
+            if fitted and effect.family != "world" and first not in VALLEYS:
+                again = known.replication(first, j, motions)
+            others = self.answered.rivals.get((effect.name, j), ())
+            below = bool(sizes) and sizes[0].value < PARAMETERS[INDEX[first]].neutral
+            if effect.twin and (below or not effect.twin_below):
+                others += (effect.twin,)
+            changed = any(not math.isnan(size.was) for size in sizes)
+            sure = self.how_sure(effect, j, len(sizes), again, alike, changed)
+            # No change is whose interval holds what the robot's file says.
+            known_already = (
+                x.interval[0] <= x.was <= x.interval[1] for x in sizes if x.was == x.was
+            )
+            if changed and all(known_already):
+                sure = min(sure, LIKELY - 0.01)
+            more = {"ambiguous_with": others, "replication": again, "how_sure": sure}
+            ends = float(without[j]), float(with_it[j])
+            out.append(finding_of(effect, j, sizes, ends, **more))
+        return out
+
+    def how_sure(
+        self,
+        effect: ServoEffect,
+        joint: int | None,
+        numbers: int,
+        again: Replication | None = None,
+        alike: float = 0.0,
+        changed: bool = False,
+    ) -> float:
+        """Probability of an effect, by windows, and as far as motions that were left out confirm
+        it.
+
+        Args:
+            effect: which.
+            joint: where, from 0; None of what all feel.
+            numbers: how many it has.
+            again: by which factor motions want it.
+            alike: rise of it by other joints.
+            changed: whether the robot's file has it with another number.
+        """
+        problem, worth = self.problem, self.answered.worth[effect.name]
+        data, windows = self.answered.motions.data, problem.few.windows
+        at = slice(None) if joint is None else joint
+        # Losses that call for no cause, or are noise, where repeats tell it [rad^2].
+        least = windows.rows * problem.noise.at_least(data.slight).square()
+        rows = (windows.length * windows.weight)[:, None] / self.known.alike
+        without, with_it, rows = (x[:, at].reshape(len(x), -1) for x in (*worth, rows))
+        sure = effect_sure(
+            without.sum(1), with_it.sum(1), float(least[at].sum()), numbers, again,
+            rows=rows.mean(1), draws=drawn_windows(windows),
+            looks=len(EFFECTS) * data.robot.n, alike=alike,
+        )  # fmt: skip
+        # Of what all joints feel, the one where it takes most away says it.
+        gain = (worth[0] - worth[1]).sum(0)
+        place = int(gain.argmax()) if joint is None else joint
+        return sure * self.checked.confirmed(effect, place, changed)
+
+    def size(self, name: str, joint: int) -> Number:
+        """A number of an effect on one joint, of torques but the gain as a share of it if asked
+        for, beside what the robot's file says."""
+        servos, start = self.known.servos, self.problem.start
+        value, kind, title = float(servos.of(name)[joint]), PARAMETERS[INDEX[name]], name
+        was, unit = math.nan, kind.unit
+        if start is not None and self.in_file(name, joint):
+            was = float(start.servos.of(name)[joint])
+        if name == "delay":
+            # Commands are simulated along straight lines; that they are held until the next one
+            # makes them half a sample late on average, which is no delay of its own.
+            value -= 0.5 * self.answered.motions.data.held
+        if bool(self.shares[joint]) and name in TORQUES and name != "kp":
+            value /= float(servos.of("kp")[joint])
+            was /= 1.0 if start is None else float(start.servos.of("kp")[joint])
+            unit, title = PER_KP[unit], as_share(name)
+        std, names = math.nan, self.known.names
+        if name in names:
+            std = float(self.known.deviations(self.shares)[joint, names.index(name)])
+        return Number(title, unit, value, value_interval(name, value, std), was)
+
+    def in_file(self, name: str, joint: int) -> bool:
+        """Whether the robot's file has a number of a joint's servo."""
+        start, k = self.problem.start, INDEX[name]
+        return start is not None and float(start.servos.joint[joint, k]) != PARAMETERS[k].neutral
+
+
+def describe_findings(
+    answered: Answered,
+    known: Equations,
+    problem: Problem,
+    checked: Checked,
+    shares: Bool[Tensor, " n"],
+) -> tuple[PositionFinding, ...]:
+    """What is named, those that close most first.
+
+    Args:
+        answered: the model, and what its effects are worth.
+        known: how well it is known.
+        problem: the question.
+        checked: what it does on motions that were left out.
+        shares: joints of which torques are told as shares of kp.
+    """
+    naming = _Naming(answered, known, problem, checked, shares)
+    out: list[PositionFinding] = []
+    for name in answered.worth:
+        effect = _OF_ROBOT.get(name) or BY_NAME[name]
+        out += naming.of_joints(effect) if effect.parameters else [naming.of_all(effect)]
+    return tuple(sorted(out, key=lambda f: f.error_with - f.error_without))
+
+
+def _load_sizes(load: Loaded) -> tuple[Number, ...]:
+    """Mass and centre of a load. The mass goes with the servos' gains, by factors: its interval is
+    theirs, of a logarithm."""
+    half = (HALF_95 * load.std).tolist()
+    factor = math.exp(half[0] / load.mass)
+    mass = Number("mass", "kg", load.mass, (load.mass / factor, load.mass * factor))
+    com = (
+        Number(key, "m", value, (value - h, value + h))
+        for key, value, h in zip("xyz", load.com.tolist(), half[1:], strict=True)
+    )
+    return (mass, *com)
+
+
+def _alike(known: Equations, name: str, joints: Sequence[int]) -> list[float]:
+    """Rises of an effect on joints that have it, by a parameter that all servos of a type share,
+    torques as shares of kp."""
+    if name not in OF_TYPE or name not in known.names or not joints:
+        return [0.0] * len(joints)
+    every = torch.ones(known.servos.n, dtype=torch.bool)
+    value, std = known.servos.of(name), known.deviations(every)[:, known.names.index(name)]
+    if name in TORQUES:
+        value = value / known.servos.of("kp")
+    if PARAMETERS[INDEX[name]].kind == "log":
+        std = std * value
+    return alike_rises(value[joints], std[joints]).tolist()

@@ -1,0 +1,157 @@
+"""What a diagnosis of commands and positions is asked: motions, windows of them, and what a plain
+servo and the robot's file leave there."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from torchid.log.model import Log
+from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare
+from torchid.position.file_servos import Followed, follows
+from torchid.position.fit import errors_of_one
+from torchid.position.model import ServoArm
+from torchid.position.repeats import PositionNoise, noise_of_repeats
+from torchid.position.rods import PER_METRE
+from torchid.position.search import plain
+from torchid.position.servo_model import Motions, ServoModel
+from torchid.robot.model import Robot
+from torchid.simulation.servo_loop import Windows, windows_of
+from torchid.statistics.criteria import WORTHWHILE
+from torchid.typing import Float
+
+MOST_WINDOWS = 250
+"""That a search looks at [1]: more do not change what it finds, only how long it takes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A question.
+
+    Attributes:
+        data: motions, of the robot as given.
+        few, more: motions as a search, and the last fit, look at them.
+        simple: plain servos, fitted to as many.
+        start: the arm that the robot's file describes; None where it has no servos.
+        squares: share of the squared error by which an effect must lower it to be named.
+        warnings: about the log, one sentence each.
+        trusted: whether the masses of the robot's file are right.
+        types: of the joints' servos: those of one name are units of one type.
+        sheets: what their makers say of them, values by parameter.
+    """
+
+    data: PositionData
+    few: Motions
+    more: Motions
+    simple: ServoModel
+    start: ServoArm | None
+    squares: float
+    warnings: tuple[str, ...]
+    trusted: bool = False
+    types: Sequence[str] = ()
+    sheets: Sequence[Mapping[str, float]] = ()
+
+    @cached_property
+    def noise(self) -> PositionNoise:
+        """What no servo closes, where repeats tell it."""
+        return noise_of_repeats(self.data, self.simple.servos)
+
+    @cached_property
+    def file(self) -> Followed | None:
+        """The servos of the robot's file as they are nearest."""
+        return None if self.start is None else self.followed(self.few)
+
+    def followed(self, motions: Motions) -> Followed:
+        """How motions, of this arm or one like it, follow the servos of the robot's file."""
+        assert self.start is not None
+        return follows(motions, self.start.servos, self.simple.free, self.noise)
+
+
+def pose(
+    robot: Robot, log: Log, start: ServoArm | None = None, worthwhile: float = WORTHWHILE
+) -> Problem:
+    """The question of a log; arguments are those of `diagnose_positions`.
+
+    Raises:
+        LogError: as `prepare`.
+    """
+    log, alike = with_motions(log)
+    scaled = start is not None and bool((start.scale != 1).any())
+    data = prepare(robot, log, start.scale if start is not None and scaled else None)
+    if start is not None:
+        data = replace(data, damping_share=start.servos.of("damping_share"))
+    windows = windows_of(data.tracks, WINDOW_S)
+    simple = plain(Motions(data, some_of(windows, MOST_WINDOWS)))
+    telling = _telling(data, simple, windows)
+    few, more = (Motions(data, some_of(windows, k * MOST_WINDOWS, telling)) for k in (1, 3))
+    squares = 1.0 - (1.0 - worthwhile) ** 2
+    warnings = (*alike, *missing_commands(log), *_cautions(data))
+    return Problem(data, few, more, simple, start, squares, warnings)
+
+
+def with_motions(log: Log) -> tuple[Log, tuple[str, ...]]:
+    """The log with enough motions to hold some out: one long motion is taken in parts, which is
+    said."""
+    if log.trajectory_count > 1:
+        return log, ()
+    parts = torch.arange(log.samples) * 4 // log.samples
+    names = tuple(f"{log.names[0]}[part {k + 1}]" for k in range(4))
+    return log.replace(trajectory=parts, names=names), (
+        "one motion only: its quarters are held out in turn, which are more alike than motions are",
+    )
+
+
+def _cautions(data: PositionData) -> tuple[str, ...]:
+    """What to know about joints and robot, one sentence each."""
+    names = data.robot.joint_names
+    out = [
+        f"joint {j + 1} {names[j]} never moves, so its servo is not identified."
+        for j in torch.nonzero(data.still).flatten().tolist()
+    ]
+    if not data.weighed:
+        out.append(
+            f"robot '{data.robot.name}' has no masses: its links were taken for rods of "
+            f"{PER_METRE:g} kg per metre, so gains, friction and inertias are right in their "
+            "ratios alone."
+        )
+    out += [
+        f"joint {j + 1}: dq is {float(s):.3g} times the rate of q, so q and u are taken to be in "
+        f"another unit than radians, by that factor"
+        for j, s in enumerate(data.scale)
+        if s != 1
+    ]
+    return tuple(out)
+
+
+def some_of(windows: Windows, most: int, size: Tensor | None = None) -> Windows:
+    """At most so many windows, each with what it stands for.
+
+    Args:
+        windows: all of them.
+        most: to take.
+        size: (W,) how much each tells; the chance to be taken grows with it. None: all alike.
+    """
+    if size is None:
+        size = torch.ones(len(windows.start), dtype=torch.float64)
+    chance = (size / size.sum() * most).clamp(max=1.0)
+    for _ in range(20):  # what is certain leaves more of the chances to the others
+        free = chance < 1
+        rest = most - float((~free).sum())
+        if rest <= 0 or not bool(free.any()):
+            break
+        chance = torch.where(free, (size / size[free].sum() * rest).clamp(max=1.0), 1.0)
+    # Evenly spaced along the sum of chances: no draw, and every stretch of the log has its share.
+    ends = chance.cumsum(0) + 0.5
+    rows = torch.nonzero(ends.floor() > (ends - chance).floor()).flatten()
+    some = windows.some(rows)
+    return replace(some, weight=some.weight / chance[rows])
+
+
+def _telling(data: PositionData, model: ServoModel, windows: Windows) -> Float[Tensor, " W"]:
+    """How much windows tell: the plain servo's error there, and no less than half of the typical
+    one, so that none is left to chance alone."""
+    error = errors_of_one(data, model.servos, windows)
+    rms = (error.square().sum(0) / (error != 0).sum(0).clamp(min=1)).mean(1).sqrt()
+    return rms + rms.median() / 2
