@@ -5,7 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchid.doctor.repair import Columns, Map, RejoinTime, repaired
+from torchid.doctor.repair import Map, MappedColumns, RejoinTime, repaired
 from torchid.log.model import Log
 
 NUMBERS = st.lists(st.floats(-9.0, 9.0), min_size=3, max_size=3)
@@ -32,9 +32,9 @@ def test_one_map_after_the_other_is_a_map(first, second):
     rows = torch.arange(12, dtype=torch.float64).reshape(4, 3).sin()
     log = Log(torch.arange(4).double(), q=rows, dq=rows + 1, tau=rows - 1)
     signals = ("q", "dq", "tau")
-    steps = repaired(log, [Columns(signals, first), Columns(signals, second)])
-    whole = Columns(signals, first.then(second)).apply(log)
+    steps = repaired(log, [MappedColumns(signals, first), MappedColumns(signals, second)])
+    whole = MappedColumns(signals, first.then(second)).apply(log)
     # Offsets are those of positions.
     for name in signals:
         torch.testing.assert_close(steps.signals[name], whole.signals[name])
-    assert torch.equal(Columns(signals, Map.of(3)).apply(log).tau, log.tau)
+    assert torch.equal(MappedColumns(signals, Map.of(3)).apply(log).tau, log.tau)

@@ -170,7 +170,8 @@ def test_torque_without_any_noise_was_filtered():
     smooth = log.replace(tau=low_passed(log.tau.T, rate, 0.04 * rate).T)
     found = named(smooth)["content"]
     assert "not even noise" in found.evidence
-    assert found.estimate < 0.3 * rate
+    # Above the cut-off: a filter passes some of what is beyond.
+    assert 0.04 * rate < found.estimate < 0.3 * rate
 
 
 def test_steps_of_very_different_length_are_not_fine():

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -122,29 +122,25 @@ def _late(judge: Judge, end: Hypothesis, late: float) -> Hypothesis:
     return replace(end, late=float(np.clip(late, -reach, reach)))
 
 
-@dataclass(frozen=True)
-class _Lateness:
-    """Whether a lag is one: clearly, or at least its interval lies beyond what is worth mending."""
-
-    long: bool
-    clear: bool
-    likely: bool
-
-    @classmethod
-    def of(cls, judge: Judge, result: Search, lag: Profile) -> "_Lateness":
-        gain = lag.gain + sum(f.gain for f in result.found if f.move.kind == "lag")
-        least = max(LATE_TORQUE_S, LATE_STEPS * judge.samples.step)
-        away = max(lag.low, -lag.high, 0.0)
-        long = abs(lag.value) > least and away > 0.0
-        clear, likely = long and gain > CLEAR_GAIN, away > least and gain > LIKELY * CLEAR_GAIN
-        return cls(long, clear and result.explained, likely and result.explained)
+def _lateness(judge: Judge, result: Search, lag: Profile) -> str:
+    """`clear`, `likely` (its interval lies beyond what is worth mending), `long` (but nothing bears
+    it out), or empty."""
+    gain = lag.gain + sum(f.gain for f in result.found if f.move.kind == "lag")
+    least = max(LATE_TORQUE_S, LATE_STEPS * judge.samples.step)
+    away = max(lag.low, -lag.high, 0.0)
+    long = abs(lag.value) > least and away > 0.0
+    if result.explained and long and gain > CLEAR_GAIN:
+        return "clear"
+    if result.explained and away > least and gain > LIKELY * CLEAR_GAIN:
+        return "likely"
+    return "long" if long else ""
 
 
 def looped(judge: Judge, result: Search, lag: Profile | None) -> Judge | None:
     """A judge with a loop over position in the place of dry friction that steps, where a log's
     torque looks late and this explains it better: a lag is one time at all speeds and amplitudes,
     a loop is one distance. None where the torque is late, or nothing is."""
-    if lag is None or not ((is_late := _Lateness.of(judge, result, lag)).clear or is_late.likely):
+    if lag is None or _lateness(judge, result, lag) not in ("clear", "likely"):
         return None
     end = result.final.hypothesis
     starts = {Hypothesis.literal(judge.robot), replace(end, late=0.0)}
@@ -180,18 +176,18 @@ def check_lag(judge: Judge, result: Search, lag: Profile | None) -> Check:
         + ("; a loop over position explains more than a lag" if judge.samples.loop else "")
     )
     check = said("lag", "fine", estimate=lag.value, interval=(lag.low, lag.high), text=text)
-    is_late = _Lateness.of(judge, result, lag)
-    if is_late.clear or is_late.likely:
+    late = _lateness(judge, result, lag)
+    if late in ("clear", "likely"):
         if apart := _lags_apart(judge, end, lag.value):
             evidence = f"{text}; {apart}: a lag would be one time in all of them"
             return structs.replace(check, verdict="cannot tell", evidence=evidence)
         repair = ShiftTorque(float(f"{lag.value:.4g}"))
         # A delay, gears or friction of the arm's own look the same where bodies explain the torque.
         live = judge.live(end)
-        sure = is_late.clear and any(f.before[live].max() > EXPLAINED for f in searched)
+        sure = late == "clear" and any(f.before[live].max() > EXPLAINED for f in searched)
         return structs.replace(check, verdict="wrong" if sure else "doubtful").mended_by(repair)
     loose = 0.5 * (lag.high - lag.low) > LOOSE_LAG_S
-    if loose or searched or is_late.long or not result.explained:
+    if loose or searched or late or not result.explained:
         return structs.replace(check, verdict="cannot tell")
     return check
 

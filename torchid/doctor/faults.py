@@ -11,7 +11,7 @@ from torchid.doctor.check import Check, Choice, judged, said, with_choices
 from torchid.doctor.hypothesis import Judge, factors_of, profile
 from torchid.doctor.moves import FAULTS, Move, invisible_groups, least_groups
 from torchid.doctor.record import Verdict
-from torchid.doctor.repair import Columns
+from torchid.doctor.repair import MappedColumns
 from torchid.doctor.search import Found, Search
 from torchid.doctor.size import nominal_loss
 from torchid.robot.model import joint_list
@@ -85,7 +85,7 @@ def _taken_unit(before: Sequence[Check]) -> dict[int, float]:
         for c in before
         if c.name == "position unit"
         for r in c.repairs
-        if isinstance(r, Columns) and "q" in r.signals
+        if isinstance(r, MappedColumns) and "q" in r.signals
     ]
     return dict(enumerate(maps[0])) if maps else {}
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from torchid.doctor.repair import PLACES, Columns, DropSignal, Map, Repair, ScaleTime
+from torchid.doctor.repair import PLACES, DropSignal, Map, MappedColumns, Repair, ScaleTime
 from torchid.log.columns import PREFIXES
 from torchid.log.readers import open_log
 from torchid.log.table import Request
@@ -49,7 +49,7 @@ def _entry(key: str, repairs: Sequence[Repair], signal: str, n: int) -> str:
         return f"{key}=none"
     made = Map.of(n)
     for repair in repairs:
-        if isinstance(repair, Columns) and signal in repair.signals:
+        if isinstance(repair, MappedColumns) and signal in repair.signals:
             made = made.then(repair.map)
     offsets = [x / f for x, f in zip(made.offsets, made.factors, strict=True)]
     ordered = made.order == tuple(range(n))

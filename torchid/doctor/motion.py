@@ -9,7 +9,7 @@ import torch
 
 from torchid.doctor.case import Case
 from torchid.doctor.check import Check, Choice, judged, said, with_choices
-from torchid.doctor.repair import PLACES, Columns, Map, Repair, Unwrap, scaled, shifted
+from torchid.doctor.repair import PLACES, Map, MappedColumns, Repair, Unwrap, scaled, shifted
 from torchid.log.checks import (
     DEGREES,
     MILLIMETRES,
@@ -233,7 +233,7 @@ def _no_degrees(units: _Units, beyond: Sequence[tuple[int, float, float]]) -> li
         # From -100 to 100 of each joint's range.
         half, middle = ((limits[:, 1] - limits[:, 0]) / 200.0).tolist(), limits.mean(1).tolist()
         signals = tuple(s for s in (*PLACES, "dq") if s in case.log.signals)
-        percent = Columns(signals, Map.of(case.log.n, factors=half, offsets=middle))
+        percent = MappedColumns(signals, Map.of(case.log.n, factors=half, offsets=middle))
         return [Choice.by("percent of range", percent), degrees]
     wide = (
         high - low < float(limits[k, 1] - limits[k, 0]) + 2 * BEYOND_LIMIT_RAD

@@ -12,7 +12,7 @@ import torch
 from scipy.optimize import linear_sum_assignment
 
 from torchid.doctor.hypothesis import Hypothesis, Judge, factors_of, minimum
-from torchid.doctor.repair import MOTION, PLACES, TORQUE, Columns, Map, Repair, ShiftTorque
+from torchid.doctor.repair import MOTION, PLACES, TORQUE, Map, MappedColumns, Repair, ShiftTorque
 from torchid.dynamics.regressor import regressor
 from torchid.robot.model import JointType, Robot
 from torchid.statistics.criteria import EXPLAINED, LEAST_GAIN
@@ -63,12 +63,12 @@ class Move:
         )
 
     @cached_property
-    def columns(self) -> tuple[Columns, ...]:
+    def columns(self) -> tuple[MappedColumns, ...]:
         """Columns of the log that change."""
         moved = PLACES if self.q and self.q.shifts_only else MOTION
         every = (moved, self.q), (TORQUE, self.tau)
         return tuple(
-            Columns(tuple(s for s in names if s in self.signals), change)
+            MappedColumns(tuple(s for s in names if s in self.signals), change)
             for names, change in every
             if change
         )
@@ -129,21 +129,14 @@ def joint_sign(judge: Judge, now: Hypothesis, joints: Sequence[int]) -> Move:
 
 
 def _scaled(
-    kind: str,
-    now: Hypothesis,
-    joints: Sequence[int],
-    *,
-    q: float | None = None,
-    tau: float | None = None,
+    kind: str, now: Hypothesis, joints: Sequence[int], q: float = 1.0, tau: float = 1.0
 ) -> Move:
-    own, n = tuple(joints), len(now.q.order)
-    first, second = (None if x is None else factors_of(own, n, x) for x in (q, tau))
-    return Move(kind, own, now, first, second)
+    n = len(now.q.order)
+    positions, torques = (None if x == 1.0 else factors_of(joints, n, x) for x in (q, tau))
+    return Move(kind, tuple(joints), now, positions, torques)
 
 
-def _signs(
-    judge: Judge, now: Hypothesis, kind: str, q: float | None, tau: float | None
-) -> Iterator[Move]:
+def _signs(judge: Judge, now: Hypothesis, kind: str, q: float, tau: float) -> Iterator[Move]:
     """Of each joint, and of all of them."""
     live = judge.live(now)
     for joints in [[k] for k in live] + [list(range(judge.robot.n))] * (len(live) > 1):
@@ -257,7 +250,7 @@ def _zeros(judge: Judge, now: Hypothesis) -> Iterator[Move]:
         yield Move("zero", (k,), now, Map.of(judge.robot.n, offsets=offsets))
 
 
-def _sign(kind: str, check: str, words: str, q: float | None, tau: float | None) -> TorqueFault:
+def _sign(kind: str, check: str, words: str, q: float, tau: float) -> TorqueFault:
     moves = partial(_signs, kind=kind, q=q, tau=tau)
     return TorqueFault(check, f"{words} the wrong sign in", moves, modelled=True, hides=True)
 
@@ -268,8 +261,8 @@ def _order(kind: str, words: str, *, q: bool, tau: bool) -> TorqueFault:
 
 
 FAULTS = {
-    "torque sign": _sign("torque sign", "torque sign", "torque has", None, -1.0),
-    "position sign": _sign("position sign", "position sign", "position has", -1.0, None),
+    "torque sign": _sign("torque sign", "torque sign", "torque has", 1.0, -1.0),
+    "position sign": _sign("position sign", "position sign", "position has", -1.0, 1.0),
     "joint sign": _sign("joint sign", "position sign", "position and torque have", -1.0, -1.0),
     "joint order": _order("joint order", "joints numbered otherwise:", q=True, tau=True),
     "torque order": _order("torque order", "torque columns exchanged among", q=False, tau=True),

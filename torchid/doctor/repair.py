@@ -133,7 +133,7 @@ class Map:
 
 
 @dataclass(frozen=True)
-class Columns(Repair):
+class MappedColumns(Repair):
     """Joint columns of some signals mapped; offsets are those of positions alone.
 
     Attributes:
@@ -185,19 +185,19 @@ def _factor(name: str, value: float) -> str:
     return f"-{name}" if value == -1.0 else f"{value:.6g} {name}"
 
 
-def scaled(signals: tuple[str, ...], factors: Sequence[float]) -> Columns:
+def scaled(signals: tuple[str, ...], factors: Sequence[float]) -> MappedColumns:
     """Joint columns multiplied by factors, one a joint."""
-    return Columns(signals, Map.of(len(factors), factors=factors))
+    return MappedColumns(signals, Map.of(len(factors), factors=factors))
 
 
-def shifted(signals: tuple[str, ...], offsets: Sequence[float]) -> Columns:
+def shifted(signals: tuple[str, ...], offsets: Sequence[float]) -> MappedColumns:
     """Offsets [rad or m] added to columns of positions, one a joint."""
-    return Columns(signals, Map.of(len(offsets), offsets=offsets))
+    return MappedColumns(signals, Map.of(len(offsets), offsets=offsets))
 
 
-def reordered(signals: tuple[str, ...], order: Sequence[int]) -> Columns:
+def reordered(signals: tuple[str, ...], order: Sequence[int]) -> MappedColumns:
     """Column k is what was column order[k], from 0."""
-    return Columns(signals, Map.of(len(order), order=order))
+    return MappedColumns(signals, Map.of(len(order), order=order))
 
 
 @dataclass(frozen=True)

@@ -146,9 +146,10 @@ def check_content(case: Case) -> Sequence[Check]:
         share = float(straight.mean()) if len(straight) else 0.0
     if share >= STRAIGHT:
         return [said("content", "doubtful straight", estimate=share, percent=100 * share)]
-    # Density of the steps, whose own gain is taken out: where it is that of the sensor's noise.
-    frequency, power = _density(np.diff(x, axis=0), rate)
-    power = power / (2 * np.sin(np.pi * frequency / rate).clip(1e-6))[:, None] ** 2
+    # Density of the steps, whose own gain, none at rest, is taken out: where it is that of the
+    # sensor's noise.
+    frequency, power = (x[1:] for x in _density(np.diff(x, axis=0), rate))
+    power = power / (2 * np.sin(np.pi * frequency / rate))[:, None] ** 2
     top = np.median(power[frequency > 0.8 * frequency[-1]], 0)
     noise = np.sqrt(top * rate / 2) / x.std(0).clip(1e-300)
     if float(noise.max()) > SENSED:

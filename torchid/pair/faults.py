@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment
 
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity
-from torchid.doctor.repair import Columns, reordered, repaired, scaled
+from torchid.doctor.repair import MappedColumns, reordered, repaired, scaled
 from torchid.doctor.samples import samples
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.log.filtering import central_difference, low_passed
@@ -128,7 +128,7 @@ class PairCase:
         """Whether a fault is there."""
         return any(f.fault == name for f in self.faults)
 
-    def after(self, *faults: Fault, repairs: Sequence[Columns] = ()) -> "PairCase":
+    def after(self, *faults: Fault, repairs: Sequence[MappedColumns] = ()) -> "PairCase":
         """With faults once more, one name once, and the simulator's log as they are mended."""
         known = {f.fault: f for f in reversed((*self.faults, *faults))}
         both = self.both
@@ -168,7 +168,7 @@ def joint_signs(case: PairCase) -> PairCase:
     negated = np.zeros_like(mirrored)
     if torques is not None:
         slow = [torch.cat([_slow(b, side) for b in case.both]) for side in ("simulated", "real")]
-        left, size = ((x).square().mean(0).sqrt() for x in (slow[0] + slow[1], slow[1]))
+        left, size = (x.square().mean(0).sqrt() for x in (slow[0] + slow[1], slow[1]))
         negated = (left / size.clamp(min=1e-12) < TURNED).numpy()
     wrong = np.flatnonzero(mirrored | negated).tolist()
     if not wrong:
