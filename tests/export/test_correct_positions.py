@@ -329,3 +329,24 @@ def test_a_ratio_that_was_refitted_is_called_one(tmp_path):
     text = correct(robot(), arm, log, "mjcf", tmp_path).files[0].read_text()
     assert "joint_2: kp: a ratio. Nothing anchors" in text
     assert "holds a load against gravity" in text
+
+
+@pytest.mark.slow
+def test_a_limit_in_another_unit_than_the_logs_is_not_kept(tmp_path):
+    """The log's unit of joint 3 is guessed: whether its positions pass the file's limit says
+    nothing, nor where they end."""
+    servos = true_servos(3)
+    arm = replace(arm_with(servos), scale=torch.tensor([1.0, 1.0, 2.0], dtype=torch.float64))
+    log = planted(servos, motions=2, seconds=6.0, seed=2)
+    other = torch.tensor([1.0, 1.0, 0.5], dtype=torch.float64)
+    assert log.u is not None
+    limits = torch.stack([log.q.amin(0) - 1.0, log.q.amax(0) + 1.0], 1)
+    given = replace(robot(), limits=replace(robot().limits, position=limits))
+    done = correct(given, arm, log.replace(q=log.q * other, u=log.u * other), "mjcf", tmp_path)
+    assert (
+        "joint 3: its unit in the log is guessed, so its limit in '3r' is not kept" in done.warnings
+    )
+    read = load_robot(done.files[0]).limits.position
+    assert read is not None
+    assert torch.allclose(read[:2], limits[:2], atol=1e-6)
+    assert float(read[2].abs().min()) > 100

@@ -22,6 +22,7 @@ from torchid.export.dynamics import Dynamics, in_places_of, require_same_arm
 from torchid.export.export import edited_of, ratios_to_file
 from torchid.export.results import servo_dynamics
 from torchid.export.servo_mjcf import (
+    FAR,
     SAID,
     STOPS,
     ServosInMujoco,
@@ -85,8 +86,10 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
     limits = _limits(robot)
     reach = torch.stack([fitted.q.amin(0), fitted.q.amax(0)], 1)
     passed = torch.stack([reach[:, 0] < limits[:, 0], reach[:, 1] > limits[:, 1]], 1)
+    guessed = fitted.scale != 1
     own, beside = (
-        _in_engine(robot, _rigid(one, robot, reach, passed), data) for one in (alone, running)
+        _in_engine(robot, _rigid(one, robot, reach, passed, guessed), data)
+        for one in (alone, running)
     )
     judged = Judged(
         unit="mrad",
@@ -119,7 +122,10 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
     widened = [
         f"joint {j + 1}: the log reaches {float(reach[j, end]):.4g} rad (m), and the limit of "
         f"{float(limits[j, end]):.4g} that the joint has in '{robot.name}' is moved there"
-        for j, end in passed.nonzero().tolist()
+        for j, end in (passed & ~guessed[:, None]).nonzero().tolist()
+    ] + [
+        f"joint {j + 1}: its unit in the log is guessed, so its limit in '{robot.name}' is not kept"
+        for j in (guessed & limits.isfinite().any(1)).nonzero().flatten().tolist()
     ]
     return Correction(
         robot, judged, tuple(files), (*judged.worse_than_claimed, *widened, *warnings),
@@ -166,15 +172,20 @@ def _limits(robot: Robot) -> Float[Tensor, "n 2"]:
 
 
 def _rigid(
-    arm: ServoArm, robot: Robot, reach: Float[Tensor, "n 2"], passed: Bool[Tensor, "n 2"]
+    arm: ServoArm,
+    robot: Robot,
+    reach: Float[Tensor, "n 2"],
+    passed: Bool[Tensor, "n 2"],
+    guessed: Bool[Tensor, " n"],
 ) -> ServoArm:
     """The arm with the limits of the robot that is written, and stops where a log's positions end:
     in the place of those of a fit, which give way as a file's do not, and of limits that the log
-    passes."""
+    passes. Limits in another unit than the log's, which is guessed, are far away."""
     joint = arm.servos.joint.clone()
-    for name, end, beyond in zip(STOPS, reach.T, passed.T, strict=True):
+    for name, end, beyond, far in zip(STOPS, reach.T, passed.T, (-FAR, FAR), strict=True):
         stop = joint[:, INDEX[name]]
-        joint[:, INDEX[name]] = torch.where(stop.isfinite() | beyond, end, stop)
+        known = stop.isfinite() | (beyond & ~guessed)
+        joint[:, INDEX[name]] = torch.where(known, end, stop.masked_fill(guessed, far))
     limited = replace(arm.robot, limits=robot.limits)
     return replace(arm, robot=limited, servos=replace(arm.servos, joint=joint))
 

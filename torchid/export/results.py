@@ -90,6 +90,7 @@ def carried(
     data = load(path)
     if CORRECTED in data:
         found = diagnosis(path)
+        assert isinstance(found, GapRecord)
         assert found.corrected is not None
         if robot is not None:
             nominal = load_robot(robot, **choice.options)
@@ -147,29 +148,22 @@ def base_dynamics(path: Path, robot: Robot) -> Dynamics:
     )
 
 
-def any_diagnosis(path: Path) -> GapRecord | PositionRecord:
-    """A diagnosis of torques, with the robot that it corrected, or of commands and positions.
+def diagnosis(path: Path, *more: str) -> GapRecord | PositionRecord:
+    """A diagnosis of torques with the robot that it corrected, or of `more` schemas.
 
     Raises:
         TorchidError: another file, or a fault in it, with its place.
     """
-    kinds = ("torchid.gap/1", "torchid.position_gap/1")
-    found = read(path, kinds, "the JSON of `torchid gap`")
+    found = read(path, ("torchid.gap/1", *more), "the JSON of `torchid gap`")
     assert isinstance(found, PositionRecord | GapRecord)
-    return found if isinstance(found, PositionRecord) else diagnosis(path)
-
-
-def diagnosis(path: Path) -> GapRecord:
-    """A diagnosis with the robot that it corrected.
-
-    Raises:
-        TorchidError: another file, or a fault in it, with its place.
-    """
-    found = read(path, ("torchid.gap/1",), "the JSON of `torchid gap`")
-    assert isinstance(found, GapRecord)
-    if found.corrected is None:
+    if isinstance(found, GapRecord) and found.corrected is None:
         raise TorchidError(f"'{path}' does not hold the corrected model.", expected=_KINDS)
     return found
+
+
+def any_diagnosis(path: Path) -> GapRecord | PositionRecord:
+    """A diagnosis, of commands and positions as well; errors are those of `diagnosis`."""
+    return diagnosis(path, "torchid.position_gap/1")
 
 
 def set_dynamics(

@@ -56,6 +56,8 @@ ANCHOR = "record the joint while it holds a load against gravity, or with a know
 """What makes a number of a ratio."""
 _HELD = 1e9
 """Armature of joints that the robot does not have [kg m^2; kg]: gravity does not move them."""
+FAR = 1e3
+"""Where a joint without a limit has one [rad; m]."""
 STEP = 0.002
 """MuJoCo's own where a file says none [s]."""
 _TOUCHED, _POINT, _RADIUS = "torchid_plane", "torchid_point", 1e-3
@@ -132,7 +134,7 @@ def write_servos(
         if any(map(math.isfinite, ends)):
             turn = robot.joint_types[j] is JointType.REVOLUTE and degrees
             known = robot.limits.position
-            given = [-1e3, 1e3] if known is None else known[j].tolist()
+            given = [-FAR, FAR] if known is None else known[j].tolist()
             both = [e if math.isfinite(e) else g for e, g in zip(ends, given, strict=True)]
             span = " ".join(number(math.degrees(x) if turn else x) for x in both)
             nodes[name].attrib.update({"range": span, "limited": "true"} | _STIFF)
