@@ -9,7 +9,6 @@ import torch
 from msgspec import structs
 
 from torchid.design.columns import Place
-from torchid.design.segments import Samples
 from torchid.gap.diagnosis import INERTIA_REMEDY, unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import UnnamedEffect
@@ -27,11 +26,10 @@ from torchid.gap.search.explain import Explanation, solve
 from torchid.gap.search.findings import Judged, at_an_end
 from torchid.gap.search.odds import Misfit, Rival, place_of
 from torchid.gap.search.replication import own_torque, replication
-from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import LINK, Term, excluding
 from torchid.identification.knowledge import known_names
 from torchid.json_data import plain
-from torchid.results.replication import Replication, of_few_runs
+from torchid.results.replication import of_few_runs
 from torchid.robot.model import Robot
 from torchid.statistics.criteria import LIKELY, UNLIKELY
 from torchid.typing import Tensor
@@ -155,7 +153,8 @@ def suspects(
     samples = question.candidates.columns.samples
     # Of two runs that contradict each other none is the odd one.
     several = len({s.name for s in samples.segments}) > 2
-    out: list[tuple[bool, UnnamedEffect, Replication | None]] = []
+    out: list[tuple[bool, UnnamedEffect]] = []
+    by_run: list[UnnamedEffect] = []
     for k, ((first, term), *others) in enumerate(best, len(fit.terms)):
         rivals = [Rival((t,), f) for f, t in others]
         left = misfit.less(question.fall(first, fit))
@@ -171,27 +170,24 @@ def suspects(
             large = bool((closes / active_share(question, [one]) ** 0.5 >= least).any())
             if large or is_moved(one):
                 entry = _entry(one, values, std, closes, sure, problem.robot)
-                again = None
+                out.append((is_moved(one), entry))
                 if several:
+                    # Factors are of the value in the solution that they are asked of.
                     own = solution if one is term else solve(problem, f)
-                    again = _run_by_run(own, one, samples)
-                out.append((is_moved(one), entry, again))
-    # What a few runs have is unlikely as a law of all of them, and of its place the largest listed.
-    few = of_few_runs((e.cause, again) for _, e, again in out)
-    of_few = [(e, again) for _, e, again in out if (e.effect, e.joints) in few]
-    ones = {e.joints: (e, again) for e, again in sorted(of_few, key=lambda p: p[0].closes_rms)}
+                    at = next(i for i, t in enumerate(own.terms) if t.key == one.key)
+                    again = replication(own_torque(own, at), own, at, samples)
+                    size = own.values[at], own.std[at], closes, sure, problem.robot
+                    by_run.append(structs.replace(_entry(one, *size), replication=again))
     # What has moved is listed, however unlikely.
-    kept = [(m, e) for m, e, _ in out if m or e.how_sure >= UNLIKELY]
+    kept = [pair for pair in out if pair[0] or pair[1].how_sure >= UNLIKELY]
     kept = sorted(kept, key=lambda pair: (not pair[0], -pair[1].how_sure))[:MOST_SUSPECTS]
-    entries = [e for _, e in kept if e not in [one for one, _ in ones.values()]]
-    entries += [structs.replace(e, replication=again) for e, again in ones.values()]
+    # So is of every place the largest that a few runs have: as a law of all of them it is unlikely.
+    few = of_few_runs((e.cause, e.replication) for e in by_run)
+    ones = [e for e in by_run if (e.effect, e.joints) in few]
+    of_few = {e.joints: e for e in sorted(ones, key=lambda e: e.closes_rms)}.values()
+    told = {(e.effect, e.joints) for e in of_few}
+    entries = [*of_few, *(e for _, e in kept if (e.effect, e.joints) not in told)]
     return tuple(sorted(entries, key=lambda e: -e.how_sure))
-
-
-def _run_by_run(solution: Solution, term: Term, samples: Samples) -> Replication | None:
-    """Whether runs want a term of a solution."""
-    k = next(i for i, t in enumerate(solution.terms) if t.key == term.key)
-    return replication(own_torque(solution, k), solution, k, samples)
 
 
 def _likely_places(
