@@ -43,7 +43,8 @@ NAVIGATION = {
     "How to": ("your-log", "coming-from", "lerobot", "your-quadruped", "log-doctor", "python",
                "export", "pair", "report", "compare", "fleet", "next-experiment"),
     "Reference": ("robots", "effects", "glossary", "equations", "results", "zoo", "public-truths",
-                  "gap-results", "position-results", "speed", "withheld", "trust", "api/*", "../CHANGELOG"),
+                  "gap-results", "position-results", "speed", "withheld", "trust", "api/*",
+                  "../CHANGELOG"),
     "Explanation": ("concepts", "knowledge", "equal-torque", "design", "../CONTRIBUTING"),
 }  # fmt: skip
 """Captions, and the pages below each."""

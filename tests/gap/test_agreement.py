@@ -49,10 +49,12 @@ def test_each_run_has_its_value_and_the_odd_one_is_named(planted, odd, tmp_path)
     assert list(again.agreement.to_frame().run) == [r.run for r in found.agreement]
 
 
-@pytest.mark.parametrize(("fc", "odd"), [(0.6, ["run3"]), (0.0, [])])
-def test_what_one_run_alone_has_is_named_though_it_is_no_law_of_all(fc, odd):
-    """A mean of three runs is unlikely there, and in no other run it is."""
-    found = found_of(0.0, 0.0, fc)
+@pytest.mark.parametrize(
+    ("fc", "more", "odd"), [(0.6, 0, ["run3"]), (0.4, 2, ["run3"]), (0.0, 0, [])]
+)
+def test_what_one_run_alone_has_is_named_though_it_is_no_law_of_all(fc, more, odd):
+    """A mean of all runs is unlikely there, and in no other run it is."""
+    found = found_of(0.0, 0.0, fc, *[0.0] * more)
     wants = [r for r in found.agreement if r.verdict == "differs"]
     assert [r.run for r in wants] == odd
     assert [r.effect for r in wants] == ["coulomb_friction"] * len(odd)
