@@ -45,15 +45,15 @@ def peak_megabytes() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def case(seconds: float) -> tuple[Robot, Log]:
-    """A simulator, and a log of the arm it should be."""
+def case(seconds: float, rate: float = RATE) -> tuple[Robot, Log]:
+    """A simulator, and a log of the arm it should be, at a rate [Hz]."""
     robot = load_robot("kuka_lwr4")
     arm = replace(robot, effects=(*robot.effects, PLANTED))
     count = max(1, round(seconds / DURATION))
     plan = random_trajectory(
         robot, seed=0, count=count, duration=seconds / count, fill=True, usage=0.8
     )
-    return robot, synthetic_log(arm, trajectory_log(plan, RATE), HonestNoise(), seed=1)
+    return robot, synthetic_log(arm, trajectory_log(plan, rate), HonestNoise(), seed=1)
 
 
 def measure(seconds: float, rollout: bool) -> dict[str, Any]:

@@ -35,17 +35,25 @@ import torch
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.arms import arm
+from torchid.design.bands import CUTOFF, WIDE_BAND
+from torchid.design.columns import Columns, Model
+from torchid.design.motion import measurements
+from torchid.design.segments import Samples, segments_of
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.excitation.design import excite
 from torchid.excitation.synthetic import simulate
 from torchid.export.export import export_dynamics
+from torchid.gap.diagnose import diagnose
+from torchid.gap.settings import GapSettings
 from torchid.identification.identify import identify
 from torchid.identification.settings import Settings
 from torchid.log.model import Log
+from torchid.log.readers import read_log, write_log
 from torchid.robot.library import load_robot
 from torchid.simulation.sensors import HonestNoise
 from torchid_bench.benchmarks.cpu_time import machine
+from torchid_bench.benchmarks.gap_speed import case
 
 COMMITTED = Path(__file__).with_name("ratios.json")
 SLOWER = 0.8
@@ -319,6 +327,23 @@ def toolbox(folder: Path) -> Iterator[Line]:
     yield name, fitted, 1, lambda: identify(robot, log, settings=settings), 1
 
 
+def diagnosis(folder: Path) -> Iterator[Line]:
+    """Ten seconds of log against what any diagnosis of them needs: they are read, filtered and
+    differentiated; one regressor; one QR."""
+    robot, log = case(10.0, 100.0)
+    file = folder / "run.csv"
+    write_log(log, file)
+
+    def minimal() -> None:
+        segments = segments_of(measurements(read_log(file), WIDE_BAND), WIDE_BAND)
+        columns = Columns(Model.of(robot), Samples(segments, CUTOFF))
+        torch.linalg.qr(columns.regressor.flatten(0, 1).flatten(1).T)
+
+    settings = GapSettings(rollout=False)
+    name = "gap, 10 s at 100 Hz / one regressor and QR"
+    yield name, minimal, 1, lambda: diagnose(robot, read_log(file), settings=settings), 1
+
+
 def slower(found: dict[str, float], committed: dict[str, float]) -> list[str]:
     """Sentences on the ratios that have fallen."""
     return [
@@ -343,13 +368,13 @@ def main() -> None:
         place = Path(folder)
         every = (
             dynamics(), effects_in_mujoco(place), evolution(), identification(),
-            toolbox(place / "toolbox"),
+            toolbox(place / "toolbox"), diagnosis(place),
         )  # fmt: skip
         for line in (line for some in every for line in some):
             peer, ours, times = ratio(line, args.rounds)
-            found[line[0]] = round(times, 3)
-            before = f"{committed[line[0]]:8.2f}" if line[0] in committed else ""
-            print(f"{line[0]:44}{peer:10.2f}{ours:10.2f}{times:8.2f}{before}", flush=True)
+            found[line[0]] = float(f"{times:.3g}")
+            before = f"{committed[line[0]]:8.3g}" if line[0] in committed else ""
+            print(f"{line[0]:44}{peer:10.2f}{ours:10.2f}{times:8.3g}{before}", flush=True)
     if args.save:
         COMMITTED.write_text(json.dumps(committed | found, indent=1) + "\n")
         return

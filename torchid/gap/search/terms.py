@@ -1,6 +1,7 @@
 """Candidates of a search: effects at their places, and the columns that each of them has."""
 
 import itertools
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -301,7 +302,7 @@ def candidates_of(
             shared = tuple(KINDS[name].candidates(columns.model.robot))  # type: ignore[attr-defined]
             terms.append(rows.put(shared, None, sum(columns.on_all_joints(e) for e in shared)))  # type: ignore[arg-type]
     # Once a joint's columns are in its matrix, they are not needed any more.
-    gram = Gram(rows.filled, columns.n, int(parts.max()) + 1)
+    gram = Gram(rows.filled[None], columns.n, int(parts.max()) + 1)
     for joint in range(columns.n):
         terms += _of_joint(rows, joint, extra)
         there = {t.effects[0] for t in terms if t.place == joint}
@@ -311,7 +312,7 @@ def candidates_of(
         gram.add(joint, rows.taken(joint), gap[joint], data.keep[joint], parts)
     # Own columns stand behind the common ones.
     terms, beside = (
-        [t if t.place is None else replace(t, at=t.at + rows.filled) for t in some]
+        [t if t.place is None else replace(t, at=t.at + rows.filled[None]) for t in some]
         for some in (terms, beside)
     )
     scale = Scale(columns)
@@ -336,13 +337,14 @@ class _Rows:
         self.columns, self.data, self.wanted, self.given = columns, data, wanted, given
         self._common = [columns.regressor.flatten(0, 1)]
         self._own: list[list[Tensor]] = [[] for _ in range(columns.n)]
-        self.filled = len(self._common[0])
+        # Rows of the common ones, and of each joint's own.
+        self.filled = Counter[Place]({None: len(self._common[0])})
 
     def put(self, effects: tuple[Effect, ...], place: Place, x: Float[Tensor, "C ..."]) -> Term:
         """Columns become a term."""
-        first = self.filled if place is None else sum(map(len, self._own[place]))
+        first = self.filled[place]
         (self._common if place is None else self._own[place]).append(x)
-        self.filled += len(x) if place is None else 0
+        self.filled[place] += len(x)
         effect, data = effects[0], self.data
         # Another sensor says what a coefficient is, or else physics how large it can be.
         seen = _seen(self.columns, data, effect)
