@@ -108,6 +108,8 @@ def test_torques_that_nothing_anchors_stand_beside_the_files_gain():
     found = diagnose_positions(light, log, start=start)
     assert float(found.servos.of("kp")) == 15.0
     assert [(c.effect, c.joints) for c in found.answer.causes] == [("viscous_friction", (0,))]
+    # No motion tells it from a gain that is half of the file's.
+    assert found.answer.causes[0].ambiguous_with == ("proportional_gain",)
     (size,) = found.answer.causes[0].sizes
     assert (size.was, size.unit) == (pytest.approx(0.6), "N m s/rad")
     assert size.value == pytest.approx(1.2, rel=0.05)

@@ -145,8 +145,10 @@ def best_answer(
     )  # fmt: skip
     if file is None:
         return answered
-    model, by_file, worth = beside_file(motions, model, file.model.servos, squares, answered.worth)
-    return replace(answered, model=model, worth=worth, by_file=by_file)
+    servos, searched = file.model.servos, answered.rivals
+    model, by_file, worth, alike = beside_file(motions, model, servos, squares, answered.worth)
+    rivals = searched | {at: searched.get(at, ()) + gain for at, gain in alike.items()}
+    return replace(answered, model=model, worth=worth, rivals=rivals, by_file=by_file)
 
 
 def _beside_file_servos(
@@ -230,9 +232,9 @@ def _needed(
         if name not in KEPT and bool(needless.any()):
             lean = lean.without(BY_NAME[name], needless, sample)
     lean, rivals = lean.fitted(motions, 2), Rivals()
-    left = motions.losses(lean.servos)
-    fall = (left - whole).sum(0)
-    lost = (fall > squares * left.sum(0)) & (fall > least)
+    left_by_lean = motions.losses(lean.servos)
+    fall = (left_by_lean - whole).sum(0)
+    lost = (fall > squares * left_by_lean.sum(0)) & (fall > least)
     # Effects that stood for each other: one of them returns, with the others' names.
     for j in torch.nonzero(lost).flatten().tolist():
         alike = [
@@ -250,7 +252,7 @@ def _needed(
             lean, here = replace(lean, plane=model.plane), torch.ones_like(here)
         lean = lean.joined(model, here & (torch.arange(n) == j), BY_NAME[first].parameters)
         needed[first] = needed[first] | here
-        without[first] = torch.where(here, left, without[first])
+        without[first] = torch.where(here, left_by_lean, without[first])
     if rivals or bool(lost.any()):
         lean = lean.fitted(motions, 2)
     worth = {

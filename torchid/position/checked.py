@@ -132,9 +132,8 @@ def _block_sums(
     size = max(1, round(WINDOW_S / data.tracks.dt))
     squares = torch.stack([*(x.square() for x in errors_of), torch.ones_like(data.q)])
     blocks, owner = list[Tensor](), list[int]()
-    ends = zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True)
-    for motion, (a, b) in enumerate(ends):
-        parts = squares[:, a : b + 1].split(size, 1)
+    for motion, rows in enumerate(data.slices):
+        parts = squares[:, rows].split(size, 1)
         blocks += [part.sum(1) for part in parts]
         owner += [motion] * len(parts)
     return torch.stack(blocks, 1), np.array(owner)
@@ -169,8 +168,7 @@ def _rms(error: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:
 
 def errors_of_motions(data: PositionData, error: Float[Tensor, "T n"]) -> Float[Tensor, "m n"]:
     """RMS errors of motions [mrad]."""
-    ends = zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True)
-    return torch.stack([_rms(error[a : b + 1]) for a, b in ends])
+    return torch.stack([_rms(error[rows]) for rows in data.slices])
 
 
 def errors_of_regimes(

@@ -92,6 +92,12 @@ class PositionData:
     damping_share: Float[Tensor, " n"]
     set_points: dict[bool, tuple[Tensor, Tensor, Tensor]] = field(default_factory=dict, repr=False)
 
+    @property
+    def slices(self) -> list[slice]:
+        """Rows of each motion."""
+        ends = zip(self.tracks.first.tolist(), self.tracks.last.tolist(), strict=True)
+        return [slice(a, b + 1) for a, b in ends]
+
     @cached_property
     def still(self) -> Bool[Tensor, " n"]:
         """(n,) joints that never move: at rest an encoder may flicker between two counts."""
@@ -123,8 +129,7 @@ class PositionData:
         A servo's command is its position, rate and acceleration, each times a number, and what is
         left of gravity and friction.
         """
-        parts = [slice(a, b + 1) for a, b in zip(self.tracks.first, self.tracks.last, strict=True)]
-        slow = [torch.gradient(self.dq[rows], dim=0)[0] / self.tracks.dt for rows in parts]
+        slow = [torch.gradient(self.dq[rows], dim=0)[0] / self.tracks.dt for rows in self.slices]
         columns = (self.q, self.dq, torch.cat(slow), self.dq.sign(), torch.ones_like(self.q))
         out = []
         for j, x in enumerate(torch.stack(columns, -1).unbind(1)):

@@ -20,6 +20,7 @@ from torchid.position.judge import Equations
 from torchid.position.model import ServoArm
 from torchid.position.record import ChangeRecord
 from torchid.position.repeats import PositionNoise
+from torchid.position.search import Rivals
 from torchid.position.servo_model import Motions, ServoModel, mostly_better
 from torchid.simulation.servo import (
     INDEX,
@@ -32,7 +33,7 @@ from torchid.simulation.servo import (
 )
 from torchid.simulation.servo_loop import body_near, windows_of
 from torchid.statistics.criteria import CLEAR_EXCESS, MOVED_STD, TELLING_STD
-from torchid.typing import Bool
+from torchid.typing import Bool, Float
 
 _TORQUES = [INDEX[name] for name in TORQUES]
 
@@ -87,20 +88,21 @@ def _as_file(motions: Motions, servos: Servos, core: Mapping[str, Tensor]) -> Se
 def weighing_otherwise(data: PositionData) -> PositionData:
     """The motions of an arm whose servos do not feel its weight, or, where the file's do not, of
     one whose servos do."""
-    own = data.robot.require_parameters("gravity compensation").pi[:, :4]
-    robot = replace(data.robot, compensated=own if data.robot.compensated is None else None)
+    weights = data.robot.require_parameters("gravity compensation").pi[:, :4]
+    robot = replace(data.robot, compensated=weights if data.robot.compensated is None else None)
     body = body_near(robot, data.q, data.dq, data.link).midway(data.tracks.last)
     return replace(data, robot=robot, body=body)
 
 
 def beside_file(
     motions: Motions, model: ServoModel, file: Servos, squares: float, worth: Worth
-) -> tuple[ServoModel, Bool[Tensor, " n"], Worth]:
+) -> tuple[ServoModel, Bool[Tensor, " n"], Worth, Rivals]:
     """What of an answered model parts it from a file's servos.
 
     Each of the file's numbers takes its place again, all others refitted. The gain stays the
     file's, and torques in its scale, where motions are followed as well; the others are no causes
-    then.
+    then. But where they are followed as well with another gain and the file's number of a torque,
+    either of these two may be wrong.
 
     Args:
         motions: to fit to.
@@ -110,55 +112,62 @@ def beside_file(
         worth: of effects beside plain servos.
 
     Returns:
-        The model, joints whose gain is the file's, and what is worth a name beside the file.
+        The model, joints whose gain is the file's, what is worth a name beside the file, and what
+        does as well in its place.
     """
-    least, every = motions.slight, motions.every
-    by_file, worth = ~every, dict(worth)
+    by_file, worth, rivals = ~motions.every, dict(worth), Rivals()
     for effect in (*GAINS, *(e for e in EFFECTS if e.parameters)):
         names = [p for p in PARAMETERS if p.name in effect.parameters]
         has = torch.stack([file.of(p.name) != p.neutral for p in names]).any(0)
-        asked = every if effect in GAINS else has
+        asked = motions.every if effect in GAINS else has
         if not bool(asked.any()):
             continue
-        with_files = _with_files_number(motions, model, file, effect, asked, by_file)
-        whole, without = (motions.losses(m.servos) for m in (model, with_files))
-        gain = motions.each(without - whole)
-        needed = (gain.sum(0) > squares * without.sum(0)) & (gain.sum(0) > least)
-        needed &= asked & mostly_better(gain)
-        if effect.parameters == ("kp",):
+        held, scaled = _with_files_number(motions, model, file, effect, asked)
+        whole, one = (motions.losses(m.servos) for m in (model, held))
+        two = one if scaled is held else motions.losses(scaled.servos)
+        # Where the gain is the file's, another one is no way to keep the file's number.
+        without = torch.where((one.sum(0) <= two.sum(0)) | by_file, one, two)
+        needed = asked & _needed(motions, whole, without, squares)
+        either = needed & by_file & ~_needed(motions, whole, two, squares)
+        for j in torch.nonzero(either).flatten().tolist():
+            rivals[effect.name, j] = (GAINS[0].name,)
+        if effect is GAINS[0]:
             by_file = ~needed
-            model = model.joined(with_files, by_file)
+            model = model.joined(held, by_file)
         before, with_it = worth.get(effect.name, (torch.full_like(whole, torch.nan), whole))
         named = torch.where(asked, torch.where(needed, without, torch.nan), before)
         worth[effect.name] = named, with_it
-    return model, by_file, {k: v for k, v in worth.items() if bool(v[0].isfinite().any())}
+    worth = {k: v for k, v in worth.items() if bool(v[0].isfinite().any())}
+    return model, by_file, worth, rivals
+
+
+def _needed(
+    motions: Motions, whole: Float[Tensor, "W n"], without: Float[Tensor, "W n"], squares: float
+) -> Bool[Tensor, " n"]:
+    """Joints that are followed worse without a number, on most motions."""
+    gain = motions.each(without - whole)
+    worse = (gain.sum(0) > squares * without.sum(0)) & (gain.sum(0) > motions.slight)
+    return worse & mostly_better(gain)
 
 
 def _with_files_number(
-    motions: Motions,
-    model: ServoModel,
-    file: Servos,
-    effect: ServoEffect,
-    joints: Bool[Tensor, " n"],
-    by_file: Bool[Tensor, " n"],
-) -> ServoModel:
-    """A model with the file's numbers of an effect on some joints, all others refitted; of what has
-    a share of the gain the better of two: what is not free keeps its share, or, where the gain is
-    not the file's, all torques are others by one factor."""
-    values, first = model.servos.joint.clone(), effect.parameters[0]
+    motions: Motions, model: ServoModel, file: Servos, effect: ServoEffect, joints: Tensor
+) -> tuple[ServoModel, ServoModel]:
+    """A model with the file's numbers of an effect on some joints, all others refitted, in two
+    ways: what is not free keeps its share of the gain, or all torques are others by one factor;
+    these are one of what is no torque."""
+    values, scaled = model.servos.joint.clone(), model.servos.joint.clone()
+    first = effect.parameters[0]
     factor = file.of(first) / model.servos.of(first)
     if first == "kp":
         values[:, _TORQUES] *= factor[:, None]
     begun = model.at(values).joined(ServoModel(file, {}), joints, effect.parameters)
     held = begun.fitted(motions, 3, plane=True)
     if first == "kp" or first not in TORQUES or not bool((factor.isfinite() & (factor > 0)).all()):
-        return held
-    values = model.servos.joint.clone()
-    values[:, _TORQUES] *= torch.where(joints, factor, 1.0)[:, None]
+        return held, held
+    scaled[:, _TORQUES] *= torch.where(joints, factor, 1.0)[:, None]
     free = {**held.free, "kp": held.free["kp"] & ~joints}
-    scaled = replace(model.at(values), free=free).fitted(motions, 3, plane=True)
-    one, two = (m.losses(motions) for m in (held, scaled))
-    return scaled.joined(held, (one <= two) | by_file)
+    return held, replace(model.at(scaled), free=free).fitted(motions, 3, plane=True)
 
 
 def changes_of(

@@ -75,12 +75,12 @@ class _Load:
             [torch.arange(a, a + n) for a, n in zip(windows.start.tolist(), length, strict=True)]
         )
         self.last = windows.length.cumsum(0) - 1
-        own = data.robot.require_parameters("a load")
+        bodies = data.robot.require_parameters("a load")
         moments = torch.eye(10, dtype=torch.float64)[1:4]
-        self.plain = self._near(own.pi)
+        self.plain = self._near(bodies.pi)
         self.per = []
         for column in (_ball(1.0, self.point), *moments):
-            pi = own.pi.clone()
+            pi = bodies.pi.clone()
             pi[data.link] += column.to(pi)
             self.per.append(self._near(pi))
 
@@ -148,8 +148,8 @@ def with_load(motions: Motions, model: ServoModel) -> Loaded | None:
         b = (torch.stack(slopes, -1) * root).flatten(0, 1).transpose(0, 1)
         r = (s.residual[..., None] * root).flatten(0, 1).transpose(0, 1)
         alike = TOGETHER_S / data.tracks.dt
-        own = torch.where(mask, prior_precision(names, square, alike), 1.0)
-        gram = a.mT @ a + torch.diag_embed(own)
+        expected = torch.where(mask, prior_precision(names, square, alike), 1.0)
+        gram = a.mT @ a + torch.diag_embed(expected)
         cross, pull = a.mT @ b, a.mT @ r
         # What servos can do in the load's place is no sign of it.
         alone = b - a @ torch.linalg.solve(gram, cross)
@@ -184,9 +184,9 @@ def with_load(motions: Motions, model: ServoModel) -> Loaded | None:
         if after > (1 - HARDLY) * before:
             break
     # A search that has not come to rest knows no more than how far it still wants to go.
-    left = x - (began + step)
+    still_to_go = x - (began + step)
     rows = float(alike_rows(s.residual, windows).mean())
-    std = (_deviations(alone, r, prior, windows, rows).square() + left.square()).sqrt()
+    std = (_deviations(alone, r, prior, windows, rows).square() + still_to_go.square()).sqrt()
     # First moments without a mass are no body, nor has a load many times the arm's own: something
     # else bends these joints.
     if not HALF_95 * float(std[0]) < float(x[0]) < BEYOND_ROBOT * float(masses.sum()):

@@ -22,9 +22,9 @@ from torchid.typing import Float, Int, Tensor
 
 FEWEST = 5.0
 """Independent differences of a joint below which they do not tell its noise [1]."""
-BACK = 40
+FARTHEST_BACK = 40
 """Motions before one that it may repeat [1]: of hundreds of episodes not all are compared."""
-MOST = 250
+MOST_WINDOWS = 250
 """Windows of either side that are simulated [1]."""
 
 
@@ -74,14 +74,13 @@ def noise_of_repeats(data: PositionData, servos: Servos) -> PositionNoise:
     if not parts:
         return no_noise(data.robot.n)
     # Joints whose command moves in a stretch as it does in others.
-    ends = zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True)
-    spread = torch.stack([data.tracks.u[a : b + 1].var(0) for a, b in ends]).mean(0).sqrt()
+    spread = torch.stack([data.tracks.u[rows].var(0) for rows in data.slices]).mean(0).sqrt()
     moves = [data.tracks.u[rows].std(0) > MOVES * spread for rows, _ in pairs]
     whole = windows_of(data.tracks, None)
     error = whole.on_rows(errors_of_one(data, servos, whole), torch.zeros_like(data.q))
     low, high = _interval(data, [error[b] - error[a] for a, b in pairs], moves)
     # Windows that begin at once in both.
-    parts = parts[:: math.ceil(len(parts) / MOST)]
+    parts = parts[:: math.ceil(len(parts) / MOST_WINDOWS)]
     owner, first, second = torch.tensor(parts).T.contiguous()
     apart = _errors_from(data, servos, second, size) - _errors_from(data, servos, first, size)
     _, again = _interval(data, apart.unbind(1), [moves[k] for k in owner.tolist()])
@@ -92,18 +91,17 @@ def _same_commands(data: PositionData) -> list[tuple[slice, slice]]:
     """Pairs of stretches, as rows of all motions one after the other."""
     tracks = data.tracks
     rate = rates(tracks.u, tracks, torch.zeros(len(tracks.first), dtype=torch.bool))
-    ends = list(zip(tracks.first.tolist(), tracks.last.tolist(), strict=True))
-    segments = []
-    for name, (a, b) in zip(data.log.names, ends, strict=True):
-        u, du, q = (x[a : b + 1] for x in (tracks.u, rate, data.q))
+    segments, whole = [], data.slices
+    for name, rows in zip(data.log.names, whole, strict=True):
+        u, du, q = (x[rows] for x in (tracks.u, rate, data.q))
         motion = Motion(u, du, torch.zeros_like(u))
         segments.append(Segment(name, 1 / tracks.dt, 0.5 / tracks.dt, motion, q, False))
 
     def of_all(motion: int, rows: slice) -> slice:
-        return slice(ends[motion][0] + rows.start, ends[motion][0] + rows.stop)
+        return slice(whole[motion].start + rows.start, whole[motion].start + rows.stop)
 
-    found = find_repeats(segments, BACK).pairs
-    return [(of_all(p.a, p.rows_a), of_all(p.b, p.rows_b)) for p in found]
+    pairs = find_repeats(segments, FARTHEST_BACK).pairs
+    return [(of_all(p.a, p.rows_a), of_all(p.b, p.rows_b)) for p in pairs]
 
 
 def _errors_from(
@@ -123,13 +121,13 @@ def _interval(
     ends = torch.full((2, data.robot.n), torch.nan, dtype=torch.float64)
     length = max(4, round(WINDOW_S / data.tracks.dt))
     for j in range(data.robot.n):
-        own = [d[:, j] for d, on in zip(differences, moves, strict=True) if bool(on[j])]
-        if not own:
+        moving = [d[:, j] for d, on in zip(differences, moves, strict=True) if bool(on[j])]
+        if not moving:
             continue
-        stops = torch.tensor([len(d) for d in own]).cumsum(0).tolist()
-        bounds = [slice(stop - len(d), stop) for d, stop in zip(own, stops, strict=True)]
-        x = torch.cat(own)[None] / math.sqrt(2)
-        found = noise_level(x, torch.ones_like(x, dtype=torch.bool), bounds, length)
-        if float(found.freedom) >= FEWEST:
-            ends[:, j] = torch.cat([found.low, found.high])
+        stops = torch.tensor([len(d) for d in moving]).cumsum(0).tolist()
+        bounds = [slice(stop - len(d), stop) for d, stop in zip(moving, stops, strict=True)]
+        x = torch.cat(moving)[None] / math.sqrt(2)
+        noise = noise_level(x, torch.ones_like(x, dtype=torch.bool), bounds, length)
+        if float(noise.freedom) >= FEWEST:
+            ends[:, j] = torch.cat([noise.low, noise.high])
     return ends[0], ends[1]

@@ -138,9 +138,7 @@ def settled(motions: Motions, model: ServoModel) -> ServoModel:
     return model
 
 
-def _falls(
-    motions: Motions, before: Float[Tensor, " n"], after: Float[Tensor, " n"]
-) -> Bool[Tensor, " n"]:
+def _falls(motions: Motions, before: Tensor, after: Tensor) -> Bool[Tensor, " n"]:
     """(n,) joints whose loss falls by enough for an effect to be tried there, and by more than what
     rounding to an encoder's count leaves."""
     gain = before - after
@@ -393,7 +391,7 @@ def _each_beside_plain(
 def _plane_alone(tried: Tried, simple: ServoModel, before: Tensor) -> tuple[ServoModel, Tensor]:
     """With a plane that leaves no more on all joints than an effect of its own on each, and what is
     left; else plain servos."""
-    of_joints = [left for name, (_, left) in tried.items() if BY_NAME[name].parameters]
+    of_joints = [losses for name, (_, losses) in tried.items() if BY_NAME[name].parameters]
     each = torch.stack([before, *of_joints]).amin(0)
     for name, (model, losses) in tried.items():
         alike = float(losses.sum()) < ALIKE_LOSS * float(each.sum())
@@ -407,8 +405,8 @@ def _with_best_effects(
 ) -> tuple[ServoModel, Rivals]:
     """With the best effect on every joint that has a gap; and on those what does as well."""
     names = [name for name in tried if BY_NAME[name].parameters]
-    left = torch.stack([tried[name][1] for name in names])
-    least, (best, which) = motions.slight, left.min(0)
+    left_by = torch.stack([tried[name][1] for name in names])
+    least, (best, which) = motions.slight, left_by.min(0)
     rivals: Rivals = {}
     waiting = motions.every
     # The joints that are worst first: what is left on others may be these joints' doing.
@@ -424,7 +422,7 @@ def _with_best_effects(
             repeated = model.servos.repeated | with_it.servos.repeated
             model = model.joined(with_it, here)
             model = replace(model, servos=replace(model.servos, repeated=repeated))
-            as_good = left[:, j] < ALIKE_LOSS * best[j]
+            as_good = left_by[:, j] < ALIKE_LOSS * best[j]
             rivals[name, j] = tuple(
                 other
                 for other, alike in zip(names, as_good.tolist(), strict=True)
