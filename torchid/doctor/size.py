@@ -159,7 +159,8 @@ def _against_nominal(judge: Judge, hypothesis: Hypothesis) -> Check | None:
     for factor, name in _UNITS:
         if abs(math.log(overall / factor)) < math.log(CAD):
             # A hundred is a size of gains and gears, too, which differ from joint to joint.
-            apart = factor == 100.0 and bool(low.max() > CAD * factor or high.min() < factor / CAD)
+            outside = bool(low.max() > CAD * factor or high.min() < factor / CAD)
+            apart = factor == 100.0 and (outside or len(set(map(abs, hypothesis.tau_factor))) > 1)
             if apart:
                 continue
             repair = Scale(("tau",), (1.0 / factor,) * judge.robot.n)

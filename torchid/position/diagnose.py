@@ -289,7 +289,7 @@ def _held_to(
         was = before if of_file and (f.was or f.effect == GRAVITY.name) else simple
         ends = [float(way.whole[at].nanmean()) for way in (was, after)]
         same = bool(f.was) and all(
-            low <= f.was[name] <= high for name, (low, high) in f.ci95.items() if name in f.was
+            f.ci95[name][0] <= was <= f.ci95[name][1] for name, was in f.was.items()
         )
         most = 1.0 if ends[1] < UNCHANGED * ends[0] and not same else LIKELY - 0.01
         most = most if f.how_sure is None else min(f.how_sure, most)

@@ -421,8 +421,12 @@ def pairs_instead(
     the cause, beside it, is none."""
     if term.place is None:
         return []
-    own = [(t, f) for _, t, f in tried if t.place == term.place and t.name != term.name]
-    likely = own[:LIKELIEST]
+    # The best of each name: shapes of one do not keep out another that lacks one part alone.
+    own: dict[str, tuple[Term, Fitted]] = {}
+    for _, other, again in tried:
+        if other.place == term.place and other.name != term.name:
+            own.setdefault(other.name, (other, again))
+    likely = list(own.values())[:LIKELIEST]
     found = moves_beside_each(question, [f for _, f in likely], [term] * len(likely))
     pairs = [
         (first, second)
