@@ -157,6 +157,23 @@ def test_friction_of_a_slow_or_a_small_motion(kind, times, size):
     assert not any("explains nothing" in w for w in found.warnings)
 
 
+@pytest.mark.slow
+def test_of_friction_that_was_driven_one_way_no_law_is_sure():
+    """Five constant speeds backwards: dry and viscous friction are there what an asymmetry is."""
+    logs, random = [], np.random.default_rng(0)
+    t = np.arange(0.0, 8.0, 1 / 125)
+    for v in (-0.08, -0.2, -0.4, -0.7, -1.1):
+        q = v * t + 1e-5 * random.standard_normal(len(t))
+        tau = -0.9 + 0.35 * v + 0.02 * random.standard_normal(len(t))
+        logs.append(torchid.Log(t, q[:, None], tau=tau[:, None]))
+    settings = torchid.GapSettings(rollout=False)
+    log = torchid.Log.concatenate(logs)
+    found = torchid.diagnose(single_axis(inertia=0.03), log, settings=settings)
+    (law,) = found.answer.causes
+    assert {law.effect, *law.ambiguous_with} >= {"coulomb_friction", "viscous_friction"}
+    assert all(f.ambiguous_with or f.how_sure < 0.9 for f in found.findings)
+
+
 def spinning(inertia: float = 1.2e-3) -> torchid.Log:
     """The motor with another inertia [kg m^2], four runs of which one repeats the first."""
     logs, random = [], np.random.default_rng(0)

@@ -13,6 +13,7 @@ import pytest
 import torch
 from scipy.io import savemat
 
+from torchid.design.motion import measurements
 from torchid.errors import LogError, MissingExtraError
 from torchid.log.model import Log
 from torchid.log.readers import read_log
@@ -238,7 +239,12 @@ def test_text_without_header(tmp_path: Path) -> None:
 def test_a_mapping_is_proposed(tmp_path: Path, names: list[str], mapping: str | None) -> None:
     path = save(tmp_path / "a.csv", {name: k + T for k, name in enumerate(names)})
     if names[:2] == ["t", "q1"]:
-        assert list(read_log(path).signals) == ["q"]
+        log = read_log(path)
+        assert list(log.signals) == ["q"]
+        assert 'no torque by our names: perhaps `columns="tau=effort_{j}"`' in log.warnings[-1]
+        with pytest.raises(LogError, match="has no torque") as info:
+            measurements(log, None)
+        assert info.value.hint == log.warnings[-1]
         return
     if mapping is None:
         with pytest.raises(LogError) as info:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -9,10 +10,14 @@ import torch
 from tests.marks import some
 from tests.position.planted import planted, robot, true_servos
 from tests.simulation.bodies import flywheel
-from torchid.position.diagnose import diagnose_positions
+from torchid.position.diagnose import _held_to, diagnose_positions
+from torchid.position.diagnosis import Number, finding_of
+from torchid.position.effects import BY_NAME
 from torchid.position.file_servos import weighing_otherwise
 from torchid.position.model import ServoArm
+from torchid.position.record import Accuracy
 from torchid.position.replay import replay
+from torchid.position.search import _SIZES
 from torchid.report.brief import model_words
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
@@ -28,6 +33,27 @@ def with_value(servos: Servos, name: str, value: float, joint: int | None = None
     table = servos.joint.clone()
     table[slice(None) if joint is None else joint - 1, INDEX[name]] = value
     return replace(servos, joint=table)
+
+
+@pytest.mark.parametrize(("was", "sure"), [(25.0, False), (5.0, True)])
+def test_a_number_that_the_file_has_within_its_interval_has_not_changed(was, sure):
+    kp = Number("kp", "N m/rad", 27.0, (17.0, 37.0), was)
+    found = finding_of(BY_NAME["proportional_gain"], 0, [kp], (9.0, 5.0), how_sure=0.97)
+    far, near = (Accuracy.of_joints(torch.tensor([x]), torch.tensor([x])) for x in (9.0, 5.0))
+    (held,) = _held_to([found], far, far, near, of_file=True)
+    assert held.how_sure == (0.97 if sure else pytest.approx(0.5, abs=0.02))
+    assert (held.how_sure >= 0.5) == sure
+
+
+@pytest.mark.parametrize("stiff", [2.0, 12.0, 25.0])
+def test_limits_are_tried_however_stiff_the_servo_is(stiff):
+    """From some size on that is tried the limit's own slope leads to it: none is further away than
+    a factor of two."""
+    u = torch.linspace(-1, 1, 1001, dtype=torch.float64)[:, None]
+    data = SimpleNamespace(tracks=SimpleNamespace(u=u), q=torch.zeros_like(u))
+    servos = Servos.neutral(1, kp=stiff * 2.2)
+    tried = _SIZES["clip"](data, servos).flatten()
+    assert float((tried / 2.2).log().abs().min()) < math.log(2.0)
 
 
 DEGREES = 180 / math.pi

@@ -9,6 +9,7 @@ from torchid.design.in_parts import MotionInParts, held_sign
 from torchid.effects.base import Motion
 from torchid.effects.friction_laws import RESTING
 from torchid.errors import LogError
+from torchid.log.assemble import OTHER_NAMES
 from torchid.log.columns import column_names
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
@@ -150,11 +151,14 @@ def no_torque(log: Log) -> LogError:
     """The error of a log without torque, which may have currents."""
     each = ",".join(f"K{j + 1}" for j in range(log.n))
     gains = f'give the drive gains [N m/A]: `gain="{each}"`, or `drive_gain` in the robot\'s yaml'
+    named = next((w for w in log.warnings if OTHER_NAMES in w), None)
     return LogError(
         f"log '{log.source}' has no torque.",
         got=", ".join(column_names(log)),
         expected="columns tau1.., or i1.. and drive gains; `torchid gap` takes commands u1.., too",
-        hint=gains if log.current is not None else 'name its columns: `columns="tau=NAME_{j} Nm"`',
+        hint=gains
+        if log.current is not None
+        else named or 'name its columns: `columns="tau=NAME_{j} Nm"`',
     )
 
 

@@ -158,7 +158,8 @@ def _against_nominal(judge: Judge, hypothesis: Hypothesis) -> Check | None:
         if abs(math.log(overall / factor)) < math.log(CAD_SIZE):
             # A hundred is a size of gains and gears, too, which differ from joint to joint.
             beyond = low.max() > CAD_SIZE * factor or high.min() < factor / CAD_SIZE
-            apart = factor == 100.0 and bool(beyond)
+            several = len(set(map(abs, hypothesis.tau.factors))) > 1
+            apart = factor == 100.0 and (several or bool(beyond))
             if apart:
                 continue
             repair = scaled(("tau",), (1.0 / factor,) * judge.robot.n)

@@ -27,6 +27,8 @@ from torchid.log.sources import (
 )
 from torchid.log.table import AbsentColumnError, Request, Table, natural
 
+OTHER_NAMES = " has no torque by our names"
+"""What is said of a table that has torque, or current, by another name beside our own q."""
 _ARRAYS = {prefix: prefix for prefix in (*PREFIXES.values(), "ext")} | {"current": "i"}
 
 
@@ -78,7 +80,7 @@ def log_from_table(
             raise _with_help(error, table, joints) from None
         notes = (*notes, f"'{table.path}' is read by the names of its columns: {guessed[0]}")
     if free and log.tau is None and log.current is None and (own := _torque(table)):
-        notes = (*notes, f"'{table.path}' has no torque by our names: perhaps `columns=\"{own}\"`")
+        notes = (*notes, f"'{table.path}'{OTHER_NAMES}: perhaps `columns=\"{own}\"`")
     warnings = tuple(dict.fromkeys((*log.warnings, *notes)))
     return log.replace(source=str(table.path), warnings=warnings, servos=table.servos)
 

@@ -458,8 +458,12 @@ def pairs_instead(
     spans the same torque in this log is a rival in any number of terms."""
     if term.place is None:
         return []
-    here = [(t, f) for _, t, f in tried if t.place == term.place and t.name != term.name]
-    likely = here[:LIKELIEST]
+    # The best of each name: shapes of one do not keep out another that lacks one part alone.
+    here: dict[str, tuple[Term, Fitted]] = {}
+    for _, other, again in tried:
+        if other.place == term.place and other.name != term.name:
+            here.setdefault(other.name, (other, again))
+    likely = list(here.values())[:LIKELIEST]
     found = moves_beside_each(question, [f for _, f in likely], [term] * len(likely))
     pairs = [
         (first, second)
