@@ -160,7 +160,7 @@ def explain_gap(problem: Problem, watch: Watch | None = None) -> Explanation:
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
         extra += [t.alone for t in start if t.alone and hasattr(t.alone, "at")]
     folds = question.candidates.gram.folds()
-    fit, left, ends = search_on_drawn(question, folds, fit, left, problem.settings.seed)
+    ends = ends_on_drawn(question, folds, fit, problem.settings.seed)
     # The search ends without what vanishes at the model found.
     while True:
         fit = fit_to_convergence(question, fit.terms, fit)
@@ -197,30 +197,23 @@ def worth_naming(
     return question, fit, left
 
 
-def search_on_drawn(
-    question: Question, folds: Folds, fit: Fitted, left: Sequence[Term], seed: int
-) -> tuple[Fitted, list[Term], tuple[tuple[Term, ...], ...]]:
-    """Search on from the best explanation so far on folds that are drawn again: a climb that ends
-    where no step helps may go on where other data say so.
+def ends_on_drawn(
+    question: Question, folds: Folds, fit: Fitted, seed: int
+) -> tuple[tuple[Term, ...], ...]:
+    """Terms at which climbs end that begin at an explanation, on folds that are drawn again; of
+    these what is worth a name on all data. They are alternatives: the answer is that of all data.
 
     Args:
         question, folds, fit: as for `drop_worthless`.
-        left: terms that are not worth a name.
         seed: of the draws.
-
-    Returns:
-        the best on all data, the terms that are not worth a name, and the terms of the others.
     """
-    gram, ends = question.candidates.gram, []
-    parts = gram.parts - 1
+    gram, own = question.candidates.gram, question.own(fit)
+    parts, ends = gram.parts - 1, []
     for some in np.random.default_rng(seed).integers(1, parts + 1, (CLIMBS, parts)).tolist():
         drawn = replace(question, normal=gram.over(some))
-        own = question.own(climb_from(drawn, question.own(fit)))
-        end, small = drop_worthless(question, folds, refit(question, fit, own))
-        if most_evident(question, [fit, end]) is end:
-            fit, end, left = end, fit, [*left, *small]
-        ends.append(question.own(end))
-    return fit, list(left), tuple(ends)
+        end = refit(question, fit, question.own(climb_from(drawn, own)))
+        ends.append(question.own(drop_worthless(question, folds, end)[0]))
+    return tuple(ends)
 
 
 def terms_without_torque(question: Question, solution: Solution) -> list[Term]:

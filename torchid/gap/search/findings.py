@@ -35,7 +35,7 @@ from torchid.gap.search.evidence import (
     residual,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.odds import Misfit, Odds, Place, Rival, law_of, place_of, weighed
+from torchid.gap.search.odds import Misfit, Odds, Place, Rival, law_of, logs_for, place_of, weighed
 from torchid.gap.search.pool import pool_of
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.shares import Shares
@@ -184,13 +184,10 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
         one = [(r, (t,), f) for r, t, f in alternatives(question, fit, without, term, tried)]
         others = [*one, *pairs_instead(question, fit, without, term, tried)]
         own = own_torque(found.solution, fixed + k)
-        # What happened once lies in one block, and what acts beyond a limit in few: no others can
-        # speak for it.
-        rare = any(e.event or e.at_ends for e in term.effects)
-        logs = draws.as_it_is if rare else draws
-        rivals = rivals_of(question, fit, term, [(terms, f) for _, terms, f in others], logs)
-        rivals += [] if rare else pool.without(term)
-        place = place_of(question, (fit, without), term, own, logs, rivals)
+        logs, some = logs_for(term, draws), [(terms, f) for _, terms, f in others]
+        rivals = rivals_of(question, fit, term, some, logs)
+        rivals += pool.without(term) if logs is draws else []
+        place = place_of(question, (fit, without), term, own, draws, rivals)
         # Causes that the pool alone has were not asked for their evidence in this place.
         rises = {terms: rise for rise, terms, _ in others}
         pairs = tuple((rises.get(terms, -math.inf), terms) for terms in place.others)
