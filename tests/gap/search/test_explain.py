@@ -24,9 +24,7 @@ from torchid.effects.transient import Saturation
 from torchid.gap.search.climb import candidate_moves, climb_from, drop_worthless, fit_anew
 from torchid.gap.search.evidence import comparable
 from torchid.gap.search.explain import (
-    CLIMBS,
     Explanation,
-    ends_on_drawn,
     refine_shapes,
     search_again_without,
     search_without_small,
@@ -136,18 +134,6 @@ def test_what_makes_no_torque_at_the_corrected_model_vanishes() -> None:
     assert bool(clipped.at.numel())  # the model as given would meet it
     assert told(term(question, "torque_offset", 1), friction, clipped) == [("saturation", 1)]
     assert told(term(question, "torque_offset", 1), friction) == []
-
-
-def test_climbs_on_drawn_folds_end_at_what_is_there() -> None:
-    """From nothing, and from what is there already."""
-    data = measured([(CoulombFriction(1), [0.6]), (ViscousFriction(0), [0.8])])
-    question = question_of(data, parts=two_folds(data))
-    folds = question.candidates.gram.folds()
-    there = [term(question, "coulomb_friction", 1), term(question, "viscous_friction", 0)]
-    for start in ([], there):
-        ends = ends_on_drawn(question, folds, fit_anew(question, start), 0)
-        assert len(ends) == CLIMBS
-        assert all(named(end) == {(t.name, t.place) for t in there} for end in ends)
 
 
 def test_swaps_and_the_search_without_small_causes_end_where_neither_helps() -> None:
