@@ -202,6 +202,13 @@ def _load_sizes(load: Loaded) -> tuple[Number, ...]:
     return (mass, *com)
 
 
+def has_changed(size: Number) -> bool:
+    """Whether the interval of a number leaves out what the robot's file has; no, where it has
+    none."""
+    low, high = size.interval
+    return not math.isnan(size.was) and not low <= size.was <= high
+
+
 def _alike(known: Equations, name: str, joints: Sequence[int]) -> list[float]:
     """Rises of an effect on joints that have it, by a parameter that all servos of a type share,
     torques as shares of kp."""

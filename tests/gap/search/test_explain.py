@@ -24,11 +24,9 @@ from torchid.effects.transient import Saturation
 from torchid.gap.search.climb import candidate_moves, climb_from, drop_worthless, fit_anew
 from torchid.gap.search.evidence import comparable
 from torchid.gap.search.explain import (
-    CLIMBS,
     Explanation,
     refine_shapes,
     search_again_without,
-    search_on_drawn,
     search_without_small,
     settle,
     solve,
@@ -136,21 +134,6 @@ def test_what_makes_no_torque_at_the_corrected_model_vanishes() -> None:
     assert bool(clipped.at.numel())  # the model as given would meet it
     assert told(term(question, "torque_offset", 1), friction, clipped) == [("saturation", 1)]
     assert told(term(question, "torque_offset", 1), friction) == []
-
-
-def test_climbs_on_drawn_folds_leave_a_poor_end() -> None:
-    """From nothing at all the answer is found; the best is no worse than the start, and the others
-    are kept."""
-    data = measured([(CoulombFriction(1), [0.6]), (ViscousFriction(0), [0.8])])
-    question = question_of(data, parts=two_folds(data))
-    folds, empty = question.candidates.gram.folds(), fit_anew(question)
-    best, left, ends = search_on_drawn(question, folds, empty, [], 0)
-    assert named(best.terms) == {("coulomb_friction", 1), ("viscous_friction", 0)}
-    assert len(ends) == CLIMBS
-    assert () in ends
-    again, _, _ = search_on_drawn(question, folds, best, left, 1)
-    one, other = comparable(question, again, best)
-    assert one.evidence >= other.evidence
 
 
 def test_swaps_and_the_search_without_small_causes_end_where_neither_helps() -> None:

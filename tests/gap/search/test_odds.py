@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from tests.gap.problems import measured, question_of, wanted_of
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.gap.search.evidence import fit_terms
+from torchid.gap.search.findings import rivals_of
 from torchid.gap.search.odds import Misfit, Odds, place_of
 from torchid.gap.search.replication import own_torque
 from torchid.gap.search.solve import solve_terms
@@ -94,3 +95,18 @@ def test_equal_factors_speak_for_a_law_as_far_as_they_are_known(stds):
     assert stands_in([(1.0, math.inf), (1.0, math.inf)]) == 0.0
     spread = [(1.0 + (-1) ** k, s) for k, s in enumerate(stds)]
     assert stands_in(spread) > same
+
+
+def test_what_a_rival_adds_elsewhere_speaks_neither_for_nor_against_a_cause() -> None:
+    """Dry friction of another joint, which the answer lacks, is no rival, however much it says."""
+    data = measured([(ViscousFriction(1), [0.2]), (CoulombFriction(2), [0.6])], noise=NOISE)
+    question = question_of(data, ("viscous_friction", "coulomb_friction"))
+    own, dry = (
+        next(t for t in question.candidates.terms if (t.name, t.place) == at)
+        for at in (("viscous_friction", 1), ("coulomb_friction", 2))
+    )
+    rows = question.normal.rows
+    fit, instead = (fit_terms(question, [t], rows, None, 10) for t in (own, dry))
+    draws = Draws.of(block_numbers(data.samples.bounds, 25))
+    (rival,) = rivals_of(question, fit, own, [((dry,), instead)], draws)
+    assert bagged([rival.weight], draws, [rival.beside])[0] > 0.99

@@ -55,9 +55,6 @@ diagnoses take a second pass, at double load-dependent friction is 1 % off."""
 LONGEST = 120.0
 """Length of a log beyond which one trajectory shows how impacts are [s]."""
 
-CLIMBS = 4
-"""Climbs on drawn folds."""
-
 FINEST = 5
 """Times a shape is searched around the best one, each time three times more closely."""
 
@@ -76,7 +73,6 @@ class Explanation:
         fit: what is told; its terms beside the fixed ones.
         unworthy: terms that the evidence has, which are not worth a name.
         solution: the corrected model.
-        ends: terms of other explanations, at which climbs on drawn logs have ended.
     """
 
     question: Question
@@ -84,7 +80,6 @@ class Explanation:
     fit: Fitted
     unworthy: tuple[Term, ...]
     solution: Solution
-    ends: tuple[tuple[Term, ...], ...] = ()
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -160,14 +155,13 @@ def explain_gap(problem: Problem, watch: Watch | None = None) -> Explanation:
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
         extra += [t.alone for t in start if t.alone and hasattr(t.alone, "at")]
     folds = question.candidates.gram.folds()
-    fit, left, ends = search_on_drawn(question, folds, fit, left, problem.settings.seed)
     # The search ends without what vanishes at the model found.
     while True:
         fit = fit_to_convergence(question, fit.terms, fit)
         solution = solve(problem, fit)
         gone = terms_without_torque(question, solution)
         if not gone:
-            return Explanation(question, fit_anew(question), fit, tuple(left), solution, ends)
+            return Explanation(question, fit_anew(question), fit, tuple(left), solution)
         question = replace(question, barred=question.barred | {t.key for t in gone})
         rest = [t for t in question.own(fit) if t.key not in question.barred]
         fit = drop_unphysical(question, refit(question, fit, rest))
@@ -195,32 +189,6 @@ def worth_naming(
     if whole is not fit:
         fit, left = improve_by_swaps(question, folds, whole, left)
     return question, fit, left
-
-
-def search_on_drawn(
-    question: Question, folds: Folds, fit: Fitted, left: Sequence[Term], seed: int
-) -> tuple[Fitted, list[Term], tuple[tuple[Term, ...], ...]]:
-    """Search on from the best explanation so far on folds that are drawn again: a climb that ends
-    where no step helps may go on where other data say so.
-
-    Args:
-        question, folds, fit: as for `drop_worthless`.
-        left: terms that are not worth a name.
-        seed: of the draws.
-
-    Returns:
-        the best on all data, the terms that are not worth a name, and the terms of the others.
-    """
-    gram, ends = question.candidates.gram, []
-    parts = gram.parts - 1
-    for some in np.random.default_rng(seed).integers(1, parts + 1, (CLIMBS, parts)).tolist():
-        drawn = replace(question, normal=gram.over(some))
-        own = question.own(climb_from(drawn, question.own(fit)))
-        end, small = drop_worthless(question, folds, refit(question, fit, own))
-        if most_evident(question, [fit, end]) is end:
-            fit, end, left = end, fit, [*left, *small]
-        ends.append(question.own(end))
-    return fit, list(left), tuple(ends)
 
 
 def terms_without_torque(question: Question, solution: Solution) -> list[Term]:

@@ -35,8 +35,7 @@ from torchid.gap.search.evidence import (
     residual,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.odds import Misfit, Odds, Place, Rival, law_of, place_of, weighed
-from torchid.gap.search.pool import pool_of
+from torchid.gap.search.odds import Misfit, Odds, Place, Rival, law_of, logs_for, place_of, weighed
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.shares import Shares
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excluding, same_columns
@@ -132,13 +131,8 @@ class Judged:
         numbers = self.odds.in_set
         if self.at_an_end and self.others and not numbers:
             numbers = [max(range(len(self.others)), key=lambda k: self.others[k][0])]
-        every = (t.name for k in numbers for t in self._there(k))
+        every = (t.name for k in numbers for t in self.others[k][1])
         return tuple(dict.fromkeys(LINK if name == BASE else name for name in every))
-
-    def _there(self, k: int) -> Sequence[Term]:
-        """Of what stands in its place what is at its place, or else all."""
-        terms = self.others[k][1]
-        return [t for t in terms if _near(t, self.term)] or terms
 
     @property
     def branch_sure(self) -> float:
@@ -147,7 +141,7 @@ class Judged:
         return self.odds.sure + sum(
             mass
             for k, mass in enumerate(self.odds.others)
-            if all(_branch(t) == mine and _near(t, self.term) for t in self._there(k))
+            if all(_branch(t) == mine and _near(t, self.term) for t in self.others[k][1])
         )
 
 
@@ -174,7 +168,7 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
         draws: logs that might have been.
     """
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
-    laws, pool = friction_of(found, draws), pool_of(found, draws)
+    laws = friction_of(found, draws)
     out = []
     for k, term in enumerate(found.terms):
         # What the others leave, refitted.
@@ -184,16 +178,10 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
         one = [(r, (t,), f) for r, t, f in alternatives(question, fit, without, term, tried)]
         others = [*one, *pairs_instead(question, fit, without, term, tried)]
         own = own_torque(found.solution, fixed + k)
-        # What happened once lies in one block, and what acts beyond a limit in few: no others can
-        # speak for it.
-        rare = any(e.event or e.at_ends for e in term.effects)
-        logs = draws.as_it_is if rare else draws
-        rivals = rivals_of(question, fit, term, [(terms, f) for _, terms, f in others], logs)
-        rivals += [] if rare else pool.without(term)
-        place = place_of(question, (fit, without), term, own, logs, rivals)
-        # Causes that the pool alone has were not asked for their evidence in this place.
-        rises = {terms: rise for rise, terms, _ in others}
-        pairs = tuple((rises.get(terms, -math.inf), terms) for terms in place.others)
+        logs, some = logs_for(term, draws), [(terms, f) for _, terms, f in others]
+        rivals = rivals_of(question, fit, term, some, logs)
+        place = place_of(question, (fit, without), term, own, draws, rivals)
+        pairs = tuple((rise, terms) for rise, terms, _ in others)
         law, ended = laws.get(k), bool(at_an_end(question, term))
         odds, law_sure = place.odds(misfit), _sure_of(law, misfit)
         out.append(Judged(place, pairs, odds, ended, law, law_sure))

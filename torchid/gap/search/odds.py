@@ -174,8 +174,15 @@ def place_of(
     rivals: Sequence[Rival] = (),
 ) -> Place:
     """The place of a term; arguments as for `Place`, with what may be in it beside nothing."""
+    draws = logs_for(term, draws)
     nothing = Rival((), weighed(question, *fits, draws))
     return Place(question, fits, term, own, (nothing, *rivals), draws)
+
+
+def logs_for(term: Term, draws: Draws) -> Draws:
+    """The logs that a term is asked of: what happened once lies in one block, and what acts beyond
+    a limit in few, so that no other log can speak for it."""
+    return draws.as_it_is if any(e.event or e.at_ends for e in term.effects) else draws
 
 
 def weighed(
