@@ -91,10 +91,7 @@ class _Naming:
             changed = any(not math.isnan(size.was) for size in sizes)
             sure = self.how_sure(effect, j, len(sizes), again, alike, changed)
             # No change is whose interval holds what the robot's file says.
-            known_already = (
-                x.interval[0] <= x.was <= x.interval[1] for x in sizes if x.was == x.was
-            )
-            if changed and all(known_already):
+            if changed and not any(map(has_changed, sizes)):
                 sure = min(sure, LIKELY - 0.01)
             more = {"ambiguous_with": others, "replication": again, "how_sure": sure}
             ends = float(without[j]), float(with_it[j])
