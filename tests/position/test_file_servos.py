@@ -54,7 +54,7 @@ DEGREES = 180 / math.pi
 WRONG = {
     # The file's number on joints 1 to 3, and what the arm has.
     "proportional_gain": ("kp", [260.0 / DEGREES] * 3, 260.0),
-    "saturation": ("clip", [math.inf, 90.0, math.inf], math.inf),
+    "saturation": ("clip", [math.inf, 40.0, math.inf], math.inf),
     "viscous_friction": ("damping", [22.0, 66.0, 22.0], 22.0),
 }
 
@@ -81,7 +81,7 @@ def test_the_first_number_is_the_files(cause):
     if cause == "saturation":
         # The gain is the file's, so that a torque is one: no share of the gain.
         assert (size.name, size.unit, size.was) == ("clip", "N m", None)
-        assert size.value == pytest.approx(90.0, rel=0.03)
+        assert size.value == pytest.approx(40.0, rel=0.03)
         assert "new" in {c.state for c in found.changes if c.parameter == "clip"}
     else:
         at = answer.causes[0].joints[0]
