@@ -32,7 +32,7 @@ def with_effects(path: Path, windows: Windows) -> torch.Tensor:
     if effects.ignored:
         print(f"not run: {', '.join(effects.ignored)}")
     for b in range(len(models)):
-        effects.place(b, windows.q[b, 0], windows.dq0[b])
+        effects.place(b, windows.q[b, 0], windows.dq[b, 0])
     effects.restart()
     for k in range(windows.q.shape[1] - 1):
         for i in range(steps):

@@ -12,6 +12,7 @@ from tests.position.diagnosed import diagnosis
 from torchid.app.commands import app
 from torchid.errors import TorchidError
 from torchid.position.fit import absolute
+from torchid.position.record import KnownRecord
 from torchid.simulation.servo import INDEX
 from torchid.simulators.servo import drawn_servos
 
@@ -21,11 +22,15 @@ COVARIANCE = torch.tensor(
 )
 
 
+def known_of(joint: int, names: tuple[str, ...], covariance: torch.Tensor) -> KnownRecord:
+    return KnownRecord(joint=joint, names=names, covariance=covariance)
+
+
 @pytest.fixture(scope="module")
 def found():
     """Gain and inertia of joint 1 go together; of joint 2 the delay alone is told."""
-    joints = (NAMES, COVARIANCE), (NAMES[2:], COVARIANCE[2:, 2:]), ((), torch.zeros(0, 0).double())
-    return replace(diagnosis(), known=joints)
+    every = (NAMES, COVARIANCE), (NAMES[2:], COVARIANCE[2:, 2:]), ((), torch.zeros(0, 0).double())
+    return replace(diagnosis(), known=tuple(known_of(k, *each) for k, each in enumerate(every)))
 
 
 def test_draws_have_the_covariance_of_what_the_log_told(found):
@@ -51,7 +56,7 @@ def test_draws_have_the_covariance_of_what_the_log_told(found):
 
 
 def test_what_is_positive_stays_so(found):
-    joints = ((NAMES[2:], torch.ones(1, 1).double()), *found.known[1:])
+    joints = (known_of(0, NAMES[2:], torch.ones(1, 1).double()), *found.known[1:])
     wide = torchid.randomise(replace(found, known=joints).record, draws=64)
     assert float(wide.draws.of("delay").min()) == 0
 

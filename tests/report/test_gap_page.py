@@ -70,7 +70,7 @@ def test_one_screen_then_sections_that_fold(undrawn):
         "The causes in numbers (1 cause)",
         "Errors in numbers",
         "For your simulator",
-        "Cautions (3)",
+        "Cautions (4)",
         "What this log could not show",
         "How this was obtained",
     ]

@@ -102,7 +102,7 @@ def causes_of_few_runs(
         if with_it.evidence == -math.inf:  # physics refuses it
             continue
         solution = solve(problem, with_it)
-        k = next(k for k, t in enumerate(solution.terms) if t.key == term.key)
+        k = [id(t) for t in with_it.terms].index(id(term))
         own = own_torque(solution, k)
         place = place_of(question, (with_it, fit), term, own, problem.draws)
         entries.append(_entry(solution, k, place, place.odds(misfit).sure))
