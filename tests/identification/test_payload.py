@@ -481,6 +481,16 @@ def test_a_weak_motion_that_tells_the_mass_holds_it_in_its_interval(digits):
     assert found.undetermined
 
 
+def test_what_is_not_known_of_the_gain_is_in_every_interval_but_the_place():
+    """All of a body scales with the torque; its centre of mass stays where it is."""
+    two = exact("3r", None), exact("3r", tuple(BOX.tolist()))
+    known, unsure = (estimate_payload(*two, gain_std=share) for share in (0.0, 0.05))
+    mass = float(unsure.tool.mass.value)
+    assert float(unsure.tool.mass.std) == pytest.approx(0.05 * mass, rel=1e-3)
+    assert float(known.tool.mass.std) < 1e-6
+    assert float((unsure.tool.com.std - known.tool.com.std).abs().max()) < 1e-6
+
+
 def test_two_runs_must_mean_the_same():
     robot = load_robot("3r_friction")
     other = identify(

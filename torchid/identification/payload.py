@@ -13,6 +13,7 @@ import torch
 from msgspec import UNSET, UnsetType, field, structs
 from scipy.special import chdtri, fdtri
 
+from torchid.design.signal import DRIVE_GAIN, from_current
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters, random_states
@@ -424,7 +425,13 @@ def payload(
             "`torchid export` wrote from such logs",
         )
     carrying = identify(unknown, loaded, settings=settings, device=device, progress=progress)
-    found = estimate_payload(without, carrying, model=model)
+    gain_std = DRIVE_GAIN if from_current(loaded) else 0.0
+    found = estimate_payload(without, carrying, model=model, gain_std=gain_std)
+    if gain_std:
+        noticed.append(
+            f"torque is computed from current. Its gain is assumed known to {gain_std:.0%}; every "
+            "± includes that."
+        )
     noticed += [f"with payload: {w}" for w in carrying.warnings]
     noticed += [*found.warnings, *_motion_for(found, robot, loaded, carrying)]
     warnings = tuple(dict.fromkeys(noticed))
@@ -432,7 +439,11 @@ def payload(
 
 
 def estimate_payload(
-    unloaded: Robot | Identification, loaded: Identification, *, model: Model = "general"
+    unloaded: Robot | Identification,
+    loaded: Identification,
+    *,
+    model: Model = "general",
+    gain_std: float = 0.0,
 ) -> Payload:
     """The payload that turns one identification, or a known model, into the other.
 
@@ -444,6 +455,7 @@ def estimate_payload(
             it is on another day.
         loaded: with the payload.
         model: see `Payload`.
+        gain_std: how well the scale of all torque is known, as a share of it.
 
     Raises:
         TorchidError: other base parameters in the two, or a model that does not say how sure it is.
@@ -477,7 +489,7 @@ def estimate_payload(
         empty.append(known_rows(root, root @ expected))
     torque = max(float(p.measured.abs().max()) for p in loaded.fit_predictions)
     return payload_from_evidence(
-        robot, two, tuple(empty), evidence_of(loaded), model, known, torque
+        robot, two, tuple(empty), evidence_of(loaded), model, known, torque, gain_std
     )
 
 
@@ -489,6 +501,7 @@ def payload_from_evidence(
     model: Model,
     estimated: Bool[Tensor, " B"] | None = None,
     torque: float = math.inf,
+    gain_std: float = 0.0,
 ) -> Payload:
     """The payload that logs without and with it tell of.
 
@@ -499,6 +512,7 @@ def payload_from_evidence(
         model: see `Payload`.
         estimated: (B,) base parameters that both runs estimated; all if None.
         torque: largest in the log [N m; N], which no payload that is held exceeds.
+        gain_std: as of `estimate_payload`.
 
     Raises:
         TorchidError: an unknown model.
@@ -512,7 +526,7 @@ def payload_from_evidence(
     largest = torque / (_GRAVITY * length) * length ** powers.double()
     columns = last_link_columns(robot, base)
     joint = joint_regression(base, columns, empty, loaded)
-    fitted = fit_payload(model, robot, joint)
+    fitted = replace(fit_payload(model, robot, joint), gain_std=gain_std)
     change, std, freedom, told = changes_beside(fitted, columns)
     rigid = torch.arange(len(base)) < base.n_rigid
     # All rigid parameters are tested at once (Bonferroni).

@@ -204,6 +204,7 @@ class Fitted:
         to_parameters: from (F,) to the ten parameters in the last link's frame.
         null: (F, D) directions of `free` that the rows say nothing about.
         wider: by which variances are larger than the rows' errors say.
+        gain_std: how well the scale of all torque is known, as a share of it.
     """
 
     free: Float[Tensor, " F"]
@@ -212,6 +213,7 @@ class Fitted:
     to_parameters: Callable[[Tensor], Tensor]
     null: Float[Tensor, "F D"]
     wider: float = 1.0
+    gain_std: float = 0.0
 
     def of(
         self, function: Callable[[Tensor], Tensor]
@@ -227,7 +229,11 @@ class Fitted:
         size = slope.abs() @ self.null.abs()
         determined = (moved <= _VANISHES * size.clamp(min=1e-300)).all(-1)
         covariance, freedom = self.joint.spread(slope @ self.estimator)
-        return composed(self.free), self.wider * covariance, freedom, determined
+        # With another scale of the torque all ten have it.
+        ten = self.to_parameters(self.free)
+        scaled = self.gain_std * (jacobian(function, ten) @ ten)
+        covariance = self.wider * covariance + scaled.unsqueeze(1) * scaled
+        return composed(self.free), covariance, freedom, determined
 
 
 def last_link_columns(robot: Robot, base: BaseParameters) -> Float[Tensor, "B 10"]:
