@@ -52,6 +52,24 @@ def test_the_curve_is_the_arms_whatever_the_model_has_already(Fc):
         assert 0 < x.forwards_std < 0.1
 
 
+def test_details_that_take_each_others_place_are_one():
+    """A load that never changes: dry friction is what grows with it. One of them is there for
+    sure, and neither has a row that says otherwise."""
+    t = np.arange(0.0, 20.0, 1 / 200)
+    q = 0.1 * np.sin(t) + 0.03 * np.sin(2.6 * t)
+    dq, ddq = (np.gradient(x, t) for x in (q, np.gradient(q, t)))
+    noise = 0.2 * np.random.default_rng(0).standard_normal(len(t))
+    tau = 95 * ddq + 20 * np.sign(dq) + 200 * dq + noise
+    log = torchid.Log(t, q[:, None], dq=dq[:, None], tau=tau[:, None])
+    effects = ("viscous_friction", "coulomb_friction", "bearing_moment_friction")
+    robot = single_axis("P", mass=95.0)
+    (law,) = torchid.diagnose(robot, log, settings=replace(SETTINGS, effects=effects)).friction
+    (dry,) = (d for d in law.details if "coulomb_friction" in d.effects)
+    assert dry.how_sure > 0.9
+    assert {"coulomb_friction", "bearing_moment_friction"} <= set(dry.effects)
+    assert dry.detail.startswith("dry, or ")
+
+
 def test_it_is_the_sum_of_its_terms():
     diagnosis = found()
     (law,) = diagnosis.friction

@@ -5,7 +5,7 @@ together, so that the band of their sum is narrower than those of details that t
 place.
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -137,24 +137,37 @@ class _Friction:
         return total
 
     def _details(self) -> tuple[FrictionDetail, ...]:
-        """Details that are likely, and those of the model as given; the surest first."""
+        """Details that are likely, and those of the model as given; the surest first. What takes
+        each other's place, none of it sure alone, is one of them."""
         without: dict[str, float] = {}
         effects: dict[str, list[str]] = {}
-        named = set()
+        named, out = set(), []
         for one in self.decision.judged:
+            here, instead = self._terms_effects(one), self._instead(one)
+            words = _least([here, *(instead[k] for k in one.odds.in_set if k in instead)])
+            one_of = bool(here) and len(words) > 1
+            if one_of:
+                mass = one.odds.sure + sum(one.odds.others[k] for k in instead)
+                every = {e.name: e for some in (here, *instead.values()) for e in some}
+                own = tuple(n for n, e in every.items() if any(e.detail in w for w in words))
+                text = ", or ".join(" and ".join(w) for w in words)
+                out.append(FrictionDetail(detail=text, effects=own, how_sure=mass))
+                continue
             # What excludes each other adds up; terms beside each other are there or not.
             masses: dict[str, float] = {}
-            for effect, mass in self._masses(one):
+            found = [(here, one.odds.sure), *((x, one.odds.others[k]) for k, x in instead.items())]
+            for effect, mass in ((e, mass) for some, mass in found for e in some):
                 masses[effect.detail] = masses.get(effect.detail, 0.0) + mass
                 effects.setdefault(effect.detail, []).append(effect.name)
             for detail, mass in masses.items():
                 without[detail] = without.get(detail, 1.0) * max(0.0, 1 - mass)
-            named |= {e.detail for e in self._terms_effects(one)}
+            named |= {e.detail for e in here}
+        told = {name for one in out for name in one.effects}
         known = set()
         for effect, _ in (*self.corrected, *self.given):
-            effects.setdefault(effect.detail, []).append(effect.name)
-            known.add(effect.detail)
-        out = []
+            if effect.name not in told:
+                effects.setdefault(effect.detail, []).append(effect.name)
+                known.add(effect.detail)
         for detail, names in effects.items():
             likely = 1 - without.get(detail, 1.0)
             says = detail in named or likely >= LEAST
@@ -163,14 +176,11 @@ class _Friction:
                 out.append(FrictionDetail(detail=detail, effects=own, how_sure=sure))
         return tuple(sorted(out, key=lambda d: -(d.how_sure or 0.0)))
 
-    def _masses(self, one: Judged) -> Iterator[tuple[Effect, float]]:
-        """Friction of this joint that is there, or in the place of what is there, and the
-        probability of it."""
-        for effect in self._terms_effects(one):
-            yield effect, one.odds.sure
-        for (_, others), mass in zip(one.others, one.odds.others, strict=True):
-            alone = (t.alone for t in others)
-            yield from ((e, mass) for e in alone if e is not None and self._is_own(e))
+    def _instead(self, one: Judged) -> dict[int, list[Effect]]:
+        """Friction of this joint that may stand in a term's place, by its number."""
+        every = (([t.alone for t in terms], k) for k, (_, terms) in enumerate(one.others))
+        own = {k: [e for e in some if e is not None and self._is_own(e)] for some, k in every}
+        return {k: some for k, some in own.items() if some}
 
     def _table(self, own: Float[Tensor, " M"]) -> tuple[FrictionAt, ...]:
         """Torque at three speeds, both ways."""
@@ -239,3 +249,11 @@ class _Friction:
             at = torch.stack([torch.ones_like(speed), speed], 1)
             out[:, there] = (at @ fitted).T[:, there]
         return out
+
+
+def _least(choices: Sequence[Sequence[Effect]]) -> list[list[str]]:
+    """Details of effects that are there together, of each of some choices; none that has all of
+    another one."""
+    words = [list(dict.fromkeys(e.detail for e in some)) for some in choices]
+    words = [w for k, w in enumerate(words) if w not in words[:k]]
+    return [w for w in words if not any(set(other) < set(w) for other in words)]
