@@ -424,8 +424,7 @@ def alternatives(
         if other.name != term.name and rise > -math.inf:
             names.setdefault(other.name, (rise, other, again))
     for base in question.candidates.terms:
-        skip = term.of_links or LINK in names or question.shows(term)
-        if base.name == BASE and not skip:
+        if base.name == BASE and not (term.of_links or question.shows(term)):
             # What does not do as well with any numbers does not with those of bodies.
             for conic in (False, True):
                 with_base = (*question.own(without), base)
@@ -435,7 +434,7 @@ def alternatives(
                 if float(lost.sum()) >= 2 * math.log(SET_ODDS):
                     break
             else:
-                names[LINK] = then.evidence - now.evidence, base, then
+                names[BASE] = then.evidence - now.evidence, base, then
     return list(names.values())
 
 
