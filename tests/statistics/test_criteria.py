@@ -45,3 +45,9 @@ def test_a_number_changed_first_is_what_the_diagnosis_reads():
         [sys.executable, "-c", changed], capture_output=True, text=True, check=True
     )
     assert done.stdout.split() == ["0.2"]
+
+
+def test_no_number_is_defined_twice():
+    targets = [t for node in SOURCE.body if isinstance(node, ast.Assign) for t in node.targets]
+    names = [n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)]
+    assert len(names) == len(set(names))

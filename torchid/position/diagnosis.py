@@ -38,7 +38,7 @@ from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
 from torchid.results.record import Ends, Rows, by_joint
 from torchid.results.replication import agreement_of
 from torchid.simulation.servo import INDEX, PARAMETERS, Servos
-from torchid.statistics.criteria import CLEAR_EXCESS, EXPLAINED, LIKELY, UNLIKELY
+from torchid.statistics.criteria import CLEAR_EXCESS, LIKELY, MOSTLY_EXPLAINED, UNLIKELY
 from torchid.typing import Bool, Float, Tensor
 
 
@@ -192,7 +192,7 @@ class PositionDiagnosis(Diagnosis):
         `partly_explained`, where something else is there too; `detected_unexplained`."""
         if not any(f.how_sure is None or f.how_sure >= LIKELY for f in self.findings):
             return "no_gap" if math.isnan(self.closed) else "detected_unexplained"
-        return "partly_explained" if self._closed_in_windows < EXPLAINED else "explained"
+        return "partly_explained" if self._closed_in_windows < MOSTLY_EXPLAINED else "explained"
 
     @cached_property
     def answer(self) -> Answer:

@@ -71,7 +71,7 @@ SLIGHT_ERROR = 0.01
 """Share of the distance between command and position that calls for no cause [1]: a servo's own
 cycle and its bus make as much."""
 
-EXPLAINED = 0.9
+MOSTLY_EXPLAINED = 0.9
 """Share of a position gap, in squares, from which what is named is all of it [1]: a third of the
 RMS is left then, which one more effect would be worth looking for."""
 
