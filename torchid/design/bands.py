@@ -15,7 +15,7 @@ from torchid.dynamics.forward import mass_matrix
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.robot.model import Robot
-from torchid.statistics.robust import robust_std
+from torchid.statistics.robust import robust_std, white_variance
 from torchid.typing import Float, Tensor
 
 CUTOFF = 8.0
@@ -70,24 +70,16 @@ def position_noise(log: Log, robot: Robot) -> Float[Tensor, " n"]:
         top = (frequency > 0.375 * rate) & (frequency < 0.475 * rate)
         if top.any():
             level += len(q) / log.samples * torch.from_numpy(power[top]).median(0).values
-    # A base goes far while its noise is small: what its spectrum ends with is leakage. Third
-    # differences, of which white noise has twenty times its variance, see the noise alone.
+    # A base goes far while its noise is small: what its spectrum ends with is leakage.
     for k in robot.free:
-        level[k] = _noise_of_differences(log, k)
+        noise = (
+            (rows.stop - rows.start) / log.samples * white_variance([log.q[rows, k]]) * 2 / rate
+            for rows, rate in zip(log.slices(), log.rates, strict=True)
+        )
+        level[k] = sum(map(float, noise))
     # Inertia in some postures.
     mass = mass_matrix(robot, log.q[:: max(1, log.samples // 50)].double()).square().mean(0)
     return ((mass @ level) * (2 * math.pi) ** 4 / 5).sqrt()
-
-
-def _noise_of_differences(log: Log, joint: int) -> float:
-    """Spectral density [rad^2/Hz; m^2/Hz] of white noise as third differences have it."""
-    out = 0.0
-    for rows, rate in zip(log.slices(), log.rates, strict=True):
-        jumps = log.q[rows, joint].double().diff(n=3)
-        if len(jumps):
-            share = (rows.stop - rows.start) / log.samples
-            out += share * float(jumps.square().mean()) / 20 * 2 / rate
-    return out
 
 
 def resolved(log: Log, noise: Float[Tensor, " n"], free: Sequence[int] = ()) -> float:

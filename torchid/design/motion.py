@@ -13,6 +13,7 @@ from torchid.log.assemble import OTHER_NAMES
 from torchid.log.columns import column_names
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
+from torchid.statistics.robust import white_variance
 from torchid.typing import Bool, Float, Int, Tensor
 
 MOVING = RESTING
@@ -188,11 +189,7 @@ def moving_speed(log: Log) -> Float[Tensor, " n"]:
         step, count = max(1, round(_LOOK_S * rate)), rows.stop - rows.start
         begun = torch.arange(rows.start, rows.stop - step, max(1, count // _ENOUGH_STEPS))
         speeds.append((log.q[begun + step] - log.q[begun]).abs() * (rate / step))
-        # White noise is 20 times itself in third differences.
-        third = log.q[rows][:_ENOUGH_STEPS].double().diff(n=3, dim=0)
-        if len(third):
-            square = third.square().mean(0).cpu() / (20 * rate)
-            noise = torch.maximum(noise, square)
+        noise = torch.maximum(noise, white_variance([log.q[rows][:_ENOUGH_STEPS]]).cpu() / rate)
     all_speeds = torch.cat(speeds).double().cpu()
     fastest = float(all_speeds.quantile(0.99, 0).max()) if len(all_speeds) else MOVING / _SLOW
     return (_NOISE * noise.sqrt()).clamp(min=_SLOW * fastest).clamp(max=MOVING)

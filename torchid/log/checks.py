@@ -18,7 +18,7 @@ from torchid.log.columns import PREFIXES, columns_of, sensorless
 from torchid.log.model import Log
 from torchid.log.stamps import check_increasing, place_of
 from torchid.log.units import STEPS
-from torchid.statistics.robust import column_quantile
+from torchid.statistics.robust import column_quantile, white_variance
 from torchid.typing import Float, Tensor
 
 NO_TORQUE = 1e-9  # what is below is no torque: zero, or what a driver leaves there [N m, N or A]
@@ -303,10 +303,10 @@ def least_way(log: Log) -> Float[Tensor, " n"]:
     farthest = SHARE * float((log.q.amax(0) - log.q.amin(0)).max())
     least = torch.full((log.n,), min(MOVING, farthest), dtype=torch.float64)
     for k in range(log.n if farthest < MOVING else 0):
-        steps = [log.q[rows, k].double().diff() for rows in log.slices()]
-        # White noise is 20 times itself in third differences; a count is the smallest step.
-        noise = torch.cat([s.diff(n=2) for s in steps]).square().mean().div(20).sqrt()
-        jumps = torch.cat(steps).abs()
+        parts = [log.q[rows, k].double() for rows in log.slices()]
+        noise = white_variance(parts).sqrt()
+        # A count is the smallest step.
+        jumps = torch.cat([x.diff() for x in parts]).abs()
         count = jumps[jumps > 0].amin() if bool((jumps > 0).any()) else noise
         least[k] = max(float(least[k]), min(MOVING, RESOLVED * float(max(noise, count))))
     return least

@@ -253,14 +253,6 @@ def missing_commands(log: Log) -> tuple[str, ...]:
     return tuple(out)
 
 
-def scale_of(log: Log) -> Float[Tensor, " n"]:
-    """(n,) radians per unit of q, where the log's own velocities are in another unit than q."""
-    scale = torch.ones(log.n, dtype=torch.float64)
-    for joint, factor in own_units(log).items():
-        scale[joint] = factor
-    return scale
-
-
 def rates(
     q: Float[Tensor, "T n"], tracks: Tracks, follows: Bool[Tensor, " m"]
 ) -> Float[Tensor, "T n"]:

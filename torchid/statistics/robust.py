@@ -1,4 +1,6 @@
-"""Scales and weights that a few wild samples do not move."""
+"""Scales and weights that a few wild samples, or slow changes, do not move."""
+
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -29,6 +31,13 @@ def robust_std(x: Float[Tensor, "n N"]) -> Float[Tensor, " n"]:
     """Robust standard deviation of each row about zero, from its samples that are not zero: zeros
     are samples that do not count. Nan where none is left."""
     return MAD_TO_SIGMA * torch.where(x == 0, torch.nan, x.abs()).nanmedian(1).values
+
+
+def white_variance(signals: Sequence[Float[Tensor, "T ..."]]) -> Float[Tensor, "..."]:
+    """Variance of the white noise in signals over time, whatever they do slowly: of white noise
+    third differences have twenty times its own; zero of signals too short to tell."""
+    third = torch.cat([x.double().diff(n=3, dim=0) for x in signals])
+    return third.square().sum(0) / (20 * max(len(third), 1))
 
 
 def huber_weights(x: Float[Tensor, "n N"]) -> Float[Tensor, "n N"]:

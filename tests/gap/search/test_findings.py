@@ -19,7 +19,7 @@ from torchid.gap.search.findings import (
     likely_terms,
     not_testable,
 )
-from torchid.gap.search.odds import Odds, place_of
+from torchid.gap.search.odds import Against, Odds, place_of
 from torchid.gap.search.solve import Solution, solve_terms
 from torchid.gap.search.terms import BASE, PAYLOAD
 from torchid.robot.inertia import InertialParameters
@@ -81,9 +81,8 @@ def test_a_shape_at_the_end_of_its_range_is_never_told_alone(a: float, others: s
     # However sure, the other one is in its set.
     sure = Odds(1.0, 0.0, 0.0, (0.0,) * len(found))
     pairs = tuple((rise, (other,)) for rise, other, _ in found)
-    place = place_of(
-        question, (fit, without), own, None, Draws.of(torch.zeros(len(data.samples)).long())
-    )  # type: ignore[arg-type]
+    against = Against(question, fit, Draws.of(torch.zeros(len(data.samples)).long()))
+    place = place_of(against, without, own, None)  # type: ignore[arg-type]
     judged = Judged(place, pairs, sure, bool(ended))
     assert set(judged.ambiguous_with) == others
     now, then = comparable(question, fit, without)

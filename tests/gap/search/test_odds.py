@@ -11,7 +11,7 @@ from tests.gap.problems import measured, question_of, wanted_of
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.gap.search.evidence import fit_terms
 from torchid.gap.search.findings import rivals_of
-from torchid.gap.search.odds import Misfit, Odds, place_of
+from torchid.gap.search.odds import Against, Misfit, Odds, place_of
 from torchid.gap.search.replication import own_torque
 from torchid.gap.search.solve import solve_terms
 from torchid.statistics.bagging import Draws, bagged
@@ -36,7 +36,8 @@ def asked(planted, misfit, name="viscous_friction", joint=1):
     k = len(question.fixed)
     share = misfit / (misfit + question.squares / rows)
     left = Misfit(torch.full_like(rows, misfit), share)
-    return place_of(question, (fit, without), term, own_torque(solution, k), draws).odds(left)
+    against = Against(question, fit, draws)
+    return place_of(against, without, term, own_torque(solution, k)).odds(left)
 
 
 LAW = [(ViscousFriction(1), [0.5])]
@@ -108,5 +109,5 @@ def test_what_a_rival_adds_elsewhere_speaks_neither_for_nor_against_a_cause() ->
     rows = question.normal.rows
     fit, instead = (fit_terms(question, [t], rows, None, 10) for t in (own, dry))
     draws = Draws.of(block_numbers(data.samples.bounds, 25))
-    (rival,) = rivals_of(question, fit, own, [((dry,), instead)], draws)
+    (rival,) = rivals_of(Against(question, fit, draws), own, [((dry,), instead)])
     assert bagged([rival.weight], draws, [rival.beside])[0] > 0.99

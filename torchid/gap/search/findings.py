@@ -35,7 +35,7 @@ from torchid.gap.search.evidence import (
     residual,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.odds import Misfit, Odds, Place, Rival, law_of, logs_for, place_of, weighed
+from torchid.gap.search.odds import Against, Misfit, Odds, Place, Rival, law_of, place_of
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.shares import Shares
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excluding, same_columns
@@ -168,7 +168,8 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
         draws: logs that might have been.
     """
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
-    laws = friction_of(found, draws)
+    against = Against(question, fit, draws)
+    laws = friction_of(found, against)
     out = []
     for k, term in enumerate(found.terms):
         # What the others leave, refitted.
@@ -178,9 +179,8 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
         one = [(r, (t,), f) for r, t, f in alternatives(question, fit, without, term, tried)]
         others = [*one, *pairs_instead(question, fit, without, term, tried)]
         own = own_torque(found.solution, fixed + k)
-        logs, some = logs_for(term, draws), [(terms, f) for _, terms, f in others]
-        rivals = rivals_of(question, fit, term, some, logs)
-        place = place_of(question, (fit, without), term, own, draws, rivals)
+        rivals = rivals_of(against.asked_of(term), term, [(terms, f) for _, terms, f in others])
+        place = place_of(against, without, term, own, rivals)
         pairs = tuple((rise, terms) for rise, terms, _ in others)
         law, ended = laws.get(k), bool(at_an_end(question, term))
         odds, law_sure = place.odds(misfit), _sure_of(law, misfit)
@@ -189,14 +189,11 @@ def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged
 
 
 def rivals_of(
-    question: Question,
-    fit: Fitted,
-    term: Term,
-    others: Sequence[tuple[tuple[Term, ...], Fitted]],
-    draws: Draws,
+    against: Against, term: Term, others: Sequence[tuple[tuple[Term, ...], Fitted]]
 ) -> list[Rival]:
     """Other explanations without a term, each with those that have it and one or all of the terms
     in its place; without what has the term's own columns, of which one is there and not both."""
+    question, fit = against.question, against.fit
     apart = []
     for terms, _ in others:
         some = [s for s in terms if s.name != BASE and not same_columns(s, term)]
@@ -204,16 +201,12 @@ def rivals_of(
     every = [(*question.own(fit), *s) for some in apart for s in some]
     fits = iter(refit_each(question, fit, every))
     return [
-        Rival(
-            terms,
-            weighed(question, fit, again, draws, terms),
-            tuple(weighed(question, fit, next(fits), draws, s) for s in some),
-        )
+        Rival(against.weight(again, terms), tuple(against.weight(next(fits), s) for s in some))
         for (terms, again), some in zip(others, apart, strict=True)
     ]
 
 
-def friction_of(found: Explanation, draws: Draws) -> dict[int, Place]:
+def friction_of(found: Explanation, against: Against) -> dict[int, Place]:
     """By the number of each term that is friction of a joint which has several: the place of all of
     them together."""
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
@@ -227,7 +220,7 @@ def friction_of(found: Explanation, draws: Draws) -> dict[int, Place]:
             terms = [found.terms[k] for k in numbers]
             without = refit(question, fit, excluding(found.terms, terms), 10)
             own = own_torque(found.solution, *(fixed + k for k in numbers))
-            law = law_of(question, (fit, without), terms, own, draws)
+            law = law_of(against, without, terms, own)
             out |= dict.fromkeys(numbers, law)
     return out
 

@@ -13,6 +13,7 @@ no library:
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from torchid.effects.registry import EVENTS
 from torchid.gap.search.evidence import (
@@ -55,16 +56,14 @@ class Misfit:
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """Other explanations without a cause, beside the answered one.
+    """Another explanation without a cause, beside the answered one.
 
     Attributes:
-        terms: that stand in its place; none where nothing does.
         weight: of the explanation, on logs that might have been.
         beside: of those that have the cause and the same elsewhere: what an explanation has
             elsewhere speaks neither for nor against the cause.
     """
 
-    terms: tuple[Term, ...]
     weight: Alternative
     beside: tuple[Alternative, ...] = ()
 
@@ -131,11 +130,6 @@ class Place:
     instead: tuple[Rival, ...]
     draws: Draws
 
-    @property
-    def others(self) -> tuple[tuple[Term, ...], ...]:
-        """Different causes that may be in its place."""
-        return tuple(dict.fromkeys(r.terms for r in self.instead if r.terms))
-
     def odds(self, misfit: Misfit) -> Odds:
         """Of all, and of something unknown, beside a misfit that the model leaves."""
         question, term = self.question, self.term
@@ -143,74 +137,93 @@ class Place:
         if not question.shows(term):
             beyond = unknown(question, self.fits, self.own, term, misfit)
         weights = [*(r.weight for r in self.instead), (None, beyond)]
-        sure, *each, strange = bagged(weights, self.draws, [r.beside for r in self.instead])
-        masses = dict.fromkeys(((), *self.others), 0.0)
-        for rival, mass in zip(self.instead, each, strict=True):
-            masses[rival.terms] += mass
-        return Odds(sure, masses.pop(()), strange, tuple(masses.values()))
+        sure, nothing, *others = bagged(weights, self.draws, [r.beside for r in self.instead])
+        return Odds(sure, nothing, others.pop(), tuple(others))
 
 
-def law_of(
-    question: Question,
-    fits: tuple[Fitted, Fitted],
-    terms: Sequence[Term],
-    own: OwnTorque,
-    draws: Draws,
-) -> Place:
+@dataclass(frozen=True, eq=False)
+class Against:
+    """An explanation that others are weighed against, on logs that might have been.
+
+    Attributes:
+        question: of all.
+        fit: of the explanation.
+        draws: the logs.
+    """
+
+    question: Question
+    fit: Fitted
+    draws: Draws
+
+    def asked_of(self, term: Term) -> "Against":
+        """On the logs that a term is asked of: what happened once lies in one block, and what acts
+        beyond a limit in few, so that no other log can speak for it."""
+        rare = any(e.event or e.at_ends for e in term.effects)
+        return self._as_it_is if rare else self
+
+    @cached_property
+    def _as_it_is(self) -> "Against":
+        return replace(self, draws=self.draws.as_it_is)
+
+    @cached_property
+    def _share(self) -> Float[Tensor, "M n"]:
+        """Of the samples that count, in each log."""
+        keep, rows = self.question.candidates.keep.double(), self.question.normal.rows
+        return self.draws.sums(keep) / rows.clamp(min=1.0)
+
+    @cached_property
+    def _squares(self) -> Float[Tensor, "M n"]:
+        return self._squares_of(self.fit)
+
+    def _squares_of(self, fit: Fitted) -> Float[Tensor, "M n"]:
+        """Sums of squares of what a fit leaves, in each log."""
+        return self.draws.sums(left_by(self.question, fit)[0].square())
+
+    def weight(self, other: Fitted, terms: Sequence[Term] = ()) -> Alternative:
+        """Of another explanation, with terms in the place of one of this one's."""
+        question = self.question
+        if not question.known and any(t.name == BASE for t in terms):
+            # A file that is wrong throughout has odds of its own, whatever its numbers cost.
+            return None, 2 * math.log(WRONG_FILE)
+        now, then = comparable(question, self.fit, other)
+        if then.evidence == -math.inf:
+            return None, -math.inf
+        effective = now.effective * self._share
+        ratio = log_likelihood_ratio(effective, self._squares, self._squares_of(other))
+        mine, its = (cost(question, question.own(f), now.effective, EXPECTED) for f in (now, then))
+        # The friction of a joint is one law, in how many terms ever; all else is several causes.
+        one_law = all(e.branch == "friction" for t in terms for e in t.effects)
+        more = max(len(terms) - 1, 0) * question.price(EXPECTED) if one_law else 0.0
+        return ratio.sum(1) - (then.known - now.known), mine - its + more
+
+
+def law_of(against: Against, without: Fitted, terms: Sequence[Term], own: OwnTorque) -> Place:
     """The place of the friction of a joint, in several terms: one law, which is there or not."""
-    place = place_of(question, fits, terms[0], own, draws)
+    place = place_of(against, without, terms[0], own)
     # However many terms it has, it is one cause.
     gain, paid = place.instead[0].weight
-    fewer = (len(terms) - 1) * question.price(EXPECTED)
-    return replace(place, instead=(Rival((), (gain, paid - fewer)),))
+    fewer = (len(terms) - 1) * against.question.price(EXPECTED)
+    return replace(place, instead=(Rival((gain, paid - fewer)),))
 
 
 def place_of(
-    question: Question,
-    fits: tuple[Fitted, Fitted],
+    against: Against,
+    without: Fitted,
     term: Term,
     own: OwnTorque,
-    draws: Draws,
     rivals: Sequence[Rival] = (),
 ) -> Place:
-    """The place of a term; arguments as for `Place`, with what may be in it beside nothing."""
-    draws = logs_for(term, draws)
-    nothing = Rival((), weighed(question, *fits, draws))
-    return Place(question, fits, term, own, (nothing, *rivals), draws)
-
-
-def logs_for(term: Term, draws: Draws) -> Draws:
-    """The logs that a term is asked of: what happened once lies in one block, and what acts beyond
-    a limit in few, so that no other log can speak for it."""
-    return draws.as_it_is if any(e.event or e.at_ends for e in term.effects) else draws
-
-
-def weighed(
-    question: Question, fit: Fitted, other: Fitted, draws: Draws, terms: Sequence[Term] = ()
-) -> Alternative:
-    """Another explanation beside one, on logs that might have been.
+    """The place of a term.
 
     Args:
-        question: of both.
-        fit: of the one.
-        other: of the other.
-        draws: the logs.
-        terms: that stand in the place of one of the one's.
+        against: the explanation that has it.
+        without: the fit of the others.
+        term, own: as for `Place`.
+        rivals: what may be in it beside nothing.
     """
-    if not question.known and any(t.name == BASE for t in terms):
-        # A file that is wrong throughout has odds of its own, whatever its numbers cost.
-        return None, 2 * math.log(WRONG_FILE)
-    now, then = comparable(question, fit, other)
-    if then.evidence == -math.inf:
-        return None, -math.inf
-    share = draws.sums(question.candidates.keep.double()) / question.normal.rows.clamp(min=1.0)
-    before, after = (draws.sums(left_by(question, f)[0].square()) for f in (fit, other))
-    ratio = log_likelihood_ratio(now.effective * share, before, after)
-    mine, its = (cost(question, question.own(f), now.effective, EXPECTED) for f in (now, then))
-    # The friction of a joint is one law, in how many terms ever; all else is several causes.
-    one_law = all(e.branch == "friction" for t in terms for e in t.effects)
-    more = max(len(terms) - 1, 0) * question.price(EXPECTED) if one_law else 0.0
-    return ratio.sum(1) - (then.known - now.known), mine - its + more
+    asked = against.asked_of(term)
+    instead = (Rival(asked.weight(without)), *rivals)
+    return Place(asked.question, (asked.fit, without), term, own, instead, asked.draws)
 
 
 def unknown(

@@ -22,7 +22,7 @@ from torchid.gap.search.evidence import (
 )
 from torchid.gap.search.explain import Explanation, solve
 from torchid.gap.search.findings import Judged, at_an_end
-from torchid.gap.search.odds import Misfit, Place, place_of
+from torchid.gap.search.odds import Against, Misfit, Place, place_of
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import LINK, Term, excluding
@@ -65,13 +65,12 @@ def small_effects(
     if not own:
         return ()
     # Their sizes, fitted together with what is told.
-    solution = solve(problem, whole)
+    solution, against = solve(problem, whole), Against(question, whole, problem.draws)
     out = []
     for k, term in enumerate(whole.terms):
         if id(term) not in without:
             continue
-        fits = whole, without[id(term)][1]
-        place = place_of(question, fits, term, own_torque(solution, k), problem.draws)
+        place = place_of(against, without[id(term)][1], term, own_torque(solution, k))
         sure = place.odds(misfit).sure
         if sure >= LIKELY:
             out.append(_entry(solution, k, place, sure))
@@ -92,10 +91,13 @@ def causes_of_few_runs(
         return ()
     places: dict[object, list[Term]] = {}
     for _, (term, *more) in candidate_moves(question, fit):
+        if len(places) == PLACES_ASKED and term.place not in places:
+            continue
         near = places.setdefault(term.place, [])
-        if not (more or term.inertial or at_an_end(question, term)) and len(near) < OF_A_PLACE:
+        # Asked last, for it is of every shape.
+        if len(near) < OF_A_PLACE and not (more or term.inertial or at_an_end(question, term)):
             near.append(term)
-    asked = [term for near in list(places.values())[:PLACES_ASKED] for term in near]
+    asked = [term for near in places.values() for term in near]
     entries: list[UnnamedEffect] = []
     fits = refit_each(question, fit, [[*found.terms, t] for t in asked]) if asked else []
     for term, with_it in zip(asked, fits, strict=True):
@@ -103,8 +105,8 @@ def causes_of_few_runs(
             continue
         solution = solve(problem, with_it)
         k = [id(t) for t in with_it.terms].index(id(term))
-        own = own_torque(solution, k)
-        place = place_of(question, (with_it, fit), term, own, problem.draws)
+        against = Against(question, with_it, problem.draws)
+        place = place_of(against, fit, term, own_torque(solution, k))
         entries.append(_entry(solution, k, place, place.odds(misfit).sure))
     few = of_few_runs((e.cause, e.replication) for e in entries)
     of_few = [e for e in entries if (e.effect, e.joints) in few]
@@ -145,10 +147,7 @@ def _entry(solution: Solution, k: int, place: Place, sure: float) -> UnnamedEffe
     closes = place.question.fall(*place.fits).sqrt()
     term, robot = solution.terms[k], solution.model.robot
     values, std = solution.values[k].tolist(), solution.std[k].tolist()
-    felt, samples = (
-        term.joints or (int(closes.argmax()),),
-        place.question.candidates.columns.samples,
-    )
+    felt = term.joints or (int(closes.argmax()),)
     # Of bodies only how sure is said; their numbers are the corrected model's.
     effect: Effect = KINDS[LINK](0) if term.inertial else term.effects[0]  # type: ignore[call-arg]
     coefficients = () if term.inertial else effect.coefficients
@@ -164,5 +163,5 @@ def _entry(solution: Solution, k: int, place: Place, sure: float) -> UnnamedEffe
         closes_rms=float(closes.max()),
         how_sure=sure,
         settles=INERTIA_REMEDY if term.inertial else effect.experiment,
-        replication=replication(place.own, solution, k, samples),
+        replication=replication(place.own, solution, k, place.question.candidates.columns.samples),
     )
