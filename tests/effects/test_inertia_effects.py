@@ -1,5 +1,7 @@
 """Bodies added to links, against Pinocchio's torque of the arm that carries them."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -7,7 +9,11 @@ from tests.arms import ARMS, arm, consistent_parameters
 from tests.effects.exact_logs import closed, smooth_motion
 from tests.oracles import PinocchioOracle
 from torchid.effects.base import ModelEffect
+from torchid.effects.gravity import EncoderOffset
 from torchid.effects.inertia import LinkInertia, Payload
+from torchid.effects.model import ArmModel
+from torchid.effects.registry import Valued, model_torque
+from torchid.effects.variation import with_joint
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 
@@ -66,3 +72,21 @@ def test_long_motions_are_handled_in_pieces() -> None:
     some = motion.part(slice(39_990, None))
     whole = LinkInertia(1).torque_columns(motion, robot)
     torch.testing.assert_close(whole[39_990:], LinkInertia(1).torque_columns(some, robot))
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_an_offset_moves_a_load_as_well(late: bool) -> None:
+    """Torque of the arm that carries the body, at the true position."""
+    robot = arm("panda")
+    motion = smooth_motion(robot, 20)
+    offset = EncoderOffset(3, at=0.05)
+    valued: list[Valued] = [(Payload(), BODY), (offset, [0.05])]
+    q = with_joint(motion.q, offset.joint, 0.05)
+    loaded = PinocchioOracle(carrying(robot, -1))
+    expected = loaded.inverse_dynamics(q, motion.dq, motion.ddq)
+    torque = model_torque(robot, valued[::-1] if late else valued, motion)
+    torch.testing.assert_close(torque, expected)
+    records = tuple(e.record(v) for e, v in valued)
+    torch.testing.assert_close(
+        ArmModel(replace(robot, effects=records)).torque(*motion.state), expected
+    )

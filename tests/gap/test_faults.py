@@ -11,7 +11,17 @@ import pytest
 import torch
 
 import torchid
-from tests.gap.small_logs import NOISE, ONCE, ROBOT, Recording, arm, friction, logged, true_motion
+from tests.gap.small_logs import (
+    NOISE,
+    ONCE,
+    ROBOT,
+    Recording,
+    arm,
+    friction,
+    logged,
+    true_motion,
+)
+from tests.gap.small_logs import carrying as loaded
 from tests.marks import quick_first
 from torchid.effects.base import Motion
 from torchid.effects.registry import KINDS
@@ -425,3 +435,22 @@ def test_nothing_is_told_of_a_joint_whose_torque_follows_no_motion(
     # All of it may be noise: as much as the repeats tell at least, and without repeats no less.
     low, high = third["noise_floor_rms"]
     assert low == pytest.approx(third["before"], rel=0.05 if high is None else 0.2)
+
+
+def test_an_offset_under_a_load_has_its_size() -> None:
+    """The load of the arm as it stands turns with its joint: a position read 0.05 rad too small,
+    with two kilograms at the tip."""
+    how = Recording(seed=3)
+    true = true_motion(how)
+    heavy = loaded(2.0, (0.3, 0.0, 0.0), 0.01)
+    motion = Motion(true.q, true.dq, true.ddq, t=true.t)
+    assert true.dq is not None and true.ddq is not None
+    g = torch.Generator().manual_seed(4)
+    tau = nominal_torque(heavy, motion)
+    tau = tau + NOISE * torch.randn(tau.shape, generator=g, dtype=tau.dtype)
+    read = true.q - 0.05 * torch.eye(3, dtype=torch.float64)[1]
+    log = true.replace(q=read, ddq=None, tau=tau)
+    found = diagnosed(ROBOT, log, quick("payload", "encoder_offset", *FRICTION))
+    sizes = {(e["effect"], tuple(e["joints"])): e["parameters"] for e in found["which"]}
+    assert sizes["encoder_offset", (2,)]["offset"] == pytest.approx(0.05, rel=0.03)
+    assert sizes["payload", (1, 2, 3)]["mx"] == pytest.approx(0.6, rel=0.03)

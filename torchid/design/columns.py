@@ -17,7 +17,7 @@ from torchid.design.segments import Samples, Segment
 from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
-from torchid.effects.registry import Valued, in_rounds, model_torque, nominal_effects
+from torchid.effects.registry import Valued, arm_of, in_rounds, model_torque, nominal_effects
 from torchid.effects.transient import Contact
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
@@ -51,6 +51,10 @@ class Model:
         """A robot with the effects that it has."""
         return cls(robot, tuple(nominal_effects(robot)))
 
+    def arm_of(self, effect: Effect) -> Robot:
+        """The arm that an effect is of: with the bodies among the effects."""
+        return arm_of(effect, self.robot, self.effects)
+
     def torque(self, segment: Segment, samples: Samples) -> Float[Tensor, "T n"]:
         """Torque along a segment. Effects that differentiate the model's torque see the motion
         low-passed like the samples, as their columns do: twice differentiated, the encoder's noise
@@ -61,7 +65,7 @@ class Model:
         if rough:
             motion = segment.motion._replace(torque=self.load(segment.motion))
             low = smoothed(motion, samples)
-            tau = tau + sum(effect.all_torques(low, v, self.robot) for effect, v in rough)
+            tau = tau + sum(effect.all_torques(low, v, self.arm_of(effect)) for effect, v in rough)
         return tau
 
     def load(self, motion: Motion) -> Float[Tensor, "T n"]:
@@ -103,7 +107,11 @@ class Columns:
         are; so does what no load enters, as long as the parameters do or it is one joint's alone,
         which knows no parameters."""
         new = Columns(model, self.samples)
-        new._rigid, same = self._rigid, model.robot is self.model.robot
+        old, bodies = (
+            self.model,
+            [[p for p in m.effects if p[0].inertial] for m in (self.model, model)],
+        )
+        new._rigid, same = self._rigid, model.robot is old.robot and bodies[0] == bodies[1]
         for key, (kind, place, columns) in self._kept.items():
             if "torque" not in kind.needs and (same or issubclass(kind, JointEffect)):
                 new._keep(key, kind, place, columns)
@@ -242,7 +250,7 @@ class Columns:
     ) -> Iterator[list[Float[Tensor, "C n _"]]]:
         """Columns of model effects of one kind along some segments, one effect after the other; of
         all these in one call where time plays no part."""
-        kind, robot = type(effects[0]), self.model.robot
+        kind, robot = type(effects[0]), self.model.arm_of(effects[0])
         if isinstance(effects[0], Contact) and effects[0] != effects[0].lasting:
             times = [m.require("t", kind.name) for m in self.motions[segments]]
             for effect in effects:

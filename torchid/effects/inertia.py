@@ -65,7 +65,9 @@ class BodyEffect(ModelEffect):
     def plant(self, robot: Robot, values: Sequence[float]) -> Robot:
         """The arm with the parameters added to its link's."""
         pi = robot.require_parameters(f"the effect {self.name}").pi.clone()
-        pi[self.link(robot)] += torch.tensor(values, dtype=pi.dtype, device=pi.device)
+        pi[self.link(robot)] += torch.stack(
+            [torch.as_tensor(v, dtype=pi.dtype, device=pi.device) for v in values]
+        )
         return robot.with_parameters(InertialParameters(pi))
 
 

@@ -143,6 +143,15 @@ def nominal_others(robot: Robot) -> list[Valued]:
     return [pair for pair in nominal_effects(robot) if pair[0].name not in COLUMN_KINDS]
 
 
+def arm_of(effect: Effect, robot: Robot, effects: Sequence[Valued]) -> Robot:
+    """The arm that an effect is of: what turns, moves or differentiates the model does so to the
+    bodies among the effects as well; a body is added to the robot itself."""
+    for other, values in () if effect.inertial else effects:
+        if other.inertial:
+            robot = other.plant(robot, values)
+    return robot
+
+
 def effect_torque(
     robot: Robot, effects: Sequence[Valued], motion: Motion, rigid: Joints | None = None
 ) -> Joints:
@@ -158,12 +167,15 @@ def effect_torque(
     first, later = in_rounds(effects)
     tau = motion.q * 0.0
     for effect, values in first:
-        tau = tau + effect.all_torques(motion, values, robot)
+        tau = tau + effect.all_torques(motion, values, arm_of(effect, robot, effects))
     if not later:
         return tau
     assert rigid is not None, "effects that depend on the torque need the rigid body's"
     loaded = motion._replace(torque=rigid + tau)
-    return tau + sum(effect.all_torques(loaded, values, robot) for effect, values in later)
+    return tau + sum(
+        effect.all_torques(loaded, values, arm_of(effect, robot, effects))
+        for effect, values in later
+    )
 
 
 def in_rounds(effects: Sequence[Valued]) -> tuple[list[Valued], list[Valued]]:

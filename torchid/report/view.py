@@ -164,7 +164,7 @@ def _effects(diagnosis: TorqueDiagnosis, trace: Trace) -> dict[str, Float[Tensor
         smooth = sharp._replace(**{k: x.T.contiguous() for k, x in low.items()})
         for effect, values in model.effects:
             seen = smooth if effect.smooth else sharp
-            torque = sign * effect.all_torques(seen, values, model.robot)
+            torque = sign * effect.all_torques(seen, values, model.arm_of(effect))
             added[effect.name] = added.get(effect.name, torch.zeros_like(torque)) + torque
     bodies, before = (Model(model.robot, ()).load(motion) for model in (answered, given))
     added["parameters"] = bodies - before

@@ -142,8 +142,9 @@ def explain_gap(problem: Problem, watch: Watch | None = None) -> Explanation:
         question, fit, left = worth_naming(question, fit, repeated, watch)
         # Once more with the columns of the model found, if they are others.
         latest = corrected_model(model, fit.terms, fit.values(), wanted)
-        # What scales with the torque must not see the friction that it is to be told from.
-        kept = (p for p in latest.effects if p in model.effects or p[0].linearised)
+        # What scales with the torque must not see the friction that it is to be told from; what
+        # turns or scales the model does so to a load, too.
+        kept = [p for p in latest.effects if p in model.effects or p[0].linearised or p[0].inertial]
         latest = Model(latest.robot, tuple(kept))
         if attempt + 1 == PASSES or not _changed(at, latest, data):
             break
