@@ -444,7 +444,8 @@ def test_an_offset_under_a_load_has_its_size() -> None:
     true = true_motion(how)
     heavy = loaded(2.0, (0.3, 0.0, 0.0), 0.01)
     motion = Motion(true.q, true.dq, true.ddq, t=true.t)
-    assert true.dq is not None and true.ddq is not None
+    assert true.dq is not None
+    assert true.ddq is not None
     g = torch.Generator().manual_seed(4)
     tau = nominal_torque(heavy, motion)
     tau = tau + NOISE * torch.randn(tau.shape, generator=g, dtype=tau.dtype)

@@ -23,6 +23,7 @@ from torchid.effects import (
     transient,
 )
 from torchid.effects.base import Effect, JointEffect, Motion
+from torchid.effects.inertia import BodyEffect
 from torchid.effects.names import NAMES, PLACES, require_effects
 from torchid.errors import RobotError, TorchidError
 from torchid.robot.model import Robot
@@ -147,7 +148,7 @@ def arm_of(effect: Effect, robot: Robot, effects: Sequence[Valued]) -> Robot:
     """The arm that an effect is of: what turns, moves or differentiates the model does so to the
     bodies among the effects as well; a body is added to the robot itself."""
     for other, values in () if effect.inertial else effects:
-        if other.inertial:
+        if isinstance(other, BodyEffect):
             robot = other.plant(robot, values)
     return robot
 

@@ -73,6 +73,9 @@ def sign(g: torch.Generator) -> float:
 
 
 def pick(g: torch.Generator, count: int) -> int:
+    """One of so many; of none a ValueError."""
+    if not count:
+        raise ValueError("there is no place for it on this arm")
     return int(torch.randint(count, (1,), generator=g))
 
 
