@@ -22,6 +22,8 @@ MOST_LINES = 23
 """Of the screen; with the prompt's command and the files' line they are 25."""
 MOST_JOINTS = 8
 """That have a row."""
+NAMED = 2
+"""Causes of a joint beyond those listed that are still named."""
 CAUTION_LINES = 3
 WIDE = 100
 """Columns from which noise and bars are shown."""
@@ -147,12 +149,12 @@ class Screen:
 
 
 def _causes(row: JointRow, detail: Detail) -> list[str]:
-    """Its causes, those that remove most first, and how many are not listed."""
+    """Its causes, those that remove most first; of those beyond a few the names, or how many."""
     causes = sorted(row.causes, key=lambda c: -c.closes)
     shown = causes[: detail.causes]
     texts = [_named(c, detail) for c in shown]
-    if more := len(causes) - len(shown):
-        texts.append(f"{more} more")
+    if more := [c.name for c in causes[detail.causes :]]:
+        texts.append(f"also {', '.join(more)}" if len(more) <= NAMED else f"{len(more)} more")
     elif causes and detail.causes > len(causes) and (may := _may(row, detail)):
         texts.append(may)
     return texts
