@@ -22,6 +22,7 @@ from torchid.position.search import (
 )
 from torchid.position.servo_model import Motions, ServoModel, better_in_sum, mostly_better
 from torchid.results.answer import Answer, Cause
+from torchid.robot.model import error_unit
 from torchid.statistics.criteria import ALIKE_LOSS, WORTHWHILE
 from torchid.typing import Bool, Float
 
@@ -59,6 +60,7 @@ class EarlyAnswer:
     ) -> None:
         self.watch, self.motions, self.words = watch, motions, error_words(of_file)
         self.names = motions.data.robot.joint_names
+        self.unit = error_unit(motions.data.robot)
         self.before = self.after = self._errors(first.losses(motions))
         self.best = [""] * len(self.names)
         self._show()
@@ -78,7 +80,7 @@ class EarlyAnswer:
         whole = float(self.before.mean()), float(self.after.mean())
         joints = zip(self.names, self.before.tolist(), self.after.tolist(), strict=True)
         causes = (Cause(effect=name, joints=(j,)) for j, name in enumerate(self.best) if name)
-        self.watch(Answer.so_far(self.words, "mrad", whole, joints, causes))
+        self.watch(Answer.so_far(self.words, self.unit, whole, joints, causes))
 
 
 def as_the_file(problem: Problem) -> Answered | None:
