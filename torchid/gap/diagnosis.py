@@ -175,31 +175,28 @@ class TorqueOverTime:
 def is_foreign(traces: Sequence[Trace]) -> bool:
     """Whether most of the torque of the joints that move does not follow the model as given: then
     a gap without a known cause is no noise."""
-    moves, (torque, gap, _) = _moving(traces), _torques(traces)
-    share = gap.square().mean(0) / (torque - torque.mean(0)).square().mean(0)
-    return bool(share[moves].clamp(max=1).mean() > UNLIKE) if moves.any() else False
+    moves, torque, gap, _ = _judged(traces)
+    share = gap.square().mean(0) / torque.var(0, correction=0)
+    return bool(share[moves].clamp(max=1).mean() > UNLIKE)  # of none NaN, which is not
 
 
 def alien_joints(traces: Sequence[Trace]) -> Bool[Tensor, " n"]:
     """Joints (n,) that move, beside whose torque the model as given is worse than none, and the
     corrected one hardly better, where these are most of those that move; else none. The log may be
     of another robot: nothing that is found there is a cause."""
-    moves = _moving(traces)
-    torque, given, corrected = (x.square().mean(0) for x in _torques(traces))
+    moves, *torques = _judged(traces)
+    torque, given, corrected = (x.square().mean(0) for x in torques)
     alien = moves & (given > torque) & (corrected > UNLIKE * torque)
-    return alien if 2 * int(alien.sum()) > int(moves.sum()) else torch.zeros_like(alien)
+    return alien & (2 * alien.sum() > moves.sum())
 
 
-def _torques(traces: Sequence[Trace]) -> list[Float[Tensor, "N n"]]:
-    """Torque that counts, and what the model as given and the corrected one leave of it."""
-    pairs = [(t.measured, t.measured - t.before, t.measured - t.after, t.valid) for t in traces]
-    return [torch.cat([p[k][p[3]] for p in pairs]) for k in range(3)]
-
-
-def _moving(traces: Sequence[Trace]) -> Bool[Tensor, " n"]:
-    """Joints (n,) that move."""
-    q = torch.cat([t.motion.q for t in traces]) if traces else torch.zeros(1, 0)
-    return q.amax(0) - q.amin(0) > NEVER
+def _judged(traces: Sequence[Trace]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Joints (n,) that move; torque (N, n) that is valid, and what the model as given and the
+    corrected one leave of it."""
+    q = torch.cat([t.motion.q for t in traces])
+    valid = ((x[t.valid] for x in (t.measured, t.before, t.after)) for t in traces)
+    torque, given, corrected = (torch.cat(x) for x in zip(*valid, strict=True))
+    return q.amax(0) - q.amin(0) > NEVER, torque, torque - given, torque - corrected
 
 
 @dataclass(frozen=True)
@@ -521,11 +518,11 @@ class TorqueDiagnosis(Diagnosis):
     @property
     def _foreign(self) -> str:
         """That the torque is another one than the model's, where nothing is named; else empty."""
-        if self.status != "detected_unexplained" or self.findings or self.parametric:
+        named = bool(self.findings or self.parametric)
+        if self.status != "detected_unexplained" or named or not self.traces:
             return ""
-        if alien_joints(self.traces).any():
-            return ALIEN
-        return FOREIGN if is_foreign(self.traces) else ""
+        alien = bool(alien_joints(self.traces).any())
+        return ALIEN if alien else FOREIGN if is_foreign(self.traces) else ""
 
     def write_corrected(self, path: str | Path) -> None:
         """Write the corrected robot with its effects as a .yaml.

@@ -128,8 +128,7 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
     of_few = causes_of_few_runs(found, problem, decision.misfit)
     unnamed = terms_without_name(found, decision.judged, taken.of_all(checked.far.less)[0])
     if decision.dropped is not None:
-        lost, judged = decision.dropped
-        every = terms_without_name(lost, judged, [math.nan] * len(judged))
+        every = terms_without_name(*decision.dropped, [math.nan] * len(decision.dropped[1]))
         unnamed = tuple(e for e in every if e.how_sure >= UNLIKELY)
     hides = known is not None and any(j.hides for j in known.joints)
     far, shares = checked.far, Budget(0.0, 0.0, 0.0)

@@ -427,15 +427,13 @@ def payload(
     carrying = identify(unknown, loaded, settings=settings, device=device, progress=progress)
     gain_std = DRIVE_GAIN if from_current(loaded) else 0.0
     found = estimate_payload(without, carrying, model=model, gain_std=gain_std)
-    if gain_std:
-        noticed.insert(
-            0,
-            f"torque is computed from current. Its gain is assumed known to {gain_std:.0%}; every "
-            "± includes that.",
-        )
-    noticed += _of_the_log(carrying, "with payload")
     own = [*found.warnings, *_motion_for(found, robot, loaded, carrying)]
-    warnings = tuple(dict.fromkeys([*own, *noticed]))
+    if gain_std:
+        own.append(
+            f"torque is computed from current. Its gain is assumed known to {gain_std:.0%}; every "
+            "± includes that."
+        )
+    warnings = tuple(dict.fromkeys([*own, *noticed, *_of_the_log(carrying, "with payload")]))
     return structs.replace(found, cutoff=carrying.cutoff, warnings=warnings)
 
 

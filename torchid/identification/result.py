@@ -187,12 +187,8 @@ class Identification(IdentifiedModel, Result):
 
 def findings(result: Identification) -> list[str]:
     """What a user must know about a result, one sentence each."""
-    return [
-        *of_parameters(result),
-        *_of_no_body(result),
-        *_of_the_cutoff(result),
-        *_of_the_errors(result),
-    ]
+    fit = (*_of_no_body(result), *_of_the_cutoff(result), *_of_the_errors(result))
+    return [*of_parameters(result), *fit]
 
 
 def of_parameters(result: Identification) -> list[str]:

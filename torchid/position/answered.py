@@ -59,10 +59,9 @@ class EarlyAnswer:
         self, watch: Callable[[Answer], None], motions: Motions, first: ServoModel, of_file: bool
     ) -> None:
         self.watch, self.motions, self.words = watch, motions, error_words(of_file)
-        self.names = motions.data.robot.joint_names
-        self.unit = error_unit(motions.data.robot)
+        self.robot = motions.data.robot
         self.before = self.after = self._errors(first.losses(motions))
-        self.best = [""] * len(self.names)
+        self.best = [""] * self.robot.n
         self._show()
 
     def _errors(self, losses: Tensor) -> Tensor:
@@ -78,9 +77,9 @@ class EarlyAnswer:
 
     def _show(self) -> None:
         whole = float(self.before.mean()), float(self.after.mean())
-        joints = zip(self.names, self.before.tolist(), self.after.tolist(), strict=True)
+        joints = zip(self.robot.joint_names, self.before.tolist(), self.after.tolist(), strict=True)
         causes = (Cause(effect=name, joints=(j,)) for j, name in enumerate(self.best) if name)
-        self.watch(Answer.so_far(self.words, self.unit, whole, joints, causes))
+        self.watch(Answer.so_far(self.words, error_unit(self.robot), whole, joints, causes))
 
 
 def as_the_file(problem: Problem) -> Answered | None:

@@ -444,14 +444,10 @@ def quantities(body: Body) -> list[tuple[str, str, float, float, float, float]]:
     return [(*named, *numbers) for named, *numbers in zip(QUANTITIES, *columns, strict=True)]
 
 
-_NOTHING = 1e-9
-"""Below it a number and its standard deviation are the rounding of zero [kg; m; kg m^2]."""
-
-
 def _payload_cells(value: float, std: float, low: float, high: float) -> tuple[str, str]:
     if math.isnan(value):
         return "not known", "-"
-    if max(abs(value), std) < _NOTHING:  # as a point's inertia
+    if max(abs(value), std) < 1e-9:  # zero but for rounding, as a point's inertia is
         return "not part of the model", "-"
     return f"{value:.4g} ± {std:.1g}", f"{low:.4g} .. {high:.4g}"
 

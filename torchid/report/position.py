@@ -87,10 +87,9 @@ def remarks(record: PositionRecord) -> list[str]:
 def _worse(record: PositionRecord) -> list[str]:
     """Joints, or regimes of them, whose error is larger by more than could be seen."""
     joints, unit = record.where.joints, record.answer.unit
-    ends = {j.joint: (before(record, j), j.answered_mrad) for j in joints}
-    worse = [j for j in joints if ends[j.joint][1] - ends[j.joint][0] > j.unseen_mrad]
-    changes = "joint {}, {:.1f} -> {:.1f} {}"
-    out = [changes.format(j.joint + 1, *ends[j.joint], unit) for j in worse]
+    worse = [j for j in joints if j.answered_mrad - before(record, j) > j.unseen_mrad]
+    change = "joint {}, {:.1f} -> {:.1f} {}".format
+    out = [change(j.joint + 1, before(record, j), j.answered_mrad, unit) for j in worse]
     named = {j.joint for j in worse} | {j.joint for j in joints if j.never_moves}
     return out + [
         f"joint {r.joint + 1} ({regime_words(r.regime)}), {r.before_mrad:.1f} -> "
@@ -186,8 +185,7 @@ def motion_table(record: PositionRecord) -> Table:
     rows = []
     for one in record.how_far.per_motion:
         errors = one.answered_mrad
-        levels = [*errors.tolist(), float(errors[moves].mean())]
-        rows.append((one.motion, *cells(levels, ".1f")))
+        rows.append((one.motion, *cells([*errors.tolist(), float(errors[moves].mean())], ".1f")))
     columns = ("motion", *(j.name for j in record.where.joints), "mean")
     return Table(f"Error of each motion, left out [{record.answer.unit}]", columns, rows, "l")
 
@@ -245,7 +243,6 @@ def where_figure(record: PositionRecord) -> Figure:
         for j, value in zip(joints, sizes, strict=True)
     ]
     unit = record.answer.unit
-    title = f"command less position [{unit}]"
     return map_with_bars(
         f"{record.robot}: where command and position part",
         f"error of whole motions left out [{unit}]: {before_words(record)} \u2192 corrected",
@@ -254,7 +251,7 @@ def where_figure(record: PositionRecord) -> Figure:
         np.nan_to_num(first),
         texts,
         f"{before_words(record)} [{unit}]",
-        (title, sizes, words, GREY, 1.35 * max(*sizes, 1e-9)),
+        (f"command less position [{unit}]", sizes, words, GREY, 1.35 * max(*sizes, 1e-9)),
     )[0]
 
 

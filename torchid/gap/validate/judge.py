@@ -204,9 +204,7 @@ def status_of(
     # What has no name explains nothing.
     unexplained = little or bool((odd | clear | structured | (unnamed > least.square())).any())
     if not (said.effects or said.parametric):
-        if unexplained or taken:
-            return "detected_unexplained"
-        if alien_joints(checked.shown).any():
+        if unexplained or taken or alien_joints(checked.shown).any():
             return "detected_unexplained"
         if poor:
             return "not_testable"
@@ -229,13 +227,12 @@ def warnings_of(
     """
     solution, settings, judged = found.solution, problem.settings, problem.judged
     alien = alien_joints(checked.shown).nonzero().flatten().tolist()
-    out = []
-    if alien:
-        out.append(
-            "Next time: check the log first (`torchid log doctor ROBOT LOG`): the model explains "
-            f"nothing of the torque of {joint_list(alien)}. Is it of this robot, its joints in "
-            "this order, in these units?"
-        )
+    said = (
+        "Next time: check the log first (`torchid log doctor ROBOT LOG`): the model explains "
+        f"nothing of the torque of {joint_list(alien)}. Is it of this robot, its joints in this "
+        "order, in these units?"
+    )
+    out = [said] if alien else []
     out += [*problem.data.warnings, *checked.noise.floor.notes]
     out += [] if judged is None else judged.warnings
     if checked.noise.floor.source != "repeats":
