@@ -45,6 +45,11 @@ def before(record: PositionRecord, joint: JointRecord) -> float:
     return joint.plain_mrad if record.how_far.file is UNSET else joint.file_mrad
 
 
+def unit_of_errors(record: PositionRecord) -> str:
+    """Of joints' position errors; files without an answer are older than slides here."""
+    return "mrad" if record.answer is None else record.answer.unit
+
+
 def before_words(record: PositionRecord) -> str:
     """Whose that is."""
     return "a plain servo" if record.how_far.file is UNSET else "the file's servo"
@@ -52,7 +57,7 @@ def before_words(record: PositionRecord) -> str:
 
 def remarks(record: PositionRecord) -> list[str]:
     """What to know about the answer, one sentence each."""
-    far, unit = record.how_far, record.answer.unit
+    far, unit = record.how_far, unit_of_errors(record)
     file = "the file has no servos"
     if far.file is not UNSET:
         file = f"the file's servos as they are {far.file.whole_mrad:.1f}"
@@ -79,14 +84,14 @@ def remarks(record: PositionRecord) -> list[str]:
     worse = _worse(record)
     if worse:
         more = " and elsewhere" if len(worse) > MOST_WORSE else ""
-        than = before_words(record)
-        out.append(f"It is worse than {than} on {'; '.join(worse[:MOST_WORSE])}{more}.")
+        where = "; ".join(worse[:MOST_WORSE])
+        out.append(f"It is worse than {before_words(record)} on {where}{more}.")
     return out
 
 
 def _worse(record: PositionRecord) -> list[str]:
     """Joints, or regimes of them, whose error is larger by more than could be seen."""
-    joints, unit = record.where.joints, record.answer.unit
+    joints, unit = record.where.joints, unit_of_errors(record)
     worse = [j for j in joints if j.answered_mrad - before(record, j) > j.unseen_mrad]
     change = "joint {}, {:.1f} -> {:.1f} {}".format
     out = [change(j.joint + 1, before(record, j), j.answered_mrad, unit) for j in worse]
@@ -118,7 +123,7 @@ def where_table(record: PositionRecord) -> Table:
         "alone"
     )
     table = table_of(
-        f"Position error of motions left out [{record.answer.unit}]",
+        f"Position error of motions left out [{unit_of_errors(record)}]",
         record.where.joints,
         f"joint name commanded_mrad {file}plain_mrad answered_mrad gain",
         note,
@@ -187,12 +192,12 @@ def motion_table(record: PositionRecord) -> Table:
         errors = one.answered_mrad
         rows.append((one.motion, *cells([*errors.tolist(), float(errors[moves].mean())], ".1f")))
     columns = ("motion", *(j.name for j in record.where.joints), "mean")
-    return Table(f"Error of each motion, left out [{record.answer.unit}]", columns, rows, "l")
+    return Table(f"Error of each motion, left out [{unit_of_errors(record)}]", columns, rows, "l")
 
 
 def where_picture(record: PositionRecord) -> Picture:
     """The map of joints and of what the command does."""
-    worst, unit = (worst_joints(record, 1) or [0])[0], record.answer.unit
+    worst, unit = (worst_joints(record, 1) or [0])[0], unit_of_errors(record)
     regime = max(
         (x for x in record.where.regimes if x.joint == worst),
         key=lambda x: x.before_mrad if x.before_mrad == x.before_mrad else -1.0,
@@ -242,7 +247,7 @@ def where_figure(record: PositionRecord) -> Figure:
         " never moves" if j.never_moves else f" {value:.1f}"
         for j, value in zip(joints, sizes, strict=True)
     ]
-    unit = record.answer.unit
+    unit = unit_of_errors(record)
     return map_with_bars(
         f"{record.robot}: where command and position part",
         f"error of whole motions left out [{unit}]: {before_words(record)} \u2192 corrected",

@@ -26,10 +26,8 @@ def own_headline(found: OwnCheck) -> str:
     text = f"Of {hidden} hidden from the diagnosis in turn it found {again} again"
     if not judged:
         return f"{text}; without any of them these data show no gap."
-    return (
-        f"{text}; of {len(judged)} that leave a gap on data that was not fitted, the answer closed "
-        f"{sum(judged)} as far as they can be."
-    )
+    closed = f"{sum(judged)} of the {len(judged)} that leave a gap here were closed as far as known"
+    return f"{text}; {closed}."
 
 
 def own_table(found: OwnCheck) -> Table:
