@@ -35,7 +35,7 @@ def first_steps(answer: Answer) -> list[str]:
     same: dict[str, list[Cause]] = {}
     for cause in answer.entries:
         same.setdefault(cause.remedy, []).append(cause)
-    steps = []
+    steps: list[str] = []
     # Shares of a joint's own error, as positions have them, have no sum.
     add = not answer.of_positions
 
