@@ -105,7 +105,7 @@ def informed_verdict(d: InformedDesign) -> str:
     which = f"the {count} least known of {every} parameters" if count < every else "all parameters"
     said = (
         f"Drive this motion{', or a plain one' * d.hardly}: it cuts the uncertainty of {which} to "
-        f"{percent(d.shrinks(d.after))} (a plain one as long: to {percent(d.shrinks(d.with_plain))})."
+        f"{percent(d.shrinks(d.after))} (a plain one so long: {percent(d.shrinks(d.with_plain))})."
     )
     unknown = int((~d.prior.known).sum())
     if unknown:
