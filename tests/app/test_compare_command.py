@@ -70,7 +70,7 @@ def test_excite_for_an_identification(command, folder, tmp_path):
         "excite", "--for", found, "--duration", 8, "--restarts", 1, "--out", tmp_path / "next"
     )
     assert done.code == 0, done.err
-    assert done.out.startswith("The new motion cuts")
+    assert done.out.startswith("Drive this motion")
     data = json.loads((tmp_path / "next" / "excitation.json").read_text())
     assert data["kind"] == "next"
     assert data["shrinks_to"]["designed"] <= data["shrinks_to"]["plain"] * 1.001

@@ -49,6 +49,16 @@ def test_a_sound_log_raises_no_doubt():
 
 
 @pytest.mark.slow
+def test_of_a_loaded_arm_torque_of_another_size_is_no_doubt():
+    """But torque in another unit is one whatever it carries."""
+    heavy = SOUND.replace(tau=3.0 * SOUND.tau)
+    assert ask_first(ROBOT, heavy).short.startswith("Doubt: measured torque is 3")
+    assert ask_first(ROBOT, heavy, loaded=True).short == ""
+    with pytest.raises(WrongLogError, match="torque unit"):
+        ask_first(ROBOT, SOUND.replace(tau=1e3 * SOUND.tau), loaded=True)
+
+
+@pytest.mark.slow
 def test_forced_the_fault_is_said_first():
     few = GapSettings(effects=("coulomb_friction",), rollout=False)
     with pytest.raises(WrongLogError):

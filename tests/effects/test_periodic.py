@@ -41,6 +41,15 @@ def long_motion(travel: float = 3.0) -> Motion:
 WAVES = (Cogging, MotorRipple, PositionDependentFriction)
 
 
+def test_a_wave_longer_than_the_travel_is_no_unevenness_of_friction() -> None:
+    """It would stand for dry friction, of which it is a part there."""
+    motion = long_motion(travel=1.4)
+    grid = PositionDependentFriction.grid([motion], 0, 20.0).flatten()
+    tried = PositionDependentFriction(0, k=float(grid[0])).finer([motion], 0, 20.0)
+    assert tried is not None
+    assert 2 * math.pi / float(tried.min()) <= 1.4 * (1 + 1e-3)
+
+
 @pytest.mark.parametrize("kind", WAVES)
 def test_grids_are_half_a_period_apart_over_the_travel_and_bounded(kind: type[Wave]) -> None:
     motion = long_motion()

@@ -10,6 +10,7 @@ import torchid
 from tests.arms import single_axis
 from tests.marks import quick_first, some
 from torchid.report.causes import cause_table
+from torchid.robot.inertia import InertialParameters
 
 
 def turning(seconds: float = 40.0, *, velocity: bool = True) -> torchid.Log:
@@ -29,6 +30,19 @@ def test_a_motor_that_turns_on_is_no_fault(velocity):
     result = torchid.examine(single_axis(), turning(velocity=velocity))
     assert result.silent
     assert result.repairs == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("own", [True, False])
+def test_a_wheel_in_degrees_is_told_by_its_velocity_in_radians_alone(own):
+    """A velocity in degrees, too, says nothing: an axis may turn that far."""
+    log, degrees = turning(10.0), 180 / np.pi
+    dq = log.dq if own else log.dq * degrees
+    result = torchid.examine(single_axis(), log.replace(q=log.q * degrees, dq=dq), first=True)
+    (unit,) = [c for c in result.checks if c.name == "position unit"]
+    assert unit.verdict == ("wrong" if own else "fine")
+    if own:
+        torch.testing.assert_close(result.mended().q, log.q)
 
 
 @pytest.mark.slow
@@ -217,6 +231,37 @@ def test_torque_that_follows_no_model_is_a_gap():
     assert found.status == "detected_unexplained"
     assert "does not follow the model" in found.answer.headline
     assert "no gap" not in str(found.answer).lower()
+
+
+ALIEN = {"whose mean a fit takes": (1.0, 0.0), "that no body predicts": (0.5, np.pi / 2)}
+"""Size of the noise [N m], and the angle that the pendulum swings about [rad], down from level."""
+
+
+@pytest.mark.parametrize("kind", some(ALIEN, 2))
+def test_a_pendulum_whose_torque_is_smoothed_noise(kind):
+    """Of half a kilogram 25 cm out: nothing of its torque is the model's, and no cause has a name
+    for what it happens to take."""
+    size, about = ALIEN[kind]
+    arm = single_axis(inertia=0.04)
+    body = arm.parameters.pi.clone()
+    body[0, 1] = 0.5 * 0.25
+    level = replace(
+        arm,
+        gravity=torch.tensor([0.0, -9.81, 0.0], dtype=torch.float64),
+        parameters=InertialParameters(body),
+    )
+    t, random = np.arange(0.0, 20.0, 1 / 100), np.random.default_rng(10)
+    noise = np.convolve(random.standard_normal(len(t)), np.hanning(41), "same")
+    q = 0.8 * np.sin(1.3 * t) + 0.4 * np.sin(3.1 * t) - about
+    log = torchid.Log(t, q[:, None], tau=(size * noise / noise.std())[:, None])
+    settings = torchid.GapSettings(rollout=False, effects=("torque_offset", "coulomb_friction"))
+    heard = []
+    found = torchid.diagnose(level, log, settings=settings, force=True, watch=heard.append)
+    assert found.status == "detected_unexplained"
+    assert found.answer.causes == ()
+    assert found.answer.headline.startswith("This torque does not follow the model at all.")
+    assert found.warnings[0].startswith("Next time: check the log first")
+    assert all(answer.before > 0.5 for answer in heard)
 
 
 @pytest.mark.parametrize("again", [False, True])

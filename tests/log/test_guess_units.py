@@ -68,6 +68,14 @@ def test_no_rows_say_nothing(tmp_path: Path, rows: int) -> None:
     assert "q=pos_{j},dq=vel_{j}" in str(caught.value.hint)
 
 
+def test_a_table_without_a_known_name_is_told_what_it_has(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("zeit,foo,bar\n0,1,2\n0.01,1,3\n")
+    with pytest.raises(LogError, match="no column t") as caught:
+        read_log(tmp_path / "log.csv")
+    assert caught.value.available == ["zeit", "foo", "bar"]
+    assert "t=NAME s,q=NAME_{j} deg" in str(caught.value.hint)
+
+
 def test_what_a_name_says_is_not_guessed(tmp_path: Path) -> None:
     """Angles of 1000 rad and torques of 10 000 N m, as the names have it."""
     t = np.arange(50) * 5.0

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from torchid.effects.registry import KINDS
 from torchid.report.brief import MOST_LINES, Screen, bar, model_words, short_label
+from torchid.report.page.answer import first_steps
 from torchid.results.answer import Answer, Cause, JointError, Size
 from torchid.results.friction import FrictionAt, FrictionDetail, FrictionLaw
 
@@ -97,6 +98,14 @@ def test_what_all_joints_share_is_one_line_with_a_value_a_joint() -> None:
     causes = tuple(cause("viscous_friction", j) for j in range(3))
     lines = lines_of(Screen(answer=answer(3, causes)), 100)
     assert "all joints: viscous friction c = 1.5, 1.5, 1.5 N m (90 %)" in lines
+
+
+def test_a_cause_of_a_hundredth_of_the_error_is_no_step_however_sure() -> None:
+    """It is listed at its joint. A single cause is a step however small."""
+    large, little = cause("backlash", 0), cause("end_stop", 1)
+    little = msgspec.structs.replace(little, closes=0.01, how_sure=0.999, remedy="Move the stop.")
+    assert [s.split(",")[0] for s in first_steps(answer(2, (little, large)))] == ["backlash"]
+    assert [s.split(",")[0] for s in first_steps(answer(2, (little,)))] == ["end stop"]
 
 
 def test_cautions_are_merged() -> None:

@@ -4,11 +4,17 @@ import numpy as np
 import pytest
 import torch
 
+from tests.arms import mixed_arm
 from torchid.dynamics.forward import mass_matrix
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.errors import RobotError, TorchidError
 from torchid.robot.library import load_robot
-from torchid.robot.model import link_poses
+from torchid.robot.model import error_unit, link_poses
+
+
+@pytest.mark.parametrize(("kinds", "unit"), [("RR", "mrad"), ("P", "mm"), ("RP", "mrad, mm")])
+def test_position_errors_have_the_unit_of_their_joints(kinds: str, unit: str) -> None:
+    assert error_unit(mixed_arm(kinds)) == unit
 
 
 @pytest.mark.parametrize("given", [2.0, [2.0] * 3, np.full(3, 2.0), [[-2.0, 2.0]] * 3])

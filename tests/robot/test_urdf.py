@@ -37,6 +37,15 @@ def write(tmp_path: Path, *parts: str, root: str = 'robot name="r"') -> Path:
     return path
 
 
+def test_a_base_may_stand_on_a_world_that_the_file_does_not_declare(tmp_path: Path) -> None:
+    parts = (link("b"), link("l"), joint("stand", "world", "b", "fixed"), joint("j", "b", "l"))
+    declared = read_urdf(write(tmp_path, link("world", ""), *parts))
+    robot = read_urdf(write(tmp_path, *parts))
+    assert robot.link_names == declared.link_names
+    assert torch.equal(robot.before, declared.before)
+    assert any("its link 'world' is nowhere declared" in w for w in robot.warnings)
+
+
 def one_joint(tmp_path: Path, inside: str = "", kind: str = "revolute", body: str = INERTIAL):
     return read_urdf(
         write(tmp_path, link("a"), link("b", body), joint("j", "a", "b", kind, inside))

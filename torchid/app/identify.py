@@ -153,7 +153,7 @@ def payload_command(
 
     with output.progress("checking the logs") as progress:
         doubts = arm.ask_first(found, [empty], arm.logs, forced) if empty else ()
-        doubts += arm.ask_first(found, [full], loaded, forced)
+        doubts += arm.ask_first(found, [full], loaded, forced, loaded=True)
         carried = torchid.payload(
             found, empty, full, model=model, settings=settings, device=device_name,
             progress=progress,

@@ -380,10 +380,11 @@ class ArmAndLogs(Arm, Reading):
             raise WrongLogError(found, stop.wrong, line if mends else None) from None
 
     def ask_first(
-        self, robot: "torchid.Robot", logs: "Logs", files: Sequence[Path] | None, force: bool
-    ) -> tuple[str, ...]:
+        self, robot: "torchid.Robot", logs: "Logs", files: Sequence[Path] | None, force: bool,
+        loaded: bool = False,
+    ) -> tuple[str, ...]:  # fmt: skip
         """The doctor's decisive checks of logs with one load, read from these files, and what they
-        doubt.
+        doubt; loaded where the load is one that the robot lacks.
 
         Raises:
             WrongLogError: a log is wrong, and force is not asked for.
@@ -392,7 +393,7 @@ class ArmAndLogs(Arm, Reading):
 
         every = torchid.Log.concatenate([log for log in logs if log is not None])
         with self.line_to_mend(files):
-            return ask_first(robot, every, force=force).said
+            return ask_first(robot, every, force=force, loaded=loaded).said
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -176,4 +176,4 @@ def _replay(
         output.put(folder / name, partial(torchid.write_log, simulated.replace(u=None)))
     output.write_json({**found.plain(), "seed": seed}, "replay.json")
     for name, error in zip(names, found.error.mean(1).tolist(), strict=True):
-        output.say(f"{name}: {error:.2f} mrad from the measured positions")
+        output.say(f"{name}: {error:.2f} {found.unit} from the measured positions")

@@ -62,13 +62,15 @@ class Doubts:
         return (self.short, *self.warnings) if self.short else ()
 
 
-def ask_first(robot: Robot, log: Log, *, force: bool = False) -> Doubts:
+def ask_first(robot: Robot, log: Log, *, force: bool = False, loaded: bool = False) -> Doubts:
     """Make the decisive checks of a log that something is to be told from.
 
     Args:
         robot: that it is of.
         log: of one arm with one load; one that cannot be examined raises no doubt.
         force: whether a wrong log is a doubt, and no error.
+        loaded: whether the arm carries what the model does not have: then torque of another size
+            than the model's is no doubt.
 
     Raises:
         WrongLogError: a decisive check says that the log is wrong.
@@ -85,6 +87,8 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False) -> Doubts:
     # A dq that only lags, or is coarse, is left out of what follows; a tilt is an effect.
     odd = [c for c in odd if c.verdict in ("wrong", "doubtful")]
     odd = [c for c in odd if c.verdict == "wrong" or c.name not in _EXPLAINABLE]
+    # A load makes torque of any size; of a thousandth or a hundredth of its unit it is still told.
+    odd = [c for c in odd if c.repairs or not (loaded and c.name == "torque unit")]
     wrong = [c for c in odd if _stops(c, found)]
     if wrong and not force:
         raise WrongLogError(found, wrong)

@@ -55,10 +55,12 @@ class Wave(JointEffect):
     def finer(
         self, motions: Sequence[Motion], level: int, cutoff: float
     ) -> Float[Tensor, "S 1"] | None:
-        """Wave numbers around its own, within half a period over the travel, a third of it, ..."""
+        """Wave numbers around its own, within half a period over the travel, a third of it, ..,
+        none below the grid's first."""
         grid = self.grid(motions, self.joint, cutoff).flatten()
         step = float(grid[1] - grid[0]) if len(grid) > 1 else 1.0
-        return self.shapes[0].around(self.k, level, 1.0, step).unsqueeze(-1)
+        near = self.shapes[0].around(self.k, level, 1.0, step).unsqueeze(-1)
+        return near.clamp(min=float(grid[0])) if len(grid) else near
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
@@ -191,8 +193,9 @@ class PositionDependentFriction(Wave):
 
     An eccentric gear or a bent shaft presses harder at some angles than at others, once or a few
     times a turn of the joint or of a stage of its gear. Added to `coulomb_friction`, which is its
-    mean. Unlike a ripple it turns with the direction of motion, so low wave numbers are not
-    mistaken for gravity or a spring, and the grid begins at half a period over the travel.
+    mean: less than a period over the travel has a mean of its own and would stand for it, so the
+    grid begins at a whole one. Unlike a ripple it turns with the direction of motion, so low wave
+    numbers are not mistaken for gravity or a spring.
 
     Attributes:
         k: wave number [1/rad; 1/m]; 1 is once a turn of the joint.
@@ -207,7 +210,7 @@ class PositionDependentFriction(Wave):
     jumps = True
     coefficients = _amplitudes("N m", "unevenness of the friction, {}")
     shapes = _wave_number(0.1, 100.0, (0.5, 1.0, 2.0, 3.0, 4.0, 6.0))
-    first = 1
+    first = 2
     most = 12
     c_wave = "sign(dq[{joint}]) * ({wave})"
     meaning = (

@@ -37,7 +37,7 @@ from torchid.position.diagnose import refitted
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import ServoArm
 from torchid.position.replay import replay
-from torchid.robot.model import Robot
+from torchid.robot.model import Robot, error_unit
 from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of
 from torchid.simulators.servo import AS_EFFORT, AT_RUN_TIME, SetPoints
@@ -92,7 +92,7 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
         for one in (alone, running)
     )
     judged = Judged(
-        unit="mrad",
+        unit=error_unit(robot),
         held_out="the log that was fitted" if asked.held_out is None else "a held-out log",
         nominal=_rms((data.tracks.u - data.q) / data.scale),
         full=replay(arm, on, windows=WINDOW_S).error[0],

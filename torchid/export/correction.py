@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from torchid.export.dynamics import Dynamics
 from torchid.export.export import Export, Format, export_dynamics, stem_of
@@ -68,7 +68,7 @@ class Judged(Errors, frozen=True, eq=False, kw_only=True):
     """Errors of each joint on a log.
 
     Attributes:
-        unit: `%` or `mrad`.
+        unit: `%`, or of position errors.
         held_out: what the errors are on: `a held-out log`, `parts that were not fitted`, or
             `the log that was fitted`.
         by: the engine that runs the file.
@@ -76,7 +76,7 @@ class Judged(Errors, frozen=True, eq=False, kw_only=True):
         forward: by horizon, of torques; on the log that was fitted where no other is given.
     """
 
-    unit: Literal["%", "mrad"]
+    unit: str
     held_out: str
     by: str
     band: float | None = None
@@ -86,7 +86,7 @@ class Judged(Errors, frozen=True, eq=False, kw_only=True):
     def worse_than_claimed(self) -> list[str]:
         """A sentence for each joint whose error in the engine is not what the file says."""
         worse = (self.engine > CLAIMED * self.claim) & (self.engine > self.claim + 1)
-        of = "% of the torque" if self.unit == "%" else "mrad"
+        of = "% of the torque" if self.unit == "%" else self.unit
         return [
             f"joint {j + 1}: {self.by} leaves {float(self.engine[j]):.1f} {of}, and the file's own "
             f"numbers {float(self.claim[j]):.1f}"

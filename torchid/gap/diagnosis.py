@@ -63,6 +63,7 @@ UNLIKE = 0.5
 given [1]."""
 
 FOREIGN = "Most of this torque does not follow the model."
+ALIEN = "This torque does not follow the model at all."
 
 INERTIA_MEANING = "The link's mass, centre of mass or inertia differs from the model's."
 INERTIA_REMEDY = (
@@ -171,21 +172,31 @@ class TorqueOverTime:
             rows.writerows(zip(*(x.tolist() for x in self.columns().values()), strict=True))
 
 
-def unfollowed(traces: Sequence[Trace], *, corrected: bool = False) -> Float[Tensor, " n"]:
-    """Share (n,) of the variance of each joint's torque that the model as given, or the corrected
-    one, does not follow; more than 1 where it explains nothing."""
-    torque = torch.cat([t.measured[t.valid] for t in traces])
-    models = [t.after if corrected else t.before for t in traces]
-    gap = torch.cat([(t.measured - m)[t.valid] for t, m in zip(traces, models, strict=True)])
-    return gap.square().mean(0) / (torque - torque.mean(0)).square().mean(0)
-
-
 def is_foreign(traces: Sequence[Trace]) -> bool:
     """Whether most of the torque of the joints that move does not follow the model as given: then
     a gap without a known cause is no noise."""
-    q = torch.cat([t.motion.q for t in traces]) if traces else torch.zeros(1, 0)
-    moves = q.amax(0) - q.amin(0) > NEVER
-    return bool(unfollowed(traces)[moves].clamp(max=1).mean() > UNLIKE) if moves.any() else False
+    moves, torque, gap, _ = _judged(traces)
+    share = gap.square().mean(0) / torque.var(0, correction=0)
+    return bool(share[moves].clamp(max=1).mean() > UNLIKE)  # of none NaN, which is not
+
+
+def alien_joints(traces: Sequence[Trace]) -> Bool[Tensor, " n"]:
+    """Joints (n,) that move, beside whose torque the model as given is worse than none, and the
+    corrected one hardly better, where these are most of those that move; else none. The log may be
+    of another robot: nothing that is found there is a cause."""
+    moves, *torques = _judged(traces)
+    torque, given, corrected = (x.square().mean(0) for x in torques)
+    alien = moves & (given > torque) & (corrected > UNLIKE * torque)
+    return alien & (2 * alien.sum() > moves.sum())
+
+
+def _judged(traces: Sequence[Trace]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Joints (n,) that move; torque (N, n) that is valid, and what the model as given and the
+    corrected one leave of it."""
+    q = torch.cat([t.motion.q for t in traces])
+    valid = ((x[t.valid] for x in (t.measured, t.before, t.after)) for t in traces)
+    torque, given, corrected = (torch.cat(x) for x in zip(*valid, strict=True))
+    return q.amax(0) - q.amin(0) > NEVER, torque, torque - given, torque - corrected
 
 
 @dataclass(frozen=True)
@@ -507,8 +518,11 @@ class TorqueDiagnosis(Diagnosis):
     @property
     def _foreign(self) -> str:
         """That the torque is another one than the model's, where nothing is named; else empty."""
-        unknown = self.status == "detected_unexplained" and not (self.findings or self.parametric)
-        return FOREIGN if unknown and is_foreign(self.traces) else ""
+        named = bool(self.findings or self.parametric)
+        if self.status != "detected_unexplained" or named or not self.traces:
+            return ""
+        alien = bool(alien_joints(self.traces).any())
+        return ALIEN if alien else FOREIGN if is_foreign(self.traces) else ""
 
     def write_corrected(self, path: str | Path) -> None:
         """Write the corrected robot with its effects as a .yaml.

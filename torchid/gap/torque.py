@@ -44,7 +44,7 @@ from torchid.parallel.workers import Progress, in_shares
 from torchid.results.answer import NotTestable, ordered
 from torchid.robot.model import Robot
 from torchid.simulation.two_models import rollouts
-from torchid.statistics.criteria import SHORTEST_LOG
+from torchid.statistics.criteria import SHORTEST_LOG, UNLIKELY
 
 STAGES = {
     "preparing": 10, "searching for effects": 55, "judging": 18, "locating": 9,
@@ -80,6 +80,7 @@ def diagnose_torque(
     problem = pose(robot, log, held_out, settings, force)
     del log, held_out  # a long one is searched in part, and may now be let go
     say("searching for effects")
+    watch = watch if problem.data.keep.any() else None  # of no torque there is nothing to say yet
     if watch is not None and not problem.data.stands:
         watch(first_answer(problem))
     found = explain_gap(problem, watch and (lambda q, fit: watch(so_far(q, fit, problem.robot))))
@@ -127,8 +128,8 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
     of_few = causes_of_few_runs(found, problem, decision.misfit)
     unnamed = terms_without_name(found, decision.judged, taken.of_all(checked.far.less)[0])
     if decision.dropped is not None:
-        lost, judged = decision.dropped
-        unnamed = terms_without_name(lost, judged, [math.nan] * len(judged))
+        every = terms_without_name(*decision.dropped, [math.nan] * len(decision.dropped[1]))
+        unnamed = tuple(e for e in every if e.how_sure >= UNLIKELY)
     hides = known is not None and any(j.hides for j in known.joints)
     far, shares = checked.far, Budget(0.0, 0.0, 0.0)
     if not (said.effects or said.parametric):

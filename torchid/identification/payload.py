@@ -31,7 +31,7 @@ from torchid.identification.payload_fit import (
     last_link_columns,
     nearest_consistent,
 )
-from torchid.identification.result import Identification
+from torchid.identification.result import Identification, of_parameters
 from torchid.identification.settings import Settings
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
@@ -415,7 +415,7 @@ def payload(
     if empty is not None:
         without = identify(robot, empty, settings=settings, device=device, progress=progress)
         settings = replace(settings, cutoff=without.cutoff)
-        noticed = [f"without payload: {w}" for w in without.warnings]
+        noticed = _of_the_log(without, "without payload")
     elif robot.knowledge is None:
         raise TorchidError(
             "the arm without payload is not known.",
@@ -427,15 +427,20 @@ def payload(
     carrying = identify(unknown, loaded, settings=settings, device=device, progress=progress)
     gain_std = DRIVE_GAIN if from_current(loaded) else 0.0
     found = estimate_payload(without, carrying, model=model, gain_std=gain_std)
+    own = [*found.warnings, *_motion_for(found, robot, loaded, carrying)]
     if gain_std:
-        noticed.append(
+        own.append(
             f"torque is computed from current. Its gain is assumed known to {gain_std:.0%}; every "
             "± includes that."
         )
-    noticed += [f"with payload: {w}" for w in carrying.warnings]
-    noticed += [*found.warnings, *_motion_for(found, robot, loaded, carrying)]
-    warnings = tuple(dict.fromkeys(noticed))
+    warnings = tuple(dict.fromkeys([*own, *noticed, *_of_the_log(carrying, "with payload")]))
     return structs.replace(found, cutoff=carrying.cutoff, warnings=warnings)
+
+
+def _of_the_log(arm: Identification, which: str) -> list[str]:
+    """What an identification says of its log; of single parameters nobody asks for a payload."""
+    parameters = of_parameters(arm)
+    return [f"{which}: {w}" for w in arm.warnings if w not in parameters]
 
 
 def estimate_payload(

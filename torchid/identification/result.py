@@ -187,14 +187,19 @@ class Identification(IdentifiedModel, Result):
 
 def findings(result: Identification) -> list[str]:
     """What a user must know about a result, one sentence each."""
+    fit = (*_of_no_body(result), *_of_the_cutoff(result), *_of_the_errors(result))
+    return [*of_parameters(result), *fit]
+
+
+def of_parameters(result: Identification) -> list[str]:
+    """Which base parameters and coefficients are no estimates, one sentence a kind."""
     lists = {
         "this log does not determine, for want of excitation (set to 0)": result.undetermined,
         "fitted negative, set to 0": result.bounded,
         "fitted negative, which physics forbids, and kept": result.wrong_sign,
         "not distinguishable from 0, dropped as not essential": result.dropped,
     }
-    said = [f"{words}: {', '.join(names)}" for words, names in lists.items() if names]
-    return [*said, *_of_no_body(result), *_of_the_cutoff(result), *_of_the_errors(result)]
+    return [f"{words}: {', '.join(names)}" for words, names in lists.items() if names]
 
 
 def _of_no_body(result: Identification) -> list[str]:

@@ -22,6 +22,7 @@ from torchid.position.search import (
 )
 from torchid.position.servo_model import Motions, ServoModel, better_in_sum, mostly_better
 from torchid.results.answer import Answer, Cause
+from torchid.robot.model import error_unit
 from torchid.statistics.criteria import ALIKE_LOSS, WORTHWHILE
 from torchid.typing import Bool, Float
 
@@ -58,9 +59,9 @@ class EarlyAnswer:
         self, watch: Callable[[Answer], None], motions: Motions, first: ServoModel, of_file: bool
     ) -> None:
         self.watch, self.motions, self.words = watch, motions, error_words(of_file)
-        self.names = motions.data.robot.joint_names
+        self.robot = motions.data.robot
         self.before = self.after = self._errors(first.losses(motions))
-        self.best = [""] * len(self.names)
+        self.best = [""] * self.robot.n
         self._show()
 
     def _errors(self, losses: Tensor) -> Tensor:
@@ -76,9 +77,9 @@ class EarlyAnswer:
 
     def _show(self) -> None:
         whole = float(self.before.mean()), float(self.after.mean())
-        joints = zip(self.names, self.before.tolist(), self.after.tolist(), strict=True)
+        joints = zip(self.robot.joint_names, self.before.tolist(), self.after.tolist(), strict=True)
         causes = (Cause(effect=name, joints=(j,)) for j, name in enumerate(self.best) if name)
-        self.watch(Answer.so_far(self.words, "mrad", whole, joints, causes))
+        self.watch(Answer.so_far(self.words, error_unit(self.robot), whole, joints, causes))
 
 
 def as_the_file(problem: Problem) -> Answered | None:

@@ -37,6 +37,7 @@ from torchid.results.agreement import RunValue
 from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
 from torchid.results.record import Ends, Rows, by_joint
 from torchid.results.replication import agreement_of
+from torchid.robot.model import error_unit
 from torchid.simulation.servo import INDEX, PARAMETERS, Servos
 from torchid.statistics.criteria import CLEAR_EXCESS, LIKELY, MOSTLY_EXPLAINED, UNLIKELY
 from torchid.typing import Bool, Float, Tensor
@@ -199,20 +200,21 @@ class PositionDiagnosis(Diagnosis):
         """What each joint's error is, which causes close it, and what to do: errors of whole
         motions that were left out, before them those of the file's servos, or of a plain one."""
         unseen, moves, noise = self.unseen, ~self.still, self._noise_interval
+        unit = error_unit(self.data.robot)
         low_noise, high_noise = noise[moves].mean(0).nan_to_num(0.0).tolist()
         before = self.before
         every = sorted((f.cause for f in self.findings), key=lambda c: -c.closes)
         low, high = (float(x) for x in unseen[moves].aminmax()) if bool(moves.any()) else (0.0, 0.0)
-        small = f"What moves a joint by less than {low:.1f} to {high:.1f} mrad could not be seen."
+        small = f"What moves a joint by less than {low:.1f} to {high:.1f} {unit} could not be seen."
         refitted = ""
         if self.file is not None:
             refitted = (
-                f"A plain servo refitted to this log errs {self.plain_servo.whole_mrad:.3g} mrad."
+                f"A plain servo refitted to this log errs {self.plain_servo.whole_mrad:.3g} {unit}."
             )
         return Answer(
             status=self.status,
             error=error_words(self.file is not None),
-            unit="mrad",
+            unit=unit,
             before=before.whole_mrad,
             after=self.answered.whole_mrad,
             noise=(low_noise, high_noise),

@@ -16,6 +16,7 @@ from torchid.log.readers import each_log
 from torchid.position.data import RATE_S, STILL, WINDOW_S, tracks_of
 from torchid.position.model import ServoArm
 from torchid.results.record import Part, Record, Result, Rows
+from torchid.robot.model import error_unit
 from torchid.simulation.replay import replayed
 from torchid.simulation.servo_loop import Tracks, Windows, windows_of
 from torchid.typing import Bool, Float, Tensor
@@ -56,6 +57,7 @@ class Replay(Result):
         windows: after how many seconds it began again at the measured position; None if only where
             a motion begins.
         files: what the logs are called.
+        unit: of errors, that of thousandths of the log's own unit.
     """
 
     robot: str
@@ -63,9 +65,10 @@ class Replay(Result):
     simulated: tuple[Log, ...]
     windows: float | None
     files: tuple[str, ...]
+    unit: str = "mrad"
 
     def __repr__(self) -> str:
-        return f"Replay('{self.robot}', {float(self.error.mean()):.2f} mrad)"
+        return f"Replay('{self.robot}', {float(self.error.mean()):.2f} {self.unit})"
 
     @cached_property
     def error(self) -> Float[Tensor, "logs n"]:
@@ -128,7 +131,8 @@ def replay(arm: ServoArm | str | Path, logs: LogLike, *, windows: float | None =
             plain = runs[k].replace(**dict.fromkeys([s for s in runs[k].signals if s != "q"]))
             out[k] = plain.replace(q=q / scale, u=runs[k].u)
     simulated = tuple(out[k] for k in range(len(runs)))
-    return Replay(robot.name, runs, simulated, windows, tuple(log.source for log in runs))
+    files = tuple(log.source for log in runs)
+    return Replay(robot.name, runs, simulated, windows, files, error_unit(robot))
 
 
 def _replayed(

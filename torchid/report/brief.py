@@ -230,5 +230,5 @@ def model_words(answer: Answer, model: str | None, given: str, held_out: Sequenc
     )
     if model is None:
         return f"The corrected model {change}. --save-model corrected.yaml keeps it."
-    target = "mjcf" if answer.unit == "mrad" else "urdf"  # a URDF has no servos
+    target = "mjcf" if answer.of_positions else "urdf"  # a URDF has no servos
     return f"Use {model}: it {change}. Export: torchid export {model} --to {target} --out DIR"

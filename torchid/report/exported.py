@@ -59,7 +59,7 @@ def report_of_correction(done: Correction) -> Report:
     if judged.unit == "%":
         parts, of, given = correction_tables(done), "% of the torque", f"the {_given(done.nominal)}"
     else:
-        parts, of, given = servo_tables(done), "mrad", "the bare commands"
+        parts, of, given = servo_tables(done), judged.unit, "the bare commands"
     less = f" ({percent(1 - mine / before)} less)" if before > 0 else ""
     warnings = [*done.warnings, *(w for export in done.exports for w in export.warnings)]
     return Report(
@@ -88,7 +88,7 @@ def error_table(done: Correction, title: str, given: str, beside: str) -> Table:
 
 def servo_tables(done: Correction) -> list[Table]:
     """Errors of servos in a simulator's file, and what it does not say of them."""
-    again = f"position error, begun anew every {WINDOW_S:g} s [mrad]"
+    again = f"position error, begun anew every {WINDOW_S:g} s [{done.judged.unit}]"
     title, record = "of the servos, without a field in the file", done.record
     assert record.servos_without is not UNSET
     return [

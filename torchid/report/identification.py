@@ -447,6 +447,8 @@ def quantities(body: Body) -> list[tuple[str, str, float, float, float, float]]:
 def _payload_cells(value: float, std: float, low: float, high: float) -> tuple[str, str]:
     if math.isnan(value):
         return "not known", "-"
+    if max(abs(value), std) < 1e-9:  # zero but for rounding, as a point's inertia is
+        return "not part of the model", "-"
     return f"{value:.4g} ± {std:.1g}", f"{low:.4g} .. {high:.4g}"
 
 

@@ -102,10 +102,10 @@ MOST_ROWS = 20
 def informed_verdict(d: InformedDesign) -> str:
     """What the motion does for the least known parameters."""
     count, every = int(d.targets.sum()), len(d.prior.base)
-    which = f"the {count} worst of {every} parameters" if count < every else "all parameters"
+    which = f"the {count} least known of {every} parameters" if count < every else "all parameters"
     said = (
-        f"The new motion cuts the uncertainty of {which} to {percent(d.shrinks(d.after))} (a plain "
-        f"exciting motion of the same length: to {percent(d.shrinks(d.with_plain))})."
+        f"Drive this motion{', or a plain one' * d.hardly}: it cuts the uncertainty of {which} to "
+        f"{percent(d.shrinks(d.after))} (a plain one so long: {percent(d.shrinks(d.with_plain))})."
     )
     unknown = int((~d.prior.known).sum())
     if unknown:

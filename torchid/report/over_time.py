@@ -13,7 +13,7 @@ from torchid.position.diagnosis import PositionDiagnosis
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
 from torchid.report.panels import Figure, finish, panel, worst_stretch
 from torchid.results.words import joint_labels
-from torchid.robot.model import joint_unit
+from torchid.robot.model import error_unit, joint_unit
 from torchid.simulation.two_models import DIVERGED
 from torchid.typing import Bool, Float, Tensor
 
@@ -228,7 +228,7 @@ def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime | None:
         ]
         if not runs:
             return None
-        same = None if len(set(units)) > 1 else ("mm" if units[0] == "m" else "mrad", 1e3)
+        same = None if len(set(units)) > 1 else (error_unit(d.robot), 1e3)
         # The joint that errs most first.
         off = [(run.measured - run.before).nan_to_num(DIVERGED) for run in runs]
         far = torch.stack([x.square().mean(0) for x in off]).amax(0)
@@ -258,6 +258,6 @@ def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime | None:
     return OverTime(
         "position", runs, joint_labels(data.robot.joint_names), units, order,
         ("plain servo" if d.file is None else "the file's servo", "corrected servo"),
-        ("mrad" if "m" not in units else "1e-3", 1e3),
+        (error_unit(data.robot), 1e3),
         where=", in a motion left out",
     )  # fmt: skip

@@ -45,6 +45,11 @@ def before(record: PositionRecord, joint: JointRecord) -> float:
     return joint.plain_mrad if record.how_far.file is UNSET else joint.file_mrad
 
 
+def unit_of_errors(record: PositionRecord) -> str:
+    """Of joints' position errors; files without an answer are older than slides here."""
+    return "mrad" if record.answer is None else record.answer.unit
+
+
 def before_words(record: PositionRecord) -> str:
     """Whose that is."""
     return "a plain servo" if record.how_far.file is UNSET else "the file's servo"
@@ -52,13 +57,13 @@ def before_words(record: PositionRecord) -> str:
 
 def remarks(record: PositionRecord) -> list[str]:
     """What to know about the answer, one sentence each."""
-    far = record.how_far
+    far, unit = record.how_far, unit_of_errors(record)
     file = "the file has no servos"
     if far.file is not UNSET:
         file = f"the file's servos as they are {far.file.whole_mrad:.1f}"
     out = [
         f"Errors are of whole motions that no model was fitted to, the mean of the joints that "
-        f"move: the command alone {far.commanded.whole_mrad:.1f} mrad, {file}, a plain servo "
+        f"move: the command alone {far.commanded.whole_mrad:.1f} {unit}, {file}, a plain servo "
         f"refitted to this log {far.plain.whole_mrad:.1f}, corrected "
         f"{far.answered.whole_mrad:.1f}; in windows of 2 s {far.answered.windows_2s_mrad:.1f}. A "
         "plain servo has a gain, friction, inertia, delay and offset."
@@ -68,32 +73,32 @@ def remarks(record: PositionRecord) -> list[str]:
         low, high = min(a for a, _ in told), max(b for _, b in told)
         out.append(
             f"Repeats of motions tell the noise of {len(told)} joints, {low:.1f} to "
-            f"{high:.1f} mrad."
+            f"{high:.1f} {unit}."
         )
     if record.held_out is not UNSET:
         held = record.held_out
         out.append(
-            f"Held-out logs: {held.whole_mrad:.1f} mrad, in windows of 2 s "
-            f"{held.windows_2s_mrad:.1f} mrad."
+            f"Held-out logs: {held.whole_mrad:.1f} {unit}, in windows of 2 s "
+            f"{held.windows_2s_mrad:.1f} {unit}."
         )
     worse = _worse(record)
     if worse:
         more = " and elsewhere" if len(worse) > MOST_WORSE else ""
-        than = before_words(record)
-        out.append(f"It is worse than {than} on {'; '.join(worse[:MOST_WORSE])}{more}.")
+        where = "; ".join(worse[:MOST_WORSE])
+        out.append(f"It is worse than {before_words(record)} on {where}{more}.")
     return out
 
 
 def _worse(record: PositionRecord) -> list[str]:
     """Joints, or regimes of them, whose error is larger by more than could be seen."""
-    joints = record.where.joints
-    ends = {j.joint: (before(record, j), j.answered_mrad) for j in joints}
-    worse = [j for j in joints if ends[j.joint][1] - ends[j.joint][0] > j.unseen_mrad]
-    out = ["joint {}, {:.1f} -> {:.1f} mrad".format(j.joint + 1, *ends[j.joint]) for j in worse]
+    joints, unit = record.where.joints, unit_of_errors(record)
+    worse = [j for j in joints if j.answered_mrad - before(record, j) > j.unseen_mrad]
+    change = "joint {}, {:.1f} -> {:.1f} {}".format
+    out = [change(j.joint + 1, before(record, j), j.answered_mrad, unit) for j in worse]
     named = {j.joint for j in worse} | {j.joint for j in joints if j.never_moves}
     return out + [
         f"joint {r.joint + 1} ({regime_words(r.regime)}), {r.before_mrad:.1f} -> "
-        f"{r.answered_mrad:.1f} mrad"
+        f"{r.answered_mrad:.1f} {unit}"
         for r in record.where.regimes
         if r.joint not in named and r.answered_mrad - r.before_mrad > joints[r.joint].unseen_mrad
     ]
@@ -118,7 +123,7 @@ def where_table(record: PositionRecord) -> Table:
         "alone"
     )
     table = table_of(
-        "Position error of motions left out [mrad]",
+        f"Position error of motions left out [{unit_of_errors(record)}]",
         record.where.joints,
         f"joint name commanded_mrad {file}plain_mrad answered_mrad gain",
         note,
@@ -185,15 +190,14 @@ def motion_table(record: PositionRecord) -> Table:
     rows = []
     for one in record.how_far.per_motion:
         errors = one.answered_mrad
-        levels = [*errors.tolist(), float(errors[moves].mean())]
-        rows.append((one.motion, *cells(levels, ".1f")))
+        rows.append((one.motion, *cells([*errors.tolist(), float(errors[moves].mean())], ".1f")))
     columns = ("motion", *(j.name for j in record.where.joints), "mean")
-    return Table("Error of each motion, left out [mrad]", columns, rows, "l")
+    return Table(f"Error of each motion, left out [{unit_of_errors(record)}]", columns, rows, "l")
 
 
 def where_picture(record: PositionRecord) -> Picture:
     """The map of joints and of what the command does."""
-    worst = (worst_joints(record, 1) or [0])[0]
+    worst, unit = (worst_joints(record, 1) or [0])[0], unit_of_errors(record)
     regime = max(
         (x for x in record.where.regimes if x.joint == worst),
         key=lambda x: x.before_mrad if x.before_mrad == x.before_mrad else -1.0,
@@ -207,9 +211,9 @@ def where_picture(record: PositionRecord) -> Picture:
         "where",
         f"Rows are joints, columns what the command does; a blue cell is one that "
         f"{before_words(record)} does not predict. It errs most on joint {label(record, worst)}, "
-        f"above all at {regime_words(regime.regime)}: {regime.before_mrad:.1f} mrad, "
-        f"{regime.answered_mrad:.1f} mrad corrected.",
-        f"Map of joints and regimes. Before and after [mrad]: {each}.",
+        f"above all at {regime_words(regime.regime)}: {regime.before_mrad:.1f} {unit}, "
+        f"{regime.answered_mrad:.1f} {unit} corrected.",
+        f"Map of joints and regimes. Before and after [{unit}]: {each}.",
         partial(where_figure, record),
     )
 
@@ -243,16 +247,16 @@ def where_figure(record: PositionRecord) -> Figure:
         " never moves" if j.never_moves else f" {value:.1f}"
         for j, value in zip(joints, sizes, strict=True)
     ]
-    title = "command less position [mrad]"
+    unit = unit_of_errors(record)
     return map_with_bars(
         f"{record.robot}: where command and position part",
-        f"error of whole motions left out [mrad]: {before_words(record)} \u2192 corrected",
+        f"error of whole motions left out [{unit}]: {before_words(record)} \u2192 corrected",
         [label(record, j.joint) for j in joints],
         [regime_words(name) for name in regimes],
         np.nan_to_num(first),
         texts,
-        f"{before_words(record)} [mrad]",
-        (title, sizes, words, GREY, 1.35 * max(*sizes, 1e-9)),
+        f"{before_words(record)} [{unit}]",
+        (f"command less position [{unit}]", sizes, words, GREY, 1.35 * max(*sizes, 1e-9)),
     )[0]
 
 
@@ -271,7 +275,8 @@ def replay_figure(result: Replay, log: int = 0) -> Figure:
         "measured": (thin(real.q), {"color": INK, "linewidth": 2.0}),
         "simulated": (thin(far.q), {"color": AFTER, "linewidth": 1.0}),
     }
-    title = f"{result.files[log] or result.robot}: {float(result.error[log].mean()):.1f} mrad RMS"
+    error = f"{float(result.error[log].mean()):.1f} {result.unit}"
+    title = f"{result.files[log] or result.robot}: {error} RMS"
     # Motions one after the other, each from its own beginning.
     samples = thin(torch.arange(real.samples))
     alone = real.trajectory_count == 1

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from torchid.report.table import Report, Table
+from torchid.results.words import count
 from torchid.statistics.criteria import SET_MASS
 from torchid.withheld.own import OwnCheck
 from torchid.withheld.planted import OUTSIDE, Calibration, Planted
@@ -19,16 +20,14 @@ def report_of_own_check(found: OwnCheck) -> Report:
 def own_headline(found: OwnCheck) -> str:
     """What was found again of what is there, in one sentence."""
     if not found.withheld:
-        return "No effect was accepted on the first part of the logs, so none could be withheld."
-    again = sum(w.in_set for w in found.withheld)
+        return "The first part of the logs shows no cause that could be hidden and sought again."
+    again, hidden = sum(w.in_set for w in found.withheld), count(len(found.withheld), "cause")
     judged = [w.as_much for w in found.withheld if w.as_much is not None]
-    text = f"{again} of {len(found.withheld)} accepted effects were found again once withheld"
+    text = f"Of {hidden} hidden from the diagnosis in turn it found {again} again"
     if not judged:
         return f"{text}; without any of them these data show no gap."
-    return (
-        f"{text}; of {len(judged)} that leave a gap here, {sum(judged)} closed as much of it as "
-        "they are known to."
-    )
+    closed = f"{sum(judged)} of the {len(judged)} that leave a gap here were closed as far as known"
+    return f"{text}; {closed}."
 
 
 def own_table(found: OwnCheck) -> Table:

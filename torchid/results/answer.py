@@ -317,6 +317,11 @@ class Answer(Part, frozen=True, kw_only=True):
         return 1.0 - self.after / self.before if self.before > 0 else math.nan
 
     @property
+    def of_positions(self) -> bool:
+        """Whether its errors are of positions."""
+        return self.unit.startswith("m")  # mrad, mm
+
+    @property
     def headline(self) -> str:
         """The answer in at most two lines of 80 characters, after what speaks against the log."""
         if not self.doubt:
@@ -336,10 +341,10 @@ class Answer(Part, frozen=True, kw_only=True):
                 "not_testable": "This log cannot show what causes a gap:",
             }
             worst = max(self.joints, key=lambda j: -math.inf if j.before != j.before else j.before)
-            gap = (
-                f"No known effect explains {self.error} of {size} (noise "
-                f"{noise}). It is largest on joint {worst.joint + 1}."
-            )
+            # Beside what speaks against all of the log no bracket of its noise does.
+            gap = f"No known effect explains {self.error} of {size}"
+            gap += "." if self.doubt else f" (noise {noise})."
+            gap += f" It is largest on joint {worst.joint + 1}." if len(self.joints) > 1 else ""
             text = f"{said.get(self.status, gap)} {self.reason}".rstrip()
             if self.suspects and self.status in ("detected_unexplained", "not_testable"):
                 why = "No cause is sure." if self.status == "detected_unexplained" else text

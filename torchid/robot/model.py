@@ -63,6 +63,11 @@ def torque_unit(robot: "Robot", both: str = "N m, N") -> str:
     return units.pop() if len(units) == 1 else both
 
 
+def error_unit(robot: "Robot") -> str:
+    """Unit of the joints' position errors, in thousandths: of angles, of ways, or of both."""
+    return {"N m": "mrad", "N": "mm"}.get(torque_unit(robot), "mrad, mm")
+
+
 def free_name(name: str, taken: set[str]) -> str:
     """A name that is not taken yet, and is from now on: with underscores appended if need be."""
     while name in taken:

@@ -633,9 +633,8 @@ def not_testable(found: Explanation, data: Data) -> list[NotTestable]:
     known = {*accepted, *best}
     still = (~data.slides).nonzero().flatten().tolist()
     for j, kind in ((j, KINDS[name]) for j in still if j in robot.driven for name in wanted.names):
-        if not issubclass(kind, JointEffect) or kind.needs & data.missing:
-            continue
-        if (kind.name, (j,)) not in known and wanted.asks(kind.name, (j,)):
+        asked = issubclass(kind, JointEffect) and not kind.needs & data.missing
+        if asked and (kind.name, (j,)) not in known and wanted.asks(kind.name, (j,)):
             unit = unit_of(kind.coefficients[0].unit, (j,), robot)
             out.append(NotTestable(kind.name, (j,), None, unit, "the motion does not excite it"))
     return out

@@ -8,7 +8,7 @@ from torchid.design.columns import Columns
 from torchid.design.paths import same_paths
 from torchid.effects.registry import EVENTS
 from torchid.gap.data import Data
-from torchid.gap.diagnosis import UNLIKE, Trace, is_foreign, unfollowed
+from torchid.gap.diagnosis import UNLIKE, Trace, alien_joints, is_foreign
 from torchid.gap.folds import FEW
 from torchid.gap.noise.floor import Noise, noise_of
 from torchid.gap.problem import Problem
@@ -204,7 +204,7 @@ def status_of(
     # What has no name explains nothing.
     unexplained = little or bool((odd | clear | structured | (unnamed > least.square())).any())
     if not (said.effects or said.parametric):
-        if unexplained or taken:
+        if unexplained or taken or alien_joints(checked.shown).any():
             return "detected_unexplained"
         if poor:
             return "not_testable"
@@ -226,19 +226,15 @@ def warnings_of(
         cost: (n,) torque by which the recommended bodies differ from the fitted ones [N m; N].
     """
     solution, settings, judged = found.solution, problem.settings, problem.judged
-    out = [*problem.data.warnings, *checked.noise.floor.notes]
+    alien = alien_joints(checked.shown).nonzero().flatten().tolist()
+    said = (
+        "Next time: check the log first (`torchid log doctor ROBOT LOG`): the model explains "
+        f"nothing of the torque of {joint_list(alien)}. Is it of this robot, its joints in this "
+        "order, in these units?"
+    )
+    out = [said] if alien else []
+    out += [*problem.data.warnings, *checked.noise.floor.notes]
     out += [] if judged is None else judged.warnings
-    # A gap larger than the torque's own variation, which the answer does not settle: the log may be
-    # of another robot.
-    useless = unfollowed(checked.shown) > 1
-    useless &= unfollowed(checked.shown, corrected=True) > UNLIKE
-    if 2 * int(useless.sum()) > len(useless):
-        joints = joint_list(useless.nonzero().flatten().tolist())
-        out.append(
-            f"Caution: the model explains nothing of the torque of {joints}. Is the log of this "
-            "robot, its joints in this order, in these units? `torchid log doctor ROBOT LOG` "
-            "checks it."
-        )
     if checked.noise.floor.source != "repeats":
         out.append(f"Next time: {_what_bounds_noise(problem)}")
     if len(found.terms) >= settings.max_effects:

@@ -9,6 +9,8 @@ CLEAR = 0.99
 """Probability of a cause above which nothing is said of it."""
 MOST_ADVICE = 3
 """Things to do first."""
+LEAST_STEP = 0.02
+"""Share of the error below which a cause is nothing to do next, however sure it is [1]."""
 
 
 def cause_line(cause: Cause) -> tuple[str, str, str, str]:
@@ -33,15 +35,17 @@ def first_steps(answer: Answer) -> list[str]:
     same: dict[str, list[Cause]] = {}
     for cause in answer.entries:
         same.setdefault(cause.remedy, []).append(cause)
-    steps = []
+    steps: list[str] = []
     # Shares of a joint's own error, as positions have them, have no sum.
-    add = answer.unit != "mrad"
+    add = not answer.of_positions
 
     def worth(causes: Sequence[Cause]) -> float:
         shares = [c.closes for c in causes if c.closes == c.closes]
         return sum(shares) if add else max(shares, default=0.0)
 
     for remedy, causes in sorted(same.items(), key=lambda pair: -worth(pair[1])):
+        if steps and worth(causes) != 0 and worth(causes) < LEAST_STEP:
+            continue
         what = listed(dict.fromkeys(common_name(c, causes) for c in causes))
         if causes[0].effect != "link_inertia":  # whose name has its place
             what += f", {answer.where(causes)}"
