@@ -74,6 +74,18 @@ class Normal:
         whole = None if self.whole is None else self.whole - self.gram[block]
         return replace(others, whole=whole)
 
+    def apart(self, blocks: np.ndarray) -> "Normal":
+        """Some blocks one after the other, then all others together."""
+        whole = self.gram.sum(0) if self.whole is None else self.whole
+        gram, cross, square, count = (
+            np.concatenate([x[blocks], (total - x[blocks].sum(0))[None]])
+            for x, total in (
+                (self.gram, whole),
+                *((x, x.sum(0)) for x in (self.cross, self.square, self.count)),
+            )
+        )
+        return Normal(gram, cross, square, count, self.spread, whole)
+
     def mean_square(self, x: np.ndarray) -> np.ndarray:
         """(B, n) mean squared error of parameters x (P,)."""
         error = self.gram @ x @ x - 2 * self.cross @ x + self.square
