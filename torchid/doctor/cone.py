@@ -76,15 +76,9 @@ class Normal:
 
     def apart(self, blocks: np.ndarray) -> "Normal":
         """Some blocks one after the other, then all others together."""
-        whole = self.gram.sum(0) if self.whole is None else self.whole
-        gram, cross, square, count = (
-            np.concatenate([x[blocks], (total - x[blocks].sum(0))[None]])
-            for x, total in (
-                (self.gram, whole),
-                *((x, x.sum(0)) for x in (self.cross, self.square, self.count)),
-            )
-        )
-        return Normal(gram, cross, square, count, self.spread, whole)
+        every = self.gram, self.cross, self.square, self.count
+        parts = (np.concatenate([x[blocks], [x.sum(0) - x[blocks].sum(0)]]) for x in every)
+        return Normal(*parts, self.spread)
 
     def mean_square(self, x: np.ndarray) -> np.ndarray:
         """(B, n) mean squared error of parameters x (P,)."""
