@@ -1,10 +1,13 @@
 """Bodies that fit best: at the optimum, from wherever the search begins."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from torchid.doctor.cone import Normal, fit
 
+SUMS = ("gram", "cross", "square", "count")
 ROWS, JOINTS, PARAMETERS, UNKNOWNS = 40, 2, 12, 90
 
 
@@ -34,3 +37,15 @@ def test_no_unknown_helps_at_the_optimum_wherever_the_search_begins(seed: int) -
     others = np.setdiff1d(np.arange(UNKNOWNS), found.used)
     for used in (found.used, others):
         assert np.allclose(fit(normal, bodies, weights, used).x, found.x, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_blocks_and_all_others_together_are_all_rows(seed: int) -> None:
+    normal, _ = rows(seed)
+    scale = np.arange(1, 6)
+    many = replace(normal, **{k: np.multiply.outer(scale, getattr(normal, k)[0]) for k in SUMS})
+    parts = many.apart(np.array([3, 1]))
+    for k in SUMS:
+        sums, own = getattr(many, k), getattr(parts, k)
+        assert np.array_equal(own[:2], sums[[3, 1]])
+        assert np.allclose(own.sum(0), sums.sum(0))

@@ -23,7 +23,7 @@ from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
-AT_ONCE = 4_000_000
+AT_ONCE = 2_000_000
 """Values that are evaluated and filtered at a time: bounds the memory of long logs."""
 
 KEPT = 25_000_000

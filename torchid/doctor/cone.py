@@ -74,6 +74,12 @@ class Normal:
         whole = None if self.whole is None else self.whole - self.gram[block]
         return replace(others, whole=whole)
 
+    def apart(self, blocks: np.ndarray) -> "Normal":
+        """Some blocks one after the other, then all others together."""
+        every = self.gram, self.cross, self.square, self.count
+        parts = (np.concatenate([x[blocks], [x.sum(0) - x[blocks].sum(0)]]) for x in every)
+        return Normal(*parts, self.spread)
+
     def mean_square(self, x: np.ndarray) -> np.ndarray:
         """(B, n) mean squared error of parameters x (P,)."""
         error = self.gram @ x @ x - 2 * self.cross @ x + self.square

@@ -127,9 +127,9 @@ class Judge:
         return np.stack(rows)
 
     def normal(self, hypothesis: Hypothesis, members: Sequence[Rows] = ()) -> Normal:
-        """Normal equations of the rows under a hypothesis, in blocks of time or the given ones."""
-        a, gram, total = self.columns(hypothesis)
-        whole = None if members else total
+        """Normal equations of the rows under a hypothesis, in blocks of time or those given, which
+        have all rows as well."""
+        a, gram, whole = self.columns(hypothesis)
         gram = _products(a, members) if members else gram
         members = members or self.members
         moving = self.moving(hypothesis)

@@ -15,7 +15,7 @@ from torchid.doctor.hypothesis import Hypothesis, Judge, factors_of, minimum
 from torchid.doctor.repair import MOTION, PLACES, TORQUE, Map, MappedColumns, Repair, ShiftTorque
 from torchid.dynamics.regressor import regressor
 from torchid.robot.model import JointType, Robot
-from torchid.statistics.criteria import EXPLAINED, LEAST_GAIN
+from torchid.statistics.criteria import EXPLAINED, LEAST_GAIN, TOLD
 
 LAGS = (-0.2, -0.1, -0.05, -0.025, 0.025, 0.05, 0.1, 0.2)
 """How late torque may be [s]; what lies between is found afterwards."""
@@ -189,7 +189,8 @@ def _gravities(judge: Judge, now: Hypothesis) -> Iterator[Move]:
 
 
 def _gains(judge: Judge, now: Hypothesis) -> Iterator[Move]:
-    """Each joint's torque at the size at which the joints' torques fit together best."""
+    """Each joint's torque at the size at which the joints' torques fit together best; none of a
+    torque that bodies explain at no size."""
     live = judge.live(now)
     if len(live) < 2:
         return
@@ -202,7 +203,8 @@ def _gains(judge: Judge, now: Hypothesis) -> Iterator[Move]:
         if min(GAINS, key=loss) == 0.0:
             continue
         best = minimum(loss, GAINS, step=0.3)
-        if abs(best) > math.log(LEAST_GAIN):
+        there = judge.score(now.scaled((k,), tau=math.exp(best)), weights)
+        if abs(best) > math.log(LEAST_GAIN) and there.errors[k] < TOLD:
             yield _scaled("gain", now, (k,), tau=math.exp(best))
 
 

@@ -16,6 +16,7 @@ from torchid.statistics.criteria import CLEAR_GAIN
 
 PIECES = 4
 """Parts of a run that are left out in turn,"""
+_RUN = np.arange(PIECES)
 LEAST_ROWS = 10
 """... of this many rows or more."""
 STEADY = 2.0
@@ -44,22 +45,24 @@ def check_runs(judge: Judge, hypothesis: Hypothesis) -> list[Check]:
     if len(runs) < 2 or not judge.live(hypothesis):
         return []
     normal, names = judge.normal(hypothesis, pieces), judge.samples.names
-    plain = judge.fit(normal)
     n = judge.robot.n  # columns of the last link's parameters among those of all links
     last = np.r_[n - 1, n + 3 * (n - 1) : 4 * n, 4 * n + 6 * (n - 1) : 10 * n]
-    body = judge.cone[last][:, judge.cone[last].any(0)]
+    bodies = judge.cone[:, judge.cone[last].any(0)]
+    # What all runs have on the last link may be anything: what differs between them counts.
+    cone, body = np.hstack([judge.cone, -bodies]), bodies[last]
+    plain = fit(normal, cone)
     looked = []
-    # Of two runs one is heavier, or the other lighter: it is said of the heavier one.
-    for sign in (1.0, -1.0) if len(runs) > 2 else (1.0,):
-        for place, run in enumerate(runs):
-            mine = np.arange(PIECES * place, PIECES * (place + 1))
+    for place, run in enumerate(runs):
+        parts = normal.apart(np.arange(PIECES * place, PIECES * (place + 1)))
+        # Of two runs one is heavier, or the other lighter: it is said of the heavier one.
+        for sign in (1.0, -1.0) if len(runs) > 2 else (1.0,):
             load = _Own(last, sign * body)
-            wide, cone = _with_own(normal, judge.cone, mine, load)
-            x = fit(wide, cone, plain.weights, plain.used).x
-            gain = loss_of(normal, mine, plain.x) - loss_of(wide, mine, x)
-            looked += [(gain, names[run], mine, load)] if gain > CLEAR_GAIN else []
-    for _, name, mine, load in sorted(looked, key=lambda x: -x[0])[:MOST_LOOKED]:
-        if (found := _contradicts(judge, normal, name, mine, load)) is not None:
+            wide, every = _with_own(parts, cone, load)
+            x = fit(wide, every, plain.weights, plain.used).x
+            gain = loss_of(parts, _RUN, plain.x) - loss_of(wide, _RUN, x)
+            looked += [(gain, names[run], parts, load)] if gain > CLEAR_GAIN else []
+    for _, name, parts, load in sorted(looked, key=lambda x: -x[0])[:MOST_LOOKED]:
+        if (found := _contradicts(parts, cone, name, load)) is not None:
             return [found]
     return [said("runs", "fine", count=len(runs))]
 
@@ -76,51 +79,45 @@ def pieces_of_runs(judge: Judge) -> tuple[list[int], list[np.ndarray]]:
     return runs, [piece == k for k in range(piece.max() + 1)]
 
 
-def _contradicts(
-    judge: Judge, normal: Normal, name: str, mine: np.ndarray, load: _Own
-) -> Check | None:
+def _contradicts(parts: Normal, cone: np.ndarray, name: str, load: _Own) -> Check | None:
     """The check of a run that a load of its own explains clearly better than friction of its own or
     nothing, in each part that is left out; None of any other run."""
-    rubbing = np.arange(10 * judge.robot.n, len(judge.cone))
+    rubbing = np.arange(10 * len(parts.spread), len(cone))
     both = np.hstack([np.eye(len(rubbing)), -np.eye(len(rubbing))])
     nothing = _Own(rubbing[:0], np.zeros((0, 0)))
-    without, _ = _left_out(normal, judge.cone, mine, nothing)
-    loaded, values = _left_out(normal, judge.cone, mine, load)
+    without, _ = _left_out(parts, cone, nothing)
+    loaded, values = _left_out(parts, cone, load)
     mass = np.abs(values[:, 0])
     gain = without - loaded
     if mass.max() > STEADY * mass.min() or gain.min() <= 0 or gain.mean() < CLEAR_GAIN:
         return None
-    gain = _left_out(normal, judge.cone, mine, _Own(rubbing, both))[0] - loaded
+    gain = _left_out(parts, cone, _Own(rubbing, both))[0] - loaded
     if gain.min() <= 0 or gain.mean() < CLEAR_GAIN:
         return None
-    left = 100 * np.exp((loaded - without).mean() / max(1, int((normal.spread > 0).sum())))
+    left = 100 * np.exp((loaded - without).mean() / max(1, int((parts.spread > 0).sum())))
     words = {"word": "more" if values[0, 0] > 0 else "less", "mass": mass.mean(), "left": left}
     return said("runs", "wrong", estimate=float(values[:, 0].mean()), run=name, **words)
 
 
-def _left_out(
-    normal: Normal, cone: np.ndarray, mine: np.ndarray, own: _Own
-) -> tuple[np.ndarray, np.ndarray]:
+def _left_out(parts: Normal, cone: np.ndarray, own: _Own) -> tuple[np.ndarray, np.ndarray]:
     """(B,) sums of the joints' log errors of a run's parts under the fit to all else, and the
     (B, columns) values of its own parameters."""
-    wide, bodies = _with_own(normal, cone, mine, own)
-    fits = [fit(wide.without(k), bodies).x for k in mine]
-    losses = [loss_of(wide, np.array([k]), x) for k, x in zip(mine, fits, strict=True)]
-    return np.array(losses), np.stack(fits)[:, normal.gram.shape[-1] :]
+    wide, bodies = _with_own(parts, cone, own)
+    fits = [fit(wide.without(k), bodies).x for k in _RUN]
+    losses = [loss_of(wide, np.array([k]), x) for k, x in enumerate(fits)]
+    return np.array(losses), np.stack(fits)[:, parts.gram.shape[-1] :]
 
 
-def _with_own(
-    normal: Normal, cone: np.ndarray, mine: np.ndarray, own: _Own
-) -> tuple[Normal, np.ndarray]:
-    """The rows and what may be, with columns once more that act in a run's parts alone."""
-    size = normal.gram.shape[-1]
+def _with_own(parts: Normal, cone: np.ndarray, own: _Own) -> tuple[Normal, np.ndarray]:
+    """A run's parts and all other rows, and what may be, with columns once more that act in the run
+    alone."""
+    size = parts.gram.shape[-1]
     every = np.r_[np.arange(size), own.columns]
-    gram, cross = normal.gram[:, :, every][..., every], normal.cross[..., every]
-    others = np.setdiff1d(np.arange(len(gram)), mine)
-    gram[others, :, size:], gram[others, :, :, size:], cross[others, :, size:] = 0.0, 0.0, 0.0
+    gram, cross = parts.gram[:, :, every][..., every], parts.cross[..., every]
+    gram[-1, :, size:], gram[-1, :, :, size:], cross[-1, :, size:] = 0.0, 0.0, 0.0
     bodies = np.zeros((len(every), cone.shape[1] + own.bodies.shape[1]))
     bodies[:size, : cone.shape[1]], bodies[size:, cone.shape[1] :] = cone, own.bodies
-    return replace(normal, gram=gram, cross=cross), bodies
+    return replace(parts, gram=gram, cross=cross), bodies
 
 
 def loss_of(normal: Normal, parts: np.ndarray, x: np.ndarray) -> float:

@@ -39,11 +39,11 @@ from torchid.log.sampling import at_rate
 from torchid.robot.model import Robot, joint_list
 from torchid.typing import Bool, Float, Int, Tensor
 
-LONGEST = 4_200.0
-"""Seconds of motion times joints that are searched: ten minutes of seven joints, whose intervals
+LONGEST = 2_100.0
+"""Seconds of motion times joints that are searched: five minutes of seven joints, whose intervals
 are far below what is worth a name. The search keeps the columns of all candidates there."""
 
-STRETCH = 60.0
+STRETCH = 30.0
 """Length of what is taken of a longer log at a time [s]: a whole trajectory, or a part of one."""
 
 SHORTEST = 4 * EDGE
@@ -180,8 +180,8 @@ def spread_over(log: Log, seconds: float) -> tuple[Log, tuple[str, ...]]:
     parts = [log.select(rows).replace(names=(name,), warnings=()) for name, rows in chosen]
     kept = Log.concatenate(parts).replace(source=log.source, warnings=log.warnings)
     return kept, (
-        f"of {total:.0f} s of motion {sum(kept.duration):.0f} s are diagnosed: {len(parts)} "
-        "stretches spread over all of it",
+        f"Caution: of {total:.0f} s of motion {sum(kept.duration):.0f} s are searched, "
+        f"{kept.samples} of {log.samples} rows: {len(parts)} stretches spread over all of it.",
     )
 
 

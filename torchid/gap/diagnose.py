@@ -88,15 +88,16 @@ def diagnose(
     # Several threads of BLAS make small matrices many times slower.
     with threadpool_limits(1, "blas"):
         doubts = ask_first(robot, every, force=force)
-        del every
+        handed = [log]  # a long log is let go as soon as it is prepared
+        del every, log
         found: TorqueDiagnosis | PositionDiagnosis
         if torques:
             found = diagnose_torque(
-                robot, log, held_out=held_out, settings=settings, progress=say, watch=watch,
-                force=force,
+                robot, handed.pop(), held_out=held_out, settings=settings, progress=say,
+                watch=watch, force=force,
             )  # fmt: skip
         else:
-            found = _of_positions(robot, log, held_out, settings, servo, say, watch)
+            found = _of_positions(robot, handed.pop(), held_out, settings, servo, say, watch)
     answer = found.answer
     settled = answer.status in ("no_gap", "negligible") or answer.less >= SETTLED
     text = "" if settled and not doubts.wrong else doubts.short

@@ -57,9 +57,10 @@ def resample(log: Log) -> Log:
     if max(steps) <= (1.0 + SAME_STEP) * min(steps):
         steps = [float(np.median(steps))] * len(steps)
     result = [_onto_grid(piece, step, warnings) for piece, step in zip(pieces, steps, strict=True)]
-    joined = Log.concatenate(result)
     everything = tuple(dict.fromkeys([*log.warnings, *warnings]))
-    return joined.replace(source=log.source, warnings=everything)
+    if not warnings:  # stamps alone were set straight: signals are the log's own, and no copies
+        return log.replace(t=torch.cat([x.t for x in result]), warnings=everything)
+    return Log.concatenate(result).replace(source=log.source, warnings=everything)
 
 
 def at_rate(log: Log, rate: float) -> Log:
