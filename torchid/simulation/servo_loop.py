@@ -25,7 +25,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
+from torchid.dynamics.forward import gravity_torque, mass_and_bias
 from torchid.dynamics.newton_euler import keep_freed_memory
 from torchid.effects.registry import nominal_effects
 from torchid.effects.spring import JointSpring, stumpff
@@ -141,10 +141,10 @@ def body_at(
     Raises:
         RobotError: the robot has no inertial parameters.
     """
-    mass = mass_matrix(robot, q)
+    mass, bias = mass_and_bias(robot, q, dq)
     own = mass.diagonal(dim1=1, dim2=2)
     off = mass - torch.diag_embed(own)
-    bias = bias_torque(robot, q, dq) + _springs(robot, q) - compensation(robot, q)
+    bias = bias + _springs(robot, q) - compensation(robot, q)
     body = q, bias, torch.zeros_like(mass), own, off, off.abs().sum(2)
     if link is None:
         return Body(*body)
