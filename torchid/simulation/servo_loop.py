@@ -465,7 +465,7 @@ def rollout(
         mine, sole = servos, whose
         if each:
             mine = dataclasses.replace(servos, joint=servos.joint[of], plane=servos.plane[of])
-            sole = whose if whose.numel() == 1 else whose[of]
+            sole = whose.reshape(-1).expand(len(servos.joint))[of]
         given = begin, points, sole, measured, longest_step
         return _side_by_side(mine, body, tracks, some, *given)
 
@@ -476,10 +476,9 @@ def rollout(
         return run(windows, torch.arange(len(q)), _at(q, dq, sets))[0]
     # Pieces begin near what was measured, and again where the one before has ended, until all do:
     # what a servo did is soon forgotten.
-    later, row = (pieces.start > windows.start[of])[:, None], pieces.start.clamp(min=1)
-    rate = (measured[row + 1] - measured[row - 1]) / (2 * tracks.dt)
-    guess = ((measured[row], q), (rate, dq))
-    begin = _at(*(torch.where(later, x.to(q), y[of]) for x, y in guess), sets)
+    later = (pieces.start > windows.start[of])[:, None]
+    q, dq = torch.where(later, measured[pieces.start].to(q), q[of]), dq[of].masked_fill(later, 0.0)
+    begin = _at(q, dq, sets)
     out, ends = run(pieces, of, begin)
     near = MEET / tracks.dt ** torch.arange(3).to(q)[:, None, None, None]
     for _ in range(int(of.bincount().max()) - 1):
@@ -491,11 +490,9 @@ def rollout(
         again, ends[..., some] = run(pieces.some(some), of[some], begin[..., some])
         out[: len(again), some] = again
     # Each window's rows from its pieces, NaN from its end on.
-    row = torch.arange(int(windows.length.max()))[:, None]
-    nth = torch.minimum((row - 1).clamp(min=0) // rows, of.bincount() - 1)
-    whole = out[
-        (row - rows * nth).clamp(max=rows), nth + torch.searchsorted(of, torch.arange(len(q)))
-    ]
+    count, row = of.bincount(), torch.arange(int(windows.length.max()))[:, None]
+    nth = torch.minimum((row - 1).clamp(min=0) // rows, count - 1)
+    whole = out[(row - rows * nth).clamp(max=rows), count.cumsum(0) - count + nth]
     return whole.masked_fill_((row >= windows.length)[..., None, None], math.nan)
 
 
@@ -506,8 +503,8 @@ def _pieces(windows: Windows, rows: int) -> tuple[Windows, Int[Tensor, " V"]]:
     of = torch.arange(len(count)).repeat_interleave(count)
     begun = rows * (torch.arange(len(of)) - (count.cumsum(0) - count)[of])
     length = (windows.length[of] - begun).clamp(max=rows + 1)
-    start, motion, weight = windows.start[of] + begun, windows.motion[of], windows.weight[of]
-    return Windows(start, length, motion, weight), of
+    start = windows.start[of] + begun
+    return dataclasses.replace(windows.some(of), start=start, length=length), of
 
 
 def _at(q: Float[Tensor, "W n"], dq: Float[Tensor, "W n"], sets: int) -> Float[Tensor, "3 n P W"]:
@@ -553,10 +550,9 @@ def _side_by_side(
     order = windows.length.argsort(descending=True, stable=True)
     known = isinstance(body, Body)
     keep_freed_memory()
-    parts = order.split(max(1, _NUMBERS // (servos.n * sets)))
-    for some, *part in zip(parts, *(x.split(len(parts[0]), 3) for x in (out, ends)), strict=True):
-        start, length = windows.start[some], windows.length[some]
-        run = _Run(
+
+    def run_of(some: Int[Tensor, " V"]) -> _Run:
+        return _Run(
             table[:, :, some] if each else table,
             plane[..., some] if each else plane,
             points,
@@ -569,11 +565,14 @@ def _side_by_side(
             1 if known else math.ceil(tracks.dt / STEP - NEARLY),
             (COUPLED, APART) if known else (SWEEPS, SWEEPS),
         )
-        q, end = part
+
+    parts = order.split(max(1, _NUMBERS // (servos.n * sets)))
+    for some, *part in zip(parts, *(x.split(len(parts[0]), 3) for x in (out, ends)), strict=True):
+        (q, end), run, start = part, run_of(some), windows.start[some]
         state = _State(*begin.index_select(3, some))
         if run.active["integral"]:
             state.i = run.summed(body, run.begin, start, state.q[:, 0].T, measured)
-        lengths = length.tolist()
+        lengths = windows.length[some].tolist()
         q[0] = state.q
         live = len(some)
         for k in range(1, lengths[0]):
@@ -581,7 +580,7 @@ def _side_by_side(
                 live -= 1
             if live < state.q.shape[2]:
                 end[..., : state.q.shape[2]] = torch.stack([state.q, state.v, state.a])
-                run, state = run.first_of(live), state.first_of(live)
+                run, state = run_of(some[:live]), state.first_of(live)
             run.sample(state, body, start[:live] + k - 1)
             q[k, ..., :live] = state.q
         end[..., :live] = torch.stack([state.q, state.v, state.a])
@@ -706,20 +705,6 @@ class _Run:
             p["damping"] - inside,
         )
         self.inside = p["kd"] + inside
-
-    def first_of(self, live: int) -> "_Run":
-        each = self.table.shape[2] > 1
-        return _Run(
-            self.table[:, :, :live] if each else self.table,
-            self.plane[..., :live] if each else self.plane,
-            self.points,
-            self.owner[..., :live] if self.owner.shape[2] > 1 else self.owner,
-            self.begin[:live],
-            self.dt,
-            self.longest_step,
-            self.parts,
-            (self.sweeps, self.least),
-        )
 
     def knots(self, rows: Tensor) -> list[Tensor]:
         """Three set-points (n, P, W), or (n, 1, W) of sets that are alike, around the delayed
