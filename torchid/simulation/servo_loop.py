@@ -12,6 +12,10 @@ w (a theta method) and dry friction as what it is, a bounded force that holds th
 No speed is regularised, so that a joint at rest stays where it is for as long as the command does.
 Inertial coupling between joints enters with the accelerations of the step before, and the step is
 solved again; where one set is run, until they are its own.
+
+Steps follow one another, windows do not: a long one is cut into pieces that begin near what was
+measured, and those are stepped again that did not begin where the one before has ended, until all
+do (multiple shooting in time; Gander and Vandewalle 2007). Servos soon forget where they began.
 """
 
 import dataclasses
@@ -449,7 +453,8 @@ def rollout(
         points: set-points, if known.
         owner: (P,) or (W, 1, 1): which row of them each set has (default: 0, 1, ...).
         measured: positions, whose errors until a window begins are what an integrating servo has
-            summed by then; without them it begins where the arm would stand still [rad].
+            summed by then; without them it begins where the arm would stand still [rad]. Pieces of
+            long windows begin near them; without them none is cut.
         longest_step: of the integration [s].
 
     Returns:
@@ -474,8 +479,6 @@ def rollout(
     sums = bool((servos.of("integral") > 0).any())  # of which nothing is forgotten
     if measured is None or sums or len(of) < MANY * len(windows.start):
         return run(windows, torch.arange(len(q)), _at(q, dq, sets))[0]
-    # Pieces begin near what was measured, and again where the one before has ended, until all do:
-    # what a servo did is soon forgotten.
     later = (pieces.start > windows.start[of])[:, None]
     q, dq = torch.where(later, measured[pieces.start].to(q), q[of]), dq[of].masked_fill(later, 0.0)
     begin = _at(q, dq, sets)
