@@ -30,7 +30,7 @@ def _moves(x: Tensor, y: Tensor) -> list[Tensor]:
     w[..., 0, :] -= 2.0 * y
     out = torch.zeros_like(x)
     out[..., 1] = x[..., 0] * 3.0
-    return [z.flatten(1), w.cumsum(-1).sum(1), out, torch.cat([x, y], -1)[:, 1:5:2], z.amax(1)]
+    return [z.flatten(1), w.sum(1), out, torch.cat([x, y], -1)[:, 1:5:2], z.amax(1)]
 
 
 def _chooses(x: Tensor, y: Tensor) -> list[Tensor]:

@@ -11,6 +11,7 @@ from tests.arms import arm
 from tests.oracles import MujocoOracle
 from tests.simulation.bodies import flywheel
 from torchid.robot.model import link_poses
+from torchid.simulation import servo_loop
 from torchid.simulation.replay import replayed
 from torchid.simulation.servo import INDEX, NAMES, PARAMETERS, Servos
 from torchid.simulation.servo_loop import Tracks, body_at, set_points, windows_of
@@ -238,6 +239,38 @@ def test_an_integrating_servo_leaves_no_error_and_remembers_its_sum():
     assert float((parts - whole).abs().max()) < 2e-3
     unknown = replayed(robot, servos, tracks, windows, *begun)
     assert float((unknown - whole).abs().max()) > 5 * float((parts - whole).abs().max())
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_long_motion_in_pieces_is_the_motion_itself(seed, monkeypatch):
+    """Pieces that begin near a motion that is another one; a joint that is never told to move stays
+    where it began, not where it was measured."""
+    robot, tracks = arm("3r"), sines(3, 321, 2, seed=seed)
+    tracks.u[:, 1] = tracks.u[0, 1]
+    servos = drawn(3, seed)
+    begun = tracks.u[tracks.first], torch.zeros(2, 3).double(), windows_of(tracks, None)
+    other = torch.roll(tracks.u, 5, 0) + 0.02 * torch.sin(torch.arange(642.0))[:, None]
+
+    def whole(many: float) -> torch.Tensor:
+        monkeypatch.setattr(servo_loop, "PIECE_S", 0.5)
+        monkeypatch.setattr(servo_loop, "MANY", many)
+        q, dq, windows = begun
+        return replayed(robot, servos, tracks, windows, q, dq, measured=other)
+
+    runs = []
+    steps = servo_loop._side_by_side
+
+    def counted(*given: object) -> object:
+        runs.append(len(given[3].start))
+        return steps(*given)
+
+    monkeypatch.setattr(servo_loop, "_side_by_side", counted)
+    expected = whole(math.inf)
+    assert runs == [2]
+    assert float((whole(8) - expected).abs().max()) < 5e-6
+    # Far fewer steps one after the other than the motion has.
+    assert runs[1] == 26
+    assert len(runs) < 9
 
 
 @pytest.mark.nightly

@@ -6,19 +6,21 @@ the recursion there; large ones through the Newton-Euler recursion, which has fe
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import torch
 from torch import Tensor
 
 from torchid.dynamics.recursion import ChainGeometry, chain_geometry, forces, kinematics
 from torchid.dynamics.scalars import ZERO, Scalar
-from torchid.dynamics.world_frame import Posture, arms_of
+from torchid.dynamics.world_frame import Arms, Posture, arms_of
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import as_robot
 from torchid.robot.model import Robot, RobotLike
 from torchid.tensors import joint_signals
 from torchid.typing import BroadcastJoints, JointMatrix, Joints, Numbers
 
+_WHAT = "the equations of motion"
 SMALL_BATCH, SMALL_BATCH_BIAS = 1500, 250
 """Samples up to which few kernel calls count more than few operations (measured, 7 joints)."""
 
@@ -62,6 +64,14 @@ def bias_torque(
     return _posture(robot, torch.broadcast_tensors(q, dq)[0], parameters, SMALL_BATCH_BIAS).torque(
         dq
     )
+
+
+def mass_and_bias(
+    robot: Robot, q: BroadcastJoints, dq: BroadcastJoints
+) -> tuple[JointMatrix, Joints]:
+    """M(q) and S(q, dq) dq + g(q), which have most of their work in common."""
+    posture = _posture(robot, torch.broadcast_tensors(q, dq)[0], None, SMALL_BATCH)
+    return posture.mass_matrix(), posture.torque(dq)
 
 
 def gravity_torque(
@@ -123,7 +133,7 @@ class Components:
 
     def __init__(self, robot: Robot, parameters: InertialParameters | None = None):
         self._geometry = chain_geometry(robot)
-        self._pi = (parameters or robot.require_parameters("the equations of motion")).pi
+        self._pi = (parameters or robot.require_parameters(_WHAT)).pi
 
     def at(self, q: Joints) -> "ComponentsAt":
         """The arm at positions q."""
@@ -172,4 +182,13 @@ def _posture(
     sets = 1 if parameters is None else parameters.pi[..., 0, 0].numel()
     if q[..., 0].numel() * sets > most:
         return Components(robot, parameters).at(q)
+    if parameters is None and not robot.require_parameters(_WHAT).pi.requires_grad:
+        return _arm(robot, q.dtype, q.device).at(q)
     return arms_of([robot], q, None if parameters is None else [parameters]).at(q)
+
+
+@lru_cache(maxsize=64)
+@torch.inference_mode(False)
+def _arm(robot: Robot, dtype: torch.dtype, device: torch.device) -> Arms:
+    """Made once: of a small batch that takes as long as all that is done with it."""
+    return arms_of([robot], torch.empty(0, dtype=dtype, device=device))

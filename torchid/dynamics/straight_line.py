@@ -540,14 +540,6 @@ def _reduced(
 _sum = _reduced(_add, 0.0)
 
 
-def _cumsum(r: _Recorder, x: Tensor, dim: int, **_: Any) -> Mirror:
-    m = r.mirror(x).copy()
-    along = np.moveaxis(m, dim, 0)
-    for k in range(1, len(along)):
-        along[k] = _each(r, _add, along[k - 1], _array(along[k]))
-    return m
-
-
 def _norm(
     r: _Recorder, x: Tensor, order: float = 2, dim: Any = None, keepdim: bool = False
 ) -> Mirror:
@@ -569,10 +561,6 @@ def _clamp(r: _Recorder, x: Any, low: Any = None, high: Any = None) -> Mirror:
     return m if high is None else _each(r, _plain("minimum"), m, high)
 
 
-def _lerp(r: _Recorder, a: Any, b: Any, weight: Any) -> Mirror:
-    return _each(r, _add, a, _each(r, _multiply, weight, _each(r, _subtract, b, a)))
-
-
 def _fused(r: _Recorder, acc: Any, a: Any, b: Any, value: float = 1) -> Mirror:
     product = _each(r, _multiply, a, b)
     return _each(r, _add, acc, _each(r, _multiply, product, value))
@@ -582,22 +570,6 @@ def _copied(r: _Recorder, target: Tensor, source: Any, *_: Any) -> Mirror:
     mirror = r.mirror(target)
     mirror[...] = r.mirror(source)
     return mirror
-
-
-def _index(r: _Recorder, x: Tensor, indices: Sequence[Tensor | None]) -> Mirror:
-    return r.mirror(x)[tuple(slice(None) if i is None else _numbers(r, i) for i in indices)]
-
-
-def _index_put(r: _Recorder, x: Tensor, indices: Sequence[Tensor | None], values: Tensor) -> Mirror:
-    mirror = r.mirror(x)
-    mirror[tuple(slice(None) if i is None else _numbers(r, i) for i in indices)] = r.mirror(values)
-    return mirror
-
-
-def _numbers(r: _Recorder, index: Tensor) -> np.ndarray:
-    if not r.is_known(index):
-        raise NoStraightLineError("an index that depends on the inputs")
-    return index.numpy()
 
 
 def _cast(r: _Recorder, x: Tensor, *_: Any, dtype: torch.dtype | None = None, **__: Any) -> Mirror:
@@ -649,10 +621,10 @@ _HANDLERS: dict[str, Callable[..., Any]] = {
     **{f"{name}_": _in_place(operation) for name, operation in _ELEMENTWISE.items()},
     "bmm": _product, "mm": _product, "mv": _product, "dot": _product,
     "sum": _sum, "amax": _reduced(_plain("maximum")), "amin": _reduced(_plain("minimum")),
-    "any": _reduced(_either, False), "all": _reduced(_both, True), "cumsum": _cumsum,
+    "any": _reduced(_either, False), "all": _reduced(_both, True),
     "linalg_vector_norm": _norm, "linalg_cross": _cross,
     "clamp": _clamp, "clamp_min": _clamp, "clamp_max": lambda r, x, high: _clamp(r, x, None, high),
-    "lerp": _lerp, "addcmul": _fused, "copy_": _copied, "index": _index, "index_put_": _index_put,
+    "addcmul": _fused, "copy_": _copied,
     "_to_copy": _cast, "cat": _joined(np.concatenate), "stack": _joined(np.stack),
     "view": _as_is(np.reshape), "_unsafe_view": _as_is(np.reshape), "reshape": _as_is(np.reshape),
     "_reshape_alias": _as_is(lambda m, size, _: m.reshape(size)),

@@ -297,7 +297,10 @@ def fit(
             planes = _plane_steps(s.plane, s.residual, w, plane_damping)
             batch.plane[1:] += planes
             batch.plane[:, 4].clamp_(min=50.0)
-        cost = loss(errors(data, batch, windows), windows)
+        # The first set is where the residuals are.
+        others = replace(batch, joint=batch.joint[1:], plane=batch.plane[1:])
+        tries = s.residual[..., None], errors(data, others, windows)
+        cost = torch.cat([loss(error, windows) for error in tries], 1)
         away = (tried[..., at] - begun).nan_to_num(nan=0.0)
         cost = cost + (precision * away**2).sum(-1).T
         best = cost.argmin(1)

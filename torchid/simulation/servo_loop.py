@@ -12,6 +12,10 @@ w (a theta method) and dry friction as what it is, a bounded force that holds th
 No speed is regularised, so that a joint at rest stays where it is for as long as the command does.
 Inertial coupling between joints enters with the accelerations of the step before, and the step is
 solved again; where one set is run, until they are its own.
+
+Steps follow one another, windows do not: a long one is cut into pieces that begin near what was
+measured, and those are stepped again that did not begin where the one before has ended, until all
+do (multiple shooting in time; Gander and Vandewalle 2007). Servos soon forget where they began.
 """
 
 import dataclasses
@@ -25,7 +29,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
+from torchid.dynamics.forward import gravity_torque, mass_and_bias
 from torchid.dynamics.newton_euler import keep_freed_memory
 from torchid.effects.registry import nominal_effects
 from torchid.effects.spring import JointSpring, stumpff
@@ -55,6 +59,10 @@ _NUMBERS = 64000
 FASTEST = (1e6, 1e4)
 """Acceleration [rad/s^2] and speed [rad/s] of set-points that are as good as not limited."""
 _STRETCH, _EARLY = 200, 25
+PIECE_S, MANY = 2.0, 8
+"""Length of the pieces of long windows [s], and how many of them a window must have to be cut."""
+MEET = 1e-6
+"""Between where a piece ends and the next begins: far below what steps err by [rad]."""
 _SETTLED = 1e-8
 """Change of positions by an acceleration in a step below which it stays as it is [rad]."""
 _SLIGHT = 1e-6
@@ -137,10 +145,10 @@ def body_at(
     Raises:
         RobotError: the robot has no inertial parameters.
     """
-    mass = mass_matrix(robot, q)
+    mass, bias = mass_and_bias(robot, q, dq)
     own = mass.diagonal(dim1=1, dim2=2)
     off = mass - torch.diag_embed(own)
-    bias = bias_torque(robot, q, dq) + _springs(robot, q) - compensation(robot, q)
+    bias = bias + _springs(robot, q) - compensation(robot, q)
     body = q, bias, torch.zeros_like(mass), own, off, off.abs().sum(2)
     if link is None:
         return Body(*body)
@@ -445,35 +453,109 @@ def rollout(
         points: set-points, if known.
         owner: (P,) or (W, 1, 1): which row of them each set has (default: 0, 1, ...).
         measured: positions, whose errors until a window begins are what an integrating servo has
-            summed by then; without them it begins where the arm would stand still [rad].
+            summed by then; without them it begins where the arm would stand still [rad]. Pieces of
+            long windows begin near them; without them none is cut.
         longest_step: of the integration [s].
 
     Returns:
         (L, W, n, P) at the rows of each window; NaN after its last.
     """
-    each = servos.joint.ndim == 4
-    # (n, P, W or 1, K), and (5, P, W or 1): windows, of which there are most, are side by side in
-    # memory, so that what differs between windows or sets alone is a row or a number.
-    joint, plane = servos.joint.to(q), servos.plane.to(q)
-    table = joint.permute(2, 1, 0, 3) if each else joint.transpose(0, 1)[:, :, None]
-    plane = plane.permute(2, 1, 0) if each else plane.T[:, :, None]
-    sets = table.shape[1]
+    each, sets = servos.joint.ndim == 4, servos.joint.shape[-3]
     if points is None:
         profiles, owner = profiles_of(servos).unique(dim=0, return_inverse=True)
         points = set_points(profiles, tracks, repeated=servos.repeated)
-    elif owner is None:
-        owner = torch.arange(sets)
+    whose = torch.arange(sets) if owner is None else owner
+
+    def run(some: Windows, of: Tensor, begin: Tensor) -> tuple[Tensor, Tensor]:
+        mine, sole = servos, whose
+        if each:
+            mine = dataclasses.replace(servos, joint=servos.joint[of], plane=servos.plane[of])
+            sole = whose.reshape(-1).expand(len(servos.joint))[of]
+        given = begin, points, sole, measured, longest_step
+        return _side_by_side(mine, body, tracks, some, *given)
+
+    rows = max(2, round(PIECE_S / tracks.dt))
+    pieces, of = _pieces(windows, rows)
+    sums = bool((servos.of("integral") > 0).any())  # of which nothing is forgotten
+    if measured is None or sums or len(of) < MANY * len(windows.start):
+        return run(windows, torch.arange(len(q)), _at(q, dq, sets))[0]
+    later = (pieces.start > windows.start[of])[:, None]
+    q, dq = torch.where(later, measured[pieces.start].to(q), q[of]), dq[of].masked_fill(later, 0.0)
+    begin = _at(q, dq, sets)
+    out, ends = run(pieces, of, begin)
+    near = MEET / tracks.dt ** torch.arange(3).to(q)[:, None, None, None]
+    for _ in range(int(of.bincount().max()) - 1):
+        now = _following(begin, ends, of)
+        some = ((now - begin).abs() > near).flatten(0, 2).any(0).nonzero().flatten()
+        if not len(some):
+            break
+        begin[..., some] = now[..., some]
+        again, ends[..., some] = run(pieces.some(some), of[some], begin[..., some])
+        out[: len(again), some] = again
+    # Each window's rows from its pieces, NaN from its end on.
+    count, row = of.bincount(), torch.arange(int(windows.length.max()))[:, None]
+    nth = torch.minimum((row - 1).clamp(min=0) // rows, count - 1)
+    whole = out[(row - rows * nth).clamp(max=rows), count.cumsum(0) - count + nth]
+    return whole.masked_fill_((row >= windows.length)[..., None, None], math.nan)
+
+
+def _pieces(windows: Windows, rows: int) -> tuple[Windows, Int[Tensor, " V"]]:
+    """Windows in pieces of so many rows, of which the first is the last one of the piece before;
+    and which window each is of."""
+    count = ((windows.length - 2) // rows + 1).clamp(min=1)
+    of = torch.arange(len(count)).repeat_interleave(count)
+    begun = rows * (torch.arange(len(of)) - (count.cumsum(0) - count)[of])
+    length = (windows.length[of] - begun).clamp(max=rows + 1)
+    start = windows.start[of] + begun
+    return dataclasses.replace(windows.some(of), start=start, length=length), of
+
+
+def _at(q: Float[Tensor, "W n"], dq: Float[Tensor, "W n"], sets: int) -> Float[Tensor, "3 n P W"]:
+    """Positions, velocities and accelerations of so many sets that begin alike."""
+    state = torch.stack([q, dq, torch.zeros_like(q)])
+    return state.mT[:, :, None].expand(-1, -1, sets, -1).contiguous()
+
+
+def _following(begin: Tensor, ends: Tensor, of: Tensor) -> Float[Tensor, "3 n P V"]:
+    """States where pieces begin that follow one another, from where they began and then ended: a
+    joint that did not move in a piece ends where it begins."""
+    now, still = begin.clone(), ends[0] == begin[0]
+    for k in (1 + (of[1:] == of[:-1]).nonzero().flatten()).tolist():
+        now[..., k] = ends[..., k - 1]
+        now[0, ..., k] += still[..., k - 1] * (now[0, ..., k - 1] - begin[0, ..., k - 1])
+    return now
+
+
+def _side_by_side(
+    servos: Servos,
+    body: Body | BodyAt,
+    tracks: Tracks,
+    windows: Windows,
+    begin: Float[Tensor, "3 n P W"],
+    points: Float[Tensor, "n S T"],
+    owner: Int[Tensor, " ..."],
+    measured: Float[Tensor, "T n"] | None,
+    longest_step: float,
+) -> tuple[Float[Tensor, "L W n P"], Float[Tensor, "3 n P W"]]:
+    """Windows from their states, as of `rollout`, and their states at the end."""
+    each = servos.joint.ndim == 4
+    # (n, P, W or 1, K), and (5, P, W or 1): windows, of which there are most, are side by side in
+    # memory, so that what differs between windows or sets alone is a row or a number.
+    joint, plane = servos.joint.to(begin), servos.plane.to(begin)
+    table = joint.permute(2, 1, 0, 3) if each else joint.transpose(0, 1)[:, :, None]
+    plane = plane.permute(2, 1, 0) if each else plane.T[:, :, None]
+    sets = table.shape[1]
     owner = owner.reshape(1, 1, -1) if each and owner.numel() > 1 else owner.reshape(1, -1, 1)
-    out = q.new_full((int(windows.length.max()), servos.n, sets, len(q)), math.nan)
+    out = begin.new_full((int(windows.length.max()), *begin.shape[1:]), math.nan)
+    ends = torch.empty_like(begin)
     # Long windows first, so that those that have ended can be left out; as many at a time as keep
     # the state in the cache.
     order = windows.length.argsort(descending=True, stable=True)
     known = isinstance(body, Body)
     keep_freed_memory()
-    parts = order.split(max(1, _NUMBERS // (servos.n * sets)))
-    for some, part in zip(parts, out.split(len(parts[0]), 3), strict=True):
-        start, length = windows.start[some], windows.length[some]
-        run = _Run(
+
+    def run_of(some: Int[Tensor, " V"]) -> _Run:
+        return _Run(
             table[:, :, some] if each else table,
             plane[..., some] if each else plane,
             points,
@@ -486,30 +568,35 @@ def rollout(
             1 if known else math.ceil(tracks.dt / STEP - NEARLY),
             (COUPLED, APART) if known else (SWEEPS, SWEEPS),
         )
-        shape = (servos.n, sets, len(some))
-        state = _State(*(x[some].T[:, None].expand(shape).contiguous() for x in (q, dq)))
+
+    parts = order.split(max(1, _NUMBERS // (servos.n * sets)))
+    for some, *part in zip(parts, *(x.split(len(parts[0]), 3) for x in (out, ends)), strict=True):
+        (q, end), run, start = part, run_of(some), windows.start[some]
+        state = _State(*begin.index_select(3, some))
         if run.active["integral"]:
-            state.i = run.summed(body, tracks.first[windows.motion[some]], start, q[some], measured)
-        lengths = length.tolist()
-        part[0] = state.q
+            state.i = run.summed(body, run.begin, start, state.q[:, 0].T, measured)
+        lengths = windows.length[some].tolist()
+        q[0] = state.q
         live = len(some)
         for k in range(1, lengths[0]):
             while lengths[live - 1] <= k:
                 live -= 1
             if live < state.q.shape[2]:
-                run, state = run.first_of(live), state.first_of(live)
+                end[..., : state.q.shape[2]] = torch.stack([state.q, state.v, state.a])
+                run, state = run_of(some[:live]), state.first_of(live)
             run.sample(state, body, start[:live] + k - 1)
-            part[k, ..., :live] = state.q
+            q[k, ..., :live] = state.q
+        end[..., :live] = torch.stack([state.q, state.v, state.a])
     # As they were given.
-    return out.index_select(3, order.argsort()).permute(0, 3, 1, 2)
+    back = order.argsort()
+    return out.index_select(3, back).permute(0, 3, 1, 2), ends.index_select(3, back)
 
 
 class _State:
     """Positions, velocities, accelerations and torques of integral action (n, P, W)."""
 
-    def __init__(self, q: Tensor, v: Tensor, a: Tensor | None = None, i: Tensor | None = None):
-        self.q, self.v = q, v
-        self.a = torch.zeros_like(q) if a is None else a
+    def __init__(self, q: Tensor, v: Tensor, a: Tensor, i: Tensor | None = None):
+        self.q, self.v, self.a = q, v, a
         self.i = torch.zeros_like(q) if i is None else i
 
     def soon(self, wait: float) -> tuple[Float[Tensor, "W n"], Float[Tensor, "W n"]]:
@@ -621,20 +708,6 @@ class _Run:
             p["damping"] - inside,
         )
         self.inside = p["kd"] + inside
-
-    def first_of(self, live: int) -> "_Run":
-        each = self.table.shape[2] > 1
-        return _Run(
-            self.table[:, :, :live] if each else self.table,
-            self.plane[..., :live] if each else self.plane,
-            self.points,
-            self.owner[..., :live] if self.owner.shape[2] > 1 else self.owner,
-            self.begin[:live],
-            self.dt,
-            self.longest_step,
-            self.parts,
-            (self.sweeps, self.least),
-        )
 
     def knots(self, rows: Tensor) -> list[Tensor]:
         """Three set-points (n, P, W), or (n, 1, W) of sets that are alike, around the delayed
