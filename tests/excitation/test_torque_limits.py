@@ -16,8 +16,7 @@ from tests.oracles import PinocchioOracle
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.registry import on_every_joint
 from torchid.errors import RobotError
-from torchid.excitation.design import base_regressor
-from torchid.excitation.informed import design_for
+from torchid.excitation.design import base_regressor, design_for
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.torque import identified_torque_limits, nominal_torque_limits
 from torchid.excitation.trajectories import random_trajectory, sinusoid, trajectory_log
@@ -180,7 +179,7 @@ def test_the_next_motion_keeps_them_by_what_was_identified(tmp_path):
     prior = prior_of(read_identification(path), robot, "a file")
     found = design_for(robot, prior, seed=0, restarts=2, iterations=20, duration=8.0)
     for trajectory in (found.trajectory, found.plain):
-        motion = trajectory.sample(200.0).motion
+        motion = trajectory.sample(200.0)
         tau = base_regressor(robot, prior.base, motion, effects=prior.effects) @ prior.values
         assert float(share(robot, tau.reshape(-1, robot.n)).max()) < 1.0
     assert "identified" in found.torque.source

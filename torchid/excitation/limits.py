@@ -30,11 +30,6 @@ class MotionLimits:
     warnings: tuple[str, ...] = ()
 
     @property
-    def all(self) -> Float[Tensor, "3 n 2"]:
-        """Position, velocity, acceleration, stacked (3, n, 2)."""
-        return torch.stack([self.position, self.velocity, self.acceleration])
-
-    @property
     def middle(self) -> Float[Tensor, " n"]:
         """Middle of the position range (n,)."""
         return self.position.mean(-1)
