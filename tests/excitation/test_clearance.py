@@ -284,8 +284,9 @@ def test_a_mesh_is_its_hull_and_a_missing_one_is_told(tmp_path):
     robot = bar(tmp_path, '<mesh filename="hull.stl"/>')
     side = motion_clearance(robot, workspace=[-9, 9, -9, 0.3, -9, 9])
     still = FourierTrajectory(*[torch.zeros(1, 1).double()] * 2, torch.zeros(1).double())
-    found = side.nearest([still])
-    assert math.isinf(found.distance)
+    assert math.isinf(side.nearest([still]).distance)
+    # The ball around it reaches the wall; it does not.
+    assert float(side.penalty(still)) == 0.0
     close = motion_clearance(robot, workspace=[-9, 9, -9, 0.1, -9, 9]).nearest([still])
     assert close.distance == pytest.approx(0.05, abs=1e-6)
 

@@ -103,8 +103,10 @@ class Clearance(Restriction):
         # Nearest points move with their links, and count along the way between them.
         local = torch.linalg.solve(ends.detach(), _homogeneous(points))
         first, second = (ends @ local)[..., :3, 0].unbind(1)
-        way = points.diff(dim=1)[:, 0] / torch.where(now.abs() < 1e-9, torch.inf, now)[:, None]
-        short = (wanted[pair] - ((second - first) * way).sum(-1)).clamp(min=0) / FAR_ROOM
+        gap = points[:, 1] - points[:, 0]
+        way = gap / torch.where(now.abs() < 1e-9, torch.inf, now)[:, None]
+        apart = now + ((second - first - gap) * way).sum(-1)
+        short = (wanted[pair] - apart).clamp(min=0) / FAR_ROOM
         # Of each pair the instant counts at which it is nearest.
         worst = q.new_zeros(q[..., 0, 0].numel(), len(self.pairs))
         at = (row // _SEARCH_SAMPLES) * len(self.pairs) + pair
