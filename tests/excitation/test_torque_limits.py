@@ -1,6 +1,5 @@
 """Torque limits of planned motions, against Pinocchio, regressors and closed forms."""
 
-import json
 import math
 import re
 from dataclasses import replace
@@ -9,8 +8,8 @@ import pytest
 import torch
 
 from tests.arms import mixed_arm
+from tests.excitation.test_design import prior_in
 from tests.excitation.usage import full_design, limit_usage
-from tests.fleet.records import identification
 from tests.marks import some
 from tests.oracles import PinocchioOracle
 from torchid.effects.friction import CoulombFriction, ViscousFriction
@@ -21,7 +20,6 @@ from torchid.excitation.limits import motion_limits
 from torchid.excitation.torque import identified_torque_limits, nominal_torque_limits
 from torchid.excitation.trajectories import random_trajectory, sinusoid, trajectory_log
 from torchid.identification.base_parameters import base_parameters
-from torchid.identification.values import prior_of, read_identification
 from torchid.log.readers import read_log, write_log
 from torchid.next_motion.rows import Setting
 from torchid.next_motion.separating_motion import design_separation
@@ -166,17 +164,9 @@ def test_without_limits_or_parameters_the_design_is_the_same():
 
 def test_the_next_motion_keeps_them_by_what_was_identified(tmp_path):
     robot = limited("3r_friction", LIMITED["3r_friction"])
-    path = identification(tmp_path / "a.json", 0, blocks=1000)
-    data = json.loads(path.read_text())
-    data["rows"] = {
-        "seconds": 20.0,
-        "per_second": 20.0,
-        "whitening": (10 * torch.eye(3, dtype=torch.float64)).tolist(),
-    }
+    prior = prior_in(tmp_path, robot, 10, blocks=1000)
     # An arm that needs more: the nominal parameters would not tell.
-    data["base_values"] = [1.7 * v for v in data["base_values"]]
-    path.write_text(json.dumps(data))
-    prior = prior_of(read_identification(path), robot, "a file")
+    prior = replace(prior, values=1.7 * prior.values)
     found = design_for(robot, prior, seed=0, restarts=2, iterations=20, duration=8.0)
     for trajectory in (found.trajectory, found.plain):
         motion = trajectory.sample(200.0)
