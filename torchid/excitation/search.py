@@ -160,7 +160,7 @@ def search(
         progress: called with (steps done, all steps).
         kept: what the result keeps too. Where that is something every joint also has a share of the
             scale to its limits, and what breaks it is penalised.
-        way: of searching.
+        way: of searching. By `Evolution` joints have shares anyway: slow motion shows some causes.
         hardly: asked with the best series and how much its cost is below that of the first step.
         seed: of the search.
 
@@ -174,7 +174,7 @@ def search(
     begun = kept.within(start)
     # One half of the searches comes from within the restrictions, the other from beyond.
     start = _merged(torch.arange(len(start.q0)) % 2 == 1, begun, start)
-    numbers = _Numbers(start, limits, full=not kept.parts)
+    numbers = _Numbers(start, limits, full=way is Adam and not kept.parts)
     optimiser = way(numbers.of(start), seed)
     best, lowest, first = start, torch.zeros(len(start.q0)), math.inf
     for done in range(steps):
