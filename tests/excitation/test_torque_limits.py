@@ -21,9 +21,11 @@ from torchid.excitation.torque import identified_torque_limits, nominal_torque_l
 from torchid.excitation.trajectories import random_trajectory, sinusoid, trajectory_log
 from torchid.identification.base_parameters import base_parameters
 from torchid.log.readers import read_log, write_log
+from torchid.next_motion.planned import plan
 from torchid.next_motion.rows import Setting
 from torchid.next_motion.separating_motion import design_separation
 from torchid.next_motion.separation import Explanation, Rival
+from torchid.next_motion.settings import MotionSettings
 from torchid.robot.library import load_robot
 from torchid.robot.model import Limits
 
@@ -180,6 +182,20 @@ def test_the_next_motion_keeps_them_by_what_was_identified(tmp_path):
     fitted = tuple(r for r in robot.effects if r["effect"] != "torque_offset")
     nominal = nominal_torque_limits(replace(robot, effects=fitted)).use([found.trajectory])
     torch.testing.assert_close(torque.use([found.trajectory]).share, nominal.share)
+
+
+def test_a_slow_run_has_the_path_of_the_full_one():
+    """Which torque makes smaller than it would have to be at that speed: but for what gravity still
+    exceeds."""
+    robot = limited("3r", LIMITED["3r"])
+    whole, slow = (
+        plan(robot, MotionSettings(kind="random", duration=8.0, speed=speed)).motions[0]
+        for speed in (1.0, 0.25)
+    )
+    t = torch.linspace(0, 8, 50, dtype=torch.float64)
+    torch.testing.assert_close(slow.at(4 * t).q, whole.at(t).q, atol=0.01, rtol=0)
+    full = random_trajectory(robot, 0, fill=True, usage=0.7, duration=8.0)
+    assert float((full.at(t).q - whole.at(t).q).abs().max()) > 0.1
 
 
 @pytest.mark.nightly

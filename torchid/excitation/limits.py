@@ -116,14 +116,10 @@ def largest_scale(trajectory: FourierTrajectory, limits: MotionLimits) -> Float[
     inside the position limits.
     """
     q, dq, ddq = trajectory.extremes()
-    swing = q - trajectory.q0.unsqueeze(-1)
-    room = limits.position.to(q) - trajectory.q0.unsqueeze(-1)
+    centre = trajectory.q0.unsqueeze(-1)
+    room = limits.position.to(q) - centre, limits.velocity.to(q), limits.acceleration.to(q)
     scale = torch.full_like(trajectory.q0, 1e12)
-    for extremes, bounds in (
-        (swing, room),
-        (dq, limits.velocity.to(q)),
-        (ddq, limits.acceleration.to(q)),
-    ):
+    for extremes, bounds in zip((q - centre, dq, ddq), room, strict=True):
         # A motion that never goes up is not held by the upper limit.
         up = bounds[..., 1] / extremes[..., 1].clamp(min=1e-12)
         down = bounds[..., 0] / extremes[..., 0].clamp(max=-1e-12)

@@ -228,13 +228,13 @@ def plan(
     clearance, unknown = clearance_of(robot, room or Room(), asked.usage)
     designs = _designs(robot, asked, clearance, progress)
     limits = designs[0].torque if designs else nominal_torque_limits(robot, usage=asked.usage)
-    kept = AllOf.of(robot, asked.usage, limits, clearance)
-    made: Motions = [design.trajectory for design in designs] or _given(robot, asked, clearance)
+    # Table 5.1 is not changed.
+    kept = AllOf.of(robot, asked.usage, *(() if asked.kind == "paper" else (limits, clearance)))
+    made: Motions = [design.trajectory for design in designs]
+    made = made or [kept.within(x) for x in _given(robot, asked, clearance)]
     if asked.speed != 1:
-        made = [x.at_speed(asked.speed) for x in made]
-    # Gravity needs its torque at any speed, and a designed motion may have helped it.
-    if asked.kind != "paper" and (asked.speed != 1 or not designs):
-        made = [kept.within(x) for x in made]
+        # Gravity needs its torque at any speed, and the full motion may have helped it.
+        made = [kept.within(x.at_speed(asked.speed)) for x in made]
     kind, source = (asked.kind, None) if asked.result is None else ("next", asked.result.name)
     return Planned(
         robot, kind, made, asked.rate, asked.speed, limits, clearance, unknown, designs, source
