@@ -149,7 +149,7 @@ def test_samples_reach_the_end():
 def test_extremes_enclose_and_are_close(ramp):
     trajectory = series(ramp, batch=(20,))
     motion = trajectory.sample(10_000)
-    for values, bounds in zip(motion[1:], trajectory.extremes(), strict=True):
+    for values, bounds in zip(motion.state, trajectory.extremes(), strict=True):
         lower, upper = values.amin(1), values.amax(1)
         assert (bounds[..., 0] <= lower).all()
         assert (bounds[..., 1] >= upper).all()
@@ -177,7 +177,7 @@ def test_table_5_1_as_printed():
 def test_table_5_1_keeps_the_limits_of_the_3r():
     robot = load_robot("3r")
     trajectories = paper_trajectories_3r()
-    assert inside(trajectories.sample(1000).motion, robot.limits)
+    assert inside(trajectories.sample(1000), robot.limits)
     for one in (trajectories, replace(trajectories, ramp=0.0)):
         usage = limit_usage(one.extremes(), motion_limits(robot))
         assert float(usage.max()) == pytest.approx(0.9136, abs=1e-3)
@@ -192,7 +192,7 @@ def test_table_5_1_keeps_the_limits_of_the_3r():
 def test_random_trajectories_keep_the_limits_at_every_instant(robot):
     for seed in range(20):
         trajectory = random_trajectory(robot, seed, fill=seed % 2 == 0)
-        assert inside(trajectory.sample(10_000).motion, robot.limits)
+        assert inside(trajectory.sample(10_000), robot.limits)
         usage = limit_usage(trajectory.extremes(), motion_limits(robot))
         assert usage.max() <= 1.0
         if seed % 2 == 0:
@@ -228,9 +228,9 @@ def test_a_joint_that_does_not_move_has_no_scale():
 
 def test_a_prismatic_joint():
     robot = random_arm(5, "PRP")
-    assert inside(random_trajectory(robot, 0, fill=True).sample(2000).motion, robot.limits)
+    assert inside(random_trajectory(robot, 0, fill=True).sample(2000), robot.limits)
     designed = full_design(robot, seed=0, restarts=3, iterations=40)
-    assert inside(designed.trajectory.sample(2000).motion, robot.limits)
+    assert inside(designed.trajectory.sample(2000), robot.limits)
     assert designed.condition_after < designed.start_condition
 
 
@@ -282,7 +282,7 @@ def test_wrong_arguments_are_named():
 def test_sinusoids_keep_the_limits(robot):
     for seed in range(20):
         motion = sinusoid(robot, seed)
-        assert inside(motion.sample(1000).motion, robot.limits)
+        assert inside(motion.sample(1000), robot.limits)
         assert limit_usage(motion.extremes(), motion_limits(robot)).max() <= 1.0
         assert motion.sample(10).dq[0].abs().max() == 0
 
@@ -314,7 +314,7 @@ def test_the_design_improves_the_condition_number(name):
     assert designed.condition_after < designed.start_condition / 2
     assert designed.condition_after < min(designed.condition_before)
     assert calls == [(k, 60) for k in range(1, 61)]
-    motion = designed.trajectory.sample(10_000).motion
+    motion = designed.trajectory.sample(10_000)
     assert inside(motion, robot.limits)
     found = condition_number(robot, designed.base, motion)
     assert found == pytest.approx(designed.condition_after, rel=0.02)
@@ -337,7 +337,7 @@ def test_the_determinant_grows_too():
     assert len(designed.base) == 24
 
     def log_volume(trajectory: FourierTrajectory) -> float:
-        y = base_regressor(robot, designed.base, trajectory.sample(50).motion, effects=effects)
+        y = base_regressor(robot, designed.base, trajectory.sample(50), effects=effects)
         return float(torch.linalg.slogdet(y.T @ y)[1])
 
     starts = random_trajectory(robot, 1, count=3, fill=True)
@@ -365,7 +365,7 @@ def test_a_design_is_for_the_condition_number_of_the_basis():
     assert [d.base.basis for d in made.values()] == ["conditioned", "report", "conditioned"]
     assert torch.equal(made[None].trajectory.a, made["conditioned"].trajectory.a)
     own, report = made[None], made["report"]
-    motion = own.trajectory.sample(50.0).motion
+    motion = own.trajectory.sample(50.0)
     weights = row_weights(robot)
     assert own.condition_after == pytest.approx(condition_number(robot, own.base, motion, weights))
     assert own.condition_after < 0.2 * report.condition_after
@@ -378,7 +378,7 @@ def test_rows_are_weighted_by_torque_limits():
     strong = replace(robot, limits=replace(robot.limits, torque=torque))
     assert row_weights(strong).tolist() == [1.0, 2.0, 10.0]
     base = base_parameters(robot)
-    motion = random_trajectory(robot, 0).sample(20).motion
+    motion = random_trajectory(robot, 0).sample(20)
     plain = condition_number(robot, base, motion)
     assert condition_number(
         robot, base, motion, torch.full((3,), 7.0, dtype=torch.float64)

@@ -1,6 +1,5 @@
 """Torque limits of planned motions, against Pinocchio, regressors and closed forms."""
 
-import json
 import math
 import re
 from dataclasses import replace
@@ -9,24 +8,24 @@ import pytest
 import torch
 
 from tests.arms import mixed_arm
+from tests.excitation.test_design import prior_in
 from tests.excitation.usage import full_design, limit_usage
-from tests.fleet.records import identification
 from tests.marks import some
 from tests.oracles import PinocchioOracle
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.registry import on_every_joint
 from torchid.errors import RobotError
-from torchid.excitation.design import base_regressor
-from torchid.excitation.informed import design_for
+from torchid.excitation.design import base_regressor, design_for
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.torque import identified_torque_limits, nominal_torque_limits
 from torchid.excitation.trajectories import random_trajectory, sinusoid, trajectory_log
 from torchid.identification.base_parameters import base_parameters
-from torchid.identification.values import prior_of, read_identification
 from torchid.log.readers import read_log, write_log
+from torchid.next_motion.planned import plan
 from torchid.next_motion.rows import Setting
 from torchid.next_motion.separating_motion import design_separation
 from torchid.next_motion.separation import Explanation, Rival
+from torchid.next_motion.settings import MotionSettings
 from torchid.robot.library import load_robot
 from torchid.robot.model import Limits
 
@@ -167,20 +166,12 @@ def test_without_limits_or_parameters_the_design_is_the_same():
 
 def test_the_next_motion_keeps_them_by_what_was_identified(tmp_path):
     robot = limited("3r_friction", LIMITED["3r_friction"])
-    path = identification(tmp_path / "a.json", 0, blocks=1000)
-    data = json.loads(path.read_text())
-    data["rows"] = {
-        "seconds": 20.0,
-        "per_second": 20.0,
-        "whitening": (10 * torch.eye(3, dtype=torch.float64)).tolist(),
-    }
+    prior = prior_in(tmp_path, robot, 10, blocks=1000)
     # An arm that needs more: the nominal parameters would not tell.
-    data["base_values"] = [1.7 * v for v in data["base_values"]]
-    path.write_text(json.dumps(data))
-    prior = prior_of(read_identification(path), robot, "a file")
+    prior = replace(prior, values=1.7 * prior.values)
     found = design_for(robot, prior, seed=0, restarts=2, iterations=20, duration=8.0)
     for trajectory in (found.trajectory, found.plain):
-        motion = trajectory.sample(200.0).motion
+        motion = trajectory.sample(200.0)
         tau = base_regressor(robot, prior.base, motion, effects=prior.effects) @ prior.values
         assert float(share(robot, tau.reshape(-1, robot.n)).max()) < 1.0
     assert "identified" in found.torque.source
@@ -191,6 +182,20 @@ def test_the_next_motion_keeps_them_by_what_was_identified(tmp_path):
     fitted = tuple(r for r in robot.effects if r["effect"] != "torque_offset")
     nominal = nominal_torque_limits(replace(robot, effects=fitted)).use([found.trajectory])
     torch.testing.assert_close(torque.use([found.trajectory]).share, nominal.share)
+
+
+def test_a_slow_run_has_the_path_of_the_full_one():
+    """Which torque makes smaller than it would have to be at that speed: but for what gravity still
+    exceeds."""
+    robot = limited("3r", LIMITED["3r"])
+    whole, slow = (
+        plan(robot, MotionSettings(kind="random", duration=8.0, speed=speed)).motions[0]
+        for speed in (1.0, 0.25)
+    )
+    t = torch.linspace(0, 8, 50, dtype=torch.float64)
+    torch.testing.assert_close(slow.at(4 * t).q, whole.at(t).q, atol=0.01, rtol=0)
+    full = random_trajectory(robot, 0, fill=True, usage=0.7, duration=8.0)
+    assert float((full.at(t).q - whole.at(t).q).abs().max()) > 0.1
 
 
 @pytest.mark.nightly

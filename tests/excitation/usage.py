@@ -21,7 +21,7 @@ def limit_usage(extremes: Extremes, limits: MotionLimits) -> Float[Tensor, "3 *b
         extremes: lower and upper values, each (..., n, 2), as `FourierTrajectory.extremes`.
         limits: of the robot; positions are measured from the middle of their range.
     """
-    bounds = limits.all.to(extremes.q)
+    bounds = torch.stack([limits.position, limits.velocity, limits.acceleration]).to(extremes.q)
     middle = torch.zeros_like(bounds[..., :1])
     middle[0] = bounds[0].mean(-1, keepdim=True)
     shares = [

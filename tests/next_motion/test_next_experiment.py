@@ -10,7 +10,7 @@ from tests.excitation.usage import full_design
 from torchid.effects.base import Motion
 from torchid.effects.registry import effect_torque
 from torchid.errors import TorchidError
-from torchid.excitation.informed import InformedDesign
+from torchid.excitation.design import InformedDesign
 from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.settings import GapSettings

@@ -1,11 +1,8 @@
 """Room between a moving arm's links, and between them and what stands around it.
 
-Distances are those of the robot's own collision shapes (`torchid.robot.shapes`), by `distances`. No
-pair of links comes nearer to each other than its part of the joints' speeds allows: in the distance
-of two shapes on links i < j, joint m between them counts with |dq_m| times what its axis can be
-away from the farther end of one of the shapes (with |dq_m| alone where it slides). With that bound
-L, a distance that is d and d' at the ends of an interval h is at least (d + d' - L h) / 2 within
-it, so intervals are halved until each pair is proved clear at every instant, or found too near.
+Distances are MuJoCo's, of the robot's own collision shapes (`torchid.robot.shapes`). A motion keeps
+them at instants so dense that between two of them nothing comes nearer by more than `BETWEEN`:
+where two shapes are nearest, their distance changes with the square of time.
 
 A search follows the gradient of the distance: that of the two nearest points, held fixed in their
 links.
@@ -14,7 +11,7 @@ links.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import product
 from typing import NamedTuple
 
 import torch
@@ -26,14 +23,17 @@ from torchid.excitation.limits import position_limits
 from torchid.excitation.restriction import Restriction
 from torchid.excitation.settings import CLEARANCE
 from torchid.excitation.trajectories import Sinusoid
-from torchid.robot.model import JointType, Robot, link_poses
+from torchid.robot.model import Robot, link_poses
 from torchid.robot.placement import pose
 from torchid.robot.shapes import LinkShapes, joint_points, link_shapes
-from torchid.robot.solids import Solid, assembled, capsule
+from torchid.robot.solids import assembled, capsule
 from torchid.typing import Bool, Float, Int, Tensor
 
 RESOLUTION = 0.001
-"""Distance below which nothing is proved or told apart [m]."""
+"""Distance below which nothing is told apart [m]."""
+
+BETWEEN = 0.0005
+"""What two shapes may come nearer between two instants that are looked at [m]."""
 
 FAR_ROOM = 0.1
 """Room beyond what is needed from which on nothing is near [m]."""
@@ -41,7 +41,9 @@ FAR_ROOM = 0.1
 _PENALTY = 2.0  # beside the logarithm of a condition number, for FAR too little
 _SEARCH_MARGIN = 0.005  # [m]: the search's instants are further apart
 _SEARCH_SAMPLES = 100
-_PER_PERIOD = 20  # instants a period of the fastest harmonic, before intervals are halved
+_PER_PERIOD = 200  # instants a period of the fastest harmonic
+_FEWEST = 500
+_FEW = 16  # every so many of them are looked at first
 _POSTURES = 512  # of which pairs are asked whether they are ever clear
 
 
@@ -66,12 +68,10 @@ class Clearance(Restriction):
         clearance: distance asked for [m].
         names: (G,) of what each shape belongs to: links, `base`, `floor`, `workspace`.
         link: (G,) number of the link that each shape is fixed to; 0 for what stands still.
-        planes: (F, 4) unit normals and offsets of the half-spaces, the last F shapes.
-        pairs: (P, 2) shapes that are checked against each other, the one on the earlier link
-            first.
+        pairs: (P, 2) shapes that are checked against each other, half-spaces first, then the one on
+            the earlier link.
         needed: (P,) distance that each pair keeps [m].
         room: (P,) distance beyond it from which a pair counts as far apart [m].
-        arms: (P, n) rate of a pair's distance at most, per speed of each joint [m or 1].
         distances: between the shapes.
         notes: pairs that are not checked, one sentence each.
         warnings: what is not checked because it is not known.
@@ -82,11 +82,9 @@ class Clearance(Restriction):
     clearance: float
     names: tuple[str, ...]
     link: Int[Tensor, " G"]
-    planes: Float[Tensor, "F 4"]
     pairs: Int[Tensor, "P 2"]
     needed: Float[Tensor, " P"]
     room: Float[Tensor, " P"]
-    arms: Float[Tensor, "P n"]
     distances: Distances
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -95,21 +93,20 @@ class Clearance(Restriction):
         """What a search pays for coming too near; differentiable, 0 where all is clear."""
         t = midpoints(trajectory.duration, _SEARCH_SAMPLES)
         q = trajectory.at(t).q
-        poses = self._poses(q.reshape(-1, self.robot.n))
+        placed = self.placed(q.reshape(-1, self.robot.n))
         wanted = self.needed + (self.room / 4).clamp(max=_SEARCH_MARGIN)
         with torch.no_grad():
-            row, pair = (self._apart(poses) < wanted).nonzero(as_tuple=True)
-            shapes = self.pairs[pair]
-            ends = poses[row.unsqueeze(1), self.link[shapes]]
-            farthest = float(wanted.max()) + RESOLUTION if len(wanted) else 0.0
-            now, points = self.distances.between(shapes, ends, farthest)
-            # Nearest points in their links' frames, and the direction from the first to the second.
-            local = _moved(torch.linalg.inv(ends), points)
-            gap = points[:, 1] - points[:, 0]
-            way = gap / torch.where(now.abs() < 1e-9, torch.inf, now).unsqueeze(-1)
-        first, second = _moved(poses[row.unsqueeze(1), self.link[shapes]], local).unbind(1)
-        change = ((second - first - gap) * way).sum(-1)
-        short = (wanted[pair] - now - change).clamp(min=0) / FAR_ROOM
+            near = self.distances.at_least(placed, self.pairs) < wanted
+            row, pair = near.nonzero(as_tuple=True)
+            now, points = self._between(placed, row, pair)
+        ends = placed[row.unsqueeze(1), self.pairs[pair]]
+        # Nearest points move with their links, and count along the way between them.
+        local = torch.linalg.solve(ends.detach(), _homogeneous(points))
+        first, second = (ends @ local)[..., :3, 0].unbind(1)
+        gap = points[:, 1] - points[:, 0]
+        way = gap / torch.where(now.abs() < 1e-9, torch.inf, now)[:, None]
+        apart = now + ((second - first - gap) * way).sum(-1)
+        short = (wanted[pair] - apart).clamp(min=0) / FAR_ROOM
         # Of each pair the instant counts at which it is nearest.
         worst = q.new_zeros(q[..., 0, 0].numel(), len(self.pairs))
         at = (row // _SEARCH_SAMPLES) * len(self.pairs) + pair
@@ -117,21 +114,23 @@ class Clearance(Restriction):
         return _PENALTY * worst.sum(-1).reshape(q.shape[:-2])
 
     def fits(self, trajectory: FourierTrajectory | Sinusoid) -> Bool[Tensor, "*batch"]:
-        """Whether each motion is proved to keep the distances at every instant."""
+        """Whether each motion keeps the distances all along."""
+        if isinstance(trajectory, FourierTrajectory) and trajectory.q0.ndim > 1:
+            each = [self.fits(trajectory.select(k)) for k in range(len(trajectory.q0))]
+            return torch.stack(each)
         with torch.no_grad():
-            if isinstance(trajectory, Sinusoid) or trajectory.q0.ndim == 1:
-                return torch.tensor(self._proved(trajectory))
-            every = [self._proved(trajectory.select(k)) for k in range(len(trajectory.q0))]
-        return torch.tensor(every)
+            q = trajectory.at(_times(trajectory)).q
+            # A few of the instants refuse most motions that come too near.
+            few_and_all = (self.apart(x, BETWEEN) - self.needed for x in (q[::_FEW], q))
+            return torch.tensor(all(bool((spare >= BETWEEN).all()) for spare in few_and_all))
 
     def strain(self, q: Float[Tensor, "K n"]) -> Float[Tensor, " K"]:
         """0 with much room in postures, 1 where a pair is as near as it may be."""
-        spare = (self._exact(q, FAR_ROOM) - self.needed) / self.room
-        return (1 - spare).clamp(min=0).amax(-1)
+        return (1 - (self.apart(q) - self.needed) / self.room).clamp(min=0).amax(-1)
 
     def impossible(self, q: Float[Tensor, " n"]) -> RobotError:
         """Which pair is too near in posture q."""
-        apart = self._exact(q.unsqueeze(0), FAR_ROOM)[0]
+        apart = self.apart(q.unsqueeze(0))[0]
         worst = int((apart - self.needed).argmin())
         first, second = (self.names[k] for k in self.pairs[worst].tolist())
         distance = 1000 * float(apart[worst])
@@ -145,12 +144,11 @@ class Clearance(Restriction):
         )
 
     def nearest(self, trajectories: Sequence[FourierTrajectory | Sinusoid]) -> Nearest:
-        """Where motions spare least room, at instants as dense as samples of them."""
+        """Where motions spare least room, at the instants that `fits` knows."""
         best = Nearest(math.inf, math.inf, "", "", 0.0)
         for trajectory in trajectories:
-            t = _times(trajectory, 10)
-            q = trajectory.at(t).q.detach().reshape(-1, self.robot.n)
-            apart = self._exact(q, FAR_ROOM)
+            t = _times(trajectory)
+            apart = self.apart(trajectory.at(t).q.detach().reshape(-1, self.robot.n))
             row, pair = divmod(int((apart - self.needed).argmin()), len(self.pairs))
             spare = float(apart[row, pair] - self.needed[pair])
             if spare < min(best.spare, FAR_ROOM):
@@ -159,83 +157,27 @@ class Clearance(Restriction):
                 best = Nearest(float(apart[row, pair]), spare, first, second, time)
         return best
 
-    def _poses(self, q: Float[Tensor, "K n"]) -> Float[Tensor, "K L 4 4"]:
-        """Of the base and all links."""
+    def placed(self, q: Float[Tensor, "K n"]) -> Float[Tensor, "K G 4 4"]:
+        """Poses of all shapes in postures."""
         moving = link_poses(self.robot, q)
-        return torch.cat([torch.eye(4).to(moving).expand(len(q), 1, 4, 4), moving], 1)
+        still = torch.eye(4).to(moving).expand(len(q), 1, 4, 4)
+        return self.distances.placed(torch.cat([still, moving], 1)[:, self.link])
 
-    def _apart(self, poses: Float[Tensor, "K L 4 4"]) -> Float[Tensor, "K P"]:
-        """What pairs are apart at least, by the balls around them."""
-        centre, radius = self.distances.balls
-        balls = _moved(poses[:, self.link], centre)
-        first, second = self.pairs.unbind(-1)
-        out = (balls[:, first] - balls[:, second]).norm(dim=-1)
-        flat = len(self.link) - len(self.planes)
-        plane = self.planes[(first - flat).clamp(min=0)] if len(self.planes) else None
-        if plane is not None:
-            height = (balls[:, second] * plane[:, :3]).sum(-1) - plane[:, 3]
-            out = torch.where(first >= flat, height, out)
-        return out - radius[first] - radius[second]
-
-    def _exact(self, q: Float[Tensor, "K n"], room: float) -> Float[Tensor, "K P"]:
-        """Distances in postures; those beyond what is needed and `room` are only at least so."""
-        poses = self._poses(q)
-        out = self._apart(poses)
+    def apart(self, q: Float[Tensor, "K n"], room: float = FAR_ROOM) -> Float[Tensor, "K P"]:
+        """Distances in postures; where they are beyond what is needed and `room`, only at least so
+        [m]."""
+        placed = self.placed(q)
+        out = self.distances.at_least(placed, self.pairs)
         row, pair = (out < self.needed + room).nonzero(as_tuple=True)
-        out[row, pair] = self._between(poses[row], pair, room)
+        out[row, pair] = self._between(placed, row, pair)[0]
         return out
 
-    def _between(
-        self, poses: Float[Tensor, "R L 4 4"], pair: Int[Tensor, " R"], room: float
-    ) -> Float[Tensor, " R"]:
-        """The distance of one pair a row."""
+    def _between(self, placed: Tensor, row: Tensor, pair: Tensor) -> tuple[Tensor, Tensor]:
+        """Distances (R,) of one pair in one of the postures (K, G, 4, 4) each, and nearest points
+        (R, 2, 3); what is far is only at least so, without points."""
         shapes = self.pairs[pair]
-        ends = poses[torch.arange(len(pair)).unsqueeze(1), self.link[shapes]]
-        farthest = float(self.needed.max()) + room if len(self.needed) else room
-        return self.distances.between(shapes, ends, farthest)[0]
-
-    def _proved(self, trajectory: FourierTrajectory | Sinusoid) -> bool:
-        """Whether one motion keeps the distances at every instant."""
-        extremes = trajectory.extremes()
-        fastest, hardest = (x.abs().amax(-1) for x in (extremes.dq, extremes.ddq))
-
-        def narrows(start: Tensor, end: Tensor) -> Tensor:
-            """What pairs can lose and regain of their distance within intervals (I, P)."""
-            ends = (trajectory.at(x).dq.abs() for x in (start, end))
-            length = (end - start).unsqueeze(-1)
-            speed = torch.maximum(*ends) + hardest * length / 2
-            return torch.minimum(speed, fastest) @ self.arms.T * length
-
-        def apart(t: Tensor, pair: Tensor) -> Tensor:
-            return self._between(self._poses(trajectory.at(t).q), pair, farthest)
-
-        t = _times(trajectory)
-        start, end = t[:-1], t[1:]
-        lost = narrows(start, end)
-        farthest = float(lost.max()) if lost.numel() else 0.0
-        # The balls around the shapes prove most intervals.
-        balls = self._apart(self._poses(trajectory.at(t).q))
-        unproved = (balls[:-1] + balls[1:] - lost) / 2 < self.needed
-        interval, pair = unproved.nonzero(as_tuple=True)
-        start, end, lost = start[interval], end[interval], lost[interval, pair]
-        before, after = apart(start, pair), apart(end, pair)
-        # The rest is halved.
-        while len(pair):
-            needed = self.needed[pair]
-            if bool((torch.minimum(before, after) < needed).any()):
-                return False
-            unproved = (before + after - lost) / 2 < needed
-            if bool((lost[unproved] < RESOLUTION).any()):
-                return False
-            start, end, pair = start[unproved], end[unproved], pair[unproved]
-            before, after = before[unproved], after[unproved]
-            middle = (start + end) / 2
-            between = apart(middle, pair)
-            start, end = torch.cat([start, middle]), torch.cat([middle, end])
-            before, after = torch.cat([before, between]), torch.cat([between, after])
-            pair = pair.repeat(2)
-            lost = narrows(start, end).gather(1, pair.unsqueeze(-1)).squeeze(-1)
-        return True
+        farthest = float(self.needed.max()) + FAR_ROOM
+        return self.distances.between(shapes, placed[row.unsqueeze(1), shapes], farthest)
 
 
 def motion_clearance(
@@ -268,54 +210,49 @@ def motion_clearance(
     """
     if not 0 <= clearance < math.inf:
         raise TorchidError("a clearance is a distance.", got=clearance, expected="0 or more, in m")
-    shapes = link_shapes(robot)
-    solids, link, warnings = _solids(robot, shapes)
-    planes, plane_names = _planes(floor, workspace, shapes)
-    names = [("base", *robot.link_names)[k] for k in link] + plane_names
-    count = len(solids)
-    where = torch.tensor(link + [0] * len(planes))
+    shapes = link_shapes(robot) or assembled([None] * robot.n_links, ())
+    planes, plane_names = _planes(floor, workspace)
+    planes = torch.cat([planes, shapes.planes])
+    plane_names += ["the model's plane"] * len(shapes.planes)
+    drawn = [(0, solid) for solid in shapes.base or ()]
+    drawn += [(k, solid) for k, own in enumerate(shapes.solids, start=1) for solid in own]
+    # Of a link that is not known, or in part, the origins of its joints keep off half-spaces.
+    origins = [
+        (k, capsule(pose(None, point), 0.0, 0.0))
+        for k, (known, ends) in enumerate(zip(shapes.known, joint_points(robot), strict=True), 1)
+        for point in ends
+        if not known
+    ]
+    link, solids = zip(*drawn, *origins, strict=True)
     # Links without shapes, as between the joints of one body, leave their neighbours adjacent.
-    drawn = [k for k, s in enumerate(solids) if s.corners is not None or bool(s.size.any())]
-    shaped = sorted({0, *(link[k] for k in drawn)})
-    adjacent = {(_carrier(robot, k, shaped), k) for k in shaped if k}
+    shaped = {0, *link[: len(drawn)]}
+    carriers = {
+        k: max({j + 1 for j in robot.ancestors(k - 1)[:-1]} & shaped, default=0)
+        for k in shaped
+        if k
+    }
     pairs = [
         (a, b)
-        for a in drawn
-        for b in drawn
-        if link[a] < link[b] and (link[a], link[b]) not in adjacent
+        for a, b in product(range(len(drawn)), repeat=2)
+        if link[a] < link[b] and carriers[link[b]] != link[a]
     ]
-    pairs += [(count + f, b) for f in range(len(planes)) for b in range(count) if link[b]]
-    chosen = torch.tensor(pairs, dtype=torch.long).reshape(-1, 2)
-    every, distances = torch.ones(len(pairs), dtype=torch.float64), Distances(solids, planes)
+    walls = range(len(link), len(link) + len(planes))
+    pairs += [(wall, b) for wall in walls for b, moving in enumerate(link) if moving]
+    none = torch.zeros(len(pairs), dtype=torch.float64)
     made = Clearance(
-        robot, usage, clearance, tuple(names), where, planes, chosen, clearance * every,
-        FAR_ROOM * every, _arms(robot, usage, where, distances, chosen), distances,
-        warnings=tuple(warnings),
+        robot, usage, clearance,
+        names=(*(("base", *robot.link_names)[k] for k in link), *plane_names),
+        link=torch.tensor([*link, *[0] * len(planes)]),
+        pairs=torch.tensor(pairs, dtype=torch.long).reshape(-1, 2),
+        needed=none + clearance, room=none + FAR_ROOM,
+        distances=Distances(solids, planes), warnings=_not_known(robot, shapes),
     )  # fmt: skip
-    return _sensible(made) if pairs else made
+    return _sensible(made, len(link)) if pairs else made
 
 
-def _carrier(robot: Robot, link: int, shaped: Sequence[int]) -> int:
-    """The next link (from 1) with a shape on the way to the base, or the base, 0."""
-    line = [k + 1 for k in robot.ancestors(link - 1)[:-1]]
-    return max((k for k in line if k in shaped), default=0)
-
-
-def _solids(robot: Robot, shapes: LinkShapes | None) -> tuple[list[Solid], list[int], list[str]]:
-    """All shapes, the base's first, the numbers of their links, and what is not known of them.
-
-    A link whose shapes are not all known also has its joints' origins as points.
-    """
-    warnings, points = [], joint_points(robot)
-    if shapes is None:
-        shapes = assembled([None] * robot.n_links, ())
-    solids, link = list(shapes.base or ()), [0] * len(shapes.base or ())
-    for k in range(robot.n_links):
-        of_link = list(shapes.solids[k]) if shapes.solids else []
-        if not shapes.known[k]:
-            of_link += [capsule(pose(None, point), 0.0, 0.0) for point in points[k]]
-        solids += of_link
-        link += [k + 1] * len(of_link)
+def _not_known(robot: Robot, shapes: LinkShapes) -> tuple[str, ...]:
+    """What is not checked because its shape is not known, one sentence each."""
+    warnings = []
     # A link without mass is there to hold joints together; a DH table draws nothing at all.
     heavy = [True] * robot.n_links
     if robot.parameters is not None and any(shapes.known):
@@ -334,11 +271,11 @@ def _solids(robot: Robot, shapes: LinkShapes | None) -> tuple[list[Solid], list[
     if shapes.left_out:
         out = ", ".join(shapes.left_out)
         warnings.append(f"links that are not on the chain are not checked: {out}.")
-    return solids, link, warnings
+    return tuple(warnings)
 
 
 def _planes(
-    floor: float | None, workspace: Sequence[float] | None, shapes: LinkShapes | None
+    floor: float | None, workspace: Sequence[float] | None
 ) -> tuple[Float[Tensor, "F 4"], list[str]]:
     """Half-spaces to keep out of, with unit normals away from them, and their names."""
     rows, names = [], []
@@ -357,82 +294,19 @@ def _planes(
             axis = [float(k == j) for j in range(3)]
             rows += [[*axis, low], [*(-x for x in axis), -high]]
             names += [f"the workspace's {end} of {'xyz'[k]}" for end in ("minimum", "maximum")]
-    planes = torch.tensor(rows, dtype=torch.float64).reshape(-1, 4)
-    if shapes is None:
-        return planes, names
-    return torch.cat([planes, shapes.planes]), names + ["the model's plane"] * len(shapes.planes)
+    return torch.tensor(rows, dtype=torch.float64).reshape(-1, 4), names
 
 
-def _arms(
-    robot: Robot,
-    usage: float,
-    link: Int[Tensor, " G"],
-    distances: Distances,
-    pairs: Int[Tensor, "P 2"],
-) -> Float[Tensor, "P n"]:
-    """How fast the distance of pairs can change per speed of each joint [m or 1].
-
-    The direction between two nearest points has no moment about the line through them, so a joint
-    between the links acts alike on either point: the one nearer to its axis bounds what it can do.
-    No configuration takes a point further from a joint than the chain between them is long.
-    """
-    drives = robot.drives
-    slides = torch.tensor([drive.joint_type is JointType.PRISMATIC for drive in drives])
-    reach = robot.on_links(position_limits(robot, usage)[0].T).abs().amax(0) * slides
-    out = reach.new_zeros((len(pairs), robot.n))
-    if not len(pairs):
-        return out
-    centre, radius = distances.balls
-    for p, (a, b) in enumerate(pairs.tolist()):
-        i, j = int(link[a]) - 1, int(link[b]) - 1
-        before, between = _between_links(robot, i, j)
-        joints = [*before, *between]
-        # Lengths along the way between the two, from each joint's origin to the next one's.
-        steps = [_step(robot, reach, one, other) for one, other in pairwise(joints)]
-        along = torch.cat([reach.new_zeros(1), torch.stack(steps).cumsum(0)]) if steps else None
-        along = reach.new_zeros(1) if along is None else along
-        last = _moved(robot.after[j], centre[b]).norm() + reach[j] + radius[b]
-        behind = along[-1] - along + last
-        if before:
-            first = _moved(robot.after[i], centre[a]).norm() + reach[i] + radius[a]
-        else:
-            first = (centre[a] - robot.before[joints[0], :3, 3]).norm() + radius[a]
-        # A half-space has no centre: only the shape before it counts.
-        arms = torch.fmin(behind, first + along)
-        arms = torch.where(slides[joints], torch.ones_like(arms), arms)
-        for joint, arm in zip(joints, arms, strict=True):
-            out[p, drives[joint].coordinate] += abs(drives[joint].ratio) * arm
-    return out
-
-
-def _between_links(robot: Robot, i: int, j: int) -> tuple[list[int], list[int]]:
-    """Joints between two links (from 0, -1 the base) that move them against each other: those from
-    the first to the link that carries both, and from there to the second."""
-    up = robot.ancestors(i) if i >= 0 else ()
-    down = robot.ancestors(j)
-    return [k for k in up if k not in down][::-1], [k for k in down if k not in up]
-
-
-def _step(robot: Robot, reach: Tensor, one: int, other: int) -> Tensor:
-    """Largest distance between the origins of two joints of which one carries the other, or that
-    one link carries both of."""
-    for near, far in ((one, other), (other, one)):
-        if robot.parents[far] == near:
-            return (robot.after[near] @ robot.before[far])[:3, 3].norm() + reach[near]
-    return (robot.before[one] - robot.before[other])[:3, 3].norm()
-
-
-def _sensible(made: Clearance) -> Clearance:
-    """Without pairs that no motion can keep apart, as far as the shapes themselves say so."""
-    robot = made.robot
-    bounds = position_limits(robot)[0]
-    lower, upper = bounds.unbind(-1)
+def _sensible(made: Clearance, solids: int) -> Clearance:
+    """Without pairs that no motion can keep apart, as far as the shapes themselves say so; what
+    comes after the solids is half-spaces."""
+    lower, upper = position_limits(made.robot)[0].unbind(-1)
     generator = torch.Generator().manual_seed(0)
-    drawn = torch.rand((_POSTURES, robot.n), generator=generator, dtype=torch.float64)
-    zero = torch.zeros(robot.n, dtype=torch.float64).clamp(lower, upper)
-    apart = made._exact(torch.cat([zero.unsqueeze(0), lower + drawn * (upper - lower)]), FAR_ROOM)
+    drawn = torch.rand((_POSTURES, made.robot.n), generator=generator, dtype=torch.float64)
+    zero = torch.zeros_like(lower).clamp(lower, upper)
+    apart = made.apart(torch.cat([zero.unsqueeze(0), lower + drawn * (upper - lower)]))
     largest, smallest = apart.amax(0), apart.amin(0)
-    wall = made.pairs[:, 0] >= len(made.link) - len(made.planes)
+    wall = made.pairs[:, 0] >= solids
     # A link that turns on the floor is as near to it whatever the motion. Of what is far, it is
     # only known that it is far.
     still = (largest - smallest < RESOLUTION) & (largest < made.needed + FAR_ROOM - RESOLUTION)
@@ -444,36 +318,30 @@ def _sensible(made: Clearance) -> Clearance:
         return ", ".join(dict.fromkeys(f"{a} and {b}" for a, b in both))
 
     notes = []
-    if bool((~wall).any()):
+    if not bool(wall.all()):
         also = f", nor those that overlap in the zero posture: {named(overlap)}"
-        notes.append(
-            "links next to each other are not checked against each other"
-            + (also if bool(overlap.any()) else "")
-            + "."
-        )
-    near = still & ~overlap & (largest < made.needed)
+        also = also if bool(overlap.any()) else ""
+        notes.append(f"links next to each other are not checked against each other{also}.")
+    near, least = still & ~overlap & (largest < made.needed), f"{1000 * made.clearance:g} mm"
     if bool(near.any()):
         notes.append(f"not checked, for no motion moves them apart: {named(near)}.")
     if bool(close.any()):
-        least = f"{1000 * made.clearance:g} mm"
         notes.append(f"hardly ever {least} apart, so only kept from touching: {named(close)}.")
-    needed = torch.where(close, 0.0, made.needed)
-    kept = ~(still | overlap)
+    needed, kept = torch.where(close, 0.0, made.needed), ~(still | overlap)
     return replace(
         made,
         pairs=made.pairs[kept],
         needed=needed[kept],
         room=(largest - needed).clamp(RESOLUTION, FAR_ROOM)[kept],
-        arms=made.arms[kept],
         notes=tuple(notes),
     )
 
 
-def _times(trajectory: FourierTrajectory | Sinusoid, finer: int = 1) -> Float[Tensor, " T"]:
+def _times(trajectory: FourierTrajectory | Sinusoid) -> Float[Tensor, " T"]:
     """Instants from 0 to the duration."""
-    count = round(max(50.0, _PER_PERIOD * trajectory.duration * trajectory.fastest))
-    return torch.linspace(0, trajectory.duration, finer * count + 1, dtype=torch.float64)
+    count = math.ceil(max(_FEWEST, _PER_PERIOD * trajectory.duration * trajectory.fastest))
+    return torch.linspace(0, trajectory.duration, count + 1, dtype=torch.float64)
 
 
-def _moved(poses: Float[Tensor, "*#batch 4 4"], x: Float[Tensor, "*#batch 3"]) -> Tensor:
-    return (poses[..., :3, :3] @ x.unsqueeze(-1)).squeeze(-1) + poses[..., :3, 3]
+def _homogeneous(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 4 1"]:
+    return torch.nn.functional.pad(points, (0, 1), value=1.0).unsqueeze(-1)

@@ -2,8 +2,8 @@
 
 from typing import Any
 
+from torchid.effects.base import Motion
 from torchid.errors import RobotError
-from torchid.excitation.fourier import SampledMotion
 from torchid.json_data import plain
 from torchid.robot.config_files import filled_template
 from torchid.robot.model import JointType, Robot
@@ -15,15 +15,15 @@ _LOOKAHEAD = 0.1  # [s], of servoj; its default
 _GAIN = 300  # of servoj; its default
 
 
-def joint_trajectory(robot: Robot, motion: SampledMotion) -> dict[str, Any]:
+def joint_trajectory(robot: Robot, motion: Motion) -> dict[str, Any]:
     """The fields of a ROS 2 message trajectory_msgs/msg/JointTrajectory.
 
     Args:
         robot: its joints' names.
-        motion: of one trajectory, (T, n).
+        motion: of one trajectory with its times, (T, n).
     """
-    nanoseconds = (motion.t * 1e9).round().long().tolist()
-    states = zip(*(plain(x) for x in (motion.q, motion.dq, motion.ddq)), strict=True)
+    nanoseconds = (motion.require("t", "a controller") * 1e9).round().long().tolist()
+    states = zip(*(plain(x) for x in motion.state), strict=True)
     return {
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
         "joint_names": list(robot.joint_names),
@@ -40,7 +40,7 @@ def joint_trajectory(robot: Robot, motion: SampledMotion) -> dict[str, Any]:
     }
 
 
-def urscript(robot: Robot, motion: SampledMotion) -> str:
+def urscript(robot: Robot, motion: Motion) -> str:
     """A URScript program that moves an arm of Universal Robots along a motion, sample by sample.
 
     It does not drive to the start, for nobody has checked that way: away from the start posture it
@@ -48,7 +48,7 @@ def urscript(robot: Robot, motion: SampledMotion) -> str:
 
     Args:
         robot: with six revolute joints.
-        motion: of one trajectory, (T, 6).
+        motion: of one trajectory with its times, (T, 6).
 
     Raises:
         RobotError: not six revolute joints.
@@ -56,12 +56,13 @@ def urscript(robot: Robot, motion: SampledMotion) -> str:
     require_six_joints(robot)
     rows = [f"[{','.join(f'{x:.6f}' for x in q)}]" for q in motion.q.tolist()]
     degrees = ", ".join(f"{x:.1f}" for x in motion.q[0].rad2deg().tolist())
-    step = float(motion.t[1] - motion.t[0])
+    t = motion.require("t", "a controller")
+    step = float(t[1] - t[0])
     points = (f"  servoj({row}, 0, 0, {step:.6g}, {_LOOKAHEAD}, {_GAIN})" for row in rows)
     return filled_template(
         "motion.urscript",
         robot=robot.name,
-        duration=f"{float(motion.t[-1]):g}",
+        duration=f"{float(t[-1]):g}",
         milliseconds=f"{1000 * step:g}",
         start=rows[0],
         apart=AT_START,

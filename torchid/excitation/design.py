@@ -1,16 +1,25 @@
 """Design of exciting trajectories: which motion tells the base parameters apart best.
 
-The error of least squares grows with the condition number of the weighted stacked regressor of the
-base parameters, W Y1 (eq. 2.19, section 2.2), and its covariance is sigma^2 (Y1' W^2 Y1)^-1. Both
-are functions of the trajectory's coefficients, through the closed form of the regressor, so they
-are improved by gradient: Adam on several restarts in one batch. No penalty is needed for limits of
-motion: a candidate is first scaled, joint by joint, until it touches them, and the scale is part of
-what is differentiated. What couples joints is in `restriction`.
+With K what is known before and N = sum_t Y' W' W Y over the weighted rows of the base parameters
+that a motion gives, the white covariance after it is (K + N)^-1. Of a first motion nothing is known
+before, and what its criterion looks at is the condition number of W Y, with which the error of
+least squares grows (eq. 2.19, section 2.2). The next motion for an identification is the same with
+the K of its log. What the jackknife found each parameter's standard deviation to exceed the white
+one by, k = s / sqrt(diag K^-1), stands for autocorrelation and model error, and is taken to be the
+same in the next log:
+
+    predicted std = k sqrt(diag (K + N)^-1).
+
+Its criterion is the mean logarithm of those of the least known parameters (A-optimal, with relative
+terms, so that no unit counts more than another); either may have the logarithm of the determinant
+(D-optimal: the volume of the confidence ellipsoid). All are functions of the trajectory's
+coefficients, through the closed form of the regressor, so they have gradients: see `search`.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -19,51 +28,81 @@ from torchid.effects.base import JointEffect, Motion
 from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError, TorchidError
 from torchid.excitation.clearance import Clearance
-from torchid.excitation.descent import HARDLY, Progress, improved
-from torchid.excitation.fourier import FourierTrajectory
+from torchid.excitation.fourier import FourierTrajectory, midpoints, stacked
 from torchid.excitation.limits import motion_limits
-from torchid.excitation.restriction import restricted
+from torchid.excitation.restriction import AllOf
+from torchid.excitation.search import HARDLY, Progress, search
 from torchid.excitation.settings import DURATION, EXCITED_EFFECTS, HARMONICS, RESTARTS, USAGE
-from torchid.excitation.torque import TorqueLimits, nominal_torque_limits
-from torchid.excitation.trajectories import Designed, random_trajectory
+from torchid.excitation.torque import (
+    TorqueLimits,
+    identified_torque_limits,
+    nominal_torque_limits,
+)
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.base_parameters import (
     BaseParameters,
     base_parameters,
     stacked_regressor,
 )
+from torchid.identification.values import Prior
 from torchid.inputs import RobotLike, as_robot
+from torchid.log.model import Log
 from torchid.robot.model import Basis, Robot
-from torchid.typing import Float
+from torchid.typing import Bool, Float
 
 Criterion = Literal["condition", "d_optimal"]
+Goal = Literal["a_optimal", "d_optimal"]
+
+LEAST_KNOWN = 30.0
+"""Relative standard deviation from which a parameter counts as little known [%]."""
+
 _RATE = 50.0  # [Hz], for the condition numbers that are reported
+_SAMPLES = 100  # instants during the search: five a second, the regressor's fastest harmonics need
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Designed:
+    """A motion that was designed.
+
+    Attributes:
+        trajectory: the best, (n, L), within the limits at every instant.
+        warnings: sentences for the user.
+        torque: the torque limits kept; None where there are none, or no model.
+    """
+
+    trajectory: FourierTrajectory
+    warnings: tuple[str, ...] = ()
+    torque: TorqueLimits | None = None
+
+    def log(self, rate: float = 100.0) -> Log:
+        """The motion as a log without torque: t [s], q, dq, ddq (T, n), `rate` samples a second.
+
+        Raises:
+            TorchidError: a rate that is too low.
+        """
+        return trajectory_log(self.trajectory, rate)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Excitation(Designed):
     """A designed trajectory and what the design gained.
 
     Attributes:
-        trajectory: the best, (n, L), within the limits at every instant.
+        trajectory, warnings, torque: see `Designed`.
         condition_before: (restarts,) condition numbers of the random starts, scaled to the limits
             like the result; `start_condition` is their median.
         condition_after: condition number of `trajectory`.
         criterion: what was improved, `condition` or `d_optimal`.
         base: the base parameters it was designed for.
-        warnings: sentences for the user.
         gain: how much lower the cost is than the median start's: the logarithm of the standard
             deviation of what the criterion looks at, which a motion of as much driving time leaves.
-        torque: the torque limits kept; None where there are none, or no model.
     """
 
-    trajectory: FourierTrajectory
     condition_before: tuple[float, ...]
     condition_after: float
     criterion: Criterion
     base: BaseParameters
-    warnings: tuple[str, ...]
     gain: float
-    torque: TorqueLimits | None = None
 
     def __repr__(self) -> str:
         return (
@@ -80,9 +119,43 @@ class Excitation(Designed):
     @property
     def start_condition(self) -> float:
         """Median condition number of the random starts."""
-        ordered = sorted(self.condition_before)
-        k = len(ordered)
-        return (ordered[(k - 1) // 2] + ordered[k // 2]) / 2
+        return float(torch.tensor(self.condition_before, dtype=torch.float64).quantile(0.5))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class InformedDesign(Designed):
+    """A motion, and what it would add.
+
+    Attributes:
+        trajectory, warnings, torque: see `Designed`; torque by the identified base parameters.
+        plain: one designed for the condition number alone, of the same length.
+        prior: what was known.
+        targets: (B,) parameters that the design is for.
+        before: (B,) standard deviations; infinite where the log determined nothing.
+        with_plain, after: (B,) predicted for the log and this motion together.
+        goal: criterion.
+    """
+
+    plain: FourierTrajectory
+    prior: Prior
+    targets: Bool[Tensor, " B"]
+    before: Float[Tensor, " B"]
+    with_plain: Float[Tensor, " B"]
+    after: Float[Tensor, " B"]
+    goal: Goal
+
+    @property
+    def hardly(self) -> bool:
+        """Whether it adds less to the plain motion's standard deviations than a tenth more driving
+        time would."""
+        return math.log(self.shrinks(self.with_plain) / self.shrinks(self.after)) < HARDLY
+
+    def shrinks(self, std: Float[Tensor, " B"]) -> float:
+        """Geometric mean over the targets of std against before (or, where that is infinite,
+        against the plain motion's)."""
+        known = torch.isfinite(self.before)
+        reference = torch.where(known, self.before, self.with_plain)
+        return float((std / reference)[self.targets].log().mean().exp())
 
 
 def excite(
@@ -144,55 +217,186 @@ def excite(
     robot.require_fixed_base("the design of motions")
     modelled = [e for e in effects if not isinstance(e, str)]
     modelled += on_every_joint([e for e in effects if isinstance(e, str)], robot.n)
-    if criterion not in ("condition", "d_optimal"):
-        raise TorchidError(
-            "unknown criterion.", got=criterion, available=["condition", "d_optimal"]
-        )
+    _check_criterion(criterion, ["condition", "d_optimal"])
     if restarts < 1 or iterations < 0:
         raise TorchidError(
             "a design needs at least one start.",
             got=f"{restarts} restarts, {iterations} iterations",
         )
-    limits = motion_limits(robot, usage=usage)
     torque = torque or nominal_torque_limits(robot, usage=usage)
-    kept = restricted(torque, clearance)
     base = base_parameters(robot, modelled, basis=basis)
     weights = row_weights(robot)
     start = random_trajectory(
-        robot,
-        seed,
-        count=restarts,
-        fill=True,
-        usage=usage,
-        harmonics=harmonics,
-        duration=duration,
+        robot, seed, count=restarts, fill=True, usage=usage, harmonics=harmonics, duration=duration
     )
-
-    def information(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
-        motion = trajectory.at(t).to(device)
-        y = base_regressor(robot, base, motion, weights, effects=modelled)
-        y = y.reshape(restarts, -1, len(base))
-        return (y.transpose(1, 2) @ y / t.shape[0]).cpu()
-
-    def cost(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
-        return _cost(information(trajectory, t), criterion)
+    none = torch.zeros(len(base), dtype=torch.float64)
+    rows = torch.ones(robot.n, dtype=torch.float64) if weights is None else weights
+    nothing_known = Prior(
+        base, tuple(modelled), none, none.bool(), none, none.diag(), none + 1, rows.diag(), _RATE
+    )
+    kept = AllOf.of(robot, usage, torque, clearance)
+    begun, best, costs = _designed(
+        robot, nothing_known, start, criterion, kept, iterations, progress, device
+    )
 
     def condition(trajectory: FourierTrajectory) -> float:
-        motion = trajectory.sample(_RATE).motion
-        return condition_number(robot, base, motion, weights, effects=modelled)
+        return condition_number(robot, base, trajectory.sample(_RATE), weights, effects=modelled)
 
-    t = torch.arange(0, duration, 1 / _RATE, dtype=torch.float64)
-    begun, best, costs = improved(start, limits, cost, t, iterations, progress, kept)
     return Excitation(
-        best,
-        tuple(condition(begun.select(k)) for k in range(restarts)),
-        condition(best),
-        criterion,
-        base,
-        tuple(dict.fromkeys([*limits.warnings, *base.warnings])),
-        float(costs[:restarts].quantile(0.5) - costs.min()),
-        torque,
+        trajectory=best,
+        condition_before=tuple(condition(begun.select(k)) for k in range(restarts)),
+        condition_after=condition(best),
+        criterion=criterion,
+        base=base,
+        warnings=tuple(dict.fromkeys([*start.warnings, *base.warnings])),
+        gain=float(costs[:restarts].quantile(0.5) - costs.min()),
+        torque=torque,
     )
+
+
+def design_for(
+    robot: Robot,
+    prior: Prior,
+    *,
+    seed: int,
+    goal: Goal = "a_optimal",
+    restarts: int = 8,
+    iterations: int = 250,
+    usage: float = 1.0,
+    harmonics: int = 5,
+    duration: float = 20.0,
+    clearance: Clearance | None = None,
+    progress: Progress | None = None,
+) -> InformedDesign:
+    """The motion after which, with the log, the parameters are known best.
+
+    Args:
+        robot: the one identified, with its limits.
+        prior: from `read_prior`.
+        seed: of the random starts.
+        goal: `a_optimal` for the least known parameters, `d_optimal` for all.
+        restarts, iterations, usage, harmonics, duration, clearance: as for `excite`.
+        progress: called with (iterations done, all iterations).
+
+    Raises:
+        RobotError: the limits are incomplete, or no motion keeps the torque limits and the
+            clearance.
+        TorchidError: unknown goal.
+    """
+    _check_criterion(goal, ["a_optimal", "d_optimal"])
+    settings: dict[str, Any] = {"usage": usage, "harmonics": harmonics, "duration": duration}
+    torque = identified_torque_limits(robot, prior, usage=usage)
+    plain = excite(
+        robot, effects=prior.effects, seed=seed, restarts=restarts, iterations=iterations,
+        torque=torque, basis=prior.base.basis, clearance=clearance, **settings,
+    ).trajectory  # fmt: skip
+    # The plain design is a start too: the result is never worse than it.
+    random = random_trajectory(robot, seed, count=restarts, fill=True, **settings)
+    start = stacked([*(random.select(k) for k in range(restarts - 1)), plain])
+    _, best, _ = _designed(
+        robot, prior, start, goal, AllOf.of(robot, usage, torque, clearance), iterations, progress
+    )
+    return InformedDesign(
+        trajectory=best,
+        plain=plain,
+        prior=prior,
+        targets=least_known(prior) if goal == "a_optimal" else torch.ones(len(prior.base)).bool(),
+        before=torch.where(prior.known, prior.std, math.inf),
+        with_plain=predicted_std(robot, prior, [plain]),
+        after=predicted_std(robot, prior, [best]),
+        goal=goal,
+        warnings=start.warnings,
+        torque=torque,
+    )
+
+
+def _check_criterion(criterion: str, available: list[str]) -> None:
+    if criterion not in available:
+        raise TorchidError("unknown criterion.", got=criterion, available=available)
+
+
+def _designed(
+    robot: Robot,
+    prior: Prior,
+    start: FourierTrajectory,
+    criterion: str,
+    kept: AllOf,
+    iterations: int,
+    progress: Progress | None,
+    device: torch.device | str = "cpu",
+) -> tuple[FourierTrajectory, FourierTrajectory, Tensor]:
+    """What `search` returns for a criterion, beside what is known."""
+    least = least_known(prior)
+
+    def cost(trajectory: FourierTrajectory, t: Tensor) -> Float[Tensor, " K"]:
+        added = information(robot, prior, trajectory, t, device)
+        if criterion == "condition":
+            values = torch.linalg.eigvalsh(prior.information + added)
+            # Rounding can make the smallest negative where the motion does not excite.
+            values = values.clamp(min=1e-15 * float(values.detach().max()))
+            return (values[:, -1] / values[:, 0]).log() / 2
+        if criterion == "a_optimal":
+            return _white_variance(prior, added)[..., least].log().mean(-1) / 2
+        root, size = _root(prior, added)
+        return -(root.diagonal(dim1=-2, dim2=-1).log() + size.log()).mean(-1)
+
+    few, many = midpoints(start.duration, _SAMPLES), _times(prior, start.duration)
+    return search(
+        start, motion_limits(robot, usage=kept.usage),
+        lambda x: cost(x, few), lambda x: cost(x, many), iterations, progress, kept=kept,
+    )  # fmt: skip
+
+
+def least_known(prior: Prior) -> Bool[Tensor, " B"]:
+    """Parameters whose relative standard deviation exceeds 30 %, or that are not known at all; all
+    where there are none."""
+    relative = 100 * prior.std / prior.values.abs().clamp(min=1e-300)
+    out = ~prior.known | (relative > LEAST_KNOWN)
+    return out if bool(out.any()) else torch.ones_like(out)
+
+
+def predicted_std(
+    robot: Robot, prior: Prior, motions: Sequence[FourierTrajectory]
+) -> Float[Tensor, " B"]:
+    """Standard deviations (B,) after the log and these motions."""
+    told = (information(robot, prior, x, _times(prior, x.duration)) for x in motions)
+    return prior.inflation * _white_variance(prior, sum(told, torch.zeros(()))).sqrt()
+
+
+def information(
+    robot: Robot,
+    prior: Prior,
+    trajectory: FourierTrajectory,
+    t: Float[Tensor, " T"],
+    device: torch.device | str = "cpu",
+) -> Float[Tensor, "*batch B B"]:
+    """N of a motion, from its rows at times t, as many as the fit would have. Differentiable."""
+    y = base_regressor(robot, prior.base, trajectory.at(t).to(device), effects=prior.effects).cpu()
+    y = y.reshape(*trajectory.q0.shape[:-1], len(t), robot.n, len(prior.base))
+    y = (prior.whitening @ y).flatten(-3, -2)
+    rows = prior.per_second * trajectory.duration
+    return y.mT @ y * (rows / len(t))
+
+
+def _white_variance(prior: Prior, added: Tensor) -> Tensor:
+    """diag (K + N)^-1; infinite-like where nothing determines."""
+    root, size = _root(prior, added)
+    eye = torch.eye(root.shape[-1], dtype=root.dtype).expand_as(root)
+    inverse = torch.linalg.solve_triangular(root, eye, upper=False)
+    return inverse.square().sum(-2) / size.square()
+
+
+def _root(prior: Prior, added: Tensor) -> tuple[Tensor, Tensor]:
+    """Cholesky factor of K + N, columns scaled to length one, and their lengths."""
+    whole = prior.information + added
+    size = whole.diagonal(dim1=-2, dim2=-1).clamp(min=1e-300).sqrt()
+    eye = torch.eye(whole.shape[-1], dtype=whole.dtype)
+    scaled = whole / size.unsqueeze(-1) / size.unsqueeze(-2)
+    return torch.linalg.cholesky_ex(scaled + 1e-14 * eye)[0], size
+
+
+def _times(prior: Prior, duration: float) -> Float[Tensor, " T"]:
+    return midpoints(duration, max(200, round(duration * min(_RATE, prior.per_second))))
 
 
 def condition_number(
@@ -263,13 +467,3 @@ def row_weights(robot: Robot) -> Float[Tensor, " n"] | None:
         return None
     size = limits.abs().amax(-1)
     return size.max() / size if bool((size > 0).all()) else None
-
-
-def _cost(information: Float[Tensor, "K B B"], criterion: Criterion) -> Float[Tensor, " K"]:
-    """Logarithm of the condition number, or minus that of the determinant's B-th root, halved."""
-    values = torch.linalg.eigvalsh(information)
-    # Rounding can make the smallest negative where the motion does not excite.
-    values = values.clamp(min=1e-15 * float(values.detach().max()))
-    if criterion == "condition":
-        return (values[:, -1].log() - values[:, 0].log()) / 2
-    return -values.log().mean(-1) / 2

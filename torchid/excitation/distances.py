@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from torchid.robot.placement import pose
 from torchid.robot.solids import Solid
 from torchid.typing import Float, Int, Tensor
 
@@ -27,8 +28,9 @@ class Distances:
         self._solids, self._planes = solids, planes
 
     @cached_property
-    def _compiled(self) -> "tuple[Any, Any, Tensor]":
-        """MuJoCo's model and data, and the pose (G, 4, 4) of every shape in its link."""
+    def _compiled(self) -> "tuple[Any, Any, Tensor, Tensor]":
+        """MuJoCo's model and data, the pose (G, 4, 4) of every shape in its link, and the radius
+        (G,) of the ball around it; 0 of a half-space."""
         import mujoco
 
         spec = mujoco.MjSpec()
@@ -45,40 +47,46 @@ class Distances:
         data = mujoco.MjData(model)
         # MuJoCo moves a mesh's frame to its centre: it alone knows where a shape lies in its link.
         mujoco.mj_kinematics(model, data)
-        placed = np.tile(np.eye(4), (model.ngeom, 1, 1))
-        placed[:, :3, :3] = data.geom_xmat.reshape(-1, 3, 3)
-        placed[:, :3, 3] = data.geom_xpos
-        return model, data, torch.from_numpy(placed)
+        in_link = np.tile(np.eye(4), (model.ngeom, 1, 1))
+        in_link[:, :3, :3] = data.geom_xmat.reshape(-1, 3, 3)
+        in_link[:, :3, 3] = data.geom_xpos
+        return model, data, torch.from_numpy(in_link), torch.from_numpy(model.geom_rbound.copy())
 
-    @property
-    def balls(self) -> tuple[Float[Tensor, "G 3"], Float[Tensor, " G"]]:
-        """Centre of a ball around each shape, in its link's frame, and radius [m]; a half-space has
-        none (nan, 0)."""
-        model, _, placed = self._compiled
-        centre, radius = placed[:, :3, 3].clone(), torch.from_numpy(model.geom_rbound.copy())
-        centre[len(self._solids) :] = torch.nan
-        return centre, radius
+    def placed(self, links: Float[Tensor, "*batch G 4 4"]) -> Float[Tensor, "*batch G 4 4"]:
+        """Poses of all shapes, by those of the links that they belong to."""
+        return links @ self._compiled[2]
+
+    def at_least(
+        self, placed: Float[Tensor, "K G 4 4"], pairs: Int[Tensor, "P 2"]
+    ) -> Float[Tensor, "K P"]:
+        """What pairs are apart at least [m], by the balls around solids. A half-space comes first
+        in its pair."""
+        first, second = pairs.unbind(-1)
+        radius = self._compiled[3]
+        apart = placed[:, second, :3, 3] - placed[:, first, :3, 3]
+        height = (apart * placed[:, first, :3, 2]).sum(-1)
+        out = torch.where(first < len(self._solids), apart.norm(dim=-1), height)
+        return out - radius[first] - radius[second]
 
     def between(
-        self, shapes: Int[Tensor, "R 2"], poses: Float[Tensor, "R 2 4 4"], farthest: float
+        self, pairs: Int[Tensor, "R 2"], placed: Float[Tensor, "R 2 4 4"], farthest: float
     ) -> tuple[Float[Tensor, " R"], Float[Tensor, "R 2 3"]]:
         """Distances (R,) [m], negative where shapes overlap, and the nearest points (R, 2, 3) of
-        both, in the frame that the links' poses are given in.
+        both.
 
         Args:
-            shapes: pairs.
-            poses: of the links that they belong to.
+            pairs: of shapes.
+            placed: their poses.
             farthest: distance from which on only that it is as far is told, and no points [m].
         """
         from mujoco import mj_geomDistance
 
-        model, data, placed = self._compiled
-        poses = poses @ placed[shapes]
-        turns = poses[..., :3, :3].reshape(len(shapes), 2, 9).numpy()
-        places = np.ascontiguousarray(poses[..., :3, 3].numpy())
-        out, points = np.empty(len(shapes)), np.zeros((len(shapes), 6))
+        model, data, *_ = self._compiled
+        turns = placed[..., :3, :3].reshape(len(pairs), 2, 9).numpy()
+        places = np.ascontiguousarray(placed[..., :3, 3].numpy())
+        out, points = np.empty(len(pairs)), np.zeros((len(pairs), 6))
         positions, matrices = data.geom_xpos, data.geom_xmat
-        for k, (one, other) in enumerate(shapes.tolist()):
+        for k, (one, other) in enumerate(pairs.tolist()):
             positions[one], positions[other] = places[k]
             matrices[one], matrices[other] = turns[k]
             out[k] = mj_geomDistance(model, data, one, other, farthest, points[k])
@@ -87,27 +95,22 @@ class Distances:
 
 def _add(mujoco: Any, spec: Any, solid: Solid) -> None:
     """The solid as a geom in the frame of its link."""
-    kinds = mujoco.mjtGeom
-    pose, size = solid.pose, solid.size
-    more: dict[str, Any]
+    at, kind = solid.pose, str(solid.kind)
+    if kind == "capsule" and float(solid.size[1]) == 0:
+        kind = "sphere"
+    more: dict[str, Any] = {"size": solid.size.clamp(min=_SMALLEST).tolist()}
     if solid.corners is not None and solid.volume > 0:
-        from scipy.spatial import ConvexHull
-
-        corners = solid.corners.numpy()
-        name = f"mesh_{len(spec.meshes)}"
-        spec.add_mesh(name=name, uservert=corners[ConvexHull(corners).vertices].ravel().tolist())
-        kind, more = kinds.mjGEOM_MESH, {"meshname": name}
+        kind, name = "mesh", f"mesh_{len(spec.meshes)}"
+        spec.add_mesh(name=name, uservert=solid.corners.flatten().tolist())
+        more = {"meshname": name}
     elif solid.corners is not None:
         # A flat mesh has no hull: it is the thin box of its corners.
         low, high = solid.corners.amin(0), solid.corners.amax(0)
-        centre = torch.eye(4, dtype=torch.float64)
-        centre[:3, 3] = (low + high) / 2
-        pose, kind = pose @ centre, kinds.mjGEOM_BOX
+        at, kind = at @ pose(None, (low + high) / 2), "box"
         more = {"size": ((high - low) / 2).clamp(min=_SMALLEST).tolist()}
-    else:
-        names = {"box": "BOX", "ellipsoid": "ELLIPSOID", "cylinder": "CYLINDER"}
-        ball = "SPHERE" if float(size[1]) == 0 else "CAPSULE"
-        kind = getattr(kinds, f"mjGEOM_{names.get(solid.kind, ball)}")
-        more = {"size": size.clamp(min=_SMALLEST).tolist()}
-    x, y = pose[:3, 0].tolist(), pose[:3, 1].tolist()
-    spec.worldbody.add_geom(type=kind, pos=pose[:3, 3].tolist(), xyaxes=x + y, **more)
+    spec.worldbody.add_geom(
+        type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}"),
+        pos=at[:3, 3].tolist(),
+        xyaxes=[*at[:3, 0].tolist(), *at[:3, 1].tolist()],
+        **more,
+    )

@@ -6,6 +6,7 @@ brought inside limits by one number a joint.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -29,20 +30,6 @@ class Extremes(NamedTuple):
     q: Tensor
     dq: Tensor
     ddq: Tensor
-
-
-class SampledMotion(NamedTuple):
-    """Time stamps (T,) [s] and the motion at them, each (..., T, n) [rad or m, per s, per s^2]."""
-
-    t: Tensor
-    q: Tensor
-    dq: Tensor
-    ddq: Tensor
-
-    @property
-    def motion(self) -> Motion:
-        """The motion without the time stamps."""
-        return Motion(self.q, self.dq, self.ddq)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +109,10 @@ class FourierTrajectory:
         q, dq, ddq = ((c @ phi.T).transpose(-1, -2) for phi in self._basis(t.to(c)))
         return Motion(q + self.q0.unsqueeze(-2), dq, ddq)
 
-    def sample(self, rate: float) -> SampledMotion:
-        """The motion at 0, 1/rate, ... up to the duration; rate [Hz]."""
+    def sample(self, rate: float) -> Motion:
+        """The motion at 0, 1/rate, ... up to the duration, with these times; rate [Hz]."""
         t = sample_times(self.duration, rate).to(self.q0)
-        return SampledMotion(t, *self.at(t).state)
+        return self.at(t)._replace(t=t)
 
     def extremes(self) -> Extremes:
         """Bounds that q, dq and ddq cannot leave at any instant: each (..., n, 2), lower and upper.
@@ -164,8 +151,8 @@ class FourierTrajectory:
         centre = torch.lerp(rest.expand_as(self.q0), self.q0, share.unsqueeze(-1))
         return replace(self.scaled(share.unsqueeze(-1).expand_as(self.q0)), q0=centre)
 
-    def select(self, index: int) -> "FourierTrajectory":
-        """One trajectory of a batch with one leading axis."""
+    def select(self, index: "int | Tensor") -> "FourierTrajectory":
+        """One trajectory, or several, of a batch with one leading axis."""
         return replace(self, a=self.a[index], b=self.b[index], q0=self.q0[index])
 
     def _basis(self, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -226,6 +213,13 @@ class FourierTrajectory:
         h = (r / _RAMP_POINTS) ** 2 / 8
         q, dq, ddq = (torch.maximum(s, h * p) for s, p in zip(series, blends, strict=True))
         return q, dq, ddq
+
+
+def stacked(many: Sequence[FourierTrajectory]) -> FourierTrajectory:
+    """Several trajectories of one shape as a batch."""
+    parts = zip(*((x.a, x.b, x.q0) for x in many), strict=True)
+    a, b, q0 = (torch.stack(part) for part in parts)
+    return replace(many[0], a=a, b=b, q0=q0)
 
 
 def midpoints(duration: float, count: int) -> Float[Tensor, " T"]:

@@ -30,11 +30,6 @@ class MotionLimits:
     warnings: tuple[str, ...] = ()
 
     @property
-    def all(self) -> Float[Tensor, "3 n 2"]:
-        """Position, velocity, acceleration, stacked (3, n, 2)."""
-        return torch.stack([self.position, self.velocity, self.acceleration])
-
-    @property
     def middle(self) -> Float[Tensor, " n"]:
         """Middle of the position range (n,)."""
         return self.position.mean(-1)
@@ -92,33 +87,26 @@ def position_limits(
             got=usage,
             expected="above 0, at most 1",
         )
-    given, warnings = _one_turn(robot)
-    middle = given.mean(-1, keepdim=True)
-    return middle + usage * (given - middle), warnings
-
-
-def _one_turn(robot: Robot) -> tuple[Tensor, tuple[str, ...]]:
     given = robot.limits.position
     if given is None:
         given = torch.tensor([[-math.inf, math.inf]] * robot.n, dtype=torch.float64)
+    lower, upper = given.unbind(-1)
     free = ~torch.isfinite(given).all(-1)
     slides = torch.tensor([kind is JointType.PRISMATIC for kind in robot.joint_types])
     if bool((free.cpu() & slides).any()):
         robot.limits.require("position", robot=robot.name, purpose="excitation of a sliding joint")
-    if not bool(free.any()):
-        return given, ()
-    lower, upper = given.unbind(-1)
     # With one of the two given, the turn starts or ends there.
-    low = torch.where(torch.isfinite(upper), upper - 2 * math.pi, torch.full_like(upper, -math.pi))
-    high = torch.where(torch.isfinite(lower), lower + 2 * math.pi, torch.full_like(lower, math.pi))
-    closed = torch.where(torch.isfinite(lower), lower, low)
-    opened = torch.where(torch.isfinite(upper), upper, high)
+    low = torch.where(torch.isfinite(upper), upper - 2 * math.pi, -math.pi)
+    high = torch.where(torch.isfinite(lower), lower + 2 * math.pi, math.pi)
+    low = torch.where(torch.isfinite(lower), lower, low)
+    high = torch.where(torch.isfinite(upper), upper, high)
+    middle, half = (low + high) / 2, usage * (high - low) / 2
     joints = ", ".join(str(i + 1) for i in free.nonzero().flatten().tolist())
     warning = (
         f"robot '{robot.name}' has no position limits for joint {joints}: motions stay within "
         "one turn, +-pi where neither limit is given."
     )
-    return torch.stack([closed, opened], -1), (warning,)
+    return torch.stack([middle - half, middle + half], -1), (warning,) if joints else ()
 
 
 def largest_scale(trajectory: FourierTrajectory, limits: MotionLimits) -> Float[Tensor, "*batch n"]:
@@ -128,14 +116,10 @@ def largest_scale(trajectory: FourierTrajectory, limits: MotionLimits) -> Float[
     inside the position limits.
     """
     q, dq, ddq = trajectory.extremes()
-    swing = q - trajectory.q0.unsqueeze(-1)
-    room = limits.position.to(q) - trajectory.q0.unsqueeze(-1)
+    centre = trajectory.q0.unsqueeze(-1)
+    room = limits.position.to(q) - centre, limits.velocity.to(q), limits.acceleration.to(q)
     scale = torch.full_like(trajectory.q0, 1e12)
-    for extremes, bounds in (
-        (swing, room),
-        (dq, limits.velocity.to(q)),
-        (ddq, limits.acceleration.to(q)),
-    ):
+    for extremes, bounds in zip((q - centre, dq, ddq), room, strict=True):
         # A motion that never goes up is not held by the upper limit.
         up = bounds[..., 1] / extremes[..., 1].clamp(min=1e-12)
         down = bounds[..., 0] / extremes[..., 0].clamp(max=-1e-12)

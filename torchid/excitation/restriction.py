@@ -98,36 +98,32 @@ class Restriction(ABC):
 
 @dataclass(frozen=True, eq=False)
 class AllOf(Restriction):
-    """Several restrictions of one robot at once.
+    """Several restrictions of one robot at once, or none.
 
     Attributes:
-        parts: at least one.
+        robot, usage: as of each part.
+        parts: which.
     """
 
+    robot: Robot
+    usage: float
     parts: tuple[Restriction, ...]
 
-    @property
-    def robot(self) -> Robot:  # type: ignore[override]
-        """Of the first part."""
-        return self.parts[0].robot
+    @classmethod
+    def of(cls, robot: Robot, usage: float, *parts: Restriction | None) -> "AllOf":
+        """Of those that there are."""
+        return cls(robot, usage, tuple(part for part in parts if part is not None))
 
-    @property
-    def usage(self) -> float:  # type: ignore[override]
-        """Of the first part."""
-        return self.parts[0].usage
-
-    def penalty(self, trajectory: FourierTrajectory) -> Float[Tensor, "*batch"]:
+    def penalty(self, trajectory: FourierTrajectory) -> Float[Tensor, "*#batch"]:
         """The sum of all penalties."""
-        return torch.stack([part.penalty(trajectory) for part in self.parts]).sum(0)
+        return sum((part.penalty(trajectory) for part in self.parts), torch.zeros(()).double())
 
-    def fits(self, trajectory: FourierTrajectory | Sinusoid) -> Bool[Tensor, "*batch"]:
+    def fits(self, trajectory: FourierTrajectory | Sinusoid) -> Bool[Tensor, "*#batch"]:
         """Whether all are kept; a part is asked only while some motion keeps those before it."""
-        first, *others = self.parts
-        fits = first.fits(trajectory)
-        for part in others:
-            if not bool(fits.any()):
-                break
-            fits = fits & part.fits(trajectory)
+        fits = torch.tensor(True)
+        for part in self.parts:
+            if bool(fits.any()):
+                fits = fits & part.fits(trajectory)
         return fits
 
     def strain(self, q: Float[Tensor, "K n"]) -> Float[Tensor, " K"]:
@@ -137,9 +133,3 @@ class AllOf(Restriction):
     def impossible(self, q: Float[Tensor, " n"]) -> RobotError:
         """Of the part that is broken most."""
         return max(self.parts, key=lambda part: float(part.strain(q.unsqueeze(0)))).impossible(q)
-
-
-def restricted(*parts: Restriction | None) -> Restriction | None:
-    """All that are not None at once; None where nothing is left."""
-    left = tuple(part for part in parts if part is not None)
-    return AllOf(left) if left else None

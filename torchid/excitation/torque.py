@@ -76,15 +76,15 @@ class TorqueLimits(Restriction):
     def of(
         cls, robot: Robot, effects: Sequence[Valued], source: str, usage: float
     ) -> "TorqueLimits | None":
-        """With those of the effects that a planned motion determines; None without limits.
+        """With those of the effects that a planned motion determines; None without limits or
+        parameters.
 
         Raises:
             RobotError: limits that do not contain 0.
         """
-        if not has_torque_limits(robot):
-            return None
         known = tuple(p for p in effects if not p[0].needs & {"age", "velocity"})
-        return cls(robot, known, source, usage)
+        checked = robot.parameters is not None and has_torque_limits(robot)
+        return cls(robot, known, source, usage) if checked else None
 
     @property
     def limits(self) -> Float[Tensor, "n 2"]:
@@ -142,9 +142,7 @@ class TorqueLimits(Restriction):
         """Torque when motion is about to begin, either way."""
         still = torch.zeros_like(q)
         static = [
-            (effect, values)
-            for effect, values in self.effects
-            if "t" not in effect.needs and not getattr(effect, "memory", False)
+            p for p in self.effects if "t" not in p[0].needs and not getattr(p[0], "memory", False)
         ]
         ways = [Motion(q, still, still, still + way) for way in (-1.0, 1.0)]
         return torch.stack([model_torque(self.robot, static, way) for way in ways], -2)
@@ -176,8 +174,6 @@ def nominal_torque_limits(robot: Robot, *, usage: float = 1.0) -> TorqueLimits |
     Raises:
         RobotError: limits that do not contain 0.
     """
-    if robot.parameters is None:
-        return None
     return TorqueLimits.of(robot, nominal_effects(robot), NOMINAL, usage)
 
 

@@ -12,7 +12,6 @@ from torchid.excitation.fourier import (
     BASE_PULSATION,
     Extremes,
     FourierTrajectory,
-    SampledMotion,
     sample_times,
 )
 from torchid.excitation.limits import largest_scale, motion_limits
@@ -137,10 +136,10 @@ class Sinusoid:
             self.amplitude * w * cos,
         )
 
-    def sample(self, rate: float) -> SampledMotion:
-        """The motion at 0, 1/rate, ... up to the duration; rate [Hz]."""
+    def sample(self, rate: float) -> Motion:
+        """The motion at 0, 1/rate, ... up to the duration, with these times; rate [Hz]."""
         t = sample_times(self.duration, rate)
-        return SampledMotion(t, *self.at(t).state)
+        return self.at(t)._replace(t=t)
 
     def extremes(self) -> Extremes:
         """Bounds on q, dq, ddq at any instant: (n, 2) each, lower and upper."""
@@ -200,7 +199,7 @@ def trajectory_log(
     samples, n = motion.q.shape[-2:]
     count = motion.q.numel() // (samples * n)
     return Log(
-        t=motion.t.repeat(count),
+        t=motion.require("t", "a log").repeat(count),
         q=motion.q.reshape(-1, n),
         dq=motion.dq.reshape(-1, n),
         ddq=motion.ddq.reshape(-1, n),
@@ -209,17 +208,3 @@ def trajectory_log(
         source="trajectory",
         warnings=trajectory.warnings,
     )
-
-
-class Designed:
-    """A motion that was designed."""
-
-    trajectory: FourierTrajectory
-
-    def log(self, rate: float = 100.0) -> Log:
-        """The motion as a log without torque: t [s], q, dq, ddq (T, n), `rate` samples a second.
-
-        Raises:
-            TorchidError: a rate that is too low.
-        """
-        return trajectory_log(self.trajectory, rate)

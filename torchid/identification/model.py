@@ -19,7 +19,7 @@ from torchid.tensors import joint_signals
 from torchid.typing import Float, Joints, Numbers, Tensor
 
 if TYPE_CHECKING:
-    from torchid.excitation.informed import InformedDesign
+    from torchid.excitation.design import InformedDesign
 
 
 class Blocks:

@@ -29,15 +29,6 @@ SAME_FRAMES = 1e-3
 """Difference of joint frames [m; 1] that is rounding in a file."""
 
 
-@dataclass(frozen=True)
-class Question:
-    """An explanation, and the effect it must not be taken for; an empty name: whether it is seen at
-    all, values then being of no account."""
-
-    truth: Explanation
-    other: str
-
-
 @dataclass(frozen=True, eq=False)
 class Open:
     """What a diagnosis leaves open.
@@ -45,13 +36,14 @@ class Open:
     Attributes:
         kind: `ambiguity`, or `not_testable`: effects that the log could not have shown.
         setting: model and noise.
-        questions: what a motion may settle.
+        questions: what a motion may settle: explanations, and what they must not be taken for,
+            without its forms. Without a name: whether they are seen at all, in any size.
         notes: sentences for the user.
     """
 
     kind: str
     setting: Setting
-    questions: tuple[Question, ...]
+    questions: tuple[Rival, ...]
     notes: tuple[str, ...]
 
 
@@ -79,7 +71,7 @@ def open_questions(record: GapRecord, robot: Robot, source: str) -> Open:
         kind, asked = "not_testable", _untestable(record, model)
     setting = _setting(record, model)
     # What is fitted anyway (a background) is known, not hidden.
-    asked = [q for q in asked if q.other or q.truth.effects not in setting.fitted]
+    asked = [q for q in asked if q.name or q.truth.effects not in setting.fitted]
     if not asked:
         found = [f"{e.effect} of joint {[j + 1 for j in e.joints]}" for e in record.which]
         raise TorchidError(
@@ -87,15 +79,11 @@ def open_questions(record: GapRecord, robot: Robot, source: str) -> Open:
             + ("every effect that a motion can bring about was testable, and every one found has "
                "one name." if not notes else "no motion settles the remainder."),
             got="; ".join([f"status {record.status}", *(found or ["no effect found"]), *notes]),
-            hint=_unexplained(record),
+            hint="the gap is unexplained: drive one trajectory twice, so that its noise is known"
+            if record.status == "detected_unexplained" and record.noise_floor.source != "repeats"
+            else None,
         )  # fmt: skip
     return Open(kind, setting, tuple(asked), tuple(notes))
-
-
-def _unexplained(record: GapRecord) -> str | None:
-    if record.status != "detected_unexplained" or record.noise_floor.source == "repeats":
-        return None
-    return "the gap is unexplained: drive one trajectory twice, so that its noise is known"
 
 
 def refuse_another(source: str, model: Robot, robot: Robot) -> None:
@@ -114,8 +102,8 @@ def refuse_another(source: str, model: Robot, robot: Robot) -> None:
     )
 
 
-def _ambiguities(record: GapRecord, robot: Robot) -> tuple[list[Question], list[str]]:
-    asked: list[Question] = []
+def _ambiguities(record: GapRecord, robot: Robot) -> tuple[list[Rival], list[str]]:
+    asked: list[Rival] = []
     events: dict[str, list[str]] = {}
     for entry in record.which:
         effect = entry.effect
@@ -124,7 +112,7 @@ def _ambiguities(record: GapRecord, robot: Robot) -> tuple[list[Question], list[
             if event is None and effect in INERTIAL and other in INERTIAL:
                 event = effect
             if event is None:
-                asked.append(Question(_truth(entry, record, robot), other))
+                asked.append(Rival(_truth(entry, record, robot), (), other))
             else:
                 events.setdefault(event, []).append(other if event == effect else effect)
     return asked, [
@@ -153,19 +141,15 @@ def _truth(entry: FoundEffect, record: GapRecord, robot: Robot) -> Explanation:
     place = {"joint": joint + 1} if "joint" in own else {}
     values = {k: v for k, v in entry.parameters.items() if k in own}
     effect, coefficients = effect_from_record({"effect": kind.name, **place, **values}, robot)
-    return Explanation(_group(entry, effect, robot), tuple(coefficients))
-
-
-def _group(entry: FoundEffect, effect: Effect, robot: Robot) -> Group:
-    """The effect, or the same one on every joint where it is common to all."""
+    group: Group = (effect,)
     if entry.common and isinstance(effect, ModelEffect):
-        return tuple(type(effect).candidates(robot))
-    return (effect,)
+        group = tuple(type(effect).candidates(robot))
+    return Explanation(group, tuple(coefficients))
 
 
-def _untestable(record: GapRecord, robot: Robot) -> list[Question]:
+def _untestable(record: GapRecord, robot: Robot) -> list[Rival]:
     """Effects that the log could not have shown, of usual shapes."""
-    out: list[Question] = []
+    out: list[Rival] = []
     for entry in record.not_testable:
         kind, joint = effect_kind(entry.effect), entry.joint
         if not kind.by_motion or kind.inertial or kind.needs & {"age", "velocity"}:
@@ -177,7 +161,7 @@ def _untestable(record: GapRecord, robot: Robot) -> list[Question]:
         else:
             effects = [] if joint is None else [kind.exemplar(joint)]
         for effect in effects:
-            question = Question(Explanation((effect,), (1.0,) * len(effect.coefficients)), "")
+            question = Rival(Explanation((effect,), (1.0,) * len(effect.coefficients)), (), "")
             if question not in out:
                 out.append(question)
     return out
@@ -217,8 +201,8 @@ def rivals(found: Open, plain: FourierTrajectory) -> tuple[Rival, ...]:
     out: list[Rival] = []
     sets: dict[Explanation, list[str]] = {}
     for question in found.questions:
-        if question.other:
-            sets.setdefault(question.truth, []).append(question.other)
+        if question.name:
+            sets.setdefault(question.truth, []).append(question.name)
         else:
             out.append(_seen(question, rows))
     for truth, names in sets.items():
@@ -226,7 +210,7 @@ def rivals(found: Open, plain: FourierTrajectory) -> tuple[Rival, ...]:
     return tuple(out)
 
 
-def _seen(question: Question, rows: Rows) -> Rival:
+def _seen(question: Rival, rows: Rows) -> Rival:
     """The effect in its most visible coefficient, at a tenth of the torque of the joints it acts on
     or its largest plausible size."""
     effects = question.truth.effects
@@ -240,7 +224,7 @@ def _seen(question: Question, rows: Rows) -> Rival:
         size = min(size, PLAUSIBLE * float(rows.torque[acts].norm() / own[acts].norm()))
     values = [0.0] * columns.shape[1]
     values[best] = size if math.isfinite(size) else 1.0
-    return Rival(Explanation(effects, tuple(values)), (), "")
+    return replace(question, truth=Explanation(effects, tuple(values)))
 
 
 def _among(

@@ -7,8 +7,7 @@ import torch
 
 from torchid.errors import TorchidError
 from torchid.excitation.clearance import Clearance
-from torchid.excitation.design import excite
-from torchid.excitation.informed import Goal, InformedDesign, design_for
+from torchid.excitation.design import Goal, InformedDesign, design_for, excite
 from torchid.excitation.settings import DURATION, HARMONICS, RESTARTS, USAGE
 from torchid.excitation.torque import CORRECTED, TorqueLimits
 from torchid.gap.record import GapRecord

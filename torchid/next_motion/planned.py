@@ -2,17 +2,16 @@
 as one result: what they are, what they ask of the drives, how near they come."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 from torchid.errors import TorchidError
 from torchid.excitation.clearance import Clearance, Nearest, motion_clearance
-from torchid.excitation.design import Excitation, excite
+from torchid.excitation.design import Excitation, InformedDesign, excite
 from torchid.excitation.fourier import FourierTrajectory
-from torchid.excitation.informed import InformedDesign
-from torchid.excitation.restriction import restricted
+from torchid.excitation.restriction import AllOf
 from torchid.excitation.torque import (
     TorqueLimits,
     TorqueUse,
@@ -36,6 +35,8 @@ from torchid.parallel.workers import Progress, stage
 from torchid.position.next_motion import NextCommands
 from torchid.robot.model import Robot
 
+Motions = Sequence[FourierTrajectory | Sinusoid]
+
 
 @dataclass(frozen=True, eq=False)
 class Planned:
@@ -56,13 +57,13 @@ class Planned:
 
     robot: Robot
     kind: str
-    motions: Sequence[FourierTrajectory | Sinusoid]
+    motions: Motions
     rate: float
     speed: float
     limits: TorqueLimits | None
     clearance: Clearance | None
     unknown: tuple[str, ...]
-    designs: "Sequence[Excitation | InformedDesign | Separation]"
+    designs: Sequence[Excitation | InformedDesign | Separation]
     result: str | None = None
 
     @cached_property
@@ -103,23 +104,23 @@ class Planned:
 
     def _design(self) -> dict[str, Any]:
         """How the motions were designed, and what that gained."""
-        if not self.designs:
-            return {}
-        first = self.designs[0]
-        if isinstance(first, InformedDesign):
-            record = informed_record(first)
-        elif isinstance(first, Separation):
-            record = separation_record(first) | {"notes": list(first.notes)}
-        else:
-            found = [x for x in self.designs if isinstance(x, Excitation)]
-            return {
-                "criterion": first.criterion,
-                "basis": first.base.basis,
-                "condition_number_before": [x.start_condition for x in found],
-                "condition_number_after": [x.condition_after for x in found],
-                "hardly_better": [x.hardly for x in found],
-            }
-        return record | {"result": self.result, "hardly_better": first.hardly}
+        match self.designs:
+            case [InformedDesign() as one]:
+                record = informed_record(one)
+            case [Separation() as one]:
+                record = separation_record(one)
+            case [Excitation() as first, *_]:
+                found = [x for x in self.designs if isinstance(x, Excitation)]
+                return {
+                    "criterion": first.criterion,
+                    "basis": first.base.basis,
+                    "condition_number_before": [x.start_condition for x in found],
+                    "condition_number_after": [x.condition_after for x in found],
+                    "hardly_better": [x.hardly for x in found],
+                }
+            case _:
+                return {}
+        return record | {"result": self.result, "hardly_better": one.hardly}
 
 
 def not_checked(robot: Robot) -> str | None:
@@ -201,6 +202,7 @@ def separation_record(s: Separation) -> dict[str, Any]:
              "not": r.name or None, "instead": other_means([r.truth.effect.name])}
             for r in s.hopeless
         ],
+        "notes": list(s.notes),
     }  # fmt: skip
 
 
@@ -225,17 +227,14 @@ def plan(
     """
     clearance, unknown = clearance_of(robot, room or Room(), asked.usage)
     designs = _designs(robot, asked, clearance, progress)
-    made: Motions
-    if designs:
-        made, limits = [design.trajectory for design in designs], designs[0].torque
-    else:
-        seeds = range(asked.seed, asked.seed + asked.count)
-        made, limits = given_motions(robot, asked.kind, seeds, clearance, **asked.series)
+    limits = designs[0].torque if designs else nominal_torque_limits(robot, usage=asked.usage)
+    # Table 5.1 is not changed.
+    kept = AllOf.of(robot, asked.usage, *(() if asked.kind == "paper" else (limits, clearance)))
+    made: Motions = [design.trajectory for design in designs]
+    made = made or [kept.within(x) for x in _given(robot, asked, clearance)]
     if asked.speed != 1:
-        made = [x.at_speed(asked.speed) for x in made]
-        # Gravity needs its torque at any speed, and the designed motion may have helped it.
-        kept = None if asked.kind == "paper" else restricted(limits, clearance)
-        made = made if kept is None else [kept.within(x) for x in made]
+        # Gravity needs its torque at any speed, and the full motion may have helped it.
+        made = [kept.within(x.at_speed(asked.speed)) for x in made]
     kind, source = (asked.kind, None) if asked.result is None else ("next", asked.result.name)
     return Planned(
         robot, kind, made, asked.rate, asked.speed, limits, clearance, unknown, designs, source
@@ -281,54 +280,26 @@ def _designs(
     return out
 
 
-Motions = Sequence[FourierTrajectory | Sinusoid]
-
-
-def given_motions(
-    robot: Robot,
-    kind: str,
-    seeds: Iterable[int],
-    clearance: Clearance | None,
-    *,
-    harmonics: int,
-    duration: float,
-    usage: float,
-) -> tuple[Motions, TorqueLimits | None]:
-    """Motions of one kind, and the torque limits that they keep.
-
-    Args:
-        robot: with limits.
-        kind: `random` Fourier series, `sinusoid`, or the report's table 5.1 (3R only), as printed,
-            `paper`.
-        seeds: one a motion.
-        clearance: what they keep clear of.
-        harmonics: of the series.
-        duration: [s].
-        usage: share of the limits that may be used.
+def _given(robot: Robot, asked: MotionSettings, clearance: Clearance | None) -> Motions:
+    """Random Fourier series, sinusoids, or the report's table 5.1 (3R only), as printed.
 
     Raises:
         TorchidError: table 5.1 for another robot, or in less room than it needs.
     """
-    torque = nominal_torque_limits(robot, usage=usage)
-    if kind == "paper":
-        if not robot.name.startswith("3r"):
-            raise TorchidError(
-                "table 5.1 is for the 3R.", got=robot.name, available=["3r", "3r_friction"]
-            )
-        printed = paper_trajectories_3r()
-        if clearance is not None and not bool(clearance.fits(printed).all()):
-            raise TorchidError(
-                "the motions of table 5.1 leave the room there is; they are not changed.",
-                available=[f'`kind="{other}"`' for other in ("optimised", "random", "sinusoid")],
-            )
-        return [printed.select(k) for k in range(3)], torque
-    made: Motions = [
-        sinusoid(robot, seed, duration=duration, usage=usage)
-        if kind == "sinusoid"
-        else random_trajectory(
-            robot, seed, fill=True, harmonics=harmonics, duration=duration, usage=usage
+    if asked.kind != "paper":
+        seeds = range(asked.seed, asked.seed + asked.count)
+        sizes = {"duration": asked.duration, "usage": asked.usage}
+        if asked.kind == "sinusoid":
+            return [sinusoid(robot, seed, **sizes) for seed in seeds]
+        return [random_trajectory(robot, seed, fill=True, **asked.series) for seed in seeds]
+    if not robot.name.startswith("3r"):
+        raise TorchidError(
+            "table 5.1 is for the 3R.", got=robot.name, available=["3r", "3r_friction"]
         )
-        for seed in seeds
-    ]
-    kept = restricted(torque, clearance)
-    return made if kept is None else [kept.within(x) for x in made], torque
+    printed = paper_trajectories_3r()
+    if clearance is not None and not bool(clearance.fits(printed).all()):
+        raise TorchidError(
+            "the motions of table 5.1 leave the room there is; they are not changed.",
+            available=[f'`kind="{other}"`' for other in ("optimised", "random", "sinusoid")],
+        )
+    return [printed.select(k) for k in range(3)]

@@ -56,8 +56,7 @@ class Rows:
 
     def __init__(self, setting: Setting, trajectory: FourierTrajectory):
         self._setting = setting
-        sampled = trajectory.sample(RATE)
-        motion = Motion(*sampled.motion.state, t=sampled.t)
+        motion = trajectory.sample(RATE)
         tau = torch.zeros_like(motion.q)
         segment = Segment("", RATE, RATE / 2, motion, tau, own_velocity=True)
         self._samples = Samples([segment], min(setting.cutoff, 0.22 * RATE))

@@ -3,26 +3,25 @@
 With r what a motion tells of a pair, relative to what decides (see `separation`), the design
 maximises the mean of 1 - exp(-r), about the share of pairs that are decided, over all pairs, both
 ways. Directions of friction and the like jump, so there is no gradient to follow: CMA-ES (Hansen
-2016) moves the trajectory's coefficients, its centre, and how much of the limits each joint uses,
-for slow motion tells as much as fast.
+2016) moves what `excitation.search` does, joints' shares of their limits too, for slow motion tells
+as much as fast.
 """
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cma
 import numpy as np
 import torch
 
 from torchid.errors import TorchidError
 from torchid.excitation.clearance import Clearance
-from torchid.excitation.descent import LONGER
-from torchid.excitation.fourier import FourierTrajectory
-from torchid.excitation.limits import MotionLimits, largest_scale, motion_limits
-from torchid.excitation.restriction import restricted
+from torchid.excitation.design import Designed
+from torchid.excitation.fourier import FourierTrajectory, stacked
+from torchid.excitation.limits import motion_limits
+from torchid.excitation.restriction import AllOf
+from torchid.excitation.search import LONGER, POPULATION, Evolution, Progress, search
 from torchid.excitation.torque import CORRECTED, TorqueLimits
-from torchid.excitation.trajectories import Designed, random_trajectory
+from torchid.excitation.trajectories import random_trajectory
 from torchid.next_motion.rows import Rows, Setting
 from torchid.next_motion.separation import (
     SAME_DIFFERENCE,
@@ -51,38 +50,28 @@ NEAREST_FORMS = 2
 LOGARITHM_WEIGHT = 0.02
 """Weight of the mean logarithm beside the share of decided pairs."""
 
-POPULATION = 16
-_SPREAD = 0.3
-_FULL = -4.0  # where the search of the joints' shares starts: nearly the whole of the limits
 _RANDOM_SHARE = 0.2  # of the evaluations, before the search
 
-Progress = Callable[[int, int], None]
 
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Separation(Designed):
     """A motion and what it separates.
 
     Attributes:
-        trajectory: the best found.
+        trajectory, warnings, torque: see `Designed`; torque by the corrected model.
         plain: what it is compared with, of the same length.
         rivals: the pairs, in order.
         with_plain, after: of each pair for the two motions.
         hopeless: rivals that no motion tried separates, not part of the design.
-        warnings: sentences for the user.
-        torque: the torque limits kept, by the corrected model; None if there are none.
         kind: `ambiguity`, or `not_testable`: effects that the log could not have shown.
         notes: what is no matter of motion, sentences for the user.
     """
 
-    trajectory: FourierTrajectory
     plain: FourierTrajectory
     rivals: tuple[Rival, ...]
     with_plain: tuple[Discrimination, ...]
     after: tuple[Discrimination, ...]
     hopeless: tuple[Rival, ...]
-    warnings: tuple[str, ...]
-    torque: TorqueLimits | None = None
     kind: str = "ambiguity"
     notes: tuple[str, ...] = ()
 
@@ -123,56 +112,56 @@ def design_separation(
             the robot has no parameters.
         TorchidError: no motion tried separates any pair.
     """
-    limits = motion_limits(setting.robot, usage=usage)
     torque = TorqueLimits.of(setting.robot, setting.given, CORRECTED, usage)
-    kept_by = restricted(torque, clearance)
-    tried = [plain, *_random(setting.robot, plain, seed, usage, evaluations)]
-    if kept_by is not None:
-        tried = [kept_by.within(x) for x in tried]
-        plain = tried[0]
-    seen = list(zip(*(separations(setting, rivals, x) for x in tried[:FIRST_MOTIONS]), strict=True))
-    kept = [k for k, told in enumerate(seen) if max(t.difference for t in told) > SAME_DIFFERENCE]
-    if not kept:
+    kept = AllOf.of(setting.robot, usage, torque, clearance)
+    drawn = _random(setting.robot, plain, seed, usage, evaluations)
+    plain, *tried = [kept.within(x) for x in (plain, *drawn)]
+    first = [plain, *tried[: FIRST_MOTIONS - 1]]
+    seen = list(zip(*(separations(setting, rivals, x) for x in first), strict=True))
+    settled = [
+        k for k, told in enumerate(seen) if max(t.difference for t in told) > SAME_DIFFERENCE
+    ]
+    if not settled:
         raise TorchidError(
             "no motion settles what this diagnosis leaves open.",
             got=name_pairs(rivals) or "no rival acts on this arm",
             hint=other_means(r.truth.effect.name for r in rivals),
         )
-    asked = [_pruned(setting, rivals[k], tried[:FIRST_MOTIONS]) for k in _promising(kept, seen)]
-
-    def score(x: FourierTrajectory) -> float:
-        value = _score(separations(setting, asked, x))
-        return value if kept_by is None else value - float(kept_by.penalty(x))
-
-    scores = []
-    for x in tried:
-        scores.append(score(x))
-        if progress is not None:
-            progress(len(scores), evaluations)
-    start = tried[int(np.argmax(scores))]
+    wanted = tuple(rivals[k] for k in settled)
+    asked = [_pruned(setting, rivals[k], first) for k in _promising(settled, seen)]
     of_plain = separations(setting, asked, plain)
 
-    def hardly(x: FourierTrajectory) -> bool:
-        return _hardly(separations(setting, asked, x), of_plain)
+    def cost(batch: FourierTrajectory, pairs: Sequence[Rival]) -> Tensor:
+        every = (separations(setting, pairs, batch.select(k)) for k in range(len(batch.q0)))
+        return torch.tensor([-_score(told) for told in every], dtype=torch.float64)
 
-    found = start
-    if not all(t.reached >= 1 for t in of_plain):
-        found = _search(start, limits, score, hardly, seed, evaluations, progress)
-    if kept_by is not None:
-        found = kept_by.within(found)
-    wanted = [rivals[k] for k in kept]
+    def say(done: int) -> None:
+        if progress is not None:
+            progress(min(done, evaluations), evaluations)
+
+    costs = []
+    for x in (plain, *tried):
+        costs.append(float(kept.penalty(x)) - _score(separations(setting, asked, x)))
+        say(len(costs))
+    start = stacked([plain, (plain, *tried)[int(np.argmin(costs))]])
+    steps = max(0, -((len(costs) - evaluations) // POPULATION))
     # The search looks at some pairs and forms; what counts is all of them.
-    told = {x: separations(setting, wanted, x) for x in (found, start, plain)}
-    best = max(told, key=lambda x: _score(told[x]))
+    _, best, _ = search(
+        start, motion_limits(setting.robot, usage=usage),
+        lambda x: cost(x, asked), lambda x: cost(x, wanted),
+        0 if all(t.reached >= 1 for t in of_plain) else steps,
+        lambda done, _: say(len(costs) + POPULATION * done), kept=kept, way=Evolution,
+        seed=seed, hardly=lambda x, _: _hardly(separations(setting, asked, x), of_plain),
+    )  # fmt: skip
     return Separation(
-        best,
-        plain,
-        tuple(wanted),
-        tuple(told[plain]),
-        tuple(told[best]),
-        tuple(r for k, r in enumerate(rivals) if k not in kept),
-        limits.warnings,
-        torque,
+        trajectory=best,
+        plain=plain,
+        rivals=wanted,
+        with_plain=tuple(separations(setting, wanted, plain)),
+        after=tuple(separations(setting, wanted, best)),
+        hopeless=tuple(r for k, r in enumerate(rivals) if k not in settled),
+        warnings=plain.warnings,
+        torque=torque,
     )
 
 
@@ -224,52 +213,3 @@ def _random(
     share = SLOWEST ** (torch.rand(count, robot.n, generator=generator, dtype=torch.float64) ** 2)
     mixed = drawn.scaled(share)
     return [drawn.select(k) if k % 2 else mixed.select(k) for k in range(count)]
-
-
-def _search(
-    start: FourierTrajectory,
-    limits: MotionLimits,
-    score: Callable[[FourierTrajectory], float],
-    hardly: Callable[[FourierTrajectory], bool],
-    seed: int,
-    evaluations: int,
-    progress: Progress | None,
-) -> FourierTrajectory:
-    """CMA-ES on the score; the start competes too. It stops half-way if the best hardly beats a
-    plain motion."""
-    n = start.n
-    reach = 0.9 * limits.half_range
-    size = torch.linalg.vector_norm(start.coefficients, dim=-1, keepdim=True).clamp(min=1e-12)
-    shape = (start.coefficients / size * start.harmonics**0.5).flatten()
-    place = torch.atanh(((start.q0 - limits.middle) / reach).clamp(-0.95, 0.95))
-    first = torch.cat([shape, place, torch.full((n,), _FULL, dtype=torch.float64)])
-
-    def trajectory(x: Tensor) -> FourierTrajectory:
-        a, b = x[: -2 * n].reshape(n, -1).chunk(2, -1)
-        q0 = limits.middle + reach * torch.tanh(x[-2 * n : -n])
-        raw = replace(start, a=a, b=b, q0=q0)
-        share = torch.exp(math.log(SLOWEST) * torch.sigmoid(x[-n:]))
-        return raw.scaled(largest_scale(raw, limits) * share)
-
-    best, highest, done = start, score(start), round(_RANDOM_SHARE * evaluations)
-    options = {"seed": seed + 1, "popsize": POPULATION, "verbose": -9, "CMA_diagonal": True}
-    asks_halfway = True
-    search = cma.CMAEvolutionStrategy(first.numpy(), _SPREAD, options)
-    while done < evaluations and not search.stop():
-        asked = search.ask()
-        costs = []
-        for x in asked:
-            candidate = trajectory(torch.from_numpy(np.asarray(x)))
-            value = score(candidate)
-            costs.append(-value)
-            if value > highest:
-                best, highest = candidate, value
-        search.tell(asked, costs)
-        done += len(asked)
-        if progress is not None:
-            progress(min(done, evaluations), evaluations)
-        if asks_halfway and 2 * done >= evaluations:
-            asks_halfway = False
-            if hardly(best):
-                break
-    return best

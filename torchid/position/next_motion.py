@@ -7,7 +7,7 @@ would be known; those that help the open ones most are taken one after the other
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -19,6 +19,7 @@ from msgspec import UNSET, UnsetType
 from torchid.errors import RobotError, TorchidError
 from torchid.excitation.clearance import Clearance
 from torchid.excitation.limits import position_limits
+from torchid.excitation.search import most_telling
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress, in_shares
 from torchid.position.data import WINDOW_S, prepare
@@ -183,7 +184,11 @@ def next_commands(
     start = _start(told, asked, shares)
     places = [(j, told.names.index(name)) for j, name in asked if name in told.names]
     places = places or told.mask.nonzero().tolist()
-    chosen = _chosen(told, start, places, shares)
+    at_joints, at_columns = torch.tensor(places).unbind(-1)
+    chosen = most_telling(
+        start, told.gram,
+        lambda x: _deviations(told, x, shares)[..., at_joints, at_columns].log().sum(-1), MOTIONS,
+    )  # fmt: skip
     after = _deviations(told, start + told.gram[chosen].sum(0), shares)
     opened = tuple(
         OpenParameter(
@@ -325,8 +330,8 @@ def _start(
 
 
 def _deviations(
-    told: Equations, gram: Float[Tensor, "n K K"], shares: Bool[Tensor, " n"]
-) -> Float[Tensor, "n K"]:
+    told: Equations, gram: Float[Tensor, "*C n K K"], shares: Bool[Tensor, " n"]
+) -> Float[Tensor, "*C n K"]:
     """Standard deviations of parameters, of some joints as shares of kp; what is not free is
     held."""
     on, to = told.mask, told.to_values(shares)
@@ -334,24 +339,3 @@ def _deviations(
     inverse = torch.linalg.inv(held) * on[:, :, None] * on[:, None]
     variance = (to @ inverse @ to.mT).diagonal(dim1=-2, dim2=-1).clamp(min=0)
     return (told.noise[:, None] * variance).sqrt()
-
-
-def _chosen(
-    told: Equations,
-    gram: Float[Tensor, "n K K"],
-    places: Sequence[Sequence[int]],
-    shares: Bool[Tensor, " n"],
-) -> list[int]:
-    """The motions that lower the logarithms of the deviations of these places (joint, parameter)
-    most, one after the other."""
-    joints, columns = torch.tensor(places).unbind(-1)
-    chosen: list[int] = []
-    for _ in range(min(MOTIONS, len(told.gram))):
-        left = [k for k in range(len(told.gram)) if k not in chosen]
-        scores = [
-            float(_deviations(told, gram + told.gram[k], shares)[joints, columns].log().sum())
-            for k in left
-        ]
-        chosen.append(left[scores.index(min(scores))])
-        gram = gram + told.gram[chosen[-1]]
-    return chosen

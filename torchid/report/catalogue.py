@@ -142,9 +142,8 @@ def known_rivals(kind: type[Effect]) -> tuple[Rival, ...]:
 def _all_rivals(kinds: tuple[tuple[str, type[Effect]], ...]) -> dict[str, tuple[Rival, ...]]:
     robot = load_robot("kuka_lwr4")
     trajectory = random_trajectory(robot, SEED, fill=True, duration=SECONDS)
-    sampled = trajectory.sample(RATE)
-    state = sampled.motion.state
-    motion = Motion(*state, t=sampled.t, torque=inverse_dynamics(robot, *state))
+    motion = trajectory.sample(RATE)
+    motion = motion._replace(torque=inverse_dynamics(robot, *motion.state))
     joints = (0, 1, robot.n - 1)  # a vertical axis, the one that carries all, the tool's
     return rivals(robot, [motion], CUTOFF, joints=joints, kinds=dict(kinds))
 

@@ -4,8 +4,7 @@ import math
 from functools import partial
 
 from torchid.excitation.clearance import FAR_ROOM, Clearance, Nearest
-from torchid.excitation.design import Excitation
-from torchid.excitation.informed import InformedDesign
+from torchid.excitation.design import Excitation, InformedDesign
 from torchid.excitation.torque import TorqueUse
 from torchid.next_motion.planned import Planned, not_checked
 from torchid.next_motion.separating_motion import Separation

@@ -131,8 +131,7 @@ def reference_motion(robot: Robot, seed: int = 0) -> Motion:
     Raises:
         RobotError: the limits are incomplete.
     """
-    sampled = sinusoid(robot, seed).sample(RATE)
-    return Motion(sampled.q, sampled.dq, sampled.ddq)
+    return sinusoid(robot, seed).sample(RATE)._replace(t=None)
 
 
 def logged_motion(log: Log, robot: Robot) -> Motion:

@@ -8,8 +8,13 @@ import torch
 from tests.excitation.usage import limit_usage
 from tests.fleet.records import identification
 from torchid.errors import TorchidError
-from torchid.excitation.design import base_regressor
-from torchid.excitation.informed import design_for, information, least_known, predicted_std
+from torchid.excitation.design import (
+    base_regressor,
+    design_for,
+    information,
+    least_known,
+    predicted_std,
+)
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.trajectories import random_trajectory
 from torchid.identification.values import prior_of, read_identification
@@ -23,18 +28,24 @@ def robot():
     return load_robot("3r_friction")
 
 
-@pytest.fixture(scope="module")
-def prior(robot, tmp_path_factory):
-    """A log of 200 random states of noise 0.1 N m."""
-    path = identification(tmp_path_factory.mktemp("prior") / "a.json", 0, blocks=100000)
+def prior_in(folder, robot, weight, undetermined=(), **settings):
+    """Of a log of 200 random states of noise 0.1 N m; some parameters are not determined."""
+    path = identification(folder / "a.json", 0, **settings)
     data = json.loads(path.read_text())
-    data["rows"] = {
-        "seconds": 20.0,
-        "per_second": PER_SECOND,
-        "whitening": (10 * torch.eye(3, dtype=torch.float64)).tolist(),
-    }
+    whitening = (weight * torch.eye(3, dtype=torch.float64)).tolist()
+    data["rows"] = {"seconds": 20.0, "per_second": PER_SECOND, "whitening": whitening}
+    data["undetermined"] = list(undetermined)
+    for k in map(data["base_names"].index, undetermined):
+        for row in (*data["factor"], *data["covariance"]):
+            row[k] = 0.0
+        data["covariance"][k] = [0.0] * len(data["base_names"])
     path.write_text(json.dumps(data))
     return prior_of(read_identification(path), robot, "a file")
+
+
+@pytest.fixture(scope="module")
+def prior(robot, tmp_path_factory):
+    return prior_in(tmp_path_factory.mktemp("prior"), robot, 10, blocks=100000)
 
 
 def stacked(robot, prior, trajectory):
@@ -74,34 +85,15 @@ def test_the_design_beats_the_plain_one_within_the_limits(robot, prior, goal):
         assert found.shrinks(found.after) <= found.shrinks(found.with_plain) * 1.001
         assert bool((found.targets == least_known(prior)).all())
     else:
-        volumes = [
-            torch.linalg.slogdet(prior.information + stacked_information(robot, prior, t)).logabsdet
-            for t in (found.trajectory, found.plain)
-        ]
+        t = (torch.arange(200) + 0.5) * 8.0 / 200
+        told = [information(robot, prior, x, t) for x in (found.trajectory, found.plain)]
+        volumes = [torch.linalg.slogdet(prior.information + n).logabsdet for n in told]
         assert volumes[0] >= volumes[1] - 1e-6
 
 
-def stacked_information(robot, prior, trajectory):
-    t = (torch.arange(200) + 0.5) * trajectory.duration / 200
-    return information(robot, prior, trajectory, t)
-
-
 def test_what_the_log_did_not_determine_is_a_target(robot, tmp_path):
-    path = identification(tmp_path / "a.json", 0)
-    data = json.loads(path.read_text())
-    k = data["base_names"].index("Fv3")
-    data["undetermined"] = ["Fv3"]
-    for key in ("factor", "covariance"):
-        for row in data[key]:
-            row[k] = 0.0
-    data["covariance"][k] = [0.0] * len(data["base_names"])
-    data["rows"] = {
-        "seconds": 20.0,
-        "per_second": PER_SECOND,
-        "whitening": torch.eye(3, dtype=torch.float64).tolist(),
-    }
-    path.write_text(json.dumps(data))
-    prior = prior_of(read_identification(path), robot, "a file")
+    prior = prior_in(tmp_path, robot, 1, ["Fv3"])
+    k = prior.base.names.index("Fv3")
     assert bool(least_known(prior)[k])
     found = predicted_std(robot, prior, [random_trajectory(robot, 1)])
     assert bool(torch.isfinite(found).all())
