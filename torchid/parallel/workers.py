@@ -301,7 +301,7 @@ def _finished(
             broken = {f for f in done if f.cancelled() or isinstance(f.exception(), BrokenExecutor)}
             for future in sorted(done - broken, key=running.__getitem__):
                 k, error = running.pop(future), future.exception()
-                result = None if error else future.result()
+                result: Any = None if error else future.result()
                 yield k, result if here or error else pickle.loads(result), error
             if broken:
                 raise BrokenExecutor
