@@ -125,9 +125,9 @@ def parameter_table(found: Comparison) -> Table:
         f"{found.robot}: value ± std",
         rows,
         f"name {'cause' if found.causes else 'verdict'} mean between p",
-        f"{NOTES[found.kind]}. Mean and spread: of the results, as of units of one type (random "
-        "effects). p: of the test that all are equal; 5 % of those that differ are expected to be "
-        "false (Benjamini and Hochberg).",
+        f"{NOTES[found.kind]}. Mean, and spread from result to result: as of units of one type "
+        "(random effects). p: of the test that all are equal; 5 % of those that differ are "
+        "expected to be false (Benjamini and Hochberg).",
         beside=dict(zip(heads, values, strict=False)),
     )
 

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 
-from torchid.report.table import Report, Table
+from torchid.report.table import Report, Table, table_of
 from torchid.statistics.criteria import SET_MASS
 from torchid.withheld.own import OwnCheck
 from torchid.withheld.planted import OUTSIDE, Calibration, Planted
@@ -12,7 +12,8 @@ from torchid.withheld.planted import OUTSIDE, Calibration, Planted
 def report_of_own_check(found: OwnCheck) -> Report:
     """All that there is to see of the check."""
     half = "untouched data: the second half of every trajectory (--held-out for others)"
-    said: list[Table | str] = [own_table(found), *([] if found.whole else [half])]
+    withheld = table_of("Accepted effects, withheld", found.withheld)
+    said: list[Table | str] = [withheld, *([] if found.whole else [half])]
     return Report(verdict=own_headline(found), parts=said)
 
 
@@ -29,22 +30,6 @@ def own_headline(found: OwnCheck) -> str:
         f"{text}; of {len(judged)} that leave a gap here, {sum(judged)} closed as much of it as "
         "they are known to."
     )
-
-
-def own_table(found: OwnCheck) -> Table:
-    """What was withheld, and what the diagnosis named instead."""
-    withheld = []
-    for w in found.withheld:
-        others = (
-            f"{f.effect} {_joints(f.joints)}" if f.joints else f.effect
-            for f in w.found
-            if (f.effect, f.joints) != (w.effect, w.joints)
-        )
-        again = "yes" if w.named else "in a set" if w.in_set else "no"
-        shares = ("no gap" if x is None else f"{100 * x:.0f} %" for x in (w.closed, w.known))
-        withheld.append((w.effect, _joints(w.joints), again, ", ".join(others), *shares))
-    heads = ("effect", "joint", "found again", "named instead", "closed", "known to close")
-    return Table("Accepted effects, withheld", heads, withheld, "pppppp")
 
 
 def report_of_calibration(found: Calibration) -> Report:
